@@ -1,4 +1,4 @@
-"""Rows on conserved quantities of free motion, on the solver, and on what the file states without effect."""
+"""Rows on a finite state, conserved quantities of free motion, the solver, and what the file states without effect."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from gauge_envs.tools.sanity.itself.runs import (
     has_diverged,
     leave_to,
     refined,
+    rest,
     seconds,
     settled,
     start_data,
@@ -49,8 +50,7 @@ def _flight(model: mujoco.MjModel, joints: list[int]) -> tuple[FloatArray, float
     data.qvel[:] = 0.0
     is_alone = np.isin(roots, objects(model))
     rates = np.where(is_alone, TURN_RAD_PER_S, ROBOT_RAD_PER_S) / np.sqrt(3.0)
-    for axis in (3, 4, 5):
-        data.qvel[model.jnt_dofadr[joints] + axis] = rates
+    data.qvel[model.jnt_dofadr[joints, None] + [3, 4, 5]] = rates[:, None]
 
     def momenta() -> FloatArray:
         mujoco.mj_forward(model, data)
@@ -84,19 +84,48 @@ def spin(robot: Robot) -> Finding:
     if flight_s < 0.99 * seconds(model, FLIGHT_S):
         leave_to(robot, "robot-holds")
         return Finding(value=np.inf, remark=f"the state diverges {text}")
-    number = int(changes.argmax())
-    change, place = (
-        float(changes[number]),
-        ("body", int(model.jnt_bodyid[free[number]])),
-    )
-    if change > CONSERVED:
-        finer, _ = _flight(refined(flying), free)
-        if finer[number] > 0.5 * change:
-            raise NotApplicableError("other forces act on what is free in flight")
+    number, change = int(changes.argmax()), float(changes.max())
+    body = int(model.jnt_bodyid[free[number]])
+    if change > CONSERVED and _flight(refined(flying), free)[0][number] > 0.5 * change:
+        raise NotApplicableError("other forces act on what is free in flight")
     return Finding(
         value=change,
-        place=place,
-        remark=f"angular momentum of {name_of(robot, *place)} is {100.0 * change:.3g} % off {text}",
+        place=("body", body),
+        remark=f"angular momentum of {name_of(robot, 'body', body)} is {100.0 * change:.3g} % off {text}",
+    )
+
+
+SINE_S, SINE_SHARE, SINE_RAD = 1.0, 0.25, 0.2
+"""Period of sines of the commands [s], and their amplitude over the range of a command; of one without a range."""
+
+
+@row(
+    "robot-holds",
+    title="time with a finite state, over that of the run",
+    unit="1",
+    interval=(1.0, np.inf),
+    source="a run of the model from its keyframe or initial pose, without actions and along sines",
+    consequence="Training meets NaN or is reset in each episode.",
+)
+def holds(robot: Robot) -> Finding:
+    """Return the time for which the state stays finite at rest, then while its commands follow one sine."""
+    model = robot.model
+    diverged_s, motion = rest(robot, is_refined=False).diverged_s, "at rest"
+    data = start_data(model)
+    begin = data.ctrl.copy()
+    spans = SINE_SHARE * np.ptp(model.actuator_ctrlrange, axis=1)
+    sizes = np.where(model.actuator_ctrllimited, spans, SINE_RAD)
+    while np.isinf(diverged_s) and data.time < seconds(model, SINE_S):
+        data.ctrl[:] = begin + sizes * np.sin(2.0 * np.pi * data.time / SINE_S)
+        mujoco.mj_step(model, data)
+        if has_diverged(data):
+            diverged_s = max(float(data.time), float(model.opt.timestep))
+            motion = "on sines of its commands"
+    if np.isinf(diverged_s):
+        return Finding(value=1.0)
+    return Finding(
+        value=min(diverged_s / REST_S, 0.3),
+        remark=f"the state diverges after {diverged_s:.3g} s {motion}, with a step of {model.opt.timestep:g} s",
     )
 
 
@@ -125,18 +154,13 @@ def energy(robot: Robot) -> Finding:
     is_free = joints_of(bare, "FREE")[bare.dof_jntid]
     rates = np.random.default_rng(0).uniform(-1.0, 1.0, bare.nv)
     data.qvel[:] = np.where(is_free, 0.0, rates)
-    while data.time < seconds(bare, ENERGY_S):
+    while data.time < seconds(bare, ENERGY_S) and not has_diverged(data):
         mujoco.mj_step(bare, data)
         values.append(data.energy.copy())
-        if has_diverged(data):
-            return Finding(
-                value=np.inf,
-                remark=f"a free motion of its joints diverges after {data.time:.3g} s",
-            )
     tenths = np.array_split(values, min(10, len(values)))
-    means_j = np.array([tenth.mean(axis=0) for tenth in tenths])
-    totals_j, largest_j = means_j.sum(axis=1), float(means_j[:, 1].max())
-    gained_j = float(totals_j.max() - totals_j[0])
+    energies_j = np.array([tenth.mean(axis=0) for tenth in tenths])
+    totals_j, largest_j = energies_j.sum(axis=1), float(energies_j[:, 1].max())
+    gained_j = np.inf if has_diverged(data) else float(totals_j.max() - totals_j[0])
     return Finding(
         value=gained_j / max(largest_j, 1e-9),
         remark=f"a free motion of its joints gains {gained_j:.3g} J; its kinetic energy is at most {largest_j:.3g} J",
@@ -179,12 +203,11 @@ def solver(robot: Robot) -> Finding:
     # Forces that accelerate nothing by 1 % of gravity are noise.
     least = 1e-4 * GRAVITY_M_PER_S2**2 * float(model.body_mass.sum()) * SOLVED_STATES
     value = float(np.sqrt(max(squares[0], 0.0) / max(squares[1], least)))
-    solver_name = mujoco.mjtSolver(model.opt.solver).name[len("mjSOL_") :]
-    jacobian = "a sparse" if mujoco.mj_isSparse(model) else "a dense"
+    name = mujoco.mjtSolver(model.opt.solver).name.removeprefix("mjSOL_")
     return Finding(
         value=value,
-        remark=f"forces of {solver_name} with {model.opt.iterations} iterations and {jacobian} Jacobian are "
-        f"{100.0 * value:.3g} % off",
+        remark=f"forces of {name} with {model.opt.iterations} iterations and a "
+        f"{'sparse' if mujoco.mj_isSparse(model) else 'dense'} Jacobian are {100.0 * value:.3g} % off",
     )
 
 
@@ -218,20 +241,24 @@ def stated(robot: Robot) -> Finding:
 
 
 def _idle_rolling(robot: Robot) -> dict[Place, str]:
-    """Return round free bodies that state a rolling friction which none of their contacts has."""
-    model, idle = robot.model, {}
-    flat = model.geom_bodyid[np.isin(model.geom_type, FLAT)]
-    for body in sorted({*objects(model)} - {*flat.tolist()}):
-        for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
-            contacts = robot.pairs.constants[(robot.pairs.geoms == geom).any(axis=1)]
-            condim = contacts[:, 0].max(initial=0.0)
-            friction = model.geom_friction[geom, 2]
-            if friction > 2.0 * ROLLING and 0.0 < condim < 6.0:
-                idle["geom", geom] = (
-                    f"rolling friction {friction:g} is stated for {name_of(robot, 'geom', geom)}, and condim "
-                    f"{condim:g} ignores it"
-                )
-    return idle
+    """Return geoms of round free bodies that state a rolling friction which none of their contacts has."""
+    model, bodies, condims = (
+        robot.model,
+        robot.model.geom_bodyid,
+        np.zeros(robot.model.ngeom),
+    )
+    np.maximum.at(condims, robot.pairs.geoms, robot.pairs.constants[:, :1])
+    is_idle = (model.geom_friction[:, 2] > 2.0 * ROLLING) & np.isin(condims, (1, 3, 4))
+    is_idle &= np.isin(bodies, objects(model))
+    is_idle &= ~np.isin(bodies, bodies[np.isin(model.geom_type, FLAT)])
+    return {
+        (
+            "geom",
+            geom,
+        ): f"rolling friction {model.geom_friction[geom, 2]:g} is stated for "
+        f"{name_of(robot, 'geom', geom)}, and condim {condims[geom]:g} ignores it"
+        for geom in np.flatnonzero(is_idle).tolist()
+    }
 
 
 def _half_carried(robot: Robot) -> dict[Place, str]:
@@ -240,17 +267,16 @@ def _half_carried(robot: Robot) -> dict[Place, str]:
     The first hinge of many arms is upright and feels none.
     """
     model, parents = robot.model, robot.model.body_parentid
-    joints = joints_of_motors(model)
+    joints, is_carried = joints_of_motors(model), model.body_gravcomp > 0.0
     moments = np.cross(start_data(model).xaxis[joints], model.opt.gravity)
     bends = joints_of(model, "HINGE")[joints] & (np.abs(moments).max(axis=1) > 0.1)
     moved, idle = model.jnt_bodyid[joints], {}
-    for body in np.unique(moved[bends]).tolist():
-        near = [parents[body], *np.unique(moved[parents[moved] == body])]
-        carried = [int(link) for link in near if model.body_gravcomp[link] > 0.0]
-        weight_kg = model.body_mass[body] * (model.body_gravcomp[body] == 0.0)
-        if carried and weight_kg > LINK_SHARE * model.body_mass[carried[0]]:
+    for body in np.unique(moved[bends & ~is_carried[moved]]).tolist():
+        near = [parents[body], *moved[parents[moved] == body]]
+        link = next((int(link) for link in near if is_carried[link]), 0)
+        if link and model.body_mass[body] > LINK_SHARE * model.body_mass[link]:
             idle["body", body] = (
-                f"gravcomp {model.body_gravcomp[carried[0]]:g} is stated for {name_of(robot, 'body', carried[0])}, "
-                f"not for {name_of(robot, 'body', body)} ({weight_kg:.3g} kg)"
+                f"gravcomp {model.body_gravcomp[link]:g} is stated for {name_of(robot, 'body', link)}, not for "
+                f"{name_of(robot, 'body', body)} ({model.body_mass[body]:.3g} kg)"
             )
     return idle

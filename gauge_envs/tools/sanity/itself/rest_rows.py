@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from operator import attrgetter
 
 import mujoco
@@ -11,16 +10,11 @@ import numpy as np
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.itself.runs import (
     LATE,
-    REST_S,
     SAMPLES,
     SLEEP,
     Run,
-    has_diverged,
     leave_to,
-    rest,
-    seconds,
     settled,
-    start_data,
 )
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import Robot
@@ -107,6 +101,8 @@ def overlap(robot: Robot) -> Finding:
     return worst(findings)
 
 
+EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+
 PARTS = {
     "mjEQ_CONNECT": "body",
     "mjEQ_WELD": "body",
@@ -133,64 +129,52 @@ So may who states an impedance below the default.
     consequence="Joined parts come apart under load, as on a rubber band.",
 )
 def constraints(robot: Robot) -> Finding:
-    """Return the largest residual of connections, welds, tendons, couplings without motors and limits at rest.
-
-    What is open from the start and does not open further is no matter of load.
-    """
-    run = settled(robot)
-    before = _openings(robot, start_data(run.model))
-    openings = [
-        replace(opening, value=opening.value - before.get(key, NOTHING).value)
-        for key, opening in _openings(robot, run.data).items()
-    ]
-    return worst(openings)
-
-
-def _openings(robot: Robot, data: mujoco.MjData) -> dict[tuple[int, int], Finding]:
-    """Return the opening of each constraint that is a part of the machine, by type and id."""
-    model, openings = robot.model, {}
+    """Return the largest residual of connections, welds, tendons, couplings without motors and limits at rest."""
+    data, model, openings = settled(robot).data, robot.model, []
+    times_s = model.eq_solref[:, 0]
+    is_soft = (times_s <= 0.0) | (times_s > SOFT_S) | (model.eq_solimp[:, 1] < HARD)
     for kind, number in sorted(set(zip(data.efc_type, data.efc_id, strict=True))):
-        is_limit = kind != int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-        noun, ends = (
-            _stopped(model, kind, number) if is_limit else _joined(model, number)
-        )
+        is_limit, (noun, ends) = kind != EQUALITY, _part(model, kind, number)
         if not noun:
             continue
         rows = (data.efc_type == kind) & (data.efc_id == number)
         force, values = float(np.linalg.norm(data.efc_force[rows])), data.efc_pos[rows]
         # The distance to a limit is negative beyond it. A weld has angles behind its three lengths.
         residual = max(-values[0], 0.0) if is_limit else np.linalg.norm(values[:3])
-        opening = _opening(robot, noun, ends, float(residual), force)
-        if not is_limit:
-            time_s, impedance = model.eq_solref[number, 0], model.eq_solimp[number, 1]
-            is_soft = not 0.0 < time_s <= SOFT_S or impedance < HARD
-            place = ("equality", number) if noun == "body" else opening.place
-            opening = replace(opening, place=place, is_usual=bool(is_soft))
-        openings[kind, number] = opening
-    return openings
+        ratio, remark = _opening(robot, noun, ends, float(residual), force)
+        openings.append(
+            Finding(
+                value=ratio,
+                place=("equality", int(number)) if noun == "body" else (noun, ends[0]),
+                remark=remark,
+                is_usual=bool(not is_limit and is_soft[number]),
+            )
+        )
+    return worst(openings)
 
 
-def _stopped(model: mujoco.MjModel, kind: int, number: int) -> tuple[str, list[int]]:
-    """Return what a limit stops, and its id; nothing where a body that code places leads parts into limits."""
-    name = mujoco.mjtConstraint(kind).name
-    return "" if model.nmocap else PARTS.get(name, ""), [number]
+def _part(model: mujoco.MjModel, kind: int, number: int) -> tuple[str, list[int]]:
+    """Return what a constraint joins or stops, and its ids; nothing for what is no part of the machine.
 
-
-def _joined(model: mujoco.MjModel, number: int) -> tuple[str, list[int]]:
-    """Return what an equality joins, and its ids; nothing for welds to a mocap body, and couplings of a motor."""
+    A body that code places may lead parts into limits. Couplings of a motor have another row.
+    """
+    if kind != EQUALITY:
+        name = mujoco.mjtConstraint(kind).name
+        return "" if model.nmocap else PARTS.get(name, ""), [int(number)]
     noun = PARTS.get(mujoco.mjtEq(model.eq_type[number]).name, "")
     ends = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
-    is_of_code = noun == "joint" and np.isin(model.actuator_trnid[:, 0], ends).any()
-    if noun == "body":
-        if int(model.eq_objtype[number]) == int(mujoco.mjtObj.mjOBJ_SITE):
-            ends = model.site_bodyid[ends].tolist()
-        is_of_code = model.body_mocapid[ends].max() >= 0
-    return "" if is_of_code else noun, ends if noun == "body" else ends[:1]
+    if noun == "joint" and np.isin(model.actuator_trnid[:, 0], ends).any():
+        return "", ends
+    if noun != "body":
+        return noun, ends[:1]
+    if int(model.eq_objtype[number]) == int(mujoco.mjtObj.mjOBJ_SITE):
+        ends = model.site_bodyid[ends].tolist()
+    return "" if model.body_mocapid[ends].max() >= 0 else noun, ends
 
 
 def _opening(
     robot: Robot, noun: str, ends: list[int], residual: float, force: float
-) -> Finding:
+) -> tuple[float, str]:
     """Return a residual over the size of the larger body, the length of a tendon or the range of a slide.
 
     That of a hinge is in radians.
@@ -207,11 +191,8 @@ def _opening(
     else:
         size, units = 1.0, ("rad", "N m")
     names = " and ".join(name_of(robot, noun, end) for end in ends)
-    return Finding(
-        value=residual / float(size or model.stat.meansize),
-        place=(noun, first),
-        remark=f"{names}: {residual:.3g} {units[0]} {text} under {force:.3g} {units[1]}",
-    )
+    remark = f"{names}: {residual:.3g} {units[0]} {text} under {force:.3g} {units[1]}"
+    return residual / float(size or model.stat.meansize), remark
 
 
 @row(
@@ -324,40 +305,3 @@ def cloth_sink(robot: Robot) -> Finding:
     ratios = run.sinks_m / (2.0 * np.maximum(model.flex_radius, 1e-3))
     text = "{} is {:.3g} times its thickness inside what carries it"
     return _worst_flex(robot, ratios, text)
-
-
-SINE_S, SINE_SHARE, SINE_RAD = 1.0, 0.25, 0.2
-"""Period of sines of the commands [s], and their amplitude over the range of a command; of one without a range."""
-
-
-@row(
-    "robot-holds",
-    title="time with a finite state, over that of the run",
-    unit="1",
-    interval=(1.0, np.inf),
-    source="a run of the model from its keyframe or initial pose, without actions and along sines",
-    consequence="Training meets NaN or is reset in each episode.",
-)
-def holds(robot: Robot) -> Finding:
-    """Return the time for which the state stays finite at rest, then while its commands follow one sine."""
-    model = robot.model
-    if not model.nv:
-        raise NotApplicableError("the model has no joint")
-    diverged_s, motion = rest(robot, is_refined=False).diverged_s, "at rest"
-    data, phases = start_data(model), np.arange(model.nu)
-    begin = data.ctrl.copy()
-    spans = SINE_SHARE * np.ptp(model.actuator_ctrlrange, axis=1)
-    sizes = np.where(model.actuator_ctrllimited, spans, SINE_RAD)
-    while np.isinf(diverged_s) and data.time < seconds(model, SINE_S):
-        turns = 2.0 * np.pi * data.time / SINE_S + phases
-        data.ctrl[:] = begin + sizes * (np.sin(turns) - np.sin(phases))
-        mujoco.mj_step(model, data)
-        if has_diverged(data):
-            diverged_s = max(float(data.time), float(model.opt.timestep))
-            motion = "on sines of its commands"
-    if np.isinf(diverged_s):
-        return Finding(value=1.0)
-    return Finding(
-        value=min(diverged_s / REST_S, 0.3),
-        remark=f"the state diverges after {diverged_s:.3g} s {motion}, with a step of {model.opt.timestep:g} s",
-    )

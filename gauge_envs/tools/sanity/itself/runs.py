@@ -71,15 +71,14 @@ class Run:
         data = self.data
         if state is not None:
             mujoco.mj_setState(model, data, state, STATE)
-            mujoco.mj_forward(model, data)
             data.time = 0.0
         self.points_m = np.full((samples, model.nbody, 3, 3), np.nan)
         self.is_awake = np.ones((samples, model.nbody), bool)
         self.stretches, self.sinks_m = np.zeros((2, samples, model.nflex))
         self.late_state = np.zeros(mujoco.mj_stateSize(model, STATE))
         self.sample_s, self.diverged_s = sample_s, np.inf
-        masses_kg = np.maximum(model.body_mass, 1e-12)
-        radii_m = np.sqrt(model.body_inertia.max(axis=1) / masses_kg)[:, None, None]
+        squares = model.body_inertia.max(axis=1) / np.maximum(model.body_mass, 1e-12)
+        radii_m = np.sqrt(squares)[:, None, None]
         for sample in range(samples):
             until_s = (sample + 1) * sample_s - 0.5 * model.opt.timestep
             while data.time < until_s:
@@ -132,14 +131,13 @@ def start_data(model: mujoco.MjModel) -> mujoco.MjData:
         mujoco.mj_resetDataKeyframe(model, data, max(home, 0))
     data.time = 0.0
     mujoco.mj_forward(model, data)
-    if data.ctrl.any():
-        return data
-    # A servo's force is gain * control + bias[0] + bias[1] * length: here it is 0.
-    servo = servos(model) & (model.actuator_gainprm[:, 0] != 0.0)
-    bias = model.actuator_biasprm[servo]
-    forces = bias[:, 0] + bias[:, 1] * data.actuator_length[servo]
-    data.ctrl[servo] = -forces / model.actuator_gainprm[servo, 0]
-    mujoco.mj_forward(model, data)
+    if not data.ctrl.any():
+        # A servo's force is gain * control + bias[0] + bias[1] * length: here it is 0.
+        servo = servos(model) & (model.actuator_gainprm[:, 0] != 0.0)
+        bias = model.actuator_biasprm[servo]
+        forces = bias[:, 0] + bias[:, 1] * data.actuator_length[servo]
+        data.ctrl[servo] = -forces / model.actuator_gainprm[servo, 0]
+        mujoco.mj_forward(model, data)
     return data
 
 
@@ -184,14 +182,14 @@ def refined(model: mujoco.MjModel) -> mujoco.MjModel:
 @once
 def rest(robot: Robot, *, is_refined: bool) -> Run:
     """Return the run of the model as it is, or of the refined model from the same start."""
+    if not robot.model.nv:
+        raise NotApplicableError("the model has no joint")
     model = refined(robot.model) if is_refined else robot.model
     return Run(model, seconds(robot.model, REST_S) / SAMPLES)
 
 
 def settled(robot: Robot, *, is_refined: bool = False) -> Run:
-    """Return such a run; rows on rest do not apply to a model without joints or a run that diverges."""
-    if not robot.model.nv:
-        raise NotApplicableError("the model has no joint")
+    """Return such a run; rows on rest do not apply to one that diverges."""
     run = rest(robot, is_refined=is_refined)
     if np.isfinite(run.diverged_s):
         raise NotApplicableError(
