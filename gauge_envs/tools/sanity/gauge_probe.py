@@ -104,15 +104,8 @@ def constant(kind: str, value: Any) -> str:
 
 
 def name_of(model: Any, kind: str, index: Any) -> str:
-    """Return the name of an object; one without a name gets its kind and number, a geom also that of its body."""
-    name = getattr(model, kind)(int(index)).name
-    if name or kind == "key":
-        return name
-    name = f"{kind} {int(index)}"
-    if kind == "geom":
-        owner = model.body(int(model.geom_bodyid[index])).name
-        name += f" of {owner or 'an unnamed body'}"
-    return name
+    """Return the name of an object; whatever another element refers to has one."""
+    return getattr(model, kind)(int(index)).name
 
 
 def attributes(model: Any, prefix: str, index: int, table: str) -> dict[str, str]:
@@ -194,12 +187,13 @@ def add_options(root: ET.Element, model: Any) -> None:
             option.set("actuatorgroupdisable", text(groups))
         elif not entry.startswith("_") and not entry.endswith("flags"):
             option.set(entry, text(value))
-    for prefix, effects in (("dis", "enable disable"), ("en", "disable enable")):
-        bits = getattr(mujoco, f"mjt{prefix.title()}ableBit").__members__
-        stated = int(getattr(model.opt, f"{prefix}ableflags"))
-        for flag in [bit for bit in bits if "_" in bit]:
-            is_set = bool(stated & int(bits[flag]))
-            flags[flag[7:].lower()] = effects.split()[is_set]
+    for bits, stated, effects in (
+        (mujoco.mjtDisableBit, model.opt.disableflags, ("enable", "disable")),
+        (mujoco.mjtEnableBit, model.opt.enableflags, ("disable", "enable")),
+    ):
+        for name, bit in bits.__members__.items():
+            if "_" in name:
+                flags[name[7:].lower()] = effects[bool(stated & int(bit))]
     ET.SubElement(option, "flag", flags)
 
 
@@ -320,9 +314,25 @@ def kind_of(value: Any) -> str:
     return f"{type(value).__module__}.{type(value).__qualname__}"
 
 
+def first(target: Any, places: str, fits: Any) -> Any:
+    """Return a target, or its first attribute of some places, for which a function is true; None without one."""
+    values = (found(target, place) for place in ("", *places.split()))
+    return next(filter(fits, values), None)
+
+
 def is_model(value: Any) -> bool:
     """Return whether a value is a compiled model."""
     return kind_of(value) == "mujoco._structs.MjModel"
+
+
+def is_isaac_lab(value: Any) -> bool:
+    """Return whether a value is a configuration of Isaac Lab; version 3 has no `physx`."""
+    return found(value, "sim.physx") or found(value, "sim.physics_material")
+
+
+def is_sim_config(value: Any) -> bool:
+    """Return whether a value is a configuration of ManiSkill."""
+    return kind_of(value).endswith(".SimConfig")
 
 
 def mujoco_model(target: Any) -> Any:
@@ -336,8 +346,7 @@ def mujoco_model(target: Any) -> Any:
         model = Scene(target.scene, device="cpu").compile()
         target.sim.mujoco.apply(model)
         return model
-    models = (found(target, place) for place in ("", *MODEL_PLACES.split()))
-    return next(filter(is_model, models), None)
+    return first(target, MODEL_PLACES, is_model)
 
 
 def capture_mujoco(target: Any) -> dict[str, Any] | None:
@@ -347,7 +356,6 @@ def capture_mujoco(target: Any) -> dict[str, Any] | None:
         return None
     import mujoco
 
-    skips = [found(target, place) for place in SKIPS.split()]
     engine = ENGINES.get(kind_of(target).split(".")[0], "MuJoCo")
     if found(target, "_config.impl") == "warp":
         engine = "MuJoCo Warp"
@@ -360,7 +368,7 @@ def capture_mujoco(target: Any) -> dict[str, Any] | None:
         "kind": "mjcf",
         "mujoco": mujoco.__version__,
         "engine": engine,
-        "frame_skip": next((skip for skip in skips if isinstance(skip, int)), None),
+        "frame_skip": first(target, SKIPS, lambda skip: isinstance(skip, int)),
         "notes": notes,
         "data": mjcf(model),
     }
@@ -368,15 +376,16 @@ def capture_mujoco(target: Any) -> dict[str, Any] | None:
 
 def capture_settings(target: Any) -> dict[str, Any] | None:
     """Return the configuration of Isaac Lab, the SimConfig of ManiSkill or the options of Genesis; None without."""
-    for cfg in (found(target, place) for place in ("", "cfg", "unwrapped.cfg")):
-        if found(cfg, "sim.physx") or found(cfg, "sim.physics_material"):
-            return {"kind": "isaac_lab", "data": cfg}
-    for place in ("", "sim_config", "unwrapped.sim_config", "_default_sim_config"):
-        cfg = found(target, place)
+    cfg = first(target, "cfg unwrapped.cfg", is_isaac_lab)
+    if cfg is not None:
+        return {"kind": "isaac_lab", "data": cfg}
+    task = found(target, "_default_sim_config")
+    if isinstance(task, property):
         # A task of ManiSkill states its settings without being started.
-        cfg = cfg.__get__(object()) if isinstance(cfg, property) else cfg
-        if kind_of(cfg).endswith(".SimConfig"):
-            return {"kind": "maniskill", "data": cfg}
+        target = task.__get__(object())
+    cfg = first(target, "sim_config unwrapped.sim_config", is_sim_config)
+    if cfg is not None:
+        return {"kind": "maniskill", "data": cfg}
     options = found(target, "options") or target
     parts = {part: found(options, part) for part in ("sim", "rigid")}
     return {"kind": "genesis", "data": parts} if all(parts.values()) else None

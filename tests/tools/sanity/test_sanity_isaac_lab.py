@@ -197,6 +197,11 @@ def test_a_sim_config_is_read(approved):
     approved("sanity/read_maniskill", read_text(read_task()))
 
 
+def test_a_wrong_value_of_a_sim_config_is_named():
+    with pytest.raises(TargetError, match=r"no positive sim_config\.sim_freq"):
+        read_task(sim_freq=None)
+
+
 def test_damping_of_links_is_what_sapien_starts_with():
     import sapien
     from sapien import physx
@@ -207,36 +212,7 @@ def test_damping_of_links_is_what_sapien_starts_with():
     assert (link.linear_damping, link.angular_damping) == pytest.approx((0.05, 0.05))
 
 
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"sim_freq": None}, "no positive sim_config.sim_freq"),
-        ({"scene_config": {"enable_tgs": "yes"}}, "enable_tgs is 'yes': give 0 .PGS."),
-        ({"scene_config": {"contact_offset": -1.0}}, "contact_offset_m"),
-        ({"default_materials_config": {"restitution": "inf"}}, "give 0 or more"),
-    ],
-)
-def test_a_wrong_value_of_a_sim_config_is_named(values, message):
-    with pytest.raises(TargetError, match=message):
-        read_task(**values)
-
-
 # --- YAML ------------------------------------------------------------------------------------------------------------
-
-
-def test_tuples_slices_and_aliases_are_data():
-    text = """
-    gravity: !!python/tuple [0.0, 0.0, -9.81]
-    joints: !!python/object/apply:builtins.slice [null, null, null]
-    one: &id001 {x: 1}
-    other: *id001
-    """
-    assert yaml_document(text) == {
-        "gravity": (0.0, 0.0, -9.81),
-        "joints": None,
-        "one": {"x": 1},
-        "other": {"x": 1},
-    }
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ import pytest
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import check, configuration, gauge_probe as program
-from gauge_envs.tools.sanity.stacks.documents import Table
+from gauge_envs.tools.sanity.stacks.dialect import Table
 from gauge_envs.tools.sanity.stacks.genesis import options_settings
 
 PROGRAM = Path(program.__file__).read_text()

@@ -135,7 +135,10 @@ def _frictions(robot: Robot, number: int) -> Iterator[Case]:
     yield Case(ratio, ("geom", foot), name, text, is_usual=True)
     given = float(model.geom_friction[ground, 0])
     # What a geom takes from the default of all is no statement about it.
-    common = 1.0 if robot.spec is None else float(robot.spec.default.geom.friction[0])
+    values, counts = np.unique(model.geom_friction[:, 0], return_counts=True)
+    common = float(values[counts.argmax()])
+    if robot.spec is not None:
+        common = float(robot.spec.default.geom.friction[0])
     is_equal = model.geom_priority[foot] == model.geom_priority[ground]
     if given != common and is_equal and not model.npair:
         ratio = met / max(given, 1e-3) / LOST_FRICTION

@@ -1,15 +1,90 @@
 """Define a dialect: the settings of a backend in the words of a training stack, read and written by one table."""
 
+from __future__ import annotations
+
 import json
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import Settings
-from gauge_envs.tools.sanity.stacks.documents import Table
 
 Entries = Mapping[str, Sequence[str]]
 """Assignments by the place in which they stand."""
+
+
+class Table:
+    """A nested table. Keys are paths with dots, such as `sim.physx.solver_type`.
+
+    A key that is absent or null has no value: its reader returns None. A value of another kind is a `TargetError`.
+
+    Args:
+        values: The table.
+        source: Name of the file, for messages.
+        path: Key of the table in the whole file.
+    """
+
+    def __init__(self, values: Any, *, source: str, path: str = "") -> None:
+        self.source, self.path = source, path
+        if not isinstance(values, Mapping):
+            raise TargetError(
+                f"{source}: {path or 'the file'} is {values!r:.80}, and a table is expected"
+            )
+        self.values: Settings = values
+
+    def __bool__(self) -> bool:
+        return bool(self.values)
+
+    def name(self, key: str) -> str:
+        """Return the key in the whole file."""
+        return f"{self.path}.{key}" if self.path else key
+
+    def value(self, key: str) -> Any:
+        """Return a value of any kind; None when it is absent or null."""
+        value: Any = self.values
+        for part in key.split("."):
+            value = value.get(part) if isinstance(value, Mapping) else None
+        return value
+
+    def part(self, key: str) -> Table:
+        """Return a table, which is false when it is absent or empty."""
+        value = self.value(key)
+        values = {} if value is None else value
+        return Table(values, source=self.source, path=self.name(key))
+
+    def number(self, key: str) -> float | None:
+        """Return a number, which may be infinite."""
+        numbers = self.numbers(key, 1)
+        return None if numbers is None else numbers[0]
+
+    def numbers(self, key: str, count: int) -> tuple[float, ...] | None:
+        """Return a list of some numbers; a number alone stands for all of them."""
+        value = self.value(key)
+        if value is None:
+            return None
+        several = value if isinstance(value, list | tuple) else [value] * count
+        # YAML reads 1e-3, without a dot, as text.
+        with suppress(ValueError, TypeError, OverflowError):
+            numbers = tuple(map(float, several))
+            if len(numbers) == count and not any(map(math.isnan, numbers)):
+                return numbers
+        expected = "a number is" if count == 1 else f"{count} numbers are"
+        raise TargetError(
+            f"{self.source}: {self.name(key)} is {value!r:.80}, and {expected} expected"
+        )
+
+
+def not_carried_over(table: Table, *keys: str) -> list[str]:
+    """Return a note on each key that is set and that no experiment gets."""
+    return [
+        f"{table.name(key)} is not carried over" for key in keys if table.value(key)
+    ]
+
+
+# --- texts -----------------------------------------------------------------------------------------------------------
 
 
 def number_text(value: Any) -> str:
@@ -38,6 +113,9 @@ def joined(separator: str) -> Callable[[Entries], str]:
 
 
 ASSIGNMENT, COMMAS = "{key} = {value}", joined(", ")
+
+
+# --- settings --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

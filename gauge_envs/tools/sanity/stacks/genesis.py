@@ -7,11 +7,12 @@ from gauge_envs.tools.sanity.model import Need, Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import (
     Dialect,
+    Table,
     joined,
+    not_carried_over,
     python_text,
     settings_of,
 )
-from gauge_envs.tools.sanity.stacks.documents import Table, not_carried_over
 
 
 def _choice(*names: str) -> Callable[[Table, str], Any]:

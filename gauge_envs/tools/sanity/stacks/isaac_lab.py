@@ -14,16 +14,13 @@ from gauge_envs.tools.sanity.model import Need, Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import (
     Dialect,
     Entries,
+    Table,
     joined,
+    not_carried_over,
     python_text,
     settings_of,
 )
-from gauge_envs.tools.sanity.stacks.documents import (
-    Table,
-    file_value,
-    not_carried_over,
-    yaml_document,
-)
+from gauge_envs.tools.sanity.stacks.documents import file_value, yaml_document
 from gauge_envs.tools.sanity.stacks.physx import (
     COEFFICIENTS,
     SOLVERS,

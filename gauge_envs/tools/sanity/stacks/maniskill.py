@@ -11,10 +11,10 @@ from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import (
     Dialect,
     Entries,
+    Table,
     python_text,
     settings_of,
 )
-from gauge_envs.tools.sanity.stacks.documents import Table
 from gauge_envs.tools.sanity.stacks.physx import (
     PhysxValues,
     combined,

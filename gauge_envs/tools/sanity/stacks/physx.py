@@ -19,8 +19,10 @@ from gauge_envs.tools.sanity.model import (
     range_text,
 )
 from gauge_envs.tools.sanity.scenario import check_settings
-from gauge_envs.tools.sanity.stacks.dialect import Dialect
-from gauge_envs.tools.sanity.stacks.documents import Table
+from gauge_envs.tools.sanity.stacks.dialect import (
+    Dialect,
+    Table,
+)
 
 LEAST_NOTED_M_PER_S = 0.1
 """Smallest bounce threshold that gets a note [m/s]: a fall of half a millimetre."""

@@ -7,7 +7,8 @@ from gauge_envs.backends import backend_names
 from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.scenario import check_settings
-from gauge_envs.tools.sanity.stacks.documents import Table, file_value
+from gauge_envs.tools.sanity.stacks.dialect import Table
+from gauge_envs.tools.sanity.stacks.documents import file_value
 
 KEYS = ("backend", "preset", "settings")
 
