@@ -36,7 +36,7 @@ def _in_flight(model: mujoco.MjModel, *features: str) -> mujoco.MjModel:
     flying = finer_solver(model)
     for feature in ("contact", *features):
         flying.opt.disableflags |= disable_bit(feature)
-    flying.opt.wind[:] = flying.opt.density = flying.opt.viscosity = 0.0
+    flying.opt.density = flying.opt.viscosity = 0.0
     is_free = joints_of(model, "FREE")
     flying.jnt_stiffness[is_free] = 0.0
     for name in ("damping", "armature", "frictionloss"):
