@@ -291,7 +291,7 @@ def cloth(robot: Robot) -> Finding:
 
 @row(
     "model-cloth-sink",
-    title="depth of cloth in what carries it, over its thickness",
+    title="depth of cloth in its support, over its thickness",
     unit="1",
     interval=(0.0, 1.0),
     source="two solids do not share a place; MuJoCo's flex is as thick as twice its radius",
