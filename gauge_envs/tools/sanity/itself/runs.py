@@ -31,16 +31,12 @@ REFINEMENT, SMALL_NV, LARGE_NV, FINE_S = 10, 60, 100, 5e-5
 A step is refined by no more than down to 50 us [s], but by two.
 """
 
-RESOLVED_RAD = 0.5
+RESOLVED_RAD = 0.2
 """Angle by which the stiffest contact with a stated stiffness swings in a refined step [rad].
 
-A semi-implicit step h holds a swing of angular frequency w up to h w = 2, and its period to 1 % at 0.5.
+A semi-implicit step h holds a swing of angular frequency w up to h w = 2. Several contacts carry a body, each with a
+stiffness over an impedance below 1, so that w is a few times as high.
 """
-
-SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-
-STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-"""All that a step depends on."""
 
 
 class Run:
