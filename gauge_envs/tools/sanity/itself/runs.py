@@ -38,6 +38,11 @@ A semi-implicit step h holds a swing of angular frequency w up to h w = 2. Sever
 stiffness over an impedance below 1, so that w is a few times as high.
 """
 
+SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+"""All that a step depends on."""
+
 
 class Run:
     """A run at rest.
