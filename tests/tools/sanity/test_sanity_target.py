@@ -396,9 +396,7 @@ def test_what_is_no_target_says_why(target, message):
 # --- warnings and crashes --------------------------------------------------------------------------------------------
 
 
-def test_a_warning_of_mujoco_is_told_of_the_users_file_and_not_of_gymnasiums(
-    tmp_path, capfd
-):
+def test_a_warning_of_mujoco_on_the_users_file_is_a_note(tmp_path, capfd):
     (tmp_path / "a.xml").write_text("<mujoco><compiler settotalmass='2'/></mujoco>")
     with warnings.catch_warnings(action="error"):
         notes = configuration(tmp_path / "a.xml").notes

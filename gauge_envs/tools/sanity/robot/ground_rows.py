@@ -135,6 +135,7 @@ def _frictions(robot: Robot, number: int) -> Iterator[Case]:
     yield Case(ratio, ("geom", foot), name, text, is_usual=True)
     given = float(model.geom_friction[ground, 0])
     # What a geom takes from the default of all is no statement about it.
+    # Without a file, the most frequent friction stands for it.
     values, counts = np.unique(model.geom_friction[:, 0], return_counts=True)
     common = float(values[counts.argmax()])
     if robot.spec is not None:
