@@ -76,15 +76,19 @@ class FootGeometry:
         So the centre of mass is above the centre of the square whatever the form of the foot, and the feet carry the
         same load.
         """
-        parts = []
-        for turn, sole in zip(self._turns, self.soles_m, strict=True):
-            for part in self.parts:
-                pose = Pose.from_rotation(
-                    vector(turn.apply(part.pose.position_m) + sole),
-                    turn * part.pose.rotation,
+        return Compound(
+            parts=tuple(
+                Part(
+                    shape=part.shape,
+                    pose=Pose.from_rotation(
+                        vector(turn.apply(part.pose.position_m) + sole),
+                        turn * part.pose.rotation,
+                    ),
                 )
-                parts.append(Part(shape=part.shape, pose=pose))
-        return Compound(parts=tuple(parts))
+                for turn, sole in zip(self._turns, self.soles_m, strict=True)
+                for part in self.parts
+            )
+        )
 
     @cached_property
     def digest(self) -> str:
@@ -102,12 +106,12 @@ class FootGeometry:
     @property
     def assumption(self) -> str:
         """Text about what stands for the robot."""
-        softer = (
-            ""
-            if self.softening is None
-            else f"; contacts {self.softening:.3g} times softer, as on the foot's link"
-        )
-        return f"four copies in one rigid body, whose mass is spread evenly over their solids{softer}"
+        text = "four copies in one rigid body, whose mass is spread evenly over their solids"
+        if self.softening is not None:
+            text += (
+                f"; contacts {self.softening:.3g} times softer, as on the foot's link"
+            )
+        return text
 
     @property
     def _turns(self) -> Rotation:

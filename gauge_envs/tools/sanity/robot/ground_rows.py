@@ -10,17 +10,18 @@ import numpy as np
 from gauge_envs.tools.bench.model_settings import GROUND_TYPES
 from gauge_envs.tools.sanity.robot.joints import (
     Case,
-    body_name,
     drives,
     start,
     worst_case,
 )
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     SOLE_WITHIN,
+    STANDS_WITHIN,
     Standing,
     chain_of,
     geom_name,
     joints_of,
+    name_of,
     support_m,
 )
 from gauge_envs.tools.sanity.robot.robot import Robot, random_poses, switched_off
@@ -34,6 +35,14 @@ def standing_of(robot: Robot) -> Standing:
             "no robot of the model stands on the ground under its own weight"
         )
     return robot.standing
+
+
+def floor_m(robot: Robot) -> float:
+    """Return the height of the highest plane under the feet [m]; that of the lowest foot over other ground."""
+    touched = np.unique(robot.pairs.geoms[robot.foot_rows])
+    is_plane = robot.model.geom_type[touched] == int(mujoco.mjtGeom.mjGEOM_PLANE)
+    heights_m = robot.stance.positions_m[touched[is_plane], 2]
+    return float(max(heights_m, default=standing_of(robot).ground_m))
 
 
 @row(
@@ -186,6 +195,9 @@ def torsion(robot: Robot) -> Finding:
 
 # --- overlap ---------------------------------------------------------------------------------------------------------
 
+LEAST_GAP_MM = 10.0
+"""Height of feet above or in the ground that is named [mm]: soft contacts of a robot that stands sink by less."""
+
 TRIED = 32
 """Random poses in which the overlap of two parts is tried."""
 
@@ -212,9 +224,18 @@ def overlap(robot: Robot) -> Finding:
                 del depths[pair]
     cases = []
     for pair, (depth_m, push_n) in depths.items():
-        names = " and ".join(body_name(model, body) for body in pair)
+        names = " and ".join(name_of(model, "body", body) for body in pair)
         text = f"{names} overlap by {1e3 * depth_m:.3g} mm and push each other with {push_n:.3g} N"
         cases.append(Case(1e3 * depth_m, ("body", pair[1]), names, text))
+    if robot.standing is not None and model.nkey:
+        depth_mm = 1e3 * (floor_m(robot) - robot.standing.ground_m)
+        # A robot starts in no deeper pose: code raises it first.
+        if LEAST_GAP_MM < depth_mm < 1e3 * STANDS_WITHIN * robot.standing.height_m:
+            text = (
+                f"its feet start {depth_mm:.3g} mm in the ground, which throws them out"
+            )
+            place = ("body", next(iter(robot.standing.feet)))
+            cases.append(Case(depth_mm, place, "feet", text, is_usual=True))
     return worst_case(cases, limit=2.0)
 
 

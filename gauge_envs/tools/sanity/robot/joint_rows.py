@@ -12,12 +12,11 @@ from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.sanity.robot.joints import (
     Case,
     Drive,
-    body_name,
     drags,
     drives,
     is_overweight,
-    joint_inertias,
     largest_loads,
+    mass_matrix,
     reaches_m,
     root_of,
     servos,
@@ -28,6 +27,7 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
     LIQUID_KG_PER_M3,
     acts_on_joints,
     joints_of,
+    name_of,
 )
 from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.rows import ROWS, Finding, NotApplicableError, row
@@ -147,7 +147,9 @@ def servo_response(robot: Robot) -> Finding:
     braked = robot.finding(ROWS["robot-joint"]).parts if several else {}
     several = [drive for drive in several if braked.get(drive.name, 0.0) <= 1.0]
     responses = (case for drive in several for case in _response(drive))
-    return worst_case([*_growth(robot), *_switches(several), *responses])
+    return worst_case(
+        [*_growth(robot), *_switches(several), *_ringing(robot, several), *responses]
+    )
 
 
 def _growth(robot: Robot) -> Iterator[Case]:
@@ -176,7 +178,7 @@ def _growth(robot: Robot) -> Iterator[Case]:
             break
     growth = float(speeds[GROWTH_STEPS // 2 :].max() / max(speeds[0], 1e-300))
     joint = int(model.dof_jntid[np.argmax(np.abs(last))])
-    name = model.joint(joint).name or f"joint {joint}"
+    name = name_of(model, "joint", joint)
     text = f"a motion of {name} grows {growth:.2g}-fold in {step + 1} steps of {1e3 * model.opt.timestep:g} ms"
     yield Case(growth / GROWTH, ("joint", joint), name, text)
 
@@ -195,20 +197,37 @@ def _switches(several: list[Drive]) -> Iterator[Case]:
         yield drive.case(LEAST_ERROR_RAD / error, f"{text}{drive.limit:.3g} N m", True)
 
 
+def _ringing(robot: Robot, several: list[Drive]) -> Iterator[Case]:
+    """Yield the small swings of a robot about its commands, each at the servo that has most of its energy.
+
+    They are the modes of M q'' + D q' + K q = 0, with dry friction as the damping that the engine makes of it.
+    """
+    if not several:
+        return
+    nv, inverse = robot.model.nv, np.linalg.inv(mass_matrix(robot))
+    stiffness, damping = np.zeros(nv), robot.model.dof_damping.reshape(nv, -1)[:, 0]
+    damping = damping.copy()
+    for drive in drives(robot):
+        stiffness[drive.dof] = drive.kp
+        damping[drive.dof] = drags(robot, 1.0)[drive.dof] / drive.scale + drive.kv
+    system = np.block(
+        [[np.zeros((nv, nv)), np.eye(nv)], [-inverse * stiffness, -inverse * damping]]
+    )
+    rates, modes = np.linalg.eig(system)
+    for number in np.flatnonzero(rates.imag > np.abs(rates.real)).tolist():
+        energies = [drive.kp * abs(modes[drive.dof, number]) ** 2 for drive in several]
+        drive = several[int(np.argmax(energies))]
+        decay_s = 1.0 / max(-rates[number].real, 1e-6)
+        ratio = RINGING * decay_s * abs(rates[number])
+        swing_hz = rates[number].imag / (2.0 * np.pi)
+        text = f"{drive.name} swings about its command with {swing_hz:.2g} Hz for {decay_s:.2g} s"
+        yield drive.case(min(ratio, decay_s / RINGING_S), text, True)
+
+
 def _response(drive: Drive) -> Iterator[Case]:
     robot, (force, angle) = drive.robot, drive.units
     damping, kp = drive.damping + drive.kv, drive.kp
-    # The damping that acts on a swing: with dry friction, as the engine makes it.
-    acting = float(drags(robot, 1.0)[drive.dof]) / drive.scale + drive.kv
-    acting = max(acting, 1e-9)
-    ratio = acting / (2.0 * np.sqrt(kp * drive.inertia))
-    decay_s = 2.0 * drive.inertia / acting
     servo = f"kp {kp:.3g} {force}/{angle}"
-    yield drive.case(
-        min(RINGING / ratio, decay_s / RINGING_S),
-        f"{drive.name} swings for {decay_s:.2g} s: {servo}, damping {acting:.2g} {force} s/{angle}",
-        True,
-    )
     # Overdamped, a servo covers half of a step in ln(2) damping / kp.
     half_s, limit_s = float(np.log(2.0)) * damping / kp, SLOW_S
     text = f"{drive.name} covers half of a small step in {half_s:.2g} s: {servo}, damping {damping:.3g}"
@@ -278,7 +297,7 @@ def coupling_yield(robot: Robot) -> Finding:
             model.qpos0[place] + np.polyval(model.eq_data[number, 4::-1], lead)
         )
         span = float(np.ptp(model.jnt_range[joints[0]])) or 1.0
-        name = model.joint(joints[0]).name or f"joint {joints[0]}"
+        name = name_of(model, "joint", joints[0])
         if load := float(pushes[dofs].max()):
             data.qpos[:] = begin
             give = _give(model, data, (int(place), int(dofs[0])), coupled, load)
@@ -340,7 +359,7 @@ def free_joint_drag(robot: Robot) -> Finding:
     frees = np.flatnonzero(joints_of(model, "FREE")).tolist()
     if not frees or model.opt.density > LIQUID_KG_PER_M3:
         raise NotApplicableError("no joint is free in air")
-    inertia = joint_inertias(robot) - model.dof_armature
+    inertia = np.diag(mass_matrix(robot)) - model.dof_armature
     legged = {root_of(model, drive.body) for drive in drives(robot)}
     dampings: FloatArray = model.dof_damping.reshape(model.nv, -1)[:, 0]
     cases = []
@@ -353,7 +372,7 @@ def free_joint_drag(robot: Robot) -> Finding:
         share = FREE_SHARE * float(damping[0] / model.body_subtreemass[body])
         if body in legged:
             share = float(np.max(np.maximum(damping + dry, armature) / inertia[six]))
-        name = body_name(model, body)
+        name = name_of(model, "body", body)
         text = f"{name} is braked in the air by damping {damping[0]:g}, friction {dry[0]:g}, armature {armature[0]:g}"
         cases.append(Case(share, ("joint", joint), name, text, body not in legged))
     return worst_case(cases, limit=FREE_SHARE)

@@ -14,6 +14,7 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
     acts_on_joints,
     chain_of,
     joints_of,
+    name_of,
 )
 from gauge_envs.tools.sanity.robot.robot import Robot, once, random_poses
 from gauge_envs.tools.sanity.rows import ROWS, Finding, Place
@@ -87,7 +88,6 @@ class Drive:
         damping: Damping of the joint without its servo.
         dry: Dry friction of the joint, as the model states it.
         armature: Inertia of the rotor, as the joint feels it.
-        inertia: Inertia about the joint where the robot starts, all others locked, with the armature.
     """
 
     robot: Robot
@@ -103,7 +103,6 @@ class Drive:
     damping: float
     dry: float
     armature: float
-    inertia: float
 
     @property
     def units(self) -> tuple[str, str]:
@@ -155,7 +154,7 @@ def drives(robot: Robot) -> list[Drive]:
             joint=joint,
             dof=(dof := int(model.jnt_dofadr[joint])),
             body=(body := int(model.jnt_bodyid[joint])),
-            name=model.joint(joint).name or f"joint {joint}",
+            name=name_of(model, "joint", joint),
             is_hinge=bool(joints_of(model, "HINGE")[joint]),
             is_leg=body in legs,
             limit=float(limits[joint]),
@@ -164,7 +163,6 @@ def drives(robot: Robot) -> list[Drive]:
             damping=float(np.ravel(model.dof_damping[dof])[0]),
             dry=float(model.dof_frictionloss[dof]),
             armature=float(model.dof_armature[dof]),
-            inertia=float(joint_inertias(robot)[dof]),
         )
         for joint in np.flatnonzero(is_driven).tolist()
     ]
@@ -196,12 +194,11 @@ def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
     return data
 
 
-@once
-def joint_inertias(robot: Robot) -> FloatArray:
-    """Return the inertia about each degree of freedom where the robot starts, all others locked, shape [nv]."""
+def mass_matrix(robot: Robot) -> FloatArray:
+    """Return the inertia matrix where the robot starts, with armatures, shape [nv, nv]."""
     full = np.zeros((robot.model.nv, robot.model.nv))
     mujoco.mj_fullM(robot.model, start(robot), full)
-    return np.diag(full).copy()
+    return full
 
 
 def loads(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
@@ -260,15 +257,10 @@ def is_overweight(drive: Drive) -> bool:
     """Return whether a joint carries a body whose mass is wrong, which robot-mass names."""
     model, masses = drive.robot.model, drive.robot.finding(ROWS["robot-mass"]).parts
     return any(
-        masses.get(body_name(model, body), 0.0) > 1.0
+        masses.get(name_of(model, "body", body), 0.0) > 1.0
         for body in drive.robot.bodies
         if drive.body in chain_of(model, body)
     )
-
-
-def body_name(model: mujoco.MjModel, body: int) -> str:
-    """Return the name of a body, or its number."""
-    return model.body(body).name or f"body {body}"
 
 
 def root_of(model: mujoco.MjModel, body: int) -> int:

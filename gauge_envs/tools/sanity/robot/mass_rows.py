@@ -11,12 +11,11 @@ import numpy as np
 from gauge_envs.scene.geometry import length_of
 from gauge_envs.tools.sanity.robot.joints import (
     Case,
-    body_name,
     reaches_m,
     root_of,
     worst_case,
 )
-from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name
+from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name, name_of
 from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.rows import Finding, NotApplicableError, row
 
@@ -72,7 +71,7 @@ def _body_cases(
     robot: Robot, body: int, described: mujoco.MjsBody | None
 ) -> Iterator[Case]:
     """Yield the mass properties of a body, and those that its file states, which the compiler balances."""
-    model, name, place = robot.model, body_name(robot.model, body), ("body", body)
+    model, name, place = robot.model, name_of(robot.model, "body", body), ("body", body)
     mass_kg, root = float(model.body_mass[body]), root_of(model, body)
     several, weighs = [model.body_inertia[body]], described is not None
     if described is not None and described.explicitinertial:
@@ -157,7 +156,7 @@ def _drawn_twice(robot: Robot) -> Iterator[Case]:
         return
     for body, drawn in doubled.items():
         name, extra_kg = (
-            body_name(model, body),
+            name_of(model, "body", body),
             float(model.body_mass[body] - masses[body]),
         )
         text = f"{name} weighs {model.body_mass[body]:.3g} kg: {geom_name(model, drawn)}, which is drawn, adds "

@@ -1,7 +1,10 @@
 """Find the feet of a robot in a MuJoCo model: the geoms that stand on the ground, and the mass that they carry."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -30,6 +33,9 @@ from gauge_envs.tools.bench.model_settings import (
 )
 from gauge_envs.tools.sanity.model import ContactGroup
 from gauge_envs.tools.sanity.robot.foot import COPIES, FootGeometry
+
+if TYPE_CHECKING:
+    from gauge_envs.tools.sanity.robot.robot import Robot
 
 STANDS_WITHIN = 0.1
 """Height above the lowest point, over the height of the robot, up to which a body counts as standing."""
@@ -111,27 +117,24 @@ class Standing:
     feet: Mapping[int, list[int]]
 
 
-def find_standing(
-    model: mujoco.MjModel, pairs: ContactPairs, stance: Stance
-) -> Standing:
+def find_standing(robot: Robot) -> Standing:
     """Return the heaviest robot of a model that stands, with its feet.
 
     A robot can rise and fall: its first joint is free, or a vertical slide that nothing drives or holds. It has an
     actuator, or joints in a model without actuators. Its feet are the bodies that can touch the ground and lie
     lowest in its pose.
 
-    Args:
-        model: The compiled model.
-        pairs: All pairs of geoms that can collide.
-        stance: The pose, as of `stance_of`.
+    Raises:
+        NoFootError: There is none.
     """
+    model, pairs, stance = robot.model, robot.pairs, robot.stance
     geoms = np.unique(pairs.geoms[ground_rows(pairs)])
     touching = geoms[can_move(model)[geoms]].tolist()
     if not touching:
         raise NoFootError("the model has no ground that a moving geom can touch")
     if model.opt.density > LIQUID_KG_PER_M3:
         raise NoFootError("the robot swims: the model's medium is a liquid")
-    trees, moved = model.body_treeid[model.geom_bodyid], driven_trees(model)
+    trees, moved = model.body_treeid[model.geom_bodyid], robot.driven_trees
     standing = [
         int(model.tree_bodyadr[tree])
         for tree in set(trees[touching].tolist())
@@ -143,8 +146,8 @@ def find_standing(
         raise NoFootError(
             "no robot of the model stands on the ground under its own weight"
         )
-    robot = max(standing, key=lambda body: (model.body_subtreemass[body], -body))
-    is_part = trees == model.body_treeid[robot]
+    base = max(standing, key=lambda body: (model.body_subtreemass[body], -body))
+    is_part = trees == model.body_treeid[base]
     support = {
         geom: support_m(model, stance, geom) for geom in touching if is_part[geom]
     }
@@ -163,7 +166,7 @@ def find_standing(
         sole_m = min(support[geom][2] for geom in own) + SOLE_WITHIN * height_m
         feet[body] = [geom for geom in own if support[geom][2] <= sole_m]
     return Standing(
-        body=robot,
+        body=base,
         height_m=height_m,
         ground_m=ground_m,
         support_m=support,
@@ -172,21 +175,16 @@ def find_standing(
 
 
 def read_foot(
-    model: mujoco.MjModel,
-    pairs: ContactPairs,
-    groups: Sequence[ContactGroup],
-    standing: Standing,
-    stance: Stance,
+    robot: Robot, groups: Sequence[ContactGroup], standing: Standing
 ) -> FootGeometry:
     """Return the lowest foot of a robot.
 
     Args:
-        model: The compiled model.
-        pairs: All pairs of geoms that can collide.
+        robot: The robot.
         groups: Contact constants, those that are judged marked as used.
-        standing: The robot.
-        stance: Pose in which it stands.
+        standing: How it stands.
     """
+    model, pairs, stance = robot.model, robot.pairs, robot.stance
     feet, support = standing.feet, standing.support_m
     body = min(
         feet, key=lambda foot: (min(support[geom][2] for geom in feet[foot]), foot)
@@ -208,7 +206,7 @@ def read_foot(
         for geom in feet[body]
     ]
     return FootGeometry(
-        name=model.body(body).name or f"body {body}",
+        name=name_of(model, "body", body),
         geoms=", ".join(shortened(texts)),
         parts=tuple(_part(model, stance, geom, origin_m) for geom in feet[body]),
         load_kg=mass_kg / len(feet),
@@ -223,8 +221,13 @@ def read_foot(
 
 def ground_rows(pairs: ContactPairs) -> IntArray:
     """Return the pairs of a moving geom and the ground: planes and height fields, or other geoms of the world."""
-    kind = pairs.kinds.min() if len(pairs.kinds) else PairKind.MOVING
-    return np.flatnonzero((pairs.kinds == kind) & (pairs.kinds < PairKind.MOVING))
+    kind = pairs.kinds.min(initial=PairKind.MOVING)
+    return np.flatnonzero((pairs.kinds == kind) & (kind < PairKind.MOVING))
+
+
+def name_of(model: mujoco.MjModel, kind: str, number: int) -> str:
+    """Return the name of an element, or its kind and number."""
+    return getattr(model, kind)(number).name or f"{kind} {number}"
 
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
@@ -278,16 +281,6 @@ def joints_of(model: mujoco.MjModel, *kinds: str) -> BoolArray:
     # A comparison of an enumerator with NumPy's integers depends on the order, so the numbers are Python's.
     numbers = [int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in kinds]
     return np.isin(model.jnt_type, numbers)
-
-
-def driven_trees(model: mujoco.MjModel) -> set[int]:
-    """Return the trees of bodies that actuators move, through joints, tendons, sites or bodies."""
-    if not model.nu:
-        return set()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    dofs = data.moment_colind[data.actuator_moment.ravel() != 0.0]
-    return set(model.dof_treeid[dofs].tolist())
 
 
 def acts_on_joints(model: mujoco.MjModel) -> BoolArray:

@@ -30,7 +30,6 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
     Stance,
     Standing,
     acts_on_joints,
-    driven_trees,
     ground_rows,
     joints_of,
     stance_of,
@@ -135,8 +134,11 @@ class Robot:
 
     @cached_property
     def driven_trees(self) -> set[int]:
-        """Trees of bodies that actuators move; see `driven_trees`."""
-        return driven_trees(self.model)
+        """Trees of bodies that actuators move, through joints, tendons, sites or bodies."""
+        data = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, data)
+        dofs = data.moment_colind[data.actuator_moment.ravel() != 0.0]
+        return set(self.model.dof_treeid[dofs].tolist())
 
     @cached_property
     def bodies(self) -> list[int]:
@@ -176,18 +178,10 @@ class Robot:
         return normal if fits.all() and abs(normal[2]) < 1e-3 else None
 
     def reached_by_default(self, name: str) -> list[int]:
-        """Return geoms that take an attribute from the model's default class.
-
-        Without a spec, these are the geoms with the most frequent value.
-        """
+        """Return geoms that take an attribute from the model's default class; none without a spec."""
         field = GEOM_FIELDS.get(name)
-        if field is None:
+        if field is None or self.spec is None:
             return []
-        if self.spec is None:
-            values = getattr(self.model, f"geom_{field}").reshape(self.model.ngeom, -1)
-            several, counts = np.unique(values, axis=0, return_counts=True)
-            common = several[counts.argmax()] if len(several) else several
-            return np.flatnonzero((values == common).all(axis=1)).tolist()
         default = getattr(self.spec.default.geom, field)
         return [
             geom.id
@@ -236,22 +230,17 @@ class Robot:
     def _holders(self, name: str) -> dict[str, list[int]]:
         """Return the elements whose attribute is to change, by their kind."""
         if name in GEOM_FIELDS:
-            pairs = {"pair": self.explicit_ground_pairs} if name in PAIRED else {}
-            return {"geom": sorted(self.grounded), **pairs}
+            model, ground = self.model, self.pairs.geoms[ground_rows(self.pairs)]
+            pairs = np.sort(np.column_stack([model.pair_geom1, model.pair_geom2]))
+            is_ground = (pairs[:, None] == ground).all(axis=2).any(axis=1)
+            explicit = np.flatnonzero(is_ground & (name in PAIRED)).tolist()
+            return {"geom": sorted(self.grounded), "pair": explicit}
         place = getattr(self.known.get("model-constraints"), "place", None)
         if place is None or place[0] != "equality":
             return {}
         constants = np.column_stack([self.model.eq_solref, self.model.eq_solimp])
         alike = (constants == constants[place[1]]).all(axis=1)
         return {"equality": np.flatnonzero(alike).tolist()}
-
-    @cached_property
-    def explicit_ground_pairs(self) -> list[int]:
-        """Explicit pairs of geoms, one of which is of the ground."""
-        model, ground = self.model, ground_rows(self.pairs)
-        pairs = {tuple(sorted(pair)) for pair in self.pairs.geoms[ground].tolist()}
-        several = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
-        return [n for n, pair in enumerate(several) if tuple(sorted(pair)) in pairs]
 
 
 def of_one_geom(name: str, value: Any) -> Any:

@@ -6,7 +6,11 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.robot.ground_rows import standing_of
+from gauge_envs.tools.sanity.robot.ground_rows import (
+    LEAST_GAP_MM,
+    floor_m,
+    standing_of,
+)
 from gauge_envs.tools.sanity.robot.joints import (
     drives,
     is_overweight,
@@ -31,9 +35,6 @@ FELL, ROSE = 0.7, 1.3
 
 SATURATED = 0.99
 """Part of its limit from which on a motor gives all that it has: the load is larger."""
-
-LEAST_GAP_MM = 10.0
-"""Height of feet above or in the ground that is named [mm]."""
 
 LEAST_FEET = 3
 """Feet on which a robot stands without a policy."""
@@ -82,14 +83,6 @@ def hold_pose(robot: Robot) -> tuple[float, FloatArray]:
             forces += np.abs(data.qfrc_actuator) / late
     last_m = float(data.subtree_com[standing.body] @ up) - ground_m
     return last_m / max(first_m, 1e-6), forces
-
-
-def floor_m(robot: Robot) -> float:
-    """Return the height of the highest plane under the feet [m]; that of the lowest foot over other ground."""
-    touched = np.unique(robot.pairs.geoms[robot.foot_rows])
-    is_plane = robot.model.geom_type[touched] == int(mujoco.mjtGeom.mjGEOM_PLANE)
-    heights_m = robot.stance.positions_m[touched[is_plane], 2]
-    return float(max(heights_m, default=standing_of(robot).ground_m))
 
 
 @row(

@@ -14,15 +14,12 @@ def unstated(robot: Robot) -> str:
     driven = drives(robot)
     if not driven:
         return ""
-    missing = []
-    if not any(drive.armature for drive in driven):
-        missing.append("rotor inertia")
-    if not any(np.isfinite(drive.limit) for drive in driven):
-        missing.append("torque limit")
-    # Versions before MuJoCo 3.5 have no delay.
-    if not np.any(getattr(robot.model, "actuator_delay", 0.0)):
-        missing.append("delay of actions")
-    if not missing:
-        return ""
-    text = " or ".join(filter(None, [", ".join(missing[:-1]), missing[-1]]))
-    return f"The model states no {text}."
+    states = {
+        "rotor inertia": any(drive.armature for drive in driven),
+        "torque limit": any(np.isfinite(drive.limit) for drive in driven),
+        # Versions before MuJoCo 3.5 have no delay.
+        "delay of actions": np.any(getattr(robot.model, "actuator_delay", 0.0)),
+    }
+    *first, last = [name for name, is_stated in states.items() if not is_stated] or [""]
+    text = " or ".join(filter(None, [", ".join(first), last]))
+    return text and f"The model states no {text}."
