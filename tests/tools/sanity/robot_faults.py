@@ -1,36 +1,20 @@
-"""A quadruped with position servos that has no flag, and a mistake for each row on robots."""
+"""A mistake in a quadruped with position servos for each row on robots."""
 
-PLACES_M = {
-    "FL": (0.19, 0.12),
-    "FR": (0.19, -0.12),
-    "RL": (-0.19, 0.12),
-    "RR": (-0.19, -0.12),
-}
+from quadruped import quadruped_xml
+
+JOINT = 'armature="0.005" damping="0.5" frictionloss="0.2"'
 
 
 def good_xml():
-    """Return the quadruped: 15 kg, feet of 22 mm, servos of 80 N m/rad, and the contact settings of docs/sanity.md."""
-    legs, servos = "", ""
-    for leg, (x, y) in PLACES_M.items():
-        legs += f"""
-      <body name="{leg}_thigh" pos="{x} {y} 0"><joint name="{leg}_hip" axis="0 1 0" range="-60 240"/>
-        <geom name="{leg}_thigh" type="capsule" fromto="0 0 0 -.15 0 -.15" size=".025" density="1200"
-          contype="0" conaffinity="0"/>
-        <body name="{leg}_calf" pos="-.15 0 -.15"><joint name="{leg}_knee" axis="0 1 0" range="-170 170"/>
-          <geom name="{leg}_calf" type="capsule" fromto="0 0 0 .15 0 -.15" size=".015" density="1200"/>
-          <geom name="{leg}_foot" pos=".15 0 -.15" size=".022" density="1200"/></body></body>"""
-        for joint in ("hip", "knee"):
-            servos += f'<position name="{leg}_{joint}" joint="{leg}_{joint}" kp="80" kv="2" forcerange="-40 40"/>'
-    return f"""<mujoco model="quadruped">
-  <option timestep="0.002" integrator="implicitfast" cone="elliptic" impratio="100"/>
-  <default><geom friction="0.8 0.005 0.0001" solref="0.004 1" solimp="0.95 0.95 0.001"/>
-    <joint armature="0.005" damping="0.5" frictionloss="0.2"/></default>
-  <worldbody><geom name="floor" type="plane" size="5 5 .1"/>
-    <body name="trunk" pos="0 0 .322"><freejoint/>
-      <geom name="trunk" type="box" size=".2 .08 .05" density="1500"/>{legs}</body></worldbody>
-  <actuator>{servos}</actuator>
-  <keyframe><key name="home" qpos="0 0 .322 1 0 0 0 0 0 0 0 0 0 0 0"/></keyframe>
-</mujoco>"""
+    """Return the quadruped of 12 kg with servos of 80 N m/rad and a keyframe, which has no flag."""
+    text = quadruped_xml(friction=0.8).replace('armature="0.005"', JOINT)
+    servos = "".join(
+        f'<position joint="{leg}_{joint}" kp="80" kv="2" forcerange="-40 40"/>'
+        for leg in ("FL", "FR", "RL", "RR")
+        for joint in ("hip", "knee")
+    )
+    home = '<keyframe><key name="home" qpos="0 0 .322 1 0 0 0 0 0 0 0 0 0 0 0"/></keyframe>'
+    return text.replace("</mujoco>", f"<actuator>{servos}</actuator>{home}</mujoco>")
 
 
 COUPLED = '<equality><joint joint1="FL_knee" joint2="FR_knee" polycoef="3 1 0 0 0"/></equality><keyframe>'
@@ -42,7 +26,7 @@ INERTIAL = (
 )
 
 FAULTS = {
-    ("robot-mass", "denser"): ('density="1500"', 'density="150000"'),
+    ("robot-mass", "denser"): ('mass="7.84"', 'density="150000"'),
     ("robot-mass", "drawn"): ('<geom name="trunk"', SHELL),
     ("robot-mass", "gyrates"): ('<geom name="trunk"', INERTIAL.format("9")),
     ("robot-mass", "smaller"): ('<geom name="trunk"', INERTIAL.format("1e-4")),

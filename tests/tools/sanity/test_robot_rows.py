@@ -5,7 +5,6 @@ from robot_faults import FAULTS, faulty_xml, good_xml
 
 from gauge_envs.tools.sanity import configuration
 from gauge_envs.tools.sanity.own_rows import ROWS
-from gauge_envs.tools.sanity.robot.joints import drags, drives
 from gauge_envs.tools.sanity.robot.unstated import unstated
 from gauge_envs.tools.sanity.rows import row_result
 
@@ -50,8 +49,6 @@ ARM = """<mujoco><option timestep="{step}"/><worldbody>{world}<body name="arm" p
   <joint name="elbow" axis="0 1 0" {joint}/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" {geom}/>{more}</body>
   </worldbody>{end}</mujoco>"""
 MOTOR = '<actuator><position joint="elbow" {}/></actuator>'
-WHEELS = """<mujoco><worldbody><geom type="plane" size="5 5 .1"/><body pos="0 0 .1"><freejoint/>
-  <geom type="box" size=".2 .1 .05" mass="5"/>{}</body></worldbody><actuator>{}</actuator></mujoco>"""
 PENDULUM = """<robot name="furuta"><link name="base"/><link name="arm">{0}</link><link name="rod">{0}</link>
   <joint name="yaw" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/></joint>
   <joint name="swing" type="continuous"><parent link="arm"/><child link="rod"/><origin xyz=".1 0 0"/>
@@ -74,19 +71,6 @@ def arm(
     )
 
 
-def wheels():
-    bodies, motors = "", ""
-    for number, (x, y) in enumerate(
-        [(0.15, 0.12), (0.15, -0.12), (-0.15, 0.12), (-0.15, -0.12)]
-    ):
-        bodies += f'<body pos="{x} {y} -.05"><joint name="w{number}" axis="0 1 0"/>'
-        bodies += (
-            '<geom type="cylinder" size=".05 .02" zaxis="0 1 0" mass=".3"/></body>'
-        )
-        motors += f'<velocity joint="w{number}" kv="2" forcerange="-3 3"/>'
-    return WHEELS.format(bodies, motors)
-
-
 RIGHT = {
     "gravity compensation": arm(
         body=' gravcomp="1"', end=MOTOR.format('kp="50" kv="2" forcerange="-20 20"')
@@ -95,16 +79,9 @@ RIGHT = {
         more='<body pos=".3 0 0"><joint name="play" range="-1 1"/><geom size=".02"/></body>',
         end=MOTOR.format('kp="50" kv="2" forcerange="-20 20"'),
     ),
-    "wheels": wheels(),
     "loose box": arm(
         world='<body><freejoint/><geom type="box" size=".05 .05 .05" mass="60"/></body>'
     ),
-    "pile": '<mujoco><worldbody><geom type="box" size="1 1 .1"/>'
-    + "".join(
-        f'<body pos="0 0 {z}"><freejoint/><geom type="box" size=".1 .1 .1"/></body>'
-        for z in (0.19, 0.38)
-    )
-    + "</worldbody></mujoco>",
     "no joint": '<mujoco><worldbody><geom type="box" size="1 1 .1"/></worldbody></mujoco>',
     "furuta": PENDULUM.format(LINK),
 }
@@ -160,17 +137,3 @@ def test_a_wrong_arm_is_named(name, tmp_path):
     assert words in flags_of(robot_of(xml, tmp_path)).get(row, ""), flags_of(
         robot_of(xml, tmp_path)
     )
-
-
-def test_the_drag_of_a_joint_is_its_damping_and_what_the_engine_makes_of_its_friction(
-    tmp_path,
-):
-    robot = robot_of(
-        arm(
-            end='<actuator><motor joint="elbow" gear="5" ctrlrange="-1 1"/></actuator>'
-        ),
-        tmp_path,
-    )
-    (drive,) = drives(robot)
-    assert drive.limit == 5.0
-    assert drags(robot, 3.0)[drive.dof] == pytest.approx(1.5)

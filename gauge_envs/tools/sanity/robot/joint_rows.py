@@ -125,8 +125,11 @@ SAG_RAD = 0.6
 COMMANDS = 30.0
 """Range of commands over that of the joint: degrees are 57 times too large."""
 
-GROWTH, GROWTH_STEPS, KICK = 3.0, 400, 0.1
-"""Growth of a slow motion [rad/s or m/s] in some steps: a loop that is stable has none."""
+LEAST_RATE_PER_S = 1.0
+"""Angular frequency below which a mode is of a free body and not of a servo [1/s]."""
+
+GROWTH, GROWTH_STEPS = 3.0, 200
+"""Growth of a small motion in some steps: a loop that is stable has none."""
 
 
 @row(
@@ -147,40 +150,7 @@ def servo_response(robot: Robot) -> Finding:
     braked = robot.finding(ROWS["robot-joint"]).parts if several else {}
     several = [drive for drive in several if braked.get(drive.name, 0.0) <= 1.0]
     responses = (case for drive in several for case in _response(drive))
-    return worst_case(
-        [*_growth(robot), *_switches(several), *_ringing(robot, several), *responses]
-    )
-
-
-def _growth(robot: Robot) -> Iterator[Case]:
-    """Yield the growth of a slow motion from the start, where all servos are at rest."""
-    model = robot.without("contact", "gravity", "limit", "spring", "equality")
-    is_affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
-    is_muscle = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_MUSCLE)
-    if is_muscle.any() or not drives(robot):
-        return
-    model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
-    data, speeds = start(robot, model), np.zeros(GROWTH_STEPS)
-    low, high = model.actuator_ctrlrange.T
-    data.ctrl[:] = np.clip(0.0, low, high) * (model.actuator_ctrllimited != 0)
-    gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
-    bias[is_affine, 0] = -(gain * data.ctrl + bias[:, 1] * data.actuator_length)[
-        is_affine
-    ]
-    dofs = [drive.dof for drive in drives(robot)]
-    data.qvel[dofs] = KICK * np.random.default_rng(0).choice([-1.0, 1.0], len(dofs))
-    for step in range(GROWTH_STEPS):
-        last = data.qvel.copy()
-        mujoco.mj_step(model, data)
-        speeds[step] = np.sqrt(data.energy[1])
-        if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
-            speeds[step:] = np.inf
-            break
-    growth = float(speeds[GROWTH_STEPS // 2 :].max() / max(speeds[0], 1e-300))
-    joint = int(model.dof_jntid[np.argmax(np.abs(last))])
-    name = name_of(model, "joint", joint)
-    text = f"a motion of {name} grows {growth:.2g}-fold in {step + 1} steps of {1e3 * model.opt.timestep:g} ms"
-    yield Case(growth / GROWTH, ("joint", joint), name, text)
+    return worst_case([*_modes(robot, several), *_switches(several), *responses])
 
 
 def _switches(several: list[Drive]) -> Iterator[Case]:
@@ -197,31 +167,41 @@ def _switches(several: list[Drive]) -> Iterator[Case]:
         yield drive.case(LEAST_ERROR_RAD / error, f"{text}{drive.limit:.3g} N m", True)
 
 
-def _ringing(robot: Robot, several: list[Drive]) -> Iterator[Case]:
-    """Yield the small swings of a robot about its commands, each at the servo that has most of its energy.
+def _modes(robot: Robot, several: list[Drive]) -> Iterator[Case]:
+    """Yield the small motions of a robot about its commands, as the engine makes them: those that grow, and swings.
 
-    They are the modes of M q'' + D q' + K q = 0, with dry friction as the damping that the engine makes of it.
+    They are the modes of the transition matrix of a step where all servos are at rest. A mode belongs to the servo that
+    has most of its energy.
     """
+    model = robot.without("contact", "gravity", "limit", "spring", "equality")
+    is_affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
     if not several:
         return
-    nv, inverse = robot.model.nv, np.linalg.inv(mass_matrix(robot))
-    stiffness, damping = np.zeros(nv), robot.model.dof_damping.reshape(nv, -1)[:, 0]
-    damping = damping.copy()
-    for drive in drives(robot):
-        stiffness[drive.dof] = drive.kp
-        damping[drive.dof] = drags(robot, 1.0)[drive.dof] / drive.scale + drive.kv
-    system = np.block(
-        [[np.zeros((nv, nv)), np.eye(nv)], [-inverse * stiffness, -inverse * damping]]
-    )
-    rates, modes = np.linalg.eig(system)
-    for number in np.flatnonzero(rates.imag > np.abs(rates.real)).tolist():
-        energies = [drive.kp * abs(modes[drive.dof, number]) ** 2 for drive in several]
+    if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
+        # MuJoCo differentiates no steps of RK4, which is as stable as this one.
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    data, nv = start(robot, model), model.nv
+    low, high = model.actuator_ctrlrange.T
+    data.ctrl[:] = np.clip(0.0, low, high) * (model.actuator_ctrllimited != 0)
+    gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
+    forces = gain * data.ctrl + bias[:, 1] * data.actuator_length
+    bias[is_affine, 0] = -forces[is_affine]
+    size = 2 * nv + model.na
+    transition = np.zeros((size, size))
+    mujoco.mjd_transitionFD(model, data, 1e-6, True, transition, None, None, None)
+    ratios, modes = np.linalg.eig(np.nan_to_num(transition))
+    for ratio, mode in zip(ratios, modes.T, strict=True):
+        energies = [drive.kp * abs(mode[drive.dof]) ** 2 for drive in several]
         drive = several[int(np.argmax(energies))]
-        decay_s = 1.0 / max(-rates[number].real, 1e-6)
-        ratio = RINGING * decay_s * abs(rates[number])
-        swing_hz = rates[number].imag / (2.0 * np.pi)
-        text = f"{drive.name} swings about its command with {swing_hz:.2g} Hz for {decay_s:.2g} s"
-        yield drive.case(min(ratio, decay_s / RINGING_S), text, True)
+        growth = float(np.abs(ratio) ** GROWTH_STEPS)
+        text = f"a motion of {drive.name} grows {growth:.2g}-fold in {GROWTH_STEPS} steps of "
+        yield drive.case(growth / GROWTH, f"{text}{1e3 * model.opt.timestep:g} ms")
+        rate = np.log(complex(ratio) or 1e-300) / model.opt.timestep
+        if rate.imag > max(abs(rate.real), LEAST_RATE_PER_S):
+            swing_hz, decay_s = rate.imag / (2.0 * np.pi), 1.0 / max(-rate.real, 1e-6)
+            text = f"{drive.name} swings about its command with {swing_hz:.2g} Hz for {decay_s:.2g} s"
+            ringing = RINGING * decay_s * abs(rate)
+            yield drive.case(min(ringing, decay_s / RINGING_S), text, True)
 
 
 def _response(drive: Drive) -> Iterator[Case]:
@@ -266,22 +246,20 @@ def _commands(drive: Drive) -> Iterator[Case]:
 # --- couplings and free joints ---------------------------------------------------------------------------------------
 
 YIELD_SHARE = 0.3
-"""Part of its range by which a coupling may yield."""
-
-LARGEST_GIVE, HALVINGS = 1.0, 14
-"""Largest displacement at which a coupling is tried [rad or m], and the halvings that find it to 0.1 mrad."""
+"""Part of its range by which a coupling may yield: 0.001 to 0.02 in grippers of makers, whose linkage is stiff, and
+0.14 to 0.23 with MuJoCo's default solref."""
 
 
 @row(
     "robot-coupling",
-    title="part of its range by which a coupled joint yields",
+    title="force of a motor, over that of a yielding coupling",
     unit="1",
-    interval=(0.0, YIELD_SHARE),
-    source="0.001 to 0.02 in grippers of makers whose linkage is stiff, 0.14 to 0.23 with MuJoCo's default solref",
+    interval=(0.0, 1.0),
+    source="inverse dynamics of a coupling that has yielded by 30 % of the joint's range; stiff linkages yield by 2 %",
     consequence="One finger gives way, so that a grasp holds less than the real one.",
 )
 def coupling_yield(robot: Robot) -> Finding:
-    """Return the coupling between joints that yields farthest to the force of a motor."""
+    """Return the coupling between joints that holds least of the force of a motor."""
     model = robot.without("contact", "limit", "frictionloss")
     data, cases = start(robot, model), []
     begin, pushes = data.qpos.copy(), np.zeros(model.nv)
@@ -293,52 +271,22 @@ def coupling_yield(robot: Robot) -> Finding:
         joints = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
         dofs, (place, leader) = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
         lead = float(begin[leader] - model.qpos0[leader])
-        coupled = float(
-            model.qpos0[place] + np.polyval(model.eq_data[number, 4::-1], lead)
-        )
+        coupled = np.polyval(model.eq_data[number, 4::-1], lead) + model.qpos0[place]
         span = float(np.ptp(model.jnt_range[joints[0]])) or 1.0
-        name = name_of(model, "joint", joints[0])
-        if load := float(pushes[dofs].max()):
-            data.qpos[:] = begin
-            give = _give(model, data, (int(place), int(dofs[0])), coupled, load)
-            text = f"{name} yields by {give:.2g} of its range of {span:.3g} under the motor's {load:.3g}"
-            cases.append(
-                Case(give / span, ("equality", number), name, text, is_usual=True)
-            )
-        off = abs(coupled - float(begin[place]))
+        data.qpos[:] = begin
+        data.qpos[place], data.qacc[:] = coupled + YIELD_SHARE * span, 0.0
+        mujoco.mj_inverse(model, data)
+        load, force = pushes[dofs].max(), abs(data.qfrc_constraint[dofs[0]])
+        at, name = ("equality", number), name_of(model, "joint", joints[0])
+        text = f"{name}, {100 * YIELD_SHARE:g} % of its range off its coupling, is pushed back by {force:.3g}; "
+        text += f"its motor makes {load:.3g}"
+        cases.append(Case(float(load / max(force, 1e-9)), at, name, text, True))
+        off = float(abs(coupled - begin[place]))
         text = f"{name} begins {off:.2g} beside its coupling; its range is {span:.3g}"
-        cases.append(Case(off / span, ("equality", number), name, text))
+        cases.append(Case(off / span / YIELD_SHARE, at, name, text))
     if not cases:
         raise NotApplicableError("no equality couples joints")
-    return worst_case(cases, limit=YIELD_SHARE)
-
-
-def _give(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    address: tuple[int, int],
-    coupled: float,
-    load: float,
-) -> float:
-    """Return the displacement at which the constraints of a model at rest hold a load [rad or m].
-
-    Args:
-        model: The model.
-        data: Its data at the start, whose positions change.
-        address: Place of the joint in the positions, and its degree of freedom.
-        coupled: Position to which it is coupled.
-        load: The load [N m or N].
-    """
-    place, dof = address
-    low, high = 0.0, LARGEST_GIVE
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        data.qpos[place] = coupled + middle
-        data.qacc[:] = 0.0
-        mujoco.mj_inverse(model, data)
-        is_enough = abs(float(data.qfrc_constraint[dof])) >= load
-        low, high = (low, middle) if is_enough else (middle, high)
-    return high
+    return worst_case(cases)
 
 
 FREE_SHARE = 0.05
@@ -356,23 +304,21 @@ FREE_SHARE = 0.05
 def free_joint_drag(robot: Robot) -> Finding:
     """Return the free joint with the largest friction, damping or armature."""
     model = robot.model
-    frees = np.flatnonzero(joints_of(model, "FREE")).tolist()
-    if not frees or model.opt.density > LIQUID_KG_PER_M3:
-        raise NotApplicableError("no joint is free in air")
+    # A ball may be braked to keep it from rolling: only robots count.
+    bases = {root_of(model, drive.body) for drive in drives(robot)}
+    is_base = joints_of(model, "FREE") & np.isin(model.jnt_bodyid, list(bases))
+    if not is_base.any() or model.opt.density > LIQUID_KG_PER_M3:
+        raise NotApplicableError("no robot is free in air")
     inertia = np.diag(mass_matrix(robot)) - model.dof_armature
-    legged = {root_of(model, drive.body) for drive in drives(robot)}
     dampings: FloatArray = model.dof_damping.reshape(model.nv, -1)[:, 0]
     cases = []
-    for joint in frees:
+    for joint in np.flatnonzero(is_base).tolist():
         body, first = int(model.jnt_bodyid[joint]), int(model.jnt_dofadr[joint])
         six = slice(first, first + 6)
         damping, dry = dampings[six], model.dof_frictionloss[six]
         armature = model.dof_armature[six]
-        # A ball may be braked to keep it from rolling: of a body counts what slows its fall to a crawl within 1 s.
-        share = FREE_SHARE * float(damping[0] / model.body_subtreemass[body])
-        if body in legged:
-            share = float(np.max(np.maximum(damping + dry, armature) / inertia[six]))
+        share = float(np.max(np.maximum(damping + dry, armature) / inertia[six]))
         name = name_of(model, "body", body)
         text = f"{name} is braked in the air by damping {damping[0]:g}, friction {dry[0]:g}, armature {armature[0]:g}"
-        cases.append(Case(share, ("joint", joint), name, text, body not in legged))
+        cases.append(Case(share, ("joint", joint), name, text))
     return worst_case(cases, limit=FREE_SHARE)

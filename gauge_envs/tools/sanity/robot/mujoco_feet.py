@@ -1,10 +1,7 @@
 """Find the feet of a robot in a MuJoCo model: the geoms that stand on the ground, and the mass that they carry."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -33,9 +30,6 @@ from gauge_envs.tools.bench.model_settings import (
 )
 from gauge_envs.tools.sanity.model import ContactGroup
 from gauge_envs.tools.sanity.robot.foot import COPIES, FootGeometry
-
-if TYPE_CHECKING:
-    from gauge_envs.tools.sanity.robot.robot import Robot
 
 STANDS_WITHIN = 0.1
 """Height above the lowest point, over the height of the robot, up to which a body counts as standing."""
@@ -117,7 +111,9 @@ class Standing:
     feet: Mapping[int, list[int]]
 
 
-def find_standing(robot: Robot) -> Standing:
+def find_standing(
+    model: mujoco.MjModel, pairs: ContactPairs, stance: Stance
+) -> Standing:
     """Return the heaviest robot of a model that stands, with its feet.
 
     A robot can rise and fall: its first joint is free, or a vertical slide that nothing drives or holds. It has an
@@ -127,14 +123,13 @@ def find_standing(robot: Robot) -> Standing:
     Raises:
         NoFootError: There is none.
     """
-    model, pairs, stance = robot.model, robot.pairs, robot.stance
     geoms = np.unique(pairs.geoms[ground_rows(pairs)])
     touching = geoms[can_move(model)[geoms]].tolist()
     if not touching:
         raise NoFootError("the model has no ground that a moving geom can touch")
     if model.opt.density > LIQUID_KG_PER_M3:
         raise NoFootError("the robot swims: the model's medium is a liquid")
-    trees, moved = model.body_treeid[model.geom_bodyid], robot.driven_trees
+    trees, moved = model.body_treeid[model.geom_bodyid], driven_trees(model)
     standing = [
         int(model.tree_bodyadr[tree])
         for tree in set(trees[touching].tolist())
@@ -175,16 +170,21 @@ def find_standing(robot: Robot) -> Standing:
 
 
 def read_foot(
-    robot: Robot, groups: Sequence[ContactGroup], standing: Standing
+    model: mujoco.MjModel,
+    pairs: ContactPairs,
+    stance: Stance,
+    groups: Sequence[ContactGroup],
+    standing: Standing,
 ) -> FootGeometry:
     """Return the lowest foot of a robot.
 
     Args:
-        robot: The robot.
+        model: The compiled model.
+        pairs: All pairs of geoms that can collide.
+        stance: Pose in which it stands.
         groups: Contact constants, those that are judged marked as used.
         standing: How it stands.
     """
-    model, pairs, stance = robot.model, robot.pairs, robot.stance
     feet, support = standing.feet, standing.support_m
     body = min(
         feet, key=lambda foot: (min(support[geom][2] for geom in feet[foot]), foot)
@@ -281,6 +281,14 @@ def joints_of(model: mujoco.MjModel, *kinds: str) -> BoolArray:
     # A comparison of an enumerator with NumPy's integers depends on the order, so the numbers are Python's.
     numbers = [int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in kinds]
     return np.isin(model.jnt_type, numbers)
+
+
+def driven_trees(model: mujoco.MjModel) -> set[int]:
+    """Return the trees of bodies that actuators move, through joints, tendons, sites or bodies."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    dofs = data.moment_colind[data.actuator_moment.ravel() != 0.0]
+    return set(model.dof_treeid[dofs].tolist())
 
 
 def acts_on_joints(model: mujoco.MjModel) -> BoolArray:

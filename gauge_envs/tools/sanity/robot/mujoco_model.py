@@ -104,8 +104,8 @@ def mujoco_configuration(
     inapplicable = _inapplicable(model, groups)
     robot = Robot(model=model, pairs=pairs, up=up, spec=spec, pair=pair, file=file)
     try:
-        standing = find_standing(robot)
-        foot = read_foot(robot, groups, standing)
+        standing = find_standing(model, pairs, robot.stance)
+        foot = read_foot(model, pairs, robot.stance, groups, standing)
         robot = replace(robot, standing=standing)
     except NoFootError as error:
         foot = None

@@ -30,6 +30,7 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
     Stance,
     Standing,
     acts_on_joints,
+    driven_trees,
     ground_rows,
     joints_of,
     stance_of,
@@ -116,11 +117,11 @@ class Robot:
     def without(self, *features: str) -> mujoco.MjModel:
         """Return a copy of the model with some features switched off, valid until the next call.
 
-        Its medium, its flags and the biases of its actuators may be changed. There is one copy, as meshes make copies
-        slow.
+        Its medium, its integrator and the biases of its actuators may be changed. There is one copy, as
+        meshes make copies slow.
         """
         model = self._trial_model
-        for name in ("density", "viscosity", "disableflags", "enableflags"):
+        for name in ("density", "viscosity", "disableflags", "integrator"):
             setattr(model.opt, name, getattr(self.model.opt, name))
         for feature in features:
             model.opt.disableflags |= disable_bit(feature)
@@ -134,11 +135,8 @@ class Robot:
 
     @cached_property
     def driven_trees(self) -> set[int]:
-        """Trees of bodies that actuators move, through joints, tendons, sites or bodies."""
-        data = mujoco.MjData(self.model)
-        mujoco.mj_forward(self.model, data)
-        dofs = data.moment_colind[data.actuator_moment.ravel() != 0.0]
-        return set(self.model.dof_treeid[dofs].tolist())
+        """Trees of bodies that actuators move; see `driven_trees`."""
+        return driven_trees(self.model)
 
     @cached_property
     def bodies(self) -> list[int]:
