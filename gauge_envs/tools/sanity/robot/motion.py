@@ -1,0 +1,68 @@
+"""Run the target's own model from its start with a change: how high it jumps, whether it falls, and how fast it runs."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import mujoco
+import numpy as np
+
+from gauge_envs.tools.sanity.guards import hops_more
+from gauge_envs.tools.sanity.robot.robot import Robot, once
+from gauge_envs.tools.sanity.robot.rollout import FELL, HOLD_S
+
+SPEED_BLOCKS, BLOCK_S = 4, 0.02
+"""Number and least time [s] of the pieces in which the speed of a model is measured; the fastest one counts."""
+
+
+def motion_harm(before: Robot, after: Robot) -> str:
+    """Return how a change throws a model up from its start, or lets its robot fall, in words; empty if it does not."""
+    (rise_mm, stands), (new_rise_mm, stands_then) = map(_motion, (before, after))
+    if hops_more(rise_mm, new_rise_mm):
+        return f"the model jumps {new_rise_mm:.3g} mm from its start, before {rise_mm:.3g} mm"
+    return "the robot falls within 2 s, before it stands" * (stands > stands_then)
+
+
+@once
+def _motion(robot: Robot) -> tuple[float, bool]:
+    """Simulate 2 s from the start, with the controls of its keyframe.
+
+    Returns:
+        The most that the centre of mass of a tree of bodies rises [mm], infinite for a state that diverges; and whether
+        the robot stands at the end.
+    """
+    model, standing, up = robot.model, robot.standing, np.asarray(robot.up)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.ctrl[:] = robot.stance.qpos, robot.stance.ctrl
+    mujoco.mj_forward(model, data)
+    _, roots = np.unique(model.body_treeid, return_index=True)
+    first_m = data.subtree_com @ up
+    rise_m = 0.0
+    for _ in range(round(HOLD_S / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+        if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
+            return math.inf, False
+        rise_m = max(rise_m, float((data.subtree_com @ up - first_m)[roots].max()))
+    stands = False
+    if standing is not None:
+        last = float(data.subtree_com[standing.body] @ up) - standing.ground_m
+        first = float(first_m[standing.body]) - standing.ground_m
+        stands = last > FELL * first
+    return 1e3 * rise_m, stands
+
+
+def speed_ratio(before: Robot, after: Robot) -> float:
+    """Return the simulated time of a model in a second of the processor with a change, over that without."""
+    runs = [
+        (one.model, mujoco.MjData(one.model), list[float]()) for one in (before, after)
+    ]
+    for _ in range(SPEED_BLOCKS):
+        for model, data, speeds in runs:
+            started, before_s, spent_s = time.process_time(), data.time, 0.0
+            while spent_s < BLOCK_S:
+                mujoco.mj_step(model, data, nstep=10)
+                spent_s = time.process_time() - started
+            speeds.append((data.time - before_s) / spent_s)
+    slow, fast = (max(speeds) for _, _, speeds in runs)
+    return fast / slow
