@@ -93,12 +93,14 @@ class _Search:
         most, trade = 0, ""
         for changes in self._ranked(candidates):
             corrected = self._corrected(changes)
-            harm = self._harm(changes) if corrected else ""
-            if corrected and not harm:
-                cure = self._cure(self._least(changes, corrected))
-                is_less = most > cure.mended_count
-                return cure, tuple(self._tried), trade if is_less else ""
             text = f"{self._dialect.paste_text(changes)}: {self._effect(corrected)}"
+            harm = ""
+            for part in (self._least(changes, corrected), changes) * bool(corrected):
+                harm = self._harm(part)
+                if not harm:
+                    cure = self._cure(part)
+                    is_less = most > cure.mended_count
+                    return cure, tuple(self._tried), trade if is_less else ""
             self._tried.append(f"{text}, but {harm}" if harm else text)
             if len(corrected) > most:
                 most, trade = len(corrected), self._tried[-1]
@@ -180,31 +182,34 @@ class _Search:
     def _harm(self, changes: Settings) -> str:
         """Return how far a change makes a row worse, or the model or sliding bodies jump, in words; empty if not."""
         changed = self._changed(changes)
-        if changed is not None and changed.backend == "mujoco":
+        if changed is None:
+            return "the model does not take it"
+        if changed.backend == "mujoco":
             before_mm, after_mm = (
                 max(hop_mm(self._measurements, one) for one in sets.values())
                 for sets in (self._configuration.contact_sets, changed.contact_sets)
             )
             if hops_more(before_mm, after_mm):
                 return f"sliding bodies hop {before_mm:.2g} to {after_mm:.2g} mm"
+        if changed.robot is not None:
+            from gauge_envs.tools.sanity.robot.motion import motion_harm
+
+            harm = motion_harm(self._configuration.robot, changed.robot)
+            if harm:
+                return harm
         for name, before in self._before.items():
             if _is_worse(before, self._outcome(changes, name)):
                 return self._came(name, changes)
-        if changed is None or changed.robot is None:
-            return ""
-        from gauge_envs.tools.sanity.robot.motion import motion_harm
-
-        return motion_harm(self._configuration.robot, changed.robot)
+        return ""
 
     # --- the chosen change -------------------------------------------------------------------------------------------
 
     def _least(self, changes: Settings, corrected: Sequence[str]) -> Settings:
-        """Return a change without the settings that it does not need."""
+        """Return a change without the settings that no row needs which it corrects."""
         least = dict(changes)
         for name in changes:
             fewer = {key: value for key, value in least.items() if key != name}
-            is_needed = not all(self._corrects(fewer, row) for row in corrected)
-            if fewer and not is_needed and not self._harm(fewer):
+            if fewer and all(self._corrects(fewer, row) for row in corrected):
                 least = fewer
         return least
 
@@ -233,12 +238,13 @@ class _Search:
         text, hidden = written_change(before, self._dialect, changes)
         pasted = self._dialect.paste_text(changes)
         lines = () if text is None else text.diff
+        shown = () if text is None else tuple(map(text.short, lines))
         added = " and ".join(one[2:] for one in lines if one[0] == "+")
         also = f", also in {first_names(hidden)}" if hidden else ""
         return replace(
             cure,
             line=f"{added or pasted}{also}: {self._effect(corrected)}",
-            lines=lines,
+            lines=shown,
             speed_ratio=speed_ratio(before, changed.robot),
         )
 

@@ -11,6 +11,7 @@ from quadruped import GOOD, quadruped_xml
 from gauge_envs.tools.sanity import check, configuration
 from gauge_envs.tools.sanity.candidates import CANDIDATES
 from gauge_envs.tools.sanity.cure import applied
+from gauge_envs.tools.sanity.robot.motion import motion_harm
 
 OPTION = 'timestep="0.002" integrator="implicitfast"'
 FLAT = f'{OPTION} cone="elliptic" impratio="100"'
@@ -146,6 +147,37 @@ def test_a_change_keeps_what_states_the_task(tmp_path):
         '- <option timestep="0.002" gravity="3.4684 3.4684 -8.4957"/>',
         '+ <option timestep="0.002" gravity="3.4684 3.4684 -8.4957" cone="elliptic"/>',
     )
+
+
+def test_a_long_line_shows_what_changes():
+    report = check("HalfCheetah-v5", only=["creep-wood"])
+    assert report.cure.lines == (
+        '- <geom ... solimp="0.0 0.8 0.01" .../>',
+        '+ <geom ... solimp="0.99 0.99 0.001 0.5 2" .../>',
+    )
+
+
+BURIED = """<mujoco>
+  <option timestep="0.002" cone="elliptic"/>
+  <default><geom solref="0.02 1" friction="0.6"/></default>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 0.1"/>
+    <body name="trunk" pos="0 0 {height}"><freejoint/><geom type="box" size="0.1 0.08 0.05" mass="2"/>
+      <body pos="0.08 0 0.05"><joint name="neck" axis="0 1 0" damping="0.5"/><geom size="0.02" mass="0.1"/></body>
+    </body>
+  </worldbody>
+  <actuator><position joint="neck" kp="5"/></actuator>
+</mujoco>"""
+
+
+@pytest.mark.parametrize(("depth_m", "is_harm"), [(0.017, True), (0.0, False)])
+def test_a_change_that_throws_the_model_up_is_refused(depth_m, is_harm):
+    """A contact that is five times stiffer pushes a box out of the floor 25 times as hard: it leaves the floor fast."""
+    text = BURIED.format(height=0.05 - depth_m)
+    soft = configuration(mujoco.MjModel.from_xml_string(text))
+    stiff = applied(soft, {"contact_solref": (0.004, 1.0)})
+    harm = motion_harm(soft.robot, stiff.robot)
+    assert ("the model jumps" in harm) is is_harm
 
 
 def test_a_connection_that_opens_gets_stiffer_alone(tmp_path):

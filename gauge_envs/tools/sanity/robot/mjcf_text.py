@@ -35,6 +35,9 @@ COUNTS = {"actuator": "nu", "equality": "neq", "joint": "njnt"}
 FIRST = ("compiler", "option", "size", "statistic", "visual")
 """Sections in front of which no other one is inserted."""
 
+SCREEN = 100
+"""Longest line that is shown with all of its attributes [characters]."""
+
 INCLUDE_DEPTH = 20
 """Most files that include each other."""
 
@@ -300,6 +303,14 @@ class TextChange:
             texts = before.splitlines(), self.text(file).splitlines()
             lines += [*difflib.unified_diff(*texts, n=0, lineterm="")][2:]
         return tuple(f"{one[0]} {one[1:].strip()}" for one in lines if one[0] in "+-")
+
+    def short(self, line: str) -> str:
+        """Return a line that is not longer than the screen, or only its name, its class and what changes in it."""
+        if len(line) <= SCREEN:
+            return line
+        keys = {"name", "class", *(key for _, key in self._values)}
+        shown = ATTRIBUTE.sub(lambda one: one[0] if one[1] in keys else "...", line)
+        return re.sub(r"\.\.\.(\s+\.\.\.)+", "...", shown)
 
 
 def _element(mark: re.Match[str], file: Path, above: Element) -> Element:

@@ -1,4 +1,4 @@
-"""Run the target's own model from its start with a change: how high it jumps, whether it falls, and how fast it runs."""
+"""Run the target's own model from its start with a change: whether it jumps or falls, and how fast it runs."""
 
 from __future__ import annotations
 
