@@ -30,6 +30,9 @@ less and names the others. With these numbers a report has at most 25 lines of 1
 SAME_SPEED = 0.15
 """Change of the number of steps a second that a short measurement does not resolve."""
 
+MAX_DIFF_LINES = 6
+"""Largest number of lines of a change that the screen shows."""
+
 MAX_NAMES = 3
 """Largest number of names in a sentence."""
 
@@ -81,7 +84,7 @@ def sanity_document(
         Paragraph(answer_text(report), Tone.ANSWER),
         *_own_flags(report),
         *_object_flags(report),
-        *_change(report),
+        *_change(report, details=details),
         *_notes(report, details=details),
     ]
     table = _all_rows(report)
@@ -238,7 +241,7 @@ def _has_default_contact(checked: TrainingConfiguration) -> bool:
     )
 
 
-def _change(report: Report) -> list[Part]:
+def _change(report: Report, *, details: bool) -> list[Part]:
     """Return the change of settings that corrects most, as a diff, and what each part corrects alone."""
     change = report.cure
     if change is None:
@@ -249,10 +252,14 @@ def _change(report: Report) -> list[Part]:
         is_same = abs(ratio - 1.0) < SAME_SPEED
         factor = f"{max(ratio, 1.0 / ratio):.2g} times {'slower' if ratio < 1.0 else 'faster'}"
         text += f"; {'as fast' if is_same else factor}"
+    diff = change.lines or (change.line,)
+    count = len(diff) if details else MAX_DIFF_LINES
     lines: list[Part] = [
         Paragraph(text, Tone.ANSWER),
-        *(Paragraph(f"  {line}") for line in change.lines or (change.line,)),
+        *(Paragraph(f"  {line}") for line in diff[:count]),
     ]
+    if left := len(diff[count:]):
+        lines.append(Paragraph(f"  and {left} more lines, which --fix writes"))
     alone = [
         f"{part.text} corrects {first_names(part.corrects, MAX_NAMES)}"
         for part in change.parts
