@@ -39,10 +39,8 @@ def test_a_mistake_is_flagged_and_named(key, tmp_path):
     name, words = key
     flags = flags_of(robot_of(faulty_xml(key), tmp_path))
     assert words in flags[name], flags
-
-
-def test_armature_and_damping_of_all_joints_are_one_finding(tmp_path):
-    assert len(flags_of(robot_of(faulty_xml(("robot-joint", "7 more")), tmp_path))) == 1
+    # All joints with armature and damping are one finding.
+    assert words != "7 more" or len(flags) == 1
 
 
 ARM = """<mujoco><option timestep="{step}"/><worldbody>{world}<body name="arm" pos="0 0 1"{body}>

@@ -227,13 +227,11 @@ def overlap(robot: Robot) -> Finding:
         names = " and ".join(name_of(model, "body", body) for body in pair)
         text = f"{names} overlap by {1e3 * depth_m:.3g} mm and push each other with {push_n:.3g} N"
         cases.append(Case(1e3 * depth_m, ("body", pair[1]), names, text))
-    if robot.standing is not None and model.nkey:
+    if robot.standing is not None and model.nkey and not cases:
         depth_mm = 1e3 * (floor_m(robot) - robot.standing.ground_m)
         # A robot starts in no deeper pose: code raises it first.
         if LEAST_GAP_MM < depth_mm < 1e3 * STANDS_WITHIN * robot.standing.height_m:
-            text = (
-                f"its feet start {depth_mm:.3g} mm in the ground, which throws them out"
-            )
+            text = f"its feet start {depth_mm:.3g} mm in the ground, so that contacts push them out"
             place = ("body", next(iter(robot.standing.feet)))
             cases.append(Case(depth_mm, place, "feet", text, is_usual=True))
     return worst_case(cases, limit=2.0)

@@ -47,9 +47,6 @@ from gauge_envs.tools.sanity.scenario import check_settings
 GRAVITY_TOLERANCE = 0.01
 """A gravity that differs from the standard one by less than this ratio gets no note."""
 
-VECTORS = ("friction", "solref", "solreffriction", "solimp")
-"""Constants of a contact that have several numbers."""
-
 MOST_GROUPS = 4
 """Most groups with other constants that get a note each."""
 
@@ -207,11 +204,10 @@ def _groups(
         constants = pairs.constants[rows[0]]
         kind = PairKind(int(pairs.kinds[rows[0]]))
         same = effective_constants(model, constants) == effective_constants(model, used)
+        lists = {name: constants[columns].tolist() for name, columns in COLUMNS.items()}
         named = {
-            name: constants[columns].tolist()
-            if name in VECTORS
-            else float(constants[columns][0])
-            for name, columns in COLUMNS.items()
+            name: numbers if len(numbers) > 1 else numbers[0]
+            for name, numbers in lists.items()
         }
         group = ContactGroup(
             geoms=_geoms_text(model, pairs.geoms[rows], kind),
@@ -222,8 +218,8 @@ def _groups(
             is_point=bool(grasped[rows[0]] == 2),
             settings=contact_settings(model, constants),
         )
-        groups.append((kind, -len(rows), number, group))
-    return tuple(entry[-1] for entry in sorted(groups, key=lambda entry: entry[:3]))
+        groups.append(((kind, -len(rows), number), group))
+    return tuple(group for _, group in sorted(groups, key=lambda entry: entry[0]))
 
 
 # --- notes -----------------------------------------------------------------------------------------------------------
