@@ -220,7 +220,7 @@ def _object_flags(report: Report) -> list[Part]:
     sets = sorted({row.geoms for row in flags if row.geoms})
     heading = "Measured objects with these settings"
     if sets:
-        heading += f", contact of {first_names(sets, 1)}"
+        heading += f", worst of {counted(len(sets), 'set')} of contact constants"
     shown, more = _shown(flags, MAX_OBJECT_FLAGS)
     table = Table(title=heading, columns=(*COLUMNS, VERDICT), rows=shown)
     return [table, *more]
