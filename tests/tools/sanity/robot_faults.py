@@ -42,7 +42,7 @@ FAULTS = {
     ),
     ("robot-joint", "whole robot"): ('frictionloss="0.2"', 'frictionloss="200"'),
     ("robot-drive", "switch"): ('kp="80"', 'kp="10000"'),
-    ("robot-drive", "steps of 2 ms"): (
+    ("robot-drive", "step of 2 ms"): (
         "implicitfast",
         "Euler",
         'kp="80" kv="2"',

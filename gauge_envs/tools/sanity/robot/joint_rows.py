@@ -128,8 +128,8 @@ COMMANDS = 30.0
 LEAST_RATE_PER_S = 1.0
 """Angular frequency below which a mode is of a free body and not of a servo [1/s]."""
 
-GROWTH, GROWTH_STEPS = 3.0, 200
-"""Growth of a small motion in some steps: a loop that is stable has none."""
+GROWTH, GROWTH_STEPS, MAX_RATIO = 3.0, 200, 1.05
+"""Growth of a small motion in some steps, and the largest that is given in one: a loop that is stable has none."""
 
 
 @row(
@@ -193,11 +193,11 @@ def _modes(robot: Robot, several: list[Drive]) -> Iterator[Case]:
     for ratio, mode in zip(ratios, modes.T, strict=True):
         energies = [drive.kp * abs(mode[drive.dof]) ** 2 for drive in several]
         drive = several[int(np.argmax(energies))]
-        growth = float(np.abs(ratio) ** GROWTH_STEPS)
-        text = f"a motion of {drive.name} grows {growth:.2g}-fold in {GROWTH_STEPS} steps of "
+        growth = min(float(np.abs(ratio)), MAX_RATIO) ** GROWTH_STEPS
+        text = f"a small motion of {drive.name} grows by {np.abs(ratio) - 1.0:.2g} of itself in a step of "
         yield drive.case(growth / GROWTH, f"{text}{1e3 * model.opt.timestep:g} ms")
         rate = np.log(complex(ratio) or 1e-300) / model.opt.timestep
-        if rate.imag > max(abs(rate.real), LEAST_RATE_PER_S):
+        if growth < GROWTH and rate.imag > max(abs(rate.real), LEAST_RATE_PER_S):
             swing_hz, decay_s = rate.imag / (2.0 * np.pi), 1.0 / max(-rate.real, 1e-6)
             text = f"{drive.name} swings about its command with {swing_hz:.2g} Hz for {decay_s:.2g} s"
             ringing = RINGING * decay_s * abs(rate)

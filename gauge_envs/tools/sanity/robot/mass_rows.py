@@ -22,10 +22,10 @@ from gauge_envs.tools.sanity.rows import Finding, NotApplicableError, row
 LEAD_KG_PER_M3, OSMIUM_KG_PER_M3 = 12_000.0, 22_600.0
 """Density of lead and of the densest metal [kg/m^3]: no link of a robot is denser than the first."""
 
-POINT_KG_PER_M3 = 500_000.0
+POINT_KG_PER_M3 = 1e6
 """Density of a geom whose mass is stated, from which on it stands for no idealized point mass [kg/m^3].
 
-It is half of what a link of 1000 kg/m^3 has with its mass in grams.
+It is what a link of 1000 kg/m^3 has with its mass in grams.
 """
 
 TRIANGLE = 1e-3
