@@ -28,11 +28,16 @@ HARD_SOLIMP, HARDEST_SOLIMP = (
 
 HARD, HARDEST = ({"contact_solimp": solimp} for solimp in (HARD_SOLIMP, HARDEST_SOLIMP))
 
+STIFF_EQUALITY = {"equality_solref": STIFF["contact_solref"]}
+HARD_EQUALITY = {"equality_solimp": HARDEST_SOLIMP}
+
 SOLVED = {"iterations": 100, "ls_iterations": 50, "tolerance": 1e-8}
 """Iterations of MuJoCo's solvers by default."""
 
 GRIPPING = HARD | {"impratio": 100.0}
 """Contacts that creep by a hundredth of those with `impratio` 1."""
+
+CONTACTS = (SOFT, HARD, HARDEST, FIRM, SOFT | HARD, STIFF, GRIPPING)
 
 RECOMMENDED_MUJOCO: dict[str, Any] = {
     **STEP,
@@ -41,9 +46,8 @@ RECOMMENDED_MUJOCO: dict[str, Any] = {
     **HARD,
     **SOFT,
     **MARGIN,
+    **SOLVED,
     "impratio": 10.0,
-    "iterations": 100,
-    "ls_iterations": 50,
     "refsafe": True,
 }
 """Settings that this package recommends for a model of MuJoCo."""
@@ -66,19 +70,8 @@ CANDIDATES: Mapping[str, Sequence[Settings]] = {
         {"refsafe": True},
         MARGIN,
         {"condim": 3},
-        SOFT,
-        HARD,
-        HARDEST,
-        FIRM,
-        SOFT | HARD,
-        ELLIPTIC,
-        ELLIPTIC | HARD,
-        ELLIPTIC | HARDEST,
-        ELLIPTIC | FIRM,
-        STIFF,
-        ELLIPTIC | STIFF,
-        GRIPPING,
-        ELLIPTIC | GRIPPING,
+        *CONTACTS,
+        *(ELLIPTIC | one for one in ({}, *CONTACTS)),
         ELLIPTIC | {"impratio": 10.0},
         ELLIPTIC | {"impratio": 10.0} | MARGIN,
         DAMPED,
@@ -111,12 +104,9 @@ ABSENT = {"contact_margin_m": 0.0, "refsafe": True, "condim": 3}
 ROW_CANDIDATES: Mapping[str, Sequence[Settings]] = {
     "model-sleep": ({"sleep_tolerance": 1e-5}, {"sleep": False}),
     "model-constraints": (
-        {"equality_solref": STIFF["contact_solref"]},
-        {"equality_solimp": HARDEST_SOLIMP},
-        {
-            "equality_solref": STIFF["contact_solref"],
-            "equality_solimp": HARDEST_SOLIMP,
-        },
+        STIFF_EQUALITY,
+        HARD_EQUALITY,
+        STIFF_EQUALITY | HARD_EQUALITY,
     ),
     "model-overlap": (HARD, HARDEST),
     "model-cloth-sink": (HARD, HARDEST),
@@ -141,16 +131,15 @@ def candidates_of(
         row: Id of the row on the target's own model that they are for; those for measured objects if empty.
     """
     sets = [configuration.settings, *configuration.contact_sets.values()]
-    few: Settings = {}
-    if sets[0].get("iterations", math.inf) < FEW_ITERATIONS["iterations"]:
-        # Other changes let a body slide that starts to move, and not one that has rested.
-        few = FEW_ITERATIONS
-    several = [{**few, **one} for one in CANDIDATES.get(configuration.backend, ())]
-    if row:
-        several = [dict(one) for one in ROW_CANDIDATES.get(row, ())]
+    several = ROW_CANDIDATES.get(row, ())
+    if not row:
+        several = CANDIDATES.get(configuration.backend, ())
+        if sets[0].get("iterations", math.inf) < FEW_ITERATIONS["iterations"]:
+            # Other changes let a body slide that starts to move, and not one that has rested.
+            several = [{**FEW_ITERATIONS, **one} for one in several]
     if several and configuration.is_model:
         step_s = configuration.settings["timestep_s"]
-        several += [{"timestep_s": step_s * ratio} for ratio in (0.5, 0.25)]
+        several = [*several, *({"timestep_s": step_s * r} for r in (0.5, 0.25))]
     new_ones: list[dict[str, Any]] = []
     for changes in several:
         new = {

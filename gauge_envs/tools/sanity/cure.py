@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import InitVar, dataclass, replace
 from heapq import heapify, heappop, heappush
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gauge_envs.errors import GaugeError, ParameterError, first_names
 from gauge_envs.tools.sanity.candidates import candidates_of
@@ -29,9 +30,8 @@ from gauge_envs.tools.sanity.selection import OWN_IDS, SIMULATED_IDS
 from gauge_envs.tools.sanity.stacks.dialect import Dialect
 from gauge_envs.tools.sanity.target_checks import target_rows
 
-if TYPE_CHECKING:
-    from gauge_envs.tools.sanity.robot.mjcf_text import TextChange
-    from gauge_envs.tools.sanity.robot.robot import Robot
+UNCHANGED = {*OWN_IDS} - SIMULATED_IDS
+"""Rows that no setting changes."""
 
 GROWTH = 1.0
 """Growth of a deviation that makes a flagged row worse, in half-widths of the interval of reality."""
@@ -57,25 +57,22 @@ def find_cure(
     return _Search(configuration, dialect, measurements, rows).run()
 
 
+@dataclass
 class _Search:
     """Applies changes and judges them; see `find_cure` for the arguments."""
 
-    def __init__(
-        self,
-        configuration: TrainingConfiguration,
-        dialect: Dialect,
-        measurements: Measurements,
-        rows: Sequence[PhenomenonResult],
-    ) -> None:
-        self._configuration, self._dialect = configuration, dialect
-        self._measurements = measurements
-        unchanged = {*OWN_IDS} - SIMULATED_IDS
-        judged = [row for row in rows if row.phenomenon not in unchanged]
+    configuration: TrainingConfiguration
+    dialect: Dialect
+    measurements: Measurements
+    rows: InitVar[Sequence[PhenomenonResult]]
+
+    def __post_init__(self, rows: Sequence[PhenomenonResult]) -> None:
+        # Short scenes come first, the target's own model last.
+        judged = [row for row in rows if row.phenomenon not in UNCHANGED]
         self._units = {row.phenomenon: row.unit for row in judged}
-        # Measured objects come first: they are measured faster than the target's own model.
         self._before = {
             row.phenomenon: _measured(row)
-            for row in sorted(judged, key=lambda row: row.phenomenon in OWN_IDS)
+            for row in sorted(judged, key=lambda row: _seconds(row.phenomenon))
             if row.is_flag or row.verdict is Verdict.INSIDE
         }
         self._flags = [row.phenomenon for row in judged if row.is_flag]
@@ -88,12 +85,12 @@ class _Search:
         own = self._own_change()
         candidates = [own] if own else []
         if {*self._flags} - {*OWN_IDS}:
-            general = candidates_of(self._configuration, self._dialect)
+            general = candidates_of(self.configuration, self.dialect)
             candidates += [{**one, **own} for one in general]
         most, trade = 0, ""
         for changes in self._ranked(candidates):
             corrected = self._corrected(changes)
-            text = f"{self._dialect.paste_text(changes)}: {self._effect(corrected)}"
+            text = f"{self.dialect.paste_text(changes)}: {self._effect(corrected)}"
             harm = ""
             for part in (self._least(changes, corrected), changes) * bool(corrected):
                 harm = self._harm(part)
@@ -114,14 +111,14 @@ class _Search:
         own: dict[str, Any] = {}
         for name in [one for one in self._flags if one in OWN_IDS]:
             values = {self._before[name].value}
-            for one in candidates_of(self._configuration, self._dialect, name):
+            for one in candidates_of(self.configuration, self.dialect, name):
                 changes = {**own, **one}
                 outcome = self._outcome(changes, name)
                 values.add(outcome.value)
                 if outcome.verdict is Verdict.INSIDE:
                     own = changes
                     break
-                text = self._dialect.paste_text(changes)
+                text = self.dialect.paste_text(changes)
                 self._tried.append(f"{text}: {self._came(name, changes)}")
             if len(values) == 1:
                 self._flags.remove(name)
@@ -135,7 +132,7 @@ class _Search:
         key = str(sorted(changes.items()))
         if key not in self._applied:
             try:
-                self._applied[key] = applied(self._configuration, changes)
+                self._applied[key] = applied(self.configuration, changes)
             except GaugeError:
                 self._applied[key] = None
         return self._applied[key]
@@ -151,7 +148,7 @@ class _Search:
         if changed is not None and name in OWN_IDS:
             return _measured(target_rows(changed, [name])[0])
         if changed is not None:
-            subject = subject_of(self._measurements, changed, phenomenon(name))
+            subject = subject_of(self.measurements, changed, phenomenon(name))
             if subject.sets:
                 return worst_of(subject.measured())[1]
         return Measured(verdict=Verdict.DECLINED)
@@ -168,7 +165,8 @@ class _Search:
         Of equal ones, those with fewer settings come first, then the order of the candidates counts. A row is measured
         only while its candidate may still correct the most.
         """
-        names = [name for name in self._flags if name not in OWN_IDS]
+        flags = {*self._flags} - {*OWN_IDS}
+        names = [name for name in self._before if name in flags]
         queue = [(0, len(one), index, 0) for index, one in enumerate(candidates)]
         heapify(queue)
         while queue:
@@ -186,15 +184,15 @@ class _Search:
             return "the model does not take it"
         if changed.backend == "mujoco":
             before_mm, after_mm = (
-                max(hop_mm(self._measurements, one) for one in sets.values())
-                for sets in (self._configuration.contact_sets, changed.contact_sets)
+                max(hop_mm(self.measurements, one) for one in sets.values())
+                for sets in (self.configuration.contact_sets, changed.contact_sets)
             )
             if hops_more(before_mm, after_mm):
                 return f"sliding bodies hop {before_mm:.2g} to {after_mm:.2g} mm"
         if changed.robot is not None:
             from gauge_envs.tools.sanity.robot.motion import motion_harm
 
-            harm = motion_harm(self._configuration.robot, changed.robot)
+            harm = motion_harm(self.configuration.robot, changed.robot)
             if harm:
                 return harm
         for name, before in self._before.items():
@@ -218,25 +216,26 @@ class _Search:
         corrected = self._corrected(changes)
         parts = [
             ChangePart(
-                text=self._dialect.paste_text({name: value}),
+                text=self.dialect.paste_text({name: value}),
                 corrects=tuple(self._corrected({name: value})),
             )
             for name, value in changes.items()
         ]
         cure = Cure(
             changes=changes,
-            line=f"{self._dialect.paste_text(changes)}: {self._effect(corrected)}",
+            line=f"{self.dialect.paste_text(changes)}: {self._effect(corrected)}",
             flag_count=len(self._flags),
             mended={name: self._outcome(changes, name).value for name in corrected},
             parts=tuple(parts),
         )
-        before, changed = self._configuration.robot, self._changed(changes)
+        before, changed = self.configuration.robot, self._changed(changes)
         if before is None or changed is None:
             return cure
+        from gauge_envs.tools.sanity.robot.mended_model import write_change
         from gauge_envs.tools.sanity.robot.motion import speed_ratio
 
-        text, hidden = written_change(before, self._dialect, changes)
-        pasted = self._dialect.paste_text(changes)
+        text, hidden = write_change(before, self.dialect, changes)
+        pasted = self.dialect.paste_text(changes)
         lines = () if text is None else text.diff
         shown = () if text is None else tuple(map(text.short, lines))
         added = " and ".join(one[2:] for one in lines if one[0] == "+")
@@ -263,6 +262,11 @@ class _Search:
         count = f"{len(corrected)} of {len(self._flags)} flags go"
         left = [name for name in self._flags if name not in corrected]
         return f"{count}; left: {', '.join(left)}" if left and corrected else count
+
+
+def _seconds(name: str) -> float:
+    """Return the simulated time of a row; infinite on the target's own model."""
+    return math.inf if name in OWN_IDS else phenomenon(name).scenario.seconds
 
 
 def _measured(row: PhenomenonResult) -> Measured:
@@ -316,23 +320,3 @@ def applied(
         pair=robot.pair,
         file=robot.file,
     )
-
-
-def written_change(
-    robot: Robot, dialect: Dialect, changes: Settings
-) -> tuple[TextChange | None, list[str]]:
-    """Return a change in the text of a model, and elements whose attributes the text does not show, in words.
-
-    Args:
-        robot: The robot before the change.
-        dialect: Dialect of the model.
-        changes: The change.
-    """
-    from gauge_envs.tools.sanity.robot.mended_model import write_change
-
-    assignments = {
-        one.name: (one.place, one.key, (one.text or dialect.text)(changes[one.name]))
-        for one in dialect.settings
-        if one.name in changes
-    }
-    return write_change(robot, changes, assignments)

@@ -7,7 +7,6 @@ from secrets import token_hex
 
 from gauge_envs.errors import ParameterError, ResultFileError, TargetError
 from gauge_envs.files import check_replaceable, os_errors
-from gauge_envs.tools.sanity.cure import written_change
 from gauge_envs.tools.sanity.model import Report
 from gauge_envs.tools.sanity.run import check
 from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
@@ -44,9 +43,12 @@ def write_mended(report: Report, file: Path) -> str:
     if cure is None:
         reason = "no change corrects a flag" if before else "nothing is flagged"
         return f"{file} is not written: {reason}"
-    words = dialect(checked.language)
-    robot = checked.robot
-    text = robot and written_change(robot, words, cure.changes)[0]
+    text = None
+    if checked.robot is not None:
+        from gauge_envs.tools.sanity.robot.mended_model import write_change
+
+        words = dialect(checked.language)
+        text, _ = write_change(checked.robot, words, cure.changes)
     if text is None or text.model.root.tag != "mujoco":
         raise TargetError(
             f"{checked.name}: --fix changes the text of an MJCF file, which the target is not: paste the change instead"

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from gauge_envs.tools.sanity.model import Settings
 from gauge_envs.tools.sanity.robot.mjcf_text import TextChange
 from gauge_envs.tools.sanity.robot.robot import ELEMENT_FIELDS, Robot
-
-Assignment = tuple[str, str, str]
-"""Place of a setting in the text, such as `option`, its key there, and its new value."""
+from gauge_envs.tools.sanity.stacks.dialect import Dialect
 
 
 def write_change(
-    robot: Robot, changes: Settings, assignments: Mapping[str, Assignment]
+    robot: Robot, dialect: Dialect, changes: Settings
 ) -> tuple[TextChange | None, list[str]]:
     """Return a change in the text of a model, and elements whose attributes the text does not show, in words.
 
@@ -21,14 +17,18 @@ def write_change(
 
     Args:
         robot: The robot before the change; without a text, there is none after it.
+        dialect: Dialect of the model.
         changes: The change, as `Robot.changed` takes it.
-        assignments: Place, key and text of each of its settings.
     """
     text = None if robot.text is None else TextChange(robot.text)
     hidden: list[str] = []
     sections: dict[str, dict[str, str]] = {}
     _, places = robot.changed(changes)
-    for name, (place, key, value) in assignments.items():
+    for setting in dialect.settings:
+        name, place, key = setting.name, setting.place, setting.key
+        if name not in changes:
+            continue
+        value = (setting.text or dialect.text)(changes[name])
         tags = {"flag": "option flag", "option": "option"}.get(
             place, f"default {place}"
         )
@@ -41,7 +41,7 @@ def write_change(
                 None if model is None else model.element(robot.model, kind, number)
             )
             if text is not None and (element is not None or is_of_all):
-                is_new |= not text.state(element, kind, {key: value})
+                is_new |= not text.state(element, kind, key, value)
             elif not is_of_all:
                 hidden.append(robot.place_text((kind, number)))
         if is_new:

@@ -50,7 +50,6 @@ class Element:
         tag: Its tag.
         file: Its file.
         start: Place of its start tag in the text of the file.
-        inside: Place behind its last attribute.
         stop: Place behind its start tag.
         places: Begin and end of the value of each attribute, with its quotes.
         values: Its attributes.
@@ -61,7 +60,6 @@ class Element:
     tag: str
     file: Path
     start: int = 0
-    inside: int = 0
     stop: int = 0
     places: dict[str, tuple[int, int]] = field(default_factory=dict)
     values: dict[str, str] = field(default_factory=dict)
@@ -118,7 +116,10 @@ class ModelText:
             if mark["close"]:
                 above = above.parent or top
                 continue
-            one = _element(mark, file, above)
+            found = [*ATTRIBUTE.finditer(text, *mark.span("inside"))]
+            places = {one[1]: one.span(2) for one in found}
+            values = {one[1]: one[2][1:-1] for one in found}
+            one = Element(mark["tag"], file, *mark.span(), places, values, above)
             above.children.append(one)
             if one.tag == "include":
                 included = self._read(
@@ -152,22 +153,23 @@ class ModelText:
         texts = [one.values.get("name", "") for one in several]
         if texts == names:
             return several[number]
-        is_sure = bool(names[number]) and texts.count(names[number]) == 1
-        return several[texts.index(names[number])] if is_sure else None
+        name = names[number]
+        is_sure = name and texts.count(name) == 1
+        return several[texts.index(name)] if is_sure else None
 
     def _several(self, kind: str) -> list[Element]:
         """Return elements of a kind, those of each body before those of the bodies that it carries."""
         bodies: dict[Element | None, int] = {}
-        several: list[tuple[int, Element]] = []
-        for one in self.root.inner():
+        several: list[tuple[int, int, Element]] = []
+        for place, one in enumerate(self.root.inner()):
             if one.tag == "body":
                 bodies[one] = len(bodies) + 1
             above = one.parent.tag if one.parent else ""
             is_tagged = one.tag in TAGS.get(kind, (kind,)) and above in HOLDERS
             if is_tagged or above == kind in SECTIONS:
                 body = next((bodies[o] for o in one.outer() if o in bodies), 0)
-                several.append((body, one))
-        return [one for _, one in sorted(several, key=lambda item: item[0])]
+                several.append((body, place, one))
+        return [one for *_, one in sorted(several)]
 
 
 class TextChange:
@@ -182,19 +184,18 @@ class TextChange:
         self._values: dict[tuple[Element, str], str] = {}
         self._inserted: list[tuple[int, int, str]] = []
 
-    def state(
-        self, element: Element | None, kind: str, values: Mapping[str, str]
-    ) -> bool:
+    def state(self, element: Element | None, kind: str, key: str, value: str) -> bool:
         """Give an element an attribute where it takes it from, and return whether anything states it.
 
         Args:
             element: The element; None for the default of all.
             kind: Its tag in the default of all.
-            values: The attribute and its new value.
+            key: The attribute.
+            value: Its new value.
         """
         for one in self._sources(element, kind):
-            for key in values.keys() & one.values.keys():
-                self._values[one, key] = values[key]
+            if key in one.values:
+                self._values[one, key] = value
                 return True
         return False
 
@@ -221,30 +222,36 @@ class TextChange:
             values: The attributes.
         """
         root, file = self.model.root, self.model.file
-        several = root.at(*tags)
-        left = dict(values)
+        is_default = tags[0] == "default"
+        several, left = root.at(*tags), dict(values)
         for key in values:
             stating = [one for one in several if key in one.values]
             # A later section of the options counts; the default of all must stand in front of classes.
-            if stating and (stating[-1].file == file or tags[0] == "default"):
+            if stating and (stating[-1].file == file or is_default):
                 self._values[stating[-1], key] = left.pop(key)
-        place = 0 if tags[0] == "default" else -1
-        if several and several[place].file == file:
-            self._values |= {(several[place], key): left[key] for key in left}
+        section = several[0 if is_default else -1] if several else root
+        if section is not root and section.file == file:
+            self._values |= {(section, key): value for key, value in left.items()}
         elif left:
-            inner = [one for one in root.children if one.file == file]
-            includes = [one for one in inner if one.tag == "include"]
-            others = [one for one in inner if one.tag not in FIRST]
-            is_behind = bool(includes and place)
-            beside = includes[-1] if is_behind else (others or inner)[0]
-            before = self.model.texts[file][: beside.start].rpartition("\n")[2]
-            gap = "\n" + before if before.isspace() else "\n"
-            text = "".join(f' {key}="{value}"' for key, value in left.items())
-            text = f"<{tags[-1]}{text}/>"
-            for tag in tags[-2::-1]:
-                text = f"<{tag}>{text}</{tag}>"
-            at = beside.stop if is_behind else beside.start
-            self._inserted.append((at, at, gap + text if is_behind else text + gap))
+            self._insert(tags, left, is_behind=not is_default)
+
+    def _insert(
+        self, tags: tuple[str, ...], values: Mapping[str, str], *, is_behind: bool
+    ) -> None:
+        """Insert a section behind the included files, if there are any, or in front of the other sections."""
+        file = self.model.file
+        inner = [one for one in self.model.root.children if one.file == file]
+        includes = [one for one in inner if one.tag == "include"] * is_behind
+        others = [one for one in inner if one.tag not in FIRST]
+        beside = [*(others or inner)[:1], *includes][-1]
+        before = self.model.texts[file][: beside.start].rpartition("\n")[2]
+        gap = "\n" + before if before.isspace() else "\n"
+        text = "".join(f' {key}="{value}"' for key, value in values.items())
+        text = f"<{tags[-1]}{text}/>"
+        for tag in tags[-2::-1]:
+            text = f"<{tag}>{text}</{tag}>"
+        at = beside.stop if includes else beside.start
+        self._inserted.append((at, at, gap + text if includes else text + gap))
 
     def move(self, folder: Path) -> None:
         """State included files and the folders of meshes and textures as seen from another folder."""
@@ -282,18 +289,18 @@ class TextChange:
     def text(self, file: Path) -> str:
         """Return the text of a file with all changes."""
         edits = self._inserted * (file == self.model.file)
-        for (element, key), value in self._values.items():
-            if element.file != file:
-                continue
-            if key in element.places:
-                edits.append((*element.places[key], f'"{value}"'))
-            else:
-                edits.append((element.inside, element.inside, f' {key}="{value}"'))
-        before, done, parts = self.model.texts[file], 0, []
-        for start, stop, new in sorted(edits, key=lambda edit: edit[:2]):
-            parts += [before[done:start], new]
-            done = stop
-        return "".join([*parts, before[done:]])
+        for (one, key), value in self._values.items():
+            if one.file == file:
+                spans = one.places.values()
+                end = max(
+                    (stop for _, stop in spans), default=one.start + len(one.tag) + 1
+                )
+                new = f'"{value}"' if key in one.places else f' {key}="{value}"'
+                edits.append((*one.places.get(key, (end, end)), new))
+        text = self.model.texts[file]
+        for start, stop, new in sorted(edits, key=lambda edit: edit[:2])[::-1]:
+            text = text[:start] + new + text[stop:]
+        return text
 
     @property
     def diff(self) -> tuple[str, ...]:
@@ -311,18 +318,3 @@ class TextChange:
         keys = {"name", "class", *(key for _, key in self._values)}
         shown = ATTRIBUTE.sub(lambda one: one[0] if one[1] in keys else "...", line)
         return re.sub(r"\.\.\.(\s+\.\.\.)+", "...", shown)
-
-
-def _element(mark: re.Match[str], file: Path, above: Element) -> Element:
-    start = mark.start("inside")
-    found = [*ATTRIBUTE.finditer(mark["inside"])]
-    return Element(
-        mark["tag"],
-        file,
-        mark.start(),
-        start + len(mark["inside"].rstrip()),
-        mark.end(),
-        {one[1]: (start + one.start(2), start + one.end(2)) for one in found},
-        {one[1]: one[2][1:-1] for one in found},
-        above,
-    )
