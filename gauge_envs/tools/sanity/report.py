@@ -217,10 +217,10 @@ def _object_flags(report: Report) -> list[Part]:
             f"{with_unit(measured_text(worst), worst.unit)}, real {reality_text(worst.reality, worst.unit)}"
         )
         return [Paragraph(text, Tone.WARNING)]
-    sets = sorted({row.geoms for row in flags if row.geoms})
     heading = "Measured objects with these settings"
-    if sets:
-        heading += f", worst of {counted(len(sets), 'set')} of contact constants"
+    set_count = len(report.configuration.contact_sets)
+    if set_count > 1:
+        heading += f", worst of {set_count} sets of contact constants"
     shown, more = _shown(flags, MAX_OBJECT_FLAGS)
     table = Table(title=heading, columns=(*COLUMNS, VERDICT), rows=shown)
     return [table, *more]
