@@ -38,9 +38,6 @@ FIRST = ("compiler", "option", "size", "statistic", "visual")
 SCREEN = 100
 """Longest line that is shown with all of its attributes [characters]."""
 
-INCLUDE_DEPTH = 20
-"""Most files that include each other."""
-
 
 @dataclass(eq=False)
 class Element:
@@ -96,18 +93,16 @@ class ModelText:
 
     Raises:
         OSError: A file cannot be read.
-        ValueError: A file is not text in UTF-8, or has no element.
+        ValueError: A file is not text in UTF-8.
     """
 
     def __init__(self, file: Path) -> None:
         self.file = file
         self.texts: dict[Path, str] = {}
-        self.root = self._read(file, 0)
+        self.root = self._read(file)
 
-    def _read(self, file: Path, depth: int) -> Element:
-        """Return the root of a file."""
-        if depth > INCLUDE_DEPTH:
-            raise ValueError(f"{file} includes itself")
+    def _read(self, file: Path) -> Element:
+        """Return the root of a file, which MuJoCo has compiled."""
         text = self.texts[file] = file.read_bytes().decode("utf-8")
         top = above = Element("", file)
         for mark in MARKUP.finditer(text):
@@ -122,16 +117,12 @@ class ModelText:
             one = Element(mark["tag"], file, *mark.span(), places, values, above)
             above.children.append(one)
             if one.tag == "include":
-                included = self._read(
-                    self.file.parent / one.values["file"], depth + 1
-                ).children
+                included = self._read(self.file.parent / values["file"]).children
                 for child in included:
                     child.parent = above
                 above.children += included
             if mark["end"] == ">":
                 above = one
-        if not top.children:
-            raise ValueError(f"{file} has no element")
         return top.children[0]
 
     def line(self, element: Element) -> str:
