@@ -318,9 +318,8 @@ def _flat(settings: Settings) -> Settings:
 
 def _impact(subject: Subject, configuration: TrainingConfiguration) -> Subject:
     """Return an impact, which is advisory unless the target states a constant for it."""
-    foot = configuration.foot_contact
-    if foot is not None and not any(foot.restitution):
-        return replace(subject, advisory="the target states a restitution of 0")
+    if reason := configuration.inapplicable.get(Need.REBOUND):
+        return replace(subject, advisory=reason)
     scenario, sets = subject.phenomenon.scenario, subject.sets
     stating = {
         geoms: settings

@@ -75,6 +75,8 @@ class Need(StrEnum):
     FOOT = "foot"
     SPACE = "space"
     """Motion in space, not in a plane along an axis of the world."""
+    REBOUND = "rebound"
+    """A restitution; without it, rows on impacts are advice."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,42 +103,6 @@ class ContactGroup:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FootContact:
-    """Friction and restitution of a foot on the ground, after the materials of both are combined.
-
-    Ranges have equal ends where training does not randomize.
-
-    Attributes:
-        friction: Least and greatest coefficient of sliding friction.
-        static_friction: Least and greatest coefficient of static friction.
-        restitution: Least and greatest restitution.
-        source: Origin of both materials, and how they are combined.
-    """
-
-    friction: tuple[float, float]
-    static_friction: tuple[float, float]
-    restitution: tuple[float, float]
-    source: str
-
-    @property
-    def text(self) -> str:
-        """Coefficients and their origin in one line."""
-        static = (
-            ""
-            if self.static_friction == self.friction
-            else f" (static {range_text(self.static_friction)})"
-        )
-        restitution = range_text(self.restitution)
-        return f"friction {range_text(self.friction)}{static}, restitution {restitution}: {self.source}"
-
-
-def range_text(ends: tuple[float, float]) -> str:
-    """Return a range in words; one number where its ends are equal."""
-    low, high = ends
-    return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
-
-
-@dataclass(frozen=True, kw_only=True)
 class TrainingConfiguration:
     """Numerical settings that a policy is trained with.
 
@@ -155,7 +121,6 @@ class TrainingConfiguration:
         is_model: Whether it was read from a MuJoCo model, for which this package recommends settings as a whole.
         foot_geometry: Foot of the robot; None when the target has none, or does not state it.
         language: Name of the dialect in which changes are written; see `gauge_envs.tools.sanity.stacks`.
-        foot_contact: Friction and restitution that a foot meets, as the target's materials state them; None if unknown.
         robot: The target's own model, a `Robot`, which reports do not hold; None when it is not known.
     """
 
@@ -173,7 +138,6 @@ class TrainingConfiguration:
     is_model: bool = False
     foot_geometry: FootGeometry | None = None
     language: str = "toml"
-    foot_contact: FootContact | None = None
     robot: Any = field(default=None, compare=False)
 
     def of_hand(self, *, is_flat: bool) -> TrainingConfiguration | None:

@@ -324,8 +324,6 @@ def _facts(checked: TrainingConfiguration) -> dict[str, str]:
     facts = {"read from": checked.source, "backend": checked.backend}
     if checked.frame_skip is not None:
         facts["one action"] = f"{checked.frame_skip} steps"
-    if checked.foot_contact is not None:
-        facts["foot on ground"] = checked.foot_contact.text
     if (foot := checked.foot_geometry) is not None:
         facts["foot"] = f"{foot.description}, in the {foot.pose}; {foot.assumption}"
     for name, value in checked.settings.items():

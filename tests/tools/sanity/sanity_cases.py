@@ -41,7 +41,6 @@ def read_text(*read):
     """Return what was read of targets as a text to approve."""
     lines = []
     for one in read:
-        foot = one.foot_contact
         values = {
             "target": [one.name, one.backend, one.language],
             "frame_skip": one.frame_skip,
@@ -49,8 +48,6 @@ def read_text(*read):
             "settings": one.settings,
             "origins": one.origins,
             "contacts": [group.geoms for group in one.contact_groups],
-            "foot": foot and [foot.friction, foot.static_friction, foot.restitution],
-            "foot from": foot and foot.text,
             "notes": one.notes,
         }
         lines.append(json.dumps(values, indent=1))

@@ -38,16 +38,6 @@ def read(**values):
     return isaac_lab_configuration(changed(**values), name="env.yaml", source="test")
 
 
-def material(friction, mode, restitution=0.0):
-    return {
-        "static_friction": friction,
-        "dynamic_friction": friction,
-        "restitution": restitution,
-        "friction_combine_mode": mode,
-        "restitution_combine_mode": mode,
-    }
-
-
 def test_the_default_locomotion_task_is_read(approved):
     found = configuration(G1)
     approved("sanity/read_isaac_lab", read_text(found))
@@ -55,50 +45,17 @@ def test_the_default_locomotion_task_is_read(approved):
 
 
 @pytest.mark.parametrize(
-    ("ground", "robot", "friction"),
+    ("values", "bounces"),
     [
-        (("average", 1.0), ("multiply", 0.5), 0.5),
-        (("average", 1.0), ("average", 0.5), 0.75),
-        (("min", 0.4), ("max", 1.2), 1.2),
-        (("multiply", 0.5), ("max", 0.4), 0.5),
+        ({}, False),
+        ({"scene__terrain__physics_material__restitution": 0.3}, True),
+        ({"events__physics_material__params__restitution_range": [0.0, 0.5]}, True),
     ],
 )
-def test_of_two_rules_the_one_of_higher_priority_combines(ground, robot, friction):
-    found = read(
-        events=None,
-        scene__terrain__physics_material=material(ground[1], ground[0]),
-        scene__robot__spawn__physics_material=material(robot[1], robot[0]),
-    ).foot_contact
-    assert found.friction == pytest.approx((friction, friction))
-
-
-@pytest.mark.parametrize(
-    ("kind", "friction", "restitution"), [("plane", 0.5, 0.4), ("generator", 1.0, 0.0)]
-)
-def test_a_floor_without_a_material_is_that_of_the_engine(kind, friction, restitution):
-    # A generated terrain is a mesh, which gets the default material of the simulation.
-    terrain = {"terrain_type": kind}
-    simulation = {} if kind == "plane" else material(1.0, "average")
-    found = read(
-        events=None, scene__terrain=terrain, sim__physics_material=simulation
-    ).foot_contact
-    assert (*found.friction, *found.restitution) == pytest.approx(
-        (friction, friction, restitution, restitution)
-    )
-
-
-def test_a_ground_plane_of_a_manipulation_task_is_found():
-    plane = {"func": "isaaclab.sim.spawners.from_files.from_files:spawn_ground_plane"}
-    plane["physics_material"] = material(0.7, "average")
-    found = read(
-        events=None,
-        scene__terrain=None,
-        scene__plane={"spawn": plane},
-        sim__physics_material=material(0.3, "average"),
-    )
-    assert found.foot_contact.friction == pytest.approx((0.5, 0.5))
-    nothing = read(events=None, scene__terrain=None)
-    assert any("no ground is found" in note for note in nothing.notes)
+def test_impacts_are_advice_where_no_material_has_a_restitution(values, bounces):
+    found = read(**values)
+    assert found.settings["sustained_restitution"] == bounces
+    assert (Need.REBOUND in found.inapplicable) != bounces
 
 
 @pytest.mark.parametrize(
@@ -115,13 +72,13 @@ def test_iterations_of_the_robot_are_clamped(low, high, own, used):
 
 
 def test_what_the_engine_cannot_represent_is_noted_or_declined():
-    length = {"sim__physx__friction_correlation_distance": 0.00625}
-    found = read(**length, sim__physx__enable_stabilization=True)
-    notes = "\n".join(found.notes)
-    assert "friction_correlation_distance 0.00625 m are not carried over" in notes
-    assert "sim.physx.enable_stabilization is not carried over" in notes
-    scaled = read(**length, sim__physx__friction_offset_threshold=0.01)
-    assert scaled.settings["tolerance_length_m"] == pytest.approx(0.25)
+    assert not any("not carried over" in note for note in read().notes)
+    found = read(
+        sim__physx__friction_correlation_distance=0.00625,
+        sim__physx__enable_stabilization=True,
+    )
+    for key in ("friction_correlation_distance", "enable_stabilization"):
+        assert f"sim.physx.{key} is not carried over" in found.notes
     springs = read(scene__terrain__physics_material__compliant_contact_stiffness=1e4)
     assert "makes contacts springs" in springs.inapplicable[Need.CONTACT]
 
@@ -146,14 +103,6 @@ def test_what_the_engine_cannot_represent_is_noted_or_declined():
         (
             {"sim__gravity": [0.0, -9.81]},
             r"sim.gravity is \[0.0, -9.81\], and 3 numbers are expected",
-        ),
-        (
-            {"scene__terrain__physics_material__friction_combine_mode": "sum"},
-            "combines by 'sum': choose one of average, min, multiply, max",
-        ),
-        (
-            {"scene__terrain__physics_material__dynamic_friction": -1.0},
-            "dynamic_friction is -1: give 0 or more",
         ),
     ],
 )

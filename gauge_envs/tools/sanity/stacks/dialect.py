@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +14,9 @@ from gauge_envs.tools.sanity.model import Settings
 
 Entries = Mapping[str, Sequence[str]]
 """Assignments by the place in which they stand."""
+
+Stated = Mapping[str, tuple[Any, str]]
+"""Value and origin of settings by their names."""
 
 
 class Table:
@@ -77,10 +80,12 @@ class Table:
         )
 
 
-def not_carried_over(table: Table, *keys: str) -> list[str]:
-    """Return a note on each key that is set and that no experiment gets."""
+def not_carried_over(table: Table, usual: Mapping[str, Any]) -> list[str]:
+    """Return a note on each key that no experiment gets and that has another value than the usual one."""
     return [
-        f"{table.name(key)} is not carried over" for key in keys if table.value(key)
+        f"{table.name(key)} is not carried over"
+        for key, value in usual.items()
+        if table.value(key) not in (None, value)
     ]
 
 
@@ -202,18 +207,21 @@ class Dialect:
             entries.setdefault(setting.place, []).append(entry)
         return self.join(entries)
 
-    def read(self, tables: Mapping[str, Table]) -> Iterator[tuple[str, Any, str]]:
-        """Yield name, value and key of the settings of some places; for an absent key, the documented default.
+    def read(self, tables: Mapping[str, Table]) -> dict[str, tuple[Any, str]]:
+        """Return the settings that some places state, and those with a documented default; the last key wins.
 
         Args:
             tables: Table of each place.
         """
+        stated = {}
         for setting in self.settings:
             table = tables.get(setting.place)
             if table is not None:
                 value = setting.read(table, setting.key)
                 value = setting.default if value is None else value
-                yield setting.name, value, table.name(setting.key)
+                if value is not None:
+                    stated[setting.name] = value, table.name(setting.key)
+        return stated
 
 
 TOML = Dialect(name="toml")

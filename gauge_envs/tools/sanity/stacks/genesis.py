@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any
 
 from gauge_envs.tools.sanity.model import Need, Settings, TrainingConfiguration
-from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import (
     Dialect,
     Table,
@@ -13,6 +12,7 @@ from gauge_envs.tools.sanity.stacks.dialect import (
     python_text,
     settings_of,
 )
+from gauge_envs.tools.sanity.stacks.settings import checked_configuration
 
 
 def _choice(*names: str) -> Callable[[Table, str], Any]:
@@ -66,6 +66,9 @@ DEFAULT_IMPEDANCE = (0.9, 0.95, 0.001)
 PRECISION = 32
 """Bits of numbers by default."""
 
+UNKNOWN_TO_BACKEND = {"enable_mujoco_compatibility": False, "use_hibernation": False}
+"""Flags of `RigidOptions` that no experiment gets, with their defaults."""
+
 LEAST_STEPS = 2.0
 """Genesis raises the time constant of a pair of geoms to so many steps."""
 
@@ -77,12 +80,10 @@ def options_settings(simulation: Table, rigid: Table) -> dict[str, Any]:
         simulation.number("substeps") or 1
     )
     step_s = min(rigid.number("dt") or shared_s, shared_s)
-    read = {name: value for name, value, _ in GENESIS.read({"rigid": rigid})}
+    stated = GENESIS.read({"rigid": rigid})
+    read = {name: value for name, (value, _) in stated.items()}
     is_elliptic = read["friction_cone"] == "elliptic"
-    if read["contact_resolution"] is None:
-        is_signorini = is_elliptic and read["constraint_solver"] == "Newton"
-        read["contact_resolution"] = "signorini" if is_signorini else "convex"
-    read["impratio"] = read["impratio"] or (100.0 if is_elliptic else 1.0)
+    is_signorini = is_elliptic and read["constraint_solver"] == "Newton"
     timeconst_s = DEFAULT_TIMECONST_S
     if "constraint_timeconst" in rigid.values:
         timeconst_s = rigid.number("constraint_timeconst") or 0.0
@@ -90,6 +91,8 @@ def options_settings(simulation: Table, rigid: Table) -> dict[str, Any]:
         "preset": "out_of_box",
         "precision": PRECISION,
         "timestep_s": step_s,
+        "contact_resolution": "signorini" if is_signorini else "convex",
+        "impratio": 100.0 if is_elliptic else 1.0,
         **read,
         "sustained_timeconst_s": max(timeconst_s, LEAST_STEPS * step_s),
         "sustained_dampratio": 1.0,
@@ -111,25 +114,19 @@ def genesis_configuration(
     table = Table(options, source=name)
     simulation, rigid = table.part("sim"), table.part("rigid")
     settings = options_settings(simulation, rigid)
-    x, y, z = simulation.numbers("gravity", 3) or DEFAULT_GRAVITY
-    notes = (
-        "options state no precision: judged in single precision, the default",
-        *not_carried_over(rigid, "enable_mujoco_compatibility", "use_hibernation"),
-    )
     inapplicable = {}
-    if not any((x, y, z)):
-        inapplicable[Need.GRAVITY] = "the scene has no gravity"
     if rigid.value("enable_collision") is False or rigid.value("disable_constraint"):
         inapplicable[Need.CONTACT] = "the scene switches contacts off"
-    check_settings("genesis", settings)
-    return TrainingConfiguration(
-        name=name,
+    return checked_configuration(
+        name,
+        "genesis",
+        {key: (value, "options") for key, value in settings.items()},
         source=source,
-        backend="genesis",
-        settings=settings,
-        origins=dict.fromkeys(settings, "options"),
-        notes=notes,
+        notes=(
+            "options state no precision: judged in single precision, the default",
+            *not_carried_over(rigid, UNKNOWN_TO_BACKEND),
+        ),
         inapplicable=inapplicable,
-        gravity_m_per_s2=(x, y, z),
+        gravity_m_per_s2=simulation.numbers("gravity", 3) or DEFAULT_GRAVITY,
         language=GENESIS.name,
     )

@@ -5,12 +5,11 @@ more, which a reader of this file cannot see; notes say where that matters. Chan
 `__post_init__` of a configuration class: `self.sim.physx.bounce_threshold_velocity = 0.2`.
 """
 
-import math
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.model import Need, Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.model import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import (
     Dialect,
     Entries,
@@ -22,17 +21,12 @@ from gauge_envs.tools.sanity.stacks.dialect import (
 )
 from gauge_envs.tools.sanity.stacks.documents import file_value, yaml_document
 from gauge_envs.tools.sanity.stacks.physx import (
-    COEFFICIENTS,
-    SOLVERS,
-    Material,
-    PhysxValues,
-    coefficient_range,
-    combined,
-    constant,
-    radians,
-    solver_name,
-    stated_material,
+    GRAVITY,
+    KINDS,
+    physx_configuration,
 )
+
+SPRING = "physics_material.compliant_contact_stiffness"
 
 SPAWN = "scene.robot.spawn"
 
@@ -41,21 +35,6 @@ COLLIDER = f"{SPAWN}.collision_props"
 
 ASSET_ITERATIONS = {"position": 16, "velocity": 1}
 """Counts of iterations of Isaac Sim's schema, for an actor that states none."""
-
-FRICTION_SCALE = {
-    "friction_offset_threshold": 0.04,
-    "friction_correlation_distance": 0.025,
-}
-"""Attributes of PhysxCfg that follow from PhysX's length scale, and their ratio to it."""
-
-
-def _length_m(physx: Table, key: str) -> float | None:
-    """Return the length scale that gives both lengths of friction [m]; None where no scale gives both."""
-    scales_m = [
-        (physx.number(key) or 0.0) / ratio for key, ratio in FRICTION_SCALE.items()
-    ]
-    is_same = math.isclose(*scales_m, rel_tol=1e-6)
-    return round(scales_m[0], 12) if is_same and scales_m[0] > 0.0 else None
 
 
 def _lines(entries: Entries) -> str:
@@ -73,7 +52,6 @@ solver                             {physx}    solver_type                       
 bounce_threshold_m_per_s           {physx}    bounce_threshold_velocity               number
 continuous_detection               {physx}    enable_ccd                              value
 enhanced_determinism               {physx}    enable_enhanced_determinism             value
-tolerance_length_m                 {physx}    friction_offset_threshold               length
 position_iterations                {spawn}    {body}.solver_position_iteration_count  value
 velocity_iterations                {spawn}    {body}.solver_velocity_iteration_count  value
 position_iterations                {spawn}    {actor}.solver_position_iteration_count value
@@ -82,8 +60,8 @@ sleep_threshold_m2_per_s2          {spawn}    {body}.sleep_threshold            
 sleep_threshold_m2_per_s2          {spawn}    {actor}.sleep_threshold                 number
 linear_damping_per_s               {spawn}    {body}.linear_damping                   number
 angular_damping_per_s              {spawn}    {body}.angular_damping                  number
-max_linear_velocity_m_per_s        {spawn}    {body}.max_linear_velocity              number
-max_depenetration_velocity_m_per_s {spawn}    {body}.max_depenetration_velocity       number
+max_linear_velocity_m_per_s        {spawn}    {body}.max_linear_velocity              speed
+max_depenetration_velocity_m_per_s {spawn}    {body}.max_depenetration_velocity       speed
 max_angular_velocity_rad_per_s     {spawn}    {body}.max_angular_velocity             degrees
 contact_offset_m                   {collider} contact_offset                          argument
 rest_offset_m                      {collider} rest_offset                             argument
@@ -95,13 +73,6 @@ min_patch_radius_m                 {collider} min_torsional_patch_radius        
 
 def _dialect(name: str, physx: str) -> Dialect:
     """Return the dialect of a version, which has its PhysxCfg at a place of its own."""
-
-    def both_lengths(length_m: float) -> str:
-        return "; ".join(
-            f"self.{physx}.{key} = {python_text(ratio * length_m)}"
-            for key, ratio in FRICTION_SCALE.items()
-        )
-
     table = SETTINGS.format(
         physx=physx,
         spawn=SPAWN,
@@ -109,15 +80,9 @@ def _dialect(name: str, physx: str) -> Dialect:
         actor="articulation_props",
         body="rigid_props",
     )
-    kinds = {
-        "solver": (solver_name, lambda solver: str(SOLVERS.index(solver)), ""),
-        "length": (_length_m, both_lengths, "{value}"),
-        "degrees": (radians, lambda speed: python_text(math.degrees(speed)), ""),
-        "argument": (Table.number, None, "{key}={value}"),
-    }
     return Dialect(
         name=name,
-        settings=settings_of(table, kinds),
+        settings=settings_of(table, KINDS),
         pattern="self.{place}.{key} = {value}",
         join=_lines,
         text=python_text,
@@ -132,20 +97,14 @@ ISAAC_LAB_3 = _dialect("isaac_lab_3", "sim.physics")
 RUN_FILES = ("params/env.yaml", ".hydra/config.yaml")
 """Files in the folder of a training run."""
 
-DEFAULT = constant("no material: Isaac Sim's default", friction=0.5)
-"""Material of a body for which neither the file nor an asset states one."""
-
-DEFAULT_GROUND = constant(
-    "no material: Isaac Sim's default ground plane", friction=0.5, restitution=0.8
-)
-"""Material that Isaac Sim's default ground plane brings along."""
-
-UNKNOWN_TO_SAPIEN = (
-    "enable_stabilization",
-    "enable_external_forces_every_iteration",
-    "solve_articulation_contact_last",
-)
-"""Flags of `sim.physx` that SAPIEN does not expose."""
+UNKNOWN_TO_SAPIEN = {
+    "friction_offset_threshold": 0.04,
+    "friction_correlation_distance": 0.025,
+    "enable_stabilization": False,
+    "enable_external_forces_every_iteration": False,
+    "solve_articulation_contact_last": False,
+}
+"""Keys of `sim.physx` that SAPIEN does not expose, with its values."""
 
 OTHER_ENGINES = ("newton_cfg", "physics", "mujoco")
 """Keys of `sim` with settings of other engines."""
@@ -170,32 +129,39 @@ def isaac_lab_configuration(
         )
     physx = _physx(sim)
     dialect = ISAAC_LAB if physx.path.endswith("physx") else ISAAC_LAB_3
-    values = PhysxValues(dialect=dialect, settings={"preset": "isaac"})
     robot = _robot(table)
     spawn = robot.part("spawn")
-    if not spawn:
-        values.notes.append(
-            "no robot is found: what bodies state for themselves is that of Isaac Sim's schema"
-        )
     place = "sim.physx" if dialect is ISAAC_LAB else "sim.physics"
     places = {"sim": sim, place: physx, SPAWN: spawn}
-    values.take_places(places | {COLLIDER: spawn.part("collision_props")})
-    for kind in ASSET_ITERATIONS:
-        _clamp_iterations(physx, kind, values)
-    _note_scene(sim, physx, spawn, values)
-    ground, foot = _materials(table, sim, spawn, values)
-    reasons = {}
-    if spring := ground.spring or foot.spring:
-        reasons[Need.CONTACT] = (
-            f"{spring} makes contacts springs, which SAPIEN does not expose"
+    places[COLLIDER] = spawn.part("collision_props")
+    stated = dialect.read(places)
+    stated["preset"] = "isaac", "not stated: this package's preset"
+    for kind, count in ASSET_ITERATIONS.items():
+        name = f"{kind}_iterations"
+        default = count, "Isaac Sim's schema: the robot's asset decides"
+        stated[name] = _clamped(physx, kind, *stated.get(name, default))
+    notes = [
+        *not_carried_over(physx, UNKNOWN_TO_SAPIEN),
+        *not_carried_over(spawn, {"rigid_props.disable_gravity": False}),
+    ]
+    if not spawn:
+        notes.append(
+            "no robot is in the file: what bodies state for themselves is that of Isaac Sim's schema"
         )
-    return values.configuration(
+    if str(sim.value("device")).startswith("cuda"):
+        notes.append("training ran PhysX on the GPU; here it runs on the CPU")
+    materials = (sim, table.part("scene.terrain"), table.part("terrain"), spawn)
+    springs = [part.name(SPRING) for part in materials if part.number(SPRING)]
+    return physx_configuration(
         table,
+        stated,
         source=source,
-        gravity_m_per_s2=sim.numbers("gravity", 3),
+        gravity_m_per_s2=sim.numbers("gravity", 3) or GRAVITY,
         frame_skip=table.value("decimation"),
-        foot_contact=combined(ground, foot),
-        inapplicable=reasons,
+        notes=tuple(notes),
+        bounces=_bounces(table),
+        springs=springs[0] if springs else "",
+        language=dialect.name,
     )
 
 
@@ -214,20 +180,6 @@ def _physx(sim: Table) -> Table:
     )
 
 
-def _note_scene(sim: Table, physx: Table, spawn: Table, values: PhysxValues) -> None:
-    """Note what the file states and no setting has."""
-    lengths_m = {key: physx.number(key) for key in FRICTION_SCALE}
-    if "tolerance_length_m" not in values.settings and None not in lengths_m.values():
-        stated = " and ".join(f"{key} {size:g} m" for key, size in lengths_m.items())
-        values.notes.append(
-            f"{stated} are not carried over: SAPIEN leaves them at 0.04 and 0.025 of one length scale, here 1 m"
-        )
-    values.notes += not_carried_over(physx, *UNKNOWN_TO_SAPIEN)
-    values.notes += not_carried_over(spawn, "rigid_props.disable_gravity")
-    if str(sim.value("device")).startswith("cuda"):
-        values.notes.append("training ran PhysX on the GPU; here it runs on the CPU")
-
-
 def _robot(table: Table) -> Table:
     """Return the robot: the asset of that name, or else the first articulation of the scene."""
     scene = table.part("scene").values
@@ -236,83 +188,22 @@ def _robot(table: Table) -> Table:
     return next(filter(None, map(table.part, keys)), table.part(keys[0]))
 
 
-def _clamp_iterations(physx: Table, kind: str, values: PhysxValues) -> None:
-    """Clamp the robot's count of iterations into the range of the scene."""
-    name = f"{kind}_iterations"
-    stated = values.settings.get(name, ASSET_ITERATIONS[kind])
-    origin = values.origins.get(name, "Isaac Sim's schema: the robot's asset decides")
+def _clamped(physx: Table, kind: str, stated: int, origin: str) -> tuple[int, str]:
+    """Return a count of iterations of the robot, clamped into the range of the scene, and its origin."""
     low, high = (
         physx.number(f"{end}_{kind}_iteration_count") for end in ("min", "max")
     )
     used = int(min(max(stated, low or 0), 255 if high is None else high))
-    clamped = "" if used == stated else f", clamped to {physx.path}"
-    values.take(name, used, f"{origin}{clamped}")
+    return used, origin if used == stated else f"{origin}, clamped to {physx.path}"
 
 
-# --- materials -------------------------------------------------------------------------------------------------------
-
-
-def _materials(
-    table: Table, sim: Table, spawn: Table, values: PhysxValues
-) -> tuple[Material, Material]:
-    """Return the materials of the ground and of the robot, before they are combined."""
-    default = stated_material(sim.part("physics_material"), "body", DEFAULT)
-    ground = _ground(table, replace(default, body="ground"), values)
-    stated = spawn.part("physics_material")
-    if not stated:
-        values.notes.append(
-            "a material that the robot's asset itself binds is not seen"
-        )
-    foot = stated_material(stated, "robot", DEFAULT if stated else default)
-    return ground, _randomized(table, foot, values)
-
-
-def _ground(table: Table, default: Material, values: PhysxValues) -> Material:
-    terrain = table.part("scene.terrain") or table.part("terrain")
-    is_plane = not terrain or terrain.value("terrain_type") == "plane"
-    if not terrain:
-        spawns = [
-            table.part(f"scene.{key}.spawn") for key in table.part("scene").values
-        ]
-        planes = (p for p in spawns if "spawn_ground_plane" in str(p.value("func")))
-        terrain = next(planes, terrain)
-    unseen = ""
-    if not terrain:
-        unseen = "no ground is found in the file: the default material of the simulation is used for it"
-    elif terrain.value("terrain_type") == "usd":
-        unseen = f"{terrain.name('usd_path')} decides the material of the ground, which is not seen"
-    if unseen:
-        values.notes.append(unseen)
-        return default
-    material = terrain.part("physics_material")
-    if not material:
-        return DEFAULT_GROUND if is_plane else default
-    return stated_material(material, "ground", DEFAULT)
-
-
-def _randomized(table: Table, foot: Material, values: PhysxValues) -> Material:
-    """Return the robot's material with the ranges that an event draws from, if there is one."""
-    events = table.part("events")
-    for key in events.values:
-        term, params = events.name(key), events.part(f"{key}.params")
-        if params.value("static_friction_range") is None:
-            continue
-        asset, bodies = (params.value(f"asset_cfg.{k}") for k in ("name", "body_names"))
-        if asset not in (None, "robot"):
-            values.notes.append(
-                f"{term} changes the material of {asset!r}, which is not used"
-            )
-            continue
-        if bodies not in (None, ".*", [".*"], (".*",)):
-            values.notes.append(
-                f"{term} changes {bodies!r} only; they are taken for the feet"
-            )
-        ranges = {
-            key: coefficient_range(params, f"{key}_range") or foot.ranges[key]
-            for key in COEFFICIENTS
-        }
-        return replace(foot, body="robot", origin=term, ranges=ranges)
-    return foot
+def _bounces(table: Table) -> bool:
+    """Return whether a material in a table, or a range that an event draws from, has a restitution."""
+    ends = (table.numbers(key, 2) for key in ("restitution", "restitution_range"))
+    parts = (key for key, value in table.values.items() if isinstance(value, Mapping))
+    return any(map(any, filter(None, ends))) or any(
+        _bounces(table.part(str(key))) for key in parts
+    )
 
 
 # --- files -----------------------------------------------------------------------------------------------------------

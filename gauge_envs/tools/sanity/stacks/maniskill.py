@@ -16,18 +16,13 @@ from gauge_envs.tools.sanity.stacks.dialect import (
     settings_of,
 )
 from gauge_envs.tools.sanity.stacks.physx import (
-    PhysxValues,
-    combined,
-    constant,
+    GRAVITY,
+    physx_configuration,
     solver_name,
-    stated_material,
 )
 
 LINK_DAMPING_PER_S = 0.05
 """Linear and angular damping of links that SAPIEN starts with; a SimConfig has no field for it."""
-
-MATERIAL = constant("sim_config.default_materials_config", friction=0.3)
-"""Default material of ManiSkill 3."""
 
 
 def _step_s(table: Table, key: str) -> float:
@@ -98,24 +93,20 @@ def maniskill_configuration(
     """
     table = Table(sim_config, source=name, path="sim_config")
     scene = table.part("scene_config")
-    values = PhysxValues(dialect=MANISKILL, settings={"preset": "out_of_box"})
-    values.take_places({"sim_config": table, "scene_config": scene})
-    values.origins["timestep_s"] = "1 / sim_config.sim_freq"
-    material = table.part("default_materials_config")
+    stated = {
+        **MANISKILL.read({"sim_config": table, "scene_config": scene}),
+        "preset": ("out_of_box", "not stated: this package's preset"),
+    }
     for setting in ("link_linear_damping_per_s", "angular_damping_per_s"):
-        values.take(setting, LINK_DAMPING_PER_S, "SAPIEN's default for links")
-    values.notes.append(
-        "materials that a task gives its own objects, and friction of joints, are not seen"
-    )
+        stated[setting] = LINK_DAMPING_PER_S, "SAPIEN's default for links"
     control_hz = table.number("control_freq") or math.inf
-    return values.configuration(
+    step_s, _ = stated["timestep_s"]
+    return physx_configuration(
         table,
+        stated,
         source=source,
-        gravity_m_per_s2=scene.numbers("gravity", 3),
-        frame_skip=round(1.0 / (control_hz * values.settings["timestep_s"])) or None,
-        foot_contact=combined(
-            stated_material(material, "ground", MATERIAL),
-            stated_material(material, "robot", MATERIAL),
-        ),
-        inapplicable={},
+        gravity_m_per_s2=scene.numbers("gravity", 3) or GRAVITY,
+        frame_skip=round(1.0 / (control_hz * step_s)) or None,
+        bounces=bool(table.number("default_materials_config.restitution")),
+        language=MANISKILL.name,
     )

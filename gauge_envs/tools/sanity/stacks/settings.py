@@ -5,12 +5,52 @@ from typing import Any
 
 from gauge_envs.backends import backend_names
 from gauge_envs.errors import ParameterError, TargetError
-from gauge_envs.tools.sanity.model import TrainingConfiguration
+from gauge_envs.tools.sanity.model import Need, TrainingConfiguration
 from gauge_envs.tools.sanity.scenario import check_settings
-from gauge_envs.tools.sanity.stacks.dialect import Table
+from gauge_envs.tools.sanity.stacks.dialect import Stated, Table
 from gauge_envs.tools.sanity.stacks.documents import file_value
 
 KEYS = ("backend", "preset", "settings")
+
+
+def checked_configuration(
+    name: str,
+    backend: str,
+    stated: Stated,
+    *,
+    inapplicable: dict[Need, str] | None = None,
+    **others: Any,
+) -> TrainingConfiguration:
+    """Return a configuration after a trial of its settings.
+
+    Args:
+        name: Name of the configuration.
+        backend: Name of the backend.
+        stated: Settings of the backend, with their origins.
+        inapplicable: Needs of phenomena that the target does not meet, beside gravity, with the reason.
+        others: Further attributes of the configuration.
+
+    Raises:
+        TargetError: A setting does not exist or has an impossible value.
+    """
+    settings = {key: value for key, (value, _) in stated.items()}
+    try:
+        check_settings(backend, settings)
+    except ParameterError as error:
+        places = [at for key, (_, at) in stated.items() if f"'{key}'" in str(error)]
+        place = ": ".join(dict.fromkeys((name, *places)))
+        raise TargetError(f"{place}: {error}") from error
+    reasons = inapplicable or {}
+    if not any(others.get("gravity_m_per_s2") or (1.0,)):
+        reasons[Need.GRAVITY] = "the target has no gravity"
+    return TrainingConfiguration(
+        name=name,
+        backend=backend,
+        settings=settings,
+        origins={key: at for key, (_, at) in stated.items()},
+        inapplicable=reasons,
+        **others,
+    )
 
 
 def read_file(path: Path, pair: object = None) -> TrainingConfiguration:
@@ -31,11 +71,9 @@ def read_settings(path: Path, values: Any) -> TrainingConfiguration:
     settings = dict(table.part("settings").values)
     if preset := table.value("preset"):
         settings["preset"] = preset
+    stated = {key: (value, path.name) for key, value in settings.items()}
     source = f"settings file {path}"
-    try:
-        return _configuration(path.name, source, values["backend"], settings, path.name)
-    except ParameterError as error:
-        raise TargetError(f"{path}: {error}") from error
+    return checked_configuration(path.name, values["backend"], stated, source=source)
 
 
 def read_backend(target: str) -> TrainingConfiguration | None:
@@ -43,19 +81,6 @@ def read_backend(target: str) -> TrainingConfiguration | None:
     name, _, preset = target.partition(":")
     if name not in backend_names():
         return None
-    settings = {"preset": preset} if preset else {}
+    stated = {"preset": (preset, target)} if preset else {}
     source = f"backend {name}, {f'preset {preset}' if preset else 'default settings'}"
-    return _configuration(target, source, name, settings, "command")
-
-
-def _configuration(
-    name: str, source: str, backend: str, settings: dict[str, Any], origin: str
-) -> TrainingConfiguration:
-    check_settings(backend, settings)
-    return TrainingConfiguration(
-        name=name,
-        source=source,
-        backend=backend,
-        settings=settings,
-        origins=dict.fromkeys(settings, origin),
-    )
+    return checked_configuration(target, name, stated, source=source)
