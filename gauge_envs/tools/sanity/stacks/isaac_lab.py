@@ -1,8 +1,8 @@
 """Isaac Lab: what a training run writes down, `params/env.yaml` or `.hydra/config.yaml`.
 
-The engine is PhysX. The file states the solver, the step, materials and rules of combination. Assets in USD may state
-more, which a reader of this file cannot see; notes say where that matters. Changes are lines of Python for the
-`__post_init__` of a configuration class: `self.sim.physx.bounce_threshold_velocity = 0.2`.
+The engine is PhysX. The file states the solver, the step and materials, of which rows need only whether one has a
+restitution or is a spring. Assets in USD may state more, which a reader of this file cannot see. Changes are lines of
+Python for the `__post_init__` of a configuration class: `self.sim.physx.bounce_threshold_velocity = 0.2`.
 """
 
 from collections.abc import Mapping
@@ -27,6 +27,7 @@ from gauge_envs.tools.sanity.stacks.physx import (
 )
 
 SPRING = "physics_material.compliant_contact_stiffness"
+"""Key that makes contacts of a body springs."""
 
 SPAWN = "scene.robot.spawn"
 

@@ -13,6 +13,7 @@ from gauge_envs.tools.sanity.stacks.dialect import Kind, Stated, Table, python_t
 from gauge_envs.tools.sanity.stacks.settings import checked_configuration
 
 GRAVITY = (0.0, 0.0, -GRAVITY_M_PER_S2)
+"""Gravity of a target that states none [m/s^2]."""
 
 LARGEST = 1e16
 """Speed that stands for no limit; the backend takes no larger one [m/s] or [rad/s]."""
