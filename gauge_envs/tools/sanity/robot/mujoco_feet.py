@@ -225,6 +225,15 @@ def ground_rows(pairs: ContactPairs) -> IntArray:
     return np.flatnonzero((pairs.kinds == kind) & (kind < PairKind.MOVING))
 
 
+def free_balls(model: mujoco.MjModel) -> BoolArray:
+    """Return which geoms are balls that move freely, shape [ngeom]."""
+    is_free = np.isin(model.geom_bodyid, model.jnt_bodyid[joints_of(model, "FREE")])
+    is_alone = model.body_geomnum[model.geom_bodyid] == 1
+    is_sphere = model.geom_type == int(mujoco.mjtGeom.mjGEOM_SPHERE)
+    balls: BoolArray = is_free & is_alone & is_sphere
+    return balls
+
+
 def name_of(model: mujoco.MjModel, kind: str, number: int) -> str:
     """Return the name of an element, or its kind and number."""
     return getattr(model, kind)(number).name or f"{kind} {number}"

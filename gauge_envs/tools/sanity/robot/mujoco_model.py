@@ -13,8 +13,7 @@ import numpy as np
 
 from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import TargetError
-from gauge_envs.pages.text import vector_text
-from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
+from gauge_envs.scene import Vector
 from gauge_envs.scene.geometry import FloatArray, IntArray, vector
 from gauge_envs.tools.bench.model_settings import (
     COLUMNS,
@@ -32,6 +31,7 @@ from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfigurat
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     NoFootError,
     find_standing,
+    free_balls,
     geom_name,
     read_foot,
     shortened,
@@ -44,17 +44,8 @@ from gauge_envs.tools.sanity.robot.robot import (
 )
 from gauge_envs.tools.sanity.scenario import check_settings
 
-GRAVITY_TOLERANCE = 0.01
-"""A gravity that differs from the standard one by less than this ratio gets no note."""
-
-MOST_GROUPS = 4
-"""Most groups with other constants that get a note each."""
-
 ALONG_AN_AXIS = 0.999
 """Least component of the normal of the plane of a robot that moves along an axis of the world."""
-
-REQUIRED_FEATURES = "constraint", "contact", "limit"
-"""Features that a model may switch off, and that the experiments need."""
 
 ABSENT_PARTS = {
     "flg_adhesion": "adhesion of geoms is not carried over",
@@ -104,6 +95,8 @@ def mujoco_configuration(
         standing = find_standing(model, pairs, robot.stance)
         foot = read_foot(model, pairs, robot.stance, groups, standing)
         robot = replace(robot, standing=standing)
+        # What walks against a loose body has no hand.
+        groups = tuple(replace(group, is_held=False) for group in groups)
     except NoFootError as error:
         foot = None
         inapplicable[Need.FOOT] = str(error)
@@ -124,7 +117,7 @@ def mujoco_configuration(
         origins=dict.fromkeys(options, "option") | dict.fromkeys(contact, origin),
         frame_skip=frame_skip,
         contact_groups=groups,
-        notes=(*_contact_notes(groups), *_option_notes(model)),
+        notes=tuple(_notes(model)),
         inapplicable=inapplicable,
         gravity_m_per_s2=vector(model.opt.gravity),
         up=up,
@@ -193,7 +186,8 @@ def _groups(
 ) -> tuple[ContactGroup, ...]:
     """Return the pairs grouped by kind and constants, sorted by kind and number of pairs.
 
-    Used are the groups with the constants `used`, and with `all_on_ground` all groups of the first kind.
+    Used are the groups with the constants `used`, and with `all_on_ground` all groups of the first kind but those of
+    free balls alone, which roll and bounce where the objects of the experiments rest and slide.
     """
     grasped = all_on_ground * grasp_kinds(model, pairs)
     keys = np.column_stack([pairs.kinds, grasped, pairs.constants])
@@ -203,6 +197,7 @@ def _groups(
         rows = np.flatnonzero(inverse == number)
         constants = pairs.constants[rows[0]]
         kind = PairKind(int(pairs.kinds[rows[0]]))
+        rolls = bool(free_balls(model)[pairs.geoms[rows]].any(axis=1).all())
         same = effective_constants(model, constants) == effective_constants(model, used)
         lists = {name: constants[columns].tolist() for name, columns in COLUMNS.items()}
         named = {
@@ -213,7 +208,8 @@ def _groups(
             geoms=_geoms_text(model, pairs.geoms[rows], kind),
             pair_count=len(rows),
             constants=named | {"condim": int(constants[0])},
-            is_used=bool(same.all()) or (all_on_ground and kind == pairs.kinds.min()),
+            is_used=bool(same.all())
+            or (all_on_ground and kind == pairs.kinds.min() and not rolls),
             is_held=bool(grasped[rows[0]]),
             is_point=bool(grasped[rows[0]] == 2),
             settings=contact_settings(model, constants),
@@ -225,43 +221,14 @@ def _groups(
 # --- notes -----------------------------------------------------------------------------------------------------------
 
 
-def _option_notes(model: mujoco.MjModel) -> list[str]:
-    option, notes = model.opt, []
-    gravity = option.gravity - np.array([0.0, 0.0, -GRAVITY_M_PER_S2])
-    if switched_off(model, "gravity"):
-        notes.append("the model switches gravity off; rows that need it are declined")
-    elif np.abs(gravity).max() > GRAVITY_TOLERANCE * GRAVITY_M_PER_S2:
-        size = f"({', '.join(f'{one:g}' for one in option.gravity)})"
-        if not option.gravity[:2].any():
-            size = f"{0.0 - float(option.gravity[2]):g}"
-        notes.append(
-            f"gravity of the model is {size} m/s^2; the experiments have {GRAVITY_M_PER_S2:g} m/s^2"
-        )
-    if off := switched_off(model, *REQUIRED_FEATURES):
-        notes.append(
-            f"the model switches off {', '.join(off)}; the experiments need it"
-        )
+def _notes(model: mujoco.MjModel) -> list[str]:
+    """Return what is not carried over to the experiments, and what MuJoCo solves wrongly."""
+    option = model.opt
+    notes = [note for name, note in ABSENT_PARTS.items() if getattr(model, name)]
     if option.density or option.viscosity or option.wind.any():
-        notes.append(
-            "the model's medium (density, viscosity, wind) is not carried over; the experiments have none"
-        )
+        notes.append("the medium (density, viscosity, wind) is not carried over")
     if advice := sparse_advice(model):
         notes.append(advice)
-    return notes + [note for name, note in ABSENT_PARTS.items() if getattr(model, name)]
-
-
-def _contact_notes(groups: tuple[ContactGroup, ...]) -> list[str]:
-    """Return notes on groups of contacts whose constants no experiment gets."""
-    if not groups:
-        return ["no two geoms can collide: rows on contact are declined"]
-    others = [group for group in groups if not group.is_used]
-    notes = [
-        f"not used: {group.geoms}, with solref {vector_text(group.constants['solref'])}, solimp "
-        f"{vector_text(group.constants['solimp'])} and condim {group.constants['condim']}"
-        for group in others[:MOST_GROUPS]
-    ]
-    if more := len(others[MOST_GROUPS:]):
-        notes.append(f"not used: {more} more groups of contacts with other constants")
     return notes
 
 

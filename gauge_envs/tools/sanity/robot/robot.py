@@ -31,6 +31,7 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
     Standing,
     acts_on_joints,
     driven_trees,
+    free_balls,
     ground_rows,
     joints_of,
     stance_of,
@@ -191,10 +192,11 @@ class Robot:
 
     @cached_property
     def grounded(self) -> set[int]:
-        """Geoms that can touch the ground, those of the ground, and those of a hand and of what it can hold."""
+        """Geoms that can touch the ground, of the ground, of a hand and of what it can hold, without free balls."""
         can_grasp = np.flatnonzero(grasp_kinds(self.model, self.pairs))
         rows = [*ground_rows(self.pairs), *can_grasp]
-        return set(np.unique(self.pairs.geoms[rows]).tolist())
+        geoms = np.unique(self.pairs.geoms[rows])
+        return set(geoms[~free_balls(self.model)[geoms]].tolist())
 
     def changed(
         self, changes: Settings
