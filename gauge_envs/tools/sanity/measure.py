@@ -1,20 +1,19 @@
-"""Measure phenomena with settings, run each rollout once, and give verdicts.
+"""Measure phenomena with settings, run each rollout once, and give verdicts."""
 
-A backend runs in this process; one of another package runs in another process, which may crash, exit or hang.
-"""
-
-import json
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
-from gauge_envs.backends import Backend, backend, backend_names, is_bundled, versions_of
+from gauge_envs.backends import Backend, backend
 from gauge_envs.errors import GaugeError
-from gauge_envs.files import json_ready
-from gauge_envs.runs.isolation import CrashError, Worker
-from gauge_envs.tools.bench.recording import DeclinedError, DivergedError, Recording
+from gauge_envs.tools.bench.recording import (
+    DeclinedError,
+    DivergedError,
+    Recording,
+    raised_at,
+)
 from gauge_envs.tools.sanity.model import (
     VISIBLE_WITHIN,
     Need,
@@ -25,10 +24,10 @@ from gauge_envs.tools.sanity.model import (
 )
 from gauge_envs.tools.sanity.phenomena import GRASP, phenomenon as phenomenon_of
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
+from gauge_envs.tools.sanity.rows import NotApplicableError
 from gauge_envs.tools.sanity.scenario import Scenario, run_scenario, settings_in_force
 
-SIMULATION_LIMIT_S = 600.0
-"""Default time limit of a simulation in another process [s]."""
+T = TypeVar("T")
 
 FAILURE_DEVIATION = 2.0 * VISIBLE_WITHIN
 """Least deviation of a failure of another kind; half of it is at the limit of `wrong`."""
@@ -68,32 +67,12 @@ class Measured:
     rollout: Recording | None = None
 
 
-_Run = Callable[[Backend, Scenario, Settings], Any]
-
-
-def _outcome_of(
-    engine: Backend | str, function: _Run, scenario: Scenario, settings: Settings
-) -> Any:
-    """Return the value of a function of a backend, or a `Measured` that says why it declined or diverged."""
-    try:
-        if isinstance(engine, str):
-            engine = backend(engine)
-        return function(engine, scenario, settings)
-    except DeclinedError as error:
-        return Measured(verdict=Verdict.DECLINED, remark=str(error))
-    except DivergedError as error:
-        return Measured(verdict=Verdict.WRONG, remark=f"diverged: {error}")
-
-
 class Measurements:
     """Measures phenomena on one engine, and caches rollouts by scenario and settings.
 
-    An installed backend of another package runs in another process.
-
     Args:
         engine: A backend, or the name of an installed one.
-        time_limit_s: Time after which no rollout starts any more [s]; None for no limit. It bounds each simulation in
-            another process too, to a second at least, in which a process starts.
+        time_limit_s: Time after which no rollout starts any more [s]; None for no limit.
 
     Attributes:
         engine: Name of the engine.
@@ -105,72 +84,52 @@ class Measurements:
     ) -> None:
         limit_s = math.inf if time_limit_s is None else time_limit_s
         self._ends_s = time.monotonic() + limit_s
-        self._worker = Worker(min(max(limit_s, 1.0), SIMULATION_LIMIT_S))
         self._known: dict[tuple[str, str, str], Any] = {}
-        self._backend: Backend | None = None
-        self.versions: Mapping[str, str]
-        if (
-            isinstance(engine, str)
-            and engine in backend_names()
-            and not is_bundled(engine)
-        ):
-            self.engine = engine
-            try:
-                self.versions = self._worker.call(versions_of, engine)
-            except CrashError as error:
-                cause = f"backend {engine!r} cannot be imported: {error}"
-                raise CrashError(cause) from None
-            return
         self._backend = backend(engine) if isinstance(engine, str) else engine
         self.engine, self.versions = self._backend.name, self._backend.versions()
 
-    def close(self) -> None:
-        """End the process of the engine."""
-        self._worker.close()
-
     def measure(self, phenomenon: Phenomenon, settings: Settings) -> Measured:
         """Measure a phenomenon; an outcome also exists when the backend declines or the rollout diverges."""
-        outcome = self._outcome(run_scenario, phenomenon.scenario, settings)
+        outcome = self.outcome(run_scenario, phenomenon.scenario, settings)
         return outcome if isinstance(outcome, Measured) else judged(phenomenon, outcome)
 
-    def in_force(
-        self, scenario: Scenario, settings: Settings
-    ) -> dict[str, Any] | Measured:
-        """Return every numerical setting that a scenario runs with, or why there is none."""
-        force: dict[str, Any] | Measured
-        force = self._outcome(settings_in_force, scenario, settings)
-        return force
+    def outcome(
+        self,
+        function: Callable[[Backend, Scenario, Settings], T],
+        scenario: Scenario,
+        settings: Settings,
+    ) -> T | Measured:
+        """Return what a function gives for a scenario and settings, or why it gives nothing.
 
-    def _outcome(self, function: _Run, scenario: Scenario, settings: Settings) -> Any:
-        """Return what a function gives for a scenario and settings, or why it gives nothing."""
-        key = self._key(function, scenario, settings)
+        Raises:
+            TimeLimitError: The time is used up, and a simulation would start.
+        """
+        touches = scenario.scene.contacts
+        stated = [
+            item
+            for item in sorted(settings.items())
+            if touches or not item[0].startswith(OF_CONTACTS)
+        ]
+        key = function.__name__, scenario.name, str(stated)
         if key not in self._known:
             if function is run_scenario and time.monotonic() >= self._ends_s:
                 raise TimeLimitError("the time limit is reached")
             self._known[key] = self._called(function, scenario, settings)
-        return self._known[key]
+        known: T | Measured = self._known[key]
+        return known
 
-    def _called(self, *task: Any) -> Any:
-        """Return the outcome of a function, a scenario and settings."""
-        if self._backend is not None:
-            return _outcome_of(self._backend, *task)
+    def _called(self, function: Callable[..., T], *arguments: Any) -> T | Measured:
         try:
-            return self._worker.call(_outcome_of, self.engine, *task)
-        except GaugeError as error:
-            return Measured(verdict=Verdict.WRONG, remark=str(error))
-
-    def _key(
-        self, function: _Run, scenario: Scenario, settings: Settings
-    ) -> tuple[str, str, str]:
-        """Return a text of the settings that matter to a function of a scenario."""
-        touches = scenario.scene.contacts
-        stated = {
-            name: value
-            for name, value in settings.items()
-            if touches or not name.startswith(OF_CONTACTS)
-        }
-        text = json.dumps(json_ready(stated), sort_keys=True)
-        return function.__name__, scenario.name, text
+            return function(self._backend, *arguments)
+        except DeclinedError as error:
+            return Measured(verdict=Verdict.DECLINED, remark=str(error))
+        except DivergedError as error:
+            remark = f"diverged: {error}"
+        # Engines raise exceptions of any kind; other scenes may run.
+        except Exception as error:
+            raised = f"{type(error).__name__}: {error}{raised_at(error)}"
+            remark = f"the engine raised {raised}"
+        return Measured(verdict=Verdict.WRONG, remark=remark)
 
 
 def judged(phenomenon: Phenomenon, rollout: Recording) -> Measured:
@@ -266,46 +225,57 @@ def subject_of(
     phenomenon: Phenomenon,
 ) -> Subject:
     """Return a phenomenon with the sets of contact constants that it applies to."""
-    subject = Subject(measurements=measurements, phenomenon=phenomenon)
-    reasons = configuration.inapplicable
-    for need in phenomenon.needs:
-        if need in reasons:
-            return replace(subject, inapplicable=reasons[need])
-    sets = _sets_of(configuration, phenomenon)
-    if isinstance(sets, str):
-        return replace(subject, inapplicable=sets)
+    advisory = ""
+    try:
+        for need in phenomenon.needs:
+            if need in configuration.inapplicable:
+                raise NotApplicableError(configuration.inapplicable[need])
+        sets = _sets_of(configuration, phenomenon)
+    except NotApplicableError as error:
+        return Subject(
+            measurements=measurements, phenomenon=phenomenon, inapplicable=str(error)
+        )
     if phenomenon.needs_foot:
         phenomenon = phenomenon_of(phenomenon.id, configuration.foot_geometry)
-    subject = replace(subject, phenomenon=phenomenon, sets=sets)
-    return _impact(subject, configuration) if phenomenon.is_impact else subject
+    if phenomenon.is_impact:
+        sets, advisory = _impact(measurements, configuration, phenomenon, sets)
+    return Subject(
+        measurements=measurements, phenomenon=phenomenon, sets=sets, advisory=advisory
+    )
 
 
-def _sets_of(
-    configuration: TrainingConfiguration, phenomenon: Phenomenon
-) -> Sets | str:
-    """Return the sets of contact constants that a phenomenon applies to, or why there is none."""
+def _sets_of(configuration: TrainingConfiguration, phenomenon: Phenomenon) -> Sets:
+    """Return the sets of contact constants that a phenomenon applies to.
+
+    Raises:
+        NotApplicableError: There is none; the message is the reason.
+    """
     contacts: TrainingConfiguration | None = configuration
     if phenomenon.id in GRASP:
         contacts = configuration.of_hand(is_flat=phenomenon.id == "grasp-torsion")
     if contacts is None:
-        return "round fingertips: their torsional friction alone holds a torque"
+        raise NotApplicableError(
+            "round fingertips: their torsional friction alone holds a torque"
+        )
     sets: Sets = contacts.contact_sets
-    if phenomenon.has_many_bodies:
+    if phenomenon.scenario.name == "wall":
         sets = {geoms: _flat(settings) for geoms, settings in sets.items()}
     if phenomenon.needs_foot:
         foot = configuration.foot_geometry
         if foot is None:
-            return NO_ROBOT
+            raise NotApplicableError(NO_ROBOT)
         sets = {geoms: sets[geoms] for geoms in sets if geoms in foot.sets}
         if not sets:
-            return "the chosen geoms are no foot on the ground"
+            raise NotApplicableError("the chosen geoms are no foot on the ground")
     if Need.CONTACT not in phenomenon.needs:
         sets = dict([*sets.items()][:1])
-    if phenomenon.needs_friction:
+    if Need.FRICTION in phenomenon.needs:
         named = "; ".join(sets) or "the target"
         sets = {geoms: sets[geoms] for geoms in sets if sets[geoms].get("condim") != 1}
         if not sets:
-            return f"condim 1: contacts of {named} have no friction on purpose"
+            raise NotApplicableError(
+                f"condim 1: contacts of {named} have no friction on purpose"
+            )
     return sets
 
 
@@ -316,24 +286,25 @@ def _flat(settings: Settings) -> Settings:
     return kept if settings.get("condim", 3) >= 3 else settings
 
 
-def _impact(subject: Subject, configuration: TrainingConfiguration) -> Subject:
-    """Return an impact, which is advisory unless the target states a constant for it."""
+def _impact(
+    measurements: Measurements,
+    configuration: TrainingConfiguration,
+    phenomenon: Phenomenon,
+    sets: Sets,
+) -> tuple[Sets, str]:
+    """Return the sets that state a constant for an impact, or all and why the impact is advisory."""
     if reason := configuration.inapplicable.get(Need.REBOUND):
-        return replace(subject, advisory=reason)
-    scenario, sets = subject.phenomenon.scenario, subject.sets
-    stating = {
-        geoms: settings
-        for geoms, settings in sets.items()
-        if _states_impact(subject.measurements.in_force(scenario, settings))
-    }
-    advisory = "" if stating else NO_IMPACT
-    return replace(subject, sets=stating or sets, advisory=advisory)
+        return sets, reason
+    stating = {}
+    for geoms, settings in sets.items():
+        force = measurements.outcome(settings_in_force, phenomenon.scenario, settings)
+        if isinstance(force, Measured) or _states_impact(force):
+            stating[geoms] = settings
+    return (stating, "") if stating else (sets, NO_IMPACT)
 
 
-def _states_impact(force: dict[str, Any] | Measured) -> bool:
+def _states_impact(force: Settings) -> bool:
     """Return whether contacts have a rebound: one solref without it replaces an engine's restitution."""
-    if isinstance(force, Measured):
-        return True
     if force.get("newton_material"):
         return False
     if "impact_steps" in force:

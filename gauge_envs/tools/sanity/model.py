@@ -302,7 +302,7 @@ class PhenomenonResult:
 
     Attributes:
         phenomenon: Id, such as `creep-wood`.
-        title: Title, such as `static friction, wood: creep on 10 degrees`.
+        title: Title, such as `creep of a cube of wood on 10 degrees`.
         experiment: Gymnasium id of the experiment; empty when nothing is simulated.
         unit: Unit of the values; `1` for a pure number.
         reality: Value for real objects.

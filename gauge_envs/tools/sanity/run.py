@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from typing import Any
 
 from gauge_envs.errors import ParameterError
@@ -52,8 +51,8 @@ def check(
         only: Ids of rows or patterns such as `creep-*`; when empty, all rows on the target's own model and on rigid
             bodies, and those on grasps if the target is a model with a hand.
         include_deformables: Whether to measure rows on grasps, a wall and deformable bodies too.
-        time_limit_s: Time after which no simulation starts [s]; rows that are not measured by then are declined. It
-            bounds each simulation of an engine of another package too. None for no limit.
+        time_limit_s: Time after which no simulation starts [s]; rows that are not measured by then are declined. None
+            for no limit.
         explain: Whether to find the change that corrects most.
         notify: Function that is called with each row as soon as it is complete.
 
@@ -73,21 +72,18 @@ def check(
         chosen = (*chosen, *GRASP)
     rows = target_rows(configuration, chosen, notify)
     search: tuple[Cure | None, tuple[str, ...], str] | None = None
-    with closing(
-        Measurements(configuration.backend, time_limit_s=time_limit_s)
-    ) as measurements:
-        objects = _object_rows(measurements, configuration, chosen, notify)
-        is_cut_short = any(row.remark == NO_TIME for row in objects)
-        if not is_cut_short:
-            _check_accepted(configuration, measurements.engine, objects)
-        rows += objects
-        if explain:
-            try:
-                words = dialect(configuration.language)
-                search = find_cure(configuration, words, measurements, rows)
-            except TimeLimitError:
-                is_cut_short = True
-        engine_versions = measurements.versions
+    measurements = Measurements(configuration.backend, time_limit_s=time_limit_s)
+    objects = _object_rows(measurements, configuration, chosen, notify)
+    is_cut_short = any(row.remark == NO_TIME for row in objects)
+    if not is_cut_short:
+        _check_accepted(configuration, measurements.engine, objects)
+    rows += objects
+    if explain:
+        try:
+            words = dialect(configuration.language)
+            search = find_cure(configuration, words, measurements, rows)
+        except TimeLimitError:
+            is_cut_short = True
     notes = []
     if is_cut_short:
         limit = f"the time limit, {time_limit_s} s, is reached"
@@ -102,7 +98,7 @@ def check(
     return Report(
         configuration=configuration,
         rows=tuple(rows),
-        versions={**engine_versions, **versions()},
+        versions={**measurements.versions, **versions()},
         wall_s=time.perf_counter() - started,
         cure=change,
         tried=tried,

@@ -1,21 +1,18 @@
 """Run scenes of the suite with a configuration's settings, at the configuration's own step."""
 
-import math
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-from gauge_envs.backends import Backend, Simulation, backend, backend_names, is_bundled
+from gauge_envs.backends import Backend, Simulation, backend
 from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.settings import with_drive_interval
 from gauge_envs.errors import GaugeError, ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
-from gauge_envs.runs.isolation import Worker
-from gauge_envs.scene import RigidBody, Scene
+from gauge_envs.scene import Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.recording import DeclinedError, Recording, record
@@ -27,9 +24,6 @@ FEWEST_SAMPLES = 5
 TRIAL_VARIANT = "BouncingBall-rubber"
 """Settings are checked on the scene of this variant, which builds fast."""
 
-TRIAL_LIMIT_S = 300.0
-"""Time limit of that check in another process [s]."""
-
 
 @dataclass(frozen=True)
 class Scenario:
@@ -39,32 +33,24 @@ class Scenario:
         name: Unique name, by which rollouts are cached.
         variant: Variant of the suite, such as `SlopeSlider-1-wood`.
         seconds: Simulated time [s].
-        parameters: Parameter set of the variant.
-        interval_s: Longest time between samples, unless a step is longer [s].
-        change: Function that changes the scene, for example removes a body; None for no change.
         given: Scene in place of that of the variant; None for the variant's.
-        nodes_of: Deformable bodies whose nodes are recorded.
+        interval_s: Longest time between samples, unless a step is longer [s].
+        recorded: Further arguments of `record`, such as when a simulation ends early. By default, no nodes are kept.
         engine_settings: Settings that belong to the scene, by name of the backend; those of a configuration come first.
         wrenches: Force and torque on each body that is pushed all the time [N, N m], shape [6].
         released: Bodies that rest on a fixed one at the start. They start apart by the margin of a configuration, at
             which they settle; from a touching pose they would be thrown up.
-        ends_beyond_m: Displacement of a body with which the scene is lost and its simulation ends [m].
-        rest_m_per_s: Speed below which all bodies are at rest, and its simulation ends too [m/s].
     """
 
     name: str
     variant: str
     seconds: float
-    parameters: Parameters = "calibrated"
-    interval_s: float = 0.002
-    change: Callable[[Scene], Scene] | None = None
     given: Scene | None = None
-    nodes_of: tuple[str, ...] = ()
+    interval_s: float = 0.002
+    recorded: Mapping[str, Any] = field(default_factory=dict)
     engine_settings: Mapping[str, Settings] = field(default_factory=dict)
     wrenches: Mapping[str, FloatArray] = field(default_factory=dict)
     released: tuple[str, ...] = ()
-    ends_beyond_m: float = math.inf
-    rest_m_per_s: float = 0.0
 
     @property
     def id(self) -> str:
@@ -74,22 +60,24 @@ class Scenario:
     @cached_property
     def scene(self) -> Scene:
         """The scene, driven as the task file states."""
-        scene = self.given or load_experiment(self.variant, self.parameters).scene
-        return self.change(scene) if self.change else scene
+        return self.given or load_experiment(self.variant).scene
 
     def scene_with(self, settings: Settings) -> Scene:
         """Return the scene with released bodies at the height at which the margin of settings lets them settle."""
         apart_m = settings.get("contact_margin_m") or 0.0
 
-        def lifted(body: RigidBody) -> RigidBody:
-            pose = body.pose
-            if body.name not in self.released:
-                return body
-            place_m = pose.position_m + pose.rotation.apply([0.0, 0.0, apart_m])
-            return replace(body, pose=replace(pose, position_m=vector(place_m)))
+        def lifted(body: RigidBody) -> Pose:
+            is_lifted = body.name in self.released
+            up_m = body.pose.rotation.apply([0.0, 0.0, apart_m * is_lifted])
+            return replace(body.pose, position_m=vector(body.pose.position_m + up_m))
 
-        bodies = tuple(map(lifted, self.scene.bodies))
-        return replace(self.scene, bodies=bodies) if apart_m > 0.0 else self.scene
+        return posed(self.scene, lifted) if apart_m > 0.0 else self.scene
+
+
+def posed(scene: Scene, pose_of: Callable[[RigidBody], Pose]) -> Scene:
+    """Return a scene whose rigid bodies have other poses."""
+    bodies = [replace(body, pose=pose_of(body)) for body in scene.bodies]
+    return replace(scene, bodies=tuple(bodies))
 
 
 def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Recording:
@@ -102,6 +90,10 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Re
         backend: The backend.
         scenario: The scenario.
         settings: Settings of the backend; the backend's default for the scene completes them.
+
+    Raises:
+        DeclinedError: The backend cannot build the scene, or the step is too long for it.
+        DivergedError: The engine fails, or a body leaves what the scene allows.
     """
     if settings.get("timestep_s") is None:
         # A stated step gives every rollout of the scenario the same sampling rule.
@@ -109,9 +101,7 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Re
         step = {k: v for k, v in force.items() if k == "timestep_s"}
         settings = {**settings, **step}
     with closing(_built(backend, scenario, settings)) as simulation:
-        interval_s = float(
-            simulation.settings.get("drive_interval_s", SAMPLE_INTERVAL_S)
-        )
+        interval_s = simulation.settings.get("drive_interval_s", SAMPLE_INTERVAL_S)
         seconds = scenario.seconds
         if interval_s > seconds / FEWEST_SAMPLES:
             long = (
@@ -125,11 +115,9 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Re
             simulation,
             scenario.scene_with(settings),
             seconds,
-            interval_s=interval_s,
-            nodes_of=scenario.nodes_of,
+            interval_s=float(interval_s),
             speed_limit_m_per_s=scenario.scene.speed_limit_m_per_s,
-            ends_beyond_m=scenario.ends_beyond_m,
-            rest_m_per_s=scenario.rest_m_per_s,
+            **{"nodes_of": (), **scenario.recorded},
         )
 
 
@@ -156,18 +144,18 @@ def _built(backend: Backend, scenario: Scenario, settings: Settings) -> Simulati
 
 
 def check_settings(name: str, settings: Settings) -> None:
-    """Build a scene with settings of a backend."""
-    if name not in backend_names() or is_bundled(name):
-        _build_once(name, settings)
-        return
-    with Worker(TRIAL_LIMIT_S) as worker:
-        try:
-            worker.call(_build_once, name, settings)
-        except GaugeError as error:
-            raise TargetError(f"backend {name!r}: {error}") from None
+    """Build a scene with settings of a backend.
 
-
-def _build_once(name: str, settings: Settings) -> None:
+    Raises:
+        GaugeError: The backend refuses them.
+        TargetError: The engine raises an error of another kind.
+    """
     # An action of an environment takes a whole number of steps, so the step serves as the interval of the suite.
     scene = load_experiment(TRIAL_VARIANT).scene
-    backend(name).build(scene, with_drive_interval(settings, 0.0)).close()
+    try:
+        backend(name).build(scene, with_drive_interval(settings, 0.0)).close()
+    except GaugeError:
+        raise
+    except Exception as error:
+        kind = type(error).__name__
+        raise TargetError(f"backend {name!r}: {kind}: {error}") from error

@@ -7,9 +7,8 @@ import pytest
 from gauge_envs.backends import backend
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.sanity.guards import (
-    CUBES,
+    FAST_M_PER_S,
     FRICTION,
-    hop,
     hop_mm,
     hops_more,
 )
@@ -27,8 +26,7 @@ def test_time_constants_of_two_steps_lift_what_slides(cone, impratio):
         hop_mm(MUJOCO, settings | {"contact_solref": (time_s, 1.0)})
         for time_s in (0.02, 0.004, 0.002)
     )
-    fastest = max(speed for speed, _, _ in CUBES)
-    lifted = 1e3 * (FRICTION * fastest) ** 2 / (2.0 * G)
+    lifted = 1e3 * (FRICTION * FAST_M_PER_S) ** 2 / (2.0 * G)
     assert stiff == pytest.approx(lifted, rel=0.15)
     # MuJoCo raises shorter time constants to two steps.
     assert short == stiff
@@ -37,10 +35,7 @@ def test_time_constants_of_two_steps_lift_what_slides(cone, impratio):
 
 
 def test_the_preset_stays_on_the_ground_and_stops_by_coulombs_law():
-    measured = MUJOCO.measure(hop(), {})
-    assert measured.value < 1.0 and not measured.remark
-    slippery = MUJOCO.measure(hop(), {"friction_scale": 0.8})
-    assert slippery.remark.startswith("a cube of 1 m/s slides 1.2")
+    assert 0.0 <= hop_mm(MUJOCO, {}) < 1.0
     assert hop_mm(MUJOCO, {"friction_scale": 0.8}) == math.inf
 
 

@@ -9,6 +9,7 @@ from sanity_cases import CHEETAH, moved
 from wobbling import WobblingBackend, told
 
 from gauge_envs.backends import backend
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scoring.metrics import trajectory_dtw, trajectory_rmse
 from gauge_envs.tools.bench.recording import DeclinedError, DivergedError
@@ -86,6 +87,16 @@ def test_declined_and_diverged_are_outcomes():
     measured = Measurements(MUJOCO).measure(row, loose)
     assert (measured.verdict, measured.value) == (Verdict.WRONG, None)
     assert measured.remark.startswith("diverged")
+
+
+def test_an_engine_that_raises_is_wrong(monkeypatch):
+    def give_up(simulation, names):
+        raise MemoryError("full")
+
+    monkeypatch.setattr(SimulationMuJoCo, "body_states", give_up)
+    measured = Measurements(MUJOCO).measure(phenomenon("rebound"), {})
+    assert (measured.verdict, measured.value) == (Verdict.WRONG, None)
+    assert measured.remark.startswith("the engine raised MemoryError: full")
 
 
 # --- readings of motions that are known ------------------------------------------------------------------------------

@@ -1,6 +1,5 @@
 """What is read from a training configuration: a model's contacts as MuJoCo itself makes them, and its options."""
 
-import json
 import warnings
 
 import gymnasium
@@ -8,12 +7,10 @@ import mujoco
 import numpy as np
 import pytest
 from sanity_cases import read_text
-from typer.testing import CliRunner
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.settings import PRESETS, SettingsMuJoCo
-from gauge_envs.cli.app import app
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.bench.model_settings import COLUMNS, contact_pairs
 from gauge_envs.tools.sanity.itself.runs import start_data
@@ -391,7 +388,7 @@ def test_what_is_no_target_says_why(target, message):
         configuration(target)
 
 
-# --- warnings and crashes --------------------------------------------------------------------------------------------
+# --- warnings --------------------------------------------------------------------------------------------------------
 
 
 def test_a_warning_of_mujoco_on_the_users_file_is_a_note(tmp_path, capfd):
@@ -402,13 +399,3 @@ def test_a_warning_of_mujoco_on_the_users_file_is_a_note(tmp_path, capfd):
     if mujoco.mj_version() >= 4_000_000:
         assert notes[0].startswith("MuJoCo warns: compiler attribute 'settotalmass'")
     assert capfd.readouterr().err == ""
-
-
-def test_an_engine_of_another_package_that_crashes_costs_one_phenomenon(installed):
-    installed("fall-crash")
-    options = ["--only", "creep-wood", "--only", "rebound"]
-    result = CliRunner().invoke(app, ["sanity", "fall-crash", "--json", *options])
-    slide, rebound = map(json.loads, result.stdout.splitlines()[1:])
-    verdicts = slide["verdict"], rebound["verdict"]
-    assert (*verdicts, result.exit_code) == ("inside", "wrong", 1)
-    assert "signal 11 (segmentation fault)" in rebound["remark"]

@@ -39,7 +39,7 @@ def phenomenon(name: str, foot: FootGeometry | None = None) -> Phenomenon:
     module, function, *arguments = {**RIGID, **GRASP, **SLOW}[name]
     make = getattr(import_module(f"{__name__}.{module}"), function)
     made: Phenomenon = make(*arguments) if foot is None else make(foot)
-    return replace(made, id=name)
+    return replace(made, id=name, needs_foot=module == "foot")
 
 
 def phenomena(*, include_deformables: bool = False) -> tuple[Phenomenon, ...]:

@@ -47,20 +47,12 @@ class Phenomenon:
     id: str = ""
 
     @property
-    def has_many_bodies(self) -> bool:
-        """Whether a rollout takes longer than those of all others together."""
-        return len(self.scenario.scene.bodies) > MANY_BODIES
-
-    @property
     def needs(self) -> tuple[Need, ...]:
         """What a target must have for the phenomenon to apply."""
         touches = bool(self.scenario.scene.contacts)
         flags = True, touches, self.needs_friction, self.needs_foot, self.needs_space
         return tuple(compress(Need, flags))
 
-
-MANY_BODIES = 20
-"""Number of bodies from which on a rollout takes longer than all others together."""
 
 RECORDINGS = "scoring/facts/recordings/recordings.toml"
 """File that `recorded` reads; sources name it."""
@@ -81,34 +73,24 @@ def recorded(recording: str, fact: str) -> dict[str, Any]:
     return facts("recordings/recordings")[recording]["facts"][fact]
 
 
-def one_trial(value: float, scatter: float, source: str) -> Reality:
-    """Return the reality of one recorded trial, with the standard uncertainty of its measurement."""
-    return Reality.measured(value, scatter, 1, source)
-
-
 def recorded_reality(
-    recording: str, fact: str, *, trial: str = "one recorded trial", more: str = ""
+    recording: str, fact: str, source: str = "one recorded trial"
 ) -> Reality:
     """Return the reality of a measurement in a published recording.
 
     Args:
         recording: Name of the recording.
         fact: Name of the measurement.
-        trial: What was recorded, for the source.
-        more: End of the source.
+        source: What was recorded.
     """
     measured = recorded(recording, fact)
-    return one_trial(
-        measured["value"], measured["sigma"], f"{trial} ({RECORDINGS}){more}"
-    )
+    value, scatter = measured["value"], measured["sigma"]
+    return Reality.measured(value, scatter, 1, f"{source} ({RECORDINGS})")
 
 
-def acceleration(
-    rollout: Recording, displacement_mm: FloatArray, start_s: float, end_s: float
-) -> float:
-    """Return the mean acceleration of a displacement, shape [sample_count], between two times [m/s^2]."""
-    part = rollout.between(start_s, end_s)
-    return 1e-3 * acceleration_m_per_s2(rollout.times_s[part], displacement_mm[part])
+def acceleration(times_s: FloatArray, displacement_mm: FloatArray) -> float:
+    """Return the mean acceleration of a displacement [m/s^2]; both have shape [sample_count]."""
+    return 1e-3 * acceleration_m_per_s2(times_s, displacement_mm)
 
 
 def lowest_m(rollout: Recording, body: str, points_m: FloatArray) -> FloatArray:

@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.functions import face_areas_mm2
-from gauge_envs.scene import Cloth, Scene
+from gauge_envs.scene import Cloth
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.estimators import hann_mean
 from gauge_envs.tools.bench.recording import Recording
@@ -18,7 +19,6 @@ from gauge_envs.tools.sanity.phenomena.base import (
     RECORDINGS,
     Phenomenon,
     facts,
-    one_trial,
     recorded,
     recorded_reality,
     rigid_law,
@@ -60,7 +60,7 @@ def cloth_carry() -> Phenomenon:
         return float(1e3 * way_m[0])
 
     return Phenomenon(
-        "tablecloth: lag of the metal cube behind the pulling rod",
+        "lag of a metal cube on a pulled tablecloth",
         Scenario("cloth", "TableclothPulling-metal", RECORDED_S),
         "mm",
         recorded_reality("tablecloth_pulling", "slip_of_cube_on_cloth_mm"),
@@ -69,15 +69,9 @@ def cloth_carry() -> Phenomenon:
     )
 
 
-def _hung(scene: Scene) -> Scene:
-    """Return the scene with a rod that does not move."""
-    return replace(scene, drivers=())
-
-
 def cloth_sag() -> Phenomenon:
     """Return the sag of a hanging cloth under its own weight."""
-    scenario = Scenario("hang", HUNG, HANG_S, change=_hung)
-    scene = scenario.scene
+    scene = load_experiment(HUNG).scene
     (cloth,) = scene.deformables
     assert isinstance(cloth, Cloth) and scene.markers is not None
     load = cloth.areal_density_kg_per_m2 * scene.gravity_m_per_s2
@@ -93,8 +87,8 @@ def cloth_sag() -> Phenomenon:
         return float(hann_mean(1e3 * (height[0] - height)[late]))
 
     return Phenomenon(
-        "cloth, satin: sag of its lowest markers under its own weight",
-        scenario,
+        "sag of the lowest markers of a hanging satin cloth",
+        Scenario("hang", HUNG, HANG_S, replace(scene, drivers=())),
         "mm",
         Reality.law(
             law_mm,
@@ -114,14 +108,13 @@ def fling_lag() -> Phenomenon:
         return float(np.degrees(np.arctan2(y, -z)).max())
 
     return Phenomenon(
-        "cloth, any fabric: largest angle behind a rod that flings it",
+        "largest angle of a cloth behind the rod of a fling",
         Scenario("fling", HUNG, FLING_S),
         "deg",
         recorded_reality(
             "textile_flinging",
             "chord_lags_by_deg",
-            trial="one recorded trial of an unknown fabric",
-            more="; satin swings like leather, which has 28 times its mass",
+            "one recorded trial of an unknown fabric; satin swings like leather of 28 times its mass",
         ),
         angle_deg,
     )
@@ -133,8 +126,9 @@ GRIPPED_S = 1.2
 """Time after which the grips rest; they stop at 1.10 and 1.15 s [s]."""
 
 
-def foam(name: str, variant: str, recording: str, verb: str) -> Phenomenon:
-    """Return the change of the area of a face of foam that grips pull or compress."""
+def foam(kind: str) -> Phenomenon:
+    """Return the change of the area of a face of foam in an experiment with a kind, `stretching` or `compressing`."""
+    recording = f"foam_{kind}"
     grip = recorded(recording, "grip_mm")["value"]
     uncertainty = facts("recordings/recordings")[recording]["uncertainty"]["relative"]
 
@@ -145,12 +139,13 @@ def foam(name: str, variant: str, recording: str, verb: str) -> Phenomenon:
         return float(100.0 * (area[-1] / area[0] - 1.0))
 
     return Phenomenon(
-        f"foam, {verb} by {abs(grip):.0f} mm: change of the area of its marked face",
-        Scenario(f"foam-{name}", variant, GRIPPED_S),
+        f"area change of a face of foam, {kind} by {abs(grip):.0f} mm",
+        Scenario(recording, f"Foam{kind.title()}-soft", GRIPPED_S),
         "%",
-        one_trial(
+        Reality.measured(
             100.0 * recorded(recording, "area_change_ratio")["value"],
             100.0 * uncertainty,
+            1,
             f"one recorded trial of soft or hard foam; scatter: of the measurement ({RECORDINGS})",
         ),
         change,
@@ -177,8 +172,8 @@ def rope_length() -> Phenomenon:
         return float(stretch[np.abs(stretch).argmax()])
 
     return Phenomenon(
-        "rope: largest change of its length while two balls fall into it",
-        Scenario("rope", "RopeWinding-rubber", JERK_S, nodes_of=("rope",)),
+        "largest length change of a rope as balls fall in",
+        Scenario("rope", "RopeWinding-rubber", JERK_S, recorded={"nodes_of": ["rope"]}),
         "mm",
         rigid_law(
             "the rope does not visibly stretch", 2.0, "the length of 340 mm of the rope"
@@ -199,14 +194,14 @@ def foot_lag() -> Phenomenon:
         return float(lag[rollout.between(STEADY_S, DRAG_S)].mean())
 
     return Phenomenon(
-        "elastic rod dragged over a board: lag of its foot",
+        "lag of the foot of an elastic rod that is dragged",
         Scenario("foot", "StickStack-soft", DRAG_S),
         "mm",
-        one_trial(
+        Reality.measured(
             0.5 * (low + high),
             (high - low) / float(np.sqrt(12.0)),
-            f"one recorded trial, between {low:g} and {high:g} mm; scatter: of a uniform distribution "
-            f"({RECORDINGS})",
+            1,
+            f"one recorded trial, uniform between {low:g} and {high:g} mm ({RECORDINGS})",
         ),
         lag_mm,
         needs_friction=True,

@@ -17,21 +17,20 @@ from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.bench.parts import body, contact, ground
 from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
-from gauge_envs.tools.sanity.phenomena.base import Phenomenon, lowest_m
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon, acceleration, lowest_m
 from gauge_envs.tools.sanity.phenomena.friction import (
     CALM_INTERVAL_S,
     HOLD_S,
     SLIDE_S,
     creeping,
+    downhill,
     real_friction,
-    real_slides,
-    sliding,
+    slide as slide_of_cube,
 )
 from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT, FootGeometry
 from gauge_envs.tools.sanity.scenario import Scenario
 
-FOOT, GROUND = PAIR = ("foot", "ground")
-"""Names of the two bodies."""
+FOOT = "foot"
 
 MATERIAL = "wood"
 
@@ -95,7 +94,7 @@ def foot_scene(
             body(FOOT, foot.shape, start, mass_kg=foot.mass_kg),
             replace(ground(), pose=level),
         ),
-        contacts=(contact(FOOT, GROUND, friction=friction),),
+        contacts=(contact(FOOT, "ground", friction=friction),),
         duration_s=seconds,
     )
 
@@ -120,8 +119,8 @@ def _scenario(
         f"foot-{kind}-{foot.digest}",
         f"SlopeSlider-{1 if is_calm else 2}-{MATERIAL}",
         seconds,
-        interval_s=CALM_INTERVAL_S if is_calm else Scenario.interval_s,
-        given=scene,
+        scene,
+        CALM_INTERVAL_S if is_calm else Scenario.interval_s,
         released=() if lift_m else (FOOT,),
         engine_settings=dict.fromkeys(SOFTENED_BY_INVERSE_WEIGHT, softer),
     )
@@ -132,10 +131,8 @@ def _friction(foot: FootGeometry) -> float:
 
 
 def _source(law: str, foot: FootGeometry) -> str:
-    whose = "that the target states for its foot"
-    if foot.friction is None:
-        whose = f"of the measured cube of {MATERIAL}"
-    return f"{law}, with mu = {_friction(foot):.3g} {whose}; the foot is {foot.description}; {foot.assumption}"
+    of = f"of the cube of {MATERIAL}" if foot.friction is None else "of the target"
+    return f"{law}, with mu = {_friction(foot):.3g} {of}"
 
 
 # --- on a slope ------------------------------------------------------------------------------------------------------
@@ -145,43 +142,39 @@ def creep(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the creep of a foot at rest on a slope."""
     steepest = float(np.degrees(np.arctan(HOLD_PUSH * _friction(foot))))
     slope = min(HOLD_DEG, steepest)
-    made = creeping(
-        f"foot of the robot: creep on {slope:.3g} degrees with a friction of {_friction(foot):.3g}",
+    return creeping(
+        f"creep of the foot on {slope:.3g} degrees",
         _scenario("hold", foot, HOLD_S, slope),
-        PAIR,
         _source(f"law: Coulomb, tan {slope:.3g} deg < mu", foot),
         f"measured: the published trials of the {MATERIAL} cube allow no faster creep (paper, Table 5)",
     )
-    return replace(made, needs_foot=True)
 
 
 def push(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the acceleration of a foot that is pushed a little more than its friction holds."""
     slope_deg = float(np.degrees(np.arctan(PUSH * real_friction(MATERIAL))))
-    title = f"acceleration when pushed with {PUSH:g} times its friction"
-    return _sliding(foot, "push", title, slope_deg)
+    return _sliding(foot, "push", f"pushed with {PUSH:g} mu N", slope_deg)
 
 
 def slide(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the acceleration of a foot on a steep slope."""
-    title = f"acceleration on {SLIDE_DEG:.0f} degrees"
-    return _sliding(foot, "slide", title, SLIDE_DEG)
+    return _sliding(foot, "slide", f"on {SLIDE_DEG:.0f} degrees", SLIDE_DEG)
 
 
 def _sliding(
-    geometry: FootGeometry, kind: str, title: str, slope_deg: float
+    geometry: FootGeometry, kind: str, where: str, slope_deg: float
 ) -> Phenomenon:
     foot = replace(geometry, friction=None)
     slope, friction = np.radians(slope_deg), _friction(foot)
     real = Reality.law(
         G * float(np.sin(slope) - friction * np.cos(slope)),
-        real_slides(MATERIAL).tolerance,
+        slide_of_cube(MATERIAL).reality.tolerance,
         _source(f"law: g (sin a - mu cos a) on {slope_deg:.3g} deg", foot),
         f"measured: covers {COVERAGE:.0%} of real slides of the {MATERIAL} cube on {SLIDE_DEG:.0f} degrees",
     )
     scenario = _scenario(kind, foot, SLIDE_S, slope_deg)
-    made = sliding(f"foot of the robot: {title}", scenario, PAIR, real)
-    return replace(made, needs_foot=True)
+    title = f"acceleration of the foot {where}"
+    return downhill(title, scenario, "m/s^2", real, acceleration)
 
 
 # --- landing ---------------------------------------------------------------------------------------------------------
@@ -200,12 +193,11 @@ def _landed(
     """Return a row on a foot that was dropped, whose value is 0 by a law."""
     source = _source(law, foot)
     return Phenomenon(
-        f"foot of the robot: {title}",
+        title,
         _scenario("landing", foot, LANDING_S, lift_m=DROP_M),
         unit,
         Reality.law(0.0, tolerance, source, rationale),
         value,
-        needs_foot=True,
         **attributes,
     )
 
@@ -214,7 +206,7 @@ def depth(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the depth of a foot in the ground after a drop."""
     return _landed(
         foot,
-        f"depth in the ground after a drop of {1e3 * DROP_M:.0f} mm",
+        f"depth of the foot after a drop of {1e3 * DROP_M:.0f} mm",
         "mm",
         "rigid bodies do not overlap",
         DEPTH_MM,
@@ -233,7 +225,7 @@ def rebound(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
 
     return _landed(
         foot,
-        "speed after a landing over that before",
+        "rebound speed of the foot over its impact speed",
         "1",
         STAYS,
         HOP,
@@ -258,7 +250,7 @@ def rest(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
 
     return _landed(
         foot,
-        "time from a landing to rest",
+        "time of the foot from a landing to rest",
         "s",
         STAYS,
         STANCE_S,

@@ -4,13 +4,15 @@ A sliding cube has the friction that the same trials show, so that the row judge
 a turntable rotates with the plate if friction suffices.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.published import published_baselines
-from gauge_envs.scene import Box, Pose, RigidBody, Scene
+from gauge_envs.scene import Box, Pose, RigidBody
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scoring.estimators import steady_speed_m_per_s
 from gauge_envs.tools.bench.recording import Recording
@@ -22,7 +24,7 @@ from gauge_envs.tools.sanity.phenomena.base import (
     facts,
     rigid_law,
 )
-from gauge_envs.tools.sanity.scenario import Scenario
+from gauge_envs.tools.sanity.scenario import Scenario, posed
 
 HOLD_S, SETTLED_S = 1.0, 0.5
 """Simulated time, and time after which the cube has sunk into a soft contact and only creeps [s]."""
@@ -30,9 +32,9 @@ HOLD_S, SETTLED_S = 1.0, 0.5
 TURN = Rotation.from_euler("z", 45.0, degrees=True)
 """Turn of the board about the vertical. Engines choose the tangents of a contact by the axes of the world."""
 
-SLIDE_S, STEADY_SLIDE_S = 0.5, 0.25
-"""Simulated time [s], in which a cube that is 20 % too fast does not reach the end of the board, and time after which
-it has sunk into soft ground and slides steadily."""
+SLIDE_S = 0.5
+"""Simulated time [s], in which a cube that is 20 % too fast does not reach the end of the board. After half of it, the
+cube has sunk into soft ground and slides steadily."""
 
 PRINTED_MM = 0.01
 """Last printed digit of the published scores of SlopeSlider-1 [mm]."""
@@ -57,8 +59,30 @@ def _hold_scenario(material: str) -> Scenario:
     )
 
 
-def _downhill_mm(rollout: Recording, body: str, support: str) -> FloatArray:
-    return 1e3 * moved_m(rollout, body, support)[:, 0]
+def downhill(
+    title: str,
+    scenario: Scenario,
+    unit: str,
+    reality: Reality,
+    motion: Callable[[FloatArray, FloatArray], float],
+) -> Phenomenon:
+    """Return a row on the motion of a body down a slope in the second half of its scenario.
+
+    Args:
+        title: Title.
+        scenario: Scenario, whose first contact names the body and its support.
+        unit: Unit of the row.
+        reality: The motion in reality.
+        motion: Function of times [s] and of displacements downhill [mm], both of shape [sample_count].
+    """
+
+    def value(rollout: Recording) -> float:
+        touch, *_ = rollout.scene.contacts
+        part = rollout.between(0.5 * scenario.seconds, scenario.seconds)
+        moved_mm = 1e3 * moved_m(rollout, *touch.first, *touch.second)
+        return motion(rollout.times_s[part], moved_mm[part, 0])
+
+    return Phenomenon(title, scenario, unit, reality, value, needs_friction=True)
 
 
 # --- holding ---------------------------------------------------------------------------------------------------------
@@ -75,35 +99,24 @@ def creep_bound_mm_per_s(variant: str) -> float:
     return float(np.sqrt(24.0 * PRINTED_MM * rmse.mean)) * 30.0 / (rmse.frames - 1)
 
 
-def creeping(
-    title: str, scenario: Scenario, pair: tuple[str, str], source: str, rationale: str
-) -> Phenomenon:
+def creeping(title: str, scenario: Scenario, source: str, rationale: str) -> Phenomenon:
     """Return the creep of a body at rest on a slope.
 
     Args:
         title: Title.
         scenario: Scenario of the body.
-        pair: Names of the body and of its support.
         source: The law.
         rationale: Reason for the bound that the published scores of a real cube give.
     """
-    bound = creep_bound_mm_per_s(scenario.variant)
-
-    def speed_mm_per_s(rollout: Recording) -> float:
-        late = rollout.between(SETTLED_S, HOLD_S)
-        path_mm = _downhill_mm(rollout, *pair)[late]
-        return steady_speed_m_per_s(rollout.times_s[late], path_mm)
-
-    law = Reality.law(0.0, bound, source, rationale)
-    return Phenomenon(title, scenario, "mm/s", law, speed_mm_per_s, needs_friction=True)
+    law = Reality.law(0.0, creep_bound_mm_per_s(scenario.variant), source, rationale)
+    return downhill(title, scenario, "mm/s", law, steady_speed_m_per_s)
 
 
 def creep(material: str) -> Phenomenon:
     """Return the creep of a cube at rest."""
     return creeping(
-        f"static friction, {material}: creep on 10 degrees",
+        f"creep of a cube of {material} on 10 degrees",
         _hold_scenario(material),
-        CUBE,
         "Coulomb, tan 10 deg < mu",
         f"E_RMSE and E_DTW of real {material} cubes on this slope are equal as printed (paper, Table 5), "
         "which allows no faster creep",
@@ -113,7 +126,7 @@ def creep(material: str) -> Phenomenon:
 def rest_height(material: str) -> Phenomenon:
     """Return the gap between a cube at rest and its board."""
     return Phenomenon(
-        "resting height: gap between cube and board",
+        "gap between a cube at rest and its board",
         _hold_scenario(material),
         "mm",
         rigid_law("rigid bodies touch", 0.5, "the edge of 50 mm of the cube"),
@@ -127,7 +140,7 @@ def thrown(material: str) -> Phenomenon:
     at_rest = rest_height(material)
     return replace(
         at_rest,
-        title="release: height to which a cube that touches its board is thrown, above where it settles",
+        title="height to which a cube is thrown at its release",
         scenario=Scenario(f"release-{material}", at_rest.scenario.variant, HOLD_S),
         reality=rigid_law(
             "a body that is laid down stays there", 0.5, "the edge of 50 mm of the cube"
@@ -148,37 +161,6 @@ def _gaps_mm(rollout: Recording) -> FloatArray:
 # --- sliding ---------------------------------------------------------------------------------------------------------
 
 
-def sliding(
-    title: str, scenario: Scenario, pair: tuple[str, str], real: Reality
-) -> Phenomenon:
-    """Return the acceleration of a body that slides down a slope.
-
-    Args:
-        title: Title.
-        scenario: Scenario of the body.
-        pair: Names of the body and of its support.
-        real: The acceleration in reality.
-    """
-
-    def measured(rollout: Recording) -> float:
-        path_mm = _downhill_mm(rollout, *pair)
-        return acceleration(rollout, path_mm, STEADY_SLIDE_S, SLIDE_S)
-
-    return Phenomenon(title, scenario, "m/s^2", real, measured, needs_friction=True)
-
-
-def real_slides(material: str, source: str = "") -> Reality:
-    """Return the acceleration of real cubes on 30 degrees."""
-    trials = facts("slope_slider_30deg_summary")[material]
-    slides = trials["acceleration_m_s2"]
-    return Reality.measured(
-        slides["mean"],
-        slides["std"],
-        trials["trial_count"],
-        source,
-    )
-
-
 def real_friction(material: str) -> float:
     """Return the friction that real slides of a cube show."""
     return float(facts("slope_slider_30deg_summary")[material]["friction"]["mean"])
@@ -186,43 +168,45 @@ def real_friction(material: str) -> float:
 
 def slide(material: str) -> Phenomenon:
     """Return the acceleration of a sliding cube."""
+    trials = facts("slope_slider_30deg_summary")[material]
+    slides = trials["acceleration_m_s2"]
     friction = real_friction(material)
-    scenario = Scenario(
-        f"slide-{material}",
-        f"SlopeSlider-2-{material}",
-        SLIDE_S,
-        {"cube.friction": friction},
-        released=("cube",),
+    variant = f"SlopeSlider-2-{material}"
+    scene = load_experiment(variant, {"cube.friction": friction}).scene
+    return downhill(
+        f"acceleration of a cube of {material} on 30 degrees",
+        Scenario(f"slide-{material}", variant, SLIDE_S, scene, released=("cube",)),
+        "m/s^2",
+        Reality.measured(
+            slides["mean"],
+            slides["std"],
+            trials["trial_count"],
+            "real slides (scoring/facts/slope_slider_30deg_summary.toml); "
+            f"the cube has the friction that they show, mu = {friction:.3f}",
+        ),
+        acceleration,
     )
-    shown = f"the cube has the friction that they show, mu = {friction:.3f}"
-    source = f"real slides (scoring/facts/slope_slider_30deg_summary.toml); {shown}"
-    title = f"kinetic friction, {material}: acceleration on 30 degrees"
-    return sliding(title, scenario, CUBE, real_slides(material, source))
 
 
-def _turned(scene: Scene) -> Scene:
-    """Return the scene turned about the vertical through the origin."""
-
-    def turned(body: RigidBody) -> RigidBody:
-        place_m = vector(TURN.apply(body.pose.position_m))
-        pose = Pose.from_rotation(place_m, TURN * body.pose.rotation)
-        return replace(body, pose=pose)
-
-    return replace(scene, bodies=tuple(map(turned, scene.bodies)))
+def _turned(body: RigidBody) -> Pose:
+    """Return the pose of a body, turned about the vertical through the origin."""
+    place_m = vector(TURN.apply(body.pose.position_m))
+    return Pose.from_rotation(place_m, TURN * body.pose.rotation)
 
 
 def turned_slide(material: str) -> Phenomenon:
     """Return the acceleration of a cube that slides in another direction."""
     straight = slide(material)
-    name = f"slide-turned-{material}"
-    scenario = replace(straight.scenario, name=name, change=_turned)
-    friction, scene = real_friction(material), scenario.scene
+    friction = real_friction(material)
+    scene = posed(straight.scenario.scene, _turned)
     downhill = scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
     push = -downhill[2] - friction * np.hypot(*downhill[:2])
     return replace(
         straight,
-        title=f"isotropic friction, {material}: acceleration on 30 degrees, board turned by 45 degrees",
-        scenario=scenario,
+        title="acceleration of a cube on a turned board",
+        scenario=replace(
+            straight.scenario, name=f"slide-turned-{material}", given=scene
+        ),
         needs_space=True,
         reality=Reality.law(
             scene.gravity_m_per_s2 * float(push),
@@ -249,7 +233,7 @@ def carry(material: str) -> Phenomenon:
         return float(np.linalg.norm(place - place[0], axis=1)[-1])
 
     return Phenomenon(
-        f"static friction, {material}: slip on a slow turntable within 3 s",
+        f"slip of a cube of {material} on a slow turntable",
         Scenario(
             f"turn-{material}",
             variant,

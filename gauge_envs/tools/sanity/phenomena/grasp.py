@@ -30,22 +30,18 @@ MOST_ROLLING_MM = 7.0
 
 
 def _row(
-    name: str,
-    scene: Scene,
-    value: Callable[[Recording], float],
     title: str,
+    scenario: str,
+    scene: Scene,
     unit: str,
     reality: Reality,
-    wrenches: Mapping[str, FloatArray] = {},
+    value: Callable[[Recording], float],
+    wrenches: Mapping[str, FloatArray] = PRESSED,
 ) -> Phenomenon:
-    scenario = Scenario(
-        name,
-        "SlopeSlider-1-wood",
-        scene.duration_s,
-        given=scene,
-        wrenches=wrenches,
+    shown = Scenario(
+        scenario, "SlopeSlider-1-wood", scene.duration_s, scene, wrenches=wrenches
     )
-    return Phenomenon(title, scenario, unit, reality, value, needs_friction=True)
+    return Phenomenon(title, shown, unit, reality, value, needs_friction=True)
 
 
 def creep() -> Phenomenon:
@@ -60,20 +56,15 @@ def creep() -> Phenomenon:
         "Coulomb: v = 0 if m g < 2 mu N",
         "0.1 mm, as for a cube that holds, in a carry of 10 s",
     )
-    title = "a held box creeps out of its grasp"
-    return _row("grasp", HELD, pad_creep_um_per_s, title, "um/s", law, PRESSED)
+    title = "creep of a box out of its grasp"
+    return _row(title, "grasp", HELD, "um/s", law, pad_creep_um_per_s)
 
 
 def sink() -> Phenomenon:
     """Return the depth of these pads in the box."""
-    law = Reality.law(
-        0.0,
-        200.0,
-        "rigid bodies: depth = 0",
-        "as for a height at rest",
-    )
-    title = "pads sink into a held box"
-    return _row("grasp", HELD, pad_depth_um, title, "um", law, PRESSED)
+    law = Reality.law(0.0, 200.0, "rigid bodies: depth = 0", "as for a height at rest")
+    title = "depth of two pads in the box that they grasp"
+    return _row(title, "grasp", HELD, "um", law, pad_depth_um)
 
 
 def torsion() -> Phenomenon:
@@ -90,7 +81,7 @@ def torsion() -> Phenomenon:
         "between even pressure, 0.38, and corners alone, 0.71",
     )
     title = "torque that a pair of pads holds"
-    return _row("grasp-torsion", TURNED, spin_torque_share, title, "1", law, PRESSED)
+    return _row(title, "grasp-torsion", TURNED, "1", law, spin_torque_share)
 
 
 def rolling() -> Phenomenon:
@@ -111,4 +102,4 @@ def rolling() -> Phenomenon:
 
     scene = turning_scene(0.5, ROLLS_M_PER_S, (0.0, ROLLS_M_PER_S / RADIUS_M, 0.0))
     title = "torque against rolling over the normal force"
-    return _row("roll", scene, arm_mm, title, "mm", real)
+    return _row(title, "roll", scene, "mm", real, arm_mm, {})

@@ -11,8 +11,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.published import published_baselines
-from gauge_envs.scene import ConvexUnion, Hinge, RigidBody, Scene, Sphere, Vector
+from gauge_envs.scene import ConvexUnion, RigidBody, Scene, Sphere, Vector
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.estimators import first_bounce, mean_period_s, pendulum_period_s
@@ -29,7 +30,7 @@ from gauge_envs.tools.sanity.phenomena.base import (
     recorded_reality,
     rigid_law,
 )
-from gauge_envs.tools.sanity.scenario import Scenario
+from gauge_envs.tools.sanity.scenario import Scenario, posed
 
 # --- edges -----------------------------------------------------------------------------------------------------------
 
@@ -45,21 +46,20 @@ def seam() -> Phenomenon:
     scenario = Scenario("seam", "SlopeContact-wood", SEAM_S[1])
     layout = facts("recordings/recordings")["layouts"]["seam"]["coordinates"][0]
     downwards = np.array(layout["direction"])
-    friction = next(c.friction for c in scenario.scene.contacts if "base" in c.second)
 
     def slide(rollout: Recording) -> float:
         path_mm = 1e3 * rollout.displacement("teh") @ downwards
-        return acceleration(rollout, path_mm, *SEAM_S)
+        part = rollout.between(*SEAM_S)
+        return acceleration(rollout.times_s[part], path_mm[part])
 
     return Phenomenon(
-        "sharp edges: tetrahedron slides down its seam",
+        "acceleration of a tetrahedron down a seam",
         scenario,
         "m/s^2",
         recorded_reality(
             "slope_contact",
             "slide_acceleration_m_per_s2",
-            trial="one recorded slide",
-            more=f"; the tetrahedron has the calibrated mu = {friction:.3f}",
+            "one recorded slide; the tetrahedron has the calibrated friction",
         ),
         slide,
         needs_friction=True,
@@ -86,7 +86,7 @@ def point() -> Phenomenon:
         return 1e3 * max(depths)
 
     return Phenomenon(
-        "sharp edges: penetration of a falling tip into the base",
+        "depth of a falling tip in the base",
         Scenario("point", "NonsmoothContact-1-wood", FALL_S),
         "mm",
         rigid_law(
@@ -101,6 +101,8 @@ def point() -> Phenomenon:
 STAND_S = 0.4
 """Simulated time [s]: soft contacts have settled, and a falling wall has moved by centimetres."""
 
+WALL = "WallBreaking-wood"
+
 FALLEN_M = 0.02
 """Displacement of a brick by half of its length [m]: the wall gives way, and bricks inside each other take longest."""
 
@@ -108,25 +110,13 @@ RESTS_M_PER_S = 0.001
 """Speed of the bricks of a wall at rest [m/s]: in the time that is left they move by 0.35 mm at most."""
 
 
-def _without_ball(scene: Scene) -> Scene:
-    return replace(
-        scene,
-        bodies=tuple(body for body in scene.bodies if body.name != "ball"),
-        joints=(),
-        contacts=tuple(touch for touch in scene.contacts if "ball" not in touch.first),
-    )
-
-
 def _wall(title: str, of: str, extreme_mm: Callable[[FloatArray], float]) -> Phenomenon:
     """Return a row on a wall, by a function of the bricks' last displacements [mm], shape [brick_count, 3]."""
-    scenario = Scenario(
-        "wall",
-        "WallBreaking-wood",
-        STAND_S,
-        change=_without_ball,
-        ends_beyond_m=FALLEN_M,
-        rest_m_per_s=RESTS_M_PER_S,
-    )
+    scene = load_experiment(WALL).scene
+    bricks = [body for body in scene.bodies if body.name != "ball"]
+    touches = [touch for touch in scene.contacts if "ball" not in touch.first]
+    scene = replace(scene, bodies=tuple(bricks), joints=(), contacts=tuple(touches))
+    ends = {"ends_beyond_m": FALLEN_M, "rest_m_per_s": RESTS_M_PER_S}
 
     def moved_mm(rollout: Recording) -> FloatArray:
         bricks = rollout.scene.dynamic_bodies
@@ -141,8 +131,8 @@ def _wall(title: str, of: str, extreme_mm: Callable[[FloatArray], float]) -> Phe
         return f"the wall falls: a brick has moved by half of its length after {end_s}, where the run ends"
 
     return Phenomenon(
-        f"stacking: {title}",
-        scenario,
+        title,
+        Scenario("wall", WALL, STAND_S, scene, recorded=ends),
         "mm",
         rigid_law("a dry wall does not move", 1.0, of),
         lambda rollout: extreme_mm(moved_mm(rollout)),
@@ -153,14 +143,14 @@ def _wall(title: str, of: str, extreme_mm: Callable[[FloatArray], float]) -> Phe
 
 def wall_sag() -> Phenomenon:
     """Return the settling of a wall."""
-    title, of = "settling of a wall of 118 bricks", "eleven layers of 15 mm"
+    title, of = "settling of a dry wall of 118 bricks", "eleven layers of 15 mm"
     return _wall(title, of, lambda moved_mm: float(-moved_mm[:, 2].min()))
 
 
 def wall_drift() -> Phenomenon:
     """Return the drift of the bricks of a wall."""
     return _wall(
-        f"drift of the bricks of a wall within {STAND_S:g} s",
+        f"drift of the bricks of a dry wall in {STAND_S:g} s",
         "the length of 40 mm of a brick",
         lambda moved_mm: float(np.linalg.norm(moved_mm[:, :2], axis=-1).max()),
     )
@@ -187,7 +177,7 @@ def _pendulum() -> tuple[Scenario, Vector, RigidBody, FloatArray]:
     """Return the scenario of the pendulum, the place of its hinge [m], its ball, and the arm between them [m]."""
     seconds = (published_baselines(PENDULUM)["el"].frames - 1) / FRAME_RATE_HZ
     scenario = Scenario("pendulum", PENDULUM, seconds, interval_s=SWING_INTERVAL_S)
-    hinge = next(joint for joint in scenario.scene.joints if isinstance(joint, Hinge))
+    (hinge,) = scenario.scene.joints
     ball = scenario.scene.body(hinge.body)
     arm_m = np.asarray(ball.pose.position_m) - hinge.anchor_m
     return scenario, hinge.anchor_m, ball, arm_m
@@ -212,7 +202,7 @@ def period() -> Phenomenon:
         gravity_m_per_s2=scenario.scene.gravity_m_per_s2,
     )
     return Phenomenon(
-        "pendulum: period from 90 degrees",
+        "period of a pendulum from 90 degrees",
         scenario,
         "s",
         Reality.law(
@@ -231,7 +221,7 @@ def energy() -> Phenomenon:
     scenario, anchor_m, ball, arm = _pendulum()
     rest_mm = 1e3 * (anchor_m[2] - length_of(arm))
     return Phenomenon(
-        f"pendulum: energy lost within {scenario.seconds:.0f} s",
+        f"energy that a pendulum loses in {scenario.seconds:.0f} s",
         scenario,
         "1",
         Reality.law(
@@ -247,6 +237,8 @@ def energy() -> Phenomenon:
 
 
 # --- rebound ---------------------------------------------------------------------------------------------------------
+
+BALL = "BouncingBall-rubber"
 
 DROP_S = 0.85
 """Time beyond the top of the first bounce of a ball that keeps all its speed (0.58 s) [s]."""
@@ -278,13 +270,16 @@ def _resting_m(scene: Scene, ball: RigidBody) -> float:
     return scene.body("ground").pose.position_m[2] + ball.shape.radius_m
 
 
-def _several_balls(scene: Scene, share: float = 1.0) -> Scene:
-    """Return a scene of five balls side by side instead of one, at different heights and without mutual contacts.
+def _drop(name: str, seconds: float, share: float) -> Scenario:
+    """Return the drop of five balls side by side instead of one, at different heights and without mutual contacts.
 
     Args:
-        scene: The scene of one ball.
-        share: Height of the drops over that of the scene.
+        name: Name of the scenario.
+        seconds: Simulated time [s].
+        share: Height of the drops over that of the experiment.
     """
+    overrides = {"ball.restitution": _real_ratio()}
+    scene = load_experiment(BALL, overrides).scene
     ball = scene.body("ball")
     x, y, z = ball.pose.position_m
     resting = _resting_m(scene, ball)
@@ -295,12 +290,10 @@ def _several_balls(scene: Scene, share: float = 1.0) -> Scene:
         balls.append(replace(ball, name=f"ball-{index}", pose=pose))
     names = tuple(ball.name for ball in balls)
     touches = tuple(replace(contact, first=names) for contact in scene.contacts)
-    return replace(scene, bodies=(*balls, scene.body("ground")), contacts=touches)
-
-
-def _lowered_balls(scene: Scene) -> Scene:
-    """Return the same, started from rest at the top before the real ball's third impact."""
-    return _several_balls(scene, _real_ratio() ** (2 * SLOW_IMPACT - 2))
+    bodies = (*balls, scene.body("ground"))
+    return Scenario(
+        name, BALL, seconds, replace(scene, bodies=bodies, contacts=touches)
+    )
 
 
 def _ratios(rollout: Recording) -> list[float]:
@@ -330,14 +323,8 @@ def rebound() -> Phenomenon:
     """Return the speed of a ball after an impact over that before."""
     trials = facts("bouncing_ball_summary")
     return Phenomenon(
-        "restitution: speed of a ball after an impact over that before",
-        Scenario(
-            "drop",
-            "BouncingBall-rubber",
-            DROP_S,
-            {"ball.restitution": _real_ratio()},
-            change=_several_balls,
-        ),
+        "rebound speed of a ball over its impact speed",
+        _drop("drop", DROP_S, 1.0),
         "1",
         Reality.measured(
             _real_ratio(),
@@ -352,17 +339,15 @@ def rebound() -> Phenomenon:
 
 
 def slow_rebound() -> Phenomenon:
-    """Return the same for a slower impact."""
-    fast = rebound()
-    scenario = fast.scenario
+    """Return the same from the top before the real ball's third impact, for which it starts at rest."""
     return replace(
-        fast,
-        title="restitution: the same at 1.5 m/s, the ball's third impact",
-        scenario=replace(
-            scenario, name="drop-slow", seconds=SLOW_DROP_S, change=_lowered_balls
+        rebound(),
+        title="rebound over impact speed of a ball at 1.5 m/s",
+        scenario=_drop(
+            "drop-slow", SLOW_DROP_S, _real_ratio() ** (2 * SLOW_IMPACT - 2)
         ),
         reality=Reality.law(
-            fast.reality.value,
+            _real_ratio(),
             RATIO_SPREAD,
             "the ratio of real drops, which hardly depends on the speed: the ball of the published recording "
             "keeps 0.731 at its first impact and 0.721 to 0.727 at its second; the third is not measured",
@@ -383,6 +368,8 @@ PASSED_S = 0.25
 SWING_S = 0.55
 """Simulated time [s]: the first ball hits at 0.22 s, the last one is highest at 0.43 s and returns at 0.64 s."""
 
+CRADLE = "NewtonsCradle-metal"
+
 SHARE_OF_SPEED = 0.1
 """Share of the incoming speed below which a ball that leaves the row counts as at rest; real balls get 0.02."""
 
@@ -390,31 +377,30 @@ SHARE_OF_SPEED = 0.1
 def _with_gaps(scene: Scene) -> Scene:
     """Return the scene with gaps between neighbours."""
     names = [body.name for body in scene.dynamic_bodies]
+    gaps_m = {name: index * GAP_M for index, name in enumerate(names)}
 
     def shifted(name: str, place_m: Vector) -> Vector:
         x, y, z = place_m
-        return x, y + names.index(name) * GAP_M, z
+        return x, y + gaps_m.get(name, 0.0), z
 
-    bodies = [*scene.bodies]
-    for place, body in enumerate(bodies):
-        if body.name in names:
-            place_m = shifted(body.name, body.pose.position_m)
-            pose = replace(body.pose, position_m=place_m)
-            bodies[place] = replace(body, pose=pose)
+    bodies = posed(
+        scene,
+        lambda body: replace(
+            body.pose, position_m=shifted(body.name, body.pose.position_m)
+        ),
+    ).bodies
     joints = [replace(j, anchor_m=shifted(j.body, j.anchor_m)) for j in scene.joints]
-    return replace(scene, bodies=tuple(bodies), joints=tuple(joints))
+    return replace(scene, bodies=bodies, joints=tuple(joints))
 
 
 def momentum() -> Phenomenon:
     """Return the momentum that passes through a row of balls."""
-    scenario = Scenario(
-        "cradle", "NewtonsCradle-metal", SWING_S, "effective", change=_with_gaps
-    )
+    scene = _with_gaps(load_experiment(CRADLE, "effective").scene)
     # All balls but the first, which is lifted, hang at the same height.
-    balls = scenario.scene.dynamic_bodies
+    balls = scene.dynamic_bodies
     lifted, *_, rest = (1e3 * ball.pose.position_m[2] for ball in balls)
     leaves_mm = SHARE_OF_SPEED**2 * (lifted - rest)
-    real = published_baselines(scenario.variant)["mte"]
+    real = published_baselines(CRADLE)["mte"]
     assert real.std is not None, "MTE is published with its standard deviation"
 
     def efficiency(rollout: Recording) -> float:
@@ -438,7 +424,7 @@ def momentum() -> Phenomenon:
 
     return Phenomenon(
         "momentum transfer through a row of five balls",
-        scenario,
+        Scenario("cradle", CRADLE, SWING_S, scene),
         "1",
         Reality.measured(
             real.mean,
