@@ -3,8 +3,8 @@
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Any
 
 from gauge_envs.backends import Backend, backend
 from gauge_envs.errors import GaugeError
@@ -26,8 +26,6 @@ from gauge_envs.tools.sanity.phenomena import GRASP, phenomenon as phenomenon_of
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.rows import NotApplicableError
 from gauge_envs.tools.sanity.scenario import Scenario, run_scenario, settings_in_force
-
-T = TypeVar("T")
 
 FAILURE_DEVIATION = 2.0 * VISIBLE_WITHIN
 """Least deviation of a failure of another kind; half of it is at the limit of `wrong`."""
@@ -95,11 +93,11 @@ class Measurements:
 
     def outcome(
         self,
-        function: Callable[[Backend, Scenario, Settings], T],
+        function: Callable[..., Any],
         scenario: Scenario,
         settings: Settings,
-    ) -> T | Measured:
-        """Return what a function gives for a scenario and settings, or why it gives nothing.
+    ) -> Any:
+        """Return what a function of a backend gives for a scenario and settings, or a `Measured` that says why not.
 
         Raises:
             TimeLimitError: The time is used up, and a simulation would start.
@@ -115,10 +113,9 @@ class Measurements:
             if function is run_scenario and time.monotonic() >= self._ends_s:
                 raise TimeLimitError("the time limit is reached")
             self._known[key] = self._called(function, scenario, settings)
-        known: T | Measured = self._known[key]
-        return known
+        return self._known[key]
 
-    def _called(self, function: Callable[..., T], *arguments: Any) -> T | Measured:
+    def _called(self, function: Callable[..., Any], *arguments: Any) -> Any:
         try:
             return function(self._backend, *arguments)
         except DeclinedError as error:
@@ -134,19 +131,18 @@ class Measurements:
 
 def judged(phenomenon: Phenomenon, rollout: Recording) -> Measured:
     """Return the outcome of a phenomenon in a rollout of its scenario."""
-    failure = "" if phenomenon.failure is None else phenomenon.failure(rollout)
     value, reality = float(phenomenon.value(rollout)), phenomenon.reality
+    remark = phenomenon.failure(rollout)
     if not math.isfinite(value):
-        remark = failure or "it does not happen"
+        remark = remark or "it does not happen"
         return Measured(verdict=Verdict.WRONG, remark=remark, rollout=rollout)
-    deviation = abs(value - reality.value) / reality.tolerance
-    if failure:
-        deviation = max(deviation, FAILURE_DEVIATION)
+    least = FAILURE_DEVIATION if remark else 0.0
+    deviation = max(abs(value - reality.value) / reality.tolerance, least)
     return Measured(
         value=value,
         deviation=deviation,
         verdict=Verdict.of(deviation),
-        remark=failure,
+        remark=remark,
         rollout=rollout,
     )
 
@@ -193,7 +189,7 @@ Sets = Mapping[str, Settings]
 """Settings of sets of contact constants, by the geoms that touch with them."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Subject:
     """A phenomenon and the settings of each set of contact constants.
 
@@ -207,9 +203,9 @@ class Subject:
 
     measurements: Measurements
     phenomenon: Phenomenon
-    sets: Sets = field(default_factory=dict)
-    inapplicable: str = ""
-    advisory: str = ""
+    sets: Sets
+    inapplicable: str
+    advisory: str
 
     def measured(self) -> dict[str, Measured]:
         """Return the outcome with each set."""
@@ -225,23 +221,20 @@ def subject_of(
     phenomenon: Phenomenon,
 ) -> Subject:
     """Return a phenomenon with the sets of contact constants that it applies to."""
-    advisory = ""
+    sets: Sets = {}
+    inapplicable = advisory = ""
     try:
         for need in phenomenon.needs:
             if need in configuration.inapplicable:
                 raise NotApplicableError(configuration.inapplicable[need])
         sets = _sets_of(configuration, phenomenon)
+        if phenomenon.needs_foot:
+            phenomenon = phenomenon_of(phenomenon.id, configuration.foot_geometry)
+        if phenomenon.is_impact:
+            sets, advisory = _impact(measurements, configuration, phenomenon, sets)
     except NotApplicableError as error:
-        return Subject(
-            measurements=measurements, phenomenon=phenomenon, inapplicable=str(error)
-        )
-    if phenomenon.needs_foot:
-        phenomenon = phenomenon_of(phenomenon.id, configuration.foot_geometry)
-    if phenomenon.is_impact:
-        sets, advisory = _impact(measurements, configuration, phenomenon, sets)
-    return Subject(
-        measurements=measurements, phenomenon=phenomenon, sets=sets, advisory=advisory
-    )
+        inapplicable = str(error)
+    return Subject(measurements, phenomenon, sets, inapplicable, advisory)
 
 
 def _sets_of(configuration: TrainingConfiguration, phenomenon: Phenomenon) -> Sets:
@@ -258,8 +251,6 @@ def _sets_of(configuration: TrainingConfiguration, phenomenon: Phenomenon) -> Se
             "round fingertips: their torsional friction alone holds a torque"
         )
     sets: Sets = contacts.contact_sets
-    if phenomenon.scenario.name == "wall":
-        sets = {geoms: _flat(settings) for geoms, settings in sets.items()}
     if phenomenon.needs_foot:
         foot = configuration.foot_geometry
         if foot is None:
@@ -277,13 +268,6 @@ def _sets_of(configuration: TrainingConfiguration, phenomenon: Phenomenon) -> Se
                 f"condim 1: contacts of {named} have no friction on purpose"
             )
     return sets
-
-
-def _flat(settings: Settings) -> Settings:
-    """Return settings without torsional and rolling friction: many bricks that lie flat do not need them."""
-    turning = {"condim", "torsional_friction_m", "rolling_friction_m"}
-    kept = {name: settings[name] for name in settings if name not in turning}
-    return kept if settings.get("condim", 3) >= 3 else settings
 
 
 def _impact(
@@ -318,9 +302,7 @@ def _states_impact(force: Settings) -> bool:
 
 def worst_of(outcomes: Mapping[str, Measured]) -> tuple[str, Measured]:
     """Return the geoms and the outcome that is farthest from reality; of those that were not measured if all."""
-
-    def distance(item: tuple[str, Measured]) -> float:
-        _, outcome = item
-        return -1.0 if outcome.verdict is Verdict.DECLINED else outcome.deviation
-
-    return max(outcomes.items(), key=distance)
+    return max(
+        outcomes.items(),
+        key=lambda item: (item[1].verdict is not Verdict.DECLINED, item[1].deviation),
+    )

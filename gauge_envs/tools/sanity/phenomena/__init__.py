@@ -38,7 +38,8 @@ def phenomenon(name: str, foot: FootGeometry | None = None) -> Phenomenon:
     """
     module, function, *arguments = {**RIGID, **GRASP, **SLOW}[name]
     make = getattr(import_module(f"{__name__}.{module}"), function)
-    made: Phenomenon = make(*arguments) if foot is None else make(foot)
+    feet = () if foot is None else (foot,)
+    made: Phenomenon = make(*arguments, *feet)
     return replace(made, id=name, needs_foot=module == "foot")
 
 

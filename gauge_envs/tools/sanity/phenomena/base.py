@@ -26,7 +26,7 @@ class Phenomenon:
         unit: Unit of the number; `1` for a pure number.
         reality: Value and scatter for real objects.
         value: Function that measures the number in a rollout of the scenario.
-        failure: Function that returns a failure that no real trial shows, independent of the number; None for none.
+        failure: Function that returns a failure that no real trial shows, independent of the number; empty for none.
         needs_friction: Whether the phenomenon means nothing without friction.
         needs_foot: Whether the scene is built from the foot of the target.
         needs_space: Whether the phenomenon means nothing to a robot that moves in a plane along an axis of the world.
@@ -39,7 +39,7 @@ class Phenomenon:
     unit: str
     reality: Reality
     value: Callable[[Recording], float]
-    failure: Callable[[Recording], str] | None = None
+    failure: Callable[[Recording], str] = lambda rollout: ""
     needs_friction: bool = False
     needs_foot: bool = False
     needs_space: bool = False

@@ -25,7 +25,7 @@ from gauge_envs.tools.sanity.phenomena.friction import (
     creeping,
     downhill,
     real_friction,
-    slide as slide_of_cube,
+    slide,
 )
 from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT, FootGeometry
 from gauge_envs.tools.sanity.scenario import Scenario
@@ -150,25 +150,21 @@ def creep(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     )
 
 
-def push(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
-    """Return the acceleration of a foot that is pushed a little more than its friction holds."""
-    slope_deg = float(np.degrees(np.arctan(PUSH * real_friction(MATERIAL))))
-    return _sliding(foot, "push", f"pushed with {PUSH:g} mu N", slope_deg)
-
-
-def slide(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
-    """Return the acceleration of a foot on a steep slope."""
-    return _sliding(foot, "slide", f"on {SLIDE_DEG:.0f} degrees", SLIDE_DEG)
-
-
-def _sliding(
-    geometry: FootGeometry, kind: str, where: str, slope_deg: float
-) -> Phenomenon:
-    foot = replace(geometry, friction=None)
-    slope, friction = np.radians(slope_deg), _friction(foot)
+def sliding(kind: str, foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
+    """Return the acceleration of a foot with the cube's friction on a slope of a kind, `push` or `slide`."""
+    foot = replace(foot, friction=None)
+    friction = _friction(foot)
+    where, slope_deg = {
+        "push": (
+            f"pushed with {PUSH:g} mu N",
+            float(np.degrees(np.arctan(PUSH * friction))),
+        ),
+        "slide": (f"on {SLIDE_DEG:.0f} degrees", SLIDE_DEG),
+    }[kind]
+    slope = np.radians(slope_deg)
     real = Reality.law(
         G * float(np.sin(slope) - friction * np.cos(slope)),
-        slide_of_cube(MATERIAL).reality.tolerance,
+        slide(MATERIAL).reality.tolerance,
         _source(f"law: g (sin a - mu cos a) on {slope_deg:.3g} deg", foot),
         f"measured: covers {COVERAGE:.0%} of real slides of the {MATERIAL} cube on {SLIDE_DEG:.0f} degrees",
     )
@@ -246,7 +242,7 @@ def rest(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
 
     def failure(rollout: Recording) -> str:
         is_late = last_s(rollout) > rollout.times_s[-1] - STILL_S
-        return "it still moves at the end" if is_late else ""
+        return "it still moves at the end" * bool(is_late)
 
     return _landed(
         foot,

@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import ConvexUnion, RigidBody, Scene, Sphere, Vector
-from gauge_envs.scene.geometry import FloatArray, length_of
+from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.estimators import first_bounce, mean_period_s, pendulum_period_s
 from gauge_envs.scoring.events import energy_loss, momentum_transfer_efficiency
@@ -78,12 +78,9 @@ def point() -> Phenomenon:
         places = base.pose.to_body(
             (vertices + rollout.position("pyramid")).reshape(-1, 3)
         )
-        depths = [0.0]
-        for piece in base.shape.pieces_m:
-            planes = ConvexHull(np.asarray(piece)).equations
-            inside = -(places @ planes[:, :3].T + planes[:, 3]).max(axis=1)
-            depths.append(inside.max())
-        return 1e3 * max(depths)
+        pieces = [ConvexHull(piece).equations for piece in base.shape.pieces_m]
+        outside = [(places @ one[:, :3].T + one[:, 3]).max(axis=1) for one in pieces]
+        return max(-1e3 * float(np.min(outside)), 0.0)
 
     return Phenomenon(
         "depth of a falling tip in the base",
@@ -380,8 +377,7 @@ def _with_gaps(scene: Scene) -> Scene:
     gaps_m = {name: index * GAP_M for index, name in enumerate(names)}
 
     def shifted(name: str, place_m: Vector) -> Vector:
-        x, y, z = place_m
-        return x, y + gaps_m.get(name, 0.0), z
+        return vector(np.add(place_m, [0.0, gaps_m.get(name, 0.0), 0.0]))
 
     bodies = posed(
         scene,
