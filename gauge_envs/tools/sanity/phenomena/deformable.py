@@ -129,8 +129,8 @@ GRIPPED_S = 1.2
 def foam(kind: str) -> Phenomenon:
     """Return the change of the area of a face of foam in an experiment with a kind, `stretching` or `compressing`."""
     recording = f"foam_{kind}"
-    grip = recorded(recording, "grip_mm")["value"]
-    uncertainty = facts("recordings/recordings")[recording]["uncertainty"]["relative"]
+    trial = facts("recordings/recordings")[recording]
+    measured = trial["facts"]
 
     def change(rollout: Recording) -> float:
         markers = rollout.scene.markers
@@ -139,12 +139,12 @@ def foam(kind: str) -> Phenomenon:
         return float(100.0 * (area[-1] / area[0] - 1.0))
 
     return Phenomenon(
-        f"area change of a face of foam, {kind} by {abs(grip):.0f} mm",
+        f"area change of a face of foam, {kind} by {abs(measured['grip_mm']['value']):.0f} mm",
         Scenario(recording, f"Foam{kind.title()}-soft", GRIPPED_S),
         "%",
         Reality.measured(
-            100.0 * recorded(recording, "area_change_ratio")["value"],
-            100.0 * uncertainty,
+            100.0 * measured["area_change_ratio"]["value"],
+            100.0 * trial["uncertainty"]["relative"],
             1,
             f"one recorded trial of soft or hard foam; scatter: of the measurement ({RECORDINGS})",
         ),
@@ -184,9 +184,8 @@ def rope_length() -> Phenomenon:
 
 def foot_lag() -> Phenomenon:
     """Return the lag of the foot of an elastic rod behind its base."""
-    low, high = (
-        recorded("stick_stack", "mean_lag_of_foot_mm")[end] for end in ("low", "high")
-    )
+    lag_range_mm = recorded("stick_stack", "mean_lag_of_foot_mm")
+    low, high = lag_range_mm["low"], lag_range_mm["high"]
 
     def lag_mm(rollout: Recording) -> float:
         foot = rollout.markers_m[:, rollout.markers_m[0, :, 2].argmin(), 0]

@@ -100,19 +100,9 @@ def foot_scene(
 
 
 def _scenario(
-    kind: str,
-    foot: FootGeometry,
-    seconds: float,
-    slope_deg: float = 0.0,
-    lift_m: float = 0.0,
+    kind: str, foot: FootGeometry, seconds: float, **placed: float
 ) -> Scenario:
-    scene = foot_scene(
-        foot,
-        friction=_friction(foot),
-        slope_deg=slope_deg,
-        lift_m=lift_m,
-        seconds=seconds,
-    )
+    scene = foot_scene(foot, friction=_friction(foot), seconds=seconds, **placed)
     softer = {} if foot.softening is None else {"inverse_weight_scale": foot.softening}
     is_calm = kind == "hold"
     return Scenario(
@@ -121,7 +111,7 @@ def _scenario(
         seconds,
         scene,
         CALM_INTERVAL_S if is_calm else Scenario.interval_s,
-        released=() if lift_m else (FOOT,),
+        released=() if "lift_m" in placed else (FOOT,),
         engine_settings=dict.fromkeys(SOFTENED_BY_INVERSE_WEIGHT, softer),
     )
 
@@ -144,7 +134,7 @@ def creep(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     slope = min(HOLD_DEG, steepest)
     return creeping(
         f"creep of the foot on {slope:.3g} degrees",
-        _scenario("hold", foot, HOLD_S, slope),
+        _scenario("hold", foot, HOLD_S, slope_deg=slope),
         _source(f"law: Coulomb, tan {slope:.3g} deg < mu", foot),
         f"measured: the published trials of the {MATERIAL} cube allow no faster creep (paper, Table 5)",
     )
@@ -168,7 +158,7 @@ def sliding(kind: str, foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
         _source(f"law: g (sin a - mu cos a) on {slope_deg:.3g} deg", foot),
         f"measured: covers {COVERAGE:.0%} of real slides of the {MATERIAL} cube on {SLIDE_DEG:.0f} degrees",
     )
-    scenario = _scenario(kind, foot, SLIDE_S, slope_deg)
+    scenario = _scenario(kind, foot, SLIDE_S, slope_deg=slope_deg)
     title = f"acceleration of the foot {where}"
     return downhill(title, scenario, "m/s^2", real, acceleration)
 

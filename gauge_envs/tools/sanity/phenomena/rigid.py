@@ -5,7 +5,6 @@ swings for a hundred seconds. A ball has the restitution that real drops show, s
 makes of it.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -107,8 +106,15 @@ RESTS_M_PER_S = 0.001
 """Speed of the bricks of a wall at rest [m/s]: in the time that is left they move by 0.35 mm at most."""
 
 
-def _wall(title: str, of: str, extreme_mm: Callable[[FloatArray], float]) -> Phenomenon:
-    """Return a row on a wall, by a function of the bricks' last displacements [mm], shape [brick_count, 3]."""
+def wall(kind: str) -> Phenomenon:
+    """Return how far the bricks of a dry wall move: down, a `sag`, or aside, a `drift`."""
+    title, of = {
+        "sag": ("settling of a dry wall of 118 bricks", "eleven layers of 15 mm"),
+        "drift": (
+            f"drift of the bricks of a dry wall in {STAND_S:g} s",
+            "the length of 40 mm of a brick",
+        ),
+    }[kind]
     scene = load_experiment(WALL).scene
     bricks = [body for body in scene.bodies if body.name != "ball"]
     touches = [touch for touch in scene.contacts if "ball" not in touch.first]
@@ -121,6 +127,12 @@ def _wall(title: str, of: str, extreme_mm: Callable[[FloatArray], float]) -> Phe
             [rollout.displacement(brick.name)[-1] for brick in bricks]
         )
 
+    def extreme_mm(rollout: Recording) -> float:
+        ways_mm = moved_mm(rollout)
+        if kind == "sag":
+            return float(-ways_mm[:, 2].min())
+        return float(np.linalg.norm(ways_mm[:, :2], axis=-1).max())
+
     def fallen(rollout: Recording) -> str:
         if np.linalg.norm(moved_mm(rollout), axis=-1).max() <= 1e3 * FALLEN_M:
             return ""
@@ -132,24 +144,9 @@ def _wall(title: str, of: str, extreme_mm: Callable[[FloatArray], float]) -> Phe
         Scenario("wall", WALL, STAND_S, scene, recorded=ends),
         "mm",
         rigid_law("a dry wall does not move", 1.0, of),
-        lambda rollout: extreme_mm(moved_mm(rollout)),
+        extreme_mm,
         fallen,
         needs_friction=True,
-    )
-
-
-def wall_sag() -> Phenomenon:
-    """Return the settling of a wall."""
-    title, of = "settling of a dry wall of 118 bricks", "eleven layers of 15 mm"
-    return _wall(title, of, lambda moved_mm: float(-moved_mm[:, 2].min()))
-
-
-def wall_drift() -> Phenomenon:
-    """Return the drift of the bricks of a wall."""
-    return _wall(
-        f"drift of the bricks of a dry wall in {STAND_S:g} s",
-        "the length of 40 mm of a brick",
-        lambda moved_mm: float(np.linalg.norm(moved_mm[:, :2], axis=-1).max()),
     )
 
 
