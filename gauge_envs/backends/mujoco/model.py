@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import product
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -63,6 +64,8 @@ SOLVERS = {
     "CG": mujoco.mjtSolver.mjSOL_CG,
     "Newton": mujoco.mjtSolver.mjSOL_NEWTON,
 }
+NAMED_OPTIONS = {"integrator": INTEGRATORS, "cone": CONES, "solver": SOLVERS}
+"""MuJoCo's constants of each option that has a name."""
 DISABLE_FLAGS = {
     "warmstart": mujoco.mjtDisableBit.mjDSBL_WARMSTART,
     "refsafe": mujoco.mjtDisableBit.mjDSBL_REFSAFE,
@@ -246,17 +249,32 @@ def rotated_back(
 
 
 def _set_options(spec: mujoco.MjSpec, settings: SettingsMuJoCo) -> None:
-    option = spec.option
-    option.timestep = settings.timestep_s
-    option.integrator = INTEGRATORS[settings.integrator]
-    option.cone = CONES[settings.cone]
-    option.solver = SOLVERS[settings.solver]
-    for name in SAME_NAME_OPTIONS:
-        setattr(option, name, getattr(settings, name))
-    for name, bit in DISABLE_FLAGS.items():
-        option.disableflags |= 0 if getattr(settings, name) else bit
-    for name, bit in ENABLE_FLAGS.items():
-        option.enableflags |= bit if getattr(settings, name) else 0
+    for name, value in settings:
+        set_option(spec.option, name, value)
+
+
+def set_option(option: Any, name: str, value: Any) -> None:
+    """Set an option or a flag of a model by the name of a setting; settings of contacts and scenes change nothing.
+
+    Args:
+        option: Options of a compiled model, or of its spec.
+        name: Name of the setting.
+        value: Its new value; None for `o_friction` lets contacts have their constants.
+    """
+    if name == "timestep_s":
+        option.timestep = value
+    elif name in NAMED_OPTIONS:
+        setattr(option, name, int(NAMED_OPTIONS[name][value]))
+    elif name in SAME_NAME_OPTIONS:
+        setattr(option, name, value)
+    elif name in DISABLE_FLAGS:
+        off = int(DISABLE_FLAGS[name])
+        option.disableflags = option.disableflags & ~off | off * (not value)
+    elif name in ENABLE_FLAGS:
+        on = int(ENABLE_FLAGS[name])
+        option.enableflags = option.enableflags & ~on | on * bool(value)
+    elif name == "o_friction" and value is None:
+        option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 
 
 def _collision_shape(body: RigidBody) -> Shape:

@@ -11,18 +11,10 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from gauge_envs.backends.mujoco.model import (
-    CONES,
-    DISABLE_FLAGS,
-    ENABLE_FLAGS,
-    INTEGRATORS,
-    SAME_NAME_OPTIONS,
-    SOLVERS,
-)
+from gauge_envs.backends.mujoco.model import set_option
 from gauge_envs.scene import Vector
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.tools.bench.model_settings import ContactPairs
 from gauge_envs.tools.sanity.model import Settings
 from gauge_envs.tools.sanity.robot.mjcf_text import ModelText
@@ -52,13 +44,8 @@ ELEMENT_FIELDS = GEOM_FIELDS | {
 }
 """Attributes of geoms and of equalities by the names of settings."""
 
-ARRAYS = {"equality": "eq"}
-"""Begin of the names of arrays of a kind of element, where it is not the kind."""
-
 PAIRED = ("contact_solref", "contact_solimp")
 """Settings that explicit pairs state instead of their geoms, in the same form."""
-
-OPTIONS = {"integrator": INTEGRATORS, "cone": CONES, "solver": SOLVERS}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -213,11 +200,11 @@ class Robot:
             if field is None:
                 set_option(model.opt, name, value)
                 continue
-            new, places[name] = of_one_geom(name, value), []
+            # The margins and gaps of two geoms add up.
+            new = value / 2 if field in ("margin", "gap") else value
+            places[name] = []
             for kind, several in self._holders(name).items():
-                array_name = f"{ARRAYS.get(kind, kind)}_{field}"
-                # A pair has another name for the dimension of its contacts.
-                array = getattr(model, array_name.replace("pair_condim", "pair_dim"))
+                array = getattr(model, f"{kind.replace('equality', 'eq')}_{field}")
                 for number in several:
                     if not np.array_equal(array[number], new):
                         places[name].append((kind, number))
@@ -241,11 +228,6 @@ class Robot:
         constants = np.column_stack([self.model.eq_solref, self.model.eq_solimp])
         alike = (constants == constants[place[1]]).all(axis=1)
         return {"equality": np.flatnonzero(alike).tolist()}
-
-
-def of_one_geom(name: str, value: Any) -> Any:
-    """Return the value of a setting in each geom: the margins and gaps of two geoms add up."""
-    return value / 2 if name in ("contact_margin_m", "contact_gap_m") else value
 
 
 P = ParamSpec("P")
@@ -278,39 +260,13 @@ def switched_off(model: mujoco.MjModel, *features: str) -> list[str]:
     return [one for one in features if model.opt.disableflags & disable_bit(one)]
 
 
-def set_option(option: Any, name: str, value: Any) -> None:
-    """Set an option or a flag by the name of this package's setting; others do not belong to models.
-
-    Args:
-        option: Options of a compiled model, or of its spec.
-        name: Name of the setting.
-        value: Its new value.
-    """
-    if name == "timestep_s":
-        option.timestep = value
-    elif name == "gravity":
-        option.gravity[:] = value
-    elif name in OPTIONS:
-        setattr(option, name, int(OPTIONS[name][value]))
-    elif name in SAME_NAME_OPTIONS:
-        setattr(option, name, value)
-    elif name in DISABLE_FLAGS:
-        off = disable_bit(name)
-        option.disableflags = option.disableflags & ~off | off * (not value)
-    elif name in ENABLE_FLAGS:
-        on = int(ENABLE_FLAGS[name])
-        option.enableflags = option.enableflags & ~on | on * bool(value)
-    elif name == "o_friction" and value is None:
-        option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
-
-
-def joints_of_motors(model: mujoco.MjModel) -> NDArray[np.int_]:
+def joints_of_motors(model: mujoco.MjModel) -> IntArray:
     """Return the joint of each actuator that acts on a joint."""
-    joints: NDArray[np.int_] = model.actuator_trnid[acts_on_joints(model), 0]
+    joints: IntArray = model.actuator_trnid[acts_on_joints(model), 0]
     return joints
 
 
-def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.int_]:
+def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> IntArray:
     """Return for each pair 1 where a part whose joints have motors can hold a free body, 2 if at a point, or else 0."""
     roots = model.body_rootid
     driven = np.isin(roots, roots[model.jnt_bodyid[joints_of_motors(model)]])
@@ -322,7 +278,7 @@ def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.int_]:
     )
     at_point = (driven[bodies] & is_round).any(axis=1)
     grasps = driven[bodies].any(axis=1) & free[bodies].any(axis=1)
-    kinds: NDArray[np.int_] = grasps * (1 + at_point)
+    kinds: IntArray = grasps * (1 + at_point)
     return kinds
 
 
