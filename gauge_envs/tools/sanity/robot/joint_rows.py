@@ -16,7 +16,6 @@ from gauge_envs.tools.sanity.robot.joints import (
     drives,
     is_overweight,
     largest_loads,
-    mass_matrix,
     reaches_m,
     root_of,
     servos,
@@ -174,7 +173,7 @@ def _modes(robot: Robot, several: list[Drive]) -> Iterator[Case]:
     has most of its energy.
     """
     model = robot.without("contact", "gravity", "limit", "spring", "equality")
-    is_affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    is_affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
     if not several:
         return
     if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
@@ -265,7 +264,7 @@ def coupling_yield(robot: Robot) -> Finding:
     begin, pushes = data.qpos.copy(), np.zeros(model.nv)
     for drive in drives(robot):
         pushes[drive.dof] = drive.push if np.isfinite(drive.push) else 0.0
-    is_coupling = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    is_coupling = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
     is_coupling &= (model.eq_obj2id >= 0) & (model.eq_active0 != 0)
     for number in np.flatnonzero(is_coupling).tolist():
         joints = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
@@ -309,8 +308,10 @@ def free_joint_drag(robot: Robot) -> Finding:
     is_base = joints_of(model, "FREE") & np.isin(model.jnt_bodyid, list(bases))
     if not is_base.any() or model.opt.density > LIQUID_KG_PER_M3:
         raise NotApplicableError("no robot is free in air")
-    inertia = np.diag(mass_matrix(robot)) - model.dof_armature
-    dampings: FloatArray = model.dof_damping.reshape(model.nv, -1)[:, 0]
+    matrix = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, start(robot), matrix)
+    inertia = np.diag(matrix) - model.dof_armature
+    dampings: FloatArray = np.atleast_2d(model.dof_damping.T)[0]
     cases = []
     for joint in np.flatnonzero(is_base).tolist():
         body, first = int(model.jnt_bodyid[joint]), int(model.jnt_dofadr[joint])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import mujoco
@@ -70,8 +69,7 @@ def worst_case(cases: Iterable[Case], limit: float = 1.0) -> Finding:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Drive:
+class Drive(NamedTuple):
     """A hinge or slide that an actuator moves, in N m and rad or in N and m.
 
     Attributes:
@@ -79,7 +77,6 @@ class Drive:
         joint: Id of the joint.
         dof: Its degree of freedom.
         body: Body that the joint moves.
-        name: Name of the joint, or its number.
         is_hinge: Whether the joint is a hinge.
         is_leg: Whether the joint is between the trunk of a robot that stands and one of its feet.
         limit: Largest force of its actuators; infinite where none is stated.
@@ -94,7 +91,6 @@ class Drive:
     joint: int
     dof: int
     body: int
-    name: str
     is_hinge: bool
     is_leg: bool
     limit: float
@@ -103,6 +99,11 @@ class Drive:
     damping: float
     dry: float
     armature: float
+
+    @property
+    def name(self) -> str:
+        """Name of the joint, or its number."""
+        return name_of(self.robot.model, "joint", self.joint)
 
     @property
     def units(self) -> tuple[str, str]:
@@ -138,7 +139,7 @@ def drives(robot: Robot) -> list[Drive]:
         model.actuator_trnid[acting, 0],
         np.abs(model.actuator_gear[acting, 0]),
     )
-    affine = model.actuator_biastype[acting] == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    affine = model.actuator_biastype[acting] == mujoco.mjtBias.mjBIAS_AFFINE
     bias = -model.actuator_biasprm[acting] * affine[:, None]
     np.add.at(limits, joints, gears * _largest_forces(model)[acting])
     np.add.at(kp, joints, gears**2 * np.maximum(bias[:, 1], 0.0))
@@ -148,24 +149,15 @@ def drives(robot: Robot) -> list[Drive]:
     limits[is_capped] = np.minimum(limits, capped)[is_capped]
     is_driven = (limits > 0.0) & joints_of(model, "HINGE", "SLIDE")
     is_driven &= np.isin(model.jnt_bodyid, robot.bodies)
-    return [
-        Drive(
-            robot=robot,
-            joint=joint,
-            dof=(dof := int(model.jnt_dofadr[joint])),
-            body=(body := int(model.jnt_bodyid[joint])),
-            name=name_of(model, "joint", joint),
-            is_hinge=bool(joints_of(model, "HINGE")[joint]),
-            is_leg=body in legs,
-            limit=float(limits[joint]),
-            kp=float(kp[joint]),
-            kv=float(kv[joint]),
-            damping=float(np.ravel(model.dof_damping[dof])[0]),
-            dry=float(model.dof_frictionloss[dof]),
-            armature=float(model.dof_armature[dof]),
-        )
-        for joint in np.flatnonzero(is_driven).tolist()
-    ]
+    dofs, bodies = model.jnt_dofadr, model.jnt_bodyid
+    columns = (
+        *(np.arange(model.njnt), dofs, bodies),
+        *(joints_of(model, "HINGE"), np.isin(bodies, list(legs)), limits, kp, kv),
+        np.atleast_2d(model.dof_damping.T)[0, dofs],
+        *(model.dof_frictionloss[dofs], model.dof_armature[dofs]),
+    )
+    rows = zip(*(column[is_driven].tolist() for column in columns), strict=True)
+    return [Drive(robot, *row) for row in rows]
 
 
 def _largest_forces(model: mujoco.MjModel) -> FloatArray:
@@ -173,7 +165,7 @@ def _largest_forces(model: mujoco.MjModel) -> FloatArray:
     largest = np.abs(model.actuator_forcerange).max(axis=1, initial=0.0)
     largest[model.actuator_forcelimited == 0] = np.inf
     is_plain = ~model.actuator_biasprm.any(axis=1) & (model.actuator_ctrllimited != 0)
-    is_plain &= model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_FIXED)
+    is_plain &= model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED
     spans = np.abs(model.actuator_ctrlrange).max(axis=1, initial=0.0)
     spans *= np.abs(model.actuator_gainprm[:, 0])
     return np.where(is_plain, np.minimum(largest, spans), largest)
@@ -181,7 +173,7 @@ def _largest_forces(model: mujoco.MjModel) -> FloatArray:
 
 def servos(model: mujoco.MjModel) -> BoolArray:
     """Return which actuators hold a position, shape [nu]."""
-    affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    affine: BoolArray = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
     return affine & (model.actuator_biasprm[:, 1] < 0.0)
 
 
@@ -192,13 +184,6 @@ def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
     data.qpos[:] = robot.stance.qpos
     mujoco.mj_forward(model, data)
     return data
-
-
-def mass_matrix(robot: Robot) -> FloatArray:
-    """Return the inertia matrix where the robot starts, with armatures, shape [nv, nv]."""
-    full = np.zeros((robot.model.nv, robot.model.nv))
-    mujoco.mj_fullM(robot.model, start(robot), full)
-    return full
 
 
 def loads(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:

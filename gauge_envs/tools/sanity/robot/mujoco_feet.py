@@ -309,7 +309,7 @@ def acts_on_joints(model: mujoco.MjModel) -> BoolArray:
 def _can_fall(model: mujoco.MjModel, stance: Stance, body: int) -> bool:
     """Return whether the first joints of a body let it rise and fall."""
     weight_n = float(model.body_subtreemass[body]) * GRAVITY_M_PER_S2
-    dampings = model.dof_damping.reshape(model.nv, -1)[model.jnt_dofadr, 0]
+    dampings = np.atleast_2d(model.dof_damping.T)[0, model.jnt_dofadr]
     falls = joints_of(model, "SLIDE") & (np.abs(stance.joint_axes[:, 2]) > UPRIGHT)
     falls &= weight_n > HELD_M_PER_S * dampings
     falls[model.actuator_trnid[acts_on_joints(model), 0]] = False
