@@ -325,7 +325,7 @@ def _facts(checked: TrainingConfiguration) -> dict[str, str]:
     if checked.frame_skip is not None:
         facts["one action"] = f"{checked.frame_skip} steps"
     if (foot := checked.foot_geometry) is not None:
-        facts["foot"] = f"{foot.description}, in the {foot.pose}; {foot.assumption}"
+        facts["foot"] = f"in the {foot.pose}, {foot.description}"
     for name, value in checked.settings.items():
         origin = checked.origins.get(name, "settings")
         text = f"{name} = {setting_text(value)}"

@@ -190,6 +190,6 @@ def _check_accepted(
 def _unstated(configuration: TrainingConfiguration) -> str:
     """Return in one sentence what the target's model leaves open."""
     return ""
-    from gauge_envs.tools.sanity.robot.unstated import unstated
+    from gauge_envs.tools.sanity.robot.joints import unstated
 
     return unstated(configuration.robot)

@@ -5,7 +5,7 @@ from robot_faults import FAULTS, faulty_xml, good_xml
 
 from gauge_envs.tools.sanity import configuration
 from gauge_envs.tools.sanity.own_rows import ROWS
-from gauge_envs.tools.sanity.robot.unstated import unstated
+from gauge_envs.tools.sanity.robot.joints import unstated
 from gauge_envs.tools.sanity.rows import row_result
 
 NAMES = [

@@ -99,19 +99,12 @@ class FootGeometry:
 
     @property
     def description(self) -> str:
-        """Text about the foot and its load."""
-        feet = "1 foot" if self.foot_count == 1 else f"{self.foot_count} feet"
-        return f"{self.geoms} with {self.load_kg:.3g} kg, the share of one of {feet} in {self.robot_mass_kg:.3g} kg"
-
-    @property
-    def assumption(self) -> str:
-        """Text about what stands for the robot."""
-        text = "four copies in one rigid body, whose mass is spread evenly over their solids"
-        if self.softening is not None:
-            text += (
-                f"; contacts {self.softening:.3g} times softer, as on the foot's link"
-            )
-        return text
+        """Text about the foot, its load and what stands for it."""
+        text = f"{self.geoms}, loaded by {self.load_kg:.3g} of {self.robot_mass_kg:.3g} kg; "
+        text += f"{COPIES} copies form a rigid body"
+        if self.softening is None:
+            return text
+        return f"{text}, with contacts {self.softening:.3g} times softer"
 
     @property
     def _turns(self) -> Rotation:

@@ -40,7 +40,7 @@ def standing_of(robot: Robot) -> Standing:
 def floor_m(robot: Robot) -> float:
     """Return the height of the highest plane under the feet [m]; that of the lowest foot over other ground."""
     touched = np.unique(robot.pairs.geoms[robot.foot_rows])
-    is_plane = robot.model.geom_type[touched] == int(mujoco.mjtGeom.mjGEOM_PLANE)
+    is_plane = robot.model.geom_type[touched] == mujoco.mjtGeom.mjGEOM_PLANE
     heights_m = robot.stance.positions_m[touched[is_plane], 2]
     return float(max(heights_m, default=standing_of(robot).ground_m))
 
@@ -91,7 +91,7 @@ def feet(robot: Robot) -> Finding:
 def _untouched_plane(robot: Robot) -> int | None:
     """Return the plane of the world that no geom of a free robot with motors can touch; None without one."""
     model = robot.model
-    is_floor = model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
+    is_floor = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
     is_floor &= (model.geom_contype | model.geom_conaffinity) != 0
     floors = np.flatnonzero(is_floor & (model.geom_bodyid == 0)).tolist()
     is_free = joints_of(model, "FREE") & np.isin(model.jnt_bodyid, robot.bodies)

@@ -251,3 +251,22 @@ def is_overweight(drive: Drive) -> bool:
 def root_of(model: mujoco.MjModel, body: int) -> int:
     """Return the first body of the tree of bodies of which a body is part."""
     return int(model.tree_bodyadr[model.body_treeid[body]])
+
+
+def unstated(robot: Robot) -> str:
+    """Return what a robot with motors does not state, in one sentence; empty where nothing is missing.
+
+    These are properties of real drives, without which a policy meets a better robot than the real one.
+    """
+    driven = drives(robot)
+    if not driven:
+        return ""
+    states = {
+        "rotor inertia": any(drive.armature for drive in driven),
+        "torque limit": any(np.isfinite(drive.limit) for drive in driven),
+        # Versions before MuJoCo 3.5 have no delay.
+        "delay of actions": np.any(getattr(robot.model, "actuator_delay", 0.0)),
+    }
+    *first, last = [name for name, is_stated in states.items() if not is_stated] or [""]
+    text = " or ".join(filter(None, [", ".join(first), last]))
+    return text and f"The model states no {text}."

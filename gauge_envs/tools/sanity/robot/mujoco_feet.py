@@ -1,35 +1,16 @@
 """Find the feet of a robot in a MuJoCo model: the geoms that stand on the ground, and the mass that they carry."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import TargetError
-from gauge_envs.scene import (
-    GRAVITY_M_PER_S2,
-    Box,
-    Capsule,
-    ConvexUnion,
-    Cylinder,
-    Ellipsoid,
-    Part,
-    Pose,
-    Sphere,
-)
-from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray, length_of, vector
-from gauge_envs.tools.bench.model_settings import (
-    COLUMNS,
-    ContactPairs,
-    PairKind,
-    can_move,
-    contact_settings,
-)
-from gauge_envs.tools.sanity.model import ContactGroup
-from gauge_envs.tools.sanity.robot.foot import COPIES, FootGeometry
+from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray, length_of
+from gauge_envs.tools.bench.model_settings import ContactPairs, PairKind, can_move
 
 STANDS_WITHIN = 0.1
 """Height above the lowest point, over the height of the robot, up to which a body counts as standing."""
@@ -51,20 +32,6 @@ HELD_M_PER_S = 1e-3
 
 LIQUID_KG_PER_M3 = 10.0
 """Density of the medium from which on a robot swims; air has 1.2 [kg/m^3]."""
-
-MOST_GEOMS = 4
-"""Most geoms of a foot or of a group that are listed; of more, the others are counted."""
-
-Solid = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
-
-SOLIDS: Mapping[str, Callable[[float, float, float], Solid]] = {
-    "SPHERE": lambda x, *_: Sphere(radius_m=x),
-    "CAPSULE": lambda x, y, _: Capsule(radius_m=x, length_m=2.0 * y),
-    "ELLIPSOID": lambda *radii: Ellipsoid(radii_m=radii),
-    "CYLINDER": lambda x, y, _: Cylinder(radius_m=x, length_m=2.0 * y),
-    "BOX": lambda x, y, z: Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z)),
-}
-"""Solid of a size for each type of geom that a foot may have beside meshes."""
 
 
 class NoFootError(Exception):
@@ -169,56 +136,6 @@ def find_standing(
     )
 
 
-def read_foot(
-    model: mujoco.MjModel,
-    pairs: ContactPairs,
-    stance: Stance,
-    groups: Sequence[ContactGroup],
-    standing: Standing,
-) -> FootGeometry:
-    """Return the lowest foot of a robot.
-
-    Args:
-        model: The compiled model.
-        pairs: All pairs of geoms that can collide.
-        stance: Pose in which it stands.
-        groups: Contact constants, those that are judged marked as used.
-        standing: How it stands.
-    """
-    feet, support = standing.feet, standing.support_m
-    body = min(
-        feet, key=lambda foot: (min(support[geom][2] for geom in feet[foot]), foot)
-    )
-    mass_kg = float(model.body_subtreemass[standing.body])
-    rows = ground_rows(pairs)
-    soles = [geom for geoms in feet.values() for geom in geoms]
-    felt = rows[np.isin(pairs.geoms[rows], soles).any(axis=1)]
-    lowest = rows[np.isin(pairs.geoms[rows], feet[body]).any(axis=1)]
-    settings = [contact_settings(model, pairs.constants[row]) for row in felt]
-    names: dict[str, str] = {}
-    for group in groups:
-        # Groups with the same settings are one set, with the name of the first.
-        if group.is_used and group.settings in settings:
-            names.setdefault(repr(group.settings), group.geoms)
-    origin_m = min((support[geom] for geom in feet[body]), key=lambda point: point[2])
-    texts = [
-        f"{geom_name(model, geom)} ({_kind(model, geom).lower()})"
-        for geom in feet[body]
-    ]
-    return FootGeometry(
-        name=name_of(model, "body", body),
-        geoms=", ".join(shortened(texts)),
-        parts=tuple(_part(model, stance, geom, origin_m) for geom in feet[body]),
-        load_kg=mass_kg / len(feet),
-        robot_mass_kg=mass_kg,
-        foot_count=len(feet),
-        pose=stance.label,
-        sets=tuple(names.values()),
-        softening=float(model.body_invweight0[body, 0]) * COPIES * mass_kg / len(feet),
-        friction=float(pairs.constants[lowest, COLUMNS["friction"].start].min()),
-    )
-
-
 def ground_rows(pairs: ContactPairs) -> IntArray:
     """Return the pairs of a moving geom and the ground: planes and height fields, or other geoms of the world."""
     kind = pairs.kinds.min(initial=PairKind.MOVING)
@@ -229,7 +146,7 @@ def free_balls(model: mujoco.MjModel) -> BoolArray:
     """Return which geoms are balls that move freely, shape [ngeom]."""
     is_free = np.isin(model.geom_bodyid, model.jnt_bodyid[joints_of(model, "FREE")])
     is_alone = model.body_geomnum[model.geom_bodyid] == 1
-    is_sphere = model.geom_type == int(mujoco.mjtGeom.mjGEOM_SPHERE)
+    is_sphere = model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
     balls: BoolArray = is_free & is_alone & is_sphere
     return balls
 
@@ -243,13 +160,6 @@ def geom_name(model: mujoco.MjModel, geom: int) -> str:
     """Return the name of a geom, or its number and its body."""
     owner = model.body(int(model.geom_bodyid[geom])).name
     return model.geom(geom).name or f"geom {geom} of {owner or 'an unnamed body'}"
-
-
-def shortened(names: list[str]) -> list[str]:
-    """Return names of geoms; of many, the number of the last ones."""
-    if len(names) <= MOST_GEOMS:
-        return names
-    return [*names[: MOST_GEOMS - 1], f"{len(names) - MOST_GEOMS + 1} more"]
 
 
 # --- stance ----------------------------------------------------------------------------------------------------------
@@ -287,9 +197,8 @@ def stance_of(model: mujoco.MjModel, up: FloatArray) -> Stance:
 
 def joints_of(model: mujoco.MjModel, *kinds: str) -> BoolArray:
     """Return which joints are of some types, such as `HINGE`, shape [joint_count]."""
-    # A comparison of an enumerator with NumPy's integers depends on the order, so the numbers are Python's.
-    numbers = [int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in kinds]
-    return np.isin(model.jnt_type, numbers)
+    known = [getattr(mujoco.mjtJoint, f"mjJNT_{kind}") for kind in kinds]
+    return np.isin(model.jnt_type, known)
 
 
 def driven_trees(model: mujoco.MjModel) -> set[int]:
@@ -303,7 +212,13 @@ def driven_trees(model: mujoco.MjModel) -> set[int]:
 def acts_on_joints(model: mujoco.MjModel) -> BoolArray:
     """Return which actuators act on a joint, shape [nu]."""
     kinds = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
-    return np.isin(model.actuator_trntype, [int(kind) for kind in kinds])
+    return np.isin(model.actuator_trntype, kinds)
+
+
+def joints_of_motors(model: mujoco.MjModel) -> IntArray:
+    """Return the joint of each actuator that acts on a joint."""
+    joints: IntArray = model.actuator_trnid[acts_on_joints(model), 0]
+    return joints
 
 
 def _can_fall(model: mujoco.MjModel, stance: Stance, body: int) -> bool:
@@ -312,7 +227,7 @@ def _can_fall(model: mujoco.MjModel, stance: Stance, body: int) -> bool:
     dampings = np.atleast_2d(model.dof_damping.T)[0, model.jnt_dofadr]
     falls = joints_of(model, "SLIDE") & (np.abs(stance.joint_axes[:, 2]) > UPRIGHT)
     falls &= weight_n > HELD_M_PER_S * dampings
-    falls[model.actuator_trnid[acts_on_joints(model), 0]] = False
+    falls[joints_of_motors(model)] = False
     falls |= joints_of(model, "FREE")
     return bool(falls[model.jnt_bodyid == body].any())
 
@@ -321,7 +236,7 @@ def support_m(model: mujoco.MjModel, stance: Stance, geom: int) -> FloatArray:
     """Return the lowest point of a geom [m], the middle of a lowest face or edge, shape [3]."""
     down = -stance.rotations[geom].as_matrix()[2]
     down[np.abs(down) < FLAT] = 0.0
-    size, kind = model.geom_size[geom], _kind(model, geom)
+    size, kind = model.geom_size[geom], kind_of(model, geom)
     # A sphere is a capsule without length.
     end = np.array([0.0, 0.0, size[1] * np.sign(down[2])])
     point = size[0] * down + end
@@ -333,7 +248,7 @@ def support_m(model: mujoco.MjModel, stance: Stance, geom: int) -> FloatArray:
     elif kind == "BOX":
         point = size * np.sign(down)
     elif kind == "MESH":
-        vertices = _vertices_m(model, geom)
+        vertices = vertices_m(model, geom)
         depths = vertices @ down
         is_deep = depths > depths.max() - FLAT * float(model.geom_rbound[geom])
         point = vertices[is_deep].mean(axis=0)
@@ -349,42 +264,12 @@ def chain_of(model: mujoco.MjModel, body: int) -> list[int]:
     return chain
 
 
-# --- solids ----------------------------------------------------------------------------------------------------------
-
-
-def _part(
-    model: mujoco.MjModel, stance: Stance, geom: int, origin_m: FloatArray
-) -> Part:
-    """Return a geom as a solid, in a frame with an origin [m]."""
-    place_m = vector(stance.positions_m[geom] - origin_m)
-    pose = Pose.from_rotation(place_m, stance.rotations[geom])
-    return Part(shape=_solid(model, geom), pose=pose)
-
-
-def _solid(model: mujoco.MjModel, geom: int) -> Solid:
-    kind = _kind(model, geom)
-    if kind in SOLIDS:
-        return SOLIDS[kind](*model.geom_size[geom].tolist())
-    if kind != "MESH":
-        raise NoFootError(
-            f"the foot is a geom of type {kind.lower()}, which the scenes cannot have"
-        )
-    vertices = _vertices_m(model, geom)
-    try:
-        hull = vertices[ConvexHull(vertices).vertices]
-    except QhullError:
-        raise NoFootError(
-            "the foot is a flat mesh, which the scenes cannot have"
-        ) from None
-    return ConvexUnion(pieces_m=(tuple(vector(point) for point in hull),))
-
-
-def _kind(model: mujoco.MjModel, geom: int) -> str:
+def kind_of(model: mujoco.MjModel, geom: int) -> str:
     """Return the type of a geom, such as `SPHERE`."""
     return str(mujoco.mjtGeom(int(model.geom_type[geom])).name).removeprefix("mjGEOM_")
 
 
-def _vertices_m(model: mujoco.MjModel, geom: int) -> FloatArray:
+def vertices_m(model: mujoco.MjModel, geom: int) -> FloatArray:
     """Return the vertices of the mesh of a geom in the frame of the geom [m], shape [vertex_count, 3]."""
     mesh = model.geom_dataid[geom]
     first = model.mesh_vertadr[mesh]

@@ -21,11 +21,11 @@ from gauge_envs.tools.sanity.robot.mjcf_text import ModelText
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     Stance,
     Standing,
-    acts_on_joints,
     driven_trees,
     free_balls,
     ground_rows,
     joints_of,
+    joints_of_motors,
     stance_of,
 )
 
@@ -255,15 +255,9 @@ def disable_bit(feature: str) -> int:
     return int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature.upper()}"))
 
 
-def switched_off(model: mujoco.MjModel, *features: str) -> list[str]:
-    """Return those of some features that a model switches off."""
-    return [one for one in features if model.opt.disableflags & disable_bit(one)]
-
-
-def joints_of_motors(model: mujoco.MjModel) -> IntArray:
-    """Return the joint of each actuator that acts on a joint."""
-    joints: IntArray = model.actuator_trnid[acts_on_joints(model), 0]
-    return joints
+def switched_off(model: mujoco.MjModel, *features: str) -> bool:
+    """Return whether a model switches one of some features off."""
+    return any(model.opt.disableflags & disable_bit(feature) for feature in features)
 
 
 def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> IntArray:
@@ -273,9 +267,7 @@ def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> IntArray:
     free = np.isin(roots, model.jnt_bodyid[joints_of(model, "FREE")]) & ~driven
     bodies = model.geom_bodyid[pairs.geoms]
     round_types = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID
-    is_round = np.isin(
-        model.geom_type[pairs.geoms], [int(kind) for kind in round_types]
-    )
+    is_round = np.isin(model.geom_type[pairs.geoms], round_types)
     at_point = (driven[bodies] & is_round).any(axis=1)
     grasps = driven[bodies].any(axis=1) & free[bodies].any(axis=1)
     kinds: IntArray = grasps * (1 + at_point)

@@ -109,7 +109,7 @@ def holding_force(robot: Robot) -> Finding:
         verb = "the robot falls while"
     else:
         kinds = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
-        if np.isin(model.eq_type, [int(kind) for kind in kinds]).any():
+        if np.isin(model.eq_type, kinds).any():
             raise NotApplicableError("closed chains share the weight")
         data = start(robot)
         carried = data.qfrc_bias - data.qfrc_passive - data.qfrc_constraint
