@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.scene.geometry import FloatArray, length_of
+from gauge_envs.scene.geometry import length_of
 from gauge_envs.tools.sanity.robot.joints import (
     Case,
     Drive,
@@ -229,17 +229,17 @@ def _response(drive: Drive) -> Iterator[Case]:
 def _commands(drive: Drive) -> Iterator[Case]:
     """Yield the range of commands of a servo over that of its joint."""
     model = drive.robot.model
-    is_its = acts_on_joints(model) & (model.actuator_trnid[:, 0] == drive.joint)
-    is_its &= servos(model) & (model.actuator_ctrllimited != 0)
     if not (model.jnt_limited[drive.joint] and drive.is_hinge):
         return
     span = float(np.ptp(model.jnt_range[drive.joint]))
-    for actuator in np.flatnonzero(is_its).tolist():
-        slope = model.actuator_biasprm[actuator, 1] * model.actuator_gear[actuator, 0]
-        commands = float(np.ptp(model.actuator_ctrlrange[actuator]))
-        commands *= abs(float(model.actuator_gainprm[actuator, 0] / slope))
-        text = f"commands of {drive.name} span {commands:.3g} rad, its range {span:.3g}"
-        yield drive.case(commands / span / COMMANDS, text, True)
+    is_its = acts_on_joints(model) & (model.actuator_trnid[:, 0] == drive.joint)
+    is_its &= servos(model) & (model.actuator_ctrllimited != 0)
+    gains = model.actuator_gainprm[is_its, 0] / model.actuator_biasprm[is_its, 1]
+    gains /= model.actuator_gear[is_its, 0]
+    spans = np.ptp(model.actuator_ctrlrange[is_its], axis=1) * np.abs(gains)
+    commands = float(spans.max(initial=0.0))
+    text = f"commands of {drive.name} span {commands:.3g} rad, its range {span:.3g}"
+    yield drive.case(commands / span / COMMANDS, text, True)
 
 
 # --- couplings and free joints ---------------------------------------------------------------------------------------
@@ -310,16 +310,16 @@ def free_joint_drag(robot: Robot) -> Finding:
         raise NotApplicableError("no robot is free in air")
     matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, start(robot), matrix)
-    inertia = np.diag(matrix) - model.dof_armature
-    dampings: FloatArray = np.atleast_2d(model.dof_damping.T)[0]
+    damping = np.atleast_2d(model.dof_damping.T)[0]
+    dry, armature = model.dof_frictionloss, model.dof_armature
+    brakes, inertia = np.maximum(damping + dry, armature), np.diag(matrix) - armature
     cases = []
     for joint in np.flatnonzero(is_base).tolist():
-        body, first = int(model.jnt_bodyid[joint]), int(model.jnt_dofadr[joint])
+        first = int(model.jnt_dofadr[joint])
         six = slice(first, first + 6)
-        damping, dry = dampings[six], model.dof_frictionloss[six]
-        armature = model.dof_armature[six]
-        share = float(np.max(np.maximum(damping + dry, armature) / inertia[six]))
-        name = name_of(model, "body", body)
-        text = f"{name} is braked in the air by damping {damping[0]:g}, friction {dry[0]:g}, armature {armature[0]:g}"
+        name = name_of(model, "body", int(model.jnt_bodyid[joint]))
+        text = f"{name} is braked in the air by damping {damping[first]:g}, friction {dry[first]:g}, "
+        text += f"armature {armature[first]:g}"
+        share = float((brakes[six] / inertia[six]).max())
         cases.append(Case(share, ("joint", joint), name, text))
     return worst_case(cases, limit=FREE_SHARE)

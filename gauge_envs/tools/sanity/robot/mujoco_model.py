@@ -191,7 +191,12 @@ def _used_constants(
 ) -> FloatArray:
     """Return the constants of a pair, or the most frequent ones of the first kind of pairs, shape [17]."""
     if pair is not None:
-        wanted = sorted(_geom_id(model, name) for name in pair)
+        names = [geom_name(model, geom) for geom in range(model.ngeom)]
+        for name in {*pair} - {*names}:
+            raise TargetError(
+                f"the model has no geom {name!r}; it has {', '.join(names)}"
+            )
+        wanted = sorted(map(names.index, pair))
         rows = np.flatnonzero((pairs.geoms == wanted).all(axis=1))
         if not len(rows):
             raise TargetError(
@@ -233,7 +238,7 @@ def _groups(
             for name, columns in COLUMNS.items()
         }
         group = ContactGroup(
-            geoms=_geoms_text(model, pairs.geoms[rows], kind),
+            geoms=_geoms_text(model, pairs.geoms[rows]),
             pair_count=len(rows),
             constants=named | {"condim": int(constants[0])},
             is_used=bool(same.all())
@@ -282,7 +287,7 @@ def _foot(
         parts.append(Part(shape=_solid(model, geom), pose=pose))
     return FootGeometry(
         name=name_of(model, "body", body),
-        geoms=", ".join(_shortened(texts)),
+        geoms=_listed(texts),
         parts=tuple(parts),
         load_kg=load_kg,
         robot_mass_kg=mass_kg,
@@ -329,27 +334,19 @@ def _notes(model: mujoco.MjModel) -> list[str]:
 # --- names -----------------------------------------------------------------------------------------------------------
 
 
-def _geom_id(model: mujoco.MjModel, name: str) -> int:
-    names = [geom_name(model, index) for index in range(model.ngeom)]
-    if name not in names:
-        raise TargetError(f"the model has no geom {name!r}; it has {', '.join(names)}")
-    return names.index(name)
+def _geoms_text(model: mujoco.MjModel, geoms: IntArray) -> str:
+    """Return names of pairs of geoms: those that are fixed with those that move, or these with each other."""
+    moves = can_move(model)[geoms]
+    sides = [
+        _listed([geom_name(model, geom) for geom in np.unique(side).tolist()])
+        for side in (geoms[~moves], geoms[moves])
+        if len(side)
+    ]
+    return f"{sides[0]} with {'each other' if len(sides) == 1 else sides[1]}"
 
 
-def _geoms_text(model: mujoco.MjModel, geoms: IntArray, kind: PairKind) -> str:
-    if kind is PairKind.MOVING:
-        return f"{_listed(model, np.unique(geoms))} with each other"
-    static = ~can_move(model)[geoms]
-    return f"{_listed(model, np.unique(geoms[static]))} with {_listed(model, np.unique(geoms[~static]))}"
-
-
-def _listed(model: mujoco.MjModel, indices: IntArray) -> str:
-    shown = _shortened([geom_name(model, int(index)) for index in indices])
-    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"
-
-
-def _shortened(names: list[str]) -> list[str]:
-    """Return names of geoms; of many, the number of the last ones."""
-    if len(names) <= MOST_GEOMS:
-        return names
-    return [*names[: MOST_GEOMS - 1], f"{len(names) - MOST_GEOMS + 1} more"]
+def _listed(names: list[str]) -> str:
+    """Return names in a line; of many, the number of the last ones."""
+    if len(names) > MOST_GEOMS:
+        names = [*names[: MOST_GEOMS - 1], f"{len(names) - MOST_GEOMS + 1} more"]
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
