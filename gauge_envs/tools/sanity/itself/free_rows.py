@@ -20,8 +20,12 @@ from gauge_envs.tools.sanity.itself.runs import (
     settled,
     start_data,
 )
-from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of, joints_of_motors
-from gauge_envs.tools.sanity.robot.robot import Robot, disable_bit
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    disable_bit,
+    joints_of,
+    joints_of_motors,
+)
 from gauge_envs.tools.sanity.rows import Finding, NotApplicableError, Place, row
 
 CONSERVED = 0.05

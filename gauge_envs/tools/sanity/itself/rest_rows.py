@@ -16,8 +16,7 @@ from gauge_envs.tools.sanity.itself.runs import (
     leave_to,
     settled,
 )
-from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
-from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.tools.sanity.robot.robot import Robot, joints_of
 from gauge_envs.tools.sanity.rows import Finding, NotApplicableError, row
 
 NOTHING = Finding(value=0.0)

@@ -17,14 +17,18 @@ from gauge_envs.tools.sanity.robot.joints import (
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     SOLE_WITHIN,
     STANDS_WITHIN,
+    support_m,
+)
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
     Standing,
     chain_of,
     geom_name,
     joints_of,
     name_of,
-    support_m,
+    random_poses,
+    switched_off,
 )
-from gauge_envs.tools.sanity.robot.robot import Robot, random_poses, switched_off
 from gauge_envs.tools.sanity.rows import Finding, NotApplicableError, row
 
 
@@ -69,7 +73,7 @@ def feet(robot: Robot) -> Finding:
     lame: dict[int, int] = {}
     for geom in np.flatnonzero(np.isin(model.geom_bodyid, robot.bodies)).tolist():
         limb = chain_of(model, int(model.geom_bodyid[geom]))
-        low = float(support_m(model, robot.stance, geom)[2])
+        low = float(support_m(robot, geom)[2])
         near = [lows[other] for other in lows if model.geom_bodyid[other] in limb[:2]]
         # Drawn geoms of a limb that touches are no fault; those that collide and reach deeper than it touches are.
         is_apart = limb[0] not in carrying and low <= standing.ground_m + within_m

@@ -22,13 +22,13 @@ from gauge_envs.tools.sanity.robot.joints import (
     start,
     worst_case,
 )
-from gauge_envs.tools.sanity.robot.mujoco_feet import (
-    LIQUID_KG_PER_M3,
+from gauge_envs.tools.sanity.robot.mujoco_feet import LIQUID_KG_PER_M3
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
     acts_on_joints,
     joints_of,
     name_of,
 )
-from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.rows import ROWS, Finding, NotApplicableError, row
 
 # --- friction, damping and armature ----------------------------------------------------------------------------------

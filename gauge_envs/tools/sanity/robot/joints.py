@@ -9,13 +9,15 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import BoolArray, FloatArray
-from gauge_envs.tools.sanity.robot.mujoco_feet import (
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
     acts_on_joints,
     chain_of,
     joints_of,
     name_of,
+    once,
+    random_poses,
 )
-from gauge_envs.tools.sanity.robot.robot import Robot, once, random_poses
 from gauge_envs.tools.sanity.rows import ROWS, Finding, Place
 
 SERVO_ERROR_RAD = 0.5

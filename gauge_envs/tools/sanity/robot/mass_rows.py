@@ -15,8 +15,7 @@ from gauge_envs.tools.sanity.robot.joints import (
     root_of,
     worst_case,
 )
-from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name, name_of
-from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.tools.sanity.robot.robot import Robot, geom_name, name_of
 from gauge_envs.tools.sanity.rows import Finding, NotApplicableError, row
 
 LEAD_KG_PER_M3, OSMIUM_KG_PER_M3 = 12_000.0, 22_600.0

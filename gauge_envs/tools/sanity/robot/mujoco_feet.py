@@ -1,16 +1,37 @@
 """Find the feet of a robot in a MuJoCo model: the geoms that stand on the ground, and the mass that they carry."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial import ConvexHull, QhullError
 
-from gauge_envs.errors import TargetError
-from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray, length_of
-from gauge_envs.tools.bench.model_settings import ContactPairs, PairKind, can_move
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
+    Box,
+    Capsule,
+    ConvexUnion,
+    Cylinder,
+    Ellipsoid,
+    Part,
+    Pose,
+    Sphere,
+)
+from gauge_envs.scene.geometry import FloatArray, length_of, vector
+from gauge_envs.tools.bench.model_settings import COLUMNS, can_move, contact_settings
+from gauge_envs.tools.sanity.model import ContactGroup
+from gauge_envs.tools.sanity.robot.foot import COPIES, FootGeometry
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    Standing,
+    chain_of,
+    geom_name,
+    ground_rows,
+    joints_of,
+    joints_of_motors,
+    listed,
+    name_of,
+)
 
 STANDS_WITHIN = 0.1
 """Height above the lowest point, over the height of the robot, up to which a body counts as standing."""
@@ -24,9 +45,6 @@ UPRIGHT = 0.7
 FLAT = 1e-3
 """Component of a unit vector below which a face or an edge counts as level."""
 
-STANDING = ("home", "stand", "standing")
-"""Names of keyframes in which robots stand."""
-
 HELD_M_PER_S = 1e-3
 """Speed of falling below which the damping of a joint counts as holding a robot [m/s]."""
 
@@ -34,53 +52,23 @@ LIQUID_KG_PER_M3 = 10.0
 """Density of the medium from which on a robot swims; air has 1.2 [kg/m^3]."""
 
 
+Solid = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
+
+SOLIDS: Mapping[str, Callable[[float, float, float], Solid]] = {
+    "SPHERE": lambda x, *_: Sphere(radius_m=x),
+    "CAPSULE": lambda x, y, _: Capsule(radius_m=x, length_m=2.0 * y),
+    "ELLIPSOID": lambda *radii: Ellipsoid(radii_m=radii),
+    "CYLINDER": lambda x, y, _: Cylinder(radius_m=x, length_m=2.0 * y),
+    "BOX": lambda x, y, z: Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z)),
+}
+"""Solid of a size for each type of geom that a foot may have beside meshes."""
+
+
 class NoFootError(Exception):
     """A model has no foot; the message is the reason."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Stance:
-    """Pose of a model in which its robot stands.
-
-    Attributes:
-        label: Name of the pose.
-        qpos: Generalized position, shape [nq].
-        ctrl: Controls that belong to the pose, shape [nu]; zeros where no keyframe states them.
-        positions_m: Positions of the geoms in a frame with z up [m], shape [geom_count, 3].
-        rotations: Rotations of the geoms to that frame.
-        joint_axes: Axes of the joints in that frame, shape [joint_count, 3].
-    """
-
-    label: str
-    qpos: FloatArray
-    ctrl: FloatArray
-    positions_m: FloatArray
-    rotations: Rotation
-    joint_axes: FloatArray
-
-
-@dataclass(frozen=True, kw_only=True)
-class Standing:
-    """Robot of a model that stands on the ground, and its feet.
-
-    Attributes:
-        body: First moving body of the robot.
-        height_m: Height of the robot [m].
-        ground_m: Height of its lowest point [m].
-        support_m: Lowest point of each geom that can touch the ground [m].
-        feet: Geoms of each foot, by its body.
-    """
-
-    body: int
-    height_m: float
-    ground_m: float
-    support_m: Mapping[int, FloatArray]
-    feet: Mapping[int, list[int]]
-
-
-def find_standing(
-    model: mujoco.MjModel, pairs: ContactPairs, stance: Stance
-) -> Standing:
+def find_standing(robot: Robot) -> Standing:
     """Return the heaviest robot of a model that stands, with its feet.
 
     A robot can rise and fall: its first joint is free, or a vertical slide that nothing drives or holds. It has an
@@ -90,19 +78,20 @@ def find_standing(
     Raises:
         NoFootError: There is none.
     """
+    model, pairs, stance = robot.model, robot.pairs, robot.stance
     geoms = np.unique(pairs.geoms[ground_rows(pairs)])
     touching = geoms[can_move(model)[geoms]].tolist()
     if not touching:
         raise NoFootError("the model has no ground that a moving geom can touch")
     if model.opt.density > LIQUID_KG_PER_M3:
         raise NoFootError("the robot swims: the model's medium is a liquid")
-    trees, moved = model.body_treeid[model.geom_bodyid], driven_trees(model)
+    trees, moved = model.body_treeid[model.geom_bodyid], robot.driven_trees
     standing = [
         int(model.tree_bodyadr[tree])
         for tree in set(trees[touching].tolist())
         # A free box is a body; a robot has motors, or joints in a model without motors.
         if (tree in moved if moved else model.tree_bodynum[tree] > 1)
-        and _can_fall(model, stance, int(model.tree_bodyadr[tree]))
+        and _can_fall(robot, int(model.tree_bodyadr[tree]))
     ]
     if not standing:
         raise NoFootError(
@@ -110,9 +99,7 @@ def find_standing(
         )
     base = max(standing, key=lambda body: (model.body_subtreemass[body], -body))
     is_part = trees == model.body_treeid[base]
-    support = {
-        geom: support_m(model, stance, geom) for geom in touching if is_part[geom]
-    }
+    support = {geom: support_m(robot, geom) for geom in touching if is_part[geom]}
     ground_m = min(float(point[2]) for point in support.values())
     tops_m = stance.positions_m[is_part, 2] + model.geom_rbound[is_part]
     height_m = max(float(tops_m.max()) - ground_m, 1e-3)
@@ -136,107 +123,74 @@ def find_standing(
     )
 
 
-def ground_rows(pairs: ContactPairs) -> IntArray:
-    """Return the pairs of a moving geom and the ground: planes and height fields, or other geoms of the world."""
-    kind = pairs.kinds.min(initial=PairKind.MOVING)
-    return np.flatnonzero((pairs.kinds == kind) & (kind < PairKind.MOVING))
+def read_foot(robot: Robot, groups: Sequence[ContactGroup]) -> FootGeometry:
+    """Return the lowest foot of a robot that stands.
 
+    Args:
+        robot: The robot.
+        groups: Contact constants, those that are judged marked as used.
 
-def free_balls(model: mujoco.MjModel) -> BoolArray:
-    """Return which geoms are balls that move freely, shape [ngeom]."""
-    is_free = np.isin(model.geom_bodyid, model.jnt_bodyid[joints_of(model, "FREE")])
-    is_alone = model.body_geomnum[model.geom_bodyid] == 1
-    is_sphere = model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
-    balls: BoolArray = is_free & is_alone & is_sphere
-    return balls
-
-
-def name_of(model: mujoco.MjModel, kind: str, number: int) -> str:
-    """Return the name of an element, or its kind and number."""
-    return getattr(model, kind)(number).name or f"{kind} {number}"
-
-
-def geom_name(model: mujoco.MjModel, geom: int) -> str:
-    """Return the name of a geom, or its number and its body."""
-    owner = model.body(int(model.geom_bodyid[geom])).name
-    return model.geom(geom).name or f"geom {geom} of {owner or 'an unnamed body'}"
-
-
-# --- stance ----------------------------------------------------------------------------------------------------------
-
-
-def stance_of(model: mujoco.MjModel, up: FloatArray) -> Stance:
-    """Return the keyframe in which a robot stands, or the first one.
-
-    Without a keyframe it is the initial pose with joints within their limits.
+    Raises:
+        NoFootError: It does not stand, or the scenes cannot have its foot.
     """
-    data, label = mujoco.MjData(model), "initial pose"
-    if model.nkey:
-        names = [model.key(index).name for index in range(model.nkey)]
-        known = next((name for name in STANDING if name in names), names[0])
-        mujoco.mj_resetDataKeyframe(model, data, names.index(known))
-        label = f"keyframe {known}".rstrip()
-    is_clipped = (model.jnt_limited != 0) & joints_of(model, "HINGE", "SLIDE")
-    places = model.jnt_qposadr[is_clipped]
-    data.qpos[places] = np.clip(data.qpos[places], *model.jnt_range[is_clipped].T)
-    mujoco.mj_kinematics(model, data)
-    if not (np.isfinite(data.geom_xpos).all() and np.isfinite(data.geom_xmat).all()):
-        raise TargetError(
-            "the poses of the model's geoms are not finite: it states a NaN or an infinite number"
-        )
-    turn = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
-    return Stance(
-        label=label,
-        qpos=data.qpos.copy(),
-        ctrl=data.ctrl.copy(),
-        positions_m=turn.apply(data.geom_xpos),
-        rotations=turn * Rotation.from_matrix(data.geom_xmat.reshape(-1, 3, 3)),
-        joint_axes=turn.apply(data.xaxis),
+    model, standing = robot.model, robot.standing
+    if standing is None:
+        raise NoFootError("the robot does not stand")
+    support, feet = standing.support_m, standing.feet
+    body, lowest = min(
+        ((body, geom) for body, geoms in feet.items() for geom in geoms),
+        key=lambda sole: (support[sole[1]][2], sole[0]),
+    )
+    mass_kg = float(model.body_subtreemass[standing.body])
+    load_kg = mass_kg / len(feet)
+    constants = robot.pairs.constants[robot.foot_rows]
+    settings = [contact_settings(model, row) for row in constants]
+    names: dict[str, str] = {}
+    for group in groups:
+        # Groups with the same settings are one set, with the name of the first.
+        if group.is_used and group.settings in settings:
+            names.setdefault(repr(group.settings), group.geoms)
+    is_its = np.isin(robot.pairs.geoms[robot.foot_rows], feet[body]).any(axis=1)
+    stance, texts, parts = robot.stance, [], []
+    for geom in feet[body]:
+        texts.append(f"{geom_name(model, geom)} ({_kind(model, geom).lower()})")
+        place_m = vector(stance.positions_m[geom] - support[lowest])
+        pose = Pose.from_rotation(place_m, stance.rotations[geom])
+        parts.append(Part(shape=_solid(model, geom), pose=pose))
+    return FootGeometry(
+        name=name_of(model, "body", body),
+        geoms=listed(texts),
+        parts=tuple(parts),
+        load_kg=load_kg,
+        robot_mass_kg=mass_kg,
+        foot_count=len(feet),
+        pose=stance.label,
+        sets=tuple(names.values()),
+        softening=float(model.body_invweight0[body, 0]) * COPIES * load_kg,
+        friction=float(constants[is_its, COLUMNS["friction"].start].min()),
     )
 
 
-def joints_of(model: mujoco.MjModel, *kinds: str) -> BoolArray:
-    """Return which joints are of some types, such as `HINGE`, shape [joint_count]."""
-    known = [getattr(mujoco.mjtJoint, f"mjJNT_{kind}") for kind in kinds]
-    return np.isin(model.jnt_type, known)
-
-
-def driven_trees(model: mujoco.MjModel) -> set[int]:
-    """Return the trees of bodies that actuators move, through joints, tendons, sites or bodies."""
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    dofs = data.moment_colind[data.actuator_moment.ravel() != 0.0]
-    return set(model.dof_treeid[dofs].tolist())
-
-
-def acts_on_joints(model: mujoco.MjModel) -> BoolArray:
-    """Return which actuators act on a joint, shape [nu]."""
-    kinds = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
-    return np.isin(model.actuator_trntype, kinds)
-
-
-def joints_of_motors(model: mujoco.MjModel) -> IntArray:
-    """Return the joint of each actuator that acts on a joint."""
-    joints: IntArray = model.actuator_trnid[acts_on_joints(model), 0]
-    return joints
-
-
-def _can_fall(model: mujoco.MjModel, stance: Stance, body: int) -> bool:
+def _can_fall(robot: Robot, body: int) -> bool:
     """Return whether the first joints of a body let it rise and fall."""
+    model = robot.model
     weight_n = float(model.body_subtreemass[body]) * GRAVITY_M_PER_S2
     dampings = np.atleast_2d(model.dof_damping.T)[0, model.jnt_dofadr]
-    falls = joints_of(model, "SLIDE") & (np.abs(stance.joint_axes[:, 2]) > UPRIGHT)
+    falls = joints_of(model, "SLIDE") & (
+        np.abs(robot.stance.joint_axes[:, 2]) > UPRIGHT
+    )
     falls &= weight_n > HELD_M_PER_S * dampings
     falls[joints_of_motors(model)] = False
     falls |= joints_of(model, "FREE")
     return bool(falls[model.jnt_bodyid == body].any())
 
 
-def support_m(model: mujoco.MjModel, stance: Stance, geom: int) -> FloatArray:
+def support_m(robot: Robot, geom: int) -> FloatArray:
     """Return the lowest point of a geom [m], the middle of a lowest face or edge, shape [3]."""
+    model, stance = robot.model, robot.stance
     down = -stance.rotations[geom].as_matrix()[2]
     down[np.abs(down) < FLAT] = 0.0
-    size, kind = model.geom_size[geom], kind_of(model, geom)
+    size, kind = model.geom_size[geom], _kind(model, geom)
     # A sphere is a capsule without length.
     end = np.array([0.0, 0.0, size[1] * np.sign(down[2])])
     point = size[0] * down + end
@@ -248,28 +202,37 @@ def support_m(model: mujoco.MjModel, stance: Stance, geom: int) -> FloatArray:
     elif kind == "BOX":
         point = size * np.sign(down)
     elif kind == "MESH":
-        vertices = vertices_m(model, geom)
+        vertices = _vertices_m(model, geom)
         depths = vertices @ down
         is_deep = depths > depths.max() - FLAT * float(model.geom_rbound[geom])
         point = vertices[is_deep].mean(axis=0)
     return stance.positions_m[geom] + stance.rotations[geom].apply(point)
 
 
-def chain_of(model: mujoco.MjModel, body: int) -> list[int]:
-    """Return a body and all that carry it, but the world."""
-    chain = []
-    while body:
-        chain.append(body)
-        body = int(model.body_parentid[body])
-    return chain
+def _solid(model: mujoco.MjModel, geom: int) -> Solid:
+    kind = _kind(model, geom)
+    if kind in SOLIDS:
+        return SOLIDS[kind](*model.geom_size[geom].tolist())
+    if kind != "MESH":
+        raise NoFootError(
+            f"the foot is a geom of type {kind.lower()}, which the scenes cannot have"
+        )
+    points_m = _vertices_m(model, geom)
+    try:
+        hull = points_m[ConvexHull(points_m).vertices]
+    except QhullError:
+        raise NoFootError(
+            "the foot is a flat mesh, which the scenes cannot have"
+        ) from None
+    return ConvexUnion(pieces_m=(tuple(vector(point) for point in hull),))
 
 
-def kind_of(model: mujoco.MjModel, geom: int) -> str:
+def _kind(model: mujoco.MjModel, geom: int) -> str:
     """Return the type of a geom, such as `SPHERE`."""
     return str(mujoco.mjtGeom(int(model.geom_type[geom])).name).removeprefix("mjGEOM_")
 
 
-def vertices_m(model: mujoco.MjModel, geom: int) -> FloatArray:
+def _vertices_m(model: mujoco.MjModel, geom: int) -> FloatArray:
     """Return the vertices of the mesh of a geom in the frame of the geom [m], shape [vertex_count, 3]."""
     mesh = model.geom_dataid[geom]
     first = model.mesh_vertadr[mesh]

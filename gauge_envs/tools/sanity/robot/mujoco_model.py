@@ -5,27 +5,15 @@ runs with each set of moving geoms on the ground, against which feet, wheels and
 collide are considered: `mjData.contact` lists only those that touch at the moment.
 """
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import TargetError
-from gauge_envs.scene import (
-    Box,
-    Capsule,
-    ConvexUnion,
-    Cylinder,
-    Ellipsoid,
-    Part,
-    Pose,
-    Sphere,
-    Vector,
-)
+from gauge_envs.scene import Vector
 from gauge_envs.scene.geometry import FloatArray, IntArray, vector
 from gauge_envs.tools.bench.model_settings import (
     COLUMNS,
@@ -40,27 +28,21 @@ from gauge_envs.tools.bench.model_settings import (
     overrides_contacts,
 )
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
-from gauge_envs.tools.sanity.robot.foot import COPIES, FootGeometry
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     NoFootError,
-    Standing,
     find_standing,
-    free_balls,
-    geom_name,
-    kind_of,
-    name_of,
-    vertices_m,
+    read_foot,
 )
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
+    free_balls,
+    geom_name,
     grasp_kinds,
+    listed,
     never_touches,
     switched_off,
 )
 from gauge_envs.tools.sanity.scenario import check_settings
-
-ALONG_AN_AXIS = 0.999
-"""Least component of the normal of the plane of a robot that moves along an axis of the world."""
 
 ABSENT_PARTS = {
     "flg_adhesion": "adhesion of geoms is not carried over",
@@ -68,20 +50,6 @@ ABSENT_PARTS = {
     "nflex": "deformable bodies of the model are not read",
 }
 """Parts that are not carried over, by the count of the model that shows them."""
-
-MOST_GEOMS = 4
-"""Most geoms of a foot or of a group that are listed; of more, the others are counted."""
-
-Solid = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
-
-SOLIDS: Mapping[str, Callable[[float, float, float], Solid]] = {
-    "SPHERE": lambda x, *_: Sphere(radius_m=x),
-    "CAPSULE": lambda x, y, _: Capsule(radius_m=x, length_m=2.0 * y),
-    "ELLIPSOID": lambda *radii: Ellipsoid(radii_m=radii),
-    "CYLINDER": lambda x, y, _: Cylinder(radius_m=x, length_m=2.0 * y),
-    "BOX": lambda x, y, z: Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z)),
-}
-"""Solid of a size for each type of geom that a foot may have beside meshes."""
 
 
 def mujoco_configuration(
@@ -121,9 +89,8 @@ def mujoco_configuration(
     inapplicable = _inapplicable(model, groups)
     robot = Robot(model=model, pairs=pairs, up=up, spec=spec, pair=pair, file=file)
     try:
-        standing = find_standing(model, pairs, robot.stance)
-        on_feet = replace(robot, standing=standing)
-        foot, robot = _foot(on_feet, standing, groups), on_feet
+        on_feet = replace(robot, standing=find_standing(robot))
+        foot, robot = read_foot(on_feet, groups), on_feet
         # What walks against a loose body has no hand.
         groups = tuple(replace(group, is_held=False) for group in groups)
     except NoFootError as error:
@@ -133,8 +100,7 @@ def mujoco_configuration(
         inapplicable[Need.CONTACT] = (
             "the robot is fixed to the world and touches nothing in 200 random poses"
         )
-    normal = robot.plane_normal
-    if normal is not None and np.abs(normal).max() > ALONG_AN_AXIS:
+    if robot.moves_along_axis:
         inapplicable[Need.SPACE] = (
             "the robot moves in a plane along an axis of the world, where slide-* judges it"
         )
@@ -192,9 +158,10 @@ def _used_constants(
     """Return the constants of a pair, or the most frequent ones of the first kind of pairs, shape [17]."""
     if pair is not None:
         names = [geom_name(model, geom) for geom in range(model.ngeom)]
-        for name in {*pair} - {*names}:
+        missing = [name for name in pair if name not in names]
+        if missing:
             raise TargetError(
-                f"the model has no geom {name!r}; it has {', '.join(names)}"
+                f"the model has no geom {missing[0]!r}; it has {', '.join(names)}"
             )
         wanted = sorted(map(names.index, pair))
         rows = np.flatnonzero((pairs.geoms == wanted).all(axis=1))
@@ -251,72 +218,6 @@ def _groups(
     return tuple(group for _, group in sorted(groups))
 
 
-# --- the foot --------------------------------------------------------------------------------------------------------
-
-
-def _foot(
-    robot: Robot, standing: Standing, groups: tuple[ContactGroup, ...]
-) -> FootGeometry:
-    """Return the lowest foot of a robot.
-
-    Args:
-        robot: The robot that stands.
-        standing: How it stands.
-        groups: Contact constants, those that are judged marked as used.
-    """
-    model, support, feet = robot.model, standing.support_m, standing.feet
-    body, lowest = min(
-        ((body, geom) for body, geoms in feet.items() for geom in geoms),
-        key=lambda sole: (support[sole[1]][2], sole[0]),
-    )
-    mass_kg = float(model.body_subtreemass[standing.body])
-    load_kg = mass_kg / len(feet)
-    constants = robot.pairs.constants[robot.foot_rows]
-    settings = [contact_settings(model, row) for row in constants]
-    names: dict[str, str] = {}
-    for group in groups:
-        # Groups with the same settings are one set, with the name of the first.
-        if group.is_used and group.settings in settings:
-            names.setdefault(repr(group.settings), group.geoms)
-    is_its = np.isin(robot.pairs.geoms[robot.foot_rows], feet[body]).any(axis=1)
-    stance, texts, parts = robot.stance, [], []
-    for geom in feet[body]:
-        texts.append(f"{geom_name(model, geom)} ({kind_of(model, geom).lower()})")
-        place_m = vector(stance.positions_m[geom] - support[lowest])
-        pose = Pose.from_rotation(place_m, stance.rotations[geom])
-        parts.append(Part(shape=_solid(model, geom), pose=pose))
-    return FootGeometry(
-        name=name_of(model, "body", body),
-        geoms=_listed(texts),
-        parts=tuple(parts),
-        load_kg=load_kg,
-        robot_mass_kg=mass_kg,
-        foot_count=len(feet),
-        pose=stance.label,
-        sets=tuple(names.values()),
-        softening=float(model.body_invweight0[body, 0]) * COPIES * load_kg,
-        friction=float(constants[is_its, COLUMNS["friction"].start].min()),
-    )
-
-
-def _solid(model: mujoco.MjModel, geom: int) -> Solid:
-    kind = kind_of(model, geom)
-    if kind in SOLIDS:
-        return SOLIDS[kind](*model.geom_size[geom].tolist())
-    if kind != "MESH":
-        raise NoFootError(
-            f"the foot is a geom of type {kind.lower()}, which the scenes cannot have"
-        )
-    points_m = vertices_m(model, geom)
-    try:
-        hull = points_m[ConvexHull(points_m).vertices]
-    except QhullError:
-        raise NoFootError(
-            "the foot is a flat mesh, which the scenes cannot have"
-        ) from None
-    return ConvexUnion(pieces_m=(tuple(vector(point) for point in hull),))
-
-
 # --- notes -----------------------------------------------------------------------------------------------------------
 
 
@@ -338,15 +239,8 @@ def _geoms_text(model: mujoco.MjModel, geoms: IntArray) -> str:
     """Return names of pairs of geoms: those that are fixed with those that move, or these with each other."""
     moves = can_move(model)[geoms]
     sides = [
-        _listed([geom_name(model, geom) for geom in np.unique(side).tolist()])
+        listed([geom_name(model, geom) for geom in np.unique(side).tolist()])
         for side in (geoms[~moves], geoms[moves])
         if len(side)
     ]
     return f"{sides[0]} with {'each other' if len(sides) == 1 else sides[1]}"
-
-
-def _listed(names: list[str]) -> str:
-    """Return names in a line; of many, the number of the last ones."""
-    if len(names) > MOST_GEOMS:
-        names = [*names[: MOST_GEOMS - 1], f"{len(names) - MOST_GEOMS + 1} more"]
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, wraps
 from pathlib import Path
@@ -11,23 +11,15 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.mujoco.model import set_option
+from gauge_envs.errors import TargetError
 from gauge_envs.scene import Vector
-from gauge_envs.scene.geometry import FloatArray, IntArray
-from gauge_envs.tools.bench.model_settings import ContactPairs
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
+from gauge_envs.tools.bench.model_settings import ContactPairs, PairKind
 from gauge_envs.tools.sanity.model import Settings
 from gauge_envs.tools.sanity.robot.mjcf_text import ModelText
-from gauge_envs.tools.sanity.robot.mujoco_feet import (
-    Stance,
-    Standing,
-    driven_trees,
-    free_balls,
-    ground_rows,
-    joints_of,
-    joints_of_motors,
-    stance_of,
-)
 
 GEOM_FIELDS = {
     "contact_solref": "solref",
@@ -46,6 +38,56 @@ ELEMENT_FIELDS = GEOM_FIELDS | {
 
 PAIRED = ("contact_solref", "contact_solimp")
 """Settings that explicit pairs state instead of their geoms, in the same form."""
+
+
+STANDING = ("home", "stand", "standing")
+"""Names of keyframes in which robots stand."""
+
+MOST_GEOMS = 4
+"""Most geoms of a foot or of a group that are listed; of more, the others are counted."""
+
+ALONG_AN_AXIS = 0.999
+"""Least component of the normal of the plane of a robot that moves along an axis of the world."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stance:
+    """Pose of a model in which its robot stands.
+
+    Attributes:
+        label: Name of the pose.
+        qpos: Generalized position, shape [nq].
+        ctrl: Controls that belong to the pose, shape [nu]; zeros where no keyframe states them.
+        positions_m: Positions of the geoms in a frame with z up [m], shape [geom_count, 3].
+        rotations: Rotations of the geoms to that frame.
+        joint_axes: Axes of the joints in that frame, shape [joint_count, 3].
+    """
+
+    label: str
+    qpos: FloatArray
+    ctrl: FloatArray
+    positions_m: FloatArray
+    rotations: Rotation
+    joint_axes: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """Robot of a model that stands on the ground, and its feet.
+
+    Attributes:
+        body: First moving body of the robot.
+        height_m: Height of the robot [m].
+        ground_m: Height of its lowest point [m].
+        support_m: Lowest point of each geom that can touch the ground [m].
+        feet: Geoms of each foot, by its body.
+    """
+
+    body: int
+    height_m: float
+    ground_m: float
+    support_m: Mapping[int, FloatArray]
+    feet: Mapping[int, list[int]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,33 +140,52 @@ class Robot:
         except (OSError, ValueError, KeyError):
             return None
 
-    @cached_property
-    def _trial_model(self) -> mujoco.MjModel:
-        return copy.copy(self.model)
-
     def without(self, *features: str) -> mujoco.MjModel:
-        """Return a copy of the model with some features switched off, valid until the next call.
-
-        Its medium, its integrator and the biases of its actuators may be changed. There is one copy, as
-        meshes make copies slow.
-        """
-        model = self._trial_model
-        for name in ("density", "viscosity", "disableflags", "integrator"):
-            setattr(model.opt, name, getattr(self.model.opt, name))
+        """Return a copy of the model with some features switched off."""
+        model = copy.copy(self.model)
         for feature in features:
             model.opt.disableflags |= disable_bit(feature)
-        model.actuator_biasprm[:] = self.model.actuator_biasprm
         return model
 
     @cached_property
     def stance(self) -> Stance:
-        """Pose in which it stands or starts; see `stance_of`."""
-        return stance_of(self.model, np.asarray(self.up))
+        """Keyframe in which it stands, or the first one.
+
+        Without a keyframe it is the initial pose with joints within their limits.
+        """
+        model, data, label = self.model, mujoco.MjData(self.model), "initial pose"
+        if model.nkey:
+            names = [model.key(index).name for index in range(model.nkey)]
+            known = next((name for name in STANDING if name in names), names[0])
+            mujoco.mj_resetDataKeyframe(model, data, names.index(known))
+            label = f"keyframe {known}".rstrip()
+        is_clipped = (model.jnt_limited != 0) & joints_of(model, "HINGE", "SLIDE")
+        places = model.jnt_qposadr[is_clipped]
+        data.qpos[places] = np.clip(data.qpos[places], *model.jnt_range[is_clipped].T)
+        mujoco.mj_kinematics(model, data)
+        if not (
+            np.isfinite(data.geom_xpos).all() and np.isfinite(data.geom_xmat).all()
+        ):
+            raise TargetError(
+                "the poses of the model's geoms are not finite: it states a NaN or an infinite number"
+            )
+        turn = Rotation.align_vectors([[0.0, 0.0, 1.0]], [self.up])[0]
+        return Stance(
+            label=label,
+            qpos=data.qpos.copy(),
+            ctrl=data.ctrl.copy(),
+            positions_m=turn.apply(data.geom_xpos),
+            rotations=turn * Rotation.from_matrix(data.geom_xmat.reshape(-1, 3, 3)),
+            joint_axes=turn.apply(data.xaxis),
+        )
 
     @cached_property
     def driven_trees(self) -> set[int]:
-        """Trees of bodies that actuators move; see `driven_trees`."""
-        return driven_trees(self.model)
+        """Trees of bodies that actuators move, through joints, tendons, sites or bodies."""
+        data = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, data)
+        dofs = data.moment_colind[data.actuator_moment.ravel() != 0.0]
+        return set(self.model.dof_treeid[dofs].tolist())
 
     @cached_property
     def bodies(self) -> list[int]:
@@ -150,18 +211,18 @@ class Robot:
         return rows[touches].tolist()
 
     @cached_property
-    def plane_normal(self) -> FloatArray | None:
-        """Normal of the vertical plane in which the robot moves, shape [3]; None when it moves in space."""
+    def moves_along_axis(self) -> bool:
+        """Whether the robot moves in a vertical plane along an axis of the world."""
         model, axes = self.model, self.stance.joint_axes
         is_part = np.isin(model.jnt_bodyid, self.bodies)
         is_hinge = joints_of(model, "HINGE")
         hinges = axes[is_part & is_hinge]
         if not len(hinges) or joints_of(model, "FREE", "BALL")[is_part].any():
-            return None
-        normal: FloatArray = hinges[0]
+            return False
+        normal = hinges[0]
         parallel = np.abs(axes @ normal)
         fits = np.where(is_hinge, parallel > 0.999, parallel < 1e-3)[is_part]
-        return normal if fits.all() and abs(normal[2]) < 1e-3 else None
+        return bool(fits.all() and np.abs(normal[:2]).max() > ALONG_AN_AXIS)
 
     def reached_by_default(self, name: str) -> list[int]:
         """Return geoms that take an attribute from the model's default class; none without a spec."""
@@ -258,6 +319,66 @@ def disable_bit(feature: str) -> int:
 def switched_off(model: mujoco.MjModel, *features: str) -> bool:
     """Return whether a model switches one of some features off."""
     return any(model.opt.disableflags & disable_bit(feature) for feature in features)
+
+
+def acts_on_joints(model: mujoco.MjModel) -> BoolArray:
+    """Return which actuators act on a joint, shape [nu]."""
+    kinds = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
+    return np.isin(model.actuator_trntype, kinds)
+
+
+def joints_of_motors(model: mujoco.MjModel) -> IntArray:
+    """Return the joint of each actuator that acts on a joint."""
+    joints: IntArray = model.actuator_trnid[acts_on_joints(model), 0]
+    return joints
+
+
+def joints_of(model: mujoco.MjModel, *kinds: str) -> BoolArray:
+    """Return which joints are of some types, such as `HINGE`, shape [joint_count]."""
+    known = [getattr(mujoco.mjtJoint, f"mjJNT_{kind}") for kind in kinds]
+    return np.isin(model.jnt_type, known)
+
+
+def ground_rows(pairs: ContactPairs) -> IntArray:
+    """Return the pairs of a moving geom and the ground: planes and height fields, or other geoms of the world."""
+    kind = pairs.kinds.min(initial=PairKind.MOVING)
+    return np.flatnonzero((pairs.kinds == kind) & (kind < PairKind.MOVING))
+
+
+def free_balls(model: mujoco.MjModel) -> BoolArray:
+    """Return which geoms are balls that move freely, shape [ngeom]."""
+    is_free = np.isin(model.geom_bodyid, model.jnt_bodyid[joints_of(model, "FREE")])
+    is_alone = model.body_geomnum[model.geom_bodyid] == 1
+    is_sphere = model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
+    balls: BoolArray = is_free & is_alone & is_sphere
+    return balls
+
+
+def name_of(model: mujoco.MjModel, kind: str, number: int) -> str:
+    """Return the name of an element, or its kind and number."""
+    return getattr(model, kind)(number).name or f"{kind} {number}"
+
+
+def geom_name(model: mujoco.MjModel, geom: int) -> str:
+    """Return the name of a geom, or its number and its body."""
+    owner = model.body(int(model.geom_bodyid[geom])).name
+    return model.geom(geom).name or f"geom {geom} of {owner or 'an unnamed body'}"
+
+
+def chain_of(model: mujoco.MjModel, body: int) -> list[int]:
+    """Return a body and all that carry it, but the world."""
+    chain = []
+    while body:
+        chain.append(body)
+        body = int(model.body_parentid[body])
+    return chain
+
+
+def listed(names: list[str]) -> str:
+    """Return names in a line; of many, the number of the last ones."""
+    if len(names) > MOST_GEOMS:
+        names = [*names[: MOST_GEOMS - 1], f"{len(names) - MOST_GEOMS + 1} more"]
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> IntArray:
