@@ -64,7 +64,7 @@ def feet(robot: Robot) -> Finding:
         text = f"no geom of the robot can touch {geom_name(model, plane)}: it falls through it"
         return Finding(value=1.0, remark=text, place=("geom", plane))
     standing = standing_of(robot)
-    lows = {geom: float(point[2]) for geom, point in standing.support_m.items()}
+    lows = {geom: point[2] for geom, point in standing.support_m.items()}
     within_m = SOLE_WITHIN * standing.height_m
     carrying = {
         body for geom in lows for body in chain_of(model, int(model.geom_bodyid[geom]))
@@ -73,7 +73,7 @@ def feet(robot: Robot) -> Finding:
     lame: dict[int, int] = {}
     for geom in np.flatnonzero(np.isin(model.geom_bodyid, robot.bodies)).tolist():
         limb = chain_of(model, int(model.geom_bodyid[geom]))
-        low = float(support_m(robot, geom)[2])
+        low = support_m(robot, geom)[2]
         near = [lows[other] for other in lows if model.geom_bodyid[other] in limb[:2]]
         # Drawn geoms of a limb that touches are no fault; those that collide and reach deeper than it touches are.
         is_apart = limb[0] not in carrying and low <= standing.ground_m + within_m
@@ -146,13 +146,13 @@ def _frictions(robot: Robot, number: int) -> Iterator[Case]:
     text = f"{name} has friction {met:g} on {geom_name(model, ground)}"
     text += ", by condim 1" * (condim == 1)
     yield Case(ratio, ("geom", foot), name, text, is_usual=True)
-    given = float(model.geom_friction[ground, 0])
+    given = model.geom_friction[ground, 0]
     # What a geom takes from the default of all is no statement about it.
     # Without a file, the most frequent friction stands for it.
     values, counts = np.unique(model.geom_friction[:, 0], return_counts=True)
-    common = float(values[counts.argmax()])
+    common = values[counts.argmax()]
     if robot.spec is not None:
-        common = float(robot.spec.default.geom.friction[0])
+        common = robot.spec.default.geom.friction[0]
     is_equal = model.geom_priority[foot] == model.geom_priority[ground]
     if given != common and is_equal and not model.npair:
         ratio = met / max(given, 1e-3) / LOST_FRICTION
@@ -185,9 +185,9 @@ def torsion(robot: Robot) -> Finding:
         geoms = [geom for geom in robot.pairs.geoms[number].tolist() if is_felt[geom]]
         if condim < 4 or not geoms:
             continue
-        lever_m = float(max(levers[: 1 if condim == 4 else 3]))
-        geom = min(geoms, key=lambda other: float(model.geom_rbound[other]))
-        size_m, name = float(model.geom_rbound[geom]), geom_name(model, geom)
+        lever_m = max(levers[: 1 if condim == 4 else 3])
+        geom = min(geoms, key=lambda other: model.geom_rbound[other])
+        size_m, name = model.geom_rbound[geom], geom_name(model, geom)
         text = f"{name} of {1e3 * size_m:.3g} mm resists turning with a lever of {1e3 * lever_m:.3g} mm"
         if lever_m > sliding:
             text += ": friction is in the order sliding, torsion, rolling"
@@ -262,6 +262,6 @@ def _overlaps(
         if second in robot.bodies and is_part and is_inside:
             mujoco.mj_contactForce(model, data, number, force)
             depth_m, push_n = depths.get((first, second), (0.0, 0.0))
-            depth_m = max(depth_m, -float(contact.dist))
-            depths[first, second] = (depth_m, push_n + float(force[0]))
+            depth_m = max(depth_m, -contact.dist)
+            depths[first, second] = (depth_m, push_n + force[0])
     return depths

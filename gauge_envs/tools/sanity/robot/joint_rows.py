@@ -62,7 +62,7 @@ def joint_brakes(robot: Robot) -> Finding:
 def _brakes(drive: Drive) -> Iterator[Case]:
     robot, (force, angle) = drive.robot, drive.units
     root, reaches = root_of(robot.model, drive.body), reaches_m(robot)
-    robot_kg = float(robot.model.body_subtreemass[root])
+    robot_kg = robot.model.body_subtreemass[root]
     dry, damping, armature = drive.dry, drive.damping, drive.armature
     brakes = f"{drive.name}: friction {dry:.3g}, damping {damping:.3g}, armature {armature:.3g}"
     if min(dry, damping, armature) < 0.0:
@@ -70,9 +70,7 @@ def _brakes(drive: Drive) -> Iterator[Case]:
     speed, acceleration = (
         (STEP_PER_S, STEP_PER_S2) if drive.is_leg else (SLOW_PER_S, SLOW_PER_S2)
     )
-    brake = (
-        float(drags(robot, speed)[drive.dof]) + armature * acceleration * drive.scale
-    )
+    brake = drags(robot, speed)[drive.dof] + armature * acceleration * drive.scale
     yield drive.case(
         brake / drive.push,
         f"{brakes} take {brake:.3g} {force} at {speed * drive.scale:g} {angle}/s; its motor makes {drive.push:.3g}",
@@ -81,13 +79,11 @@ def _brakes(drive: Drive) -> Iterator[Case]:
         return
     # Where a link is light, the engine makes a drag of its dry friction, which the motor may overcome.
     g = length_of(robot.model.opt.gravity)
-    limb = (
-        float(robot.model.body_subtreemass[drive.body]) * g * float(reaches[drive.body])
-    )
-    if float(drags(robot, FALL_PER_S)[drive.dof]) > drive.push:
+    limb = robot.model.body_subtreemass[drive.body] * g * reaches[drive.body]
+    if drags(robot, FALL_PER_S)[drive.dof] > drive.push:
         text = f"{drive.name} has friction {dry:.3g} N m; its motor makes {drive.push:.3g} and gravity {limb:.2g}"
         yield drive.case(dry / (drive.push + limb), text)
-    weight = robot_kg * g * float(reaches[drive.body])
+    weight = robot_kg * g * reaches[drive.body]
     if drive.is_leg and weight:
         fall = dry + damping * FALL_PER_S
         yield drive.case(
@@ -96,7 +92,7 @@ def _brakes(drive: Drive) -> Iterator[Case]:
         )
     # The rotor of a slide moves through a screw, whose gear makes it heavier than any robot.
     if not np.isfinite(drive.limit):
-        whole = robot_kg * float(reaches[root]) ** 2
+        whole = robot_kg * reaches[root] ** 2
         yield drive.case(
             armature / whole,
             f"{drive.name} has an armature of {armature:.3g} kg m^2 and no torque limit; the robot has {whole:.2g}",
@@ -192,7 +188,7 @@ def _modes(robot: Robot, several: list[Drive]) -> Iterator[Case]:
     for ratio, mode in zip(ratios, modes.T, strict=True):
         energies = [drive.kp * abs(mode[drive.dof]) ** 2 for drive in several]
         drive = several[int(np.argmax(energies))]
-        growth = min(float(np.abs(ratio)), MAX_RATIO) ** GROWTH_STEPS
+        growth = min(np.abs(ratio), MAX_RATIO) ** GROWTH_STEPS
         text = f"a small motion of {drive.name} grows by {np.abs(ratio) - 1.0:.2g} of itself in a step of "
         yield drive.case(growth / GROWTH, f"{text}{1e3 * model.opt.timestep:g} ms")
         rate = np.log(complex(ratio) or 1e-300) / model.opt.timestep
@@ -208,13 +204,13 @@ def _response(drive: Drive) -> Iterator[Case]:
     damping, kp = drive.damping + drive.kv, drive.kp
     servo = f"kp {kp:.3g} {force}/{angle}"
     # Overdamped, a servo covers half of a step in ln(2) damping / kp.
-    half_s, limit_s = float(np.log(2.0)) * damping / kp, SLOW_S
+    half_s, limit_s = np.log(2.0) * damping / kp, SLOW_S
     text = f"{drive.name} covers half of a small step in {half_s:.2g} s: {servo}, damping {damping:.3g}"
     if drive.is_leg and robot.standing is not None:
-        limit_s = float(np.sqrt(robot.standing.height_m / GRAVITY_M_PER_S2))
+        limit_s = np.sqrt(robot.standing.height_m / GRAVITY_M_PER_S2)
         text += f"; the robot falls in {limit_s:.2g} s"
     yield drive.case(half_s / limit_s, text, True)
-    weight = float(largest_loads(robot)[drive.dof])
+    weight = largest_loads(robot)[drive.dof]
     is_floating = (
         robot.model.body_dofnum[root_of(robot.model, drive.body)] == 6 and kp != 1.0
     )
@@ -231,13 +227,13 @@ def _commands(drive: Drive) -> Iterator[Case]:
     model = drive.robot.model
     if not (model.jnt_limited[drive.joint] and drive.is_hinge):
         return
-    span = float(np.ptp(model.jnt_range[drive.joint]))
+    span = np.ptp(model.jnt_range[drive.joint])
     is_its = acts_on_joints(model) & (model.actuator_trnid[:, 0] == drive.joint)
     is_its &= servos(model) & (model.actuator_ctrllimited != 0)
     gains = model.actuator_gainprm[is_its, 0] / model.actuator_biasprm[is_its, 1]
     gains /= model.actuator_gear[is_its, 0]
     spans = np.ptp(model.actuator_ctrlrange[is_its], axis=1) * np.abs(gains)
-    commands = float(spans.max(initial=0.0))
+    commands = spans.max(initial=0.0)
     text = f"commands of {drive.name} span {commands:.3g} rad, its range {span:.3g}"
     yield drive.case(commands / span / COMMANDS, text, True)
 
@@ -269,9 +265,9 @@ def coupling_yield(robot: Robot) -> Finding:
     for number in np.flatnonzero(is_coupling).tolist():
         joints = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
         dofs, (place, leader) = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
-        lead = float(begin[leader] - model.qpos0[leader])
+        lead = begin[leader] - model.qpos0[leader]
         coupled = np.polyval(model.eq_data[number, 4::-1], lead) + model.qpos0[place]
-        span = float(np.ptp(model.jnt_range[joints[0]])) or 1.0
+        span = np.ptp(model.jnt_range[joints[0]]) or 1.0
         data.qpos[:] = begin
         data.qpos[place], data.qacc[:] = coupled + YIELD_SHARE * span, 0.0
         mujoco.mj_inverse(model, data)
@@ -279,8 +275,8 @@ def coupling_yield(robot: Robot) -> Finding:
         at, name = ("equality", number), name_of(model, "joint", joints[0])
         text = f"{name}, {100 * YIELD_SHARE:g} % of its range off its coupling, is pushed back by {force:.3g}; "
         text += f"its motor makes {load:.3g}"
-        cases.append(Case(float(load / max(force, 1e-9)), at, name, text, True))
-        off = float(abs(coupled - begin[place]))
+        cases.append(Case(load / max(force, 1e-9), at, name, text, True))
+        off = abs(coupled - begin[place])
         text = f"{name} begins {off:.2g} beside its coupling; its range is {span:.3g}"
         cases.append(Case(off / span / YIELD_SHARE, at, name, text))
     if not cases:
@@ -320,6 +316,6 @@ def free_joint_drag(robot: Robot) -> Finding:
         name = name_of(model, "body", int(model.jnt_bodyid[joint]))
         text = f"{name} is braked in the air by damping {damping[first]:g}, friction {dry[first]:g}, "
         text += f"armature {armature[first]:g}"
-        share = float((brakes[six] / inertia[six]).max())
+        share = (brakes[six] / inertia[six]).max()
         cases.append(Case(share, ("joint", joint), name, text))
     return worst_case(cases, limit=FREE_SHARE)

@@ -54,7 +54,7 @@ def worst_case(cases: Iterable[Case], limit: float = 1.0) -> Finding:
     parts: dict[str, float] = {}
     worst = Case(0.0, ("body", 0), "", "")
     for case in cases:
-        ratio = case.ratio
+        ratio = float(case.ratio)
         if case.is_usual and limit < ratio <= USUAL_MARGIN * limit:
             ratio = limit
         parts[case.name] = max(ratio, parts.get(case.name, 0.0))
@@ -212,7 +212,7 @@ def reaches_m(robot: Robot) -> FloatArray:
     np.maximum.at(reaches, model.geom_bodyid, ends)
     for body in range(model.nbody - 1, 0, -1):
         parent = int(model.body_parentid[body])
-        arm = float(np.linalg.norm(model.body_pos[body])) + reaches[body]
+        arm = np.linalg.norm(model.body_pos[body]) + reaches[body]
         reaches[parent] = max(reaches[parent], arm)
     return reaches
 

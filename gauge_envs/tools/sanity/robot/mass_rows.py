@@ -71,7 +71,7 @@ def _body_cases(
 ) -> Iterator[Case]:
     """Yield the mass properties of a body, and those that its file states, which the compiler balances."""
     model, name, place = robot.model, name_of(robot.model, "body", body), ("body", body)
-    mass_kg, root = float(model.body_mass[body]), root_of(model, body)
+    mass_kg, root = model.body_mass[body], root_of(model, body)
     several, weighs = [model.body_inertia[body]], described is not None
     if described is not None and described.explicitinertial:
         several, weighs = [*several, described.inertia], False
@@ -81,24 +81,24 @@ def _body_cases(
             excess = third / max(first + second, 1e-300) / (1.0 + TRIANGLE)
             text = f"{name} has inertias {first:.3g}, {second:.3g} and {third:.3g} kg m^2: one exceeds the others' sum"
             yield Case(excess, place, name, text)
-    if mass_kg <= 0.0 or mass_kg < LEAST_SHARE * float(model.body_subtreemass[root]):
+    if mass_kg <= 0.0 or mass_kg < LEAST_SHARE * model.body_subtreemass[root]:
         return
     is_robot = int(model.body_treeid[body]) in robot.driven_trees
     is_link = int(model.tree_bodynum[model.body_treeid[body]]) > 1
     for geom in described.geoms if described is not None and weighs else ():
         # Geoms of a body that states its mass itself may hold the place of its shape.
         density, limit = (
-            float(geom.density),
+            geom.density,
             LEAD_KG_PER_M3 if is_link else OSMIUM_KG_PER_M3,
         )
         if np.isfinite(geom.mass):
-            box_m3 = 8.0 * float(model.geom_aabb[geom.id, 3:].prod())
-            density, limit = float(geom.mass) / (box_m3 or np.inf), POINT_KG_PER_M3
+            box_m3 = 8.0 * model.geom_aabb[geom.id, 3:].prod()
+            density, limit = geom.mass / (box_m3 or np.inf), POINT_KG_PER_M3
         if is_link or not np.isfinite(geom.mass):
             kind = "link" if limit == LEAD_KG_PER_M3 else "metal"
             text = f"{name} weighs {mass_kg:.3g} kg: {density:.3g} kg/m^3, denser than any {kind} ({limit:g})"
             yield Case(density / limit, place, name, text, not is_robot)
-    trace = float(model.body_inertia[body].sum())
+    trace = model.body_inertia[body].sum()
     # Of all bodies of a mass and a largest density a ball has the least trace of inertia, 3 * 0.4 m r^2. Geoms of a
     # toy may stand for point masses.
     if not weighs:
@@ -106,11 +106,11 @@ def _body_cases(
         least = 1.2 * mass_kg * radius_m**2
         text = f"{name} of {mass_kg:.3g} kg has inertias of {trace / 3.0:.2g} kg m^2, "
         text += f"smaller than a ball of osmium ({least / 3.0:.2g})"
-        yield Case(float(least) / max(trace, 1e-300), place, name, text)
+        yield Case(least / max(trace, 1e-300), place, name, text)
     # The geom of a single body may hold the place of a larger shape.
-    reach_m = float(reaches_m(robot)[root]) * (1.0 if is_link else SINGLE)
+    reach_m = reaches_m(robot)[root] * (1.0 if is_link else SINGLE)
     if reach_m > 0.0:
-        gyration_m = float(np.sqrt(0.5 * trace / mass_kg))
+        gyration_m = np.sqrt(0.5 * trace / mass_kg)
         text = f"{name} of {mass_kg:.3g} kg gyrates with {gyration_m:.3g} m, the robot reaches {reach_m:.2g} m"
         yield Case(gyration_m / reach_m, place, name, text)
         away_m = length_of(model.body_ipos[body])
@@ -156,9 +156,9 @@ def _drawn_twice(robot: Robot) -> Iterator[Case]:
     for body, drawn in doubled.items():
         name, extra_kg = (
             name_of(model, "body", body),
-            float(model.body_mass[body] - masses[body]),
+            model.body_mass[body] - masses[body],
         )
         text = f"{name} weighs {model.body_mass[body]:.3g} kg: {geom_name(model, drawn)}, which is drawn, adds "
         text += f"{extra_kg:.3g}"
-        ratio = extra_kg / max(float(masses[body]), 1e-9) / DRAWN_TWICE
+        ratio = extra_kg / max(masses[body], 1e-9) / DRAWN_TWICE
         yield Case(ratio, ("body", body), name, text)

@@ -26,7 +26,6 @@ from gauge_envs.tools.sanity.robot.robot import (
     Standing,
     chain_of,
     geom_name,
-    ground_rows,
     joints_of,
     joints_of_motors,
     listed,
@@ -78,8 +77,8 @@ def find_standing(robot: Robot) -> Standing:
     Raises:
         NoFootError: There is none.
     """
-    model, pairs, stance = robot.model, robot.pairs, robot.stance
-    geoms = np.unique(pairs.geoms[ground_rows(pairs)])
+    model, stance = robot.model, robot.stance
+    geoms = np.unique(robot.pairs.geoms[robot.ground_rows])
     touching = geoms[can_move(model)[geoms]].tolist()
     if not touching:
         raise NoFootError("the model has no ground that a moving geom can touch")
@@ -174,7 +173,7 @@ def read_foot(robot: Robot, groups: Sequence[ContactGroup]) -> FootGeometry:
 def _can_fall(robot: Robot, body: int) -> bool:
     """Return whether the first joints of a body let it rise and fall."""
     model = robot.model
-    weight_n = float(model.body_subtreemass[body]) * GRAVITY_M_PER_S2
+    weight_n = model.body_subtreemass[body] * GRAVITY_M_PER_S2
     dampings = np.atleast_2d(model.dof_damping.T)[0, model.jnt_dofadr]
     falls = joints_of(model, "SLIDE") & (
         np.abs(robot.stance.joint_axes[:, 2]) > UPRIGHT
@@ -204,7 +203,7 @@ def support_m(robot: Robot, geom: int) -> FloatArray:
     elif kind == "MESH":
         vertices = _vertices_m(model, geom)
         depths = vertices @ down
-        is_deep = depths > depths.max() - FLAT * float(model.geom_rbound[geom])
+        is_deep = depths > depths.max() - FLAT * model.geom_rbound[geom]
         point = vertices[is_deep].mean(axis=0)
     return stance.positions_m[geom] + stance.rotations[geom].apply(point)
 

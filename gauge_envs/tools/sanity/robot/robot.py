@@ -201,14 +201,20 @@ class Robot:
         return np.flatnonzero(is_arm if is_arm.any() else moving).tolist()
 
     @cached_property
+    def ground_rows(self) -> IntArray:
+        """Rows of `pairs` of a moving geom and the ground: planes and height fields, or other geoms of the world."""
+        kinds = self.pairs.kinds
+        kind = kinds.min(initial=PairKind.MOVING)
+        return np.flatnonzero((kinds == kind) & (kind < PairKind.MOVING))
+
+    @cached_property
     def foot_rows(self) -> list[int]:
         """Rows of `pairs` in which a foot meets the ground."""
         if self.standing is None:
             return []
         feet = [geom for geoms in self.standing.feet.values() for geom in geoms]
-        rows = ground_rows(self.pairs)
-        touches = np.isin(self.pairs.geoms[rows], feet).any(axis=1)
-        return rows[touches].tolist()
+        touches = np.isin(self.pairs.geoms[self.ground_rows], feet).any(axis=1)
+        return self.ground_rows[touches].tolist()
 
     @cached_property
     def moves_along_axis(self) -> bool:
@@ -242,7 +248,7 @@ class Robot:
     def grounded(self) -> set[int]:
         """Geoms that can touch the ground, of the ground, of a hand and of what it can hold, without free balls."""
         can_grasp = np.flatnonzero(grasp_kinds(self.model, self.pairs))
-        rows = [*ground_rows(self.pairs), *can_grasp]
+        rows = [*self.ground_rows, *can_grasp]
         geoms = np.unique(self.pairs.geoms[rows])
         return set(geoms[~free_balls(self.model)[geoms]].tolist())
 
@@ -278,7 +284,7 @@ class Robot:
     def _holders(self, name: str) -> dict[str, list[int]]:
         """Return the elements whose attribute is to change, by their kind."""
         if name in GEOM_FIELDS:
-            model, ground = self.model, self.pairs.geoms[ground_rows(self.pairs)]
+            model, ground = self.model, self.pairs.geoms[self.ground_rows]
             pairs = np.sort(np.column_stack([model.pair_geom1, model.pair_geom2]))
             is_ground = (pairs[:, None] == ground).all(axis=2).any(axis=1)
             explicit = np.flatnonzero(is_ground & (name in PAIRED)).tolist()
@@ -337,12 +343,6 @@ def joints_of(model: mujoco.MjModel, *kinds: str) -> BoolArray:
     """Return which joints are of some types, such as `HINGE`, shape [joint_count]."""
     known = [getattr(mujoco.mjtJoint, f"mjJNT_{kind}") for kind in kinds]
     return np.isin(model.jnt_type, known)
-
-
-def ground_rows(pairs: ContactPairs) -> IntArray:
-    """Return the pairs of a moving geom and the ground: planes and height fields, or other geoms of the world."""
-    kind = pairs.kinds.min(initial=PairKind.MOVING)
-    return np.flatnonzero((pairs.kinds == kind) & (kind < PairKind.MOVING))
 
 
 def free_balls(model: mujoco.MjModel) -> BoolArray:

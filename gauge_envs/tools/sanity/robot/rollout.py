@@ -71,7 +71,7 @@ def hold_pose(robot: Robot) -> tuple[float, FloatArray]:
         max(1, round(time_s / model.opt.timestep)) for time_s in (HOLD_S, LATE_S)
     )
     ground_m, up = floor_m(robot), np.asarray(robot.up)
-    first_m = float(data.subtree_com[standing.body] @ up) - ground_m
+    first_m = data.subtree_com[standing.body] @ up - ground_m
     forces = np.zeros(model.nv)
     for step in range(steps):
         mujoco.mj_step(model, data)
@@ -81,8 +81,8 @@ def hold_pose(robot: Robot) -> tuple[float, FloatArray]:
             )
         if step >= steps - late:
             forces += np.abs(data.qfrc_actuator) / late
-    last_m = float(data.subtree_com[standing.body] @ up) - ground_m
-    return last_m / max(first_m, 1e-6), forces
+    last_m = data.subtree_com[standing.body] @ up - ground_m
+    return float(last_m / max(first_m, 1e-6)), forces
 
 
 @row(
@@ -118,7 +118,7 @@ def holding_force(robot: Robot) -> Finding:
         verb = "at rest"
     return worst_case(
         drive.case(
-            float(needed[drive.dof]) / drive.limit,
+            needed[drive.dof] / drive.limit,
             f"{verb} {drive.name} takes {needed[drive.dof]:.3g} {drive.units[0]}; its motor makes {drive.limit:.3g}",
         )
         for drive in several
