@@ -60,9 +60,8 @@ def joint_brakes(robot: Robot) -> Finding:
 
 
 def _brakes(drive: Drive) -> Iterator[Case]:
-    robot, (force, angle) = drive.robot, drive.units
-    root, reaches = root_of(robot.model, drive.body), reaches_m(robot)
-    robot_kg = robot.model.body_subtreemass[root]
+    robot, (force, angle), model = drive.robot, drive.units, drive.robot.model
+    root, reaches = root_of(model, drive.body), reaches_m(robot)
     dry, damping, armature = drive.dry, drive.damping, drive.armature
     brakes = f"{drive.name}: friction {dry:.3g}, damping {damping:.3g}, armature {armature:.3g}"
     if min(dry, damping, armature) < 0.0:
@@ -78,12 +77,12 @@ def _brakes(drive: Drive) -> Iterator[Case]:
     if not drive.is_hinge:
         return
     # Where a link is light, the engine makes a drag of its dry friction, which the motor may overcome.
-    g = length_of(robot.model.opt.gravity)
-    limb = robot.model.body_subtreemass[drive.body] * g * reaches[drive.body]
+    lever = length_of(model.opt.gravity) * reaches[drive.body]
+    limb = model.body_subtreemass[drive.body] * lever
     if drags(robot, FALL_PER_S)[drive.dof] > drive.push:
         text = f"{drive.name} has friction {dry:.3g} N m; its motor makes {drive.push:.3g} and gravity {limb:.2g}"
         yield drive.case(dry / (drive.push + limb), text)
-    weight = robot_kg * g * reaches[drive.body]
+    weight = model.body_subtreemass[root] * lever
     if drive.is_leg and weight:
         fall = dry + damping * FALL_PER_S
         yield drive.case(
@@ -92,7 +91,7 @@ def _brakes(drive: Drive) -> Iterator[Case]:
         )
     # The rotor of a slide moves through a screw, whose gear makes it heavier than any robot.
     if not np.isfinite(drive.limit):
-        whole = robot_kg * reaches[root] ** 2
+        whole = model.body_subtreemass[root] * reaches[root] ** 2
         yield drive.case(
             armature / whole,
             f"{drive.name} has an armature of {armature:.3g} kg m^2 and no torque limit; the robot has {whole:.2g}",

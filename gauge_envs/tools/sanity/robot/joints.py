@@ -181,7 +181,7 @@ def servos(model: mujoco.MjModel) -> BoolArray:
 
 def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
     """Return the pose in which a robot starts, without controls; see `stance_of`."""
-    model = robot.model if model is None else model
+    model = model or robot.model
     data = mujoco.MjData(model)
     data.qpos[:] = robot.stance.qpos
     mujoco.mj_forward(model, data)
@@ -269,6 +269,5 @@ def unstated(robot: Robot) -> str:
         # Versions before MuJoCo 3.5 have no delay.
         "delay of actions": np.any(getattr(robot.model, "actuator_delay", 0.0)),
     }
-    *first, last = [name for name, is_stated in states.items() if not is_stated] or [""]
-    text = " or ".join(filter(None, [", ".join(first), last]))
-    return text and f"The model states no {text}."
+    missing = [name for name, is_stated in states.items() if not is_stated]
+    return f"The model states no {' or '.join(missing)}." if missing else ""

@@ -56,8 +56,8 @@ def mass(robot: Robot) -> Finding:
     """Return the body whose mass properties are farthest beyond those of a real body."""
     if not robot.bodies:
         raise NotApplicableError("no body of the model moves")
-    described = () if robot.spec is None else robot.spec.bodies
-    by_id = {body.id: body for body in described}
+    bodies = () if robot.spec is None else robot.spec.bodies
+    by_id = {body.id: body for body in bodies}
     cases = (
         case
         for body in robot.bodies
@@ -87,10 +87,7 @@ def _body_cases(
     is_link = int(model.tree_bodynum[model.body_treeid[body]]) > 1
     for geom in described.geoms if described is not None and weighs else ():
         # Geoms of a body that states its mass itself may hold the place of its shape.
-        density, limit = (
-            geom.density,
-            LEAD_KG_PER_M3 if is_link else OSMIUM_KG_PER_M3,
-        )
+        density, limit = geom.density, LEAD_KG_PER_M3 if is_link else OSMIUM_KG_PER_M3
         if np.isfinite(geom.mass):
             box_m3 = 8.0 * model.geom_aabb[geom.id, 3:].prod()
             density, limit = geom.mass / (box_m3 or np.inf), POINT_KG_PER_M3

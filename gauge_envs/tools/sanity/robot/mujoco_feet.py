@@ -53,7 +53,7 @@ LIQUID_KG_PER_M3 = 10.0
 
 Solid = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
 
-SOLIDS: Mapping[str, Callable[[float, float, float], Solid]] = {
+SOLIDS: Mapping[str, Callable[..., Solid]] = {
     "SPHERE": lambda x, *_: Sphere(radius_m=x),
     "CAPSULE": lambda x, y, _: Capsule(radius_m=x, length_m=2.0 * y),
     "ELLIPSOID": lambda *radii: Ellipsoid(radii_m=radii),
@@ -99,9 +99,9 @@ def find_standing(robot: Robot) -> Standing:
     base = max(standing, key=lambda body: (model.body_subtreemass[body], -body))
     is_part = trees == model.body_treeid[base]
     support = {geom: support_m(robot, geom) for geom in touching if is_part[geom]}
-    ground_m = min(float(point[2]) for point in support.values())
+    ground_m = min(point[2] for point in support.values())
     tops_m = stance.positions_m[is_part, 2] + model.geom_rbound[is_part]
-    height_m = max(float(tops_m.max()) - ground_m, 1e-3)
+    height_m = max(tops_m.max() - ground_m, 1e-3)
     bodies: dict[int, list[int]] = {}
     for geom, point in support.items():
         if point[2] <= ground_m + STANDS_WITHIN * height_m:
@@ -197,7 +197,7 @@ def support_m(robot: Robot, geom: int) -> FloatArray:
         aside = down * [1.0, 1.0, 0.0]
         point = size[0] * aside / max(length_of(aside), FLAT) + end
     elif kind == "ELLIPSOID":
-        point = size**2 * down / np.linalg.norm(size * down)
+        point = size**2 * down / length_of(size * down)
     elif kind == "BOX":
         point = size * np.sign(down)
     elif kind == "MESH":

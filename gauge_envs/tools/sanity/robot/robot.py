@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, wraps
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
@@ -163,9 +163,7 @@ class Robot:
         places = model.jnt_qposadr[is_clipped]
         data.qpos[places] = np.clip(data.qpos[places], *model.jnt_range[is_clipped].T)
         mujoco.mj_kinematics(model, data)
-        if not (
-            np.isfinite(data.geom_xpos).all() and np.isfinite(data.geom_xmat).all()
-        ):
+        if not np.isfinite(np.hstack([data.geom_xpos, data.geom_xmat])).all():
             raise TargetError(
                 "the poses of the model's geoms are not finite: it states a NaN or an infinite number"
             )
@@ -247,9 +245,9 @@ class Robot:
     @cached_property
     def grounded(self) -> set[int]:
         """Geoms that can touch the ground, of the ground, of a hand and of what it can hold, without free balls."""
-        can_grasp = np.flatnonzero(grasp_kinds(self.model, self.pairs))
-        rows = [*self.ground_rows, *can_grasp]
-        geoms = np.unique(self.pairs.geoms[rows])
+        is_met = grasp_kinds(self.model, self.pairs) > 0
+        is_met[self.ground_rows] = True
+        geoms = np.unique(self.pairs.geoms[is_met])
         return set(geoms[~free_balls(self.model)[geoms]].tolist())
 
     def changed(
@@ -297,22 +295,19 @@ class Robot:
         return {"equality": np.flatnonzero(alike).tolist()}
 
 
-P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def once(
-    function: Callable[Concatenate[Robot, P], T],
-) -> Callable[Concatenate[Robot, P], T]:
-    """Return a function that measures a robot once, and remembers what it found as long as the robot is there."""
+def once(function: Callable[..., T]) -> Callable[..., T]:
+    """Return a function that measures a robot once, and remembers its result as long as the robot is there."""
 
     @wraps(function)
-    def remembered(robot: Robot, /, *args: P.args, **kwargs: P.kwargs) -> T:
+    def remembered(robot: Robot, *args: Any, **kwargs: Any) -> T:
         key = (function, *args, *kwargs.items())
         if key not in robot.known:
             robot.known[key] = function(robot, *args, **kwargs)
-        found: T = robot.known[key]
-        return found
+        result: T = robot.known[key]
+        return result
 
     return remembered
 
@@ -347,11 +342,10 @@ def joints_of(model: mujoco.MjModel, *kinds: str) -> BoolArray:
 
 def free_balls(model: mujoco.MjModel) -> BoolArray:
     """Return which geoms are balls that move freely, shape [ngeom]."""
-    is_free = np.isin(model.geom_bodyid, model.jnt_bodyid[joints_of(model, "FREE")])
-    is_alone = model.body_geomnum[model.geom_bodyid] == 1
-    is_sphere = model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
-    balls: BoolArray = is_free & is_alone & is_sphere
-    return balls
+    is_ball = np.isin(model.geom_bodyid, model.jnt_bodyid[joints_of(model, "FREE")])
+    is_ball &= model.body_geomnum[model.geom_bodyid] == 1
+    is_ball &= model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
+    return is_ball
 
 
 def name_of(model: mujoco.MjModel, kind: str, number: int) -> str:
