@@ -310,7 +310,7 @@ def free_joint_drag(robot: Robot) -> Finding:
     brakes, inertia = np.maximum(damping + dry, armature), np.diag(matrix) - armature
     cases = []
     for joint in np.flatnonzero(is_base).tolist():
-        first = int(model.jnt_dofadr[joint])
+        first = model.jnt_dofadr[joint]
         six = slice(first, first + 6)
         name = name_of(model, "body", int(model.jnt_bodyid[joint]))
         text = f"{name} is braked in the air by damping {damping[first]:g}, friction {dry[first]:g}, "

@@ -211,7 +211,7 @@ def reaches_m(robot: Robot) -> FloatArray:
     ends = np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound
     np.maximum.at(reaches, model.geom_bodyid, ends)
     for body in range(model.nbody - 1, 0, -1):
-        parent = int(model.body_parentid[body])
+        parent = model.body_parentid[body]
         arm = np.linalg.norm(model.body_pos[body]) + reaches[body]
         reaches[parent] = max(reaches[parent], arm)
     return reaches

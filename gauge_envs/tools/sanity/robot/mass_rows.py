@@ -56,8 +56,7 @@ def mass(robot: Robot) -> Finding:
     """Return the body whose mass properties are farthest beyond those of a real body."""
     if not robot.bodies:
         raise NotApplicableError("no body of the model moves")
-    bodies = () if robot.spec is None else robot.spec.bodies
-    by_id = {body.id: body for body in bodies}
+    by_id = {body.id: body for body in robot.spec.bodies} if robot.spec else {}
     cases = (
         case
         for body in robot.bodies

@@ -18,7 +18,6 @@ from gauge_envs.scene.geometry import FloatArray, IntArray, vector
 from gauge_envs.tools.bench.model_settings import (
     COLUMNS,
     ContactPairs,
-    PairKind,
     can_move,
     contact_pairs,
     contact_settings,
@@ -197,8 +196,8 @@ def _groups(
     for number in range(inverse.max() + 1):
         rows = np.flatnonzero(inverse == number)
         constants = pairs.constants[rows[0]]
-        kind = PairKind(int(pairs.kinds[rows[0]]))
-        rolls = bool(free_balls(model)[pairs.geoms[rows]].any(axis=1).all())
+        kind, grasp = pairs.kinds[rows[0]], grasped[rows[0]]
+        rolls = free_balls(model)[pairs.geoms[rows]].any(axis=1).all()
         same = effective_constants(model, constants) == effective_constants(model, used)
         named = {
             name: constants[columns].squeeze().tolist()
@@ -208,10 +207,12 @@ def _groups(
             geoms=_geoms_text(model, pairs.geoms[rows]),
             pair_count=len(rows),
             constants=named | {"condim": int(constants[0])},
-            is_used=bool(same.all())
-            or (all_on_ground and kind == pairs.kinds.min() and not rolls),
-            is_held=bool(grasped[rows[0]]),
-            is_point=bool(grasped[rows[0]] == 2),
+            is_used=bool(
+                same.all()
+                or (all_on_ground and kind == pairs.kinds.min() and not rolls)
+            ),
+            is_held=bool(grasp),
+            is_point=bool(grasp == 2),
             settings=contact_settings(model, constants),
         )
         groups.append(((kind, -len(rows), number), group))
