@@ -180,7 +180,7 @@ def servos(model: mujoco.MjModel) -> BoolArray:
 
 
 def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
-    """Return the pose in which a robot starts, without controls; see `stance_of`."""
+    """Return the pose in which a robot starts, without controls; see `Robot.stance`."""
     model = model or robot.model
     data = mujoco.MjData(model)
     data.qpos[:] = robot.stance.qpos

@@ -99,9 +99,9 @@ def find_standing(robot: Robot) -> Standing:
     base = max(standing, key=lambda body: (model.body_subtreemass[body], -body))
     is_part = trees == model.body_treeid[base]
     support = {geom: support_m(robot, geom) for geom in touching if is_part[geom]}
-    ground_m = min(point[2] for point in support.values())
+    ground_m = min(float(point[2]) for point in support.values())
     tops_m = stance.positions_m[is_part, 2] + model.geom_rbound[is_part]
-    height_m = max(tops_m.max() - ground_m, 1e-3)
+    height_m = max(float(tops_m.max()) - ground_m, 1e-3)
     bodies: dict[int, list[int]] = {}
     for geom, point in support.items():
         if point[2] <= ground_m + STANDS_WITHIN * height_m:
