@@ -116,5 +116,3 @@ def test_the_check_passes_and_is_the_only_one_that_its_fault_fails(parts, monkey
         fault.caught_by
     ]
     assert fault.says in results[-1].diagnosis
-
-
