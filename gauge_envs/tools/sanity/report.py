@@ -27,7 +27,7 @@ MAX_OWN_FLAGS, MAX_OBJECT_FLAGS = 3, 4
 """Largest numbers of flags on the target itself and on measured objects that the screen shows; of more, it shows a flag
 less and names the others. With these numbers a report has at most 25 lines of 100 characters."""
 
-SAME_SPEED = 0.15
+SAME_SPEED = 0.25
 """Change of the number of steps a second that a short measurement does not resolve."""
 
 MAX_DIFF_LINES = 6
@@ -171,11 +171,13 @@ def _own_flags(report: Report) -> list[Part]:
     for row in shown:
         limit = reality_text(row.reality, row.unit)
         style = Tone.ERROR if row.verdict is Verdict.WRONG else Tone.WARNING
-        lines += [
-            Paragraph(f"{LABELS[row.verdict]}: {row.title} ({row.phenomenon})", style),
-            Paragraph(f"  {measured_text(row)}, {limit}: {row.remark}"),
-            Paragraph(f"  {_place_text(report, row)}", Tone.NOTE),
-        ]
+        numbers = f"{measured_text(row)}, {limit}"
+        texts = [": ".join(filter(None, (numbers, row.remark)))]
+        texts += filter(None, [_place_text(report, row)])
+        lines.append(
+            Paragraph(f"{LABELS[row.verdict]}: {row.title} ({row.phenomenon})", style)
+        )
+        lines += [Paragraph(f"  {text}") for text in texts]
     return lines + more
 
 
@@ -275,12 +277,10 @@ def _change(report: Report, *, details: bool) -> list[Part]:
 
 def _notes(report: Report, *, details: bool) -> list[Part]:
     """Return what the reader might miss, what the model leaves open, and where to read on."""
-    from gauge_envs.backends.mujoco.versions import SPARSE_FAULT
-
     texts = [
         note
         for note in report.configuration.notes
-        if details or note.startswith(WARNED) or SPARSE_FAULT in note
+        if details or note.startswith(WARNED)
     ]
     lines: list[Part] = [
         Paragraph(f"note: {text}", Tone.WARNING) for text in (*texts, *report.notes)
