@@ -64,16 +64,12 @@ FAULTY_SPARSE = frozenset({"4.0.0"})
 """Releases whose Newton solver leaves forces in some sparse models (google-deepmind/mujoco#3767)."""
 
 
-SPARSE_FAULT = "solves some sparse models wrongly"
-"""What is said of such a release, even where nothing else is."""
-
-
 def sparse_advice(model: mujoco.MjModel) -> str:
     """Return what to change where the installed release may solve a model wrongly; empty for other models."""
     is_newton = model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
     if mujoco.__version__ in FAULTY_SPARSE and is_newton and mujoco.mj_isSparse(model):
         return (
-            f"MuJoCo {mujoco.__version__} {SPARSE_FAULT}: set "
+            f"MuJoCo {mujoco.__version__} solves some sparse models wrongly: set "
             '<option jacobian="dense"/>'
         )
     return ""
