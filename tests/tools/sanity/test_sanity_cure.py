@@ -52,6 +52,17 @@ def test_a_planted_fault_is_corrected_by_the_first_line(name):
     assert not check(changed, only=[row]).flags
 
 
+def test_every_documented_change_can_be_applied_to_a_model_with_explicit_pairs():
+    pair = '<contact><pair geom1="a" geom2="b"/></contact>'
+    geoms = '<geom name="a" type="plane" size="1 1 1"/><body><freejoint/><geom name="b" size=".1"/></body>'
+    text = f"<mujoco><worldbody>{geoms}</worldbody>{pair}</mujoco>"
+    robot = configuration(mujoco.MjModel.from_xml_string(text)).robot
+    for changes in CANDIDATES["mujoco"]:
+        model, _ = robot.changed(changes)
+        if "contact_solref" in changes:
+            assert tuple(model.pair_solref[0]) == changes["contact_solref"]
+
+
 def test_a_right_model_has_no_cure():
     model = mujoco.MjModel.from_xml_string(quadruped_xml())
     report = check(model, only=["foot-*", "creep-*", "slide-*"])

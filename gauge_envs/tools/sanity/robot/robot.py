@@ -281,12 +281,14 @@ class Robot:
 
     def _holders(self, name: str) -> dict[str, list[int]]:
         """Return the elements whose attribute is to change, by their kind."""
-        if name in GEOM_FIELDS:
+        if name in PAIRED:
             model, ground = self.model, self.pairs.geoms[self.ground_rows]
             pairs = np.sort(np.column_stack([model.pair_geom1, model.pair_geom2]))
             is_ground = (pairs[:, None] == ground).all(axis=2).any(axis=1)
-            explicit = np.flatnonzero(is_ground & (name in PAIRED)).tolist()
+            explicit = np.flatnonzero(is_ground).tolist()
             return {"geom": sorted(self.grounded), "pair": explicit}
+        if name in GEOM_FIELDS:
+            return {"geom": sorted(self.grounded)}
         place = getattr(self.known.get("model-constraints"), "place", None)
         if place is None or place[0] != "equality":
             return {}
