@@ -27,6 +27,7 @@ from gauge_envs.tools.sanity.model import (
     Verdict,
 )
 from gauge_envs.tools.sanity.phenomena import GRASP, phenomenon
+from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.selection import OWN_IDS, selection
 from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
 from gauge_envs.tools.sanity.target_checks import target_rows
@@ -35,6 +36,7 @@ POINT_NOTE = "{}: a round fingertip has one contact, which with condim 3 holds n
 """Note on a hand between whose fingertips a body turns freely."""
 
 
+@mujoco_warnings()
 def check(
     target: Any,
     *,

@@ -246,23 +246,19 @@ def stated(robot: Robot) -> Finding:
 
 def _idle_rolling(robot: Robot) -> dict[Place, str]:
     """Return geoms of round free bodies that state a rolling friction which none of their contacts has."""
-    model, bodies, condims = (
-        robot.model,
-        robot.model.geom_bodyid,
-        np.zeros(robot.model.ngeom),
-    )
+    model = robot.model
+    bodies, condims = model.geom_bodyid, np.zeros(model.ngeom)
     np.maximum.at(condims, robot.pairs.geoms, robot.pairs.constants[:, :1])
     is_idle = (model.geom_friction[:, 2] > 2.0 * ROLLING) & np.isin(condims, (1, 3, 4))
     is_idle &= np.isin(bodies, objects(model))
     is_idle &= ~np.isin(bodies, bodies[np.isin(model.geom_type, FLAT)])
-    return {
-        (
-            "geom",
-            geom,
-        ): f"rolling friction {model.geom_friction[geom, 2]:g} is stated for "
-        f"{name_of(robot, 'geom', geom)}, and condim {condims[geom]:g} ignores it"
-        for geom in np.flatnonzero(is_idle).tolist()
-    }
+    idle: dict[Place, str] = {}
+    for geom in np.flatnonzero(is_idle).tolist():
+        rolling_m, name = model.geom_friction[geom, 2], name_of(robot, "geom", geom)
+        idle["geom", geom] = (
+            f"rolling friction {rolling_m:g} is stated for {name}, and condim {condims[geom]:g} ignores it"
+        )
+    return idle
 
 
 def _half_carried(robot: Robot) -> dict[Place, str]:

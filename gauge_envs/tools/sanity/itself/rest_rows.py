@@ -77,7 +77,10 @@ def overlap(robot: Robot) -> Finding:
     """
     run, findings = settled(robot), []
     model, data = run.model, run.data
-    free, speeds = objects(model), run.speeds_mm_per_s
+    trees, speeds = model.body_treeid, run.speeds_mm_per_s
+    # What moves alone and without a motor: free bodies, and those on a slide or a hinge of their own.
+    is_loose = (trees >= 0) & (model.tree_bodynum[trees] == 1)
+    is_loose &= ~np.isin(trees, list(robot.driven_trees))
     gravity = float(np.linalg.norm(model.opt.gravity)) or np.inf
     for contact in data.contact[: data.ncon]:
         if min(contact.geom) < 0 or contact.efc_address < 0:
@@ -87,7 +90,7 @@ def overlap(robot: Robot) -> Finding:
         stiffness, _, impedance, _ = data.efc_KBIP[contact.efc_address]
         depth_m, size_m = -float(contact.dist), body_size_m(model, small)
         load = impedance * stiffness * depth_m / max(1.0 - impedance, 1e-9) / gravity
-        if small in free and speeds[small] <= RESTING_MM_PER_S and load >= TOWER:
+        if is_loose[small] and speeds[small] <= RESTING_MM_PER_S and load >= TOWER:
             mass = f" ({model.body_mass[large]:.3g} kg)" if large else ""
             findings.append(
                 Finding(

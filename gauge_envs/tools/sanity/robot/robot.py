@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, wraps
 from pathlib import Path
@@ -298,6 +299,17 @@ class Robot:
 
 
 T = TypeVar("T")
+
+
+@contextmanager
+def mujoco_warnings() -> Iterator[list[str]]:
+    """Yield the list that gets MuJoCo's warnings, which would else go to stderr and into `MUJOCO_LOG.TXT`."""
+    report, warned = mujoco.get_mju_user_warning(), list[str]()
+    mujoco.set_mju_user_warning(warned.append)
+    try:
+        yield warned
+    finally:
+        mujoco.set_mju_user_warning(report)
 
 
 def once(function: Callable[..., T]) -> Callable[..., T]:

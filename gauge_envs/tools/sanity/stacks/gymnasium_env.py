@@ -15,6 +15,7 @@ from gauge_envs.errors import MissingExtraError, TargetError
 from gauge_envs.experiments.variants import variants
 from gauge_envs.tools.sanity.model import WARNED, Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
+from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.stacks.mjcf import GeomPair, model_name, read_model
 
 Target: TypeAlias = (
@@ -54,10 +55,9 @@ def read_object(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
 def read_id(name: str, pair: GeomPair | None) -> TrainingConfiguration:
     """Return the configuration of an environment by its id."""
     suite_ids = {variant.name: variant.id for variant in variants()}
-    report, warned = mujoco.get_mju_user_warning(), list[str]()
-    mujoco.set_mju_user_warning(warned.append)
     try:
-        env = gymnasium.make(suite_ids.get(name, name))
+        with mujoco_warnings() as warned:
+            env = gymnasium.make(suite_ids.get(name, name))
     except Exception as error:  # Other environments raise exceptions of any kind.
         if isinstance(error, ImportError) and error.name in UNDECLARED:
             raise MissingExtraError(name, "sanity", error) from error
@@ -65,8 +65,6 @@ def read_id(name: str, pair: GeomPair | None) -> TrainingConfiguration:
         raise TargetError(
             f"{name!r}: gymnasium.make fails: {cause} ({type(error).__name__}); give {ACCEPTED}"
         ) from error
-    finally:
-        mujoco.set_mju_user_warning(report)
     with closing(env):
         read = _read_env(env, name, pair)
     # A file of Gymnasium is not the user's.
