@@ -14,24 +14,27 @@ from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Par
 from gauge_envs.pages.table import Column, Table, grid
 from gauge_envs.pages.text import (
     KIND_NOTES,
+    METRIC_TITLES,
+    NORMALIZED_NOTE,
     Markdown,
     event_title,
     pairs_text,
     plus_minus_text,
     quantity_text,
+    score_text,
     short_id,
     value_text,
 )
 from gauge_envs.references.kind import Kind
+from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.tools.catalog.description import description
-from gauge_envs.tools.catalog.spaces import range_text, shape_text
-from gauge_envs.tools.catalog.words import (
+from gauge_envs.tools.catalog.report import (
     convergence_facts,
-    published_table,
+    planted_errors_text,
     reasons_text,
-    sees_text,
     step_text,
 )
+from gauge_envs.tools.catalog.spaces import range_text, shape_text
 from scripts.generated import ROOT
 
 Values = Mapping[str, Any]
@@ -236,8 +239,8 @@ def _reference(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
         return f"{values['reference']['source'] or KIND_NOTES[Kind.NONE]}."
 
     def sees(values: Values) -> str:
-        text = sees_text(values["reference"]["sees"])
-        return f"What this score sees, {text}." if text else ""
+        text = planted_errors_text(values["reference"])
+        return f"Scores of planted errors in MuJoCo, {text}." if text else ""
 
     yield Bullets([*_listed(names, members, source), *_listed(names, members, sees)])
     yield from _recorded(names, members)
@@ -288,11 +291,33 @@ def _published(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
     if not lines:
         yield Paragraph("None.")
         return
-    yield published_table(lines, columns=(Column("id", "id"),))
+    yield _published_table(lines)
     notes = _limit_lines(names, members, lambda limit: limit["study"] == PUBLISHED)
     notes += _listed(names, members, _impossible)
     if notes:
         yield Bullets(notes)
+
+
+def _published_table(baselines: Sequence[Values]) -> Table:
+    """Return published scores as a table, with the short id before the metric."""
+
+    def trials(line: Values) -> str:
+        return plus_minus_text(line["mean"], line["std"], line["unit"])
+
+    engines = [
+        Column(f"engines.{key}", title, score_text, is_number=True)
+        for key, title in PUBLISHED_ENGINES.items()
+    ]
+    return Table(
+        columns=(
+            Column("id", "id"),
+            Column("metric", "metric", METRIC_TITLES.__getitem__),
+            Column("", "real trials", trials, is_number=True),
+            *engines,
+        ),
+        rows=baselines,
+        notes=(NORMALIZED_NOTE,),
+    )
 
 
 def _impossible(values: Values) -> str:

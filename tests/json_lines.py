@@ -10,7 +10,7 @@ from jsonschema.exceptions import best_match
 from typer.testing import CliRunner
 
 from gauge_envs.cli.schemas import output_schema, schema_names
-from gauge_envs.tools.catalog.list_command import OTHER_WORDS
+from gauge_envs.tools.catalog.command import OTHER_WORDS
 
 INVOKE = CliRunner.invoke
 

@@ -24,9 +24,9 @@ class Command:
 
     Attributes:
         name: Its words.
-        place: Module and function, as `catalog.show_command:show`.
+        place: Module and function, as `catalog.command:show`.
         help: Line in the help of `gauge`; a kind of `gauge list` has none.
-        line: Module and type of a line of `--json`, as `catalog.lines:Show`; empty where there is no such line.
+        line: Module and type of a line of `--json`, as `catalog.schema:Show`; empty where there is no such line.
         version: Version of the schema of the line.
         extra: Extra of this package that it needs, or empty.
         package: Package of the modules, with a dot at the end.
@@ -67,35 +67,35 @@ GROUPS = {
 BUNDLED = (
     Command(
         "list",
-        "catalog.list_command:list_",
+        "catalog.command:list_",
         "List experiments; or backends, checks, phenomena, materials, scenes, ...",
-        line="catalog.lines:ListLine",
+        line="catalog.schema:ListLine",
         version=5,
     ),
     Command(
         "show",
-        "catalog.show_command:show",
+        "catalog.command:show",
         "Show one experiment or control task: reference, reward, spaces, engines, constants.",
-        line="catalog.lines:Show",
+        line="catalog.schema:Show",
         version=6,
     ),
     Command(
         "list schemas",
-        "catalog.list_command:list_schemas",
-        line="catalog.lines:SchemaLine",
+        "catalog.command:list_schemas",
+        line="catalog.schema:SchemaLine",
     ),
     Command(
         "run",
-        "run.run_command:run",
+        "run.command:run",
         "Run experiments, score each against its reference, and write a result file for each.",
-        line="run.lines:RunLine",
+        line="run.schema:RunLine",
         version=7,
     ),
     Command(
         "score",
-        "run.score_command:score",
+        "run.command:score",
         "Score a trajectory from your own simulator; no engine is needed.",
-        line="run.lines:RunLine",
+        line="run.schema:RunLine",
         version=7,
     ),
     Command(

@@ -27,7 +27,7 @@ LINE = "One line of stdout, a JSON object; an empty output has no line."
 NULLS = "null in place of a number: it is not known, does not apply, or is not finite."
 
 RESULT_FILE = Command(
-    "result-file", "run.run_command:run", line="run.lines:ResultFile", version=7
+    "result-file", "run.command:run", line="run.schema:ResultFile", version=7
 )
 """What `gauge run` writes."""
 

@@ -1,9 +1,10 @@
-"""Check that a trajectory of another simulator starts where the scene starts, in the unit that is expected."""
+"""Name the likely mistake of a trajectory of another simulator: its unit, its axes, or another start."""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -99,22 +100,50 @@ def _place_mistake(
     worst = int(distances.argmax())
     if distances[worst] <= tolerance:
         return None
-    stated = (
+    difference = (
         f"the first frame has {names[worst]} at {_listed(places[worst])}, "
         f"and the scene at {_listed(start[worst])} {unit}"
     )
-    # Simulators state metres, and motion capture millimetres.
-    if unit == "mm":
-        factor, fix = 1e3, "look like metres. Multiply them by 1,000"
-    else:
-        factor, fix = 1e-3, "look like millimetres. Divide them by 1,000"
-    if np.linalg.norm(factor * places - start, axis=1).max() <= tolerance:
-        return f"{stated}: the values {fix}"
+    # Of mistakes that explain the start equally well, the first is the simplest.
+    mistakes = [
+        (round(float(np.linalg.norm(corrected - start, axis=1).max()), 6), text)
+        for text, corrected in _corrections(places, unit)
+    ]
+    remaining, text = min(mistakes, key=lambda mistake: mistake[0])
+    if remaining <= tolerance:
+        return f"{difference}: {text}"
     return (
-        f"{stated}, {distances[worst]:.3g} {unit} apart; real starts are within {tolerance:.3g} {unit}. "
+        f"{difference}, {distances[worst]:.3g} {unit} apart; real starts are within {tolerance:.3g} {unit}. "
         "Check the id. Start there, in the frame of the scene, z up; or state the start as a parameter, "
         "as 'cube.position_m'"
     )
+
+
+def _corrections(places: FloatArray, unit: str) -> Iterator[tuple[str, FloatArray]]:
+    """Yield likely mistakes, with the places that each would have meant [mm or m], shape [point_count, 3].
+
+    Args:
+        places: Places of the file, shape [point_count, 3].
+        unit: `mm` or `m`, which is expected. Simulators state metres, and motion capture millimetres.
+    """
+    factor, wrong_unit = (1e3, "metres") if unit == "mm" else (1e-3, "millimetres")
+    action = "Multiply them by 1,000" if unit == "mm" else "Divide them by 1,000"
+    unit_text = f"the values look like {wrong_unit}. {action}"
+    yield unit_text, factor * places
+    for has_wrong_unit in (False, True):
+        scaled = factor * places if has_wrong_unit else places
+        for order in itertools.permutations(range(3)):
+            for signs in itertools.product((1.0, -1.0), repeat=3):
+                axes = ", ".join(
+                    f"{'-' if sign < 0 else ''}{'xyz'[axis]}"
+                    for axis, sign in zip(order, signs, strict=True)
+                )
+                if axes == "x, y, z":
+                    continue
+                text = f"the axes look exchanged. Write ({axes}) of your frame, so that z is up"
+                if has_wrong_unit:
+                    text += f"; the unit looks like {wrong_unit}"
+                yield text, scaled[:, list(order)] * signs
 
 
 def _listed(numbers: FloatArray) -> str:

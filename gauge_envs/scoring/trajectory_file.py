@@ -381,9 +381,9 @@ def _times_at_frames(file: Path, samples: _Samples, frames_s: FloatArray) -> Flo
     # Twice as many rows are frames of 60 Hz.
     largest_count = min(frame_count + LATER_FRAMES, 2 * frame_count - 2)
     if samples.times_s is None and row_count > largest_count:
+        rate_hz = FRAME_RATE_HZ * (row_count - 1) / (frame_count - 1)
         raise TrajectoryFileError(
-            f"{file}: {row_count} rows without {TIME} count as frames of 30 Hz; {needed}, and at most {LATER_FRAMES} "
-            f"later ones. Add a column {TIME} [s]"
+            f"{file}: {row_count} rows without {TIME} look like {rate_hz:.0f} Hz; {needed}. Add a column {TIME} [s]"
         )
     if row_count < 2:
         raise TrajectoryFileError(f"{file}: {row_count} rows; {needed}")
@@ -418,9 +418,18 @@ def _times_at_frames(file: Path, samples: _Samples, frames_s: FloatArray) -> Flo
         before_s, after_s = times_s[after[first] - 1], times_s[after[first]]
         raise TrajectoryFileError(
             f"{file}: no sample at frame {np.flatnonzero(~is_near)[first]} (t = {missing_s[first]:.4f} s), the nearest "
-            f"are at {before_s:.4f} and {after_s:.4f} s; {needed}. Are the times in seconds?"
+            f"are at {before_s:.4f} and {after_s:.4f} s; {needed}. {_time_unit_text(times_s, frames_s)}"
         )
     return times_s
+
+
+def _time_unit_text(times_s: FloatArray, frames_s: FloatArray) -> str:
+    """Return which unit the times look like, by their last value."""
+    ratio = times_s[-1] / frames_s[-1]
+    for unit, per_second in (("milliseconds", 1e3), ("frame numbers", FRAME_RATE_HZ)):
+        if math.isclose(ratio, per_second, rel_tol=0.2):
+            return f"The times look like {unit}. Divide them by {per_second:,.0f}"
+    return "Are the times in seconds?"
 
 
 def _markers_at_frames(

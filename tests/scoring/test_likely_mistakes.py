@@ -1,5 +1,6 @@
 """A trajectory that starts elsewhere, or in another unit, is refused in words that fix it; real starts are not."""
 
+import re
 from functools import cache
 
 import numpy as np
@@ -42,6 +43,30 @@ def test_the_start_is_accepted_and_another_unit_or_place_is_named(name):
         assert "5 times those of the scene" in value_mistake(experiment, 5.0 * still)
     else:
         assert "look like degrees" in value_mistake(experiment, still + 90.0)
+
+
+@pytest.mark.parametrize("factor", [1.0, 1e-3])
+@pytest.mark.parametrize("name", one_of_a_kind(NAMES))
+def test_exchanged_axes_are_named(name, factor):
+    """The axes of the message turn the file's places into those of the scene."""
+    experiment = experiment_of(name)
+    if experiment.score.observable not in LENGTHS:
+        pytest.skip("no places")
+    start = start_values(experiment)
+    places = start.reshape(-1, 3)
+    for axes in ("x,-z,y", "y,x,z", "-x,-y,z", "z,x,y"):
+        columns = [places[:, "xyz".index(axis[-1])] for axis in axes.split(",")]
+        signs = [-1.0 if axis.startswith("-") else 1.0 for axis in axes.split(",")]
+        file_values = factor * np.stack(columns, axis=1) * signs
+        text = value_mistake(experiment, file_values.ravel()[None])
+        if text is None or "the values look like" in text:
+            continue  # The scene looks the same along these axes.
+        recovered = []
+        for axis in re.search(r"Write \((.*?)\)", text)[1].split(", "):
+            column = file_values[:, "xyz".index(axis[-1])]
+            recovered.append(-column if axis.startswith("-") else column)
+        assert np.stack(recovered, axis=1) / factor == pytest.approx(places, abs=30.0)
+        assert ("the unit looks like metres" in text) is (factor != 1.0)
 
 
 @pytest.mark.parametrize("name", one_of_a_kind(NAMES))

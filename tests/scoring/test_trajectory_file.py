@@ -181,7 +181,10 @@ FLAWED_CSV = {
     "blank field": (broken(7, 0, ""), ["line 9", "cube.x"]),
     "huge": (broken(7, 0, "1e300"), ["line 9", "cube.x", "at most"]),
     "too short": ("1,2,3\n" * 5, ["5 rows end at 0.1333 s", "19 frames are needed"]),
-    "60 Hz": ("1,2,3\n" * 37, ["37 rows without time_s", "Add a column time_s"]),
+    "60 Hz": (
+        "1,2,3\n" * 37,
+        ["37 rows without time_s look like 60 Hz", "Add a column time_s"],
+    ),
     "late start": (timed(1.0 + TIMES), ["row 0", "time_s is 1", "expected 0"]),
     "backwards": (
         timed([0.0, 0.2, 0.1, 0.6]),
@@ -191,7 +194,8 @@ FLAWED_CSV = {
         timed([0.0, 1 / 30, 0.5, 0.6]),
         ["no sample at frame 2", "0.0333", "0.5000"],
     ),
-    "milliseconds": (timed(1e3 * TIMES), ["no sample", "Are the times in seconds?"]),
+    "milliseconds": (timed(1e3 * TIMES), ["no sample", "look like milliseconds"]),
+    "frame numbers": (timed(range(19)), ["no sample", "look like frame numbers"]),
     "bad time": (timed([0.0, "x"]), ["line 3", "time_s is 'x'", "number [s]"]),
     "metres": (
         "cube.x [m],cube.y [m],cube.z [m]\n1,2,3\n",

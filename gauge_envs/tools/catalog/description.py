@@ -99,26 +99,24 @@ def description(experiment: Experiment) -> dict[str, Any]:
             "baselines": [
                 dataclasses.asdict(line) for line in experiment.baselines.values()
             ],
-            "engines": _engines(experiment),
+            "engines": [
+                row | {"convergence": convergence_rows(row["engine"], experiment.name)}
+                for row in engine_rows(experiment)
+            ],
             "limits": [
-                one.model_dump(exclude={"variants"})
-                for one in known_limits(experiment.name)
+                limit.model_dump(exclude={"variants"})
+                for limit in known_limits(experiment.name)
             ],
         }
     )
 
 
-def _engines(experiment: Experiment) -> list[dict[str, Any]]:
-    """Return what each engine says of an experiment, and its convergence."""
-    return [
-        row | {"convergence": convergence_rows(row["engine"], experiment.name)}
-        for row in engine_rows(experiment)
-    ]
-
-
 def _of_task(experiment: Experiment) -> dict[str, Any]:
     """Return what a task file states beside the scene."""
     spec, variant = experiment.spec, experiment.variant
+    scene = experiment.scene
+    # Bodies of one kind are numbered in the scene, as `cube-1`.
+    bodies = [body.name for body in (*scene.bodies, *scene.deformables)]
     return {
         "summary": spec.summary,
         "group": spec.group.value,
@@ -127,7 +125,10 @@ def _of_task(experiment: Experiment) -> dict[str, Any]:
         "constants": {
             name: _constants(experiment, name)
             for name in spec.constants
-            if _has(experiment, name)
+            if any(
+                body == name or body.removeprefix(f"{name}-").isdecimal()
+                for body in bodies
+            )
         },
         "parameter_sets": {
             "calibrated": {
@@ -146,15 +147,6 @@ def _of_task(experiment: Experiment) -> dict[str, Any]:
         "provenance": spec.provenance,
         "decisions": spec.decisions,
     }
-
-
-def _has(experiment: Experiment, name: str) -> bool:
-    """Return whether the scene has a body of a name of the task file, or several numbered ones."""
-    scene = experiment.scene
-    return any(
-        body.name == name or body.name.removeprefix(f"{name}-").isdecimal()
-        for body in (*scene.bodies, *scene.deformables)
-    )
 
 
 def _constants(experiment: Experiment, name: str) -> dict[str, dict[str, Any]]:
@@ -195,7 +187,7 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
         "events": [
             one.model_dump() for one in recorded_events(experiment.name, source)
         ],
-        "sees": seen_changes(experiment.name),
+        "sees": planted_errors(experiment.name),
         "imported": source is DataSource.IMPORTED,
         "impossible": "; ".join(
             dict.fromkeys(
@@ -206,15 +198,14 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
     }
 
 
-def seen_changes(variant: str) -> list[dict[str, Any]]:
+def planted_errors(variant: str) -> list[dict[str, Any]]:
     """Return what MuJoCo's score of a variant is with changed motions and constants, a row for each metric."""
     file = data_folder("scoring") / "sees.csv"
     with file.open(encoding="utf-8", newline="") as stream:
         rows = [row for row in csv.DictReader(stream) if row.pop("id") == variant]
-    texts = ("metric", "unit")
     return [
         {
-            key: text if key in texts else float(text or "nan")
+            key: text if key in ("metric", "unit") else float(text or "nan")
             for key, text in row.items()
         }
         for row in rows
@@ -222,23 +213,24 @@ def seen_changes(variant: str) -> list[dict[str, Any]]:
 
 
 def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any]:
-    described: dict[str, Any] = {
-        "name": body.name,
-        "kind": "rigid" if isinstance(body, RigidBody) else type(body).__name__.lower(),
-        "recorded": body.name in experiment.recorded,
+    """Return the fields of a body, with its kind and pose; an inertia that follows from the shape is left out."""
+    kind = "rigid" if isinstance(body, RigidBody) else type(body).__name__.lower()
+    values = {
+        field.name: getattr(body, field.name) for field in dataclasses.fields(body)
     }
-    values = {f.name: getattr(body, f.name) for f in dataclasses.fields(body)}
     if values.get("inertia_kg_m2", 0.0) is None:
         del values["inertia_kg_m2"]
     shape = values.pop("shape", None)
     if shape is not None:
-        described["shape"] = dataclasses.asdict(shape) | {"kind": type(shape).__name__}
+        values["shape"] = dataclasses.asdict(shape) | {"kind": type(shape).__name__}
     pose = values.pop("pose")
-    return (
-        described
-        | values
-        | {"position_m": pose.position_m, "quaternion_wxyz": pose.quaternion}
-    )
+    return {
+        "kind": kind,
+        "recorded": body.name in experiment.recorded,
+        **values,
+        "position_m": pose.position_m,
+        "quaternion_wxyz": pose.quaternion,
+    }
 
 
 def _driver(experiment: Experiment, index: int) -> dict[str, Any]:

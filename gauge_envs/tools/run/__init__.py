@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.run.lines import RunLine as RunLine
+    from gauge_envs.tools.run.schema import RunLine as RunLine
 else:
     __getattr__, __all__ = lazy_names(
         __name__,
         {
-            ".lines": ["RunLine"],
+            ".schema": ["RunLine"],
         },
     )

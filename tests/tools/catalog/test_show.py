@@ -1,64 +1,59 @@
-"""`gauge show` states the reference of an id in a few lines, with its recorded events and what its score can see."""
+"""`gauge show` describes an id on one screen: its reference, real events, and which errors a score detects."""
 
 import pytest
+from rich.console import Console
 
 from gauge_envs import load_experiment
-from gauge_envs.files import json_ready
+from gauge_envs.pages.terminal import Terminal
 from gauge_envs.tools.catalog import description as catalog
-from gauge_envs.tools.catalog.words import (
-    SEEN,
+from gauge_envs.tools.catalog.report import (
     events_text,
+    experiment_document,
+    planted_errors_text,
     reference_text,
-    sees_text,
 )
-
-SEES = f"""id,metric,unit,{",".join(SEEN)}
-SlopeSlider-2-wood,rmse_aligned,mm,3.327,211,3.33,5.53,13.6,,
-NewtonsCradle-metal,rmse,mm,86.3,107,85.8,,,,
-NewtonsCradle-metal,lsd,s,0.0667,0,0.0667,,,,
-"""
 
 
 @pytest.mark.parametrize(
-    ("name", "line"),
+    ("name", "detected", "undetectable"),
     [
-        (
-            "SlopeSlider-2-wood",
-            "rmse aligned [mm]: MuJoCo 3.33, frozen 211, 40 ms late 3.33, friction 20 % lower 5.53, 20 % higher 13.6",
-        ),
-        (
-            "NewtonsCradle-metal",
-            "RMSE [mm]: MuJoCo 86.3, frozen 107, 40 ms late 85.8; LSD [s]: MuJoCo 0.0667, frozen 0, 40 ms late 0.0667",
-        ),
-        ("Funnel-satin", ""),
+        ("SlopeSlider-1-wood", [], ["no motion", "40 ms late", "friction 20 % lower"]),
+        ("SlopeSlider-2-wood", ["no motion", "friction 20 % lower"], ["40 ms late"]),
+        ("TextileFlinging-satin", ["no motion", "40 ms late"], ["friction 20 % lower"]),
     ],
 )
-def test_what_a_score_sees_is_one_line(tmp_path, monkeypatch, name, line):
-    (tmp_path / "sees.csv").write_text(SEES)
-    monkeypatch.setattr(catalog, "data_folder", lambda _: tmp_path)
-    assert sees_text(json_ready(catalog.seen_changes(name))) == line
+def test_detectable_and_undetectable_errors_are_separated(name, detected, undetectable):
+    reference = catalog.description(load_experiment(name))["reference"]
+    scores, _, rest = planted_errors_text(reference).partition("; undetectable: ")
+    for title in detected:
+        assert f", {title} " in scores
+    for title in undetectable:
+        assert title in rest.split(", ")
 
 
-def test_the_reference_is_stated_in_a_line():
-    experiment = load_experiment("SlopeSlider-2-wood")
-    reference = catalog.description(experiment)["reference"]
-    text = "trials (20), u 5.41 mm, a frozen scene is off by 212 mm"
-    exact = {"calibrated": 5.0912, "effective": 1.2}
-    assert reference_text(reference | {"exact": {}}, frames=19) == text
-    more = (
-        "an exact solution scores 5.09 (calibrated), 1.20 (effective) over real trials"
+def test_a_reference_is_described_in_a_line():
+    reference = catalog.description(load_experiment("SlopeSlider-2-wood"))["reference"]
+    text = (
+        "mean of 20 real trials; standard uncertainty u = 5.41 mm; "
+        "a scene without motion is 212 mm away"
     )
-    assert (
-        reference_text(reference | {"exact": exact}, frames=20)
-        == f"{text}, known at 19 of 20 frames, {more}"
-    )
+    assert reference_text(reference, frames=19) == text
+    assert reference_text(reference, frames=20) == f"{text}; known at 19 of 20 frames"
 
 
-def test_recorded_events_are_stated_where_no_motion_is_known():
+def test_real_events_stand_where_no_motion_is_known():
     reference = catalog.description(load_experiment("CantileverBeam-soft"))["reference"]
     assert (
         events_text(reference["events"])
         == "swing frequency: 1.68 +- 0.08 Hz; mean angle: 25.5 +- 5.3 deg"
     )
-    text = "none: no reference motion; events may have real values"
-    assert reference_text(reference, frames=90) == text
+    assert reference_text(reference, frames=90) == "no reference motion"
+
+
+@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "TextileFlinging-satin"])
+def test_an_id_fits_a_screen(name):
+    console = Console(width=80, no_color=True)
+    values = catalog.description(load_experiment(name))
+    with console.capture() as captured:
+        console.print(Terminal(experiment_document(values)))
+    assert len(captured.get().splitlines()) <= 34

@@ -29,15 +29,17 @@ from gauge_envs.scoring.estimates import Measured
 from gauge_envs.scoring.score import OVER_U, Score
 
 MAX_EXPLAINED = 5
-"""Results up to this number have lines below their rows; more of them have rows alone."""
+"""Up to this number of results, each has lines below its row."""
 
-SAME_SHARE = 0.1
-"""Difference up to which an engine and an exact solution are equally far from real trials, over that distance.
+EQUAL_SHARE = 0.1
+"""Largest difference of an engine and an exact solution that are equally far from real trials, over the distance.
 
-Of a distance that is shorter than that of real trials, it is over theirs.
-"""
+A distance that is shorter than the mean distance of real trials counts as that."""
 
-NOTE = "Over the mean distance of real trials, or over u, the standard uncertainty. [95 % interval]. More: --details"
+NOTE = (
+    "Distances are divided by the mean distance of real trials, or by u, the standard uncertainty. "
+    "[95 % interval]. More: --details"
+)
 
 COLUMNS = (
     Column("id", "id", short_id),
@@ -50,7 +52,7 @@ COLUMNS = (
     Column("motion", "motion", place=Place.BELOW),
     Column("cause", "cause", place=Place.BELOW),
 )
-"""Columns of the summary; those without any value are left out."""
+"""Columns of the summary; the table leaves out a column without any value."""
 
 PHRASES = {
     "friction": "slides as with friction {}",
@@ -66,8 +68,8 @@ PHRASES = {
 }
 """What a motion does, by estimate or event."""
 
-NO_NUMBERS = ("kind", "unit", "primary", "events", "estimates", "refused")
-"""Fields of a score that are no numbers."""
+TEXT_FIELDS = ("kind", "unit", "primary", "events", "estimates", "refused")
+"""Fields of a score that are not numbers."""
 
 TONES = {
     Outcome.DIVERGED: Tone.ERROR,
@@ -89,45 +91,38 @@ def summary_document(results: Sequence[Result], *, details: bool = False) -> Doc
     return Document(parts=[*summary, *_outcomes(results)])
 
 
-def _labels(results: Sequence[Result]) -> tuple[str, list[str]]:
-    """Return what the configurations of results share, and what distinguishes each."""
-    parts = [
-        [text for _, text in configuration_parts(RunConfiguration.of(result))]
-        + [f"seed {result.seed or 0}"]
-        for result in results
-    ]
-    shared = [text for text in parts[0] if all(text in one for one in parts)]
-    labels = [", ".join(text for text in one if text not in shared) for one in parts]
-    return ", ".join(text for text in shared if text != "seed 0"), labels
-
-
 def _summary(results: Sequence[Result], *, details: bool) -> Iterator[Part]:
     """Yield what the results share, a row for each, and their details."""
+    parts = [
+        [text for _, text in configuration_parts(RunConfiguration.of(result))]
+        + ([f"seed {result.seed}"] if result.seed else [])
+        for result in results
+    ]
+    shared = [text for text in parts[0] if all(text in texts for texts in parts)]
+    labels = [
+        ", ".join(text for text in texts if text not in shared) for texts in parts
+    ]
     is_explained = details or len(results) <= MAX_EXPLAINED
-    shared, labels = _labels(results)
     rows = [
-        _summary_row(result, is_explained=is_explained) | {"label": label}
+        _row(result, is_explained=is_explained) | {"label": label}
         for result, label in zip(results, labels, strict=True)
     ]
-    yield Paragraph(shared, Tone.NOTE)
-    known = [
+    columns = [
         column
         for column in COLUMNS
         if any(row.get(column.key) not in (None, "") for row in rows)
     ]
-    yield Table(columns=tuple(known), rows=rows, notes=(NOTE,))
-    for result, label in zip(results if details else (), labels, strict=False):
-        yield Heading(f"{short_id(result.id)} {label}".rstrip())
-        yield Facts(_details(result))
+    yield Paragraph(", ".join(shared), Tone.NOTE)
+    yield Table(columns=tuple(columns), rows=rows, notes=(NOTE,))
+    if details:
+        for result, label in zip(results, labels, strict=True):
+            yield Heading(f"{short_id(result.id)} {label}".rstrip())
+            yield Facts(_details(result))
 
 
-def _summary_row(result: Result, *, is_explained: bool) -> dict[str, Any]:
+def _row(result: Result, *, is_explained: bool) -> dict[str, Any]:
     score = result.score
-    row: dict[str, Any] = {
-        "id": result.id,
-        "kind": score.kind,
-        "exact": score.exact,
-    }
+    row: dict[str, Any] = {"id": result.id, "kind": score.kind, "exact": score.exact}
     if result.diverged:
         return row | {"verdict": Outcome.DIVERGED.value}
     row["verdict"] = score.verdict
@@ -139,9 +134,8 @@ def _summary_row(result: Result, *, is_explained: bool) -> dict[str, Any]:
         )
         row["scaled"] = with_unit(text, "u" if score.primary == OVER_U else "1")
     if is_explained:
-        row["motion"] = "; ".join(
-            filter(None, (motion_text(score), _frames_text(result)))
-        )
+        texts = [motion_text(score), _frames_text(result)]
+        row["motion"] = "; ".join(filter(None, texts))
         row["cause"] = score.refused or cause_text(score)
         if result.is_edited and score.refused is None:
             row["cause"] = f"edited: {shortened(result.asset['changes'])}"
@@ -158,31 +152,34 @@ def _frames_text(result: Result) -> str:
 
 def motion_text(score: Score) -> str | None:
     """Return the estimate or event that is farthest from its real value over u; without real values the first one."""
-    found = {**score.estimates, **score.events}
-    if not found:
+    quantities = {**score.estimates, **score.events}
+    if not quantities:
         return None
-    name = max(found, key=lambda name: _deviation(found[name]))
-    one = found[name]
-    if one.value is None:
+    name = max(quantities, key=lambda name: _deviation(quantities[name]))
+    quantity = quantities[name]
+    if quantity.value is None:
         text = f"{event_title(name)} does not happen"
     else:
-        value = with_unit(_rounded(one.value, one.real_uncertainty), one.unit)
-        text = PHRASES.get(name, f"{event_title(name)} {{}}").format(value)
-    if one.real is None:
+        value = _rounded(quantity.value, quantity.real_uncertainty)
+        phrase = PHRASES.get(name, f"{event_title(name)} {{}}")
+        text = phrase.format(with_unit(value, quantity.unit))
+    if quantity.real is None:
         return text
     # Estimates and published metrics are of several trials, and other events of one recording.
     is_of_trials = name in score.estimates or name in METRICS
     owner = "real trials" if is_of_trials else "the recording"
-    return f"{text}; {owner} {_real_text(one)}"
+    return f"{text}; {owner} {_real_text(quantity)}"
 
 
-def _deviation(one: Measured) -> float:
-    """Return the deviation from the real value over its standard uncertainty; negative if that is not known."""
-    if one.real is None or not one.real_uncertainty:
-        return -2.0 if one.real is None else -1.0
-    if one.value is None:
+def _deviation(quantity: Measured) -> float:
+    """Return the deviation from the real value over its standard uncertainty; negative if that is unknown."""
+    if quantity.real is None:
+        return -2.0
+    if not quantity.real_uncertainty:
+        return -1.0
+    if quantity.value is None:
         return math.inf
-    return abs(one.value - one.real) / one.real_uncertainty
+    return abs(quantity.value - quantity.real) / quantity.real_uncertainty
 
 
 def _rounded(value: float, uncertainty: float | None) -> str:
@@ -190,46 +187,50 @@ def _rounded(value: float, uncertainty: float | None) -> str:
     if not uncertainty:
         return score_text(value)
     exponent = math.floor(math.log10(uncertainty))
-    is_one = uncertainty < 2.0 * 10.0**exponent
-    return f"{value:.{max(0, int(is_one) - exponent)}f}"
+    first_digit_is_one = uncertainty < 2.0 * 10.0**exponent
+    decimals = max(0, int(first_digit_is_one) - exponent)
+    return f"{value:.{decimals}f}"
 
 
-def _real_text(one: Measured) -> str:
+def _real_text(quantity: Measured) -> str:
     """Return the real value with its standard uncertainty."""
-    assert one.real is not None
-    texts = [_rounded(one.real, one.real_uncertainty)]
-    if one.real_uncertainty:
-        texts.append(_rounded(one.real_uncertainty, one.real_uncertainty))
-    return with_unit(" +- ".join(texts), one.unit)
+    assert quantity.real is not None
+    text = _rounded(quantity.real, quantity.real_uncertainty)
+    if quantity.real_uncertainty:
+        text += f" +- {_rounded(quantity.real_uncertainty, quantity.real_uncertainty)}"
+    return with_unit(text, quantity.unit)
 
 
 def cause_text(score: Score) -> str | None:
-    """Return whether the engine or the constants make the distance from real trials; None without an exact solution."""
+    """Return whether the engine or the constants cause the distance; None without an exact solution."""
     engine, exact = score.primary_normalized, score.exact
     if engine is None or exact is None:
         return None
-    numbers = f"engine {digits_text(engine)}, exact {digits_text(exact)}"
-    if abs(engine - exact) <= SAME_SHARE * max(engine, exact, 1.0):
+    if abs(engine - exact) <= EQUAL_SHARE * max(engine, exact, 1.0):
+        cause = "the constants, not the engine"
         if score.verdict == "inside":
-            return f"{numbers}: the engine agrees with the exact solution"
-        return f"{numbers}: the constants, not the engine"
-    if engine > exact:
-        return f"{numbers}: the engine differs from an exact solution"
-    return f"{numbers}: errors of the engine and of the constants cancel in part"
+            cause = "the engine agrees with the exact solution"
+    elif engine > exact:
+        cause = "the engine differs from an exact solution"
+    else:
+        cause = "errors of the engine and of the constants cancel in part"
+    return f"engine {digits_text(engine)}, exact {digits_text(exact)}: {cause}"
 
 
 def _details(result: Result) -> dict[str, str]:
     """Return all numbers of a score by their names there, the published ones, and what half the step changes."""
     score, name = result.score, short_id(result.id)
     facts = {
-        key: _numbers_text(value)
+        key: ", ".join(
+            map(digits_text, value if isinstance(value, Sequence) else [value])
+        )
         for key, value in score.to_dict().items()
-        if key not in NO_NUMBERS and value is not None
+        if key not in TEXT_FIELDS and value is not None
     }
-    for key, one in {**score.estimates, **score.events}.items():
-        facts[key] = with_unit(digits_text(one.value), one.unit)
-        if one.real is not None:
-            facts[key] += f", real {_real_text(one)}"
+    for key, quantity in {**score.estimates, **score.events}.items():
+        facts[key] = with_unit(digits_text(quantity.value), quantity.unit)
+        if quantity.real is not None:
+            facts[key] += f", real {_real_text(quantity)}"
     for key, line in published_baselines(name).items():
         engines = ", ".join(
             f"{title} {score_text(line.engines[engine])}"
@@ -243,24 +244,15 @@ def _details(result: Result) -> dict[str, str]:
     return facts
 
 
-def _numbers_text(value: float | Sequence[float]) -> str:
-    """Return a number, or several, with three digits."""
-    numbers = value if isinstance(value, Sequence) else [value]
-    return ", ".join(digits_text(number) for number in numbers)
-
-
 def _outcomes(results: Sequence[Result]) -> Iterator[Paragraph]:
     """Yield a line for each reason: a backend declines many experiments for the same one."""
     for outcome, tone in TONES.items():
-        reasons: dict[str, list[str]] = {}
+        ids_of: dict[str, list[str]] = {}
         for result in results:
             if result.outcome is outcome:
                 name = short_id(result.id)
-                reason = (result.error or result.diverged_reason or "").replace(
-                    f"{result.id}: ", ""
-                )
-                reasons.setdefault(reason.removeprefix(f"{name} "), []).append(name)
-        yield from (
-            Paragraph(f"{outcome.value}: {shortened(ids)}: {text}", tone)
-            for text, ids in reasons.items()
-        )
+                reason = result.error or result.diverged_reason or ""
+                reason = reason.replace(f"{result.id}: ", "").removeprefix(f"{name} ")
+                ids_of.setdefault(reason, []).append(name)
+        for reason, ids in ids_of.items():
+            yield Paragraph(f"{outcome.value}: {shortened(ids)}: {reason}", tone)

@@ -9,7 +9,7 @@ from gauge_envs.pages.terminal import Terminal
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scoring.estimates import Measured
 from gauge_envs.scoring.score import Score
-from gauge_envs.tools.run.words import cause_text, motion_text, summary_document
+from gauge_envs.tools.run.report import cause_text, motion_text, summary_document
 
 NONE = Score(kind="none", unit="mm")
 

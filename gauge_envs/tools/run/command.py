@@ -1,10 +1,12 @@
-"""`gauge run`."""
+"""`gauge run` and `gauge score`."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -25,6 +27,7 @@ from gauge_envs.cli.output import (
 )
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.files import processors
+from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
     from gauge_envs.runs.request import RunRequest
@@ -89,7 +92,7 @@ def run(
     from gauge_envs.runs.isolation import TIME_LIMIT_S
     from gauge_envs.runs.request import RunRequest
     from gauge_envs.runs.result import Outcome
-    from gauge_envs.tools.run.words import summary_document
+    from gauge_envs.tools.run.report import summary_document
 
     if not ids:
         raise ParameterError(
@@ -104,7 +107,7 @@ def run(
         )
     constants = arguments.parsed_parameters(parameters) or "calibrated"
     settings = arguments.parsed_settings(changes)
-    subjects = {pattern: matching_variants(pattern) for pattern in ids}
+    variants_of = {pattern: matching_variants(pattern) for pattern in ids}
     requests = [
         RunRequest(
             subject,
@@ -119,23 +122,10 @@ def run(
             repeats=repeats,
         )
         for engine in dict.fromkeys(backend)
-        for subject in dict.fromkeys(
-            subject for found in subjects.values() for subject in found
-        )
+        for subject in dict.fromkeys(chain.from_iterable(variants_of.values()))
     ]
     is_apart = isolate or timeout is not None or memory is not None
     check_requests(requests, isolate=is_apart or None)
-    named = {
-        subject
-        for pattern, found in subjects.items()
-        if not is_glob(pattern)
-        for subject in found
-    }
-    by_name = {
-        request.calibrated_experiment().id
-        for request in requests
-        if request.variant in named
-    }
     results: list[Result] = []
     episodes = run_many(
         requests,
@@ -183,10 +173,21 @@ def run(
     else:
         print_document(document, form)
     message(_totals(results, out))
-    bad = (Outcome.FAILED, Outcome.DIVERGED)
+    given = {
+        variant
+        for pattern, variants in variants_of.items()
+        if not is_glob(pattern)
+        for variant in variants
+    }
+    must_run = {
+        request.calibrated_experiment().id
+        for request in requests
+        if request.variant in given
+    }
     return any(
-        one.outcome in bad or (one.outcome is Outcome.DECLINED and one.id in by_name)
-        for one in results
+        result.outcome in (Outcome.FAILED, Outcome.DIVERGED)
+        or (result.outcome is Outcome.DECLINED and result.id in must_run)
+        for result in results
     )
 
 
@@ -203,3 +204,35 @@ def _totals(results: Sequence[Result], out: Path) -> str:
     counts = Counter(result.outcome.value for result in results)
     parts = [f"{number} {outcome}" for outcome, number in counts.items()]
     return f"{', '.join(parts) or 'no episode finished'}; results in {out}"
+
+
+def score(
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="CSV, NPZ or JSON; also a result file."),
+    ],
+    name: Annotated[
+        str | None,
+        arguments.experiment("Experiment, if the file does not state it."),
+    ] = None,
+    parameters: arguments.Parameters = None,
+    use: arguments.Use = None,
+    details: arguments.Details = False,
+    form: arguments.Form = Format.TEXT,
+) -> None:
+    """Score a trajectory from your own simulator; no engine is needed.
+
+    It is g(t) in the observable's unit, mm for positions. Columns are the coordinates that `gauge show ID` lists.
+    Without a `time_s` column, rows are 30 Hz frames. The id may be a task file.
+    """
+    from gauge_envs.runs.score_file import score_file
+    from gauge_envs.tools.run.report import summary_document
+
+    used = arguments.parsed_use(use, "reference")
+    result, interpolated = score_file(
+        file, variant=name, parameters=arguments.parsed_parameters(parameters), **used
+    )
+    if interpolated:
+        note(f"{counted(interpolated, 'frame')} between samples: interpolated linearly")
+    document = summary_document([result], details=details or form is Format.WIDE)
+    print_document(replace(document, rows=[result.to_dict(trajectory=False)]), form)

@@ -1,0 +1,168 @@
+"""`gauge list` and `gauge show`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gauge_envs.cli import arguments
+from gauge_envs.cli.commands import listings
+from gauge_envs.cli.output import Format, echo, message, note, print_document
+from gauge_envs.registry import id_modules
+
+if TYPE_CHECKING:
+    from gauge_envs.pages.table import Table
+
+KINDS = listings()
+"""What `gauge list` lists other than experiments, by kind."""
+
+OTHER_WORDS = {kind.removesuffix("s"): kind for kind in ("experiments", *KINDS)} | {
+    "engines": "backends",
+    "engine": "backends",
+    "envs": "experiments",
+    "environments": "experiments",
+    "ids": "experiments",
+}
+"""Kinds by the words that users of other tools have for them."""
+
+
+def list_(
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="KIND or PATTERN",
+            show_default="experiments",
+            help=f"What to list, {', '.join(KINDS)}; then ids or patterns.",
+        ),
+    ] = None,
+    scored: Annotated[
+        bool,
+        arguments.option(arguments.SELECTION, "Only ids that have scores.", "--scored"),
+    ] = False,
+    form: arguments.Form = Format.TEXT,
+) -> bool:
+    """List experiments; or backends, checks, phenomena, materials, scenes, ...
+
+    Experiments have their observable, the kind of their reference, and the engines that can run them. The pattern '*'
+    lists also phenomena of deformable bodies. Exit code 1 when a wrong task file was skipped.
+    """
+    from gauge_envs.pages.document import Document
+
+    kind, *patterns = words or ["experiments"]
+    kind = OTHER_WORDS.get(kind, kind)
+    if kind in KINDS:
+        print_document(Document(parts=KINDS[kind].function()(patterns)), form)
+        return False
+    if kind != "experiments":
+        patterns = words or []
+    return _list_experiments(patterns, scored, form)
+
+
+def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bool:
+    """Print the experiments of patterns, and return whether a task file was skipped."""
+    from gauge_envs.experiments.variants import (
+        matching_variants,
+        unreadable_task_files,
+    )
+    from gauge_envs.pages.document import Document, Paragraph
+    from gauge_envs.pages.text import counted
+    from gauge_envs.references.kind import Kind
+    from gauge_envs.tools.catalog.listing import list_rows
+    from gauge_envs.tools.catalog.report import list_table
+
+    faults = unreadable_task_files()
+    for fault in faults:
+        message(fault, "skipped")
+    variants = dict.fromkeys(
+        variant
+        for pattern in patterns or ["*"]
+        for variant in matching_variants(pattern)
+    )
+    rows = [
+        row
+        for row in list_rows(variants, notify=note)
+        if not scored or row["kind"] != Kind.NONE
+    ]
+    families = len({row["family"] for row in rows})
+    summary = f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}"
+    is_whole = patterns in ([], ["*"]) and not scored
+    lines = [*(_beyond_the_benchmark() if is_whole else ()), summary]
+    print_document(Document(parts=[list_table(rows), *map(Paragraph, lines)]), form)
+    return bool(faults)
+
+
+def _beyond_the_benchmark() -> list[str]:
+    """Return a line for each group of ids that the table leaves out."""
+    from gauge_envs.experiments.variants import beyond_variants, user_variants
+
+    users = user_variants()
+    families = dict.fromkeys(
+        f"{variant.family}-*" for variant in beyond_variants() if variant not in users
+    )
+    lines = [ids.summary() for ids in id_modules()]
+    lines.append(f"Beyond the benchmark: {', '.join(families)}")
+    if users:
+        lines.append(f"Of GAUGE_TASKS: {', '.join(variant.name for variant in users)}")
+    return lines
+
+
+def list_schemas(patterns: Sequence[str]) -> list[Table]:
+    """Return the table of the JSON Schemas and their versions."""
+    from gauge_envs.cli.schemas import schema_names
+    from gauge_envs.pages.table import Column, Table
+
+    rows = [
+        {"name": name, "version": version} for name, version in schema_names().items()
+    ]
+    columns = (Column("name", "schema"), Column("version", "version"))
+    return arguments.matching(
+        [Table(columns=columns, rows=rows)], patterns, kind="schema"
+    )
+
+
+def show(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="ID",
+            help="Id, with or without GAUGE/; or a task file.",
+        ),
+    ],
+    schema: Annotated[
+        bool,
+        arguments.option(
+            arguments.OUTPUT,
+            "JSON Schema of what a command prints with --json; ID is its name, as 'list materials'.",
+            "--schema",
+        ),
+    ] = False,
+    asset: arguments.Asset = None,
+    use: arguments.Use = None,
+    form: arguments.Form = Format.TEXT,
+) -> None:
+    """Show one experiment or control task: reference, reward, spaces, engines, constants.
+
+    `--format wide` adds the scene, decisions and the source of each number. For a control task: law, limit and reward.
+    """
+    if schema:
+        from gauge_envs.cli.schemas import output_schema
+
+        echo(json.dumps(output_schema(name), indent=1))
+        return
+    from gauge_envs.experiments.resolve import load_experiment
+    from gauge_envs.tools.catalog.description import description
+    from gauge_envs.tools.catalog.report import experiment_document, full_document
+
+    plain_name = name.removeprefix("GAUGE/")
+    for ids in id_modules():
+        if plain_name in ids.names():
+            print_document(ids.document(plain_name), form)
+            return
+    experiment = load_experiment(
+        name, asset=asset, **arguments.parsed_use(use, "drivers", "reference")
+    )
+    document = experiment_document if form is Format.TEXT else full_document
+    print_document(document(description(experiment)), form)

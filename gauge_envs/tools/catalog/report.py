@@ -1,0 +1,378 @@
+"""The list of experiments, one screen for an experiment, and all that defines it."""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from gauge_envs.envs.arguments import EnvArguments
+from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part, Tone
+from gauge_envs.pages.results import convergence_text
+from gauge_envs.pages.table import Column, Facts, Table
+from gauge_envs.pages.text import (
+    KIND_NOTES,
+    METRIC_TITLES,
+    counted,
+    digits_text,
+    event_title,
+    pairs_text,
+    plus_minus_text,
+    quantity_text,
+    score_text,
+    short_id,
+    shortened,
+    value_text,
+    with_unit,
+)
+from gauge_envs.references.kind import Kind
+from gauge_envs.references.published import PUBLISHED_ENGINES
+from gauge_envs.tools.catalog.spaces import range_text, shape_text
+
+REFERENCES = {
+    Kind.TRIALS: "mean of {} real trials",
+    Kind.RECORDING: "one recorded real trial",
+    Kind.ANALYTIC: "closed form of the calibrated scene, no real data",
+    Kind.NUMERICAL: "refined numerical solution of the calibrated scene, no real data",
+    Kind.NONE: "no reference motion",
+}
+"""What a reference is, with the number of its trials."""
+
+PLANTED_ERRORS = {
+    "frozen": "no motion",
+    "late_40_ms": "40 ms late",
+    "friction_20_percent_lower": "friction 20 % lower",
+    "friction_20_percent_higher": "friction 20 % higher",
+    "stiffness_20_percent_lower": "stiffness 20 % lower",
+    "stiffness_20_percent_higher": "stiffness 20 % higher",
+}
+"""Errors that were planted in MuJoCo's scene and scored, by column of `scoring/sees.csv`."""
+
+UNDETECTABLE_SHARE = 0.1
+"""Change of a score that no comparison with the reference can detect, over its standard uncertainty u."""
+
+
+def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the rows of `list_rows` as a table."""
+    imported = [short_id(row["id"]) for row in rows if row["imported"]]
+    # An engine that runs nothing is not installed or broken; it is no exception in each row.
+    working = {
+        name for row in rows for name, missing in row["backends"].items() if not missing
+    }
+    return Table(
+        columns=(
+            Column("id", "id"),
+            Column("group", "group", wide_only=True),
+            Column("observable", "observable", wide_only=True),
+            Column("frames", "frames", is_number=True, wide_only=True),
+            Column("kind", "kind"),
+            Column(
+                "imported",
+                "imported trials",
+                lambda is_imported: "yes" if is_imported else "no",
+                wide_only=True,
+            ),
+            Column("backends", "runs on", partial(_usable_text, working=working)),
+        ),
+        rows=rows,
+        notes=(f"Real trials imported for {shortened(imported)}.",) if imported else (),
+    )
+
+
+def _usable_text(
+    backends: Mapping[str, Sequence[str]], *, working: Collection[str]
+) -> str:
+    """Return the engines that run an experiment, of those that run any."""
+    usable = [name for name, missing in backends.items() if not missing]
+    unusable = [name for name in working if name not in usable]
+    if len(usable) > 2 and len(unusable) < 2:
+        return f"all but {unusable[0]}" if unusable else f"all {len(usable)}"
+    return ", ".join(usable) or "none"
+
+
+# --- one screen -------------------------------------------------------------------------------------------------------
+
+
+def experiment_document(values: Mapping[str, Any]) -> Document:
+    """Return what an experiment measures, its reference, what a score detects, engines and constants.
+
+    Args:
+        values: The dictionary of `description`.
+    """
+    observable, reference = values["observable"], values["reference"]
+    measured = f"{observable['kind'].replace('_', ' ')} [{observable['unit']}]"
+    measured += f" of {shortened(observable['coordinates'])}"
+    facts = {
+        "measured": f"{measured}; {values['frames']} frames at 30 Hz",
+        "reference": reference_text(reference, frames=values["frames"]),
+        "exact solution": exact_text(reference["exact"]),
+        "real events": events_text(reference["events"]),
+        "planted errors": planted_errors_text(reference),
+        "reward": reference["reward"],
+        "action": _space_text(values["action"]),
+        "observation": _space_text(values["observation"]),
+        "engines": _engines_text(values["engines"]),
+        "published": _published_text(values["baselines"]),
+        "published wrongly": reference["impossible"],
+        **_asset_facts(values["asset"]),
+        **_constants(values["constants"]),
+    }
+    limits = [counted(len(values["limits"]), "known limit")] if values["limits"] else []
+    hidden = ", ".join([*limits, "sources, scene, spaces, decisions: --format wide"])
+    return Document(
+        parts=(
+            Paragraph(f"{values['id']}  {values['title']}", Tone.ANSWER),
+            Paragraph(values["summary"]),
+            Paragraph(""),
+            Facts({name: text for name, text in facts.items() if text}),
+            Paragraph(hidden, Tone.NOTE),
+        ),
+        rows=[values],
+    )
+
+
+def reference_text(reference: Mapping[str, Any], *, frames: int) -> str:
+    """Return what a reference is, its uncertainty u, and its distance from a scene without motion."""
+    kind = Kind(reference["kind"])
+    if reference["single_shot"]:
+        return "one real trial with the same start; each trial has its own"
+    text = REFERENCES[kind].format(reference["trial_count"])
+    if reference["unit"] is None:
+        return text
+    uncertainty, zero_motion = (
+        f"{quantity_text(reference[key])} {reference['unit']}"
+        for key in ("standard_uncertainty", "zero_motion_distance")
+    )
+    text += f"; standard uncertainty u = {uncertainty}; a scene without motion is {zero_motion} away"
+    if reference["known_frames"] < frames:
+        text += f"; known at {reference['known_frames']} of {frames} frames"
+    return text
+
+
+def exact_text(exact: Mapping[str, float]) -> str:
+    """Return the scores of exact solutions by parameter set; empty without any."""
+    scores = [f"{score:.2f} ({name})" for name, score in exact.items()]
+    return f"scores {', '.join(scores)} over real trials" if scores else ""
+
+
+def events_text(events: Sequence[Mapping[str, Any]]) -> str:
+    """Return events with their real values and standard uncertainties; empty without any."""
+    return "; ".join(
+        f"{event_title(event['name'])}: "
+        f"{plus_minus_text(event['value'], event['standard_uncertainty'], event['unit'])}"
+        for event in events
+    )
+
+
+def planted_errors_text(reference: Mapping[str, Any]) -> str:
+    """Return the scores of planted errors, rows of `scoring/sees.csv`, in a line; empty without any.
+
+    An error is undetectable if it changes the score by less than a tenth of u, or not in its three digits.
+    """
+    texts = []
+    for row in reference["sees"]:
+        has_uncertainty = row["unit"] == reference["unit"]
+        uncertainty = reference["standard_uncertainty"] if has_uncertainty else 0.0
+        unchanged = row["nominal"]
+        unit = "" if row["unit"] == "1" else f" [{row['unit']}]"
+        text = f"{event_title(row['metric'])}{unit}: unchanged {digits_text(unchanged)}"
+        undetectable = []
+        for key, title in PLANTED_ERRORS.items():
+            score = row[key]
+            if score is None:
+                continue
+            is_small = abs(score - unchanged) < UNDETECTABLE_SHARE * uncertainty
+            if is_small or digits_text(score) == digits_text(unchanged):
+                undetectable.append(title)
+            else:
+                text += f", {title} {digits_text(score)}"
+        if undetectable:
+            text += f"; undetectable: {', '.join(undetectable)}"
+        texts.append(text)
+    return ". ".join(texts)
+
+
+def _space_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the entries of a space with their shapes, and the meaning of an action."""
+    texts = {
+        row["entry"]: f"{row['entry']} {shape_text(row['whole'])}".rstrip()
+        for row in rows
+    }
+    if rows[0]["name"].startswith("action"):
+        return (
+            "; ".join(
+                f"{row['meaning']} ({row['unit']})"
+                for row in rows
+                if row["unit"] != "1"
+            )
+            or "none"
+        )
+    return ", ".join(texts.values())
+
+
+def _engines_text(engines: Sequence[Mapping[str, Any]]) -> str:
+    """Return the engines that run here, those that do not, and those that cannot build the scene."""
+    default = EnvArguments.backend
+    names = {
+        "": [row for row in engines if not row["missing"] and row["fault"] is None],
+        "not here: ": [row for row in engines if not row["missing"] and row["fault"]],
+        "cannot build it: ": [row for row in engines if row["missing"]],
+    }
+    return "; ".join(
+        title + ", ".join(row["engine"] for row in rows)
+        for title, rows in names.items()
+        if rows
+    ).replace(default, f"{default} (default)")
+
+
+def _published_text(baselines: Sequence[Mapping[str, Any]]) -> str:
+    """Return the published metrics of real trials, and engine scores over them; empty without any."""
+    texts = []
+    for line in baselines:
+        scores = [
+            f"{title} {score_text(line['engines'][key])}"
+            for key, title in PUBLISHED_ENGINES.items()
+        ]
+        trials = plus_minus_text(line["mean"], line["std"], line["unit"])
+        texts.append(
+            f"{METRIC_TITLES[line['metric']]} {trials}, over it {', '.join(scores)}"
+        )
+    return "; ".join(texts)
+
+
+def _asset_facts(asset: Mapping[str, Any] | None) -> dict[str, str]:
+    if asset is None:
+        return {}
+    return {
+        "asset": f"{asset['file']}, sha256 {asset['sha256'][:8]}",
+        "edited": "; ".join(asset["changes"]) or "no: the calibrated scene",
+    }
+
+
+def _constants(
+    constants: Mapping[str, Mapping[str, Mapping[str, Any]]],
+) -> dict[str, str]:
+    """Return the constants of bodies that share them, each group with its source."""
+    bodies_of: dict[str, list[str]] = {}
+    for body, table in constants.items():
+        by_source: dict[str, dict[str, Any]] = {}
+        for key, constant in table.items():
+            by_source.setdefault(constant["source"], {})[key] = constant["value"]
+        text = "; ".join(
+            f"{pairs_text(group)} ({source})" for source, group in by_source.items()
+        )
+        bodies_of.setdefault(text, []).append(body)
+    return {shortened(bodies): text for text, bodies in bodies_of.items()}
+
+
+# --- all that defines an experiment -----------------------------------------------------------------------------------
+
+
+def full_document(values: Mapping[str, Any]) -> Document:
+    """Return the screen of an experiment, then its limits, engines, spaces, scene, decisions and sources."""
+    lists = {
+        "Known limits": [limit_text(limit) for limit in values["limits"]],
+        "Decisions": values["decisions"],
+    }
+    return Document(
+        parts=(
+            *experiment_document(values).parts[:-1],
+            *(Bullets(entries, title) for title, entries in lists.items() if entries),
+            *_sections(values),
+        ),
+        rows=[values],
+    )
+
+
+def limit_text(limit: Mapping[str, Any]) -> str:
+    """Return a known limit, with the study that shows it."""
+    return limit["text"] + (f" (study: {limit['study']})" if limit["study"] else "")
+
+
+def step_text(step_s: float) -> str:
+    """Return a time step as a fraction of a second, or in seconds if it is none."""
+    steps_per_second = 1.0 / step_s
+    whole = round(steps_per_second)
+    is_fraction = abs(steps_per_second - whole) < 1e-6 * steps_per_second
+    return f"1/{whole}" if is_fraction else f"{step_s:.4g}"
+
+
+def reasons_text(missing: Sequence[str]) -> str:
+    """Return why an engine cannot build a scene: the first reason, and the number of the rest; empty without any."""
+    if len(missing) < 2:
+        return "".join(missing)
+    return f"{missing[0]} (and {len(missing) - 1} more)"
+
+
+def _engine_text(row: Mapping[str, Any]) -> str:
+    """Return preset and step of an engine, or why it cannot build the scene."""
+    if row["missing"] or row["timestep_s"] is None:
+        return reasons_text(row["missing"])
+    return f"preset {row['preset']}, step {step_text(row['timestep_s'])} s"
+
+
+def convergence_facts(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return what half the step and half the cell change, by engine, of those that were measured."""
+    has_cells = any(body["kind"] != "rigid" for body in values["bodies"])
+    is_verified = Kind(values["reference"]["kind"]).is_solution
+    return {
+        row["engine"]: convergence_text(
+            row["convergence"],
+            has_cells=has_cells,
+            with_unit=True,
+            over_trials=not is_verified,
+        )
+        for row in values["engines"]
+        if row["convergence"]
+    }
+
+
+def _sections(values: Mapping[str, Any]) -> Iterator[Part]:
+    """Yield engines, spaces, scene and sources, each below its heading."""
+    sources = {
+        "evaluates": ", ".join(values["evaluates"]),
+        "reference": values["reference"]["source"] or KIND_NOTES[Kind.NONE],
+    }
+    sections = {
+        "Engines": {row["engine"]: _engine_text(row) for row in values["engines"]},
+        "Convergence": convergence_facts(values),
+        "Action and observation": _entries([*values["action"], *values["observation"]]),
+        **{
+            part.capitalize(): _numbered(values[part])
+            for part in ("bodies", "contacts", "joints", "attachments", "drivers")
+        },
+        "Air": {
+            name: value_text(value) for name, value in (values["air"] or {}).items()
+        },
+        "Sources": sources | values["source"],
+        "Where the numbers are from": values["provenance"],
+        "Parameter sets": {
+            name: f"{chosen['summary']}: {pairs_text(chosen['values']) or 'no change'}"
+            for name, chosen in values["parameter_sets"].items()
+        },
+    }
+    for title, facts in sections.items():
+        if facts:
+            yield Heading(title)
+            yield Facts(facts)
+
+
+def _numbered(parts: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Return the values of each part of a scene that are not zero, by its name or number."""
+    texts = {}
+    for number, part in enumerate(parts, 1):
+        nonzero = {
+            key: value
+            for key, value in part.items()
+            if (any(value) if isinstance(value, list) else value)
+        }
+        texts[part.get("name", str(number))] = pairs_text(nonzero, skip=("name",))
+    return texts
+
+
+def _entries(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Return the entries of spaces with their shapes, and the meaning and range of each part."""
+    parts: dict[str, list[str]] = {}
+    for row in rows:
+        entry = f"{row['entry']} {shape_text(row['whole'])}".rstrip()
+        text = f"{row['meaning']}, {with_unit(range_text(row), row['unit'])}"
+        parts.setdefault(entry, []).append(text)
+    return {entry: "; ".join(texts) for entry, texts in parts.items()}
