@@ -33,69 +33,54 @@ def action_rows(experiment: Experiment) -> list[dict[str, Any]]:
     """Return a row for each entry of the action: name, shape, range, unit, meaning."""
     space = action_space_of(experiment)
     if isinstance(space, spaces.Discrete):
-        return [_row("action", (), 0.0, 0.0, "1", "nothing is driven")]
-    assert isinstance(space, spaces.Box)
+        return [_row("action", (), (0.0, 0.0), "1", "nothing is driven")]
     motions = [
         (driver.body, motion)
         for driver in experiment.scene.drivers
         for motion in driver.motions
     ]
     return [
-        _row(
-            f"action[{index}]",
-            (),
-            space.low[index],
-            space.high[index],
-            *_driven(body, motion),
-        )
+        _row(f"action[{index}]", (), (-1.0, 1.0), *_driven(body, motion))
         for index, (body, motion) in enumerate(motions)
     ]
 
 
 def _driven(body: str, motion: DriverMotion) -> tuple[str, str]:
     """Return the unit of an entry of the action and its meaning."""
-    is_turn = motion.kind == "rotate"
-    scale = np.rad2deg(motion.residual_rate) if is_turn else motion.residual_rate
-    axis = " ".join(f"{value:.3g}" for value in motion.axis)
+    scale, unit, kind = motion.residual_rate, "m/s", "velocity along"
+    if motion.kind == "rotate":
+        scale, unit, kind = np.rad2deg(scale), "deg/s", "rate about"
     if not scale:
         return "1", f"no effect on {body}"
-    kind = "rate about" if is_turn else "velocity along"
-    of = "added to the motion of" if motion.profiles else "of"
-    return (
-        f"times {scale:.3g} {'deg/s' if is_turn else 'm/s'}",
-        f"{kind} ({axis}), {of} {body}",
-    )
+    axis = " ".join(f"{value:.3g}" for value in motion.axis)
+    relation = "added to the motion of" if motion.profiles else "of"
+    return f"times {scale:.3g} {unit}", f"{kind} ({axis}), {relation} {body}"
 
 
 def observation_rows(experiment: Experiment) -> list[dict[str, Any]]:
     """Return a row for each entry of the observation: name, shape, range, unit, meaning."""
     space = observation_space_of(experiment)
     assert isinstance(space, spaces.Dict)
-    observable, drivers = experiment.score.observable, experiment.scene.drivers
-    bodies = {
-        "bodies": experiment.recorded,
-        "driver": tuple(driver.body for driver in drivers),
-    }
-    markers = experiment.scene.markers
+    scene, observable = experiment.scene, experiment.score.observable
+    marked = ", ".join(scene.markers.bodies) if scene.markers else ""
     meanings = {
         "observable": (observable.unit, f"g(t): {OBSERVED[observable]}"),
-        "markers": (
-            "m",
-            f"x y z of the markers on {', '.join(markers.bodies) if markers else ''}",
-        ),
+        "bodies": experiment.recorded,
+        "markers": ("m", f"x y z of the markers on {marked}"),
+        "driver": tuple(driver.body for driver in scene.drivers),
         "time": ("s", "time since the start"),
     }
     rows: list[dict[str, Any]] = []
-    for key in filter(
-        space.keys().__contains__, ("observable", "bodies", "markers", "driver", "time")
-    ):
+    for key, meaning in meanings.items():
+        if key not in space.spaces:
+            continue
         box = space[key]
         assert isinstance(box, spaces.Box)
-        rows += (
-            _state_rows(key, box, bodies[key])
-            if key in bodies
-            else [_row(key, box.shape, box.low.min(), box.high.max(), *meanings[key])]
-        )
+        if key in ("bodies", "driver"):
+            rows += _state_rows(key, box, meaning)
+        else:
+            bounds = (box.low.min(), box.high.max())
+            rows.append(_row(key, box.shape, bounds, *meaning))
     return rows
 
 
@@ -107,20 +92,26 @@ def _state_rows(
         low, high = box.low[:, columns], box.high[:, columns]
         name = f"{key}[:, {columns.start}:{columns.stop}]"
         owner = f" of {shortened(names)}" if columns.start == 0 else ""
-        row = _row(name, low.shape, low.min(), high.max(), unit, meaning + owner)
+        row = _row(name, low.shape, (low.min(), high.max()), unit, meaning + owner)
         yield row | {"entry": key, "whole": list(box.shape)}
 
 
 def _row(
-    name: str, shape: Sequence[int], low: float, high: float, unit: str, meaning: str
+    name: str,
+    shape: Sequence[int],
+    bounds: tuple[float, float],
+    unit: str,
+    meaning: str,
 ) -> dict[str, Any]:
-    values = {"low": float(low), "high": float(high), "unit": unit, "meaning": meaning}
     return {
         "entry": name,
         "whole": list(shape),
         "name": name,
         "shape": list(shape),
-        **values,
+        "low": float(bounds[0]),
+        "high": float(bounds[1]),
+        "unit": unit,
+        "meaning": meaning,
     }
 
 

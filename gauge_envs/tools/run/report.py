@@ -5,24 +5,18 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from gauge_envs.pages.document import Document, Heading, Paragraph, Part, Tone
-from gauge_envs.pages.results import (
-    configuration_parts,
-    discretization_text,
-)
+from gauge_envs.pages.results import configuration_parts
 from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import (
     digits_text,
     event_title,
     interval_text,
-    plus_minus_text,
     score_text,
     short_id,
     shortened,
     with_unit,
 )
-from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.metrics import METRICS
-from gauge_envs.references.published import PUBLISHED_ENGINES, published_baselines
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scoring.estimates import Measured
@@ -84,7 +78,7 @@ def summary_document(results: Sequence[Result], *, details: bool = False) -> Doc
 
     Args:
         results: The results.
-        details: Whether to add all numbers of the scores and the published ones.
+        details: Whether to add all numbers of the scores.
     """
     ran = [result for result in results if result.error is None]
     summary = _summary(ran, details=details) if ran else ()
@@ -117,7 +111,7 @@ def _summary(results: Sequence[Result], *, details: bool) -> Iterator[Part]:
     if details:
         for result, label in zip(results, labels, strict=True):
             yield Heading(f"{short_id(result.id)} {label}".rstrip())
-            yield Facts(_details(result))
+            yield Facts(_details(result.score))
 
 
 def _row(result: Result, *, is_explained: bool) -> dict[str, Any]:
@@ -217,9 +211,8 @@ def cause_text(score: Score) -> str | None:
     return f"engine {digits_text(engine)}, exact {digits_text(exact)}: {cause}"
 
 
-def _details(result: Result) -> dict[str, str]:
-    """Return all numbers of a score by their names there, the published ones, and what half the step changes."""
-    score, name = result.score, short_id(result.id)
+def _details(score: Score) -> dict[str, str]:
+    """Return all numbers of a score, by their names there."""
     facts = {
         key: ", ".join(
             map(digits_text, value if isinstance(value, Sequence) else [value])
@@ -231,16 +224,6 @@ def _details(result: Result) -> dict[str, str]:
         facts[key] = with_unit(digits_text(quantity.value), quantity.unit)
         if quantity.real is not None:
             facts[key] += f", real {_real_text(quantity)}"
-    for key, line in published_baselines(name).items():
-        engines = ", ".join(
-            f"{title} {score_text(line.engines[engine])}"
-            for engine, title in PUBLISHED_ENGINES.items()
-        )
-        real = plus_minus_text(line.mean, line.std, line.unit)
-        facts[f"published {key}"] = f"real trials {real}; {engines}"
-    converged = convergence_rows(result.backend, result.id)
-    if text := discretization_text(result, converged):
-        facts["discretization"] = text
     return facts
 
 
