@@ -102,7 +102,7 @@ BUNDLED = (
         "compare",
         "compare.compare_command:compare",
         "Compare engines, parameters and settings: scores with intervals, and ranks.",
-        line="compare.lines:CompareLine",
+        line="compare.schema:CompareLine",
         version=5,
     ),
     Command(

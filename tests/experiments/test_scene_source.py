@@ -27,7 +27,7 @@ from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.compare.comparison import compare
-from gauge_envs.tools.compare.words import comparison_rows
+from gauge_envs.tools.compare.report import comparison_rows
 
 ALL = tuple(variant.name for variant in variants())
 SLIDE = "SlopeSlider-2-wood"

@@ -19,13 +19,13 @@ if TYPE_CHECKING:
         KindComparison as KindComparison,
         KindScore as KindScore,
     )
-    from gauge_envs.tools.compare.tables import (
-        mean_rank_text as mean_rank_text,
-    )
-    from gauge_envs.tools.compare.words import short_tables as short_tables
-    from gauge_envs.tools.compare.yardstick import (
+    from gauge_envs.tools.compare.reference import (
         coordinate_words as coordinate_words,
         judging_band as judging_band,
+    )
+    from gauge_envs.tools.compare.report import (
+        mean_rank_text as mean_rank_text,
+        short_tables as short_tables,
     )
 else:
     __getattr__, __all__ = lazy_names(
@@ -34,9 +34,8 @@ else:
             ".comparison": ["Cell", "Comparison", "ExperimentComparison", "compare"],
             ".experiment_figure": ["draw_experiment"],
             ".ranks": ["PUBLISHED", "KindComparison", "KindScore"],
-            ".tables": ["mean_rank_text"],
-            ".words": ["short_tables"],
-            ".yardstick": [
+            ".report": ["mean_rank_text", "short_tables"],
+            ".reference": [
                 "coordinate_words",
                 "judging_band",
             ],

@@ -39,7 +39,7 @@ def compare(
     damaged file was skipped.
     """
     from gauge_envs.tools.compare.comparison import compare as compare_results
-    from gauge_envs.tools.compare.words import check_metrics, comparison_document
+    from gauge_envs.tools.compare.report import check_metrics, comparison_document
 
     names, files = check_metrics(metric or ()), arguments.by_suffix(out, ".md", ".json")
     results, skipped = loaded_results(sources, corrected=corrected)
@@ -52,7 +52,13 @@ def compare(
     ]
     if not kept:
         raise ResultFileError("no result is left to compare; gauge run writes them")
-    print_document(comparison_document(compare_results(kept), names), form, files=files)
+    document = comparison_document(
+        compare_results(kept),
+        names,
+        is_wide=form is Format.WIDE,
+        with_rows=form is Format.JSON or ".json" in files,
+    )
+    print_document(document, form, files=files)
     return bool(skipped)
 
 

@@ -1,7 +1,8 @@
 """Results of any configurations side by side: their scores, ranks and distances."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -29,19 +30,19 @@ from gauge_envs.runs.configuration import RunConfiguration, group_by_configurati
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.score import OVER_U, normalizing_baselines
-from gauge_envs.tools.compare.difference import (
-    Deviations,
-    ScoreSpread,
-    repeats_interval,
-)
+from gauge_envs.scoring.score import OVER_U, Interval, normalizing_baselines
 from gauge_envs.tools.compare.distance import Distance, trajectory_distance
 from gauge_envs.tools.compare.ranks import (
     KindComparison,
     ScoredExperiment,
     compare_kind,
 )
-from gauge_envs.tools.compare.yardstick import choose_yardstick, is_aligned
+from gauge_envs.tools.compare.reference import choose_reference
+from gauge_envs.tools.compare.statistics import (
+    Deviations,
+    ScoreSpread,
+    repeats_interval,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,49 +74,37 @@ class Cell:
 
     def spread(self, metric: str, *, normalized: bool) -> ScoreSpread | None:
         """Return mean and scatter over the repeats that have the metric."""
-        return ScoreSpread.of(
-            [
-                value
-                for value in self.values(metric, normalized=normalized)
-                if value is not None
-            ]
-        )
+        return ScoreSpread.of(self.values(metric, normalized=normalized))
 
-    def interval_95(self, metric: str) -> tuple[float, float] | None:
+    def interval_95(self, metric: str) -> Interval | None:
         """Return the 95 % interval of the mean of the normalized metric; None if a repeat with the metric has none."""
-        scores = [
-            one.score
-            for one in self.results
-            if normalized_score(one.score, metric) is not None
-        ]
-        intervals = [
-            ends
-            for score in scores
-            if (ends := score_interval(score, metric)) is not None
-        ]
-        if not scores or len(intervals) < len(scores):
-            return None
-        return repeats_interval(
-            [normalized_score(score, metric) or 0.0 for score in scores], intervals
-        )
+        values, intervals = [], []
+        for result in self.results:
+            value = normalized_score(result.score, metric)
+            if value is None:
+                continue
+            interval = score_interval(result.score, metric)
+            if interval is None:
+                return None
+            values.append(value)
+            intervals.append(interval)
+        return repeats_interval(values, intervals) if values else None
 
     @property
     def percentile(self) -> float | None:
         """Percentage of real trials that are closer to their mean, as mean over the repeats that have it."""
-        known = [result.score.percentile for result in self.results]
-        spread = ScoreSpread.of([value for value in known if value is not None])
+        spread = ScoreSpread.of(result.score.percentile for result in self.results)
         return None if spread is None else spread.mean
 
     @property
     def verdict(self) -> str:
         """Verdict of the repeats that finished: one word, or how often each occurs; empty without any."""
-        words = [
+        counts = Counter(
             one.score.verdict for one in self.results if one.outcome is Outcome.FINISHED
-        ]
-        counts = {word: words.count(word) for word in words}
+        )
         if len(counts) < 2:
-            return next(iter(counts), "")
-        return ", ".join(f"{count} {word}" for word, count in counts.items())
+            return "".join(counts)
+        return ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +117,6 @@ class ExperimentComparison:
         unit: Unit of the observable.
         cells: Results in the order of `Comparison.configurations`; None for a configuration without this experiment.
         baselines: Published scatter of real trials and scores of three engines, by metric.
-        distances: Distance between each two configurations that ran it.
     """
 
     id: str
@@ -136,7 +124,6 @@ class ExperimentComparison:
     unit: str
     cells: tuple[Cell | None, ...]
     baselines: Mapping[str, Baseline]
-    distances: tuple[Distance, ...]
 
     @property
     def name(self) -> str:
@@ -156,18 +143,28 @@ class ExperimentComparison:
     @property
     def primary(self) -> str:
         """Metric that reports show first, as `Score.primary`; `rmse` without a score."""
-        return next(
-            (one.score.primary for one in self.results if one.score.primary), "rmse"
+        primaries = (one.score.primary for one in self.results)
+        return next(filter(None, primaries), "rmse")
+
+    @cached_property
+    def distances(self) -> tuple[Distance, ...]:
+        """Distance between each two configurations that ran it. They are computed when they are asked for."""
+        present = [(index, cell) for index, cell in enumerate(self.cells) if cell]
+        baseline = self.baselines.get("rmse")
+        distances = (
+            trajectory_distance((index, other), cell.results, beside.results, baseline)
+            for (index, cell), (other, beside) in combinations(present, 2)
         )
+        return tuple(filter(None, distances))
 
     def metrics(self, among: Iterable[str] = tuple(SCORE_METRICS)) -> list[str]:
-        """Return the metrics that a result has or whose published scores can stand beside it, the primary first."""
-        cells = [cell for cell in self.cells if cell is not None]
+        """Return the metrics that a result has or whose published scores are comparable, the primary first."""
+        scores = [one.score for one in self.results]
         names = [
             name
             for name in among
             if self.published(name) is not None
-            or any(cell.spread(name, normalized=False) for cell in cells)
+            or any(raw_score(score, name) is not None for score in scores)
         ]
         return sorted(names, key=lambda name: name != self.primary)
 
@@ -183,21 +180,21 @@ class ExperimentComparison:
         The paper scored trajectories against the mean of real trials, so RMSE and DTW need a reference of that kind.
         Event metrics do not depend on the reference.
         """
-        line = self.baselines.get(metric)
+        baseline = self.baselines.get(metric)
         is_comparable = self.kind == Kind.TRIALS or SCORE_METRICS[metric].is_event
-        return line.engines if line is not None and is_comparable else None
+        return baseline.engines if baseline is not None and is_comparable else None
 
     def scored(self) -> ScoredExperiment:
         """Return the scores of this experiment for a comparison within its kind."""
+        present = [(index, cell) for index, cell in enumerate(self.cells) if cell]
         return ScoredExperiment(
             id=self.id,
-            deviations=tuple(
-                None if cell is None else cell.deviations for cell in self.cells
-            ),
-            intervals=tuple(
-                None if cell is None else cell.interval_95(self.primary)
-                for cell in self.cells
-            ),
+            deviations={
+                index: cell.deviations for index, cell in present if cell.deviations
+            },
+            intervals={
+                index: cell.interval_95(self.primary) for index, cell in present
+            },
         )
 
 
@@ -237,24 +234,14 @@ class Comparison:
         """Label of each configuration."""
         return tuple(configuration_labels(self.configurations))
 
-    def names(self, of: Distance) -> dict[str, str]:
-        """Return the labels of the two configurations that a distance is between."""
-        return {"first": self.labels[of.first], "second": self.labels[of.second]}
-
     @cached_property
     def kinds(self) -> tuple[KindComparison, ...]:
         """Ranks within each kind of reference; an experiment of several references is left out."""
-        groups = {
-            kind: [
-                one
-                for one in self.experiments
-                if one.kind == kind and _has_one_reference(one)
-            ]
+        groups = (
+            [one for one in self.experiments if one.kind == kind and _is_ranked(one)]
             for kind in Kind
-        }
-        return tuple(
-            found for group in groups.values() for found in self.compare_within(group)
         )
+        return tuple(one for group in groups for one in self.compare_within(group))
 
     def compare_within(
         self, experiments: Sequence[ExperimentComparison]
@@ -263,44 +250,38 @@ class Comparison:
         if not experiments:
             return ()
         scored = [one.scored() for one in experiments]
-        return compare_kind(experiments[0].kind, scored, self._constants)
-
-    @cached_property
-    def _constants(self) -> tuple[str, ...]:
-        """Name of the constants of each configuration: its parameters, and the scene that it edits."""
-        kinds = ("parameters", "asset")
-        return tuple(
-            ", ".join(
-                text
-                for kind, text in configuration_parts(one, digits=17)
-                if kind in kinds
-            )
-            for one in self.configurations
-        )
+        constants = [_constants(one) for one in self.configurations]
+        return compare_kind(experiments[0].kind, scored, constants)
 
     def summaries(self) -> list[Summary]:
         """Return one summary for each configuration, in their order."""
-        found = []
-        for index in range(len(self.configurations)):
-            every = [(one, one.cells[index]) for one in self.experiments]
-            cells = [cell for _, cell in every if cell is not None]
-            scales = [
-                cell.values(OVER_U if one.is_solution else "rmse", normalized=True)
-                for one, cell in every
-                if cell is not None
-            ]
-            found.append(
-                Summary(
-                    ran=sum(cell.ran for cell in cells),
-                    scored=sum(None not in values for values in scales),
-                    diverged=sum(cell.count(Outcome.DIVERGED) > 0 for cell in cells),
-                    not_run=sum(not cell.ran for cell in cells),
-                )
-            )
-        return found
+        return [self._summary(index) for index in range(len(self.configurations))]
+
+    def _summary(self, index: int) -> Summary:
+        present = [
+            (cell, OVER_U if one.is_solution else "rmse")
+            for one in self.experiments
+            if (cell := one.cells[index]) is not None
+        ]
+        ran = sum(cell.ran for cell, _ in present)
+        return Summary(
+            ran=ran,
+            scored=sum(
+                None not in cell.values(metric, normalized=True)
+                for cell, metric in present
+            ),
+            diverged=sum(cell.count(Outcome.DIVERGED) > 0 for cell, _ in present),
+            not_run=len(present) - ran,
+        )
 
 
-def _has_one_reference(one: ExperimentComparison) -> bool:
+def _constants(configuration: RunConfiguration) -> str:
+    """Return the name of the constants of a configuration: its parameters, and the scene that it edits."""
+    parts = configuration_parts(configuration, digits=17)
+    return ", ".join(text for part, text in parts if part in ("parameters", "asset"))
+
+
+def _is_ranked(one: ExperimentComparison) -> bool:
     """Return whether all results of an experiment are scored against the same reference."""
     references = {
         (result.score.kind, *sorted(result.dataset.items()))
@@ -318,81 +299,68 @@ def compare(results: Iterable[Result]) -> Comparison:
     """
     given = sorted(results, key=lambda result: result.revision)
     newest = {one.id: one.revision for one in given}
-    every = [one for one in given if one.revision == newest[one.id]]
-    older = dict.fromkeys(
-        short_id(one.id) for one in given if one.revision < newest[one.id]
-    )
+    kept = [one for one in given if one.revision == newest[one.id]]
+    older = dict.fromkeys(one.id for one in given if one.revision < newest[one.id])
     notes = [
-        f"{name}: results of an older revision are left out; compare them apart"
+        f"{short_id(name)}: results of an older revision are left out; compare them apart"
         for name in older
     ]
-    groups = group_by_configuration(every)
+    groups = group_by_configuration(kept)
+    by_cell: dict[tuple[str, int], list[Result]] = {}
+    for index, (_, members) in enumerate(groups):
+        for result in members:
+            by_cell.setdefault((result.id, index), []).append(result)
     # In the order of `gauge list`; experiments of files follow by name.
     places = {variant.id: place for place, variant in enumerate(variants())}
     experiments = []
     for name in sorted(newest, key=lambda name: (places.get(name, len(places)), name)):
-        cells = [_cell(name, members, notes) for _, members in groups]
+        cells = [
+            _cell(by_cell[name, index], notes) if (name, index) in by_cell else None
+            for index in range(len(groups))
+        ]
         experiments.append(_experiment(name, cells))
     return Comparison(
         configurations=tuple(configuration for configuration, _ in groups),
         experiments=tuple(experiments),
-        notes=tuple(dict.fromkeys([*notes, *_mismatches(every)])),
+        notes=tuple(dict.fromkeys([*notes, *_mismatches(kept)])),
     )
 
 
 def _experiment(name: str, cells: Sequence[Cell | None]) -> ExperimentComparison:
     """Return an experiment in all configurations."""
-    present = [
-        (index, cell.results) for index, cell in enumerate(cells) if cell is not None
-    ]
-    results = [result for _, members in present for result in members]
+    results = [one for cell in cells if cell is not None for one in cell.results]
     ran = [result for result in results if result.error is None] or results
     is_refused = all(one.score.refused is not None for one in ran)
-    baselines = published_baselines(short_id(name))
-    distances = []
-    for (index, some), (other_index, others) in combinations(present, 2):
-        distance = trajectory_distance(
-            (index, other_index), some, others, baselines.get("rmse")
-        )
-        if distance is not None:
-            distances.append(distance)
     return ExperimentComparison(
         id=name,
         kind=Kind.NONE.value if is_refused else ran[0].score.kind,
         unit=ran[0].score.unit,
         cells=tuple(cells),
-        baselines=baselines,
-        distances=tuple(distances),
+        baselines=published_baselines(short_id(name)),
     )
 
 
-def _cell(name: str, members: Sequence[Result], notes: list[str]) -> Cell | None:
-    """Return the results of one experiment among those of a configuration, and add what was left out to the notes."""
-    mine = [result for result in members if result.id == name]
-    latest = {
+def _cell(results: Sequence[Result], notes: list[str]) -> Cell:
+    """Return the latest result of each seed, and add what was left out to the notes."""
+    by_seed = {
         result.seed: result
-        for result in sorted(mine, key=lambda result: result.created)
+        for result in sorted(results, key=lambda result: result.created)
     }
-    if len(latest) < len(mine):
+    kept = tuple(sorted(by_seed.values(), key=lambda result: result.seed or 0))
+    name = short_id(kept[0].id)
+    if len(kept) < len(results):
         notes.append(
-            f"{short_id(name)}: {len(mine)} results of {mine[0].backend or 'files'} with "
-            f"{counted(len(latest), 'seed')}; the latest of each counts"
+            f"{name}: {len(results)} results of {kept[0].backend or 'files'} with {counted(len(kept), 'seed')}; "
+            "the latest of each counts"
         )
-    in_force = [result.settings for result in latest.values() if result.error is None]
-    if any(settings != in_force[0] for settings in in_force):
-        notes.append(
-            f"{short_id(name)}: repeats of {mine[0].backend} differ in the settings in force"
-        )
-    kept = tuple(sorted(latest.values(), key=lambda result: result.seed or 0))
-    return Cell(results=kept, deviations=_deviations(kept, notes)) if kept else None
+    return Cell(results=kept, deviations=_deviations(kept, notes))
 
 
 def _deviations(results: Sequence[Result], notes: list[str]) -> Deviations | None:
     """Return the deviations of repeats; None without scores, with a note if they should have some."""
-    scores = [one.score for one in results if one.outcome is Outcome.FINISHED]
-    if len(scores) < len(results) or any(
-        one.primary_normalized is None for one in scores
-    ):
+    is_finished = all(one.outcome is Outcome.FINISHED for one in results)
+    scores = [one.score.primary_normalized for one in results]
+    if not is_finished or None in scores:
         return None
     refused = f"{short_id(results[0].id)}: not ranked, because its"
     try:
@@ -400,19 +368,19 @@ def _deviations(results: Sequence[Result], notes: list[str]) -> Deviations | Non
         band = reference_band(experiment)
         if band is None:
             return None
-        against = choose_yardstick(results[:1], band, names=())
-        found = Deviations.of(
+        reference = choose_reference(results, band)
+        deviations = Deviations.of(
             band,
-            [against.deviation(one, aligned=is_aligned(one)) for one in results],
+            [reference.deviation(one) for one in results],
             [one.seed for one in results],
-            scale=_scale(experiment, band, scores[0].primary),
+            scale=_scale(experiment, band, results[0].score.primary),
         )
     except GaugeError as error:
         notes.append(f"{refused} result cannot be scored again: {error}")
         return None
-    stored = np.array([one.primary_normalized for one in scores], dtype=np.float64)
-    if np.allclose(found.scores, stored, rtol=1e-6, atol=1e-9):
-        return found
+    stored = np.array(scores, dtype=np.float64)
+    if np.allclose(deviations.scores, stored, rtol=1e-6, atol=1e-9):
+        return deviations
     notes.append(
         f"{refused} score was made against another reference or motion; run it again"
     )
@@ -420,47 +388,37 @@ def _deviations(results: Sequence[Result], notes: list[str]) -> Deviations | Non
 
 
 def _scale(experiment: Experiment, band: Band, primary: str | None) -> float:
-    """Return the distance that is 1 as normalized score; NaN without one."""
+    """Return the distance of a normalized score of 1, in the unit of the band; NaN without one."""
     if primary == OVER_U:
         return band.standard_uncertainty
     if primary == ALIGNED.key and band.trial_rmse_aligned is not None:
         return float(band.trial_rmse_aligned.mean())
-    line = normalizing_baselines(experiment, band).get("rmse")
-    return math.nan if line is None else line.mean
+    baseline = normalizing_baselines(experiment, band).get("rmse")
+    return math.nan if baseline is None else baseline.mean
 
 
-def _mismatches(results: Sequence[Result]) -> list[str]:
-    """Return a sentence for each way in which results do not belong together."""
-    notes = []
+def _mismatches(results: Sequence[Result]) -> Iterator[str]:
+    """Yield a sentence for each way in which results do not belong together."""
     by_id: dict[str, list[Result]] = {}
-    for one in sorted(results, key=lambda one: one.id):
+    for one in results:
         by_id.setdefault(one.id, []).append(one)
-    stale = dict.fromkeys(
-        short_id(one.id)
-        for one in results
-        if one.task_sha256 != task_sha256(find_variant(one.id).family)
-    )
+    stale = [
+        short_id(name)
+        for name, same in by_id.items()
+        if {one.task_sha256 for one in same} != {task_sha256(find_variant(name).family)}
+    ]
     if stale:
-        notes.append(
-            f"made from another task file than the installed one: {', '.join(stale)}"
+        yield f"made from another task file than the installed one: {', '.join(stale)}"
+    packages = {one.versions.get("gauge-envs", "an unknown version") for one in results}
+    if len(packages) > 1:
+        yield f"scored by different versions of gauge-envs: {', '.join(sorted(packages))}"
+    for name, same in sorted(by_id.items()):
+        reasons = {one.score.refused for one in same} - {None}
+        yield from (
+            f"{short_id(name)}: {reason}" for reason in sorted(map(str, reasons))
         )
-    made_with = sorted(
-        {one.versions.get("gauge-envs", "an unknown version") for one in results}
-    )
-    if len(made_with) > 1:
-        notes.append(
-            f"scored by different versions of gauge-envs: {', '.join(made_with)}"
-        )
-    for name, same in by_id.items():
-        refused = {one.score.refused for one in same} - {None}
-        notes += [f"{short_id(name)}: {reason}" for reason in sorted(map(str, refused))]
         kinds = sorted({one.score.kind for one in same})
         if len(kinds) > 1:
-            notes.append(
-                f"{short_id(name)}: scored against references of kind {' and '.join(kinds)}"
-            )
+            yield f"{short_id(name)}: scored against references of kind {' and '.join(kinds)}"
         if len({tuple(sorted(one.dataset.items())) for one in same}) > 1:
-            notes.append(
-                f"{short_id(name)}: real trials or drivers are of different imports, or bundled"
-            )
-    return notes
+            yield f"{short_id(name)}: real trials or drivers are of different imports, or bundled"

@@ -1,19 +1,17 @@
 """Distance between the trajectories of two configurations."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.pages.text import quantity_text
 from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import Result
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.metrics import trajectory_rmse
-from gauge_envs.tools.compare.difference import ScoreSpread
+from gauge_envs.tools.compare.statistics import ScoreSpread
 
 MOTION_SHARE = 0.05
 """Threshold of a distance, as a share of the motion, for experiments without a published scatter of real trials."""
@@ -61,6 +59,21 @@ class Distance:
         return "never" if self.apart_at_s is None else f"{self.apart_at_s:.2f} s"
 
 
+@dataclass(frozen=True, eq=False)
+class Gap:
+    """Two trajectories at their common frames.
+
+    Attributes:
+        times_s: Times of the common frames [s], shape [frame_count].
+        distances: Distance at each, shape [frame_count].
+        motion_rms: Root-mean-square displacement of both from their starts.
+    """
+
+    times_s: FloatArray
+    distances: FloatArray
+    motion_rms: float
+
+
 def trajectory_distance(
     configurations: tuple[int, int],
     some: Sequence[Result],
@@ -75,22 +88,18 @@ def trajectory_distance(
         others: Results of the second.
         baseline: Published RMSE of real trials; None if there is none.
     """
-    pairs = _paired(some, others)
-    common = _all_common_frames(pairs)
-    rms = ScoreSpread.of([trajectory_rmse(a, b) for _, a, b in common])
+    gaps = trajectory_gaps(some, others)
+    rms = ScoreSpread.of(_root_mean_square(gap.distances) for gap in gaps)
     if rms is None:
         return None
-    motions = []
-    crossings_s = []
-    for _, a, b in common:
-        moved = np.vstack((a - a[0], b - b[0]))
-        motions.append(trajectory_rmse(moved, np.zeros_like(moved)))
-    motion_rms = float(np.mean(motions))
+    motion_rms = float(np.mean([gap.motion_rms for gap in gaps]))
     threshold = MOTION_SHARE * motion_rms if baseline is None else baseline.mean
-    for times_s, distance in _over_time(common):
-        beyond = distance > threshold
-        if beyond.any():
-            crossings_s.append(float(times_s[beyond.argmax()]))
+    apart_s = [
+        float(gap.times_s[is_apart.argmax()])
+        for gap in gaps
+        if (is_apart := gap.distances > threshold).any()
+    ]
+    pairs = list(_pairs(some, others))
     return Distance(
         first=configurations[0],
         second=configurations[1],
@@ -99,63 +108,49 @@ def trajectory_distance(
         motion_rms=motion_rms,
         threshold=threshold,
         threshold_is_scatter=baseline is not None,
-        apart_at_s=min(crossings_s, default=None),
-        frames=min(len(frames) for frames, _, _ in common),
+        apart_at_s=min(apart_s, default=None),
+        frames=min(len(gap.times_s) for gap in gaps),
         diverged=any(result.diverged for pair in pairs for result in pair),
     )
 
 
-def distances_over_time(
+def trajectory_gaps(some: Sequence[Result], others: Sequence[Result]) -> list[Gap]:
+    """Return the distance over time of each pair of repeats with common frames."""
+    gaps = []
+    for one, other in _pairs(some, others):
+        trajectory, other_trajectory = one.trajectory, other.trajectory
+        assert trajectory is not None and other_trajectory is not None
+        if trajectory.coordinates != other_trajectory.coordinates:
+            continue
+        frames, values = trajectory.frames
+        other_frames, other_values = other_trajectory.frames
+        common, rows, other_rows = np.intersect1d(
+            frames, other_frames, assume_unique=True, return_indices=True
+        )
+        if len(common):
+            first, second = values[rows], other_values[other_rows]
+            moved = np.concatenate((first - first[0], second - second[0]))
+            motion_rms = _root_mean_square(np.linalg.norm(moved, axis=1))
+            apart = np.linalg.norm(first - second, axis=1)
+            gaps.append(Gap(common / FRAME_RATE_HZ, apart, motion_rms))
+    return gaps
+
+
+def _root_mean_square(lengths: FloatArray) -> float:
+    return float(np.sqrt(lengths @ lengths / len(lengths)))
+
+
+def _pairs(
     some: Sequence[Result], others: Sequence[Result]
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Return the distance between results of two configurations at each common frame, paired as for `Distance`.
-
-    Returns:
-        For each pair of repeats the times [s] and the distances in the observable's unit, both of shape [frame_count].
-    """
-    return _over_time(_all_common_frames(_paired(some, others)))
-
-
-CommonFrames = tuple[NDArray[np.int64], FloatArray, FloatArray]
-"""Frame numbers that two results have, and g(t) of both there, [frame_count, coordinate_count] each."""
-
-
-def _over_time(
-    common: Sequence[CommonFrames],
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Return times [s] and distances of each pair of results."""
-    return [
-        (frames / FRAME_RATE_HZ, np.linalg.norm(a - b, axis=1))
-        for frames, a, b in common
-    ]
-
-
-def _all_common_frames(pairs: Sequence[tuple[Result, Result]]) -> list[CommonFrames]:
-    """Return the common frames of each pair that has some."""
-    found = [_common_frames(one, other) for one, other in pairs]
-    return [frames for frames in found if frames is not None]
-
-
-def _paired(
-    some: Sequence[Result], others: Sequence[Result]
-) -> list[tuple[Result, Result]]:
+) -> Iterator[tuple[Result, Result]]:
+    """Yield results with trajectories by seed; without a common seed, each with each."""
     first, second = (
-        [one for one in results if one.trajectory is not None]
+        {one.seed: one for one in results if one.trajectory is not None}
         for results in (some, others)
     )
     # Results of the same seed have the same jittered start, so only the configuration differs.
-    by_seed = {one.seed: one for one in second}
-    same_seed = [(one, by_seed[one.seed]) for one in first if one.seed in by_seed]
-    return same_seed or [*product(first, second)]
-
-
-def _common_frames(one: Result, other: Result) -> CommonFrames | None:
-    """Return the common frames of two results; None without any."""
-    if one.trajectory is None or other.trajectory is None:
-        return None
-    if one.trajectory.coordinates != other.trajectory.coordinates:
-        return None
-    frames_a, a = one.trajectory.frames
-    frames_b, b = other.trajectory.frames
-    common, index_a, index_b = np.intersect1d(frames_a, frames_b, return_indices=True)
-    return (common, a[index_a], b[index_b]) if len(common) else None
+    common = first.keys() & second.keys()
+    if common:
+        yield from ((first[seed], second[seed]) for seed in first if seed in common)
+    else:
+        yield from product(first.values(), second.values())

@@ -1,59 +1,108 @@
-"""The page of one experiment as a picture (needs matplotlib).
-
-Above, distance over time, which its score is of, beside the scores; below, the coordinates that decide it.
-"""
+"""Picture of one experiment (needs matplotlib): distance over time, and the coordinates that decide the score."""
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.pages.figures import color_of, new_figure, save_png
+from gauge_envs.pages.figures import (
+    REAL,
+    color_of,
+    legend_above,
+    new_figure,
+    save_png,
+    tidy_axis,
+)
 from gauge_envs.pages.results import configuration_labels
-from gauge_envs.pages.text import KIND_NOTES, QUESTIONS, quantity_text, short_id
-from gauge_envs.references.band import Band
+from gauge_envs.pages.text import KIND_NOTES, QUESTIONS, short_id
 from gauge_envs.references.kind import Kind
+from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.configuration import group_by_configuration
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
-from gauge_envs.tools.compare.bars import (
-    LEAST_REACH,
-    VALIDATION,
-    bar_groups,
-    draw_bars,
-    name_scale,
-)
-from gauge_envs.tools.compare.panels import (
-    Series,
-    draw_coordinates,
-    draw_distances,
-    mean_legend,
-)
-from gauge_envs.tools.compare.yardstick import (
-    Yardstick,
-    choose_yardstick,
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.compare.comparison import Cell
+from gauge_envs.tools.compare.distance import trajectory_gaps
+from gauge_envs.tools.compare.reference import (
+    Reference,
+    choose_reference,
+    coordinate_words,
     is_aligned,
     judging_band,
-    points_words,
 )
+from gauge_envs.tools.compare.report import score_cell_text
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
-WIDTH_IN = 12.0
-BELOW_IN = 2.5
-"""Height of the coordinates."""
-MOST_HEIGHT_IN = 13.2
-"""Largest height of a picture: 1,584 pixels, which fits on a screen or a page."""
-DECIDING = 3
-"""Number of coordinates that have a large panel."""
+WIDTH_IN, HEIGHT_IN, LEGEND_IN = 12.0, 6.5, 0.18
+"""Width and height of the picture, and height of a line of the legend [inch]."""
+MAX_HEIGHT_IN = 13.2
+"""Largest height: 1,584 pixels, which fits on a screen or a page [inch]."""
+MAX_COORDINATES = 3
+"""Largest number of coordinates that are drawn."""
+MAX_MOTION_S, WINDOW_S = 20.0, 10.0
+"""Of a longer motion, whose swings would fill a panel, the last seconds are drawn [s]."""
+MAX_LINEAR_RATIO = 20.0
+"""Largest distance over the largest spread of the reference that a linear axis shows."""
+LOW_QUANTILE = 0.02
+"""Share of the distances that may be below a logarithmic axis: where curves cross, the distance is 0."""
+MIN_RANGE = 0.02
+"""Smallest range of a panel over that of the widest one, so that rounding errors do not fill a panel."""
+MAX_RANGE = 10.0
+"""Largest distance from the reference that a panel shows, over the range of the reference: a diverged curve is cut."""
+
+NARROW, WIDE = "#c4c4c4", "#e3e3e3"
+HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0}
+
+
+@dataclass(frozen=True)
+class Series:
+    """Results of one configuration in one experiment, and how they look."""
+
+    label: str
+    color: str
+    is_dashed: bool
+    width: float
+    results: tuple[Result, ...]
+
+    @property
+    def legend(self) -> str:
+        """Entry of the legend: label, score, repeats, and the time shift of a single result."""
+        score = self.results[0].score
+        cell, shift_s = Cell(results=self.results), score.time_offset_s
+        parts = [self.label]
+        if score.primary is not None:
+            parts.append(score_cell_text(cell, score.primary, score.distance_unit))
+        elif len(self.results) > 1:
+            parts.append(f"{len(self.results)} repeats")
+        if is_aligned(self.results[0]) and shift_s is not None:
+            parts.append(f"shifted by {shift_s:+.3f} s")
+        if diverged := sum(one.diverged for one in self.results):
+            parts.append(f"{diverged} diverged")
+        return ", ".join(filter(None, parts))
+
+    @property
+    def style(self) -> dict[str, Any]:
+        """How its curves look."""
+        is_single = len(self.results) == 1
+        return {
+            "color": self.color,
+            "ls": "--" if self.is_dashed else "-",
+            "lw": self.width if is_single else 0.8,
+            "alpha": 1.0 if is_single else 0.7,
+            "zorder": 4,
+        }
 
 
 def save_figures(results: Sequence[Result], folder: Path) -> Iterator[Path]:
@@ -69,21 +118,23 @@ def save_figures(results: Sequence[Result], folder: Path) -> Iterator[Path]:
         if result.trajectory is not None:
             groups.setdefault(result.id, []).append(result)
     for name, group in groups.items():
-        yield save_png(
-            draw_experiment(group, among=results), folder / f"{short_id(name)}.png"
-        )
+        figure = draw_experiment(group, among=results)
+        yield save_png(figure, folder / f"{short_id(name)}.png")
 
 
 def draw_experiment(
     results: Sequence[Result], *, among: Sequence[Result] = ()
 ) -> Figure:
-    """Return the picture of one experiment: curves of all its results, its reference if it has one, and scores.
+    """Return the picture of one experiment: curves of all its results over its reference.
 
     Results that differ in their seed alone are thin lines of one colour.
 
     Args:
         results: Results of one experiment that ran, one or more; their parameters, backends and seeds may differ.
         among: All results that are shown together, which decide labels and colours; these alone where it is empty.
+
+    Raises:
+        ShapeError: There are results of no or several experiments.
     """
     ids = {result.id for result in results}
     if len(ids) != 1:
@@ -91,38 +142,33 @@ def draw_experiment(
             f"results of one experiment are needed, got {', '.join(sorted(ids)) or 'none'}"
         )
     series = _series(results, among or results)
-    experiment = recorded_experiment(series[0].first)
+    first_results = [one.results[0] for one in series]
+    experiment = recorded_experiment(first_results[0])
     band = judging_band(experiment, results)
-    against = choose_yardstick(
-        [one.first for one in series], band, names=[one.label for one in series]
+    reference = choose_reference(
+        first_results, band, labels=[one.label for one in series]
     )
-    bars = bar_groups(results[0].id, series)
-    notes = wrap(" ".join([mean_legend(against), *_notes(experiment, band, bars)]), 195)
-    counts = [
-        sum(len(group) + 1 for group in groups.values()) for groups in bars.values()
-    ]
-    above_in = max(3.3, 0.24 * sum(counts) + 0.6 * len(bars) + 0.4)
-    height_in = above_in + BELOW_IN + 0.75 + 0.16 * len(notes)
-    figure = new_figure(WIDTH_IN, min(height_in, MOST_HEIGHT_IN))
-    ratios_in = (above_in, BELOW_IN)
-    above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=ratios_in)[:, 0]
-    _title(above, _distance_title(against))
-    grid = above.add_gridspec(1, 2, width_ratios=(1.8, 1.0)) if bars else None
-    place = above.add_gridspec(1, 1)[0, 0] if grid is None else grid[0, 0]
-    draw_distances(above.add_subplot(place), series, against)
-    if grid is not None:
-        # Two questions have two axes: no bar of one stands on the scale of the other.
-        ratios = [count + 2.0 for count in counts]
-        places = grid[0, 1].subgridspec(len(bars), 1, height_ratios=ratios)
-        for row, (scale, groups) in enumerate(bars.items()):
-            axis = above.add_subplot(places[row, 0])
-            depth = 2.4 * above_in if len(bars) == 1 else 0.0
-            draw_bars(axis, groups, depth=depth, least=LEAST_REACH.get(scale, 0.0))
-            name_scale(axis, groups, scale, several=len(bars) > 1)
-    _draw_deciding(below, series, against)
-    question = _question(band)
+    shares = _shares(reference, results)
+    order = np.argsort(-shares, kind="stable")[:MAX_COORDINATES]
+    legend_in = LEGEND_IN * len(series)
+    figure = new_figure(WIDTH_IN, min(HEIGHT_IN + legend_in, MAX_HEIGHT_IN))
+    ratios = (1.6 + 0.5 * legend_in, 1.0)
+    grid = figure.add_gridspec(2, len(order), height_ratios=ratios)
+    _draw_distances(figure.add_subplot(grid[0, :]), series, reference)
+    axes = []
+    for place, column in enumerate(sorted(order.tolist())):
+        axes.append(figure.add_subplot(grid[1, place]))
+        _draw_coordinate(axes[-1], series, reference, column)
+        title = f"{coordinate_words(reference.band.coordinates[column])} [{reference.band.unit}]"
+        if len(shares) > 1 and shares.any():
+            title += f": {shares[column]:.0%} of the squared distance"
+        axes[-1].set_title(title, loc="left", fontsize=9)
+    # The band of real trials fills a panel; that of a solution may be narrower than rounding errors.
+    if not reference.band.kind.is_real:
+        _widen(axes)
+    notes = wrap(" ".join(_notes(experiment, reference)), 195)
     figure.suptitle(
-        f"{results[0].id}: {experiment.title}\n{question}",
+        f"{results[0].id}: {experiment.title}\n{_question(reference)}",
         x=0.01,
         ha="left",
         fontsize=12,
@@ -132,85 +178,195 @@ def draw_experiment(
     return figure
 
 
-def _question(band: Band | None) -> str:
-    """Return what the page answers. No page mixes the two questions but for events, whose bars are apart."""
-    if band is None:
-        return "No reference: it is not known which motion is right"
-    return QUESTIONS["verification" if band.kind.is_solution else "validation"]
-
-
-def _title(part: SubFigure, text: str) -> None:
-    part.suptitle(text, x=0.01, ha="left", fontsize=10, fontweight="bold")
-
-
-def _distance_title(against: Yardstick) -> str:
-    until = ""
-    if against.end_s < float(against.times_s[-1]):
-        until = f", known until {quantity_text(against.end_s)} of {quantity_text(against.times_s[-1])} s"
-    if not against.points:
-        return f"Distance from {against.name}{until}"
-    what = points_words(against.points)
-    if against.reference is None and not against.of_start:
-        return f"Distance from {against.name}, of all {what} together (root of the sum of squares)"
-    return f"Distance from {against.name}, root mean square over {what}{until}"
-
-
-def _draw_deciding(
-    part: SubFigure, series: Sequence[Series], against: Yardstick
-) -> None:
-    """Draw the coordinates that decide the score."""
-    # The engine that others are compared with is at no distance from itself.
-    others = series if against.reference is not None or against.of_start else series[1:]
-    deviations = [
-        against.deviation(result, aligned=is_aligned(result))
-        for one in others
-        for result in one.results
-    ]
-    shares = against.shares(deviations)
-    order = np.argsort(-shares, kind="stable")
-    count = len(shares)
-    deciding = sorted(order[:DECIDING].tolist())
-
-    axes = part.subplots(1, len(deciding), squeeze=False)[0]
-    draw_coordinates(axes, deciding, series, against, shares=shares)
-    title = "Coordinates, with their share of the squared distance"
-    if count == 1:
-        title = "The coordinate that is compared"
-    elif count > DECIDING:
-        title = f"The {DECIDING} of {count} coordinates with the largest share of the squared distance"
-    _title(part, title)
-
-
-def _notes(
-    experiment: Experiment, band: Band | None, bars: Container[str]
-) -> list[str]:
-    kind = Kind.NONE if band is None else band.kind
-    parts = [f"Reference {kind.value}: {KIND_NOTES[kind]}."]
-    if band is not None:
-        parts.append(f"{band.source[:1].upper()}{band.source[1:]}.")
-    if experiment.driver_provenance:
-        parts.append(f"Driver: {experiment.driver_provenance}.")
-    if VALIDATION in bars:
-        parts.append("Grey bars: engines as published (GAUGE, Table 5).")
-    return parts
-
-
-def _series(results: Iterable[Result], among: Sequence[Result]) -> list[Series]:
+def _series(results: Sequence[Result], among: Sequence[Result]) -> list[Series]:
     groups = group_by_configuration(among)
     labels = configuration_labels([configuration for configuration, _ in groups])
     shown = {id(result) for result in results}
-    present = []
-    for index, (_, members) in enumerate(groups):
+    series: list[Series] = []
+    for index, (label, (_, members)) in enumerate(zip(labels, groups, strict=True)):
         drawn = tuple(result for result in members if id(result) in shown)
         if drawn:
-            present.append((index, drawn))
-    series = []
-    for order, (index, drawn) in enumerate(present):
-        # The later ones are thinner, so that one that lies on another does not hide it; repeats are thin anyway.
-        width = (
-            max(1.2, 1.8 + 0.4 * (len(present) - 1) - 0.6 * order)
-            if len(drawn) == 1
-            else 0.8
-        )
-        series.append(Series(labels[index], *color_of(index), width, drawn))
+            # Later curves are thinner, so that equal ones do not hide each other.
+            width = max(1.2, 2.6 - 0.3 * len(series))
+            series.append(Series(label, *color_of(index), width, drawn))
     return series
+
+
+def _shares(reference: Reference, results: Sequence[Result]) -> FloatArray:
+    """Return the share of each coordinate in the squared distance, mean over results, shape [C]; 0 without any."""
+    squares = [
+        np.nansum(np.square(reference.deviation(one)), axis=0) for one in results
+    ]
+    known = [one / one.sum() for one in squares if 0.0 < one.sum() < np.inf]
+    return np.mean(known or [np.zeros(len(reference.band.coordinates))], axis=0)
+
+
+def _question(reference: Reference) -> str:
+    """Return what the picture answers, and what the distance is from. No picture mixes the two questions."""
+    distance = f"Distance from {reference.name}"
+    if reference.scored is None:
+        return f"No reference: it is not known which motion is right. {distance}"
+    kind, count = reference.band.kind, reference.band.marker_count
+    if count > 1:
+        distance += f", root mean square over {count} markers"
+    question = QUESTIONS["verification" if kind.is_solution else "validation"]
+    return f"{question} {distance}"
+
+
+def _notes(experiment: Experiment, reference: Reference) -> Iterator[str]:
+    """Yield what curves and shades are, and where the reference is from."""
+    band, scored = reference.band, reference.scored
+    kind = Kind.NONE if scored is None else scored.kind
+    if not reference.is_start:
+        yield f"Black: {reference.name}, known until {reference.end_s:.3g} s."
+    if kind.is_solution:
+        yield f"Grey: its standard uncertainty u, and {reference.spread_factor} u."
+    elif scored is not None:
+        yield "Grey: one and two standard deviations of real trials."
+    if scored is not None and (~band.measured & band.known).any():
+        yield "Hatched and dotted: extrapolated, not measured."
+    yield f"Reference {kind.value}: {KIND_NOTES[kind]}."
+    if scored is not None:
+        yield f"{scored.source[:1].upper()}{scored.source[1:]}."
+    if experiment.driver_provenance:
+        yield f"Driver: {experiment.driver_provenance}."
+
+
+# --- distance over time ----------------------------------------------------------------------------------------------
+
+
+def _draw_distances(axis: Axes, series: Sequence[Series], reference: Reference) -> None:
+    """Draw the distance of each result from the reference; without one, from the first configuration."""
+    is_between = reference.scored is None and not reference.is_start
+    if is_between:
+        _draw_gaps(axis, series)
+    else:
+        _draw_spread(axis, reference, is_aligned(series[0].results[0]))
+        for one in series:
+            for number, result in enumerate(one.results):
+                lengths = reference.lengths(reference.deviation(result))
+                label = None if number else one.legend
+                axis.plot(reference.times_s, lengths, label=label, **one.style)
+    axis.set_ylabel(f"distance [{reference.band.unit}]")
+    axis.set_xlabel("time [s]")
+    axis.set_xlim(0.0, reference.end_s)
+    _scale_distances(axis, reference)
+    tidy_axis(axis)
+    legend_above(axis)
+
+
+def _draw_spread(axis: Axes, reference: Reference, aligned: bool) -> None:
+    """Draw the distance of real trials from the mean of the others; else the scatter, or u, of the reference."""
+    times_s, scored = reference.times_s, reference.scored
+    if scored is None:
+        return
+    of_trials = scored.trial_rmse_aligned if aligned else scored.trial_rmse
+    if of_trials is not None:
+        label = "1: mean of the real trials, each from the mean of the others"
+        height = np.full(len(times_s), of_trials.mean())
+        axis.fill_between(times_s, height, facecolor=NARROW, label=label, zorder=1)
+        return
+    spread, factor = reference.lengths(reference.spread), reference.spread_factor
+    is_solution = reference.band.kind.is_solution
+    name = "u of the solution" if is_solution else "standard deviations of real trials"
+    for reach, shade in ((factor, WIDE), (1.0, NARROW)):
+        axis.fill_between(
+            times_s,
+            reach * spread,
+            facecolor=shade,
+            label=f"{reach:g} {name}",
+            zorder=1,
+        )
+    if is_solution:
+        mean = reference.band.mean
+        start = mean[int(reference.band.known.argmax())]
+        label = "a scene in which nothing moves"
+        still = reference.lengths(mean - start)
+        axis.plot(times_s, still, color=REAL, lw=1.1, ls="--", label=label)
+
+
+def _draw_gaps(axis: Axes, series: Sequence[Series]) -> None:
+    """Draw the distance of each configuration from the first, and that of the real trials from their mean."""
+    first, *others = series
+    for one in others:
+        for number, gap in enumerate(trajectory_gaps(first.results, one.results)):
+            label = None if number else one.legend
+            axis.plot(gap.times_s, gap.distances, label=label, **one.style)
+    baseline = published_baselines(short_id(first.results[0].id)).get("rmse")
+    if baseline is not None:
+        label = "published distance of real trials from their mean"
+        axis.axhline(baseline.mean, color=REAL, lw=1.0, ls="--", label=label)
+
+
+def _scale_distances(axis: Axes, reference: Reference) -> None:
+    """Choose a logarithmic axis for solutions, and where the spread of real trials would be a line on the axis."""
+    curves = [line.get_ydata() for line in axis.get_lines() if line.get_color() != REAL]
+    distances = np.concatenate([np.zeros(1), *curves])
+    distances = distances[distances > 0.0]
+    spread = 0.0
+    if reference.scored is not None:
+        spread = float(np.nanmax(reference.lengths(reference.spread)))
+    largest = distances.max(initial=0.0)
+    is_wide = 0.0 < MAX_LINEAR_RATIO * spread < largest
+    if largest and (reference.band.kind.is_solution or is_wide):
+        low = float(np.quantile(distances, LOW_QUANTILE))
+        axis.set_yscale("log")
+        axis.set_ylim(bottom=0.5 * min(low, spread or low))
+    else:
+        axis.set_ylim(bottom=0.0)
+
+
+# --- coordinates -----------------------------------------------------------------------------------------------------
+
+
+def _draw_coordinate(
+    axis: Axes, series: Sequence[Series], reference: Reference, column: int
+) -> None:
+    """Draw a coordinate of all results over its reference."""
+    end_s = reference.end_s
+    start_s = end_s - WINDOW_S if end_s > MAX_MOTION_S else 0.0
+    limits = (-np.inf, np.inf)
+    if not reference.is_start:
+        _draw_mean(axis, reference, column)
+        low, high = axis.get_ylim()
+        reach = MAX_RANGE * (high - low)
+        limits = (low - reach, high + reach)
+    for one in series:
+        for result in one.results:
+            times_s, values = reference.motion(result)
+            shown = (times_s >= start_s) & (times_s <= end_s + 1.0 / FRAME_RATE_HZ)
+            axis.plot(times_s[shown], values[shown, column], **one.style)
+    low, high = axis.get_ylim()
+    axis.set_ylim(max(low, limits[0]), min(high, limits[1]))
+    axis.set_xlim(start_s, end_s)
+    axis.set_xlabel("time [s]", fontsize=9)
+    axis.tick_params(labelsize=8)
+    tidy_axis(axis)
+
+
+def _draw_mean(axis: Axes, reference: Reference, column: int) -> None:
+    """Draw the mean of a coordinate and its spread; extrapolated parts are dotted and hatched."""
+    band, times_s = reference.band, reference.times_s
+    mean, spread = band.mean[:, column], reference.spread[:, column]
+    # Simulations lie on the line of a solution: it is wide and below them. A measured mean is above them.
+    is_real = band.kind.is_real
+    look: dict[str, Any] = {"color": REAL, "lw": 1.1 if is_real else 3.0}
+    look["zorder"] = 5 if is_real else 2
+    # An extrapolated part reaches to the measured frames beside it.
+    extrapolated = np.convolve(~band.measured, [1, 1, 1], "same") > 0
+    for flags, style, hatch in ((band.measured, "-", {}), (extrapolated, ":", HATCH)):
+        for factor, shade in ((reference.spread_factor, WIDE), (1.0, NARROW)):
+            low, high = mean - factor * spread, mean + factor * spread
+            axis.fill_between(
+                times_s, low, high, where=flags, facecolor=shade, zorder=1, **hatch
+            )
+        axis.plot(times_s, np.where(flags, mean, np.nan), ls=style, **look)
+
+
+def _widen(axes: Sequence[Axes]) -> None:
+    """Give each panel a share of the range of the widest one."""
+    limits = [axis.get_ylim() for axis in axes]
+    min_range = MIN_RANGE * max(high - low for low, high in limits)
+    for axis, (low, high) in zip(axes, limits, strict=True):
+        missing = max(min_range - (high - low), 0.0)
+        axis.set_ylim(low - 0.5 * missing, high + 0.5 * missing)

@@ -27,7 +27,7 @@ def plot(
     """
     from gauge_envs.tools.compare.experiment_figure import save_figures
     from gauge_envs.tools.compare.overview_figure import save_comparison
-    from gauge_envs.tools.compare.words import check_metrics
+    from gauge_envs.tools.compare.report import check_metrics
 
     if kind == "experiments":
         for option, is_given in (("metric", metric), ("no-corrected", not corrected)):

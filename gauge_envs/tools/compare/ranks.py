@@ -1,11 +1,11 @@
 """Ranks of configurations in each experiment, and over the experiments of one kind of reference.
 
-Nothing is compared across kinds, because they answer different questions. Configurations with the same constants are a
-group of their own: a rank among engines of which some have better constants ranks the constants.
+Kinds of reference answer different questions, so nothing is compared across them. Configurations are ranked among those
+with the same constants, because better constants would rank above better engines.
 
-A configuration ranks behind those whose difference is resolved: its 95 % interval excludes differences of at most
-`NEGLIGIBLE`. The interval of a rank reaches from the best to the worst rank among those that are not resolved, and its
-value is the middle. The mean rank over a kind counts each experiment the same.
+A configuration ranks behind another when the 95 % interval of their difference excludes differences of at most
+`NEGLIGIBLE`. The interval of a rank reaches from the best to the worst rank among configurations that are not resolved,
+and its value is the middle. The mean rank over a kind counts each experiment the same.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import numpy as np
 
 from gauge_envs.references.kind import Kind
 from gauge_envs.scoring.score import Interval
-from gauge_envs.tools.compare.difference import Deviations, difference_interval
+from gauge_envs.tools.compare.statistics import Deviations, difference_interval
 
 NEGLIGIBLE = 0.01
-"""Difference of scores over their scale up to which two configurations tie: the last digit that tables show."""
+"""Difference of normalized scores up to which two configurations tie: the last digit that tables show."""
 
 PUBLISHED = "calibrated"
 """Constants of configurations with the parameters that the benchmark publishes."""
@@ -56,42 +56,18 @@ class ScoredExperiment:
 
     Attributes:
         id: Gymnasium id.
-        deviations: Deviations of each configuration; None for one without a score.
-        intervals: 95 % interval of the primary score of each configuration, or None.
+        deviations: Deviations by index of the configuration, of those with a score.
+        intervals: 95 % interval of the primary score by index of the configuration; None without one.
     """
 
     id: str
-    deviations: tuple[Deviations | None, ...]
-    intervals: tuple[Interval | None, ...]
-
-    def ranks(self, members: Sequence[int]) -> dict[int, Mean]:
-        """Return the rank of each of these configurations that has a score."""
-        scored = {
-            index: one
-            for index in members
-            if (one := self.deviations[index]) is not None
-        }
-        best, worst = dict.fromkeys(scored, 1), dict.fromkeys(scored, len(scored))
-        for (first, ours), (second, theirs) in combinations(scored.items(), 2):
-            low, high = difference_interval(ours, theirs)
-            if low > NEGLIGIBLE:
-                best[first] += 1
-                worst[second] -= 1
-            elif high < -NEGLIGIBLE:
-                best[second] += 1
-                worst[first] -= 1
-        return {
-            index: Mean(
-                value=0.5 * (best[index] + worst[index]),
-                interval_95=(float(best[index]), float(worst[index])),
-            )
-            for index in scored
-        }
+    deviations: Mapping[int, Deviations]
+    intervals: Mapping[int, Interval | None]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExperimentRanks:
-    """Rank of each configuration with a score in one experiment, which `id` names."""
+    """Rank of each configuration with a score in the experiment `id`."""
 
     id: str
     ranks: Mapping[int, Mean]
@@ -130,11 +106,8 @@ class KindComparison:
     @property
     def name(self) -> str:
         """Kind, and constants that are not the published ones."""
-        return (
-            self.kind
-            if self.constants == PUBLISHED
-            else f"{self.kind}, {self.constants}"
-        )
+        is_published = self.constants == PUBLISHED
+        return self.kind if is_published else f"{self.kind}, {self.constants}"
 
 
 def compare_kind(
@@ -144,17 +117,15 @@ def compare_kind(
 
     Args:
         kind: Kind of the references.
-        experiments: Experiments of that kind, with the same configurations in the same order.
+        experiments: Experiments of that kind.
         constants: Name of the constants of each configuration.
     """
     groups: dict[str, list[int]] = {}
     for index, name in enumerate(constants):
-        if any(one.deviations[index] is not None for one in experiments):
+        if any(index in one.deviations for one in experiments):
             groups.setdefault(name, []).append(index)
-    return tuple(
-        _compared(kind, name, experiments, groups[name])
-        for name in sorted(groups, key=lambda name: (name != PUBLISHED, name))
-    )
+    names = sorted(groups, key=lambda name: (name != PUBLISHED, name))
+    return tuple(_compared(kind, name, experiments, groups[name]) for name in names)
 
 
 def _compared(
@@ -164,7 +135,7 @@ def _compared(
     members: Sequence[int],
 ) -> KindComparison:
     """Return the comparison of configurations with the same constants."""
-    ranks = {one.id: one.ranks(members) for one in experiments}
+    ranks = {one.id: _ranks(one, members) for one in experiments}
     common = [one for one in experiments if len(ranks[one.id]) == len(members)]
     scores = [KindScore(configuration=index) for index in members]
     if common:
@@ -182,33 +153,51 @@ def _compared(
         ids=tuple(one.id for one in common),
         scores=tuple(scores),
         experiments=tuple(
-            ExperimentRanks(id=name, ranks=found)
-            for name, found in ranks.items()
-            if found
+            ExperimentRanks(id=name, ranks=of_experiment)
+            for name, of_experiment in ranks.items()
+            if of_experiment
         ),
     )
 
 
+def _ranks(experiment: ScoredExperiment, members: Sequence[int]) -> dict[int, Mean]:
+    """Return the rank of each of these configurations that has a score."""
+    deviations = experiment.deviations
+    scored = [index for index in members if index in deviations]
+    best, worst = dict.fromkeys(scored, 1), dict.fromkeys(scored, len(scored))
+    for first, second in combinations(scored, 2):
+        low, high = difference_interval(deviations[first], deviations[second])
+        if low > NEGLIGIBLE:
+            best[first] += 1
+            worst[second] -= 1
+        elif high < -NEGLIGIBLE:
+            best[second] += 1
+            worst[first] -= 1
+    return {
+        index: Mean(
+            value=0.5 * (best[index] + worst[index]),
+            interval_95=(float(best[index]), float(worst[index])),
+        )
+        for index in scored
+    }
+
+
 def _mean_rank(ranks: Sequence[Mean]) -> Mean:
     best, worst = np.mean([one.interval_95 for one in ranks], axis=0)
-    return Mean(
-        value=float(np.mean([one.value for one in ranks])),
-        interval_95=(float(best), float(worst)),
-    )
+    value = float(np.mean([one.value for one in ranks]))
+    return Mean(value=value, interval_95=(float(best), float(worst)))
 
 
-def _mean_score(common: Sequence[ScoredExperiment], index: int) -> Mean:
+def _mean_score(experiments: Sequence[ScoredExperiment], index: int) -> Mean:
     """Return the mean over experiments; their references are independent, so widths add in quadrature."""
-    values, widths = [], []
-    for one in common:
-        deviations, interval = one.deviations[index], one.intervals[index]
-        assert deviations is not None
-        value = float(deviations.scores.mean())
-        low, high = interval or (value, value)
-        values.append(value)
-        widths.append((value - low, high - value))
-    mean = float(np.mean(values))
-    below, above = np.linalg.norm(widths, axis=0) / len(values)
-    return Mean(
-        value=mean, interval_95=(max(mean - float(below), 0.0), mean + float(above))
-    )
+    scores = [float(one.deviations[index].scores.mean()) for one in experiments]
+    mean = float(np.mean(scores))
+    # A score without an interval counts as exact.
+    intervals = [
+        one.intervals[index] or (score, score)
+        for one, score in zip(experiments, scores, strict=True)
+    ]
+    widths = np.subtract(intervals, np.transpose([scores]))
+    below, above = np.linalg.norm(widths, axis=0) / len(scores)
+    low = max(mean - float(below), 0.0)
+    return Mean(value=mean, interval_95=(low, mean + float(above)))

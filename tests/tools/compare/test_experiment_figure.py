@@ -1,129 +1,70 @@
-"""The page of one experiment: it fits on a screen, its curves are those of the scores, and no question is mixed."""
+"""The picture of one experiment: it fits on a screen, and its curves are those of the scores."""
 
-from __future__ import annotations
-
-import struct
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 from places import one_of_a_kind
 
 from gauge_envs import load_experiment, reference_band
-from gauge_envs.experiments.task_files import task_sha256
-from gauge_envs.experiments.variants import find_variant, variants
+from gauge_envs.experiments.variants import variants
+from gauge_envs.pages.figures import OURS
 from gauge_envs.pages.text import QUESTIONS
 from gauge_envs.references.kind import Kind
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
-from gauge_envs.scoring.score import Score, score_trajectory
+from gauge_envs.scoring.score import Score
 from gauge_envs.tools.compare.experiment_figure import draw_experiment, save_figures
 
-MOST_PIXELS = 1600
 IDS = [variant.id.removeprefix("GAUGE/") for variant in variants()]
-FLING, BALL, WALL = (
-    "TextileFlinging-nylon",
-    "BouncingBall-rubber",
-    "WallBreaking-wood",
-)
 
 
-def motion_of(experiment, band):
-    """The mean of the reference at 180 Hz, held where it is not known, or no motion at all."""
-    count = (experiment.frame_count - 1) * 6 + 1
-    times_s = np.arange(count) / 180
-    values = np.zeros((count, len(experiment.coordinates)))
-    if band is not None:
-        known = np.isfinite(band.mean).all(axis=1)
-        frames_s = np.arange(len(band.mean)) / 30
-        means = [
-            np.interp(times_s, frames_s[known], column[known]) for column in band.mean.T
-        ]
-        values = np.column_stack(means) @ np.linalg.pinv(band.projection).T
-    return times_s, values
-
-
-def markers_of(experiment, band):
-    """Markers at the frames [m]: on the reference, held where it is not known, or at rest."""
-    markers = experiment.scene.markers
-    if markers is None:
-        return None
-    start = np.array(markers.positions_m)
-    places = np.repeat(start[None], experiment.frame_count, axis=0)
-    if band is not None and band.points is not None:
-        mean = 1e-3 * band.points.mean.reshape(places.shape)
-        places = np.where(np.isfinite(mean), mean, places)
-    return places
-
-
-def made(name, *, backend="mujoco", change=None, markers_change=None):
-    """A result that follows the reference but for changes, as an engine would leave it, with its score."""
+def drifting(name, *, speed=1.0, refused=None, **changes):
+    """A result without a score, whose coordinates grow and whose markers are 30 mm too high at one place."""
     experiment = load_experiment(name)
     band = reference_band(experiment)
-    times_s, values = motion_of(experiment, band)
-    values = values if change is None else values + change(times_s, values)
-    markers = markers_of(experiment, band)
-    if markers is not None and markers_change is not None:
-        markers = markers + markers_change(markers)
-    score = score_trajectory(
-        experiment,
-        band,
-        times_s=times_s,
-        values=values,
-        markers_m=markers,
-        is_checked=True,
-    )
-    return result_of(experiment, score, times_s, values, markers, backend=backend)
+    times_s = np.arange((experiment.frame_count - 1) * 6 + 1) / 180
+    values = np.zeros((len(times_s), len(experiment.coordinates)))
+    values[:, 0] = speed * times_s
+    markers_m = None
+    if experiment.scene.markers is not None:
+        start_m = np.array(experiment.scene.markers.positions_m)
+        markers_m = np.repeat(start_m[None], experiment.frame_count, axis=0)
+        if band is not None and band.points is not None:
+            mean_m = 1e-3 * band.points.mean.reshape(markers_m.shape)
+            markers_m = np.where(np.isfinite(mean_m), mean_m, markers_m)
+        markers_m[1:, 0, 2] += 0.03
+    kind = Kind.NONE if band is None else band.kind
+    values = {
+        "id": experiment.id,
+        "outcome": Outcome.FINISHED,
+        "parameters": "calibrated",
+        "score": Score(kind=kind.value, unit="mm", refused=refused),
+        "task_sha256": "",
+        "revision": experiment.revision,
+        "backend": "mujoco",
+        "trajectory": RecordedTrajectory.of(experiment, times_s, values, markers_m),
+    }
+    return Result(**(values | changes))
 
 
-def result_of(experiment, score, times_s, values, markers, *, backend):
-    return Result(
-        id=experiment.id,
-        outcome=Outcome.FINISHED,
-        parameters="calibrated",
-        score=score,
-        task_sha256=task_sha256(find_variant(experiment.id).family),
-        revision=experiment.revision,
-        backend=backend,
-        frames=experiment.frame_count,
-        trajectory=RecordedTrajectory.of(experiment, times_s, values, markers),
-    )
+def curves_of(figure):
+    """Heights of the curves of results in the panel of distances."""
+    return [
+        np.asarray(line.get_ydata(), dtype=float)
+        for line in figure.axes[0].get_lines()
+        if to_hex(line.get_color()) in OURS
+    ]
 
 
-def quick(name, *backends):
-    """Results of one motion with a score of its kind alone."""
-    experiment = load_experiment(name)
-    band = reference_band(experiment)
-    times_s, values = motion_of(experiment, band)
-    values = values + times_s[:, None] * np.linspace(0.1, 1.0, values.shape[1])
-    kind = (Kind.NONE if band is None else band.kind).value
-    score = Score(kind=kind, unit=experiment.score.observable.unit)
-    markers = markers_of(experiment, band)
-    one = result_of(experiment, score, times_s, values, markers, backend=backends[0])
-    return [replace(one, backend=backend) for backend in backends]
-
-
-def texts_of(artist):
-    """Texts of a figure without those of its ticks, which are slow to make."""
-    from matplotlib.axis import Axis
-    from matplotlib.text import Text
-
-    if isinstance(artist, Text):
-        return [artist.get_text()] if artist.get_text() else []
-    parts = [artist.label] if isinstance(artist, Axis) else artist.get_children()
-    return [text for part in parts for text in texts_of(part)]
-
-
-def curve_of(figure, label):
-    (line,) = [line for line in figure.axes[0].get_lines() if line.get_label() == label]
-    return np.asarray(line.get_ydata(), dtype=float)
-
-
-def png_size(file):
-    return struct.unpack(">II", file.read_bytes()[16:24])
+def legend_of(figure):
+    return [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
 
 
 def kind_of(name):
-    """What a page depends on: what is observed, how many coordinates it has, and its reference."""
+    """What a picture depends on: what is observed, how many coordinates it has, and its reference."""
     experiment = load_experiment(name)
     band = reference_band(experiment)
     kind = None if band is None else band.kind
@@ -131,72 +72,57 @@ def kind_of(name):
 
 
 @pytest.mark.parametrize("name", one_of_a_kind(IDS, kind_of))
-def test_a_page_fits_on_a_screen_and_answers_one_question(name):
-    results = quick(name, "mujoco", "newton")
-    figure = draw_experiment(results)
-    assert round(figure.get_figheight() * 120) <= MOST_PIXELS
-    kind = Kind(results[0].score.kind)
-    texts = texts_of(figure)
-    asked = [text for text in texts for one in QUESTIONS.values() if one in text]
-    assert any("Distance from" in text for text in texts)
-    if kind is Kind.NONE:
-        assert asked == []
-        return
+def test_a_picture_fits_on_a_screen_and_answers_one_question(name):
+    result = drifting(name)
+    figure = draw_experiment([result, replace(result, backend="newton")])
+    assert figure.get_figheight() * 120 <= 1600
+    kind = Kind(result.score.kind)
+    asked = [key for key, text in QUESTIONS.items() if text in figure.get_suptitle()]
     question = "verification" if kind.is_solution else "validation"
-    assert QUESTIONS[question] in asked[0]
-    # Curves, shades and their legends are of that question; events have bars of their own.
-    curves = [
-        label for axis in figure.axes for label in axis.get_legend_handles_labels()[1]
-    ]
-    mixed = "real" if kind.is_solution else " u "
-    assert not any(mixed in label for label in curves)
+    assert asked == ([] if kind is Kind.NONE else [question])
 
 
-@pytest.mark.parametrize("name", [FLING, WALL])
-def test_the_file_is_as_high_as_the_page(name, tmp_path):
-    results = quick(name, "mujoco", "newton", "physx")
-    (file,) = save_figures(results, tmp_path)
-    width, height = png_size(file)
-    assert width == 1440
-    assert height <= MOST_PIXELS
-
-
-def test_the_first_curve_of_a_solution_is_its_distance_and_its_parts_are_named():
-    def lift(markers):
-        change = np.zeros_like(markers)
-        change[1:, 5, 2] = 0.03
-        return change
-
-    result = made(FLING, markers_change=lift)
+@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "Turntable-1-wood"])
+def test_the_curve_of_a_result_is_its_distance(name, tmp_path):
+    result = run_episode(RunRequest(name))
     figure = draw_experiment([result])
-    curve = curve_of(figure, "mujoco, calibrated")
-    found = result.score.distance
-    assert np.sqrt(np.nanmean(curve**2)) == pytest.approx(found, rel=1e-3)
-    # 30 mm of one marker of 63, root mean square over them; positions in files have four digits.
-    assert np.nanmax(curve) == pytest.approx(30.0 / np.sqrt(63), rel=1e-3)
-    assert "marker 5, z [mm]: 100 %" in [
-        axis.get_title(loc="left") for axis in figure.axes
+    (curve,) = curves_of(figure)
+    root_mean_square = np.sqrt(np.nanmean(np.square(curve)))
+    # Aligned after a release.
+    assert root_mean_square == pytest.approx(result.score.distance, rel=1e-3)
+    if result.score.primary == "rmse_aligned":
+        assert any("shifted by +0.00" in text for text in legend_of(figure))
+        # Below it, up to where a score is 1.
+        height_mm = reference_band(load_experiment(name)).trial_rmse_aligned.mean()
+        shade = figure.axes[0].collections[0].get_paths()[0].vertices[:, 1].max()
+        assert shade == pytest.approx(height_mm)
+    (file,) = save_figures([result], tmp_path)
+    assert file.name == f"{name}.png"
+
+
+def test_the_distance_of_markers_is_their_root_mean_square():
+    figure = draw_experiment([drifting("TextileFlinging-nylon")])
+    (curve_mm,) = curves_of(figure)
+    # 30 mm of one marker of 63; positions in files have four digits.
+    assert np.nanmax(curve_mm) == pytest.approx(30.0 / np.sqrt(63), rel=1e-3)
+    titles = [axis.get_title(loc="left") for axis in figure.axes]
+    assert "marker 0, z [mm]: 100% of the squared distance" in titles
+
+
+def test_engines_without_a_reference_are_drawn_by_their_distance():
+    # A cube of another friction is not the one that was solved.
+    name, refused = "SlopeSlider-3-wood", "no score: it differs"
+    still = drifting(name, speed=0.0, refused=refused)
+    repeats = [
+        drifting(name, speed=60.0, refused=refused, backend="newton", seed=seed)
+        for seed in range(3)
     ]
-
-
-def test_the_first_curve_of_a_release_is_aligned_and_so_are_the_trials_below_it():
-    early_s = 0.05
-
-    def hasten(times_s, values):
-        columns = [np.interp(times_s + early_s, times_s, one) for one in values.T]
-        return np.column_stack(columns) - values + 4.0
-
-    result = made(BALL, change=hasten)
-    figure = draw_experiment([result])
-    score = result.score
-    assert score.time_offset_s == pytest.approx(early_s, abs=0.005)
-    label = f"mujoco, calibrated, moved by {score.time_offset_s:+.3f} s to align the release"
-    curve = curve_of(figure, label)
-    assert np.sqrt(np.mean(curve**2)) == pytest.approx(score.rmse_aligned, rel=0.02)
-    # Below it, up to where a score is 1.
-    reach = reference_band(load_experiment(BALL)).trial_rmse_aligned.mean()
-    shade = figure.axes[0].collections[0].get_paths()[0].vertices[:, 1].max()
-    assert shade == pytest.approx(reach)
+    figure = draw_experiment([still, *repeats])
+    curves_mm = curves_of(figure)
+    assert len(curves_mm) == 3
+    frames_s = np.arange(len(curves_mm[0])) / 30
+    assert curves_mm[0] == pytest.approx(60.0 * frames_s, abs=1e-9)
+    assert "newton, 3 repeats" in legend_of(figure)
 
 
 def test_a_picture_needs_one_experiment():

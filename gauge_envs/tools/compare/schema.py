@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal, TypedDict
 from gauge_envs.cli.schemas import Form
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.scoring.score import Interval
-from gauge_envs.tools.compare.difference import ScoreSpread
 from gauge_envs.tools.compare.distance import Distance
 from gauge_envs.tools.compare.ranks import Mean
+from gauge_envs.tools.compare.statistics import ScoreSpread
 
 
 class RealFacts(TypedDict):

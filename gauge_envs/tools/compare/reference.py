@@ -1,0 +1,183 @@
+"""What the results of one experiment are compared with: real trials, a solution, another engine, or their start."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gauge_envs.errors import ShapeError
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.pages.results import ALIGNED
+from gauge_envs.references.band import Band
+from gauge_envs.references.kind import Kind
+from gauge_envs.runs.result import RecordedTrajectory, Result, recorded_frames
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.metrics import interpolated
+from gauge_envs.scoring.reference import reference_band
+from gauge_envs.scoring.score import COVERAGE_FACTOR
+
+NAMES = {
+    Kind.ANALYTIC: "the analytical solution",
+    Kind.NUMERICAL: "the numerical solution",
+    Kind.RECORDING: "the recorded real trial",
+}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Reference:
+    """What results are compared with.
+
+    Attributes:
+        name: Its name, as `the mean of 20 real trials`.
+        band: Mean and spread in the compared coordinates. Its kind is `none` for another engine or the start.
+        scored: Band of the score, which has `band` itself or as its `points`; None without a reference.
+        is_start: Whether each result is compared with its own start.
+    """
+
+    name: str
+    band: Band
+    scored: Band | None = None
+    is_start: bool = False
+
+    @property
+    def spread(self) -> FloatArray:
+        """Scatter of real trials, or u of the solution, shape [frame_count, C]; 0 without one."""
+        uncertainty = self.band.uncertainty if self.band.kind.is_solution else None
+        return self.band.sigma if uncertainty is None else uncertainty
+
+    @property
+    def spread_factor(self) -> float:
+        """Half width of the wide shaded area over `spread`: two standard deviations, or the 95 % interval of u."""
+        return COVERAGE_FACTOR if self.band.kind.is_solution else 2.0
+
+    @property
+    def end_s(self) -> float:
+        """Last time at which it is known [s]."""
+        last = np.flatnonzero(self.band.known)[-1:]
+        return max(last.sum() / FRAME_RATE_HZ, 1e-3)
+
+    @property
+    def times_s(self) -> FloatArray:
+        """Times of the frames [s], shape [frame_count]."""
+        return np.arange(len(self.band.mean)) / FRAME_RATE_HZ
+
+    def lengths(self, values: FloatArray) -> FloatArray:
+        """Return the Euclidean length of values at each frame, shape [frame_count]; NaN where nothing is known.
+
+        Of markers, it is the root mean square over them.
+        """
+        if self.scored is None:
+            return np.asarray(np.linalg.norm(values, axis=1))
+        squares = np.where(np.isfinite(self.band.mean), np.square(values), 0.0)
+        lengths = np.sqrt(squares.sum(axis=1) / self.band.marker_count)
+        return np.where(self.band.known, lengths, np.nan)
+
+    def motion(self, result: Result) -> tuple[FloatArray, FloatArray]:
+        """Return times [s], shape [sample_count], and the compared coordinates, shape [sample_count, C].
+
+        A result whose primary score is aligned is shifted by its time offset. Both arrays are empty where the result
+        does not have the compared markers or coordinates.
+        """
+        recorded = recorded_of(result)
+        width = len(self.band.coordinates)
+        nothing = np.zeros(0), np.zeros((0, width))
+        if self.scored is None:
+            is_comparable = recorded.coordinates == list(self.band.coordinates)
+            return recorded.arrays() if is_comparable else nothing
+        if self.scored.points is not None:
+            markers_mm = recorded.markers_mm
+            if markers_mm.shape[1] != width:
+                return nothing
+            return np.arange(len(markers_mm)) / FRAME_RATE_HZ, markers_mm
+        offset_s = result.score.time_offset_s if is_aligned(result) else None
+        if offset_s is None:
+            times_s, samples = recorded.arrays()
+            return times_s, self.band.project(samples)
+        times_s, samples = recorded.arrays(later=True)
+        shown_s = np.array(recorded.times_s)
+        projected = self.band.project(samples)
+        return shown_s, interpolated(shown_s - offset_s, times_s, projected)
+
+    def deviation(self, result: Result) -> FloatArray:
+        """Return a result minus the reference, shape [frame_count, C]; NaN where one of them is not known."""
+        mean = self.band.mean
+        values = np.full(mean.shape, np.nan)
+        numbers, rows = recorded_frames(*self.motion(result))
+        is_inside = numbers < len(values)
+        values[numbers[is_inside]] = rows[is_inside]
+        return values - (values[:1] if self.is_start else mean)
+
+
+def choose_reference(
+    results: Sequence[Result], band: Band | None, *, labels: Sequence[str] = ()
+) -> Reference:
+    """Return what results of one experiment are compared with.
+
+    Args:
+        results: First result of each configuration, one or more.
+        band: Reference of the experiment, if it has one.
+        labels: Label of each configuration.
+    """
+    if band is not None:
+        return Reference(name=_name(band), band=band.compared, scored=band)
+    first = recorded_of(results[0])
+    numbers, rows = first.frames
+    mean = np.full((max(numbers, default=0) + 1, len(first.coordinates)), np.nan)
+    mean[numbers] = rows
+    plain = Band(
+        kind=Kind.NONE,
+        unit=first.unit,
+        coordinates=tuple(first.coordinates),
+        projection=np.eye(mean.shape[1]),
+        mean=mean,
+        sigma=np.zeros_like(mean),
+        measured=np.asarray(np.isfinite(mean).all(axis=1)),
+        source="",
+    )
+    if len(results) > 1:
+        return Reference(name=labels[0], band=plain)
+    return Reference(name="the start", band=plain, is_start=True)
+
+
+def judging_band(experiment: Experiment, results: Iterable[Result]) -> Band | None:
+    """Return the reference of an experiment; None without one, or if it refuses to score each of the results."""
+    refused = all(one.score.refused is not None for one in results)
+    return None if refused else reference_band(experiment)
+
+
+def is_aligned(result: Result) -> bool:
+    """Return whether the primary score of a result is that after release alignment."""
+    return result.score.primary == ALIGNED.key
+
+
+def recorded_of(result: Result) -> RecordedTrajectory:
+    """Return the trajectory of a result that ran.
+
+    Raises:
+        ShapeError: It did not run.
+    """
+    if result.trajectory is None:
+        raise ShapeError(f"{result.id} has no trajectory: {result.error}")
+    return result.trajectory
+
+
+def coordinate_words(name: str) -> str:
+    """Return the name of a coordinate as people write it: `marker 3, z` for `marker-3.z`."""
+    stem, dot, axis = name.rpartition(".")
+    plain = (
+        (stem or name).replace("face_area", "face").replace("line_curvature", "bend")
+    )
+    text = plain.replace("_", " ").replace("-", " ")
+    return f"{text}, {axis}" if dot else text
+
+
+def _name(band: Band) -> str:
+    if band.kind in NAMES:
+        return NAMES[band.kind]
+    if band.trial_count == 1:
+        return "the real trial"
+    count = "" if band.trial_count is None else f"{band.trial_count} "
+    return f"the mean of {count}real trials"

@@ -1,0 +1,196 @@
+"""Statistics of repeats: mean and standard deviation, intervals, and the difference between two configurations.
+
+All configurations of an experiment share the error e of its reference. Of two deviations a and b from the reference,
+
+    |a - e|^2 - |b - e|^2 = |a|^2 - |b|^2 - 2 e (a - b),
+
+which is linear in e and has no bias. Divided by |a| + |b| it is the observed difference |a| - |b| and its error, which
+is at most 2 |e|. A time shift with the smallest distance changes nothing of first order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from gauge_envs.references.band import Band
+from gauge_envs.scene.geometry import FloatArray, length_of
+from gauge_envs.scoring.score import COVERAGE_FACTOR, Interval
+
+SMALLEST = 1e-300
+"""Smallest divisor: 0 / SMALLEST is 0."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreSpread:
+    """Mean and scatter of repeats.
+
+    Attributes:
+        mean: Mean.
+        std: Sample standard deviation (n - 1); None for a single value.
+        count: Number of values.
+    """
+
+    mean: float
+    std: float | None
+    count: int
+
+    @classmethod
+    def of(cls, values: Iterable[float | None]) -> ScoreSpread | None:
+        """Return the spread of the values that are not None; None without any."""
+        known = [value for value in values if value is not None]
+        if not known:
+            return None
+        std = float(np.std(known, ddof=1)) if len(known) > 1 else None
+        return cls(mean=float(np.mean(known)), std=std, count=len(known))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Deviations:
+    """Deviations of the repeats of a configuration from a reference, and the error of the reference, over its scale.
+
+    Attributes:
+        seeds: Seed of each repeat.
+        vectors: Deviations, whose norms are the primary scores, shape [repeat_count, entry_count].
+        trials: Part of each real trial in the error of their mean: (trial - mean) / sqrt(N (N - 1)), shape
+            [trial_count, entry_count]. It has no rows without single trials.
+        shared: Standard uncertainty that all trials share, shape [coordinate_count, entry_count].
+        uncertainty: Standard uncertainty of a reference without single trials.
+    """
+
+    seeds: tuple[int | None, ...]
+    vectors: FloatArray
+    trials: FloatArray
+    shared: FloatArray
+    uncertainty: float
+
+    @property
+    def scores(self) -> FloatArray:
+        """Primary score of each repeat, shape [repeat_count]."""
+        return np.asarray(np.linalg.norm(self.vectors, axis=1))
+
+    @classmethod
+    def of(
+        cls,
+        band: Band,
+        deviations: Sequence[FloatArray],
+        seeds: Iterable[int | None],
+        *,
+        scale: float,
+    ) -> Deviations:
+        """Return the deviations of repeats.
+
+        Args:
+            band: Reference of the score.
+            deviations: Deviation of each repeat in the compared coordinates, shape [frame_count, C].
+            seeds: Seed of each repeat.
+            scale: Distance of a score of 1, in the unit of the band.
+        """
+        compared = band.compared
+        known = np.isfinite(compared.mean)
+        size = scale * math.sqrt(int(compared.known.sum()) * compared.marker_count)
+        trials = shared = np.zeros((0, int(known.sum())))
+        if band.trials is not None and len(band.trials) > 1:
+            trials = _errors_of_mean(band.trials)[:, known] / size
+            if band.uncertainty is not None:
+                axes = np.eye(len(band.coordinates))[:, None]
+                shared = (np.nan_to_num(band.uncertainty) * axes)[:, known] / size
+        return cls(
+            seeds=tuple(seeds),
+            vectors=np.array([one[known] for one in deviations]) / size,
+            trials=trials,
+            shared=shared,
+            uncertainty=band.standard_uncertainty / scale,
+        )
+
+    def half_width(self, direction: FloatArray) -> float:
+        """Return half the width of the 95 % interval of the reference's error along a vector of shape [entry_count].
+
+        With single trials it is that of Student's t for the mean of their components. Consecutive trials that are alike
+        count as fewer: AR(1), whose lag correlation has the bias 1/N. Otherwise the error may have any direction, and
+        all of it is along the vector.
+        """
+        count = len(self.trials)
+        if not count:
+            return COVERAGE_FACTOR * self.uncertainty * length_of(direction)
+        series = self.trials @ direction
+        variance = float(series @ series)
+        lag = float(series[1:] @ series[:-1]) / max(variance, SMALLEST) + 1.0 / count
+        lag = min(max(lag, 0.0), 1.0 - 1.0 / count)
+        std_of_mean = math.sqrt(variance * (1.0 + lag) / (1.0 - lag))
+        shared = length_of(self.shared @ direction)
+        return _student_t(count) * math.hypot(std_of_mean, shared)
+
+
+def _errors_of_mean(trials: FloatArray) -> FloatArray:
+    """Return (trial - mean) / sqrt(N (N - 1)) of trials of shape [N, T, C]; 0 where a trial is not known."""
+    known = np.isfinite(trials)
+    count = np.maximum(known.sum(axis=0), 1)
+    residuals = trials - np.nansum(trials, axis=0) / count
+    errors = residuals / np.sqrt(np.maximum(count * (count - 1), 1))
+    return np.where(known, errors, 0.0)
+
+
+def _student_t(count: int) -> float:
+    """Return the half width of the 95 % interval of a mean of values over its standard error."""
+    # A comparison without repeats or trials needs no SciPy, whose import is slow.
+    from scipy.special import stdtrit
+
+    return float(stdtrit(count - 1, 0.975))
+
+
+def mean_half_width(values: Sequence[float] | FloatArray) -> float:
+    """Return half the width of the 95 % interval of a mean over repeats; 0 for a single repeat."""
+    count = len(values)
+    if count < 2:
+        return 0.0
+    return _student_t(count) * float(np.std(values, ddof=1)) / math.sqrt(count)
+
+
+def repeats_interval(
+    values: Sequence[float], intervals: Sequence[Interval]
+) -> Interval:
+    """Return the 95 % interval of the mean of normalized scores over repeats.
+
+    The repeats share the reference, so the mean of their intervals is the interval of their mean. Their scatter adds
+    in quadrature on each side.
+
+    Args:
+        values: Score of each repeat, at least one.
+        intervals: 95 % interval of each score.
+    """
+    mean, half = float(np.mean(values)), mean_half_width(values)
+    low, high = np.mean(intervals, axis=0)
+    below, above = math.hypot(mean - low, half), math.hypot(high - mean, half)
+    return max(mean - below, 0.0), mean + above
+
+
+def difference_interval(first: Deviations, second: Deviations) -> Interval:
+    """Return the 95 % interval of the mean score of the first configuration minus that of the second.
+
+    Repeats are paired by seed, and repeats with a seed that only one of the two has are left out. Without a common
+    seed, each repeat is paired with each.
+    """
+    places = {seed: place for place, seed in enumerate(second.seeds)}
+    pairs = [(i, places[seed]) for i, seed in enumerate(first.seeds) if seed in places]
+    is_paired = bool(pairs)
+    if not is_paired:
+        pairs = [*product(range(len(first.seeds)), range(len(second.seeds)))]
+    rows, columns = np.transpose(pairs)
+    scores, other_scores = first.scores[rows], second.scores[columns]
+    differences = scores - other_scores
+    half_of_repeats = (
+        mean_half_width(differences)
+        if is_paired
+        else math.hypot(mean_half_width(first.scores), mean_half_width(second.scores))
+    )
+    sums = np.maximum(scores + other_scores, SMALLEST)
+    apart = first.vectors[rows] - second.vectors[columns]
+    direction = (2.0 / sums) @ apart / len(pairs)
+    half = math.hypot(half_of_repeats, first.half_width(direction))
+    difference = float(differences.mean())
+    return difference - half, difference + half
