@@ -143,18 +143,18 @@ BUNDLED = (
         "recipe",
         "recipes.recipe_command:recipe",
         "Give contact settings of an engine for a measured behaviour, and what they reach.",
-        line="recipes.lines:Recipe",
+        line="recipes.schema:RecipeLine",
     ),
     Command(
         "recipe fabrics",
-        "recipes.fabrics_command:recipe_fabrics",
+        "recipes.recipe_command:recipe_fabrics",
         "Show the six fabrics in every engine's constants, and what is lost.",
-        line="recipes.lines:FabricsLine",
+        line="recipes.schema:FabricsLine",
     ),
     Command(
         "list materials",
-        "recipes.fabrics_command:list_materials",
-        line="recipes.lines:MaterialLine",
+        "recipes.recipe_command:list_materials",
+        line="recipes.schema:MaterialLine",
     ),
     Command(
         "backend check",

@@ -10,15 +10,8 @@ if TYPE_CHECKING:
         engine_names as engine_names,
         engine_settings as engine_settings,
     )
-    from gauge_envs.tools.recipes.measure import (
-        Measured as Measured,
-        measured as measured,
-    )
-    from gauge_envs.tools.recipes.probes import (
-        Probe as Probe,
-        Rest as Rest,
-        Spread as Spread,
-    )
+    from gauge_envs.tools.recipes.measure import measured as measured
+    from gauge_envs.tools.recipes.probes import Probe as Probe
     from gauge_envs.tools.recipes.search import (
         Recipe as Recipe,
         find_recipe as find_recipe,
@@ -29,8 +22,8 @@ else:
         {
             ".aim": ["FREE_FRICTION", "Aim"],
             ".engines": ["engine_names", "engine_settings"],
-            ".measure": ["Measured", "measured"],
-            ".probes": ["Probe", "Rest", "Spread"],
+            ".measure": ["measured"],
+            ".probes": ["Probe"],
             ".search": ["Recipe", "find_recipe"],
         },
     )

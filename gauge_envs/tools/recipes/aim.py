@@ -1,56 +1,51 @@
 """What a recipe is asked for: the behaviour of a contact, the mass of the body and the time step."""
 
-from __future__ import annotations
-
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 
 from gauge_envs.backends.shared.spring_damper import spring_damper_restitution
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 
-FRICTION_RANGE = (0.01, 2.0)
-"""Coefficients of friction that the scenes measure: the plate tips at 4, and on less it slides on a level slope."""
-
-MASS_RANGE_KG = (1e-3, 1e4)
-"""Masses that the scenes measure [kg]."""
-
-TIMESTEP_RANGE_S = (5e-5, 0.05)
-"""Time steps that the scenes measure [s]: below, a recipe takes minutes; above, a ball falls 0.1 m in a step."""
-
-PENETRATION_RANGE_M = (1e-7, 0.01)
-"""Depths at rest that the scenes measure [m]: the plate is 0.03 m thick."""
-
-
-TURNING_RANGE_M, CREEP_RANGE_M_S = (1e-5, 0.01), (1e-9, 1.0)
-"""Torsional and rolling friction [m], above which a ball slides and does not roll, and creep [m/s]."""
-
 FREE_FRICTION = 0.5
 """Coefficient of friction with which a contact is built and measured when none is asked for."""
+
+RANGES = {
+    "friction": (0.01, 2.0),
+    "restitution": (0.0, 1.0),
+    "penetration_m": (1e-7, 0.01),
+    "damping_n_s_per_m": (0.0, math.inf),
+    "torsion_m": (1e-5, 0.01),
+    "rolling_m": (1e-5, 0.01),
+    "creep_m_s": (1e-9, 1.0),
+    "mass_kg": (1e-3, 1e4),
+    "timestep_s": (5e-5, 0.05),
+}
+"""Values that the scenes measure.
+
+The plate tips at a friction of 4, and is 0.03 m thick. A ball with more torsional or rolling friction slides and does
+not roll. A recipe takes minutes at shorter time steps; at longer ones a ball falls 0.1 m in a step.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Aim:
-    """Behaviour of a contact that settings are to give.
+    """Behaviour of a contact that settings are to give; None for what does not matter.
 
     Attributes:
         friction: Coulomb coefficient, static and dynamic, of a body that holds contact.
-        restitution: Rebound over impact speed; None if it does not matter.
-        penetration_m: Largest depth of the plate at rest on four corners [m]; None if it does not matter.
-        stiffness_n_per_m: Weight of the plate over its depth at rest [N/m]; None for a contact as hard as it gets.
-        damping_n_s_per_m: Damping beside this stiffness [N s/m], in place of the restitution; None if it is not given.
-        torsion_m: Torque of friction about the normal, over the normal force [m]; None if it does not matter.
-        rolling_m: Torque against rolling, over the normal force [m]; None if it does not matter.
-        creep_m_s: Largest speed on a slope of half the friction [m/s]; None if it does not matter.
+        restitution: Rebound over impact speed.
+        penetration_m: Largest depth of the plate at rest on four corners [m].
+        stiffness_n_per_m: Weight of the plate over its depth at rest [N/m]. None gives a contact as hard as it gets.
+        damping_n_s_per_m: Damping beside this stiffness [N s/m], in place of the restitution.
+        torsion_m: Torque of friction about the normal, over the normal force [m].
+        rolling_m: Torque against rolling, over the normal force [m].
+        creep_m_s: Largest speed on a slope of half the friction [m/s].
         mass_kg: Mass of the body [kg].
         timestep_s: Time step of the engine [s].
-        is_friction_asked: Whether the friction matters. If not, it is a value to build and measure with.
-
-    Raises:
-        ParameterError: A value is out of the range that can be measured, or two values contradict each other.
     """
 
-    friction: float
+    friction: float | None = None
     restitution: float | None = None
     penetration_m: float | None = None
     stiffness_n_per_m: float | None = None
@@ -60,50 +55,43 @@ class Aim:
     creep_m_s: float | None = None
     mass_kg: float
     timestep_s: float
-    is_friction_asked: bool = True
 
-    def __post_init__(self) -> None:
-        check_measurable("friction", self.friction, FRICTION_RANGE)
-        check_measurable("mass", self.mass_kg, MASS_RANGE_KG, " kg")
-        check_measurable("timestep", self.timestep_s, TIMESTEP_RANGE_S, " s")
-        if self.restitution is not None:
-            check_measurable("restitution", self.restitution, (0.0, 1.0))
-        for name, value in self.turning.items():
-            check_measurable(name, value, TURNING_RANGE_M, " m")
-        if self.creep_m_s is not None:
-            check_measurable("creep", self.creep_m_s, CREEP_RANGE_M_S, " m/s")
-        if self.penetration_m is not None:
-            check_measurable(
-                "penetration", self.penetration_m, PENETRATION_RANGE_M, " m"
+    def check(self) -> None:
+        """Check that the scenes can measure the behaviour.
+
+        Raises:
+            ParameterError: A value is out of range, or two values contradict each other.
+        """
+        for name, (low, high) in RANGES.items():
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                raise ParameterError(f"{name} {value:g}: expected {low:g} to {high:g}")
+        if self.damping_n_s_per_m is not None and (
+            self.stiffness_n_per_m is None or self.restitution is not None
+        ):
+            raise ParameterError(
+                "damping determines the rebound of a stiffness: give a stiffness and no restitution"
             )
         if self.stiffness_n_per_m is not None:
             self._check_stiffness(self.stiffness_n_per_m)
-        if self.damping_n_s_per_m is not None:
-            if self.stiffness_n_per_m is None or self.restitution is not None:
-                raise ParameterError(
-                    "damping: it determines the rebound beside a stiffness: give a stiffness and no restitution"
-                )
-            check_measurable(
-                "damping", self.damping_n_s_per_m, (0.0, math.inf), " N s/m"
-            )
 
-    def _check_stiffness(self, stiffness: float) -> None:
+    def _check_stiffness(self, stiffness_n_per_m: float) -> None:
         if self.penetration_m is not None:
             raise ParameterError(
-                "stiffness and penetration both state the depth at rest: give one of them"
+                "stiffness and penetration both determine the depth at rest: give one of them"
             )
-        weight = self.mass_kg * GRAVITY_M_PER_S2
-        low, high = (
-            float(f"{weight / depth_m:.3g}")
-            for depth_m in reversed(PENETRATION_RANGE_M)
-        )
-        check_measurable("stiffness", stiffness, (low, high), " N/m for this mass")
+        shallowest_m, deepest_m = RANGES["penetration_m"]
+        weight_n = self.mass_kg * GRAVITY_M_PER_S2
+        if not weight_n / deepest_m <= stiffness_n_per_m <= weight_n / shallowest_m:
+            raise ParameterError(
+                f"stiffness_n_per_m {stiffness_n_per_m:g}: expected {weight_n / deepest_m:.3g} to "
+                f"{weight_n / shallowest_m:.3g} for {self.mass_kg:g} kg"
+            )
 
     @property
-    def turning(self) -> dict[str, float]:
-        """Torsional and rolling friction that are asked for [m], by name."""
-        several = {"torsion_m": self.torsion_m, "rolling_m": self.rolling_m}
-        return {name: value for name, value in several.items() if value is not None}
+    def sliding_friction(self) -> float:
+        """Coefficient of friction with which the contact is built and measured."""
+        return FREE_FRICTION if self.friction is None else self.friction
 
     @property
     def depth_m(self) -> float | None:
@@ -114,49 +102,26 @@ class Aim:
 
     def aimed_depth_m(self, margin: float) -> float | None:
         """Return the depth at rest that settings aim at [m]: a share of an allowed one, or that of the stiffness."""
-        return (
-            None
-            if self.depth_m is None
-            else (margin if self.stiffness_n_per_m is None else 1.0) * self.depth_m
-        )
+        if self.penetration_m is not None:
+            return margin * self.penetration_m
+        return self.depth_m
 
     @property
     def rebound(self) -> float | None:
-        """Restitution that is asked for, or that of a linear spring and damper; None if neither is given."""
+        """Restitution that is asked for, or that of the spring and damper."""
         if self.damping_n_s_per_m is None or self.stiffness_n_per_m is None:
             return self.restitution
-        critical = 2.0 * math.sqrt(self.stiffness_n_per_m * self.mass_kg)
-        return spring_damper_restitution(self.damping_n_s_per_m / critical)
+        critical_n_s_per_m = 2.0 * math.sqrt(self.stiffness_n_per_m * self.mass_kg)
+        return spring_damper_restitution(self.damping_n_s_per_m / critical_n_s_per_m)
 
-    def changed(self, **values: float) -> Aim:
-        """Return an aim with other values, which may be out of range: a search for settings passes the target."""
-        aim = replace(self)
-        if "restitution" in values:
-            object.__setattr__(aim, "damping_n_s_per_m", None)
-        for name, value in values.items():
-            object.__setattr__(aim, name, value)
-        return aim
-
-    def asked(self) -> dict[str, float | None]:
-        """Return the request, JSON-ready."""
-        values = asdict(self)
-        return values | {
-            "friction": self.friction if values.pop("is_friction_asked") else None
+    @property
+    def targets(self) -> dict[str, float | None]:
+        """Values that the scenes measure against, by the names of measured values; None for what does not matter."""
+        turning = {"torsion_m": self.torsion_m, "rolling_m": self.rolling_m}
+        return {
+            "friction": self.friction,
+            "restitution": self.rebound,
+            "penetration_m": self.depth_m,
+            "creep_m_s": self.creep_m_s,
+            **{name: value for name, value in turning.items() if value is not None},
         }
-
-
-def check_measurable(
-    name: str,
-    value: float,
-    limits: tuple[float, float],
-    unit: str = "",
-    *,
-    what: str = "a recipe is",
-) -> None:
-    """Raise an error for a value that the scenes do not measure."""
-    low, high = limits
-    if not low <= value <= high:
-        upper = f" to {high:g}" if math.isfinite(high) else " or more"
-        raise ParameterError(
-            f"{name} {value:g}{unit}: {what} measured for {low:g}{upper}{unit}"
-        )

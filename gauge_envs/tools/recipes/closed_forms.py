@@ -1,4 +1,4 @@
-"""MuJoCo's contact constraint in closed form."""
+"""MuJoCo's contact constraint in closed form, in the scenes of `probes`."""
 
 import math
 from dataclasses import dataclass
@@ -6,6 +6,12 @@ from dataclasses import dataclass
 from scipy.optimize import brentq
 
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.tools.recipes.probes import (
+    BALL_COUNT,
+    PLATE_CONTACTS,
+    creep_slope_rad,
+    drop_heights_m,
+)
 
 Solimp = tuple[float, float, float, float, float]
 """Impedance: d0, dwidth, width [m], midpoint, power."""
@@ -19,31 +25,13 @@ LONGEST_IMPACT_S = 2.0
 
 def mujoco_impedance(solimp: Solimp, depth_m: float) -> float:
     """Return MuJoCo's impedance d(r) at a depth [m]; `solimp` is d0, dwidth, width [m], midpoint, power."""
-    d0, dwidth, width, midpoint, power = solimp
-    x = min(abs(depth_m) / width, 1.0) if width > 0.0 else 1.0
+    d0, dwidth, width_m, midpoint, power = solimp
+    x = min(abs(depth_m) / width_m, 1.0) if width_m > 0.0 else 1.0
     if x <= midpoint:
-        y = x**power / midpoint ** (power - 1.0) if midpoint > 0.0 else 0.0
+        y = midpoint * (x / midpoint) ** power
     else:
-        y = 1.0 - (1.0 - x) ** power / (1.0 - midpoint) ** (power - 1.0)
+        y = 1.0 - (1.0 - midpoint) * ((1.0 - x) / (1.0 - midpoint)) ** power
     return d0 + y * (dwidth - d0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ContactForm:
-    """What MuJoCo's documented contact equation gives for a body with one coordinate, without the engine.
-
-    Attributes:
-        restitution: Mean over the phases of the impact within a step.
-        penetration_m: Depth at rest [m].
-        creep_m_s: Speed on a slope below the friction angle [m/s].
-        time_constant_s: Twice the inverse of the damping per mass [s], as MuJoCo defines it; None if one step stops the
-            body or more, or without damping.
-    """
-
-    restitution: float
-    penetration_m: float
-    creep_m_s: float
-    time_constant_s: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,11 +44,11 @@ class MuJoCoContact:
     Attributes:
         solref: Time constant [s] and damping ratio, or the negative stiffness and damping.
         solimp: Impedance: d0, dwidth, width [m], midpoint, power.
+        timestep_s: Time step [s].
         solreffriction: As `solref` for friction; zeros stand for `solref`.
         friction: Coefficient of friction.
         impratio: Ratio of frictional to normal impedance.
         is_elliptic: Whether the friction cone is elliptic, not pyramidal.
-        timestep_s: Time step [s].
 
     Source: MuJoCo documentation, Computation, section Constraint model, and Modeling, section Solver parameters; the
     softness of the pyramid, function mj_makeImpedance in engine_core_constraint.c.
@@ -68,140 +56,115 @@ class MuJoCoContact:
 
     solref: tuple[float, float]
     solimp: Solimp
-    solreffriction: tuple[float, float]
-    friction: float
-    impratio: float
-    is_elliptic: bool
     timestep_s: float
+    solreffriction: tuple[float, float] = (0.0, 0.0)
+    friction: float = 1.0
+    impratio: float = 1.0
+    is_elliptic: bool = True
 
-    def form(
-        self, *, contact_count: int, slope_rad: float, drop_m: float, phase_count: int
-    ) -> ContactForm:
-        """Return what the equation gives for a body on equal contacts, and for a drop on one contact.
+    def form(self) -> dict[str, float | None]:
+        """Return what the equation gives for the plate and the mean of the drops, by the names of measured values.
 
-        Args:
-            contact_count: Number of contacts that carry the body at rest.
-            slope_rad: Slope of the creep [rad].
-            drop_m: Height of the drop [m].
-            phase_count: Number of drops, each at another phase of the impact within a step.
+        The time constant is twice the inverse of the damping per mass, as MuJoCo defines it. It is None without
+        damping, and where one step stops the body or more.
         """
-        depth_m = self._depth_m(contact_count, G)
-        loss = (
-            self.timestep_s
-            * self._share(self._impedance(depth_m), contact_count)
-            * self._damping(self.solref)
-        )
-        rebounds = self.rebounds(drop_m=drop_m, phase_count=phase_count)
-        return ContactForm(
-            penetration_m=depth_m,
-            time_constant_s=-2.0 * self.timestep_s / math.log1p(-loss)
-            if 0.0 < loss < 1.0
-            else None,
-            restitution=sum(rebounds) / phase_count,
-            creep_m_s=self._creep_m_s(contact_count, slope_rad),
-        )
+        depth_m = self._depth_m(G)
+        impedance = mujoco_impedance(self.solimp, depth_m)
+        share = self._share(impedance, PLATE_CONTACTS)
+        loss = self.timestep_s * share * self._damping_per_s(self.solref)
+        time_constant_s = None
+        if 0.0 < loss < 1.0:
+            time_constant_s = -2.0 * self.timestep_s / math.log1p(-loss)
+        return {
+            "friction": self.friction,
+            "restitution": sum(self.rebounds()) / BALL_COUNT,
+            "penetration_m": depth_m,
+            "creep_m_s": self._creep_m_s(),
+            "time_constant_s": time_constant_s,
+        }
 
-    def rebounds(self, *, drop_m: float, phase_count: int) -> tuple[float, ...]:
-        """Return the restitution of drops on one contact, each at another phase of the impact within a step.
+    def rebounds(self) -> list[float]:
+        """Return the restitution of each drop on one contact."""
+        return [self._rebound(height_m) for height_m in drop_heights_m(self.timestep_s)]
 
-        Args:
-            drop_m: Height of the drop [m].
-            phase_count: Number of drops.
-        """
-        return tuple(
-            self._rebound(drop_m, index / phase_count) for index in range(phase_count)
-        )
-
-    def _impedance(self, depth_m: float) -> float:
-        return mujoco_impedance(self.solimp, depth_m)
-
-    def _stiffness(self, d: float) -> float:
+    def _stiffness_per_s2(self, d: float) -> float:
         """Return k of the reference acceleration [1/s^2]; MuJoCo keeps the time constant at two steps or more."""
         first, second = self.solref
         dmax = self.solimp[1]
-        return (
-            -first * d / dmax**2
-            if first <= 0.0
-            else d / (dmax * max(first, 2.0 * self.timestep_s) * second) ** 2
-        )
+        if first <= 0.0:
+            return -first * d / dmax**2
+        time_constant_s = max(first, 2.0 * self.timestep_s)
+        return d / (dmax * time_constant_s * second) ** 2
 
-    def _damping(self, solref: tuple[float, float]) -> float:
+    def _damping_per_s(self, solref: tuple[float, float]) -> float:
         """Return b of the reference acceleration [1/s]."""
         first, second = solref
         dmax = self.solimp[1]
-        return (
-            -second / dmax
-            if first <= 0.0
-            else 2.0 / (dmax * max(first, 2.0 * self.timestep_s))
-        )
-
-    @property
-    def _softness(self) -> float:
-        square = self.friction**2
-        return (
-            1.0 if self.is_elliptic else 0.5 * square * (1.0 + square) / self.impratio
-        )
+        if first <= 0.0:
+            return -second / dmax
+        return 2.0 / (dmax * max(first, 2.0 * self.timestep_s))
 
     def _share(self, d: float, contact_count: int) -> float:
-        return contact_count * d / (contact_count * d + self._softness * (1.0 - d))
+        """Return D."""
+        square = self.friction**2
+        softness = 0.5 * square * (1.0 + square) / self.impratio
+        if self.is_elliptic:
+            softness = 1.0
+        return contact_count * d / (contact_count * d + softness * (1.0 - d))
 
-    def _depth_m(self, contact_count: int, load_m_per_s2: float) -> float:
+    def _depth_m(self, load_m_per_s2: float) -> float:
+        """Return the depth of the plate at rest [m]: D k r = (1 - D) g."""
+
         def excess(depth_m: float) -> float:
-            d = self._impedance(depth_m)
-            share = self._share(d, contact_count)
-            return share * self._stiffness(d) * depth_m - (1.0 - share) * load_m_per_s2
+            d = mujoco_impedance(self.solimp, depth_m)
+            share = self._share(d, PLATE_CONTACTS)
+            spring_m_per_s2 = share * self._stiffness_per_s2(d) * depth_m
+            return spring_m_per_s2 - (1.0 - share) * load_m_per_s2
 
-        deepest = 1e-9
-        while excess(deepest) < 0.0:
-            deepest *= 10.0
-            if deepest > DEEPEST_M:
-                return math.inf
-        return float(brentq(excess, 0.0, deepest, xtol=1e-15))
+        if excess(DEEPEST_M) < 0.0:
+            return math.inf
+        return float(brentq(excess, 0.0, DEEPEST_M, xtol=1e-15, maxiter=1000))
 
-    def _creep_m_s(self, contact_count: int, slope_rad: float) -> float:
-        depth_m = self._depth_m(contact_count, G * math.cos(slope_rad))
-        d = self._impedance(min(depth_m, DEEPEST_M))
-        damping = self._damping(
-            self.solreffriction if any(self.solreffriction) else self.solref
+    def _creep_m_s(self) -> float:
+        """Return the speed of the plate on the slope [m/s], at which damping balances the soft share of the load."""
+        slope_rad = creep_slope_rad(self.friction)
+        has_own_damping = any(self.solreffriction)
+        damping_per_s = self._damping_per_s(
+            self.solreffriction if has_own_damping else self.solref
         )
-        load = (
-            (1.0 - d)
-            * G
-            * math.sin(slope_rad)
-            * (1.0 if self.is_elliptic else 1.0 + self.friction**2)
-        )
-        return (
-            load / (contact_count * d * self.impratio * damping)
-            if damping > 0.0
-            else math.inf
-        )
+        if damping_per_s <= 0.0:
+            return math.inf
+        d = mujoco_impedance(self.solimp, self._depth_m(G * math.cos(slope_rad)))
+        load_m_per_s2 = (1.0 - d) * G * math.sin(slope_rad)
+        if not self.is_elliptic:
+            load_m_per_s2 *= 1.0 + self.friction**2
+        return load_m_per_s2 / (PLATE_CONTACTS * d * self.impratio * damping_per_s)
 
-    def _rebound(self, drop_m: float, phase: float) -> float:
+    def _rebound(self, height_m: float) -> float:
         """Return the restitution of a drop, by height, with the engine's steps: velocity first, then position."""
-        h, height_m = (
-            self.timestep_s,
-            drop_m + phase * math.sqrt(2.0 * G * drop_m) * self.timestep_s,
-        )
+        step_s = self.timestep_s
         # After n steps of the fall the speed is n g h, and the way n (n + 1) g h^2 / 2.
-        count = (
-            math.floor(0.5 * (math.sqrt(1.0 + 8.0 * height_m / (G * h**2)) - 1.0)) + 1
-        )
-        speed, depth_m = count * G * h, 0.5 * count * (count + 1) * G * h**2 - height_m
+        way_steps = 2.0 * height_m / (G * step_s**2)
+        count = math.floor(0.5 * (math.sqrt(1.0 + 4.0 * way_steps) - 1.0)) + 1
+        speed_m_per_s = count * G * step_s
+        depth_m = 0.5 * count * (count + 1) * G * step_s**2 - height_m
         has_turned = False
-        for _ in range(math.ceil(LONGEST_IMPACT_S / h)):
-            d = self._impedance(depth_m)
-            push = G + self._damping(self.solref) * speed + self._stiffness(d) * depth_m
-            speed += h * (G - self._share(d, 1) * max(push, 0.0))
-            depth_m += h * speed
-            if depth_m <= 0.0 or depth_m > DEEPEST_M or (has_turned and speed >= 0.0):
+        for _ in range(math.ceil(LONGEST_IMPACT_S / step_s)):
+            d = mujoco_impedance(self.solimp, depth_m)
+            push_m_per_s2 = (
+                G
+                + self._damping_per_s(self.solref) * speed_m_per_s
+                + self._stiffness_per_s2(d) * depth_m
+            )
+            speed_m_per_s += step_s * (G - self._share(d, 1) * max(push_m_per_s2, 0.0))
+            depth_m += step_s * speed_m_per_s
+            is_back = has_turned and speed_m_per_s >= 0.0
+            if depth_m <= 0.0 or depth_m > DEEPEST_M or is_back:
                 break
-            has_turned = speed < 0.0
-        if not depth_m <= 0.0:
-            return 0.0
+            has_turned = speed_m_per_s < 0.0
         # Positions without force lie on a parabola, whose slope is that between two steps.
-        rise = -speed - 0.5 * h * G
-        return (
-            math.sqrt(max(0.5 * rise**2 / G - depth_m, 0.0) / height_m)
-            if rise > 0.0
-            else 0.0
-        )
+        rise_m_per_s = -speed_m_per_s - 0.5 * step_s * G
+        if not depth_m <= 0.0 or rise_m_per_s <= 0.0:
+            return 0.0
+        peak_m = 0.5 * rise_m_per_s**2 / G - depth_m
+        return math.sqrt(max(peak_m, 0.0) / height_m)

@@ -40,114 +40,103 @@ class MaterialPair:
     uncertainty_sources: tuple[str, ...]
 
 
-CUBES = {
-    f"{material}-on-wood{suffix}": (
-        f"{material} cube on a {support}",
-        family,
+PAIRS = {
+    "wood-on-wood": ("wood cube on a tilted wooden board", "SlopeSlider", "cube"),
+    "plastic-on-wood": ("plastic cube on a tilted wooden board", "SlopeSlider", "cube"),
+    "metal-on-wood": ("metal cube on a tilted wooden board", "SlopeSlider", "cube"),
+    "wood-on-wood-plate": ("wood cube on a turning wooden plate", "Turntable", "cube"),
+    "plastic-on-wood-plate": (
+        "plastic cube on a turning wooden plate",
+        "Turntable",
         "cube",
-        material,
-    )
-    for suffix, support, family in (
-        ("", "tilted wooden board", "SlopeSlider"),
-        ("-plate", "turning wooden plate", "Turntable"),
-    )
-    for material in ("wood", "plastic", "metal")
-}
-DROP = ("BouncingBall", "ball", "rubber")
-CRADLE = ("NewtonsCradle", "ball-1", "metal")
-PLACES = CUBES | {
+    ),
+    "metal-on-wood-plate": (
+        "metal cube on a turning wooden plate",
+        "Turntable",
+        "cube",
+    ),
     "wood-on-wood-block": (
         "wooden tetrahedron on the seam of a wooden block",
         "SlopeContact",
         "teh",
-        "wood",
     ),
     "plastic-on-plastic-block": (
         "plastic tetrahedron on the seam of a plastic block",
         "SlopeContact",
         "teh",
-        "plastic",
     ),
-    "rubber-on-wood": ("rubber ball on a wooden plank", *DROP),
+    "rubber-on-wood": ("rubber ball on a wooden plank", "BouncingBall", "ball"),
     "rubber-on-wood-recorded": (
         "rubber ball on a wooden plank, restitution of the recorded drops",
-        *DROP,
+        "BouncingBall",
+        "ball",
     ),
-    "metal-on-metal": ("balls of a cradle", *CRADLE),
+    "metal-on-metal": ("balls of a cradle", "NewtonsCradle", "ball-1"),
     "metal-on-metal-recorded": (
         "balls of a cradle, restitution that transfers the recorded momentum",
-        *CRADLE,
+        "NewtonsCradle",
+        "ball-1",
     ),
-    "acrylic-on-table": (
-        "acrylic cube tossed on a table",
-        "CubeToss",
-        "cube",
-        "acrylic",
-    ),
+    "acrylic-on-table": ("acrylic cube tossed on a table", "CubeToss", "cube"),
 }
-"""The two bodies of each pair in words; then the family of the task file, and the body and material in it."""
+"""The two bodies of each pair in words; then the family of the task file, and the body in it.
 
-RECORDED = ("rubber-on-wood-recorded", "metal-on-metal-recorded")
-"""Pairs whose restitution is that of recorded trials, set `effective` of the task file."""
-
-WITHOUT_FRICTION = ("metal-on-metal", "metal-on-metal-recorded")
-"""Pairs whose friction was not measured."""
-
-NOT_CALIBRATED = ("acrylic-on-table",)
-"""Pairs whose friction does not have the uncertainty of the benchmark's calibration."""
+The name begins with the material of the body.
+"""
 
 
 def material_pairs() -> tuple[MaterialPair, ...]:
     """Return all pairs."""
-    return tuple(map(find_material, PLACES))
+    return tuple(map(find_material, PAIRS))
 
 
 def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
     """Return a pair of materials.
 
+    A pair `-recorded` has the restitution of recorded trials, which is the set `effective` of the task file.
+
     Args:
         name: Name of the pair.
         also: Further names that a message about an unknown one offers.
+
+    Raises:
+        UnknownNameError: There is no such pair.
     """
-    if name not in PLACES:
-        raise UnknownNameError("material", name, [*PLACES, *also])
-    what, family, body, material = PLACES[name]
+    if name not in PAIRS:
+        raise UnknownNameError("material", name, [*PAIRS, *also])
+    material = name.partition("-")[0]
+    what, family, body = PAIRS[name]
     spec = task_spec(family)
     constants = spec.constants_of(body, material, None)
-    friction, restitution, mass_kg = (
-        constants[key] for key in ("friction", "restitution", "mass_kg")
-    )
+    friction, restitution = constants["friction"], constants["restitution"]
+    mass_kg = constants["mass_kg"]
     assert restitution is not None and mass_kg is not None, "task files state both"
-    origin = spec.provenance_of(f"constants.{body}.{material}")
-    # Only the ball's published restitution was compared with trials.
-    std = (
-        uncertainties.RESTITUTION_SHARE * restitution
-        if family == DROP[0] and name not in RECORDED
-        else None
-    )
-    if name in RECORDED:
-        restitution = spec.parameters["effective"].values[f"{body}.restitution"]
-        origin += f"; restitution: {spec.provenance_of('parameters.effective')}"
-    if name in WITHOUT_FRICTION:
+    source = spec.provenance_of(f"constants.{body}.{material}")
+    friction_std = restitution_std = None
+    sources = []
+    if family == "NewtonsCradle":
         friction = None
-    friction_std = None
-    if friction is not None and name not in NOT_CALIBRATED:
+    elif friction is not None and family != "CubeToss":
         friction_std = uncertainties.friction_std(friction, material)
-    whence = []
-    if friction_std is not None:
-        whence.append(f"friction: {uncertainties.FRICTION_SOURCE}")
-    if std is not None:
-        whence.append(f"restitution: {uncertainties.RESTITUTION_SOURCE}")
+        sources.append(f"friction: {uncertainties.FRICTION_SOURCE}")
+    if name.endswith("-recorded"):
+        restitution = spec.parameters["effective"].values[f"{body}.restitution"]
+        source += f"; restitution: {spec.provenance_of('parameters.effective')}"
+    elif family == "BouncingBall":
+        # Only the ball's published restitution was compared with trials.
+        restitution_std = uncertainties.RESTITUTION_SHARE * restitution
+        sources.append(f"restitution: {uncertainties.RESTITUTION_SOURCE}")
+    publications = filter(None, (spec.source.metadata, spec.source.paper))
     return MaterialPair(
         name=name,
         what=what,
         friction=friction,
         friction_std=friction_std,
         restitution=restitution,
-        restitution_std=std,
+        restitution_std=restitution_std,
         mass_kg=mass_kg,
-        source=f"{origin} ({', '.join(filter(None, (spec.source.metadata, spec.source.paper)))})",
-        uncertainty_sources=tuple(whence),
+        source=f"{source} ({', '.join(publications)})",
+        uncertainty_sources=tuple(sources),
     )
 
 

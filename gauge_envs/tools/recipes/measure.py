@@ -1,26 +1,12 @@
-"""Measure contact settings on an engine: friction, restitution, depth at rest and creep."""
+"""What contact settings give in all scenes, and what single numbers leave out."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import Any
 
-from gauge_envs.tools.bench.recording import DivergedError
 from gauge_envs.tools.recipes.engines.base import ContactSettings
-from gauge_envs.tools.recipes.probes import Probe, Rest, Spread
+from gauge_envs.tools.recipes.probes import Probe
 
-SCATTER = 0.02
-"""Range of restitutions, and relative one of frictions, that is worth a sentence."""
-
-MOST_DRIFT_PER_S = 0.05
-"""Largest change of the depth within a second, over the depth, of a plate that counts as settled."""
-
-SEEN_HOP_M = 0.01
-"""Hop of a fast plate that is worth a sentence [m]: MuJoCo's default hops by half of it."""
-
-LEAST_DRIFT_M_PER_S = 1e-6
-"""Change of the depth that is rounding [m/s]."""
-
-
-REACHED = (
+NAMES = (
     "friction",
     "friction_hopping",
     "restitution",
@@ -28,58 +14,22 @@ REACHED = (
     "creep_m_s",
     "time_constant_s",
 )
-"""Names of the measured values; `friction` is that of bodies that hold contact."""
+"""Names of what is reported of all settings; `friction` is the friction of bodies that hold contact."""
 
+SCATTER = 0.02
+"""Range of restitutions, and relative range of frictions, that is worth a sentence."""
 
-@dataclass(frozen=True, kw_only=True)
-class Measured:
-    """What settings give.
+SEEN_HOP_M = 0.01
+"""Hop of a fast plate that is worth a sentence [m]: MuJoCo's default hops by half of it."""
 
-    Attributes:
-        slide: Friction of plates that cannot turn, as that of bodies that hold contact.
-        hopping: Friction of plates that can tip, hop and spin.
-        hop_m: How far these leave the slope [m].
-        fast_hop_m: How far plates leave level ground that slide at up to 4 m/s [m].
-        rebound: Restitution of drops.
-        rest: Plate at rest.
-        creep_m_s: Creep on a slope that friction holds [m/s].
-        turning: Torsional and rolling friction [m] by name, where the settings have them.
-    """
-
-    slide: Spread
-    hopping: Spread
-    hop_m: float
-    fast_hop_m: float
-    rebound: Spread
-    rest: Rest
-    creep_m_s: float
-    turning: Mapping[str, float]
-
-    @property
-    def values(self) -> dict[str, float | None]:
-        """Values by their names in `REACHED`; None for a time constant that is not resolved."""
-        frictions, rest = (self.slide.mean, self.hopping.mean), self.rest
-        values = (
-            *frictions,
-            self.rebound.mean,
-            rest.penetration_m,
-            self.creep_m_s,
-            rest.time_constant_s,
-        )
-        return {**dict(zip(REACHED, values, strict=True)), **self.turning}
-
-
-def probe_of(settings: ContactSettings, mass_kg: float) -> Probe:
-    """Return the scenes on the engine of the settings."""
-    return Probe(
-        backend=settings.backend(), mass_kg=mass_kg, timestep_s=settings.timestep_s
-    )
+MAX_DRIFT_PER_S, ROUNDING_M_PER_S = 0.05, 1e-6
+"""Change of the depth in a second, over the depth, of a plate that counts as settled; and one that is rounding."""
 
 
 def measured(
     settings: ContactSettings, mass_kg: float, *, friction: float | None = None
-) -> Measured:
-    """Simulate all scenes.
+) -> dict[str, Any]:
+    """Simulate all scenes, and return their values by name, with those of `NAMES`.
 
     Args:
         settings: The settings.
@@ -88,64 +38,50 @@ def measured(
 
     Raises:
         DivergedError: The engine failed, or a body left the scene.
+        UnsupportedSceneError: The engine cannot simulate the contact.
     """
-    probe, build = probe_of(settings, mass_kg), settings.build(mass_kg)
-    slope = settings.sliding_friction if friction is None else friction
-    hopping, hop_m = probe.hop(build, slope)
-    return Measured(
-        slide=probe.slide(build, slope),
-        hopping=hopping,
-        hop_m=hop_m,
-        fast_hop_m=probe.fast_hop_m(build),
-        rebound=probe.drop(build),
-        rest=probe.rest(build),
-        creep_m_s=probe.creep(build, slope),
-        turning={
-            name: probe.turning(build, name)
-            for name, value in build.turning.items()
-            if value
-        },
-    )
+    slope_friction = settings.sliding_friction if friction is None else friction
+    probe = Probe(settings=settings, mass_kg=mass_kg, friction=slope_friction)
+    return {
+        **probe.slide(),
+        **probe.hop(),
+        **probe.fast_hop(),
+        **probe.drop(),
+        **probe.rest(),
+        **probe.creep(),
+        **probe.turning(),
+    }
 
 
-def divergence_text(error: DivergedError) -> str:
-    """Return why nothing was measured, and what to change."""
-    return f"the simulation diverges: {error}. Choose a shorter time step or a softer contact."
-
-
-def scatter_texts(found: Measured) -> list[str]:
+def notes_on(values: Mapping[str, Any]) -> list[str]:
     """Return what one number for each quantity leaves out: hops, scatter between drops, a depth that still changes."""
-    texts = []
-    slide, hopping, rebound, rest = (
-        found.slide,
-        found.hopping,
-        found.rebound,
-        found.rest,
-    )
-    if slide.high - slide.low > SCATTER * abs(slide.mean):
-        texts.append(
-            f"Friction depends on the direction: it is {slide.low:.3g} to {slide.high:.3g} for a plate with its edges "
-            "along the slope and one that is turned by 30 degrees; the friction is their mean."
+    notes = []
+    friction, low, high = (values[f"friction{end}"] for end in ("", "_low", "_high"))
+    hop_low, hop_high = values["friction_hopping_low"], values["friction_hopping_high"]
+    drop_low, drop_high = values["restitution_low"], values["restitution_high"]
+    if high - low > SCATTER * abs(friction):
+        notes.append(
+            f"Friction depends on the direction: it is {low:.3g} to {high:.3g} for a plate with its edges along the "
+            "slope and one turned by 30 degrees."
         )
-    if slide.mean - hopping.low > SCATTER * abs(slide.mean):
-        texts.append(
-            f"Plates that can tip hop by up to {1e3 * found.hop_m:.2g} mm while they slide, and have friction "
-            f"{hopping.low:.3g} to {hopping.high:.3g} (mean {hopping.mean:.3g}); higher bodies can lose more."
+    if friction - hop_low > SCATTER * abs(friction):
+        notes.append(
+            f"Plates that can tip hop by up to {1e3 * values['hop_m']:.2g} mm and have friction {hop_low:.3g} to "
+            f"{hop_high:.3g}; higher bodies can lose more."
         )
-    if found.fast_hop_m > SEEN_HOP_M:
-        texts.append(
-            f"Plates that slide at up to 4 m/s hop by {1e3 * found.fast_hop_m:.2g} mm: these contacts take much of the "
-            "speed in one step, and friction lifts what slides; a softer contact or a shorter step hops less."
+    if values["fast_hop_m"] > SEEN_HOP_M:
+        notes.append(
+            f"Plates that slide at up to 4 m/s hop by {1e3 * values['fast_hop_m']:.2g} mm; a softer contact or a "
+            "shorter step hops less."
         )
-    if rebound.high - rebound.low > SCATTER:
-        texts.append(
-            f"Single drops rebound with {rebound.low:.3f} to {rebound.high:.3f}, depending on where in a time step "
-            "they strike; the restitution is their mean."
+    if drop_high - drop_low > SCATTER:
+        notes.append(
+            f"Single drops rebound with {drop_low:.3f} to {drop_high:.3f}, depending on where in a time step they "
+            "strike."
         )
-    if abs(rest.drift_m_s) > max(
-        MOST_DRIFT_PER_S * abs(rest.penetration_m), LEAST_DRIFT_M_PER_S
-    ):
-        texts.append(
-            f"After 2 s the plate at rest still moves by {rest.drift_m_s:.1e} m/s, so its depth is not final."
+    allowed_m_per_s = MAX_DRIFT_PER_S * abs(values["penetration_m"])
+    if abs(values["drift_m_s"]) > max(allowed_m_per_s, ROUNDING_M_PER_S):
+        notes.append(
+            f"After 2 s the plate at rest still moves by {values['drift_m_s']:.1e} m/s, so its depth is not final."
         )
-    return texts
+    return notes

@@ -1,4 +1,4 @@
-"""`gauge recipe`."""
+"""`gauge recipe`, `gauge recipe fabrics` and `gauge list materials`."""
 
 from __future__ import annotations
 
@@ -10,17 +10,28 @@ import typer
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Format, echo, print_document
 from gauge_envs.errors import ParameterError
-from gauge_envs.tools.recipes.fabrics_command import known_fabrics
 
 if TYPE_CHECKING:
     from gauge_envs.pages.document import Shown
+    from gauge_envs.pages.table import Table
+    from gauge_envs.scene.fabrics import Fabric
 
+
+FABRICS_FAMILY = "TextileFlinging"
+"""Family whose task file has the six calibrated fabrics of the benchmark; other families repeat its constants."""
 
 TIMESTEP = "--set timestep_s=0.002"
 
 
-def _asked(option: str, unit: str, text: str) -> Any:
-    return arguments.measured(option, unit, text, arguments.SCENE, show_default=False)
+def known_fabrics() -> Mapping[str, Fabric]:
+    """Return the calibrated fabrics by name."""
+    from gauge_envs.experiments.task_files import fabrics
+
+    return fabrics(FABRICS_FAMILY)
+
+
+def _asked(option: str, unit: str, text: str, default: bool | str = False) -> Any:
+    return arguments.measured(option, unit, text, arguments.SCENE, show_default=default)
 
 
 def recipe(
@@ -63,14 +74,7 @@ def recipe(
         _asked("--creep", "m/s", "Largest speed on a slope of half the friction."),
     ] = None,
     mass_kg: Annotated[
-        float | None,
-        arguments.measured(
-            "--mass",
-            "kg",
-            "Mass of the body.",
-            arguments.SCENE,
-            show_default="that of the pair",
-        ),
+        float | None, _asked("--mass", "kg", "Mass of the body.", "that of the pair")
     ] = None,
     engine: Annotated[
         str | None,
@@ -101,7 +105,8 @@ def recipe(
     on a slope; those of a fabric in a hanging and in a bending strip. Exit code 1 when the simulation diverges. A value
     that the engine cannot reach is no failure: the nearest one is given, with the reason.
     """
-    backend = _given(engine, "--backend", "--backend mujoco")
+    if engine is None:
+        raise ParameterError("--backend is missing: add it, as --backend mujoco")
     wanted = {
         "friction": friction,
         "restitution": restitution,
@@ -113,39 +118,38 @@ def recipe(
         "creep_m_s": creep_m_s,
     }
     behaviour = {name: value for name, value in wanted.items() if value is not None}
-    numbers = behaviour | _timestep(changes)
-    if mass_kg is not None:
-        numbers["mass_kg"] = mass_kg
+    timestep_s = _timestep_s(changes)
     if explain is not None:
         if material or behaviour:
             raise ParameterError(
-                f"--explain states the contact itself and goes with --mass and {TIMESTEP}: leave the others out"
+                f"--explain goes with --mass and {TIMESTEP}: leave the others out"
             )
-        return _explain(backend, explain, numbers, form)
+        return _explain(engine, explain, mass_kg, timestep_s, form)
     if material in known_fabrics():
-        if behaviour or "mass_kg" in numbers:
+        if behaviour or mass_kg is not None:
             raise ParameterError(
                 f"a fabric goes with {TIMESTEP} alone: leave the others out"
             )
-        return _print_fabric(str(material), backend, numbers.get("timestep_s"), form)
-    return _print_recipe(backend, material, numbers, form)
+        return _print_fabric(str(material), engine, timestep_s, form)
+    return _print_recipe(engine, material, behaviour, mass_kg, timestep_s, form)
 
 
-def _timestep(changes: Sequence[str] | None) -> dict[str, float]:
+def _timestep_s(changes: Sequence[str] | None) -> float | None:
     """Return the time step [s] of `--set`, the only setting that a recipe does not find itself."""
-    settings = arguments.parsed_settings(changes) or {}
-    for name, value in settings.items():
-        if name != "timestep_s" or isinstance(value, bool | str):
+    timestep_s = None
+    for name, value in (arguments.parsed_settings(changes) or {}).items():
+        if name != "timestep_s" or not isinstance(value, int | float):
             raise ParameterError(
                 f"--set {name}={value}: a recipe takes the time step alone, as {TIMESTEP}"
             )
-    return settings
+        timestep_s = value
+    return timestep_s
 
 
-def _given(value: Any, name: str, example: str) -> Any:
+def _given(value: float | None, example: str) -> float:
     """Return a value that the request needs."""
     if value is None:
-        raise ParameterError(f"{name} is missing: add it, as {example}")
+        raise ParameterError(f"the request is incomplete: add {example}")
     return value
 
 
@@ -157,67 +161,91 @@ def _print(document: Shown, snippet: str, form: Format) -> None:
 
 
 def _print_recipe(
-    engine: str, material: str | None, numbers: dict[str, float], form: Format
+    engine: str,
+    material: str | None,
+    behaviour: dict[str, float],
+    mass_kg: float | None,
+    timestep_s: float | None,
+    form: Format,
 ) -> bool:
-    from gauge_envs.tools.recipes import (
-        FREE_FRICTION,
-        Aim,
-        engine_settings,
-        find_recipe,
-    )
+    from gauge_envs.tools.recipes import Aim, engine_settings, find_recipe
     from gauge_envs.tools.recipes.materials import find_material
-    from gauge_envs.tools.recipes.words import recipe_document
+    from gauge_envs.tools.recipes.report import recipe_document
 
-    settings = engine_settings(engine)
-    pair = None if material is None else find_material(material, also=known_fabrics())
-    if pair is not None:
-        measured = {
-            "mass_kg": pair.mass_kg,
-            "friction": pair.friction,
-            "restitution": pair.restitution,
-        }
-        if "damping_n_s_per_m" in numbers:
-            del measured["restitution"]
-        numbers = {
-            name: value for name, value in measured.items() if value is not None
-        } | numbers
-    if not numbers.keys() - {"damping_n_s_per_m", "mass_kg", "timestep_s"}:
+    settings, pair = engine_settings(engine), None
+    if material is not None:
+        pair = find_material(material, also=known_fabrics())
+        mass_kg = pair.mass_kg if mass_kg is None else mass_kg
+        if pair.friction is not None:
+            behaviour = {"friction": pair.friction, **behaviour}
+        if "damping_n_s_per_m" not in behaviour:
+            behaviour = {"restitution": pair.restitution, **behaviour}
+    if not behaviour.keys() - {"damping_n_s_per_m"}:
         raise ParameterError(
             "nothing is asked: add --friction 0.4, --restitution 0.6, --penetration or --stiffness"
         )
-    _given(numbers.get("mass_kg"), "--mass", "--mass 0.5")
-    _given(numbers.get("timestep_s"), "the time step", TIMESTEP)
     aim = Aim(
-        **({"friction": FREE_FRICTION} | numbers),
-        is_friction_asked="friction" in numbers,
+        **behaviour,
+        mass_kg=_given(mass_kg, "--mass 0.5"),
+        timestep_s=_given(timestep_s, TIMESTEP),
     )
-    found = find_recipe(settings, aim)
-    _print(recipe_document(found, pair), found.snippet, form)
-    return found.found is None
+    result = find_recipe(settings, aim)
+    _print(recipe_document(result, pair), result.snippet, form)
+    return not result.detail
 
 
 def _explain(
-    engine: str, text: str, numbers: Mapping[str, float], form: Format
+    engine: str,
+    text: str,
+    mass_kg: float | None,
+    timestep_s: float | None,
+    form: Format,
 ) -> bool:
     from gauge_envs.tools.recipes import engine_settings
     from gauge_envs.tools.recipes.explain import explain, parsed_contact
-    from gauge_envs.tools.recipes.words import meaning_document
+    from gauge_envs.tools.recipes.report import meaning_document
 
-    step_s = _given(numbers.get("timestep_s"), "the time step", TIMESTEP)
-    if not step_s > 0.0:
-        raise ParameterError(f"timestep_s {step_s:g}: expected a positive number")
-    mass_kg = _given(numbers.get("mass_kg"), "--mass", "--mass 2")
-    meaning = explain(parsed_contact(engine_settings(engine), text, step_s), mass_kg)
-    _print(meaning_document(meaning), meaning.settings.snippet(meaning.mass_kg), form)
-    return meaning.found is None
+    step_s, body_kg = _given(timestep_s, TIMESTEP), _given(mass_kg, "--mass 2")
+    meaning = explain(parsed_contact(engine_settings(engine), text, step_s), body_kg)
+    _print(meaning_document(meaning), meaning.snippet, form)
+    return meaning.reached["friction"] is None
 
 
 def _print_fabric(
     name: str, engine: str, timestep_s: float | None, form: Format
 ) -> bool:
-    from gauge_envs.tools.recipes.fabrics import fabric_recipe, fabric_snippet
-    from gauge_envs.tools.recipes.words import fabric_document
+    from gauge_envs.tools.recipes.fabrics import fabric_recipe
+    from gauge_envs.tools.recipes.report import recipe_document
 
-    found = fabric_recipe(name, known_fabrics()[name], engine, timestep_s)
-    _print(fabric_document(found), fabric_snippet(found.mapped), form)
-    return bool(found.faults and found.versions)
+    result = fabric_recipe(name, known_fabrics()[name], engine, timestep_s)
+    _print(recipe_document(result, name), result.snippet, form)
+    reached = result.reached
+    is_incomplete = None in (reached["stretch_n_per_m"], reached["bend_n_m"])
+    return bool(result.versions) and is_incomplete
+
+
+def recipe_fabrics(form: arguments.Form = Format.TEXT) -> None:
+    """Show the six fabrics in every engine's constants, and what is lost.
+
+    Each has the stiffness that its constants give.
+    """
+    from gauge_envs.tools.recipes.report import constants_document
+
+    print_document(constants_document(known_fabrics()), form)
+
+
+def list_materials(patterns: Sequence[str]) -> list[Table]:
+    """Return the tables of the measured pairs and fabrics."""
+    from gauge_envs.tools.recipes.materials import material_pairs, published_pairs
+    from gauge_envs.tools.recipes.report import (
+        fabric_table,
+        material_table,
+        published_table,
+    )
+
+    tables = [
+        material_table(material_pairs()),
+        published_table(published_pairs()),
+        fabric_table(known_fabrics()),
+    ]
+    return arguments.matching(tables, patterns, kind="material")

@@ -8,15 +8,15 @@ from gauge_envs.tools.recipes.engines.base import ContactSettings
 __all__ = ["engine_names", "engine_settings"]
 
 CLASSES = {
-    "mujoco": ("mujoco", "MuJoCoSettings"),
-    "newton": ("newton", "NewtonSettings"),
-    "physx": ("physx", "PhysXSettings"),
-    "pybullet": ("pybullet", "PyBulletSettings"),
-    "rapier": ("rapier", "RapierSettings"),
-    "drake": ("drake", "DrakeSettings"),
-    "genesis": ("genesis", "GenesisSettings"),
+    "mujoco": "MuJoCoSettings",
+    "newton": "NewtonSettings",
+    "physx": "PhysXSettings",
+    "pybullet": "PyBulletSettings",
+    "rapier": "RapierSettings",
+    "drake": "DrakeSettings",
+    "genesis": "GenesisSettings",
 }
-"""Module and class of each engine, which are imported when they are used."""
+"""Class of each engine in the module of its name, which is imported when it is used."""
 
 
 def engine_names() -> tuple[str, ...]:
@@ -32,5 +32,4 @@ def engine_settings(name: str) -> type[ContactSettings]:
     """
     if name not in CLASSES:
         raise UnknownNameError("engine", name, CLASSES)
-    module, attribute = CLASSES[name]
-    return getattr(import_module(f"{__name__}.{module}"), attribute)
+    return getattr(import_module(f"{__name__}.{name}"), CLASSES[name])

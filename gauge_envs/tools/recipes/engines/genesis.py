@@ -1,35 +1,33 @@
 """Genesis's contact settings: the friction of materials, and the constants of the constraint solver."""
 
 import math
-from collections.abc import Mapping
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 from scipy.optimize import brentq
 
-from gauge_envs.backends.genesis.settings import PRESETS
 from gauge_envs.backends.shared.spring_damper import damping_ratio_of
 from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.closed_forms import MuJoCoContact
-from gauge_envs.tools.recipes.engines.base import ContactSettings, stated_by
-from gauge_envs.tools.recipes.engines.mujoco import RESOLVED_RATE, load_s2
-from gauge_envs.tools.recipes.probes import DROP_M, PLATE_CONTACTS
+from gauge_envs.tools.recipes.engines.base import ContactSettings, numbers
+from gauge_envs.tools.recipes.engines.mujoco import (
+    LIMITS as MUJOCO_LIMITS,
+    impedance_of,
+    spring_frequency_per_s,
+)
 
 IMPACT_STEPS = (4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 18, 20, 24, 28, 32, 40, 50, 60)
 """Steps that half a period of a contact's spring lasts, from hard to soft."""
 
-LONGEST_IMPACT_S = 0.09
+MAX_IMPACT_S = 0.09
 """Longest half period [s]. At 2 m/s a body then sinks in by 57 mm; the balls of the drop, of 60 mm, fall through the
 ground if they sink in by more than their diameter."""
 
-MOST_SCATTER = 0.05
+MAX_SCATTER = 0.05
 """Largest range of restitutions between the moments of a step at which an impact may start."""
 
 NO_REBOUND = 0.002
 """Mean restitution that counts as none."""
-
-MOST_IMPEDANCE = 0.9999
-"""Largest impedance, Genesis's own limit."""
 
 HARD_IMPEDANCE = 0.95
 """Impedance of a contact without rebound."""
@@ -39,17 +37,31 @@ SOFT_IMPEDANCE = 0.5
 step. With 0.9999, which bears it at the surface, a plate on a contact with restitution 0.6 and steps of 2 ms hops
 without end, and creeps at 3.5 mm/s."""
 
-LEAST_RATIO = 1e-4
-"""Smallest damping ratio."""
+MIN_RATIO = 1e-4
+"""Smallest damping ratio of an impact."""
 
-LEAST_TIME_STEPS = 2.0
+MIN_TIME_STEPS = 2.0
 """Time constant to which Genesis raises shorter ones [steps]."""
 
-PHASES = 8
-"""Moments within a step over which restitutions are compared."""
+SHAPE = (0.001, 0.5, 2.0)
+"""Width [m], midpoint and power of an impedance that is constant in depth."""
 
 
-@stated_by(PRESETS["out_of_box"])
+NATIVES = {
+    "friction_cone": "friction_cone",
+    "contact_resolution": "contact_resolution",
+    "impratio": "impratio",
+}
+"""Settings of the backend, by the field that states them."""
+
+LIMITS = {
+    "restitution": "Genesis has no coefficient of restitution, and raises the time constant of a contact to two "
+    "steps: a rebound is a damped spring that lasts several steps",
+    "penetration_m": MUJOCO_LIMITS["penetration_m"].replace("MuJoCo", "Genesis"),
+}
+"""What the engine itself limits, by the measured value."""
+
+
 class GenesisSettings(ContactSettings):
     """Options of Genesis's rigid solver, the friction of both materials, and the constants of all geoms.
 
@@ -58,36 +70,10 @@ class GenesisSettings(ContactSettings):
         sol_params: Time constant [s], damping ratio, and impedance: least, greatest, width [m], midpoint, power.
     """
 
-    engine: ClassVar[str] = "genesis"
-    is_soft: ClassVar[bool] = True
-    limits: ClassVar[dict[str, str]] = {
-        "restitution": "Genesis has no coefficient of restitution, and raises the time constant of a contact to two "
-        "steps: a rebound is a damped spring that lasts several steps",
-        "penetration_m": "Genesis's contact is soft: its depth at rest is (1 - d) g / (d k) on one contact, and its "
-        "impedance d is at most 0.9999",
-    }
-    template: ClassVar[str] = """\
-import genesis as gs
-
-gs.init(backend=gs.cpu, precision="64")
-
-DT = {timestep_s}  # gs.options.SimOptions(dt=DT)
-
-def rigid_options():  # gs.Scene(rigid_options=rigid_options(), ...)
-    return gs.options.RigidOptions(
-        friction_cone=gs.friction_cone.{friction_cone},
-        contact_resolution=gs.contact_resolution.{contact_resolution},
-        impratio={impratio},
-        enable_torsional_friction={turns},
-        enable_rolling_friction={turns},
-    )
-
-def material():  # of both entities
-    return gs.materials.Rigid(friction={friction}, friction_torsional={torsion_m}, friction_rolling={rolling_m})
-
-def set_contact(scene):  # after scene.build()
-    scene.rigid_solver.set_global_sol_params(({sol_params}))
-"""
+    engine = "genesis"
+    is_soft = True
+    natives = NATIVES
+    limits = LIMITS
 
     friction: float = Field(default=1.0, ge=0.01, le=5.0)
     sol_params: tuple[float, float, float, float, float, float, float] = (
@@ -95,67 +81,83 @@ def set_contact(scene):  # after scene.build()
         1.0,
         0.9,
         0.95,
-        0.001,
-        0.5,
-        2.0,
+        *SHAPE,
     )
-    friction_cone: str
-    contact_resolution: str
-    impratio: float
+    friction_cone: str = "pyramidal"
+    contact_resolution: str = "convex"
+    impratio: float = 1.0
 
     @model_validator(mode="before")
     @classmethod
-    def _defaults_of_cone(cls, values: Any) -> Any:
+    def _defaults_of_cone(cls, values: dict[str, Any]) -> dict[str, Any]:
         """With the elliptic cone, Genesis has other defaults for the resolution and the ratio of impedances."""
-        if isinstance(values, dict) and values.get("friction_cone") == "elliptic":
-            return {"contact_resolution": "signorini", "impratio": 100.0} | values
+        if values.get("friction_cone") == "elliptic":
+            return {"contact_resolution": "signorini", "impratio": 100.0, **values}
         return values
 
-    @field_validator("sol_params")
-    @classmethod
-    def _possible(cls, value: tuple[float, ...]) -> tuple[float, ...]:
-        if not (value[0] > 0.0 and value[1] > 0.0):
+    @model_validator(mode="after")
+    def _measurable(self) -> Self:
+        if min(self.sol_params[:2]) <= 0.0:
             raise ValueError(
                 "time constant and damping ratio must be positive: Genesis has no direct format"
             )
-        if value[5:] != (0.5, 2.0):
+        if self.sol_params[5:] != SHAPE[1:]:
             raise ValueError(
                 "midpoint and power must be those of Genesis, 0.5 and 2: others are not measured"
-            )
-        return value
-
-    @model_validator(mode="after")
-    def _cone_fits(self) -> Self:
-        if self.friction_cone == "pyramidal" and self.contact_resolution == "signorini":
-            raise ValueError(
-                "contact_resolution must be 'convex' with friction_cone 'pyramidal'"
             )
         return self
 
     @classmethod
     def aimed(cls, aim: Aim) -> Self:
         """Return a spring that rebounds as hard as steps resolve it, or the spring and damper that is asked for."""
-        constants = None
-        if aim.stiffness_n_per_m is not None:
-            constants = _spring(aim, aim.stiffness_n_per_m)
-        time_s, ratio, impedance = constants or _impact(aim)
-        return cls.of(
+        frequency_per_s = spring_frequency_per_s(aim)
+        if frequency_per_s is None:
+            time_s, ratio, impedance = _impact(aim)
+        else:
+            ratio = 1.0
+            if aim.rebound is not None:
+                ratio = max(damping_ratio_of(aim.rebound), 1e-3)
+            ratio = min(ratio, _max_ratio(frequency_per_s, aim.timestep_s))
+            time_s, impedance = 1.0 / (ratio * frequency_per_s), SOFT_IMPEDANCE
+        return cls(
             timestep_s=aim.timestep_s,
-            friction=aim.friction,
-            sol_params=(time_s, ratio, impedance, impedance, 0.001, 0.5, 2.0),
+            friction=aim.sliding_friction,
+            sol_params=(time_s, ratio, impedance, impedance, *SHAPE),
             friction_cone="elliptic",
-            contact_resolution="signorini",
-            impratio=100.0,
         )
 
-    def texts(self) -> dict[str, str]:
-        """Return the values of the template, of which Genesis needs to know whether a contact resists turning."""
-        return super().texts() | {"turns": str(bool(self.torsion_m or self.rolling_m))}
+    def snippet(self) -> str:
+        """Return Python for the options, the material and the constants of a scene."""
+        torsion, rolling = f"{self.torsion_m:g}", f"{self.rolling_m:g}"
+        turns = bool(self.torsion_m or self.rolling_m)
+        return f"""\
+import genesis as gs
 
-    def further(self, mass_kg: float) -> Mapping[str, Any]:
+gs.init(backend=gs.cpu, precision="64")
+
+DT = {self.timestep_s:.9g}  # gs.options.SimOptions(dt=DT)
+
+def rigid_options():  # gs.Scene(rigid_options=rigid_options(), ...)
+    return gs.options.RigidOptions(
+        friction_cone=gs.friction_cone.{self.friction_cone},
+        contact_resolution=gs.contact_resolution.{self.contact_resolution},
+        impratio={self.impratio:g},
+        enable_torsional_friction={turns},
+        enable_rolling_friction={turns},
+    )
+
+def material():  # of both entities
+    return gs.materials.Rigid(friction={self.friction:g}, friction_torsional={torsion}, friction_rolling={rolling})
+
+def set_contact(scene):  # after scene.build()
+    scene.rigid_solver.set_global_sol_params(({numbers(self.sol_params, ", ")}))
+"""
+
+    def backend_settings(self, mass_kg: float) -> dict[str, Any]:
         """Return the constants of sustained contacts, in double precision."""
         time_s, ratio, *impedance = self.sol_params[:5]
         return {
+            **super().backend_settings(mass_kg),
             "precision": 64,
             "tolerance": 1e-8,
             "sustained_timeconst_s": time_s,
@@ -163,85 +165,74 @@ def set_contact(scene):  # after scene.build()
             "sustained_impedance": tuple(impedance),
         }
 
-    def constraint(self) -> MuJoCoContact:
-        """Return MuJoCo's documented equation, from which Genesis's solver descends."""
+    def closed_form(self) -> dict[str, float | None]:
+        """Return what MuJoCo's documented equation gives, from which Genesis's solver descends."""
         return MuJoCoContact(
             solref=self.sol_params[:2],
             solimp=self.sol_params[2:],
-            solreffriction=(0.0, 0.0),
             friction=self.friction,
             impratio=self.impratio,
             is_elliptic=self.friction_cone == "elliptic",
             timestep_s=self.timestep_s,
-        )
+        ).form()
 
 
-def _spring(aim: Aim, stiffness_n_per_m: float) -> tuple[float, float, float] | None:
-    """Return time constant, damping ratio and impedance of a stiffness, or None if steps do not resolve it."""
-    frequency = math.sqrt(
-        (1.0 - SOFT_IMPEDANCE) * stiffness_n_per_m / (PLATE_CONTACTS * aim.mass_kg)
-    )
-    if frequency * aim.timestep_s > RESOLVED_RATE:
-        return None
-    ratio = 1.0 if aim.rebound is None else max(damping_ratio_of(aim.rebound), 1e-3)
-    ratio = min(ratio, 1.0 / (LEAST_TIME_STEPS * aim.timestep_s * frequency))
-    return 1.0 / (ratio * frequency), ratio, SOFT_IMPEDANCE
+def _max_ratio(frequency_per_s: float, timestep_s: float) -> float:
+    """Return the damping ratio with which a spring [1/s] has the shortest time constant, 1 / (ratio frequency)."""
+    return 1.0 / (MIN_TIME_STEPS * timestep_s * frequency_per_s)
 
 
 def _impact(aim: Aim) -> tuple[float, float, float]:
     """Return time constant, damping ratio and impedance of the hardest spring whose rebound scatters little."""
-    step, target = aim.timestep_s, aim.rebound or 0.0
-    found: list[tuple[float, float, float, float]] = []
+    restitution = aim.rebound or 0.0
+    candidates: list[tuple[float, float, float, float]] = []
     for steps in IMPACT_STEPS:
-        frequency = math.pi / (steps * step)
-        if found and steps * step > LONGEST_IMPACT_S:
+        half_period_s = steps * aim.timestep_s
+        if candidates and half_period_s > MAX_IMPACT_S:
             break
-        impedance = _impedance(aim, frequency)
-        ratio = _ratio(target, frequency, impedance, step)
-        rebounds = _rebounds(ratio, frequency, impedance, step)
-        miss = abs(sum(rebounds) / len(rebounds) - target)
+        spring = _Spring(aim, math.pi / half_period_s)
+        ratio = spring.ratio_of(restitution)
+        rebounds = spring.rebounds(ratio)
+        miss = abs(sum(rebounds) / len(rebounds) - restitution)
         scatter = max(rebounds) - min(rebounds)
-        fault = max(miss - NO_REBOUND, 0.0) + max(scatter - MOST_SCATTER, 0.0)
-        found.append((fault, 1.0 / (ratio * frequency), ratio, impedance))
+        fault = max(miss - NO_REBOUND, 0.0) + max(scatter - MAX_SCATTER, 0.0)
+        time_s = 1.0 / (ratio * spring.frequency_per_s)
+        candidates.append((fault, time_s, ratio, spring.impedance))
         if fault == 0.0:
             break
-    return min(found)[1:]
+    return min(candidates)[1:]
 
 
-def _impedance(aim: Aim, frequency: float) -> float:
-    """Return the impedance of a rebounding contact: it carries weight at a depth that steps do not leave."""
-    usual = SOFT_IMPEDANCE if aim.rebound else HARD_IMPEDANCE
-    if (load := load_s2(aim)) is None:
-        return usual
-    least = SOFT_IMPEDANCE if aim.stiffness_n_per_m is not None else usual
-    return min(max(1.0 - load * frequency**2, least), MOST_IMPEDANCE)
+class _Spring:
+    """A contact of a natural frequency [1/s], whose impedance bears the weight at a depth that steps do not leave."""
 
+    def __init__(self, aim: Aim, frequency_per_s: float) -> None:
+        self.timestep_s = aim.timestep_s
+        self.frequency_per_s = frequency_per_s
+        self.impedance = impedance_of(
+            aim,
+            SOFT_IMPEDANCE if aim.rebound else HARD_IMPEDANCE,
+            lambda load_s2: 1.0 - load_s2 * frequency_per_s**2,
+        )
 
-def _ratio(target: float, frequency: float, impedance: float, step: float) -> float:
-    """Return the damping ratio with which the mean of rebounds is a restitution, or comes nearest to it."""
-    greatest = 1.0 / (LEAST_TIME_STEPS * step * frequency)
+    def rebounds(self, ratio: float) -> list[float]:
+        """Return the restitution of each drop with a damping ratio."""
+        return MuJoCoContact(
+            solref=(1.0 / (ratio * self.frequency_per_s), ratio),
+            solimp=(self.impedance, self.impedance, *SHAPE),
+            timestep_s=self.timestep_s,
+        ).rebounds()
 
-    def excess(ratio: float) -> float:
-        rebounds = _rebounds(ratio, frequency, impedance, step)
-        return sum(rebounds) / len(rebounds) - target
+    def ratio_of(self, restitution: float) -> float:
+        """Return the damping ratio with which the mean rebound is a restitution, or comes nearest to it."""
 
-    if excess(greatest) >= 0.0:
-        return greatest
-    if excess(LEAST_RATIO) <= 0.0:
-        return LEAST_RATIO
-    return float(brentq(excess, LEAST_RATIO, greatest, xtol=1e-5))
+        def excess(ratio: float) -> float:
+            rebounds = self.rebounds(ratio)
+            return sum(rebounds) / len(rebounds) - restitution
 
-
-def _rebounds(
-    ratio: float, frequency: float, impedance: float, step: float
-) -> tuple[float, ...]:
-    contact = MuJoCoContact(
-        solref=(1.0 / (ratio * frequency), ratio),
-        solimp=(impedance, impedance, 0.001, 0.5, 2.0),
-        solreffriction=(0.0, 0.0),
-        friction=1.0,
-        impratio=1.0,
-        is_elliptic=True,
-        timestep_s=step,
-    )
-    return contact.rebounds(drop_m=DROP_M, phase_count=PHASES)
+        max_ratio = _max_ratio(self.frequency_per_s, self.timestep_s)
+        if excess(max_ratio) >= 0.0:
+            return max_ratio
+        if excess(MIN_RATIO) <= 0.0:
+            return MIN_RATIO
+        return float(brentq(excess, MIN_RATIO, max_ratio, xtol=1e-5))

@@ -1,25 +1,39 @@
 """Contact settings of Newton's MuJoCo solver."""
 
-from __future__ import annotations
-
 import math
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from gauge_envs.backends.newton.settings import PRESETS
 from gauge_envs.tools.recipes.aim import Aim
-from gauge_envs.tools.recipes.closed_forms import Solimp
-from gauge_envs.tools.recipes.engines.base import stated_by
+from gauge_envs.tools.recipes.engines.base import ContactSettings, numbers
 from gauge_envs.tools.recipes.engines.mujoco import (
-    ConstraintSettings,
-    MuJoCoSettings,
+    LIMITS as MUJOCO_LIMITS,
+    StatedSolimp,
+    condim,
     contact_of,
 )
 
+NATIVES = {
+    "integrator": "integrator",
+    "cone": "cone",
+    "impratio": "impratio",
+    "iterations": "iterations",
+    "ls_iterations": "line_search_iterations",
+    "kf": "contact_kf_n_s_per_m",
+    "solref": "contact_solref",
+    "solimp": "contact_solimp",
+}
+"""Settings of the backend, by the field that states them."""
 
-@stated_by(PRESETS["out_of_box"])
-class NewtonSettings(ConstraintSettings):
+LIMITS = MUJOCO_LIMITS | {
+    "restitution": "Newton's restitution has no effect in its MuJoCo solver: a contact equation that is evaluated "
+    "once a step determines the rebound by its damping"
+}
+"""What the engine itself limits, by the measured value."""
+
+
+class NewtonSettings(ContactSettings):
     """Settings of SolverMuJoCo, and material of the shape that has priority.
 
     `ke` and `kd` may stand for `solref`: Newton's solver turns them into the time constant 2 / kd and the damping ratio
@@ -32,79 +46,76 @@ class NewtonSettings(ConstraintSettings):
         solimp: Impedance: d0, dwidth, width [m], midpoint, power.
     """
 
-    engine: ClassVar[str] = "newton"
-    is_soft: ClassVar[bool] = True
-    also: ClassVar[tuple[str, ...]] = ("ke", "kd")
-    friction_field: ClassVar[str] = "mu"
-    preset: ClassVar[str] = "rigid"
-    limits: ClassVar[dict[str, str]] = {
-        name: text.replace("MuJoCo's", "the MuJoCo solver's")
-        for name, text in MuJoCoSettings.limits.items()
-    } | {
-        "restitution": "Newton's restitution has no effect in its MuJoCo solver: a rebound is the damping of a contact "
-        "equation that is evaluated once a step"
-    }
-    template: ClassVar[str] = """\
+    engine = "newton"
+    is_soft = True
+    friction_field = "mu"
+    preset = "rigid"
+    natives = NATIVES
+    limits = LIMITS
+
+    integrator: Literal["euler", "implicitfast"] = "euler"
+    cone: str = "pyramidal"
+    impratio: float = 1.0
+    iterations: int = 100
+    ls_iterations: int = 50
+    mu: float = Field(default=1.0, gt=0.0)
+    kf: float = 1000.0
+    solref: tuple[float, float] = (0.02, 1.0)
+    solimp: StatedSolimp = (0.9, 0.95, 0.001, 0.5, 2.0)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_material(cls, data: dict[str, Any]) -> dict[str, Any]:
+        if not {"ke", "kd"} & set(data):
+            return data
+        if "solref" in data or not {"ke", "kd"} <= set(data):
+            raise ValueError("ke and kd go together, and without solref")
+        values = dict(data)
+        stiffness, damping = float(values.pop("ke")), float(values.pop("kd"))
+        if stiffness <= 0.0 or damping <= 0.0:
+            raise ValueError("ke and kd must be positive")
+        damping_ratio = damping / (2.0 * math.sqrt(stiffness))
+        return {**values, "solref": (2.0 / damping, damping_ratio)}
+
+    @classmethod
+    def aimed(cls, aim: Aim) -> Self:
+        """Return MuJoCo's settings, with the friction gain that has the damping of their tangential directions."""
+        contact = contact_of(aim)
+        gain_n_s_per_m = -1.0
+        if "solreffriction" in contact:
+            _, damping_per_s = contact.pop("solreffriction")
+            impedance = contact["solimp"][1]
+            share = (1.0 - impedance) / contact["impratio"] + impedance
+            gain_n_s_per_m = -damping_per_s * impedance * aim.mass_kg / share
+        return cls(
+            timestep_s=aim.timestep_s,
+            integrator="implicitfast",
+            cone="elliptic",
+            mu=aim.sliding_friction,
+            kf=gain_n_s_per_m,
+            **contact,
+        )
+
+    def snippet(self) -> str:
+        """Return Python for shapes, solver and step."""
+        return f"""\
 import newton
 import warp as wp
 
 # newton.solvers.SolverMuJoCo.register_custom_attributes(builder) comes before the shapes.
 config = newton.ModelBuilder.ShapeConfig(
-    mu={mu}, kf={kf}, mu_torsional={torsion_m}, mu_rolling={rolling_m}, gap=0.002
+    mu={self.mu:g}, kf={self.kf:g}, mu_torsional={self.torsion_m:g}, mu_rolling={self.rolling_m:g}, gap=0.002
 )
 attributes = {{  # of the foot's shapes: add_shape_box(..., cfg=config, custom_attributes=attributes)
-    "mujoco:condim": {condim},
+    "mujoco:condim": {condim(self)},
     "mujoco:geom_priority": 1,
     "mujoco:solref_mode": 1,  # solref as given
-    "mujoco:solref": wp.vec2({solref}),
-    "mujoco:geom_solimp": wp.types.vector(5, wp.float32)({solimp}),
+    "mujoco:solref": wp.vec2({numbers(self.solref, ", ")}),
+    "mujoco:geom_solimp": wp.types.vector(5, wp.float32)({numbers(self.solimp, ", ")}),
 }}
 options = dict(  # SolverMuJoCo(model, **options), which takes contacts from newton.CollisionPipeline
-    solver="newton", integrator="{integrator}", cone="{cone}", impratio={impratio},
-    iterations={iterations}, ls_iterations={ls_iterations}, tolerance=1e-6, use_mujoco_contacts=False,
+    solver="newton", integrator="{self.integrator}", cone="{self.cone}", impratio={self.impratio:g},
+    iterations={self.iterations}, ls_iterations={self.ls_iterations}, tolerance=1e-6, use_mujoco_contacts=False,
 )
-timestep = {timestep_s}
+timestep = {self.timestep_s:.9g}
 """
-
-    integrator: Literal["euler", "implicitfast"] = "euler"
-    cone: str
-    impratio: float
-    iterations: int
-    ls_iterations: int
-    mu: float = Field(default=1.0, gt=0.0)
-    kf: float = 1000.0
-    solref: tuple[float, float] = (0.02, 1.0)
-    solimp: Solimp = (0.9, 0.95, 0.001, 0.5, 2.0)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_material(cls, data: Any) -> Any:
-        if not isinstance(data, dict) or not {"ke", "kd"} & set(data):
-            return data
-        if "solref" in data or not {"ke", "kd"} <= set(data):
-            raise ValueError("ke and kd go together, and without solref")
-        values = {key: value for key, value in data.items() if key not in ("ke", "kd")}
-        stiffness, damping = float(data["ke"]), float(data["kd"])
-        if stiffness <= 0.0 or damping <= 0.0:
-            raise ValueError("ke and kd must be positive")
-        return values | {
-            "solref": (2.0 / damping, damping / (2.0 * math.sqrt(stiffness)))
-        }
-
-    @classmethod
-    def aimed(cls, aim: Aim) -> Self:
-        """Return MuJoCo's settings, with the friction gain that stops the tangential motion of a one-step impact."""
-        contact = contact_of(aim)
-        gain = -1.0
-        if any(tangential := contact.pop("solreffriction", (0.0, 0.0))):
-            width = contact["solimp"][1]
-            share = (1.0 - width) / contact["impratio"] + width
-            gain = -tangential[1] * width * aim.mass_kg / share
-        return cls.of(
-            timestep_s=aim.timestep_s,
-            integrator="implicitfast",
-            cone="elliptic",
-            mu=aim.friction,
-            kf=gain,
-            **contact,
-        )

@@ -1,21 +1,33 @@
 """SAPIEN's PhysX: materials of shapes and the scene's contact options."""
 
-from typing import ClassVar, Self
+from typing import Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from gauge_envs.backends.physx.settings import PRESETS
-from gauge_envs.errors import ParameterError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.recipes.aim import Aim
-from gauge_envs.tools.recipes.engines.base import ContactSettings, stated_by
-from gauge_envs.tools.recipes.probes import Build
+from gauge_envs.tools.recipes.engines.base import ContactSettings, NonNegative
 
 THRESHOLD_STEPS = 4.0
 """Bounce threshold over the speed that a resting body gains in a step."""
 
 
-@stated_by(PRESETS["out_of_box"])
+NATIVES = {
+    "bounce_threshold": "bounce_threshold_m_per_s",
+    "contact_offset": "contact_offset_m",
+    "solver_position_iterations": "position_iterations",
+    "solver_velocity_iterations": "velocity_iterations",
+}
+"""Settings of the backend, by the field that states them."""
+
+LIMITS = {
+    "penetration_m": "contacts in SAPIEN's PhysX are rigid: its materials have no stiffness",
+    "restitution": "PhysX rebounds from the speed of approach at the start of the step, and only above the bounce "
+    "threshold",
+}
+"""What the engine itself limits, by the measured value."""
+
+
 class PhysXSettings(ContactSettings):
     """Material of both shapes, which PhysX averages, and options of the scene.
 
@@ -25,57 +37,57 @@ class PhysXSettings(ContactSettings):
         restitution: Coefficient of restitution.
     """
 
-    engine: ClassVar[str] = "physx"
-    is_soft: ClassVar[bool] = False
-    friction_field: ClassVar[str] = "dynamic_friction"
-    limits: ClassVar[dict[str, str]] = {
-        "penetration_m": "contacts in SAPIEN's PhysX are rigid: its materials have no stiffness",
-        "restitution": "PhysX rebounds from the speed of approach at the start of the step, and only above the bounce "
-        "threshold",
-    }
-    template: ClassVar[str] = """\
-import sapien
+    engine = "physx"
+    is_soft = False
+    friction_field = "dynamic_friction"
+    natives = NATIVES
+    limits = LIMITS
 
-scene_config = sapien.physx.get_scene_config()  # all three before the scene
-scene_config.bounce_threshold = {bounce_threshold}
-sapien.physx.set_scene_config(scene_config)
-shape_config = sapien.physx.get_shape_config()
-shape_config.contact_offset = {contact_offset}
-sapien.physx.set_shape_config(shape_config)
-body_config = sapien.physx.get_body_config()
-body_config.solver_position_iterations = {solver_position_iterations}
-body_config.solver_velocity_iterations = {solver_velocity_iterations}
-sapien.physx.set_body_config(body_config)
-material = sapien.physx.PhysxMaterial(
-    static_friction={static_friction}, dynamic_friction={dynamic_friction}, restitution={restitution}
-)  # of both shapes
-timestep = {timestep_s}  # scene.set_timestep(timestep)
-"""
-
-    static_friction: float = Field(default=0.3, ge=0.0)
-    dynamic_friction: float = Field(default=0.3, ge=0.0)
+    static_friction: NonNegative = 0.3
+    dynamic_friction: NonNegative = 0.3
     restitution: float = Field(default=0.1, ge=0.0, le=1.0)
-    bounce_threshold: float
-    contact_offset: float
-    solver_position_iterations: int
-    solver_velocity_iterations: int
+    bounce_threshold: float = 2.0
+    contact_offset: float = 0.01
+    solver_position_iterations: int = 10
+    solver_velocity_iterations: int = 1
+
+    @model_validator(mode="after")
+    def _one_friction(self) -> Self:
+        if self.static_friction != self.dynamic_friction:
+            raise ValueError(
+                "static_friction and dynamic_friction must be equal: other materials are not measured"
+            )
+        return self
 
     @classmethod
     def aimed(cls, aim: Aim) -> Self:
         """Return the coefficients themselves, and a bounce threshold just above a resting body's speed."""
-        return cls.of(
+        return cls(
             timestep_s=aim.timestep_s,
-            static_friction=aim.friction,
-            dynamic_friction=aim.friction,
+            static_friction=aim.sliding_friction,
+            dynamic_friction=aim.sliding_friction,
             restitution=aim.rebound or 0.0,
             bounce_threshold=THRESHOLD_STEPS * GRAVITY_M_PER_S2 * aim.timestep_s,
         )
 
-    def build(self, mass_kg: float) -> Build:
-        """Return SAPIEN's defaults with these settings."""
-        if self.static_friction != self.dynamic_friction:
-            raise ParameterError(
-                f"static_friction {self.static_friction:g} and dynamic_friction {self.dynamic_friction:g}: recipes "
-                "measure one coefficient for both: give the same value"
-            )
-        return super().build(mass_kg)
+    def snippet(self) -> str:
+        """Return Python for the configurations of PhysX and a material."""
+        mu = f"{self.dynamic_friction:g}"
+        return f"""\
+import sapien
+
+scene_config = sapien.physx.get_scene_config()  # all three before the scene
+scene_config.bounce_threshold = {self.bounce_threshold:g}
+sapien.physx.set_scene_config(scene_config)
+shape_config = sapien.physx.get_shape_config()
+shape_config.contact_offset = {self.contact_offset:g}
+sapien.physx.set_shape_config(shape_config)
+body_config = sapien.physx.get_body_config()
+body_config.solver_position_iterations = {self.solver_position_iterations}
+body_config.solver_velocity_iterations = {self.solver_velocity_iterations}
+sapien.physx.set_body_config(body_config)
+material = sapien.physx.PhysxMaterial(
+    static_friction={mu}, dynamic_friction={mu}, restitution={self.restitution:g}
+)  # of both shapes
+timestep = {self.timestep_s:.9g}  # scene.set_timestep(timestep)
+"""

@@ -1,22 +1,35 @@
 """Rapier's collider coefficients and integration parameters."""
 
 import math
-from collections.abc import Mapping
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
-from pydantic import Field
-
-from gauge_envs.backends.rapier.settings import PRESETS
 from gauge_envs.backends.shared.spring_damper import damping_ratio_of
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.recipes.aim import Aim
-from gauge_envs.tools.recipes.engines.base import ContactSettings, stated_by
+from gauge_envs.tools.recipes.engines.base import ContactSettings, NonNegative
 
 MARGIN = 0.5
 """Share of the allowed depth that settings aim at: a plate on four points sinks by 1.66 times g / (2 pi f)^2."""
 
+DEFAULT_FREQUENCY_HZ = 60.0
+"""Rapier's natural frequency of a contact with a fixed collider [Hz]."""
 
-@stated_by(PRESETS["out_of_box"])
+
+NATIVES = {
+    "num_solver_iterations": "solver_iterations",
+    "natural_frequency": "static_contact_frequency_hz",
+    "damping_ratio": "static_contact_damping_ratio",
+    "allowed_linear_error": "allowed_linear_error_m",
+}
+"""Settings of the backend, by the field that states them."""
+
+LIMITS = {
+    "penetration_m": "Rapier's contact is a spring of a natural frequency, and its solver limits how hard it is",
+    "restitution": "Rapier rebounds from the speed of approach in a substep",
+}
+"""What the engine itself limits, by the measured value."""
+
+
 class RapierSettings(ContactSettings):
     """Coefficients of both colliders, and parameters of the world. Contacts are with a fixed or driven collider.
 
@@ -25,53 +38,54 @@ class RapierSettings(ContactSettings):
         restitution: Coefficient of restitution.
     """
 
-    engine: ClassVar[str] = "rapier"
-    is_soft: ClassVar[bool] = True
-    aims: ClassVar[tuple[float, float]] = (0.0, 1.2)
-    limits: ClassVar[dict[str, str]] = {
-        "penetration_m": "Rapier's contact is a spring of a natural frequency, and its solver caps how hard it is",
-        "restitution": "Rapier rebounds from the speed of approach in a substep",
-    }
-    template: ClassVar[str] = """\
+    engine = "rapier"
+    is_soft = True
+    restitution_range = (0.0, 1.2)
+    natives = NATIVES
+    limits = LIMITS
+
+    friction: NonNegative = 0.5
+    restitution: NonNegative = 0.0
+    num_solver_iterations: int = 4
+    natural_frequency: float = DEFAULT_FREQUENCY_HZ
+    damping_ratio: float = 10.0
+    allowed_linear_error: float = 0.005
+
+    @classmethod
+    def aimed(cls, aim: Aim) -> Self:
+        """Return the coefficients themselves, and a frequency of the contact for the depth: (2 pi f)^2 = g / depth."""
+        contact: dict[str, Any] = {}
+        depth_m = aim.aimed_depth_m(MARGIN)
+        if depth_m is not None:
+            frequency_hz = math.sqrt(GRAVITY_M_PER_S2 / depth_m) / (2.0 * math.pi)
+            if aim.stiffness_n_per_m is None:
+                frequency_hz = max(frequency_hz, DEFAULT_FREQUENCY_HZ)
+            contact = {"natural_frequency": frequency_hz, "allowed_linear_error": 0.0}
+        if aim.damping_n_s_per_m is not None and aim.rebound is not None:
+            contact["damping_ratio"] = max(damping_ratio_of(aim.rebound), 1e-3)
+        return cls(
+            timestep_s=aim.timestep_s,
+            friction=aim.sliding_friction,
+            restitution=aim.rebound or 0.0,
+            **contact,
+        )
+
+    def backend_settings(self, mass_kg: float) -> dict[str, Any]:
+        """Return the settings of a world whose bodies do not sleep."""
+        return {**super().backend_settings(mass_kg), "sleep": False}
+
+    def snippet(self) -> str:
+        """Return Python for a world and its colliders."""
+        return f"""\
 import rapier3d as rapier
 
 def set_parameters(world):
     parameters = world.integration_parameters
-    parameters.dt = {timestep_s}
-    parameters.num_solver_iterations = {num_solver_iterations}
-    parameters.static_contact_softness = rapier.SpringCoefficients({natural_frequency}, {damping_ratio})
-    parameters.normalized_allowed_linear_error = {allowed_linear_error}
+    parameters.dt = {self.timestep_s:.9g}
+    parameters.num_solver_iterations = {self.num_solver_iterations}
+    parameters.static_contact_softness = rapier.SpringCoefficients({self.natural_frequency:g}, {self.damping_ratio:g})
+    parameters.normalized_allowed_linear_error = {self.allowed_linear_error:g}
 
 def with_contact(collider):  # both colliders; their bodies with .can_sleep(False)
-    return collider.friction({friction}).restitution({restitution})
+    return collider.friction({self.friction:g}).restitution({self.restitution:g})
 """
-
-    friction: float = Field(default=0.5, ge=0.0)
-    restitution: float = Field(default=0.0, ge=0.0)
-    num_solver_iterations: int
-    natural_frequency: float
-    damping_ratio: float
-    allowed_linear_error: float
-
-    @classmethod
-    def aimed(cls, aim: Aim) -> Self:
-        """Return the coefficients themselves, and a frequency of the contact for the depth."""
-        given: dict[str, Any] = {}
-        if (depth_m := aim.aimed_depth_m(MARGIN)) is not None:
-            frequency = math.sqrt(GRAVITY_M_PER_S2 / depth_m) / (2.0 * math.pi)
-            given["natural_frequency"] = (
-                frequency if aim.stiffness_n_per_m is not None else max(frequency, 60.0)
-            )
-            given["allowed_linear_error"] = 0.0
-            if aim.damping_n_s_per_m is not None and aim.rebound is not None:
-                given["damping_ratio"] = max(damping_ratio_of(aim.rebound), 1e-3)
-        return cls.of(
-            timestep_s=aim.timestep_s,
-            friction=aim.friction,
-            restitution=aim.rebound or 0.0,
-            **given,
-        )
-
-    def further(self, mass_kg: float) -> Mapping[str, Any]:
-        """Return that bodies do not sleep."""
-        return {"sleep": False}

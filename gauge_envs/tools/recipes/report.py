@@ -1,0 +1,221 @@
+"""Recipes, what contact settings mean, and measured materials and fabrics, as tables."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from gauge_envs.pages.document import Document, Part
+from gauge_envs.pages.table import Column, Place, Table
+from gauge_envs.scene.fabrics import Fabric, bending_length_m
+from gauge_envs.tools.recipes.explain import Meaning
+from gauge_envs.tools.recipes.fabrics import fabric_constants
+from gauge_envs.tools.recipes.materials import MaterialPair
+from gauge_envs.tools.recipes.search import Recipe
+
+TITLES = {
+    "friction_hopping": "friction, hopping",
+    "penetration_m": "penetration [m]",
+    "creep_m_s": "creep [m/s]",
+    "torsion_m": "torsion [m]",
+    "rolling_m": "rolling [m]",
+    "time_constant_s": "time constant [s]",
+    "stretch_n_per_m": "stretch [N/m]",
+    "shear_n_per_m": "shear [N/m]",
+    "bend_n_m": "bend [N m]",
+    "bending_length_m": "bending length [m]",
+}
+"""Titles of values whose names carry a unit."""
+
+
+def _number(key: str, title: str, *, unit: str = "") -> Column:
+    return Column(key, title, lambda value: f"{value:.4g}", unit=unit, is_number=True)
+
+
+def _error_text(error: float) -> str:
+    """Return an error; less than 1e-12 is rounding."""
+    return f"{error:+.2g}" if abs(error) > 1e-12 else "0"
+
+
+def _values_table(
+    title: str, columns: Sequence[Column], rows: Sequence[Any], *notes: str
+) -> Table:
+    """Return a table of values by name, with notes below."""
+    name = Column("name", title, lambda name: TITLES.get(name, name))
+    return Table(columns=(name, *columns), rows=rows, notes=("", *notes))
+
+
+def recipe_document(
+    recipe: Recipe, material: MaterialPair | str | None = None
+) -> Document:
+    """Return what was asked and reached, and the reason of a miss.
+
+    Args:
+        recipe: The recipe.
+        material: The measured pair that was asked for, which stands above, or the name of the fabric.
+    """
+    row, parts, title = vars(recipe), list[Part](), recipe.engine
+    if isinstance(material, MaterialPair):
+        row = row | {"material": vars(material)}
+        parts.append(material_table([material]))
+    elif material is not None:
+        row = row | {"material": material}
+        title = f"{material} in {recipe.engine}"
+    columns = [
+        _number("asked", "asked"),
+        _number("reached", "reached"),
+        Column("error", "error", _error_text, is_number=True),
+    ]
+    law = recipe.detail.get("mapping_gives", {})
+    if law:
+        columns.insert(1, _number("law", "law"))
+    rows = [
+        {
+            "name": name,
+            "asked": _target(recipe, name),
+            "law": law.get(name),
+            "reached": value,
+            "error": recipe.error.get(name),
+        }
+        for name, value in recipe.reached.items()
+    ]
+    wall = f"{recipe.wall_s:.1f} s"
+    parts.append(_values_table(title, columns, rows, recipe.explanation, wall))
+    return Document(parts=parts, rows=[row])
+
+
+def _target(recipe: Recipe, name: str) -> float | None:
+    """Return the asked value of a name, which a stiffness or a damping may give."""
+    value, error = recipe.reached[name], recipe.error.get(name)
+    if value is None or error is None:
+        return recipe.asked.get(name)
+    return value - error
+
+
+def meaning_document(meaning: Meaning) -> Document:
+    """Return what settings give by simulation and in closed form."""
+    closed_form = meaning.closed_form or {}
+    rows = [
+        {"name": name, "reached": value, "expected": closed_form.get(name)}
+        for name, value in meaning.reached.items()
+    ]
+    columns = [_number("reached", "simulated"), _number("expected", "closed form")]
+    table = _values_table(meaning.engine, columns, rows, meaning.explanation)
+    return Document(parts=(table,), rows=[vars(meaning)])
+
+
+def material_table(pairs: Sequence[MaterialPair]) -> Table:
+    """Return the measured pairs with standard uncertainties; a list shows their sources with `--format wide`."""
+    is_list = len(pairs) > 1
+    sources = {source: None for pair in pairs for source in pair.uncertainty_sources}
+    notes = ("", "A dash is a number that was not measured or published.", *sources)
+    return Table(
+        columns=(
+            Column("name", "material"),
+            _number("friction", "friction"),
+            _number("friction_std", "std"),
+            _number("restitution", "restitution"),
+            _number("restitution_std", "std"),
+            _number("mass_kg", "mass", unit="kg"),
+            Column("what", "bodies", place=Place.BELOW, wide_only=is_list),
+            Column("source", "source", place=Place.BELOW, wide_only=is_list),
+        ),
+        rows=pairs,
+        notes=notes if is_list else (),
+    )
+
+
+PUBLISHED = (
+    "",
+    "These values of tables are for clean and dry surfaces. Samples of one pair differ, steel by a factor of five: "
+    "measure yours.",
+    "CTU Code: IMO, ILO and UNECE, Code of Practice for Packing of Cargo Transport Units, annex 7, appendix 2; its "
+    "dynamic value is 75 % of the static one.",
+    "CDA3000: Lust, Engineering Guide CDA3000, appendix A. Surface Improvement: Handbook of Surface Improvement and "
+    "Modification, p. 167. SAE 2001-01-2755: Strauss, Carnahan, Inendino.",
+)
+
+
+def published_table(rows: Sequence[Mapping[str, str]]) -> Table:
+    """Return friction of further pairs with its sources."""
+    columns = (
+        Column("name", "pair"),
+        Column("static", "static"),
+        Column("dynamic", "dynamic"),
+        Column("rolling_mm", "rolling [mm]"),
+        Column("source", "source", wide_only=True),
+    )
+    return Table(columns=columns, rows=rows, notes=PUBLISHED)
+
+
+# --- fabrics ---------------------------------------------------------------------------------------------------------
+
+
+def fabric_table(known: Mapping[str, Fabric]) -> Table:
+    """Return the measured fabrics with what was measured."""
+    return Table(
+        columns=(
+            Column("name", "fabric"),
+            _number("stretch", "stretch", unit="N/m"),
+            _number("shear", "shear", unit="N/m"),
+            _number("bend", "bend", unit="N m/rad"),
+            _number("density", "areal density", unit="kg/m^2"),
+            _number("length", "bending length", unit="m"),
+        ),
+        rows=[
+            {
+                "name": name,
+                "stretch": fabric.stretch_stiffness_n_per_m,
+                "shear": fabric.shear_stiffness_n_per_m,
+                "bend": fabric.bend_stiffness_n_m_per_rad,
+                "density": fabric.areal_density_kg_per_m2,
+                "length": bending_length_m(fabric),
+            }
+            for name, fabric in known.items()
+        ],
+    )
+
+
+def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
+    """Return the constants of every fabric in every engine's terms, and what is lost.
+
+    Its row has the constants by fabric, engine and constant.
+    """
+    known = {name: fabric_constants(fabric) for name, fabric in fabrics.items()}
+    rows = []
+    for engine, first in next(iter(known.values())).items():
+        mapped = {name: by_engine[engine] for name, by_engine in known.items()}
+        for constant, unit in first.units.items():
+            cells = {
+                name: _short(fabric.constants[constant])
+                + ("*" if constant in fabric.replaced else " ")
+                for name, fabric in mapped.items()
+            }
+            rows.append({"engine": engine, "constant": f"{constant} [{unit}]", **cells})
+        ratios = {
+            name: f"{fabric.shear_stiffness_n_per_m / fabric.fabric.shear_stiffness_n_per_m:.2g} "
+            for name, fabric in mapped.items()
+        }
+        rows.append({"engine": engine, "constant": "shear over measured", **ratios})
+    columns = [Column(name, name, is_number=True) for name in fabrics]
+    table = Table(
+        columns=(
+            Column("engine", "engine", place=Place.HEADING),
+            Column("constant", "constant"),
+            *columns,
+        ),
+        rows=rows,
+        notes=(
+            "",
+            "* A fall-back sets this constant: gauge recipe FABRIC -b ENGINE says why. All mappings give the measured "
+            "stretch stiffness.",
+        ),
+    )
+    row = {
+        name: {engine: mapped.constants for engine, mapped in by_engine.items()}
+        for name, by_engine in known.items()
+    }
+    return Document(parts=(table,), rows=[row])
+
+
+def _short(value: float) -> str:
+    """Return a constant to three digits, with a short exponent."""
+    return f"{value:.3g}".replace("e+0", "e").replace("e-0", "e-")
