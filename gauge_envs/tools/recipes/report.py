@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.pages.document import Document, Part
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.scene.fabrics import Fabric, bending_length_m
@@ -184,38 +185,41 @@ def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
     for engine, first in next(iter(known.values())).items():
         mapped = {name: by_engine[engine] for name, by_engine in known.items()}
         for constant, unit in first.units.items():
-            cells = {
-                name: _short(fabric.constants[constant])
-                + ("*" if constant in fabric.replaced else " ")
-                for name, fabric in mapped.items()
-            }
-            rows.append({"engine": engine, "constant": f"{constant} [{unit}]", **cells})
-        ratios = {
-            name: f"{fabric.shear_stiffness_n_per_m / fabric.fabric.shear_stiffness_n_per_m:.2g} "
-            for name, fabric in mapped.items()
-        }
-        rows.append({"engine": engine, "constant": "shear over measured", **ratios})
-    columns = [Column(name, name, is_number=True) for name in fabrics]
+            row = {"engine": engine, "constant": constant, "unit": unit}
+            rows.append(
+                row | {name: _cell(one, constant) for name, one in mapped.items()}
+            )
+        row = {"engine": engine, "constant": "shear over real", "unit": "1"}
+        rows.append(row | {name: _shear_share(one) for name, one in mapped.items()})
     table = Table(
         columns=(
             Column("engine", "engine", place=Place.HEADING),
             Column("constant", "constant"),
-            *columns,
+            *(Column(name, name, is_number=True) for name in fabrics),
+            Column("unit", "unit", wide_only=True),
         ),
         rows=rows,
         notes=(
             "",
             "* A fall-back sets this constant: gauge recipe FABRIC -b ENGINE says why. All mappings give the measured "
-            "stretch stiffness.",
+            "stretch stiffness. --format wide shows the units.",
         ),
     )
-    row = {
+    constants = {
         name: {engine: mapped.constants for engine, mapped in by_engine.items()}
         for name, by_engine in known.items()
     }
-    return Document(parts=(table,), rows=[row])
+    return Document(parts=(table,), rows=[constants])
 
 
-def _short(value: float) -> str:
-    """Return a constant to three digits, with a short exponent."""
-    return f"{value:.3g}".replace("e+0", "e").replace("e-0", "e-")
+def _cell(mapped: FabricConstants, constant: str) -> str:
+    """Return a constant to three digits with a short exponent, and a mark if a fall-back sets it."""
+    digits = f"{mapped.constants[constant]:.3g}"
+    mark = "*" if constant in mapped.replaced else ""
+    return digits.replace("e+0", "e").replace("e-0", "e-") + mark
+
+
+def _shear_share(mapped: FabricConstants) -> str:
+    """Return the shear stiffness of a mapped fabric over the measured one."""
+    measured_n_per_m = mapped.fabric.shear_stiffness_n_per_m
+    return f"{mapped.shear_stiffness_n_per_m / measured_n_per_m:.2g}"

@@ -7,7 +7,6 @@ read friction and restitution from them.
 from __future__ import annotations
 
 import math
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,23 +21,14 @@ PLATE = (0.12, 0.12, 0.03)
 
 @dataclass(frozen=True, kw_only=True)
 class Foot:
-    """A box or, without a size, a ball above the plane z = 0, which starts at rest.
-
-    Attributes:
-        tip: Angles about x and y [rad].
-        is_free: Whether it can turn.
-        stepped: Factor of the time step behind the back of the recipe.
-    """
+    """A box or, without a size, a ball above the plane z = 0, which starts at rest; gravity leans by the slope."""
 
     mass_kg: float
-    slope_rad: float
-    height_m: float
     step_s: float
+    height_m: float
+    slope_rad: float = 0.0
     size_m: tuple[float, float, float] | None = None
-    turn_deg: float = 0.0
-    tip: tuple[float, float] = (0.0, 0.0)
     is_free: bool = True
-    stepped: float = 1.0
 
     @property
     def gravity(self):
@@ -48,71 +38,55 @@ class Foot:
     def half_m(self):
         return [0.5 * edge for edge in self.size_m or ()]
 
-    @property
-    def steps(self):
-        return range(round(DURATION_S / self.step_s))
 
-
-def slide(
-    loop,
-    snippet,
-    friction,
-    mass_kg,
-    step_s,
-    *,
-    beyond_deg=10.0,
-    size_m=PLATE,
-    tip=(0.0, 0.0),
-    **options,
-):
-    """Return friction over normal force of a box, from its mean accelerations along and off the slope after 0.1 s."""
-    slope = math.atan(friction) + math.radians(beyond_deg)
-    x, y, z = (0.5 * edge for edge in size_m)
+def slide(loop, snippet, friction, mass_kg, step_s, *, is_free=True):
+    """Return friction over normal force of a plate, from its mean accelerations along and off the slope after 0.1 s."""
+    slope_rad = math.atan(friction) + math.radians(10.0)
     foot = Foot(
         mass_kg=mass_kg,
-        slope_rad=slope,
-        height_m=z + x * abs(tip[1]) + y * abs(tip[0]),
         step_s=step_s,
-        size_m=size_m,
-        tip=tip,
-        **options,
+        height_m=0.5 * PLATE[2],
+        slope_rad=slope_rad,
+        size_m=PLATE,
+        is_free=is_free,
     )
     places = loop(snippet, foot)
     times = step_s * np.arange(len(places))
     seen = times >= 0.1
     along, _, off = 2.0 * np.polyfit(times[seen], places[seen], 2)[0]
-    return float((G * math.sin(slope) - along) / (G * math.cos(slope) + off))
+    return float((G * math.sin(slope_rad) - along) / (G * math.cos(slope_rad) + off))
 
 
-def rebound(loop, snippet, mass_kg, step_s, *, count=PHASES, stepped=1.0):
+def rebound(loop, snippet, mass_kg, step_s, *, count=PHASES):
     """Return the mean restitution of drops: root of the second peak's height over the first one's."""
-    found = []
+    restitutions = []
     for phase in range(count):
         drop = DROP_M + math.sqrt(2.0 * G * DROP_M) * step_s * phase / PHASES
-        foot = Foot(
-            mass_kg=mass_kg,
-            slope_rad=0.0,
-            height_m=RADIUS_M + drop,
-            step_s=step_s,
-            stepped=stepped,
-        )
+        foot = Foot(mass_kg=mass_kg, step_s=step_s, height_m=RADIUS_M + drop)
         heights = loop(snippet, foot)[:, 2] - RADIUS_M
         low = int(np.argmax(np.diff(heights) > 1e-7))
-        found.append(math.sqrt(max(float(heights[low:].max()), 0.0) / drop))
-    return float(np.mean(found))
+        restitutions.append(math.sqrt(max(float(heights[low:].max()), 0.0) / drop))
+    return float(np.mean(restitutions))
+
+
+def names_of(snippet):
+    """Names that a snippet of Python defines."""
+    names = {}
+    exec(snippet, names)
+    return names
 
 
 def stepped_places(foot, step, place):
     """Return the place before each step and after the last one, shape [count, 3]."""
     places = [np.array(place(), dtype=float)]
-    for _ in foot.steps:
+    for _ in range(round(DURATION_S / foot.step_s)):
         step()
         places.append(np.array(place(), dtype=float))
     return np.array(places)
 
 
-def mjcf(snippet, foot):
-    """Return a model of MuJoCo: a box that cannot turn has three sliding joints."""
+def mujoco(snippet, foot):
+    """MuJoCo, from MJCF: a box that cannot turn has three sliding joints."""
     import mujoco as mj
 
     joints = "<freejoint/>"
@@ -121,22 +95,12 @@ def mjcf(snippet, foot):
         joints = "".join(f"<joint type='slide' axis='{axis}'/>" for axis in axes)
     half = " ".join(map(str, foot.half_m))
     shape = f"type='box' size='{half}'" if half else f"type='sphere' size='{RADIUS_M}'"
-    turn = f"{foot.tip[0]} {foot.tip[1]} {math.radians(foot.turn_deg)}"
     model = mj.MjModel.from_xml_string(
-        f"<mujoco><compiler eulerseq='XYZ' angle='radian'/>{snippet}<worldbody><geom name='floor' type='plane' "
-        f"size='9 9 1'/><body pos='0 0 {foot.height_m}' euler='{turn}'>{joints}"
-        f"<geom name='foot' mass='{foot.mass_kg}' {shape}/></body></worldbody></mujoco>"
+        f"<mujoco>{snippet}<worldbody><geom name='floor' type='plane' size='9 9 1'/>"
+        f"<body pos='0 0 {foot.height_m}'>{joints}<geom name='foot' mass='{foot.mass_kg}' {shape}/></body>"
+        "</worldbody></mujoco>"
     )
     model.opt.gravity[:] = foot.gravity
-    model.opt.timestep *= foot.stepped
-    return model
-
-
-def mujoco(snippet, foot):
-    """MuJoCo, from MJCF."""
-    import mujoco as mj
-
-    model = mjcf(snippet, foot)
     data = mj.MjData(model)
     mj.mj_forward(model, data)
 
@@ -151,20 +115,17 @@ def rapier(snippet, foot):
     """Rapier, from Python."""
     import rapier3d as rp
 
-    names = {}
-    exec(snippet, names)
+    names = names_of(snippet)
     world = rp.PhysicsWorld(gravity=foot.gravity)
     names["set_parameters"](world)
     ground = rp.Collider.halfspace((0.0, 0.0, 1.0))
     world.add_body(rp.RigidBody.fixed(), [names["with_contact"](ground)])
     builder = rp.RigidBody.dynamic().translation((0.0, 0.0, foot.height_m))
-    builder = builder.can_sleep(False).rotation((0.0, 0.0, math.radians(foot.turn_deg)))
-    builder = builder.enabled_rotations((foot.is_free,) * 3)
     shape = (
         rp.Collider.cuboid(*foot.half_m) if foot.size_m else rp.Collider.ball(RADIUS_M)
     )
     colliders = [names["with_contact"](shape.mass(foot.mass_kg))]
-    body = world.rigid_bodies[world.add_body(builder, colliders)]
+    body = world.rigid_bodies[world.add_body(builder.can_sleep(False), colliders)]
 
     def place():
         return body.translation.x, body.translation.y, body.translation.z
@@ -172,27 +133,15 @@ def rapier(snippet, foot):
     return stepped_places(foot, world.step, place)
 
 
-@contextmanager
-def sapien_scene_config():
-    """Gives SAPIEN's global settings back."""
+def physx(snippet, foot):
+    """SAPIEN, from Python, whose configurations are global."""
     import sapien
 
     before = sapien.physx.get_scene_config()
     kept = {"gravity": before.gravity, "bounce_threshold": before.bounce_threshold}
     try:
-        yield
-    finally:
-        sapien.physx.set_scene_config(**kept)
-
-
-def physx(snippet, foot):
-    """SAPIEN, from Python."""
-    import sapien
-
-    names = {}
-    with sapien_scene_config():
         sapien.physx.set_scene_config(gravity=np.array(foot.gravity))
-        exec(snippet, names)
+        names = names_of(snippet)
         scene = sapien.Scene([sapien.physx.PhysxCpuSystem()])
         scene.set_timestep(names["timestep"])
         scene.add_ground(0.0, render=False, material=names["material"])
@@ -202,22 +151,19 @@ def physx(snippet, foot):
         else:
             builder.add_sphere_collision(radius=RADIUS_M, material=names["material"])
         actor = builder.build()
-        half = math.radians(foot.turn_deg) / 2.0
-        turn = [math.cos(half), 0.0, 0.0, math.sin(half)]
-        actor.set_pose(sapien.Pose([0.0, 0.0, foot.height_m], turn))
+        actor.set_pose(sapien.Pose([0.0, 0.0, foot.height_m]))
         kind = sapien.physx.PhysxRigidDynamicComponent
-        component = actor.find_component_by_type(kind)
-        component.mass = foot.mass_kg
-        component.set_locked_motion_axes([False] * 3 + [not foot.is_free] * 3)
+        actor.find_component_by_type(kind).mass = foot.mass_kg
         return stepped_places(foot, scene.step, lambda: actor.pose.p)
+    finally:
+        sapien.physx.set_scene_config(**kept)
 
 
 def pybullet(snippet, foot):
     """PyBullet, from Python."""
     import pybullet as pb
 
-    names = {}
-    exec(snippet, names)
+    names = names_of(snippet)
     client = pb.connect(pb.DIRECT)
     here = {"physicsClientId": client}
     shaped = {"flags": pb.URDF_INITIALIZE_SAT_FEATURES, **here}
@@ -253,8 +199,7 @@ def drake(snippet, foot):
     from pydrake.systems.analysis import Simulator
     from pydrake.systems.framework import DiagramBuilder
 
-    names = {}
-    exec(snippet, names)
+    names = names_of(snippet)
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, names["TIME_STEP"])
     names["set_contact"](plant)
@@ -262,13 +207,12 @@ def drake(snippet, foot):
     world, origin = plant.world_body(), RigidTransform()
     ground = names["properties"](is_ground=True)
     plant.RegisterCollisionGeometry(world, origin, HalfSpace(), "floor", ground)
+    points = [[0.0, 0.0, 0.0]]
+    inertia = SpatialInertia.SolidSphereWithMass(foot.mass_kg, RADIUS_M)
     if foot.size_m:
         x, y, z = foot.half_m
         points = [[sx * x, sy * y, -z] for sx in (-1, 1) for sy in (-1, 1)]
         inertia = SpatialInertia.SolidBoxWithMass(foot.mass_kg, *foot.size_m)
-    else:
-        points = [[0.0, 0.0, 0.0]]
-        inertia = SpatialInertia.SolidSphereWithMass(foot.mass_kg, RADIUS_M)
     sphere = Sphere(1e-6 if foot.size_m else RADIUS_M)
     body = plant.AddRigidBody("foot", inertia)
     for index, point in enumerate(points):
@@ -291,20 +235,18 @@ def newton(snippet, foot):
     import newton as nt
     import warp as wp
 
-    names = {}
-    exec(snippet, names)
+    names = names_of(snippet)
     builder = nt.ModelBuilder(gravity=foot.gravity)
     nt.solvers.SolverMuJoCo.register_custom_attributes(builder)
     ground = nt.ModelBuilder.ShapeConfig(gap=0.002)
     builder.add_shape_plane(body=-1, width=0.0, length=0.0, cfg=ground)
-    moments = [0.4 * foot.mass_kg * RADIUS_M**2] * 3
-    if foot.size_m:
-        squares = np.square(foot.size_m)
-        moments = foot.mass_kg * (squares.sum() - squares) / 12.0
-    place = wp.transform(wp.vec3(0.0, 0.0, foot.height_m), wp.quat_identity())
-    inertia = wp.mat33(np.diag(moments))
+    squares = np.square(foot.size_m or [RADIUS_M * math.sqrt(2.4)] * 3)
+    moments = foot.mass_kg * (squares.sum() - squares) / 12.0
     body = builder.add_body(
-        xform=place, mass=foot.mass_kg, inertia=inertia, lock_inertia=True
+        xform=wp.transform(wp.vec3(0.0, 0.0, foot.height_m), wp.quat_identity()),
+        mass=foot.mass_kg,
+        inertia=wp.mat33(np.diag(moments)),
+        lock_inertia=True,
     )
     names["config"].density = 0.0
     given = {"cfg": names["config"], "custom_attributes": names["attributes"]}
@@ -331,8 +273,7 @@ def genesis(snippet, foot):
     """Genesis, from Python."""
     import genesis as gs
 
-    names = {}
-    exec(snippet, names)
+    names = names_of(snippet)
     place = (0.0, 0.0, foot.height_m)
     try:
         scene = gs.Scene(
@@ -341,16 +282,11 @@ def genesis(snippet, foot):
             rigid_options=names["rigid_options"](),
         )
         scene.add_entity(gs.morphs.Plane(), material=names["material"]())
+        morph = gs.morphs.Sphere(radius=RADIUS_M, pos=place)
+        volume = 4.0 / 3.0 * math.pi * RADIUS_M**3
         if foot.size_m:
-            morph, volume = (
-                gs.morphs.Box(size=foot.size_m, pos=place),
-                math.prod(foot.size_m),
-            )
-        else:
-            morph, volume = (
-                gs.morphs.Sphere(radius=RADIUS_M, pos=place),
-                4.0 / 3.0 * math.pi * RADIUS_M**3,
-            )
+            morph = gs.morphs.Box(size=foot.size_m, pos=place)
+            volume = math.prod(foot.size_m)
         material = names["material"]()
         material.rho = foot.mass_kg / volume
         body = scene.add_entity(morph, material=material)
@@ -365,7 +301,5 @@ LOOPS = {
     loop.__name__: loop
     for loop in (mujoco, rapier, physx, pybullet, drake, newton, genesis)
 }
-SLIDES = ("mujoco", "rapier", "physx")
-"""Engines in which a box can be kept from turning."""
 FEW_DROPS = ("newton", "genesis")
 """Engines of slow steps, which get two drops."""
