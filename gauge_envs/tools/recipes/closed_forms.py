@@ -71,7 +71,8 @@ class MuJoCoContact:
         depth_m = self._depth_m(G)
         impedance = mujoco_impedance(self.solimp, depth_m)
         share = self._share(impedance, PLATE_CONTACTS)
-        loss = self.timestep_s * share * self._damping_per_s(self.solref)
+        _, damping_per_s = self._constants(self.solref)
+        loss = self.timestep_s * share * damping_per_s
         time_constant_s = None
         if 0.0 < loss < 1.0:
             time_constant_s = -2.0 * self.timestep_s / math.log1p(-loss)
@@ -87,22 +88,18 @@ class MuJoCoContact:
         """Return the restitution of each drop on one contact."""
         return [self._rebound(height_m) for height_m in drop_heights_m(self.timestep_s)]
 
-    def _stiffness_per_s2(self, d: float) -> float:
-        """Return k of the reference acceleration [1/s^2]; MuJoCo keeps the time constant at two steps or more."""
-        first, second = self.solref
-        dmax = self.solimp[1]
-        if first <= 0.0:
-            return -first * d / dmax**2
-        time_constant_s = max(first, 2.0 * self.timestep_s)
-        return d / (dmax * time_constant_s * second) ** 2
+    def _constants(self, solref: tuple[float, float]) -> tuple[float, float]:
+        """Return stiffness over impedance [1/s^2] and damping [1/s] of the reference acceleration: k / d, and b.
 
-    def _damping_per_s(self, solref: tuple[float, float]) -> float:
-        """Return b of the reference acceleration [1/s]."""
+        MuJoCo keeps the time constant at two steps or more.
+        """
         first, second = solref
         dmax = self.solimp[1]
         if first <= 0.0:
-            return -second / dmax
-        return 2.0 / (dmax * max(first, 2.0 * self.timestep_s))
+            return -first / dmax**2, -second / dmax
+        time_constant_s = max(first, 2.0 * self.timestep_s)
+        time_s = dmax * time_constant_s
+        return 1.0 / (time_s * second) ** 2, 2.0 / time_s
 
     def _share(self, d: float, contact_count: int) -> float:
         """Return D."""
@@ -114,11 +111,12 @@ class MuJoCoContact:
 
     def _depth_m(self, load_m_per_s2: float) -> float:
         """Return the depth of the plate at rest [m]: D k r = (1 - D) g."""
+        stiffness_per_s2, _ = self._constants(self.solref)
 
         def excess(depth_m: float) -> float:
             d = mujoco_impedance(self.solimp, depth_m)
             share = self._share(d, PLATE_CONTACTS)
-            spring_m_per_s2 = share * self._stiffness_per_s2(d) * depth_m
+            spring_m_per_s2 = share * stiffness_per_s2 * d * depth_m
             return spring_m_per_s2 - (1.0 - share) * load_m_per_s2
 
         if excess(DEEPEST_M) < 0.0:
@@ -128,9 +126,9 @@ class MuJoCoContact:
     def _creep_m_s(self) -> float:
         """Return the speed of the plate on the slope [m/s], at which damping balances the soft share of the load."""
         slope_rad = creep_slope_rad(self.friction)
-        has_own_damping = any(self.solreffriction)
-        damping_per_s = self._damping_per_s(
-            self.solreffriction if has_own_damping else self.solref
+        is_own = any(self.solreffriction)
+        _, damping_per_s = self._constants(
+            self.solreffriction if is_own else self.solref
         )
         if damping_per_s <= 0.0:
             return math.inf
@@ -143,6 +141,7 @@ class MuJoCoContact:
     def _rebound(self, height_m: float) -> float:
         """Return the restitution of a drop, by height, with the engine's steps: velocity first, then position."""
         step_s = self.timestep_s
+        stiffness_per_s2, damping_per_s = self._constants(self.solref)
         # After n steps of the fall the speed is n g h, and the way n (n + 1) g h^2 / 2.
         way_steps = 2.0 * height_m / (G * step_s**2)
         count = math.floor(0.5 * (math.sqrt(1.0 + 4.0 * way_steps) - 1.0)) + 1
@@ -152,9 +151,7 @@ class MuJoCoContact:
         for _ in range(math.ceil(LONGEST_IMPACT_S / step_s)):
             d = mujoco_impedance(self.solimp, depth_m)
             push_m_per_s2 = (
-                G
-                + self._damping_per_s(self.solref) * speed_m_per_s
-                + self._stiffness_per_s2(d) * depth_m
+                G + damping_per_s * speed_m_per_s + stiffness_per_s2 * d * depth_m
             )
             speed_m_per_s += step_s * (G - self._share(d, 1) * max(push_m_per_s2, 0.0))
             depth_m += step_s * speed_m_per_s

@@ -1,7 +1,6 @@
 """What contact settings of an engine mean: the behaviour that they give, by simulation and in closed form."""
 
 import re
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +19,13 @@ MEASURED_IN = (
     "friction, and slides 10 degrees beyond the friction angle, without turning and free to hop."
 )
 """The scenes in words."""
+
+
+ASSIGNMENT = re.compile(r"\s*(\w+)\s*=\s*([^=]*)(?=\s\w+\s*=|$)")
+"""A name, an equals sign, and everything up to the next name."""
+
+VALUE = re.compile(r"[^\s,\"'()\[\]]+")
+"""A value between blanks, commas, quotes and brackets."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,12 +66,16 @@ def parsed_contact(
     Raises:
         ParameterError: The text has another form, or the engine has no such setting.
     """
-    try:
-        values = _assignments(text) | {"timestep_s": timestep_s}
-    except ValueError as error:
+    pairs = ASSIGNMENT.findall(text)
+    values: dict[str, Any] = {name: VALUE.findall(stated) for name, stated in pairs}
+    is_whole = pairs and not ASSIGNMENT.sub("", text).strip()
+    if not is_whole or len(values) < len(pairs) or "timestep_s" in values:
         raise ParameterError(
-            f"{engine.engine} contact: {error}; expected name=values, as 'friction=0.5'"
-        ) from None
+            f"{engine.engine} contact {text!r}: expected names=values, each name once, as 'friction=0.5'"
+        )
+    for name, parts in values.items():
+        values[name] = tuple(parts) if len(parts) > 1 else "".join(parts)
+    values["timestep_s"] = timestep_s
     try:
         return engine.model_validate(values)
     except ValidationError as error:
@@ -76,30 +86,6 @@ def parsed_contact(
         raise ParameterError(
             f"{engine.engine} contact: {place}{reason}; {hint}"
         ) from None
-
-
-def _assignments(text: str) -> dict[str, Any]:
-    """Return the value of each name, or a tuple of several values, which are texts.
-
-    Raises:
-        ValueError: A value has no name, a name comes twice, or a quote is not closed.
-    """
-    values: dict[str, list[str]] = {}
-    name = ""
-    for word in shlex.split(re.sub(r"\s*=\s*", "=", text)):
-        stated, equals, rest = word.rpartition("=")
-        if equals:
-            name = stated
-            if name in values or name == "timestep_s":
-                raise ValueError(f"{name} is given twice")
-        if not name:
-            raise ValueError(f"{word!r} has no name")
-        parts = rest.strip("[]()").replace(",", " ").split()
-        values.setdefault(name, []).extend(parts)
-    return {
-        name: parts[0] if len(parts) == 1 else tuple(parts)
-        for name, parts in values.items()
-    }
 
 
 def explain(settings: ContactSettings, mass_kg: float) -> Meaning:

@@ -22,7 +22,7 @@ from gauge_envs.tools.conformance import (
     hanging_strip,
     stretch_stiffness,
 )
-from gauge_envs.tools.recipes.search import Recipe, errors_of
+from gauge_envs.tools.recipes.search import Recipe, difference
 from gauge_envs.tools.usd import surface_constants
 
 ISAAC = "isaac"
@@ -123,7 +123,7 @@ def fabric_recipe(
         settings=mapped.constants,
         snippet=fabric_snippet(mapped),
         reached=reached,
-        error=errors_of(reached, {name: targets[name] for name in reached}),
+        error={name: difference(reached[name], targets[name]) for name in reached},
         misses=misses,
         detail={"mapping_gives": law_of(mapped), "timestep_s": step_s},
         wall_s=time.perf_counter() - start_s,

@@ -1,11 +1,13 @@
 """Pairs of materials whose friction and restitution were measured, with source and uncertainty.
 
-All numbers are those of the task files; none stands here.
+All numbers are those of the task files; materials.csv says where they stand.
 """
 
 import csv
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.task_files import task_spec
@@ -40,54 +42,23 @@ class MaterialPair:
     uncertainty_sources: tuple[str, ...]
 
 
-PAIRS = {
-    "wood-on-wood": ("wood cube on a tilted wooden board", "SlopeSlider", "cube"),
-    "plastic-on-wood": ("plastic cube on a tilted wooden board", "SlopeSlider", "cube"),
-    "metal-on-wood": ("metal cube on a tilted wooden board", "SlopeSlider", "cube"),
-    "wood-on-wood-plate": ("wood cube on a turning wooden plate", "Turntable", "cube"),
-    "plastic-on-wood-plate": (
-        "plastic cube on a turning wooden plate",
-        "Turntable",
-        "cube",
-    ),
-    "metal-on-wood-plate": (
-        "metal cube on a turning wooden plate",
-        "Turntable",
-        "cube",
-    ),
-    "wood-on-wood-block": (
-        "wooden tetrahedron on the seam of a wooden block",
-        "SlopeContact",
-        "teh",
-    ),
-    "plastic-on-plastic-block": (
-        "plastic tetrahedron on the seam of a plastic block",
-        "SlopeContact",
-        "teh",
-    ),
-    "rubber-on-wood": ("rubber ball on a wooden plank", "BouncingBall", "ball"),
-    "rubber-on-wood-recorded": (
-        "rubber ball on a wooden plank, restitution of the recorded drops",
-        "BouncingBall",
-        "ball",
-    ),
-    "metal-on-metal": ("balls of a cradle", "NewtonsCradle", "ball-1"),
-    "metal-on-metal-recorded": (
-        "balls of a cradle, restitution that transfers the recorded momentum",
-        "NewtonsCradle",
-        "ball-1",
-    ),
-    "acrylic-on-table": ("acrylic cube tossed on a table", "CubeToss", "cube"),
-}
-"""The two bodies of each pair in words; then the family of the task file, and the body in it.
+def _rows(file: Path) -> list[dict[str, str]]:
+    return [*csv.DictReader(read_content(file).decode().splitlines())]
 
-The name begins with the material of the body.
-"""
+
+@cache
+def _places() -> dict[str, dict[str, str]]:
+    """Return the two bodies of each pair in words, the family of its task file, and the body in it, by name.
+
+    The name begins with the material of the body.
+    """
+    rows = _rows(Path(__file__).with_name("materials.csv"))
+    return {row["name"]: row for row in rows}
 
 
 def material_pairs() -> tuple[MaterialPair, ...]:
     """Return all pairs."""
-    return tuple(map(find_material, PAIRS))
+    return tuple(map(find_material, _places()))
 
 
 def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
@@ -102,10 +73,11 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
     Raises:
         UnknownNameError: There is no such pair.
     """
-    if name not in PAIRS:
-        raise UnknownNameError("material", name, [*PAIRS, *also])
-    material = name.partition("-")[0]
-    what, family, body = PAIRS[name]
+    places = _places()
+    if name not in places:
+        raise UnknownNameError("material", name, [*places, *also])
+    material, place = name.partition("-")[0], places[name]
+    family, body = place["family"], place["body"]
     spec = task_spec(family)
     constants = spec.constants_of(body, material, None)
     friction, restitution = constants["friction"], constants["restitution"]
@@ -129,7 +101,7 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
     publications = filter(None, (spec.source.metadata, spec.source.paper))
     return MaterialPair(
         name=name,
-        what=what,
+        what=place["what"],
         friction=friction,
         friction_std=friction_std,
         restitution=restitution,
@@ -142,8 +114,7 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
 
 def published_pairs() -> list[dict[str, str]]:
     """Return friction of further pairs as tables in the literature state it: texts, of which some are ranges."""
-    text = read_content(scoring_folder("facts") / "friction_tables.csv").decode()
     return [
         {key: value or "-" for key, value in row.items()}
-        for row in csv.DictReader(text.splitlines())
+        for row in _rows(scoring_folder("facts") / "friction_tables.csv")
     ]

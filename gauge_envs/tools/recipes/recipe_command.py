@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -21,6 +21,8 @@ FABRICS_FAMILY = "TextileFlinging"
 """Family whose task file has the six calibrated fabrics of the benchmark; other families repeat its constants."""
 
 TIMESTEP = "--set timestep_s=0.002"
+BODY = {"mass_kg": "--mass 0.5", "timestep_s": TIMESTEP}
+"""Example of each option that all contacts need, by name."""
 
 
 def known_fabrics() -> Mapping[str, Fabric]:
@@ -116,58 +118,67 @@ def recipe(
         "torsion_m": torsion_m,
         "rolling_m": rolling_m,
         "creep_m_s": creep_m_s,
+        "mass_kg": mass_kg,
+        **_timestep(changes),
     }
-    behaviour = {name: value for name, value in wanted.items() if value is not None}
-    timestep_s = _timestep_s(changes)
+    given = {name: value for name, value in wanted.items() if value is not None}
     if explain is not None:
-        if material or behaviour:
-            raise ParameterError(
-                f"--explain goes with --mass and {TIMESTEP}: leave the others out"
-            )
-        return _explain(engine, explain, mass_kg, timestep_s, form)
-    if material in known_fabrics():
-        if behaviour or mass_kg is not None:
-            raise ParameterError(
-                f"a fabric goes with {TIMESTEP} alone: leave the others out"
-            )
-        return _print_fabric(str(material), engine, timestep_s, form)
-    return _print_recipe(engine, material, behaviour, mass_kg, timestep_s, form)
+        answer = _meaning(engine, explain, material, given)
+    elif material in known_fabrics():
+        answer = _fabric(engine, str(material), given)
+    else:
+        answer = _contact(engine, material, given)
+    print_document(answer.shown, form)
+    if form is not Format.JSON:
+        # A terminal's width must not wrap or cut what is to be pasted.
+        echo(f"\npaste\n{answer.snippet}", nl=False)
+    return answer.has_failed
 
 
-def _timestep_s(changes: Sequence[str] | None) -> float | None:
+class Answer(NamedTuple):
+    """What a request prints, the snippet to paste, and whether a simulation diverged."""
+
+    shown: Shown
+    snippet: str
+    has_failed: bool
+
+
+def _timestep(changes: Sequence[str] | None) -> dict[str, float]:
     """Return the time step [s] of `--set`, the only setting that a recipe does not find itself."""
-    timestep_s = None
-    for name, value in (arguments.parsed_settings(changes) or {}).items():
+    settings = arguments.parsed_settings(changes) or {}
+    for name, value in settings.items():
         if name != "timestep_s" or not isinstance(value, int | float):
             raise ParameterError(
                 f"--set {name}={value}: a recipe takes the time step alone, as {TIMESTEP}"
             )
-        timestep_s = value
-    return timestep_s
+    return settings
 
 
-def _given(value: float | None, example: str) -> float:
-    """Return a value that the request needs."""
-    if value is None:
-        raise ParameterError(f"the request is incomplete: add {example}")
-    return value
+def _check_names(
+    subject: str, given: Iterable[str], allowed: Mapping[str, str]
+) -> None:
+    """Raise an error for options that a subject does not take.
+
+    Args:
+        subject: What was asked for.
+        given: Names of the options.
+        allowed: Example of each option that the subject takes, by name.
+    """
+    if set(given) - set(allowed):
+        raise ParameterError(
+            f"{subject} goes with {' and '.join(allowed.values())} alone: leave the others out"
+        )
 
 
-def _print(document: Shown, snippet: str, form: Format) -> None:
-    """Print a result, and a snippet as it is: a terminal's width must not wrap or cut what is to be pasted."""
-    print_document(document, form)
-    if form is not Format.JSON:
-        echo(f"\npaste\n{snippet}", nl=False)
+def _check_body(given: Mapping[str, float]) -> None:
+    """Raise an error if a request has no mass or no time step."""
+    for name, example in BODY.items():
+        if name not in given:
+            raise ParameterError(f"the request is incomplete: add {example}")
 
 
-def _print_recipe(
-    engine: str,
-    material: str | None,
-    behaviour: dict[str, float],
-    mass_kg: float | None,
-    timestep_s: float | None,
-    form: Format,
-) -> bool:
+def _contact(engine: str, material: str | None, given: dict[str, float]) -> Answer:
+    """Return a recipe for a behaviour, or for a measured pair of materials."""
     from gauge_envs.tools.recipes import Aim, engine_settings, find_recipe
     from gauge_envs.tools.recipes.materials import find_material
     from gauge_envs.tools.recipes.report import recipe_document
@@ -175,53 +186,46 @@ def _print_recipe(
     settings, pair = engine_settings(engine), None
     if material is not None:
         pair = find_material(material, also=known_fabrics())
-        mass_kg = pair.mass_kg if mass_kg is None else mass_kg
+        given = {"mass_kg": pair.mass_kg, **given}
         if pair.friction is not None:
-            behaviour = {"friction": pair.friction, **behaviour}
-        if "damping_n_s_per_m" not in behaviour:
-            behaviour = {"restitution": pair.restitution, **behaviour}
-    if not behaviour.keys() - {"damping_n_s_per_m"}:
+            given = {"friction": pair.friction, **given}
+        if "damping_n_s_per_m" not in given:
+            given = {"restitution": pair.restitution, **given}
+    if not given.keys() - {"damping_n_s_per_m", *BODY}:
         raise ParameterError(
             "nothing is asked: add --friction 0.4, --restitution 0.6, --penetration or --stiffness"
         )
-    aim = Aim(
-        **behaviour,
-        mass_kg=_given(mass_kg, "--mass 0.5"),
-        timestep_s=_given(timestep_s, TIMESTEP),
-    )
-    result = find_recipe(settings, aim)
-    _print(recipe_document(result, pair), result.snippet, form)
-    return not result.detail
+    _check_body(given)
+    result = find_recipe(settings, Aim(**given))
+    return Answer(recipe_document(result, pair), result.snippet, not result.detail)
 
 
-def _explain(
-    engine: str,
-    text: str,
-    mass_kg: float | None,
-    timestep_s: float | None,
-    form: Format,
-) -> bool:
+def _meaning(
+    engine: str, text: str, material: str | None, given: Mapping[str, float]
+) -> Answer:
+    """Return what settings give."""
     from gauge_envs.tools.recipes import engine_settings
     from gauge_envs.tools.recipes.explain import explain, parsed_contact
     from gauge_envs.tools.recipes.report import meaning_document
 
-    step_s, body_kg = _given(timestep_s, TIMESTEP), _given(mass_kg, "--mass 2")
-    meaning = explain(parsed_contact(engine_settings(engine), text, step_s), body_kg)
-    _print(meaning_document(meaning), meaning.snippet, form)
-    return meaning.reached["friction"] is None
+    _check_names("--explain", [*given, *filter(None, [material])], BODY)
+    _check_body(given)
+    contact = parsed_contact(engine_settings(engine), text, given["timestep_s"])
+    meaning = explain(contact, given["mass_kg"])
+    has_failed = meaning.reached["friction"] is None
+    return Answer(meaning_document(meaning), meaning.snippet, has_failed)
 
 
-def _print_fabric(
-    name: str, engine: str, timestep_s: float | None, form: Format
-) -> bool:
+def _fabric(engine: str, name: str, given: Mapping[str, float]) -> Answer:
+    """Return a fabric in the constants of an engine."""
     from gauge_envs.tools.recipes.fabrics import fabric_recipe
     from gauge_envs.tools.recipes.report import recipe_document
 
-    result = fabric_recipe(name, known_fabrics()[name], engine, timestep_s)
-    _print(recipe_document(result, name), result.snippet, form)
-    reached = result.reached
-    is_incomplete = None in (reached["stretch_n_per_m"], reached["bend_n_m"])
-    return bool(result.versions) and is_incomplete
+    _check_names("a fabric", given, {"timestep_s": TIMESTEP})
+    result = fabric_recipe(name, known_fabrics()[name], engine, given.get("timestep_s"))
+    strips = (result.reached["stretch_n_per_m"], result.reached["bend_n_m"])
+    has_failed = bool(result.versions) and None in strips
+    return Answer(recipe_document(result, name), result.snippet, has_failed)
 
 
 def recipe_fabrics(form: arguments.Form = Format.TEXT) -> None:

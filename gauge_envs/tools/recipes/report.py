@@ -68,27 +68,17 @@ def recipe_document(
     law = recipe.detail.get("mapping_gives", {})
     if law:
         columns.insert(1, _number("law", "law"))
-    rows = [
-        {
-            "name": name,
-            "asked": _target(recipe, name),
-            "law": law.get(name),
-            "reached": value,
-            "error": recipe.error.get(name),
-        }
-        for name, value in recipe.reached.items()
-    ]
+    rows = []
+    for name, value in recipe.reached.items():
+        target, error = recipe.asked.get(name), recipe.error.get(name)
+        if value is not None and error is not None:
+            # A stiffness asks for a depth, and a damping for a rebound.
+            target = value - error
+        row_of_name = {"name": name, "asked": target, "law": law.get(name)}
+        rows.append(row_of_name | {"reached": value, "error": error})
     wall = f"{recipe.wall_s:.1f} s"
     parts.append(_values_table(title, columns, rows, recipe.explanation, wall))
     return Document(parts=parts, rows=[row])
-
-
-def _target(recipe: Recipe, name: str) -> float | None:
-    """Return the asked value of a name, which a stiffness or a damping may give."""
-    value, error = recipe.reached[name], recipe.error.get(name)
-    if value is None or error is None:
-        return recipe.asked.get(name)
-    return value - error
 
 
 def meaning_document(meaning: Meaning) -> Document:

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from gauge_envs.tools.bench.recording import DivergedError
 from gauge_envs.tools.recipes.aim import RANGES, Aim
-from gauge_envs.tools.recipes.engines.base import ContactSettings
+from gauge_envs.tools.recipes.engines.base import ContactSettings, rounded
 from gauge_envs.tools.recipes.measure import NAMES, measured, notes_on
 from gauge_envs.tools.recipes.probes import Probe
 
@@ -77,15 +77,6 @@ class Recipe:
     versions: Mapping[str, str]
 
 
-def errors_of(reached: Numbers, targets: Numbers) -> dict[str, float | None]:
-    """Return reached values less their targets, by the names of the targets."""
-    return {
-        name: None if target is None or value is None else value - target
-        for name, target in targets.items()
-        for value in (reached.get(name),)
-    }
-
-
 def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
     """Return the settings of an engine that come nearest to a behaviour, with what they give.
 
@@ -104,35 +95,35 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
     versions = engine.backend().versions()
     start_s = time.perf_counter()
     targets = aim.targets
-    reached: dict[str, float | None] = dict.fromkeys([*NAMES[:-1], *targets])
-    settings, snippet, detail, misses = engine.aimed(aim), "", {}, []
+    settings, found = engine.aimed(aim), dict[str, Any]()
+    snippet = settings.snippet()
     try:
         settings, found = _measured_settings(engine, aim)
+        snippet = _commented_snippet(settings, found)
+        explanation = _explanation(settings, aim, found)
     except DivergedError as error:
-        explanation, snippet = divergence_text(error), settings.snippet()
-    else:
-        reached = {name: found[name] for name in reached}
-        detail = {name: value for name, value in found.items() if name not in reached}
-        misses = [name for name in targets if _is_missed(aim, name, reached[name])]
-        explanation = _explanation(settings, aim, misses, found)
-        comment = settings.comment(
-            f"Friction: {found['friction']:.3g} of bodies that hold contact, {found['friction_hopping']:.3g} of plates "
-            "that can hop."
-        )
-        snippet = f"{comment}\n{settings.snippet()}"
+        explanation = divergence_text(error)
+    reached = {name: found.get(name) for name in [*NAMES[:-1], *targets]}
     return Recipe(
         engine=engine.engine,
         asked=asdict(aim),
         settings=settings.model_dump(mode="json"),
         snippet=snippet,
         reached=reached,
-        error=errors_of(reached, targets),
-        misses=misses,
-        detail=detail,
+        error={
+            name: difference(reached[name], target) for name, target in targets.items()
+        },
+        misses=_misses(aim, reached),
+        detail={name: value for name, value in found.items() if name not in reached},
         wall_s=time.perf_counter() - start_s,
         explanation=explanation,
         versions=versions,
     )
+
+
+def difference(value: float | None, target: float | None) -> float | None:
+    """Return a value less its target; None without one of them."""
+    return None if value is None or target is None else value - target
 
 
 def _measured_settings(
@@ -145,24 +136,39 @@ def _measured_settings(
     Raises:
         DivergedError: A simulation diverged.
     """
-    values = _searched(engine, aim).model_dump()
-    values |= {"torsion_m": aim.torsion_m or 0.0, "rolling_m": aim.rolling_m or 0.0}
-    settings = engine.model_validate(values)
+    turning = {"torsion_m": aim.torsion_m or 0.0, "rolling_m": aim.rolling_m or 0.0}
+    settings = _searched(engine, aim).model_copy(update=turning)
     found = measured(settings, aim.mass_kg, friction=aim.sliding_friction)
-    if _is_missed(aim, "creep_m_s", found["creep_m_s"]) and "impratio" in values:
-        values["impratio"] *= CREEP_MARGIN * found["creep_m_s"] / (aim.creep_m_s or 1.0)
-        settings = engine.model_validate(values)
+    impratio = getattr(settings, "impratio", None)
+    if impratio and aim.creep_m_s and found["creep_m_s"] > aim.creep_m_s:
+        impratio *= CREEP_MARGIN * found["creep_m_s"] / aim.creep_m_s
+        settings = settings.model_copy(update={"impratio": rounded(impratio)})
         found = measured(settings, aim.mass_kg, friction=aim.sliding_friction)
     return settings, found
 
 
-def _is_missed(aim: Aim, name: str, value: float | None) -> bool:
-    """Return whether a measured value is not what an aim asks for."""
-    target = aim.targets.get(name)
-    if target is None or value is None:
-        return False
-    is_depth = name == "penetration_m" and aim.stiffness_n_per_m is None
-    if is_depth or name == "creep_m_s":
+def _commented_snippet(settings: ContactSettings, found: Mapping[str, Any]) -> str:
+    """Return a snippet below a comment with the friction of bodies that hold contact and that hop."""
+    holds, hops = found["friction"], found["friction_hopping"]
+    text = f"Friction: {holds:.3g} of bodies that hold contact, {hops:.3g} of plates that can hop."
+    return f"{settings.comment(text)}\n{settings.snippet()}"
+
+
+def _misses(aim: Aim, values: Numbers) -> list[str]:
+    """Return the names of the values that an aim asks for and that are not reached."""
+    return [
+        name
+        for name, target in aim.targets.items()
+        if target is not None
+        and (value := values.get(name)) is not None
+        and _is_missed(aim, name, target, value)
+    ]
+
+
+def _is_missed(aim: Aim, name: str, target: float, value: float) -> bool:
+    """Return whether a value is too far from its target; a depth and a creep may be smaller than asked."""
+    is_limit = name == "penetration_m" and aim.stiffness_n_per_m is None
+    if is_limit or name == "creep_m_s":
         return not value <= target
     tolerance = SHARES[name] * target if name in SHARES else RESTITUTION_TOLERANCE
     return not abs(value - target) <= tolerance
@@ -265,10 +271,9 @@ def _root(
 # --- explanation -----------------------------------------------------------------------------------------------------
 
 
-def _explanation(
-    settings: ContactSettings, aim: Aim, misses: Sequence[str], found: Mapping[str, Any]
-) -> str:
+def _explanation(settings: ContactSettings, aim: Aim, found: Numbers) -> str:
     """Return why values are missed, with a simulation of the suspected cause."""
+    misses = _misses(aim, found)
     texts = [] if misses else ["All asked values are reached."]
     for name in misses:
         texts.append(f"{name}: the settings reach {found[name]:.3g}.")
@@ -298,7 +303,7 @@ def _step_text(engine: type[ContactSettings], aim: Aim, name: str) -> str:
             value = _reached(_searched(engine, finer), finer, name)
         except DivergedError:
             return f"With a {step} the simulation diverges."
-        if not _is_missed(finer, name, value):
+        if name not in _misses(finer, {name: value}):
             return f"A {step} reaches {value:.3g}."
         text = f"A {step} does not reach it either ({value:.3g})."
     return text

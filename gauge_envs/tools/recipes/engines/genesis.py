@@ -43,6 +43,9 @@ MIN_RATIO = 1e-4
 MIN_TIME_STEPS = 2.0
 """Time constant to which Genesis raises shorter ones [steps]."""
 
+SolParams = tuple[float, float, float, float, float, float, float]
+"""Time constant [s], damping ratio, and impedance: least, greatest, width [m], midpoint, power."""
+
 SHAPE = (0.001, 0.5, 2.0)
 """Width [m], midpoint and power of an impedance that is constant in depth."""
 
@@ -76,7 +79,7 @@ class GenesisSettings(ContactSettings):
     limits = LIMITS
 
     friction: float = Field(default=1.0, ge=0.01, le=5.0)
-    sol_params: tuple[float, float, float, float, float, float, float] = (
+    sol_params: SolParams = (
         0.01,
         1.0,
         0.9,
@@ -112,17 +115,18 @@ class GenesisSettings(ContactSettings):
         """Return a spring that rebounds as hard as steps resolve it, or the spring and damper that is asked for."""
         frequency_per_s = spring_frequency_per_s(aim)
         if frequency_per_s is None:
-            time_s, ratio, impedance = _impact(aim)
+            sol_params = _impact(aim)
         else:
             ratio = 1.0
             if aim.rebound is not None:
                 ratio = max(damping_ratio_of(aim.rebound), 1e-3)
             ratio = min(ratio, _max_ratio(frequency_per_s, aim.timestep_s))
-            time_s, impedance = 1.0 / (ratio * frequency_per_s), SOFT_IMPEDANCE
+            solref = (1.0 / (ratio * frequency_per_s), ratio)
+            sol_params = (*solref, SOFT_IMPEDANCE, SOFT_IMPEDANCE, *SHAPE)
         return cls(
             timestep_s=aim.timestep_s,
             friction=aim.sliding_friction,
-            sol_params=(time_s, ratio, impedance, impedance, *SHAPE),
+            sol_params=sol_params,
             friction_cone="elliptic",
         )
 
@@ -182,57 +186,50 @@ def _max_ratio(frequency_per_s: float, timestep_s: float) -> float:
     return 1.0 / (MIN_TIME_STEPS * timestep_s * frequency_per_s)
 
 
-def _impact(aim: Aim) -> tuple[float, float, float]:
-    """Return time constant, damping ratio and impedance of the hardest spring whose rebound scatters little."""
+def _impact(aim: Aim) -> SolParams:
+    """Return the constants of the hardest spring whose rebound scatters little."""
     restitution = aim.rebound or 0.0
-    candidates: list[tuple[float, float, float, float]] = []
+    candidates: list[tuple[float, SolParams]] = []
     for steps in IMPACT_STEPS:
         half_period_s = steps * aim.timestep_s
         if candidates and half_period_s > MAX_IMPACT_S:
             break
-        spring = _Spring(aim, math.pi / half_period_s)
-        ratio = spring.ratio_of(restitution)
-        rebounds = spring.rebounds(ratio)
+        contact = _rebounding(aim, restitution, math.pi / half_period_s)
+        rebounds = contact.rebounds()
         miss = abs(sum(rebounds) / len(rebounds) - restitution)
         scatter = max(rebounds) - min(rebounds)
         fault = max(miss - NO_REBOUND, 0.0) + max(scatter - MAX_SCATTER, 0.0)
-        time_s = 1.0 / (ratio * spring.frequency_per_s)
-        candidates.append((fault, time_s, ratio, spring.impedance))
+        candidates.append((fault, (*contact.solref, *contact.solimp)))
         if fault == 0.0:
             break
-    return min(candidates)[1:]
+    return min(candidates)[1]
 
 
-class _Spring:
-    """A contact of a natural frequency [1/s], whose impedance bears the weight at a depth that steps do not leave."""
+def _rebounding(aim: Aim, restitution: float, frequency_per_s: float) -> MuJoCoContact:
+    """Return a spring [1/s] whose mean rebound is a restitution, or comes nearest to it.
 
-    def __init__(self, aim: Aim, frequency_per_s: float) -> None:
-        self.timestep_s = aim.timestep_s
-        self.frequency_per_s = frequency_per_s
-        self.impedance = impedance_of(
-            aim,
-            SOFT_IMPEDANCE if aim.rebound else HARD_IMPEDANCE,
-            lambda load_s2: 1.0 - load_s2 * frequency_per_s**2,
+    Its impedance bears the weight at a depth that steps do not leave.
+    """
+    impedance = impedance_of(
+        aim,
+        SOFT_IMPEDANCE if restitution else HARD_IMPEDANCE,
+        lambda load_s2: 1.0 - load_s2 * frequency_per_s**2,
+    )
+
+    def contact(ratio: float) -> MuJoCoContact:
+        return MuJoCoContact(
+            solref=(1.0 / (ratio * frequency_per_s), ratio),
+            solimp=(impedance, impedance, *SHAPE),
+            timestep_s=aim.timestep_s,
         )
 
-    def rebounds(self, ratio: float) -> list[float]:
-        """Return the restitution of each drop with a damping ratio."""
-        return MuJoCoContact(
-            solref=(1.0 / (ratio * self.frequency_per_s), ratio),
-            solimp=(self.impedance, self.impedance, *SHAPE),
-            timestep_s=self.timestep_s,
-        ).rebounds()
+    def excess(ratio: float) -> float:
+        rebounds = contact(ratio).rebounds()
+        return sum(rebounds) / len(rebounds) - restitution
 
-    def ratio_of(self, restitution: float) -> float:
-        """Return the damping ratio with which the mean rebound is a restitution, or comes nearest to it."""
-
-        def excess(ratio: float) -> float:
-            rebounds = self.rebounds(ratio)
-            return sum(rebounds) / len(rebounds) - restitution
-
-        max_ratio = _max_ratio(self.frequency_per_s, self.timestep_s)
-        if excess(max_ratio) >= 0.0:
-            return max_ratio
-        if excess(MIN_RATIO) <= 0.0:
-            return MIN_RATIO
-        return float(brentq(excess, MIN_RATIO, max_ratio, xtol=1e-5))
+    max_ratio = _max_ratio(frequency_per_s, aim.timestep_s)
+    if excess(max_ratio) >= 0.0:
+        return contact(max_ratio)
+    if excess(MIN_RATIO) <= 0.0:
+        return contact(MIN_RATIO)
+    return contact(brentq(excess, MIN_RATIO, max_ratio, xtol=1e-5))
