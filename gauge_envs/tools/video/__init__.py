@@ -1,4 +1,4 @@
-"""Judge a video by the law that its motion follows: tasks, tracks, metrics and their uncertainty.
+"""Score a video by the law that its motion follows: tasks, tracks, metrics and their uncertainty.
 
 Example:
     >>> from gauge_envs.tools.video import video_tasks
@@ -6,49 +6,25 @@ Example:
     ['SlopeSlider-2-wood', 'SlopeSlider-2-plastic']
 """
 
-from typing import TYPE_CHECKING
-
-from gauge_envs.registry import lazy_names
-
-if TYPE_CHECKING:
-    from gauge_envs.tools.video.frames import FileFrames as FileFrames
-    from gauge_envs.tools.video.scoring import (
-        METRICS as METRICS,
-        PAPER_METRICS as PAPER_METRICS,
-        VideoScore as VideoScore,
-        law_share as law_share,
-        score as score,
-        score_track as score_track,
-    )
-    from gauge_envs.tools.video.tasks import (
-        Motion as Motion,
-        VideoTask as VideoTask,
-        video_task as video_task,
-        video_tasks as video_tasks,
-    )
-    from gauge_envs.tools.video.track import (
-        Event as Event,
-        Track as Track,
-        read_track as read_track,
-        save_track as save_track,
-    )
-    from gauge_envs.tools.video.writer import film_writer as film_writer
-else:
-    __getattr__, __all__ = lazy_names(
-        __name__,
-        {
-            ".frames": ["FileFrames"],
-            ".scoring": [
-                "METRICS",
-                "PAPER_METRICS",
-                "VideoScore",
-                "law_share",
-                "score",
-                "score_track",
-            ],
-            ".tasks": ["Motion", "VideoTask", "video_task", "video_tasks"],
-            ".track": ["Event", "Track", "read_track", "save_track"],
-            ".writer": ["film_writer"],
-        },
-        extra="video",
-    )
+from gauge_envs.tools.video.frames import FileFrames as FileFrames
+from gauge_envs.tools.video.scoring import (
+    METRICS as METRICS,
+    PAPER_METRICS as PAPER_METRICS,
+    VideoScore as VideoScore,
+    law_share as law_share,
+    score as score,
+    score_track as score_track,
+)
+from gauge_envs.tools.video.tasks import (
+    Motion as Motion,
+    VideoTask as VideoTask,
+    video_task as video_task,
+    video_tasks as video_tasks,
+)
+from gauge_envs.tools.video.track import (
+    Event as Event,
+    Track as Track,
+    read_track as read_track,
+    save_track as save_track,
+)
+from gauge_envs.tools.video.writer import film_writer as film_writer

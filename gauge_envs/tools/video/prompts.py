@@ -1,20 +1,17 @@
-"""Fetch what a video model is given: the first frame and the prompt of each task, from the benchmark's repository.
+"""Fetch the inputs of a video model from the benchmark's repository: the first frame and the prompt of each task.
 
-They are files of the benchmark and no part of this package. `scoring/published/world_model_inputs.csv` states where
-each one is, its size and its hash.
+They are files of the benchmark and no part of this package. `scoring/published/world_model_inputs.csv` lists the place,
+the size and the hash of each file.
 """
 
 import hashlib
 from collections.abc import Callable
 from functools import cache
 from http.client import HTTPException
-from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from string import Template
-from urllib.error import URLError
 from urllib.parse import quote
-from urllib.request import Request, urlopen
+from urllib.request import urlopen
 
 from gauge_envs.errors import DatasetError, ParameterError
 from gauge_envs.files import os_errors, write_whole
@@ -27,14 +24,14 @@ COMMIT = "7b36d9b42be95da33c5496b3fe015412c079735a"
 """Commit of the repository whose files are fetched."""
 
 SOURCE = f"https://raw.githubusercontent.com/InternRobotics/GAUGE/{COMMIT}"
-"""Address below which the files of that commit lie."""
+"""Address of the files of that commit."""
 
 NOTE = "world_model_inputs.md"
-"""Name of the note beside the inputs."""
+"""Name of the note that is written with the inputs."""
 
 BY_HAND = (
     f"without a network, run `git clone {REPOSITORY}` and `git checkout {COMMIT}` elsewhere, bring its folder `input` "
-    "here, and give the folder that holds it as source"
+    "here, and give the folder that contains it as source"
 )
 
 TIMEOUT_S = 30.0
@@ -47,7 +44,7 @@ PLASTIC_CHANGES = (
     ("between wood and wood is 0.27", "between plastic and wood is 0.28"),
     ("for the cube is 0.22", "for the cube is 0.38"),
 )
-"""What differs between the prompts for the wooden and the plastic cube on the slope in the paper (arXiv 2608.05948)."""
+"""Differences between the prompts for the wooden and the plastic cube on the slope in the paper (arXiv 2608.05948)."""
 
 
 class InputFile(FileModel):
@@ -55,7 +52,7 @@ class InputFile(FileModel):
 
     Attributes:
         file: Its name here: the id of the task with `.png` for the first frame and `.txt` for the prompt.
-        source: Its path in the repository; None for the prompt that is made from another one.
+        source: Its path in the repository; None for the plastic prompt, which is made from the wooden one.
         size_bytes: Its size.
         sha256: Its SHA-256 hash in hexadecimal digits.
     """
@@ -64,15 +61,6 @@ class InputFile(FileModel):
     source: str | None
     size_bytes: int
     sha256: str
-
-    def fault(self, content: bytes) -> str:
-        """Return how a content differs from the file; empty if it is the same."""
-        found = hashlib.sha256(content).hexdigest()
-        return (
-            ""
-            if found == self.sha256
-            else f"has the SHA-256 hash {found}, expected {self.sha256}"
-        )
 
 
 @cache
@@ -83,17 +71,24 @@ def input_files() -> tuple[InputFile, ...]:
 
 
 def fetch_inputs(
-    folder: Path, *, source: str = SOURCE, advance: Callable[[str], None] | None = None
+    folder: Path,
+    *,
+    source: str = SOURCE,
+    advance: Callable[[str], None] = lambda file: None,
 ) -> list[str]:
-    """Write the first frames, the prompts and a note to a folder, once all are fetched and checked by size and hash.
+    """Write the first frames, the prompts and a note to a folder, once all are fetched and have their hashes.
 
     Args:
-        folder: Folder to write to; it is made if it is missing.
-        source: Address or folder below which the repository's folder `input` lies.
+        folder: Folder to write to; it is created if it is missing.
+        source: Address or folder that contains the repository's folder `input`.
         advance: Called with the name of each file that is fetched.
 
     Returns:
         Names of the files.
+
+    Raises:
+        ParameterError: The source is neither an address nor a folder.
+        DatasetError: A file cannot be read, has another hash, or would replace another file.
     """
     if not source.lower().startswith(("https://", "http://")):
         if not Path(source).is_dir():
@@ -104,16 +99,21 @@ def fetch_inputs(
     contents: dict[str, bytes] = {}
     for file in input_files():
         if file.source is None:
-            contents[file.file] = _plastic_prompt(file, contents[WOOD_PROMPT])
+            address, text = file.file, contents[WOOD_PROMPT].decode()
+            for wood, plastic in PLASTIC_CHANGES:
+                text = text.replace(wood, plastic)
+            content = text.encode()
         else:
-            contents[file.file] = _read(
-                f"{source.rstrip('/')}/{quote(file.source)}", file
+            address = f"{source.rstrip('/')}/{quote(file.source)}"
+            content = _read(address, file.size_bytes)
+        digest = hashlib.sha256(content).hexdigest()
+        if digest != file.sha256:
+            raise DatasetError(
+                f"{address}: has the SHA-256 hash {digest}, expected {file.sha256}: damaged, or another file; {BY_HAND}"
             )
-        if advance is not None:
-            advance(file.file)
-    note = (files("gauge_envs.tools.video") / NOTE).read_text(encoding="utf-8")
-    facts = {"repository": REPOSITORY, "commit": COMMIT}
-    contents[NOTE] = Template(note).substitute(facts).encode()
+        contents[file.file] = content
+        advance(file.file)
+    contents[NOTE] = (files("gauge_envs.tools.video") / NOTE).read_bytes()
     with os_errors(lambda cause: DatasetError(f"{folder}: cannot be written: {cause}")):
         for name, content in contents.items():
             path = folder / name
@@ -125,31 +125,11 @@ def fetch_inputs(
     return list(contents)
 
 
-def _plastic_prompt(file: InputFile, wood: bytes) -> bytes:
-    text = wood.decode("utf-8")
-    for old, new in PLASTIC_CHANGES:
-        text = text.replace(old, new)
-    content = text.encode("utf-8")
-    if fault := file.fault(content):
-        raise DatasetError(
-            f"{file.file}, made from {WOOD_PROMPT}, {fault}: this installation is damaged"
-        )
-    return content
-
-
-def _read(address: str, file: InputFile) -> bytes:
+def _read(address: str, size_bytes: int) -> bytes:
     try:
-        request = Request(
-            address, headers={"User-Agent": f"gauge-envs/{version('gauge-envs')}"}
-        )
-        with urlopen(request, timeout=TIMEOUT_S) as response:
-            # One byte more than expected, so that a longer answer shows.
-            content: bytes = response.read(file.size_bytes + 1)
+        with urlopen(address, timeout=TIMEOUT_S) as response:
+            # A longer answer shows by one byte more than expected.
+            content: bytes = response.read(size_bytes + 1)
     except (OSError, HTTPException, ValueError) as error:
-        cause = error.reason if isinstance(error, URLError) else error
-        raise DatasetError(
-            f"{address}: cannot be read: {cause or type(error).__name__}; {BY_HAND}"
-        ) from error
-    if fault := file.fault(content):
-        raise DatasetError(f"{address}: {fault}: damaged, or another file; {BY_HAND}")
+        raise DatasetError(f"{address}: cannot be read: {error}; {BY_HAND}") from error
     return content

@@ -1,10 +1,10 @@
-"""Define the five tasks of the world-model track: the law, the object, and where it stands in the known first frame.
+"""Define the five tasks of the world-model track: the law, the object, and its place in the known first frame.
 
-Every video model gets the same first frame. Numbers in pixels were read from those frames, on their grid of 832 x 480
-pixels with the origin in the top left corner. `tasks.toml` holds the numbers.
+Every video model gets the same first frame. Numbers in pixels were read by eye from those frames, on their grid of
+832 x 480 pixels with the origin in the top left corner. `tasks.toml` holds the numbers.
 
-The "real baseline" of the published table is no measurement: its accelerations are g (sin 30 - mu cos 30) with the
-calibrated friction, and g. It is the `law` of a task; real trials stand beside it where there are any.
+The "real baseline" of the published table is not measured: its accelerations are g (sin 30 - mu cos 30) with the
+calibrated friction, and g. This package calls it the `law` of a task. Real trials are `VideoTask.real`.
 """
 
 import csv
@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from importlib.resources import files
-from typing import Any
+
+from pydantic import TypeAdapter
 
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.resolve import load_experiment
@@ -31,17 +32,8 @@ PLATE_RADIUS_PX = 225.5
 SLOPE_DIRECTION = (-math.cos(math.radians(31.6)), math.sin(math.radians(31.6)))
 """Direction down the board in the first frames of the slope slider: its long edges lie at 31.4 to 31.8 degrees."""
 
-
-TRIALS_FILE = "slope_slider_30deg_summary.toml"
-"""File of `scoring/facts` with the accelerations of the real slides."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Measured:
-    """A metric of real trials: its mean and standard deviation, in the unit of the metric."""
-
-    mean: float
-    std: float
+TABLE_COLUMNS = ("variant", "metric", "unit", "real_baseline")
+"""Columns of the published table that are not models."""
 
 
 class Motion(StrEnum):
@@ -52,15 +44,23 @@ class Motion(StrEnum):
     FALL = "fall"
     """A ball falls with constant acceleration until the first impact."""
     TURN = "turn"
-    """A cube rides or slips on a turntable, held by limited friction."""
+    """A cube rides or slips on a turntable, driven by limited friction."""
     CRADLE = "cradle"
-    """A row of hanging balls transfers the momentum of one ball to the last one."""
+    """A row of hanging balls transfers the momentum of the first ball to the last."""
     PENDULUM = "pendulum"
     """A ball on a rod swings, damped."""
 
 
 DIRECTIONS = {Motion.SLIDE: SLOPE_DIRECTION, Motion.FALL: (0.0, 1.0)}
 """Directions of straight motions in the first frames."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """A metric of real trials: its mean and standard deviation, in the unit of the metric."""
+
+    mean: float
+    std: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,12 +76,11 @@ class VideoTask:
         centre_px: Centre of the tracked object in the first frame [px], shape [2]: the face of a cube that looks at the
             camera, or a ball.
         direction: Unit vector of a straight motion in the picture, shape [2]; None for other motions.
-        pivot_px: Pivot of a swinging ball [px], shape [2]; None for other motions.
+        pivot_px: Pivot of a swing or of the turntable [px], shape [2]; None for straight motions.
         pivot_sigma_px: Standard uncertainty of each coordinate of the pivot [px].
-        rest_px: Position of the tracked ball when it hangs [px], shape [2]; None where there is none.
-        is_shiny: Whether lamps change the pattern of its face as it turns.
+        rest_px: Position of the last ball of a cradle when it hangs [px], shape [2]; None for other motions.
+        is_shiny: Whether lamps change the pattern of the object's face as it turns.
         release_height_m: Height from which the incoming ball of a cradle is released [m].
-        law: Values of the law by the name of the metric, the column "real baseline" of the published table.
     """
 
     id: str
@@ -96,12 +95,29 @@ class VideoTask:
     rest_px: tuple[float, float] | None = None
     is_shiny: bool = False
     release_height_m: float = 0.0
-    law: dict[str, float]
+
+    @property
+    def law(self) -> dict[str, float]:
+        """Values of the law by metric: the column "real baseline" of the published table."""
+        return {
+            row["metric"]: float(row["real_baseline"])
+            for row in _published_rows()
+            if row["variant"] == self.id
+        }
 
     @property
     def real(self) -> dict[str, Measured]:
-        """What real trials measured, by the name of the metric; metrics without trials are absent."""
-        return _measured(self.id)
+        """Measurements of real trials by metric; metrics without trials are absent."""
+        if self.motion is Motion.SLIDE:
+            material = self.id.rpartition("-")[2]
+            acceleration = _slide_trials()[material]["acceleration_m_s2"]
+            mean, std = acceleration["mean"], acceleration["std"]
+            return {"a": Measured(mean=mean, std=std)}
+        return {
+            metric: Measured(mean=baseline.mean, std=baseline.std)
+            for metric, baseline in published_baselines(self.id).items()
+            if metric in self.law and baseline.std is not None
+        }
 
     @property
     def scale_m_per_px(self) -> float:
@@ -116,10 +132,9 @@ class VideoTask:
     @property
     def friction(self) -> float:
         """Coefficient of friction between the cube and the plate of a turntable, 1."""
-        contacts = _scene(self.id).contacts
         return next(
             contact.friction
-            for contact in contacts
+            for contact in _scene(self.id).contacts
             if {"cube", "plate"} == {*contact.first, *contact.second}
         )
 
@@ -130,56 +145,28 @@ def _scene(task: str) -> Scene:
 
 
 @cache
-def _measured(task: str) -> dict[str, Measured]:
-    family, _, material = task.rpartition("-")
-    if family == "SlopeSlider-2":
-        facts = toml_document((scoring_folder("facts") / TRIALS_FILE).read_bytes())
-        found = facts[material]["acceleration_m_s2"]
-        return {"a": Measured(mean=found["mean"], std=found["std"])}
-    return {
-        metric: Measured(mean=baseline.mean, std=baseline.std)
-        for metric, baseline in published_baselines(task).items()
-        if metric in _law(task) and baseline.std is not None
-    }
+def _slide_trials() -> dict[str, dict[str, dict[str, float]]]:
+    """Return the accelerations of the real slides by material."""
+    file = scoring_folder("facts") / "slope_slider_30deg_summary.toml"
+    return toml_document(file.read_bytes())
 
 
 @cache
 def _published_rows() -> tuple[dict[str, str], ...]:
-    """Return the rows of the published table."""
+    """Return the rows of Table 3 of GAUGE's paper."""
     file = scoring_folder("published") / "world_model_results.csv"
     with file.open(newline="", encoding="utf-8") as stream:
         return tuple(csv.DictReader(stream))
 
 
-def _law(task: str) -> dict[str, float]:
-    return {
-        row["metric"]: float(row["real_baseline"])
-        for row in _published_rows()
-        if row["variant"] == task
-    }
-
-
 @cache
 def video_tasks() -> tuple[VideoTask, ...]:
     """Return all tasks, in the order of the published table."""
-    entries = toml_document(
-        (files("gauge_envs.tools.video") / "tasks.toml").read_bytes()
-    )["task"]
-    tasks = []
+    file = files("gauge_envs.tools.video") / "tasks.toml"
+    entries = toml_document(file.read_bytes())["task"]
     for entry in entries:
-        values: dict[str, Any] = {
-            n: tuple(v) if isinstance(v, list) else v for n, v in entry.items()
-        }
-        motion = Motion(values.pop("motion"))
-        tasks.append(
-            VideoTask(
-                motion=motion,
-                direction=DIRECTIONS.get(motion),
-                law=_law(values["id"]),
-                **values,
-            )
-        )
-    return tuple(tasks)
+        entry["direction"] = DIRECTIONS.get(entry["motion"])
+    return TypeAdapter(tuple[VideoTask, ...]).validate_python(entries)
 
 
 def video_task(name: str) -> VideoTask:
@@ -196,14 +183,14 @@ def video_task(name: str) -> VideoTask:
 
 @cache
 def published_results() -> dict[str, dict[str, dict[str, float]]]:
-    """Return the published values by model, task and metric, without those for which the paper prints a dash.
+    """Return the published values by model, task and metric; a value that the paper prints as a dash is absent.
 
     They are Table 3 of GAUGE's paper: ten configurations of six models.
     """
-    found: dict[str, dict[str, dict[str, float]]] = {}
+    results: dict[str, dict[str, dict[str, float]]] = {}
     for row in _published_rows():
-        for model, text in row.items():
-            if model not in ("variant", "metric", "unit", "real_baseline") and text:
-                values = found.setdefault(model, {}).setdefault(row["variant"], {})
-                values[row["metric"]] = float(text)
-    return found
+        for model, value in row.items():
+            if value and model not in TABLE_COLUMNS:
+                values = results.setdefault(model, {}).setdefault(row["variant"], {})
+                values[row["metric"]] = float(value)
+    return results

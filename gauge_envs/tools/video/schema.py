@@ -1,4 +1,4 @@
-"""What `gauge video score` and `gauge list video-tasks` print with `--json`, a line each."""
+"""Types of the JSON lines of `gauge video score` and `gauge list video-tasks`."""
 
 from typing import Annotated, TypedDict
 

@@ -1,0 +1,179 @@
+"""`gauge video prompts`, `score` and `report`, and `gauge list video-tasks`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import (
+    Format,
+    Progress,
+    echo,
+    json_text,
+    message,
+    print_document,
+)
+from gauge_envs.errors import ParameterError, VideoError
+from gauge_envs.pages.document import save_file
+from gauge_envs.pages.table import Table
+from gauge_envs.tools.video import prompts, report
+from gauge_envs.tools.video.frames import FileFrames
+from gauge_envs.tools.video.scoring import VideoScore, score, score_track
+from gauge_envs.tools.video.tasks import (
+    REFERENCE_SIZE_PX,
+    VideoTask,
+    video_task,
+    video_tasks,
+)
+from gauge_envs.tools.video.track import read_track, save_track
+
+
+def list_video_tasks(patterns: Sequence[str]) -> list[Table]:
+    """Return the table of the tasks: what moves, how large it is, and the results of real trials."""
+    tables = [report.task_table(video_tasks())]
+    return arguments.matching(tables, patterns, kind="video task")
+
+
+def video_prompts(
+    source: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="URL or DIR",
+            show_default="that on GitHub",
+            help="Copy of the repository.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path, arguments.folder("Folder for TASK.png, TASK.txt and a note.")
+    ] = Path("world_model_inputs"),
+) -> None:
+    """Fetch the first frame and the prompt of each task of the benchmark (3 MB).
+
+    Nothing is written unless all files are there and have their hashes.
+    """
+    with Progress("inputs", len(prompts.input_files())) as progress:
+        names = prompts.fetch_inputs(
+            out, source=source or prompts.SOURCE, advance=progress.advance
+        )
+    echo(out)
+    message(f"{len(names)} files written")
+
+
+def video_score(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="VIDEO",
+            help="Videos, or tracks of any tracker: .csv with time, x, y.",
+        ),
+    ],
+    task: Annotated[
+        str,
+        arguments.option(
+            arguments.SCENE,
+            "Task, see gauge list video-tasks.",
+            "--id",
+            metavar="ID",
+        ),
+    ],
+    fps: Annotated[
+        float | None,
+        arguments.measured(
+            "--fps",
+            "Hz",
+            "Frames per second of the camera; needed for a track without times.",
+            arguments.SCENE,
+            is_positive=True,
+            show_default="that of the video",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        arguments.folder("Folder for tracks, and videos with them drawn in."),
+    ] = None,
+    form: arguments.Form = Format.TEXT,
+) -> bool:
+    """Follow the object in videos, fit the law of the task, and report its metrics.
+
+    They have intervals. Exit code 1 when a track is not sound.
+    """
+    if out is not None and any(file.suffix.lower() == ".csv" for file in files):
+        raise ParameterError(
+            "--out needs the video, and a track has none: leave out one of them"
+        )
+    chosen = video_task(task)
+    has_failed = False
+    for file in files:
+        result = _scored(file, chosen, fps)
+        if out is not None:
+            overlay = out / f"{file.stem}.overlay.mp4"
+            message(report.save_overlay(FileFrames(file, fps=fps), result, overlay))
+            message(save_track(result.track, out / f"{file.stem}.track.csv"))
+        print_document(report.score_document(result, chosen), form)
+        has_failed = has_failed or not result.is_sound
+    return has_failed
+
+
+def video_report(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DIR",
+            help="Videos MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4; a .csv of the same name is its track.",
+        ),
+    ],
+    out: Annotated[
+        Path, arguments.folder("Folder for page, results.json and tables.")
+    ] = Path("video_report"),
+) -> bool:
+    """Score the videos of many models, and write a page with a table and pictures.
+
+    The pictures show what was followed; table.csv and table.tex hold the table. Exit code 1 when a video cannot be
+    judged or a file is named otherwise; the others are on the page.
+    """
+    videos, others = report.find_videos(folder)
+    results: dict[tuple[str, str], dict[Path, VideoScore | None]] = {}
+    errors = [
+        f"{file}: its name is not MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4"
+        for file in others
+    ]
+    lines = []
+    with Progress("videos", len(videos)) as progress:
+        for model, task, file in videos:
+            progress.show(f"{model}: {task}")
+            clips = results.setdefault((model, task), {})
+            clips[file] = None
+            track = file.with_suffix(".csv")
+            try:
+                result = _scored(track if track.exists() else file, video_task(task))
+            except VideoError as error:
+                errors.append(str(error))
+            else:
+                result = replace(result, video=str(file.relative_to(folder)))
+                clips[file] = result
+                lines.append({"model": model, **result.to_dict()})
+            progress.advance(f"{model}: {task}")
+    for text in errors:
+        message(text, "left out")
+    table = report.results_table(results)
+    page = save_file(out / "index.html", report.video_page(results, table))
+    save_file(out / "results.json", json_text(lines))
+    save_file(out / "table.csv", report.table_csv(table))
+    save_file(out / "table.tex", report.table_latex(table))
+    print_document(report.summary_table(table), Format.TEXT)
+    echo(page)
+    return bool(errors)
+
+
+def _scored(file: Path, task: VideoTask, fps: float | None = None) -> VideoScore:
+    """Score a video, or a track in pixels of the video of its name, or else of the known first frame."""
+    if file.suffix.lower() != ".csv":
+        return score(file, fps, task.id)
+    video = report.video_of(file)
+    size_px = FileFrames(video).size_px if video else REFERENCE_SIZE_PX
+    return score_track(read_track(file, fps=fps, size_px=size_px), task, name=str(file))
