@@ -1,241 +1,156 @@
 """Differences between two compiled MuJoCo models that affect the physics."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-SAME_DOUBLE = 1e-9
-"""Relative difference below which double-precision numbers count as equal: machines differ in their last digits."""
+DOUBLE_TOLERANCE = 1e-9
+"""Relative difference below which double-precision numbers are equal: machines differ in their last digits."""
 
-SAME_SINGLE = 3e-7
-"""Relative difference below which single-precision numbers, such as mesh vertices, count as equal."""
+SINGLE_TOLERANCE = 3e-7
+"""Relative difference below which single-precision numbers, such as mesh vertices, are equal."""
 
-OBJECTS: Mapping[str, tuple[mujoco.mjtObj | None, tuple[str, ...]]] = {
-    "body": (
-        mujoco.mjtObj.mjOBJ_BODY,
-        ("mass", "inertia", "ipos", "iquat", "pos", "quat", "gravcomp"),
-    ),
-    "jnt": (
-        mujoco.mjtObj.mjOBJ_JOINT,
-        ("type", "pos", "axis", "stiffness", "range", "margin", "solref", "solimp"),
-    ),
-    "geom": (
-        mujoco.mjtObj.mjOBJ_GEOM,
-        (
-            *(
-                "type",
-                "size",
-                "pos",
-                "quat",
-                "friction",
-                "condim",
-                "contype",
-                "conaffinity",
-                "priority",
-            ),
-            *("margin", "gap", "solref", "solimp", "solmix", "surfacevel"),
-        ),
-    ),
-    "site": (mujoco.mjtObj.mjOBJ_SITE, ("pos",)),
-    "tendon": (
-        mujoco.mjtObj.mjOBJ_TENDON,
-        (
-            "range",
-            "limited",
-            "solref_lim",
-            "solimp_lim",
-            "stiffness",
-            "damping",
-            "lengthspring",
-        ),
-    ),
-    "eq": (mujoco.mjtObj.mjOBJ_EQUALITY, ("data", "solref", "solimp", "active0")),
-    "flex": (
-        mujoco.mjtObj.mjOBJ_FLEX,
-        (
-            *(
-                "radius",
-                "damping",
-                "friction",
-                "condim",
-                "contype",
-                "conaffinity",
-                "selfcollide",
-                "margin",
-                "gap",
-            ),
-            *("solref", "solimp"),
-        ),
-    ),
-    "actuator": (
-        mujoco.mjtObj.mjOBJ_ACTUATOR,
-        (
-            "trnid",
-            "gear",
-            "gaintype",
-            "gainprm",
-            "biastype",
-            "biasprm",
-            "dyntype",
-            "ctrlrange",
-            "forcerange",
-        ),
-    ),
-    "pair": (
-        None,
-        ("dim", "friction", "margin", "gap", "solref", "solreffriction", "solimp"),
-    ),
+MAX_LISTED = 4
+"""Largest number of changed objects that are listed individually."""
+
+OBJECT_TYPES = {
+    "body": mujoco.mjtObj.mjOBJ_BODY,
+    "jnt": mujoco.mjtObj.mjOBJ_JOINT,
+    "geom": mujoco.mjtObj.mjOBJ_GEOM,
+    "site": mujoco.mjtObj.mjOBJ_SITE,
+    "tendon": mujoco.mjtObj.mjOBJ_TENDON,
+    "eq": mujoco.mjtObj.mjOBJ_EQUALITY,
+    "flex": mujoco.mjtObj.mjOBJ_FLEX,
+    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
 }
-"""Arrays of a compiled model that a file defines, by kind of object; a change is reported with the object's name.
+"""MuJoCo's type of the named objects, by the prefix of their arrays."""
 
-A pair of geoms has none, and is reported with theirs.
-"""
+FIELDS: Mapping[str, str] = {
+    "body": "mass inertia ipos iquat pos quat gravcomp",
+    "jnt": "type pos axis stiffness range margin solref solimp",
+    "geom": (
+        "type size pos quat friction condim contype conaffinity priority "
+        "margin gap solref solimp solmix surfacevel"
+    ),
+    "site": "pos",
+    "tendon": "range limited solref_lim solimp_lim stiffness damping lengthspring",
+    "eq": "data solref solimp active0",
+    "flex": "radius damping friction condim contype conaffinity selfcollide margin gap solref solimp",
+    "actuator": "trnid gear gaintype gainprm biastype biasprm dyntype ctrlrange forcerange",
+    "pair": "dim friction margin gap solref solreffriction solimp",
+}
+"""Arrays that a file defines, by the prefix of their names. Changes are reported with the name of the object."""
 
-TABLES = (
-    "mesh_vert",
-    "flex_vert",
-    "flex_stiffness",
-    "flex_bending",
-    "dof_damping",
-    "dof_armature",
-    "dof_frictionloss",
-)
+TABLES = "mesh_vert flex_vert flex_stiffness flex_bending dof_damping dof_armature dof_frictionloss"
 """Arrays whose changes are reported as a whole."""
 
-WITHOUT_EFFECT = (
-    "names",
-    "name_",
-    "numeric",
-    "text",
-    "tex_",
-    "mat_",
-    "cam_",
-    "light_",
-    "sensor",
-    "skin_",
-    "key_",
-)
+WITHOUT_EFFECT = "names name_ numeric text tex_ mat_ cam_ light_ sensor skin_ key_"
 """Prefixes of the names of arrays that do not affect the motion."""
 
-WITHOUT_EFFECT_ENDS = ("_rgba", "_matid", "_group", "_user", "_castshadow")
+WITHOUT_EFFECT_ENDS = "_rgba _matid _group _user _castshadow"
 """Suffixes of the names of arrays that do not affect the motion."""
 
-MOST_ROWS = 4
-"""Largest number of changed objects that are listed one by one."""
+
+def equal_numbers(values: Any, expected: Any) -> NDArray[np.bool_]:
+    """Return which numbers equal the expected ones up to rounding, with the shape of the numbers."""
+    return np.isclose(values, expected, rtol=DOUBLE_TOLERANCE, atol=1e-12)
 
 
 def is_same(values: Any, expected: Any) -> bool:
-    """Return whether values equal the expected ones up to rounding."""
-    return bool(np.allclose(values, expected, rtol=SAME_DOUBLE, atol=1e-12))
-
-
-def same_or(value: float, expected: float) -> float:
-    """Return the expected value if the value equals it up to rounding, otherwise the value."""
-    return expected if is_same(value, expected) else value
-
-
-def model_changes(model: mujoco.MjModel, built: mujoco.MjModel) -> Iterator[str]:
-    """Yield one line for each physical difference of a model from the model that the backend builds."""
-    lines = [*_option_changes(model, built)]
-    for kind in OBJECTS:
-        lines += _row_changes(model, built, kind)
-    for name in TABLES:
-        lines += _array_change(
-            name, np.asarray(getattr(model, name)), np.asarray(getattr(built, name))
-        )
-    if not lines:
-        # Derived arrays are compared only if nothing else differs.
-        for name in _arrays(built):
-            lines += _array_change(
-                name, np.asarray(getattr(model, name)), np.asarray(getattr(built, name))
-            )
-    yield from lines
-
-
-def _arrays(model: mujoco.MjModel) -> Iterator[str]:
-    for name in dir(model):
-        if name.startswith(("_", *WITHOUT_EFFECT)) or name.endswith(
-            WITHOUT_EFFECT_ENDS
-        ):
-            continue
-        if isinstance(getattr(model, name), np.ndarray):
-            yield name
-
-
-def _option_changes(model: mujoco.MjModel, built: mujoco.MjModel) -> Iterator[str]:
-    for name in dir(built.opt):
-        if name.startswith("_"):
-            continue
-        value, expected = getattr(model.opt, name), getattr(built.opt, name)
-        if not is_same(value, expected):
-            yield f"option: {name} {format_value(expected)} -> {format_value(value)}"
-
-
-def _titles(model: mujoco.MjModel, kind: str) -> list[str]:
-    objects, fields = OBJECTS[kind]
-    if objects is None:
-        pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
-        return [
-            f"contact {model.geom(first).name}/{model.geom(second).name}"
-            for first, second in pairs
-        ]
-    names = [
-        mujoco.mj_id2name(model, objects, i)
-        for i in range(len(getattr(model, f"{kind}_{fields[0]}")))
-    ]
-    return [name or f"{kind} {index}" for index, name in enumerate(names)]
-
-
-def _row_changes(
-    model: mujoco.MjModel, built: mujoco.MjModel, kind: str
-) -> Iterator[str]:
-    titles, expected_titles = (_titles(one, kind) for one in (model, built))
-    yield from (f"{title}: added" for title in titles if title not in expected_titles)
-    yield from (f"{title}: removed" for title in expected_titles if title not in titles)
-    places = {title: index for index, title in enumerate(titles)}
-    shared = [
-        (title, places[title], index)
-        for index, title in enumerate(expected_titles)
-        if title in places
-    ]
-    for name in OBJECTS[kind][1]:
-        values, expected = (
-            getattr(model, f"{kind}_{name}"),
-            getattr(built, f"{kind}_{name}"),
-        )
-        rows = [
-            (title, values[i], expected[k])
-            for title, i, k in shared
-            if not is_same(values[i], expected[k])
-        ]
-        if len(rows) > MOST_ROWS:
-            (title, now, before), more = rows[0], len(rows) - 1
-            yield f"{title} and {more} more: {kind}_{name} {format_value(before)} -> {format_value(now)}, ..."
-        else:
-            yield from (
-                f"{title}: {kind}_{name} {format_value(before)} -> {format_value(now)}"
-                for title, now, before in rows
-            )
-
-
-def _array_change(
-    name: str, values: NDArray[Any], expected: NDArray[Any]
-) -> Iterator[str]:
-    if values.shape != expected.shape:
-        yield f"{name}: shape {list(expected.shape)} -> {list(values.shape)}"
-        return
-    if values.size == 0 or values.dtype.kind not in "fiub":
-        return
-    tolerance = SAME_SINGLE if values.dtype == np.float32 else SAME_DOUBLE
-    apart = np.abs(values.astype(np.float64) - expected)
-    apart[apart <= tolerance * np.abs(expected).max(initial=0.0)] = 0.0
-    if apart.any():
-        yield f"{name}: {np.count_nonzero(apart)} of {values.size} numbers differ, by up to {apart.max():.3g}"
+    """Return whether all numbers equal the expected ones up to rounding."""
+    return bool(equal_numbers(values, expected).all())
 
 
 def format_value(value: Any) -> str:
     """Return a number or an array as text with ten significant digits."""
     return " ".join(f"{number:.10g}" for number in np.atleast_1d(value).tolist())
+
+
+def model_changes(model: mujoco.MjModel, built: mujoco.MjModel) -> list[str]:
+    """Return one line for each physical difference of a model from the model that the backend builds."""
+    changes = [*_option_changes(model, built)]
+    for kind in FIELDS:
+        changes += _object_changes(model, built, kind)
+    changes += _array_changes(model, built, TABLES.split())
+    # Other arrays follow from these, so they are reported only if nothing else differs.
+    return changes or [*_array_changes(model, built, _physical_arrays(built))]
+
+
+def _option_changes(model: mujoco.MjModel, built: mujoco.MjModel) -> Iterator[str]:
+    for name in dir(built.opt):
+        if not name.startswith("_"):
+            value, expected = getattr(model.opt, name), getattr(built.opt, name)
+            if not is_same(value, expected):
+                yield f"option: {name} {format_value(expected)} -> {format_value(value)}"
+
+
+def _object_changes(
+    model: mujoco.MjModel, built: mujoco.MjModel, kind: str
+) -> Iterator[str]:
+    """Yield the added, removed and changed objects of one kind."""
+    rows, built_rows = rows_by_name(model, kind), rows_by_name(built, kind)
+    yield from (f"{name}: added" for name in rows if name not in built_rows)
+    yield from (f"{name}: removed" for name in built_rows if name not in rows)
+    shared = [name for name in built_rows if name in rows]
+    for field in FIELDS[kind].split():
+        array = f"{kind}_{field}"
+        values = getattr(model, array)[[rows[name] for name in shared]]
+        expected = getattr(built, array)[[built_rows[name] for name in shared]]
+        equal = equal_numbers(values, expected)
+        is_equal = equal.all(axis=tuple(range(1, equal.ndim)))
+        changed = np.flatnonzero(~is_equal)
+        listed = changed if len(changed) <= MAX_LISTED else changed[:1]
+        for index in listed:
+            more = f" and {len(changed) - 1} more" if len(listed) < len(changed) else ""
+            change = f"{format_value(expected[index])} -> {format_value(values[index])}"
+            ellipsis = ", ..." if more else ""
+            yield f"{shared[index]}{more}: {array} {change}{ellipsis}"
+
+
+def rows_by_name(model: mujoco.MjModel, kind: str) -> dict[str, int]:
+    """Return the index of each object of one kind by its name; a pair has the names of its geoms."""
+    if kind == "pair":
+        pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
+        names = [
+            f"contact {model.geom(first).name}/{model.geom(second).name}"
+            for first, second in pairs
+        ]
+    else:
+        count = len(getattr(model, f"{kind}_{FIELDS[kind].split()[0]}"))
+        names = [
+            mujoco.mj_id2name(model, OBJECT_TYPES[kind], index) or f"{kind} {index}"
+            for index in range(count)
+        ]
+    return {name: index for index, name in enumerate(names)}
+
+
+def _physical_arrays(model: mujoco.MjModel) -> Iterator[str]:
+    prefixes = ("_", *WITHOUT_EFFECT.split())
+    suffixes = tuple(WITHOUT_EFFECT_ENDS.split())
+    for name in dir(model):
+        is_ignored = name.startswith(prefixes) or name.endswith(suffixes)
+        if not is_ignored and isinstance(getattr(model, name), np.ndarray):
+            yield name
+
+
+def _array_changes(
+    model: mujoco.MjModel, built: mujoco.MjModel, names: Iterable[str]
+) -> Iterator[str]:
+    """Yield one line for each array that differs."""
+    for name in names:
+        values, expected = getattr(model, name), getattr(built, name)
+        if values.shape != expected.shape:
+            yield f"{name}: shape {list(expected.shape)} -> {list(values.shape)}"
+        elif values.size:
+            is_single = values.dtype == np.float32
+            tolerance = SINGLE_TOLERANCE if is_single else DOUBLE_TOLERANCE
+            differences = np.abs(values.astype(np.float64) - expected)
+            differs = differences > tolerance * np.abs(expected).max()
+            if differs.any():
+                yield (
+                    f"{name}: {np.count_nonzero(differs)} of {values.size} numbers differ, "
+                    f"by up to {differences[differs].max():.3g}"
+                )

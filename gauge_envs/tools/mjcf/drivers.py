@@ -28,18 +28,18 @@ DRIVER_PREFIX = "driver/"
 DRIVER_COLUMNS = 19
 """Number of columns of driven motion: qpos 7, qvel 6, xfrc_applied 6."""
 
-SAME_MOTION = 1e-6
+ROW_TOLERANCE = 1e-6
 """Relative difference below which rows of driven motion are equal; accelerations are second differences of poses."""
 
 
 def numerics(model: mujoco.MjModel) -> dict[str, FloatArray]:
     """Return the custom numbers of a model, by name."""
     listed = [model.numeric(index) for index in range(model.nnumeric)]
-    return {one.name: one.data for one in listed}
+    return {numeric.name: numeric.data for numeric in listed}
 
 
 def pose_of(position_m: FloatArray, quaternion: FloatArray) -> Pose:
-    """Return the pose of a place [m], shape [3], and a quaternion w, x, y, z."""
+    """Return the pose of a position [m], shape [3], and a quaternion w, x, y, z."""
     w, x, y, z = quaternion.tolist()
     return Pose(position_m=vector(position_m), quaternion=(w, x, y, z))
 
@@ -57,16 +57,13 @@ def driver_rows(
     Returns:
         qpos (7), qvel (6) and xfrc_applied (6) before each interval, shape [count, 19].
     """
-    model, data = simulation.model, simulation.data
-    joint, body = model.joint(motion.body), model.body(motion.body)
-    position, speed = int(joint.qposadr[0]), int(joint.dofadr[0])
-    still = np.zeros((1, motion.motion_count))
+    data = simulation.data
+    joint, body = data.joint(motion.body), data.body(motion.body)
+    zero_action = np.zeros((1, motion.motion_count))
     rows = np.empty((count, DRIVER_COLUMNS))
-    for interval, row in enumerate(rows):
-        simulation.drive(motion.body, motion.targets(interval, still)[0])
-        row[:7] = data.qpos[position : position + 7]
-        row[7:13] = data.qvel[speed : speed + 6]
-        row[13:] = data.xfrc_applied[body.id]
+    for interval in range(count):
+        simulation.drive(motion.body, motion.targets(interval, zero_action)[0])
+        rows[interval] = np.concatenate([joint.qpos, joint.qvel, body.xfrc_applied])
     return rows
 
 
@@ -77,77 +74,73 @@ def read_driver(
     driver: Driver,
     simulation: SimulationMuJoCo,
 ) -> Driver:
-    """Return the scene's driver if the file's rows equal its motion, otherwise a driver through the rows' poses."""
+    """Return the scene's driver if the file's rows equal its motion, otherwise a driver through the rows' poses.
+
+    Args:
+        path: The file.
+        model: Its compiled model.
+        scene: The scene with the start poses of the file.
+        driver: Driver of the scene.
+        simulation: A simulation that the backend builds from the scene of the task file.
+
+    Raises:
+        AssetError: The rows are missing, incomplete or inconsistent.
+    """
     name = f"{DRIVER_PREFIX}{driver.body}"
-    numbers = numerics(model).get(name)
-    if numbers is None:
-        raise AssetError(
-            path,
-            name,
-            "the custom numeric with the motion of this driven body is missing: add it",
-        )
+    numbers = numerics(model).get(name, np.empty(0))
     if numbers.size == 0 or numbers.size % DRIVER_COLUMNS:
-        raise AssetError(
-            path,
-            name,
-            f"it has {numbers.size} numbers: whole rows of {DRIVER_COLUMNS} are expected",
+        reason = (
+            f"it has {numbers.size} numbers: whole rows of {DRIVER_COLUMNS} are expected"
+            if numbers.size
+            else "the custom numeric with the motion of this driven body is missing: add it"
         )
+        raise AssetError(path, name, reason)
     rows = numbers.reshape(-1, DRIVER_COLUMNS)
     count = round(scene.duration_s / DRIVE_INTERVAL_S)
     rows = rows[np.minimum(np.arange(count), len(rows) - 1)]
-    prescribed = prescribed_motions(scene, scene.duration_s)
-    (motion,) = (one for one in prescribed if one.body == driver.body)
+    motions = prescribed_motions(scene, scene.duration_s)
+    motion = next(motion for motion in motions if motion.body == driver.body)
+    mass_kg = float(model.body(driver.body).mass[0])
     expected = driver_rows(simulation, motion, count)
-    expected[:, 13:] *= (
-        model.body(driver.body).mass[0] / simulation.model.body(driver.body).mass[0]
-    )
-    if _same_rows(rows, expected):
+    expected[:, 13:] *= mass_kg / simulation.model.body(driver.body).mass[0]
+    if _is_same_motion(rows, expected):
         return driver
-    if _same_rows(rows[:, :7], expected[:, :7]):
-        raise AssetError(
-            path,
-            name,
-            "velocities or forces changed but poses did not: change the poses",
-        )
-    poses = [
-        *(pose_of(row[:3], row[3:7]) for row in rows),
-        _end_of(rows[-1], model.body(driver.body).mass[0]),
-    ]
     start = scene.body(driver.body).pose
-    if not _same_rows(rows[:1, :7], np.array([[*start.position_m, *start.quaternion]])):
-        raise AssetError(
-            path,
-            name,
-            f"its rows start at {format_value(rows[0, :7])}, but the body elsewhere: make both poses equal",
-        )
+    if _is_same_motion(rows[:, :7], expected[:, :7]):
+        reason = "velocities or forces changed but poses did not: change the poses"
+        raise AssetError(path, name, reason)
+    if not _is_same_motion(
+        rows[:1, :7], np.array([[*start.position_m, *start.quaternion]])
+    ):
+        reason = f"its rows start at {format_value(rows[0, :7])}, but the body elsewhere: make both poses equal"
+        raise AssetError(path, name, reason)
+    times_s = (np.arange(count + 1) * DRIVE_INTERVAL_S).tolist()
+    poses = [pose_of(row[:3], row[3:7]) for row in rows]
+    poses.append(_pose_after(rows[-1], mass_kg))
     try:
-        motions = sampled_motions(
-            start,
-            (np.arange(count + 1) * DRIVE_INTERVAL_S).tolist(),
-            poses,
-            like=driver.motions,
-        )
+        sampled = sampled_motions(start, times_s, poses, like=driver.motions)
     except ShapeError as error:
         raise AssetError(path, name, str(error)) from error
-    return replace(
-        driver,
-        motions=motions,
-        provenance=f"nominal: edited in {path.name}, was {driver.provenance}",
-    )
+    provenance = f"nominal: edited in {path.name}, was {driver.provenance}"
+    return replace(driver, motions=sampled, provenance=provenance)
 
 
-def _end_of(row: FloatArray, mass_kg: float) -> Pose:
-    """Return the pose at the end of the interval of a row of driven motion."""
-    seconds = DRIVE_INTERVAL_S
+def _pose_after(row: FloatArray, mass_kg: float) -> Pose:
+    """Return the pose at the end of the interval of a row: x + v t + a t^2 / 2, and alike for the rotation."""
     rotation = Rotation.from_quat(row[3:7], scalar_first=True)
-    rates = np.concatenate([row[7:10], rotation.apply(row[10:13])])
-    displacement = rates * seconds + 0.5 * row[13:] / mass_kg * seconds**2
+    # MuJoCo's angular velocity of a free joint is in the body frame.
+    velocity = np.concatenate([row[7:10], rotation.apply(row[10:13])])
+    acceleration = row[13:] / mass_kg
+    displacement = (
+        velocity * DRIVE_INTERVAL_S + 0.5 * acceleration * DRIVE_INTERVAL_S**2
+    )
     return Pose.from_rotation(
         vector(row[:3] + displacement[:3]),
         Rotation.from_rotvec(displacement[3:]) * rotation,
     )
 
 
-def _same_rows(rows: FloatArray, expected: FloatArray) -> bool:
-    size = np.abs(expected).max(axis=0, initial=0.0)
-    return bool((np.abs(rows - expected) <= SAME_MOTION * np.maximum(size, 1e-3)).all())
+def _is_same_motion(rows: FloatArray, expected: FloatArray) -> bool:
+    """Return whether rows are equal, relative to the largest number of each column."""
+    scale = np.maximum(np.abs(expected).max(axis=0), 1e-3)
+    return bool((np.abs(rows - expected) <= ROW_TOLERANCE * scale).all())

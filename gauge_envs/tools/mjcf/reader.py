@@ -25,30 +25,25 @@ import mujoco
 import numpy as np
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.backends.mujoco.flex import FlexPart, flex_table
-from gauge_envs.backends.mujoco.model import (
-    START_KEY,
-    build_model,
-    start_rates,
-)
+from gauge_envs.backends.mujoco.flex import flex_table
+from gauge_envs.backends.mujoco.model import START_KEY, build_model
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import AssetError, ParameterError, first_names
-from gauge_envs.scene import (
-    Hinge,
-    Motion,
-    Pose,
-    RigidBody,
-    Scene,
-)
+from gauge_envs.scene import Hinge, Motion, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.bench.model_settings import option_settings
-from gauge_envs.tools.mjcf.diff import format_value, is_same, model_changes, same_or
+from gauge_envs.tools.mjcf.diff import (
+    format_value,
+    is_same,
+    model_changes,
+    rows_by_name,
+)
 from gauge_envs.tools.mjcf.drivers import numerics, pose_of, read_driver
 
-STATED_SETTINGS = (
+RECORDED_SETTINGS = (
     "timestep_s",
     "integrator",
     "cone",
@@ -57,9 +52,11 @@ STATED_SETTINGS = (
     "iterations",
     "tolerance",
 )
-"""Settings that a result of a file holds."""
+"""Settings of a file that a result records."""
 
-SHORTEST_STEP_S = 1e-7
+MIN_TIMESTEP_S = 1e-7
+
+HINGE, FREE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_FREE
 
 
 class BackendMJCF(BackendMuJoCo):
@@ -76,143 +73,34 @@ class BackendMJCF(BackendMuJoCo):
     def compiled(
         self, scene: Scene, world_count: int, settings: Mapping[str, Any] | None
     ) -> SimulationMuJoCo:
-        """Build worlds of the model of the file; `settings` must be empty."""
+        """Build worlds of the model of the file.
+
+        Raises:
+            ParameterError: There are `settings`.
+            AssetError: The file is damaged, or the scene starts elsewhere.
+        """
+        path = self._path
         if settings:
             raise ParameterError(
-                f"settings {', '.join(map(repr, settings))} with {self._path.name}: an MJCF file contains its own "
+                f"settings {', '.join(map(repr, settings))} with {path.name}: an MJCF file contains its own "
                 "settings; change them in the file"
             )
-        loaded = load_model(self._path, scene)
-        simulation = SimulationMuJoCo(scene, *loaded, world_count=world_count)
-        # The sparse models of this package agree with dense ones: `robot-solver` ran on all of them.
-        if advice := sparse_advice(simulation.model):
-            warnings.warn(f"{self._path.name}: {advice}", stacklevel=2)
-        return simulation
-
-
-# --- loading ---------------------------------------------------------------------------------------------------------
-
-
-def load_model(
-    path: Path, scene: Scene
-) -> tuple[dict[str, Any], mujoco.MjSpec, mujoco.MjModel, dict[str, FlexPart]]:
-    """Compile an MJCF file for the scene that `read_model` returned for it.
-
-    Returns:
-        The numerical settings, the editable model, the compiled model, and the parts of the deformable bodies by name.
-    """
-    spec, model = _compiled(path)
-    _, _, parts = build_model(scene, settings_for(scene, None))
-    _check_bodies(path, model, scene)
-    for body, started in zip(scene.bodies, _started(path, model, scene), strict=True):
-        if started != body:
-            raise AssetError(
-                path,
-                body.name,
-                "an MJCF file fixes its start pose and velocity: use a USD layer for another start, such as a jitter",
-            )
-    return _settings(path, model), spec, model, parts
-
-
-def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    try:
-        content = path.read_bytes()
-        text = content.decode("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else None
-        raise AssetError(path, "", f"cannot be read: {reason or error}") from error
-    try:
-        spec = mujoco.MjSpec.from_string(text)
-        model = spec.compile()
-    except ValueError as error:
-        raise AssetError(
-            path, "", f"MuJoCo cannot load it: {' '.join(str(error).split())}"
-        ) from None
-    _complete(path, model)
-    return spec, model
-
-
-def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:
-    """Return the numerical settings of a file, under the names of `SettingsMuJoCo`."""
-    step_s = model.opt.timestep
-    if not step_s >= SHORTEST_STEP_S:
-        raise AssetError(
-            path,
-            "option timestep",
-            f"is {step_s:g} s: {SHORTEST_STEP_S:g} s or more is expected",
+        spec, model = _compiled(path)
+        _, built, parts = build_model(scene, settings_for(scene, None))
+        placed = _placed_scene(path, model, built, scene)
+        for body, placed_body in zip(scene.bodies, placed.bodies, strict=True):
+            if placed_body != body:
+                reason = (
+                    "an MJCF file fixes its start pose and velocity: "
+                    "use a USD layer for another start, such as a jitter"
+                )
+                raise AssetError(path, body.name, reason)
+        if advice := sparse_advice(model):
+            warnings.warn(f"{path.name}: {advice}", stacklevel=2)
+        in_effect = _settings(path, model)
+        return SimulationMuJoCo(
+            scene, in_effect, spec, model, parts, world_count=world_count
         )
-    steps = DRIVE_INTERVAL_S / step_s
-    if abs(steps - round(steps)) > 1e-6 or round(steps) < 1:
-        raise AssetError(
-            path,
-            "option timestep",
-            f"1/180 s is {steps:.6g} steps of {step_s:g} s, not a whole number: choose a step that divides it",
-        )
-    known = option_settings(model)
-    return {"model_file": path.name} | {name: known[name] for name in STATED_SETTINGS}
-
-
-# --- custom numbers --------------------------------------------------------------------------------------------------
-
-
-def _complete(path: Path, model: mujoco.MjModel) -> None:
-    """Apply the file's custom numbers to the compiled flex tables."""
-    numbers = numerics(model)
-    for name, values in numbers.items():
-        table, _, rest = name.partition("/")
-        body, _, part = rest.rpartition("/")
-        if part not in ("kinds", "weight") or table not in (
-            "flex_stiffness",
-            "flex_bending",
-        ):
-            continue
-        flex, place = (
-            mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, body),
-            f"{table}/{body}",
-        )
-        if flex < 0:
-            raise AssetError(
-                path,
-                place,
-                "the file has no flex of this name: correct the name of the numeric",
-            )
-        rows = flex_table(model, table, flex)
-        if part == "weight":
-            weighed = rows.reshape(_divided(path, name, rows.size, len(values)), -1)
-            weighed *= values[:, None]
-            continue
-        kind = numbers.get(f"{place}/kind")
-        if kind is None:
-            raise AssetError(
-                path,
-                name,
-                f"custom numeric '{place}/kind', the index of each row, is missing: add it",
-            )
-        width = rows.size // _divided(path, f"{place}/kind", rows.size, len(kind))
-        kinds = values.reshape(
-            _divided(path, name, len(values), len(values) // max(width, 1)), -1
-        )
-        if kind.min() < 0 or kind.max() >= len(kinds):
-            raise AssetError(
-                path,
-                f"{place}/kind",
-                f"holds numbers beyond the {len(kinds)} rows of kinds",
-            )
-        rows[:] = kinds[kind.astype(int)].ravel()
-
-
-def _divided(path: Path, name: str, size: int, count: int) -> int:
-    """Return the row count if it divides the size of a table."""
-    if count < 1 or size % count:
-        raise AssetError(
-            path,
-            name,
-            f"{count} rows do not fit a table of {size} numbers: write all rows",
-        )
-    return count
-
-
-# --- scene of a file -------------------------------------------------------------------------------------------------
 
 
 def read_model(path: Path, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
@@ -225,221 +113,255 @@ def read_model(path: Path, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
     Returns:
         The scene, with the start poses, masses and driven motion of the file; and the differences between the file and
         the model that the backend builds from the scene, one line each.
+
+    Raises:
+        AssetError: The file cannot be read, or does not fit the scene.
     """
     simulation = BackendMuJoCo().build(scene)
     _, model = _compiled(path)
     _settings(path, model)
-    built = simulation.model
-    _check_bodies(path, model, scene)
-    _check_nodes(path, model, built, scene)
-    bodies = tuple(
-        replace(body, mass_kg=_mass_kg(model, built, body))
-        for body in _started(path, model, scene)
-    )
-    placed = replace(
-        scene,
-        bodies=bodies,
-        joints=tuple(
-            _hinge(model, built, joint) if isinstance(joint, Hinge) else joint
-            for joint in scene.joints
-        ),
-        gravity_m_per_s2=same_or(length_of(model.opt.gravity), scene.gravity_m_per_s2),
-    )
-    changes = [*model_changes(model, built), *_velocity_changes(scene, placed)]
+    _check_contents(path, model, simulation.model, scene)
+    placed = _placed_scene(path, model, simulation.model, scene)
+    changes = [
+        *model_changes(model, simulation.model),
+        *_velocity_changes(scene, placed),
+    ]
     drivers = []
     for driver in placed.drivers:
-        read = read_driver(path, model, placed, driver, simulation)
-        drivers.append(read)
-        if read != driver:
+        drivers.append(read_driver(path, model, placed, driver, simulation))
+        if drivers[-1] != driver:
             changes.append(
                 f"driver of {driver.body}: its motion is sampled from other rows"
             )
     return replace(placed, drivers=tuple(drivers)), tuple(changes)
 
 
-def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
-    known = [model.body(index).name for index in range(1, model.nbody)]
-    for body in scene.bodies:
-        if body.name not in known:
-            raise AssetError(
-                path,
-                body.name,
-                f"no body of that name: the file has {first_names(known)}",
-            )
-        if body.motion is Motion.FIXED:
+# --- compiled model --------------------------------------------------------------------------------------------------
+
+
+def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """Return the editable and the compiled model of a file."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise AssetError(path, "", f"cannot be read: {reason}") from error
+    try:
+        spec = mujoco.MjSpec.from_string(text)
+        model = spec.compile()
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise AssetError(path, "", f"MuJoCo cannot load it: {reason}") from None
+    _apply_tables(path, model)
+    return spec, model
+
+
+def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:
+    """Return the numerical settings of a file, under the names of `SettingsMuJoCo`."""
+    timestep_s = model.opt.timestep
+    steps = DRIVE_INTERVAL_S / max(timestep_s, MIN_TIMESTEP_S)
+    reason = ""
+    if timestep_s < MIN_TIMESTEP_S:
+        reason = f"is {timestep_s:g} s: {MIN_TIMESTEP_S:g} s or more is expected"
+    elif round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
+        reason = f"1/180 s is {steps:.6g} steps of {timestep_s:g} s, not a whole number: choose a step that divides it"
+    if reason:
+        raise AssetError(path, "option timestep", reason)
+    options = option_settings(model)
+    return {"model_file": path.name} | {
+        name: options[name] for name in RECORDED_SETTINGS
+    }
+
+
+def _apply_tables(path: Path, model: mujoco.MjModel) -> None:
+    """Write the file's custom numbers to the compiled flex tables."""
+    numbers = numerics(model)
+    for name, values in numbers.items():
+        place, _, part = name.rpartition("/")
+        table, _, body = place.partition("/")
+        if table not in ("flex_stiffness", "flex_bending") or part == "kind":
             continue
-        kind = (
-            mujoco.mjtJoint.mjJNT_HINGE
-            if body.name in scene.hinges
-            else mujoco.mjtJoint.mjJNT_FREE
-        )
-        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, body.name)
-        if (
-            joint < 0
-            or model.jnt_type[joint] != kind
-            or model.jnt_bodyid[joint] != model.body(body.name).id
-        ):
-            wanted = "hinge" if body.name in scene.hinges else "free"
-            raise AssetError(
-                path,
-                body.name,
-                f"it is {body.motion.value} and needs a {wanted} joint with its name",
+        flex = rows_by_name(model, "flex").get(body)
+        if flex is None:
+            reason = (
+                "the file has no flex of this name: correct the name of the numeric"
             )
-        if term := _joint_term(model, joint):
-            raise AssetError(
-                path,
-                body.name,
-                f"unsupported joint: it has {term}, and joints of a scene move freely to the world",
+            raise AssetError(path, place, reason)
+        entries = flex_table(model, table, flex)
+        try:
+            if part == "weight":
+                rows = entries.reshape(len(values), -1)
+                rows *= values[:, None]
+            else:
+                kind = numbers[f"{place}/kind"].astype(int)
+                rows = entries.reshape(len(kind), -1)
+                rows[:] = values.reshape(-1, rows.shape[1])[kind]
+        except KeyError:
+            reason = f"custom numeric '{place}/kind', the index of each row, is missing: add it"
+            raise AssetError(path, name, reason) from None
+        except (ValueError, IndexError):
+            reason = (
+                f"its rows do not fit a table of {entries.size} numbers: write all rows"
             )
-        found = model.body(body.name)
-        if body.motion is Motion.KINEMATIC and not np.all(found.inertia == found.mass):
-            reason = "its mass and its moments of inertia must be the same number: it is driven"
-            raise AssetError(path, body.name, reason)
+            raise AssetError(path, name, reason) from None
 
 
-def _joint_term(model: mujoco.MjModel, joint: int) -> str | None:
-    """Return what the joint of a body has that joints of a scene do not have, or None."""
-    body, freedom = model.jnt_bodyid[joint], model.jnt_dofadr[joint]
-    terms = {
-        "a moving parent": model.body_parentid[body] > 0,
-        "a second joint": model.body_jntnum[body] > 1,
-        "friction": model.dof_frictionloss[freedom] or model.dof_damping[freedom],
-        "armature": model.dof_armature[freedom],
+# --- what a file must contain ----------------------------------------------------------------------------------------
+
+
+def _check_contents(
+    path: Path, model: mujoco.MjModel, built: mujoco.MjModel, scene: Scene
+) -> None:
+    """Check that a file has the rigid bodies with their joints, and the nodes of deformable bodies at their places."""
+    names = rows_by_name(model, "body")
+    rigid = {body.name: body for body in scene.bodies}
+    for index in range(1, built.nbody):
+        name = built.body(index).name
+        reason = ""
+        if name not in names:
+            reason = f"no body of that name: the file has {first_names([*names][1:])}"
+        elif name in rigid:
+            is_hinged = name in scene.hinges
+            reason = _joint_fault(model, rigid[name], is_hinged=is_hinged)
+        elif not is_same(model.body_pos[names[name]], built.body_pos[index]):
+            reason = "nodes of a deformable body cannot be moved in MJCF: move the body in USD"
+        if reason:
+            raise AssetError(path, name, reason)
+    for name in rows_by_name(built, "flex"):
+        if name not in rows_by_name(model, "flex"):
+            reason = "the file lacks the flex of this deformable body: restore it"
+            raise AssetError(path, name, reason)
+
+
+def _joint_fault(model: mujoco.MjModel, body: RigidBody, *, is_hinged: bool) -> str:
+    """Return what a rigid body of a file lacks or has in excess; empty for a body that fits."""
+    if body.motion is Motion.FIXED:
+        return ""
+    number = model.body(body.name).id
+    joint = rows_by_name(model, "jnt").get(body.name)
+    name, kind = ("hinge", HINGE) if is_hinged else ("free", FREE)
+    if joint != model.body_jntadr[number] or model.jnt_type[joint] != kind:
+        return f"it is {body.motion.value} and needs a {name} joint with its name"
+    dof = model.jnt_dofadr[joint]
+    unsupported = {
+        "a moving parent": model.body_parentid[number] > 0,
+        "a second joint": model.body_jntnum[number] > 1,
+        "friction": model.dof_frictionloss[dof] or model.dof_damping[dof],
+        "armature": model.dof_armature[dof],
         "stiffness": model.jnt_stiffness[joint],
         "limits": model.jnt_limited[joint],
         "a motor": joint in model.actuator_trnid[:, 0],
     }
-    return next((name for name, value in terms.items() if value), None)
+    for term, is_present in unsupported.items():
+        if is_present:
+            return f"unsupported joint: it has {term}, and joints of a scene move freely to the world"
+    is_driven = body.motion is Motion.KINEMATIC
+    if is_driven and not np.all(model.body_inertia[number] == model.body_mass[number]):
+        return (
+            "its mass and its moments of inertia must be the same number: it is driven"
+        )
+    return ""
 
 
-def _check_nodes(
-    path: Path, model: mujoco.MjModel, built: mujoco.MjModel, scene: Scene
-) -> None:
-    """Check that the nodes of deformable bodies exist at the positions that the backend gives them."""
-    rigid = {body.name for body in scene.bodies}
-    for index in range(1, built.nbody):
-        name = built.body(index).name
-        if name in rigid:
-            continue
-        found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-        if found < 0:
-            raise AssetError(
-                path, name, "the file lacks this node of a deformable body: restore it"
-            )
-        if not is_same(model.body_pos[found], built.body_pos[index]):
-            raise AssetError(
-                path,
-                name,
-                "nodes of a deformable body cannot be moved in MJCF: move the body in USD",
-            )
-    for index in range(built.nflex):
-        name = mujoco.mj_id2name(built, mujoco.mjtObj.mjOBJ_FLEX, index)
-        if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, name) < 0:
-            raise AssetError(
-                path,
-                name,
-                "the file lacks the flex of this deformable body: restore it",
-            )
+# --- scene of a file -------------------------------------------------------------------------------------------------
 
 
-def _poses(model: mujoco.MjModel, scene: Scene) -> Iterator[Pose]:
-    """Yield the start pose of each rigid body in a file, or the scene's pose if both are equal up to rounding."""
+def _start_data(path: Path, model: mujoco.MjModel, scene: Scene) -> mujoco.MjData:
+    """Return the state of a model at the start, with the velocities of the keyframe `start`."""
     data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    for body in scene.bodies:
-        place = data.body(body.name)
-        same_rotation = abs(float(place.xquat @ body.pose.quaternion)) > 1.0 - 1e-12
-        if same_rotation and is_same(place.xpos, body.pose.position_m):
-            yield body.pose
-        else:
-            yield pose_of(place.xpos, place.xquat)
-
-
-def _started(path: Path, model: mujoco.MjModel, scene: Scene) -> Iterator[RigidBody]:
-    """Yield each rigid body with its start in a file; poses and velocities that equal the scene's are the scene's."""
-    rates = _start_qvel(path, model)
-    for body, pose in zip(scene.bodies, _poses(model, scene), strict=True):
-        started = replace(body, pose=pose)
-        if body.motion is Motion.DYNAMIC:
-            expected = start_rates(started, scene.hinges.get(body.name))
-            first = int(model.joint(body.name).dofadr[0])
-            body_rates = rates[first : first + len(expected)]
-            moving = _with_rates(model, started, body_rates)
-            is_still = is_same(body_rates, expected)
-            if not is_still and not is_same(_velocities(moving), _velocities(started)):
-                started = moving
-            body_rates[:] = 0.0
-        yield started
-    if rates.any():
-        joint = model.joint(int(model.dof_jntid[np.flatnonzero(rates)[0]])).name
-        raise AssetError(
-            path,
-            f"keyframe {START_KEY}",
-            f"its qvel moves joint {joint!r}: only dynamic rigid bodies start with velocity",
-        )
-
-
-def _start_qvel(path: Path, model: mujoco.MjModel) -> FloatArray:
-    """Return the start velocities of a file's joints, shape [nv], which are zero without the keyframe."""
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
-    if key < 0:
-        return np.zeros(model.nv)
-    if not is_same(model.key_qpos[key], model.qpos0):
-        raise AssetError(
-            path,
-            f"keyframe {START_KEY}",
-            "its qpos moves bodies away from their poses: delete qpos and move the bodies",
-        )
-    return np.array(model.key_qvel[key])
+    if key >= 0:
+        place = f"keyframe {START_KEY}"
+        if not is_same(model.key_qpos[key], model.qpos0):
+            reason = "its qpos moves bodies away from their poses: delete qpos and move the bodies"
+            raise AssetError(path, place, reason)
+        data.qvel = model.key_qvel[key]
+        dynamic = {body.name for body in scene.dynamic_bodies}
+        for dof in np.flatnonzero(data.qvel):
+            joint = model.joint(int(model.dof_jntid[dof])).name
+            if joint not in dynamic:
+                reason = f"its qvel moves joint {joint!r}: only dynamic rigid bodies start with velocity"
+                raise AssetError(path, place, reason)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_comVel(model, data)
+    return data
 
 
-def _velocities(body: RigidBody) -> list[tuple[float, float, float]]:
-    return [body.linear_velocity_m_per_s, body.angular_velocity_rad_per_s]
+def _placed_scene(
+    path: Path, model: mujoco.MjModel, built: mujoco.MjModel, scene: Scene
+) -> Scene:
+    """Return a scene with the masses, starts, hinges and gravity of a file.
 
-
-def _with_rates(model: mujoco.MjModel, body: RigidBody, rates: FloatArray) -> RigidBody:
-    """Return a body whose joint starts with a velocity; see `start_rates`."""
-    if len(rates) == 1:
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
-        angular = rates * data.joint(body.name).xaxis
-        anchor = data.joint(body.name).xanchor
-        linear = np.cross(angular, body.pose.position_m - anchor)
-    else:
-        linear, angular = rates[:3], body.pose.rotation.apply(rates[3:])
+    Values that equal those of the model that the backend builds stay those of the scene, bit for bit.
+    """
+    data, expected = (_start_data(path, one, scene) for one in (model, built))
+    joints = []
+    for joint in scene.joints:
+        if isinstance(joint, Hinge):
+            hinge, built_hinge = data.joint(joint.body), expected.joint(joint.body)
+            line = np.concatenate([hinge.xanchor, hinge.xaxis])
+            if not is_same(line, [*built_hinge.xanchor, *built_hinge.xaxis]):
+                joint = replace(joint, anchor_m=vector(line[:3]), axis=vector(line[3:]))
+        joints.append(joint)
+    gravity_m_per_s2 = length_of(model.opt.gravity)
+    if is_same(gravity_m_per_s2, scene.gravity_m_per_s2):
+        gravity_m_per_s2 = scene.gravity_m_per_s2
     return replace(
-        body,
-        linear_velocity_m_per_s=vector(linear),
-        angular_velocity_rad_per_s=vector(angular),
+        scene,
+        bodies=tuple(_placed_body(body, data, expected) for body in scene.bodies),
+        joints=tuple(joints),
+        gravity_m_per_s2=gravity_m_per_s2,
     )
 
 
-def _velocity_changes(before: Scene, after: Scene) -> Iterator[str]:
+def _placed_body(
+    body: RigidBody, data: mujoco.MjData, expected: mujoco.MjData
+) -> RigidBody:
+    """Return a body with the values of a file that are not those that the backend gives it.
+
+    Args:
+        body: Body of the scene.
+        data: Start of the model of the file.
+        expected: Start of the model that the backend builds.
+    """
+    (mass_kg, pose, velocity), built = (
+        _start_of(one, body.name) for one in (data, expected)
+    )
+    # The mass of a driven body is a numerical setting of the backend.
+    if body.motion is Motion.DYNAMIC and not is_same(mass_kg, built[0]):
+        body = replace(body, mass_kg=mass_kg)
+    if not is_same(pose, built[1]):
+        body = replace(body, pose=pose_of(pose[:3], pose[3:]))
+    if not is_same(velocity, built[2]):
+        body = replace(
+            body,
+            linear_velocity_m_per_s=vector(velocity[3:]),
+            angular_velocity_rad_per_s=vector(velocity[:3]),
+        )
+    return body
+
+
+def _start_of(data: mujoco.MjData, name: str) -> tuple[float, FloatArray, FloatArray]:
+    """Return the start of a body in the world frame.
+
+    Returns:
+        Mass [kg]; position of the origin [m] and quaternion w, x, y, z, shape [7]; angular velocity [rad/s] and
+        velocity of the origin [m/s], shape [6].
+    """
+    model, body = data.model, data.body(name)
+    velocity = np.empty(6)
+    mujoco.mj_objectVelocity(
+        model, data, mujoco.mjtObj.mjOBJ_XBODY, body.id, velocity, 0
+    )
+    pose = np.concatenate([body.xpos, body.xquat])
+    return float(model.body_mass[body.id]), pose, velocity
+
+
+def _velocity_changes(scene: Scene, placed: Scene) -> Iterator[str]:
     """Yield one line for each start velocity that differs."""
-    for old, new in zip(before.bodies, after.bodies, strict=True):
+    for before, after in zip(scene.bodies, placed.bodies, strict=True):
         for name in ("linear_velocity_m_per_s", "angular_velocity_rad_per_s"):
-            if getattr(old, name) != getattr(new, name):
-                yield f"{old.name}: {name} {format_value(getattr(old, name))} -> {format_value(getattr(new, name))}"
-
-
-def _mass_kg(model: mujoco.MjModel, built: mujoco.MjModel, body: RigidBody) -> float:
-    """Return the mass of a body in a file. Driven bodies keep the scene's mass, since theirs is a numerical setting."""
-    mass, expected = (float(one.body(body.name).mass[0]) for one in (model, built))
-    return (
-        body.mass_kg
-        if body.motion is not Motion.DYNAMIC or is_same(mass, expected)
-        else mass
-    )
-
-
-def _hinge(model: mujoco.MjModel, built: mujoco.MjModel, hinge: Hinge) -> Hinge:
-    """Return the hinge that is the joint of a body of a file."""
-    found = []
-    for one in (model, built):
-        data = mujoco.MjData(one)
-        mujoco.mj_kinematics(one, data)
-        found.append((data.joint(hinge.body).xanchor, data.joint(hinge.body).xaxis))
-    (anchor, axis), expected = found
-    if is_same(anchor, expected[0]) and is_same(axis, expected[1]):
-        return hinge
-    return replace(hinge, anchor_m=vector(anchor), axis=vector(axis))
+            old, new = getattr(before, name), getattr(after, name)
+            if old != new:
+                yield f"{before.name}: {name} {format_value(old)} -> {format_value(new)}"
