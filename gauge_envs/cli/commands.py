@@ -199,20 +199,20 @@ BUNDLED = (
     ),
     Command(
         "data scenes",
-        "assets.scenes_command:data_scenes",
+        "assets.commands:data_scenes",
         "Write every scene as USD and MJCF, and every solid as OBJ.",
         extra="usd",
     ),
     Command(
         "data isaac-sim",
-        "assets.isaac_sim_command:data_isaac_sim",
+        "assets.commands:data_isaac_sim",
         "Write experiments as USD layers that Isaac Sim simulates.",
         extra="usd",
     ),
     Command(
         "list scenes",
-        "assets.scenes_command:list_scenes",
-        line="assets.lines:SceneLine",
+        "assets.commands:list_scenes",
+        line="assets.commands:SceneLine",
         extra="usd",
     ),
     Command(

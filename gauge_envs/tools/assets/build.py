@@ -5,8 +5,7 @@ copy of a USD layer or of an MJCF file can be the scene of an experiment (`exper
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,7 @@ from gauge_envs.scene import (
     Plane,
     Rod,
     Rope,
+    Scene,
     Shape,
     SoftBody,
     Sphere,
@@ -35,18 +35,16 @@ from gauge_envs.scene.meshes import hull_faces
 from gauge_envs.tools.assets.export import mjcf_text, usd_layer_text
 from gauge_envs.tools.mjcf import NUMBER, expanded
 
-FOLDERS = ("mjcf", "obj", "usd")
-
 CYLINDER_SIDES = 96
 """Sides of the prism that approximates a cylinder in an OBJ file."""
 
 SPHERE_SUBDIVISIONS = 3
 """Subdivisions of the icosahedron that approximates a sphere in an OBJ file: 642 vertices."""
 
-SAME_RELATIVE = 3e-7
+RELATIVE_TOLERANCE = 3e-7
 """Relative difference up to which numbers are equal in a check. Sines differ in their last digit between machines, and
 USD keeps some values in single precision."""
-SAME_ABSOLUTE = 1e-12
+ABSOLUTE_TOLERANCE = 1e-12
 
 
 # --- folder ----------------------------------------------------------------------------------------------------------
@@ -62,43 +60,54 @@ def asset_texts() -> Iterator[tuple[str, str]]:
     experiments = [load_experiment(variant) for variant in variants()]
     for experiment in experiments:
         yield f"mjcf/{experiment.name}.xml", mjcf_text(experiment)
-    for name, solid in solid_shapes().items():
-        yield f"obj/{name}.obj", shape_to_obj(solid.shape, name)
+    for name, (shape, _) in solid_shapes().items():
+        yield f"obj/{name}.obj", shape_to_obj(shape, name)
     for experiment in experiments:
         yield f"usd/{experiment.name}.usda", usd_layer_text(experiment)
 
 
-def build_assets(folder: Path) -> list[Path]:
-    """Write every generated file, and remove files of earlier builds that are no longer generated.
+def build_assets(
+    folder: Path, texts: Iterable[tuple[str, str]] | None = None
+) -> list[Path]:
+    """Write generated files, and remove files of earlier builds that are no longer generated.
+
+    Args:
+        folder: Folder of the assets.
+        texts: Files to write, by default `asset_texts`.
 
     Returns:
         Paths of the written files.
+
+    Raises:
+        ResultFileError: The folder cannot be written.
     """
     with os_errors(
         lambda cause: ResultFileError(
             f"{folder}: assets cannot be written there: {cause}"
         )
     ):
-        written = write_texts(folder, asset_texts())
+        written = write_texts(folder, texts or asset_texts())
         for path in set(_generated(folder)) - set(written):
             path.unlink()
     return written
 
 
-def stale_asset(folder: Path) -> Path | None:
+def stale_asset(
+    folder: Path, texts: Iterable[tuple[str, str]] | None = None
+) -> Path | None:
     """Return the first file that is missing, differs from its current text, or is no longer generated; else None.
 
     Files that differ in the last digits of numbers alone are equal.
     """
-    expected = set()
-    for name, text in asset_texts():
+    left_over = set(_generated(folder))
+    for name, text in texts or asset_texts():
         path = folder / name
-        expected.add(path)
-        if not path.is_file() or not _same(
-            path.read_text(encoding="utf-8", errors="replace"), text
-        ):
+        if path not in left_over:
             return path
-    return min(set(_generated(folder)) - expected, default=None)
+        if not _is_same(path.read_text("utf-8", errors="replace"), text):
+            return path
+        left_over.remove(path)
+    return min(left_over, default=None)
 
 
 def asset_rows(folder: Path) -> list[dict[str, Any]]:
@@ -106,13 +115,12 @@ def asset_rows(folder: Path) -> list[dict[str, Any]]:
     solids = solid_shapes()
     rows = []
     for path in _generated(folder):
-        solid = solids.get(path.stem) if path.suffix == ".obj" else None
-        shown = f"GAUGE/{path.stem}" if solid is None else ", ".join(solid.bodies)
+        _, bodies = solids.get(path.stem, (None, [f"GAUGE/{path.stem}"]))
         rows.append(
             {
                 "file": f"{path.parent.name}/{path.name}",
                 "bytes": path.stat().st_size,
-                "of": shown,
+                "of": ", ".join(bodies),
             }
         )
     return rows
@@ -120,138 +128,139 @@ def asset_rows(folder: Path) -> list[dict[str, Any]]:
 
 def _generated(folder: Path) -> list[Path]:
     return sorted(
-        path for name in FOLDERS for path in (folder / name).glob("*") if path.is_file()
+        path
+        for name in ("mjcf", "obj", "usd")
+        for path in (folder / name).glob("*")
+        if path.is_file()
     )
 
 
-def _same(one: str, other: str) -> bool:
-    if one == other:
+def _is_same(text: str, expected: str) -> bool:
+    """Return whether texts are equal, up to the last digits of their numbers."""
+    if text == expected:
         return True
-    one, other = expanded(one), expanded(other)
-    if NUMBER.split(one) != NUMBER.split(other):
+    text, expected = expanded(text), expanded(expected)
+    if NUMBER.split(text) != NUMBER.split(expected):
         return False
-    pairs = zip(NUMBER.findall(one), NUMBER.findall(other), strict=True)
-    return all(
-        a == b
-        or math.isclose(
-            float(a), float(b), rel_tol=SAME_RELATIVE, abs_tol=SAME_ABSOLUTE
-        )
-        for a, b in pairs
+    numbers = np.array(NUMBER.findall(text), dtype=np.float64)
+    return np.allclose(
+        numbers,
+        np.array(NUMBER.findall(expected), dtype=np.float64),
+        rtol=RELATIVE_TOLERANCE,
+        atol=ABSOLUTE_TOLERANCE,
     )
 
 
 # --- OBJ -------------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class SharedSolid:
-    """A shape, and the bodies of that shape, as `SlopeSlider/cube`."""
-
-    shape: Shape
-    bodies: tuple[str, ...]
-
-
 @cache
-def solid_shapes() -> dict[str, SharedSolid]:
-    """Return every distinct solid of the scenes; primitives are named by dimensions, polyhedra by their body."""
-    users: dict[Shape, dict[str, str]] = {}
+def solid_shapes() -> dict[str, tuple[Shape, list[str]]]:
+    """Return every distinct solid of the scenes and its bodies, as `SlopeSlider/cube`.
+
+    Primitives are named by their dimensions, polyhedra by their body.
+    """
+    bodies_of: dict[Shape, list[str]] = {}
     for variant in variants():
         experiment = load_experiment(variant)
-        scene, listed = experiment.scene, experiment.spec.names
-        shapes = {
-            body.name: body.shape
-            for body in scene.bodies
-            if not isinstance(body.shape, Plane)
-        }
-        for body in scene.deformables:
-            if isinstance(body, SoftBody):
-                shapes[body.name] = body.shape
-            elif isinstance(body, Rope | Rod):
-                shapes[body.name] = Cylinder(
-                    radius_m=body.radius_m, length_m=body.length_m
-                )
-        for name, shape in shapes.items():
+        for name, shape in _solids(experiment.scene):
             # Counted bodies share one entry of the task file.
-            label = name if name in listed else name.rpartition("-")[0]
-            users.setdefault(shape, {}).setdefault(f"{variant.family}/{label}", label)
-    solids: dict[str, SharedSolid] = {}
-    for solid, bodies in users.items():
-        title = _shape_name(solid, next(iter(bodies.values())))
+            is_counted = name not in experiment.spec.names
+            label = name.rpartition("-")[0] if is_counted else name
+            bodies_of.setdefault(shape, []).append(f"{variant.family}/{label}")
+    solids: dict[str, tuple[Shape, list[str]]] = {}
+    for shape, bodies in bodies_of.items():
+        title = _shape_name(shape) or bodies[0].partition("/")[2]
         if title in solids:
-            title = next(iter(bodies)).replace("/", "-")
-        solids[title] = SharedSolid(solid, tuple(bodies))
+            title = bodies[0].replace("/", "-")
+        solids[title] = shape, [*dict.fromkeys(bodies)]
     return dict(sorted(solids.items()))
 
 
-def _shape_name(shape: Shape, body: str) -> str:
-    if isinstance(shape, Box):
-        return f"box-{_millimetres(*shape.size_m)}"
-    if isinstance(shape, Sphere):
-        return f"sphere-{_millimetres(2.0 * shape.radius_m)}"
-    if isinstance(shape, Cylinder):
-        return f"cylinder-{_millimetres(2.0 * shape.radius_m, shape.length_m)}"
-    return body
+def _solids(scene: Scene) -> Iterator[tuple[str, Shape]]:
+    """Yield the name and the shape of each body that is a solid, ropes and rods as cylinders."""
+    for rigid in scene.bodies:
+        if not isinstance(rigid.shape, Plane):
+            yield rigid.name, rigid.shape
+    for body in scene.deformables:
+        if isinstance(body, SoftBody):
+            yield body.name, body.shape
+        elif isinstance(body, Rope | Rod):
+            yield body.name, Cylinder(radius_m=body.radius_m, length_m=body.length_m)
 
 
-def _millimetres(*lengths_m: float) -> str:
-    return "x".join(f"{1e3 * length:g}" for length in lengths_m) + "mm"
+def _shape_name(shape: Shape) -> str:
+    """Return the name of a primitive, as `box-20x40x15mm`; empty for a polyhedron."""
+    lengths_m: tuple[float, ...]
+    match shape:
+        case Box():
+            kind, lengths_m = "box", shape.size_m
+        case Sphere():
+            kind, lengths_m = "sphere", (2.0 * shape.radius_m,)
+        case Cylinder():
+            kind, lengths_m = "cylinder", (2.0 * shape.radius_m, shape.length_m)
+        case _:
+            return ""
+    return f"{kind}-{'x'.join(f'{1e3 * length_m:g}' for length_m in lengths_m)}mm"
 
 
 def shape_to_obj(shape: Shape, name: str) -> str:
     """Return a solid as Wavefront OBJ, in metres, in the body frame, with one watertight group per convex piece.
 
     Spheres and cylinders become polyhedra of the exact volume: faces are inside the true surface, vertices outside.
+
+    Raises:
+        ParameterError: The shape is a plane or a compound.
     """
     pieces, note = _pieces(shape)
     lines = [f"# {name}: volume {shape.volume_m3!r} m^3{note}", f"o {name}"]
     first = 1
-    for index, (points, faces) in enumerate(pieces):
+    for index, (points_m, faces) in enumerate(pieces):
         lines.append(f"g piece_{index}")
-        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in (points + 0.0).tolist()]
-        lines += [
-            "f " + " ".join(str(first + vertex) for vertex in face) for face in faces
-        ]
-        first += len(points)
+        # Adding zero removes the sign of negative zeros.
+        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in (points_m + 0.0).tolist()]
+        for face in faces:
+            lines.append(f"f {' '.join(str(first + vertex) for vertex in face)}")
+        first += len(points_m)
     return "\n".join(lines) + "\n"
 
 
 Polyhedron = tuple[FloatArray, list[tuple[int, ...]]]
+"""Vertices [m], shape [vertex_count, 3], and the indices of the vertices of each face."""
 
 
 def _pieces(shape: Shape) -> tuple[list[Polyhedron], str]:
     """Return the convex pieces of a solid, and a note on its approximation."""
-    if isinstance(shape, ConvexUnion):
-        return [_polyhedron(np.array(piece)) for piece in shape.pieces_m], ""
-    if isinstance(shape, Box):
-        return [_polyhedron(shape.corners_m)], ""
-    if isinstance(shape, Sphere):
-        sphere = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS)
-        scale = (shape.volume_m3 / sphere.volume) ** (1.0 / 3.0)
-        note = f"; sphere of radius {shape.radius_m!r} m, vertices at {scale / shape.radius_m:.5f} of it"
-        return [
-            (
-                np.asarray(sphere.vertices) * scale,
-                [tuple(face) for face in sphere.faces.tolist()],
-            )
-        ], note
-    if isinstance(shape, Cylinder):
-        angle = 2.0 * np.pi / CYLINDER_SIDES
-        radius = shape.radius_m * math.sqrt(angle / math.sin(angle))
-        angles = angle * np.arange(CYLINDER_SIDES)
-        ring = np.column_stack([radius * np.cos(angles), radius * np.sin(angles)])
-        ends = [
-            np.insert(ring, 2, height, axis=1)
-            for height in (-0.5 * shape.length_m, 0.5 * shape.length_m)
-        ]
-        note = f"; cylinder of radius {shape.radius_m!r} m, vertices at {radius / shape.radius_m:.5f} of it"
-        return [_polyhedron(np.concatenate(ends))], note
-    kind = (
-        "a compound of solids"
-        if isinstance(shape, Compound)
-        else "a plane, which is not a solid,"
-    )
-    raise ParameterError(f"{kind} has no OBJ file")
+    match shape:
+        case ConvexUnion():
+            points = [np.array(piece) for piece in shape.pieces_m]
+            return [(piece, hull_faces(piece)) for piece in points], ""
+        case Box():
+            return [(shape.corners_m, hull_faces(shape.corners_m))], ""
+        case Sphere():
+            sphere = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS)
+            radius_m = (shape.volume_m3 / sphere.volume) ** (1.0 / 3.0)
+            points_m = np.asarray(sphere.vertices) * radius_m
+            faces = [tuple(face) for face in sphere.faces.tolist()]
+            return [(points_m, faces)], _note("sphere", shape.radius_m, radius_m)
+        case Cylinder():
+            # A regular n-gon has the area (n / 2) r^2 sin(2 pi / n).
+            angle = 2.0 * np.pi / CYLINDER_SIDES
+            radius_m = shape.radius_m * math.sqrt(angle / math.sin(angle))
+            angles = angle * np.arange(CYLINDER_SIDES)
+            circle_m = radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
+            ends = [
+                np.insert(circle_m, 2, sign * shape.length_m, axis=1)
+                for sign in (-0.5, 0.5)
+            ]
+            points_m = np.concatenate(ends)
+            note = _note("cylinder", shape.radius_m, radius_m)
+            return [(points_m, hull_faces(points_m))], note
+        case Compound():
+            raise ParameterError("a compound of solids has no OBJ file")
+    raise ParameterError("a plane, which is not a solid, has no OBJ file")
 
 
-def _polyhedron(points_m: FloatArray) -> Polyhedron:
-    return points_m, hull_faces(points_m)
+def _note(kind: str, radius_m: float, vertex_radius_m: float) -> str:
+    share = vertex_radius_m / radius_m
+    return f"; {kind} of radius {radius_m!r} m, vertices at {share:.5f} of it"

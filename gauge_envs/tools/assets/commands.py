@@ -1,0 +1,113 @@
+"""`gauge data scenes`, `gauge list scenes` and `gauge data isaac-sim`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypedDict
+
+import typer
+
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import Progress, echo, message
+from gauge_envs.errors import first_names
+
+if TYPE_CHECKING:
+    from gauge_envs.pages.table import Table
+
+
+class SceneLine(TypedDict):
+    """A built file of a scene, as `gauge list scenes --json` prints it.
+
+    Attributes:
+        file: Its folder and name.
+        bytes: Its size.
+        of: Id of the experiment, or the names of the bodies, that it shows.
+    """
+
+    file: str
+    bytes: int
+    of: str
+
+
+def data_scenes(
+    out: Annotated[
+        Path | None,
+        arguments.folder("Folder.", show_default="the checked-in assets"),
+    ] = None,
+    check: Annotated[
+        bool,
+        arguments.option(
+            arguments.OUTPUT,
+            "Write nothing; exit code 1 if a file is stale.",
+            "--check",
+        ),
+    ] = False,
+) -> bool:
+    """Write every scene as USD and MJCF, and every solid as OBJ."""
+    from gauge_envs.pages.text import counted
+    from gauge_envs.tools.assets import build
+
+    folder = out or build.assets_folder()
+    with Progress("files", None) as progress:
+
+        def texts() -> Iterator[tuple[str, str]]:
+            for name, text in build.asset_texts():
+                progress.advance(name)
+                yield name, text
+
+        stale = build.stale_asset(folder, texts()) if check else None
+        written = [] if check else build.build_assets(folder, texts())
+    if stale:
+        message(f"{stale}; gauge data scenes renews it", "stale")
+    elif check:
+        echo(f"{folder} is current")
+    else:
+        echo(f"{counted(len(written), 'file')} in {folder}")
+    return stale is not None
+
+
+def list_scenes(patterns: Sequence[str]) -> list[Table]:
+    """Return the table of the built files and the experiments that they show."""
+    from gauge_envs.pages.table import Column, Table
+    from gauge_envs.tools.assets.build import asset_rows, assets_folder
+
+    columns = (
+        Column("file", "file"),
+        Column("bytes", "KiB", lambda size: f"{size / 1024:.1f}", is_number=True),
+        Column("of", "of", lambda names: first_names(names.split(", "), 1)),
+    )
+    table = Table(columns=columns, rows=asset_rows(assets_folder()))
+    return arguments.matching([table], patterns, kind="scene")
+
+
+def data_isaac_sim(
+    pattern: Annotated[
+        str, typer.Argument(metavar="ID", help="Id or pattern, as 'TextileBending-*'.")
+    ],
+    out: Annotated[Path, arguments.folder("Folder for the layers.")] = Path(
+        "isaac_sim"
+    ),
+) -> None:
+    """Write experiments as USD layers that Isaac Sim simulates.
+
+    examples/isaac_sim/run_layer.py runs them.
+    """
+    from gauge_envs.experiments.resolve import load_experiment
+    from gauge_envs.experiments.variants import matching_variants
+    from gauge_envs.tools.assets.isaac_sim import (
+        unsupported_reason,
+        write_isaac_sim_layer,
+    )
+
+    experiments = [load_experiment(variant) for variant in matching_variants(pattern)]
+    reasons = {one.id: unsupported_reason(one.scene) for one in experiments}
+    supported = [one for one in experiments if reasons[one.id] is None]
+    # If all are unsupported, the first one raises its reason.
+    for experiment in supported or experiments[:1]:
+        path = out / f"{experiment.name}.usda"
+        write_isaac_sim_layer(experiment, path)
+        echo(path)
+    for name, reason in reasons.items():
+        if reason is not None:
+            message(f"{name} is left out: {reason}")
