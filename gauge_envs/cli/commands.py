@@ -182,19 +182,19 @@ BUNDLED = (
     ),
     Command(
         "data download",
-        "dataset.download_command:data_download",
+        "dataset.commands:data_download",
         "Download the GAUGE dataset (10 GB in all); an interrupted download resumes.",
     ),
     Command(
         "data import",
-        "dataset.import_command:data_import",
+        "dataset.commands:data_import",
         "Make bands and drivers of real trials, beside the published baselines; offline.",
-        line="dataset.lines:ImportLine",
+        line="dataset.schema:ImportLine",
     ),
     Command(
         "list references",
-        "dataset.import_command:list_references",
-        line="dataset.lines:StatusLine",
+        "dataset.commands:list_references",
+        line="dataset.schema:StatusLine",
         version=3,
     ),
     Command(

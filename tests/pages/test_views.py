@@ -17,7 +17,7 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import result_file_name, write_result
 from gauge_envs.tools import sanity
 from gauge_envs.tools.dataset.importer import ImportedTrials, baseline_lines
-from gauge_envs.tools.dataset.words import import_document
+from gauge_envs.tools.dataset.report import import_document
 
 IDS = (
     "SlopeSlider-2-wood",

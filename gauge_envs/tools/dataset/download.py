@@ -1,7 +1,8 @@
 """Download the GAUGE dataset; only this module needs a network and the extra `data`."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,32 +20,31 @@ TRIAL_FILES = "data/*/json/*.json"
 """Files that an import reads; a star also matches slashes."""
 
 SHORT_HASH = re.compile(r"[0-9a-f]{4,39}")
-FULL_HASH = re.compile(r"[0-9a-f]{40}")
 
 
 def download_dataset(
-    folder: Path | None = None,
-    *,
-    patterns: Sequence[str] = (TRIAL_FILES,),
-    revision: str = PINNED_REVISION,
-) -> tuple[Path, str]:
+    commit: str, folder: Path | None = None, patterns: Sequence[str] = (TRIAL_FILES,)
+) -> Path:
     """Download the dataset, or continue an interrupted download.
 
     Args:
+        commit: Full hash of the revision, from `resolved_revision`.
         folder: Folder to download to; by default a folder in the user's data folder.
         patterns: Shell-style patterns of the files in the dataset.
-        revision: Commit, short or in full, branch or tag.
 
     Returns:
-        The folder, in which a file states the revision for the import; and the full hash of the revision.
+        The folder, in which a file states the revision for the import.
+
+    Raises:
+        DatasetError: The download failed; the same call continues it.
+        MissingExtraError: The client of the host is not installed.
     """
-    hub = _hub()
-    commit = resolved_revision(revision)
-    folder = (
-        folder if folder is not None else user_data_folder() / "dataset" / commit[:12]
-    )
-    try:
-        hub.snapshot_download(
+    folder = folder or user_data_folder() / "dataset" / commit[:12]
+    client = _client()
+    with _errors(
+        f"cannot be downloaded to {folder}", "the same command continues the download"
+    ):
+        client.snapshot_download(
             repo_id=DATASET,
             repo_type="dataset",
             revision=commit,
@@ -52,11 +52,7 @@ def download_dataset(
             allow_patterns=list(patterns),
         )
         write_revision(folder, commit)
-    except Exception as error:  # The client raises the errors of its HTTP library, which differ between versions.
-        raise DatasetError(
-            f"{DATASET}: cannot be downloaded to {folder}: {_cause(error)}; the same command continues the download"
-        ) from error
-    return folder, commit
+    return folder
 
 
 def resolved_revision(revision: str) -> str:
@@ -64,41 +60,37 @@ def resolved_revision(revision: str) -> str:
 
     The host resolves branches, tags and full hashes. A short hash is looked up among the commits of the main branch.
     Full hashes are resolved too, since without the host the client takes an unfinished folder for a whole download.
+
+    Args:
+        revision: Commit, short or in full, branch or tag.
+
+    Raises:
+        DatasetError: The host does not know the revision, or cannot be reached.
+        MissingExtraError: The client of the host is not installed.
     """
-    api = _hub().HfApi()
-    try:
+    api = _client().HfApi()
+    with _errors(f"revision {revision!r} cannot be resolved", "check name and network"):
         if SHORT_HASH.fullmatch(revision):
-            commits = [
-                commit.commit_id
-                for commit in api.list_repo_commits(DATASET, repo_type="dataset")
-            ]
-            matching = [commit for commit in commits if commit.startswith(revision)]
+            commits = api.list_repo_commits(DATASET, repo_type="dataset")
+            hashes = [str(commit.commit_id) for commit in commits]
+            matching = [name for name in hashes if name.startswith(revision)]
             if len(matching) == 1:
-                return str(matching[0])
-            if matching:
-                raise DatasetError(
-                    f"{DATASET}: revision {revision!r} is ambiguous: {', '.join(matching)}"
-                )
-        found = api.dataset_info(DATASET, revision=revision).sha
-    except DatasetError:
-        raise
-    except Exception as error:  # As in `download_dataset`.
-        raise DatasetError(
-            f"{DATASET}: revision {revision!r} cannot be resolved: {_cause(error)}"
-        ) from error
-    if not isinstance(found, str) or not FULL_HASH.fullmatch(found):
-        raise DatasetError(
-            f"{DATASET}: revision {revision!r} resolves to {found!r}, which is no commit"
-        )
-    return found
+                return matching[0]
+        return str(api.dataset_info(DATASET, revision=revision).sha)
 
 
-def _cause(error: Exception) -> str:
-    lines = str(error).strip().splitlines()
-    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+@contextmanager
+def _errors(problem: str, advice: str) -> Iterator[None]:
+    """Raise a DatasetError in place of any error: the client raises those of its HTTP library, which vary."""
+    try:
+        yield
+    except Exception as error:
+        lines = str(error).strip().splitlines()
+        cause = ": ".join([type(error).__name__, *lines[:1]])
+        raise DatasetError(f"{DATASET}: {problem}: {cause}; {advice}") from error
 
 
-def _hub() -> Any:
+def _client() -> Any:
     with needs_extra("gauge data download", "data"):
         import huggingface_hub
     return huggingface_hub

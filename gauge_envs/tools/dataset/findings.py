@@ -28,7 +28,7 @@ class ImportFinding:
 
 
 class TrialError(Exception):
-    """A trial cannot be used; the importer turns the error into an `ImportFinding`.
+    """A file or folder cannot be used; the importer turns the error into an `ImportFinding`.
 
     Args:
         key: Place in the file.
@@ -37,15 +37,13 @@ class TrialError(Exception):
     """
 
     def __init__(self, key: str, problem: str, expected: str) -> None:
-        super().__init__(f"{key}: {problem}; {expected}")
-        self.key = printable(key)
-        self.problem = printable(problem)
-        self.expected = expected
+        self.key, self.problem, self.expected = map(printable, (key, problem, expected))
+        super().__init__(f"{self.key}: {self.problem}; {self.expected}")
 
     def finding(self, file: str, *, left_out: bool) -> ImportFinding:
         """Return the problem as one of a file."""
         return ImportFinding(
-            file=file,
+            file=printable(file),
             key=self.key,
             problem=self.problem,
             expected=self.expected,

@@ -20,33 +20,26 @@ import json
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 from gauge_envs.errors import DatasetError
 from gauge_envs.experiments.task_files import task_spec
-from gauge_envs.experiments.task_format import Group, TaskSpec
+from gauge_envs.experiments.task_format import Group
 from gauge_envs.experiments.variants import Variant, matching_variants, variants
 from gauge_envs.files import json_document, printable
-from gauge_envs.tools.dataset.findings import ImportFinding
-from gauge_envs.tools.dataset.forms import FORMS
+from gauge_envs.tools.dataset.findings import ImportFinding, TrialError
+from gauge_envs.tools.dataset.trial import READERS
 
 REVISION_FILE = "gauge-dataset.json"
 """File at the top of a downloaded dataset that states its revision."""
 
-FOLDER_SPELLINGS = {"foam compression": "foam compressing"}
-"""Task folders whose spelling differs from the metadata's."""
+FOLDER_SPELLINGS = {"foamcompression": "foamcompressing"}
+"""Letters of task folders whose spelling differs from the metadata's."""
 
-NEUTRAL = {
-    *Group,
-    "data",
-    "json",
-    "csv",
-    "mocap",
-    "trials",
-    "trajectories",
-}
+NEUTRAL = {*Group, "data", "json", "csv", "mocap", "trials", "trajectories"}
 """Names of folders that say nothing about a trial."""
 
 SUBTASK_FOLDER = re.compile(r"task\W*_?(\w+)", re.IGNORECASE)
@@ -65,15 +58,8 @@ class Layout:
 
     root: Path
     revision: str | None
-    files: Mapping[Variant, tuple[Path, ...]]
-    findings: tuple[ImportFinding, ...]
-
-    def holds(self, path: Path) -> bool:
-        """Return whether a file, with its links resolved, is in the dataset's folder or in its download cache."""
-        folder = self.root.resolve()
-        # The client of the dataset's host links the files of a snapshot to a folder beside all snapshots.
-        top = folder.parent.parent if folder.parent.name == "snapshots" else folder
-        return path.resolve().is_relative_to(top)
+    files: Mapping[Variant, Sequence[Path]]
+    findings: Sequence[ImportFinding]
 
     @property
     def count(self) -> int:
@@ -91,160 +77,151 @@ def find_trials(root: Path, *, only: Sequence[str] = ("*",)) -> Layout:
     Args:
         root: Folder of the dataset, which contains `data`; or the folder `data` itself.
         only: Patterns of variants to find, as `SlopeSlider-*`, with or without `GAUGE/`.
+
+    Raises:
+        DatasetError: The folder contains no trial of these variants.
+        UnknownNameError: A pattern matches no variant.
     """
-    wanted = _wanted(only)
-    found: dict[Variant, list[Path]] = {}
-    findings: list[ImportFinding] = []
+    wanted = {name for pattern in only for name in matching_variants(pattern)}
     if not root.is_dir():
         raise DatasetError(
             f"{root}: is not a folder; the folder of the dataset is expected"
         )
-    try:
-        _read_folders(root, found, findings)
-        revision = _revision(root)
-    except OSError as error:
-        raise DatasetError(
-            f"{error.filename or root}: cannot be read: {error.strerror or error}"
-        ) from error
-    files = {v: _one_form(root, v, found[v], findings) for v in wanted if v in found}
+    found, findings = _read_folders(root)
+    files = {
+        variant: sorted(found[variant], key=_numeric_order)
+        for variant in variants()
+        if variant in wanted and variant in found
+    }
     if not files:
-        of = "" if len(wanted) == len(variants()) else f" of {', '.join(only)}"
-        why = "".join(f"\n  {finding}" for finding in findings[:5])
+        of = "" if set(variants()) <= wanted else f" of {', '.join(only)}"
+        reasons = "".join(f"\n  {finding}" for finding in findings[:5])
         raise DatasetError(
-            f"{root}: contains no trial{of}; data/<group>/<task>/json/<material>/<trial>.json is expected{why}"
+            f"{root}: contains no trial{of}; data/<group>/<task>/json/<material>/<trial>.json is expected{reasons}"
         )
-    return Layout(root=root, revision=revision, files=files, findings=tuple(findings))
+    return Layout(root=root, revision=_revision(root), files=files, findings=findings)
 
 
 def write_revision(root: Path, revision: str) -> None:
     """State the revision in a dataset's folder."""
-    (root / REVISION_FILE).write_text(
-        json.dumps({"revision": revision}) + "\n", encoding="utf-8"
-    )
+    text = json.dumps({"revision": revision}) + "\n"
+    (root / REVISION_FILE).write_text(text, encoding="utf-8")
 
 
 def _revision(root: Path) -> str | None:
     """Return the stated revision, or None; nothing is computed from it, so a damaged file is no error."""
     for folder in (root, root.parent):
-        try:
-            revision = json_document((folder / REVISION_FILE).read_bytes())["revision"]
-        except (OSError, ValueError, TypeError, KeyError):
-            continue
-        if isinstance(revision, str) and revision:
-            return printable(revision)
+        with suppress(OSError, ValueError, TypeError, KeyError):
+            document = json_document((folder / REVISION_FILE).read_bytes())
+            return printable(document["revision"])
     return None
 
 
-def _wanted(patterns: Sequence[str]) -> list[Variant]:
-    """Return the variants of some patterns, in their order; each pattern must match one."""
-    wanted = {
-        variant.name for pattern in patterns for variant in matching_variants(pattern)
-    }
-    return [one for one in variants() if one.name in wanted]
-
-
 def _read_folders(
-    root: Path, found: dict[Variant, list[Path]], findings: list[ImportFinding]
-) -> None:
-    """Find the trial files in a folder; add a finding for each folder of files that belong to no variant."""
+    root: Path,
+) -> tuple[dict[Variant, list[Path]], list[ImportFinding]]:
+    """Return the trial files in a folder by variant, and a finding for each folder of files that are not read."""
+    found: dict[Variant, list[Path]] = {}
+    findings = []
 
-    def unreadable(error: OSError) -> None:
-        problem = f"it cannot be read: {error.strerror or error}"
-        expected = "a readable folder is expected"
-        findings.append(_finding(root, Path(error.filename), problem, expected))
+    def report(folder: Path, error: TrialError, *, left_out: bool) -> None:
+        file = folder.relative_to(root).as_posix()
+        findings.append(error.finding(file, left_out=left_out))
 
-    for parent, folders, names in os.walk(root, onerror=unreadable):
+    def report_unreadable(error: OSError) -> None:
+        problem = f"it cannot be read: {error.strerror}"
+        fault = TrialError("(folder)", problem, "a readable folder is expected")
+        report(Path(error.filename), fault, left_out=True)
+
+    for name, folders, names in os.walk(root, onerror=report_unreadable):
+        folder = Path(name)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         files = [
-            Path(parent, name)
-            for name in [*names, *folders]
-            if Path(name).suffix.lower() in FORMS
-            and not name.startswith(".")
-            and name != REVISION_FILE
+            folder / file
+            for file in (*names, *folders)
+            if Path(file).suffix.lower() in READERS
+            and not file.startswith(".")
+            and file != REVISION_FILE
         ]
-        if not files:
-            continue
-        place = _place(root, Path(parent))
-        if isinstance(place, Variant):
-            found.setdefault(place, []).extend(files)
-        else:
-            findings.append(place)
+        if files:
+            try:
+                found.setdefault(_variant(root, folder), []).extend(files)
+            except TrialError as error:
+                # Trials of the published form count, other files beside them may be anything.
+                is_published = "json" in map(_plain, folder.relative_to(root).parts)
+                report(folder, error, left_out=is_published)
+    for variant, files in found.items():
+        suffixes = [path.suffix.lower() for path in files]
+        first = next(suffix for suffix in READERS if suffix in suffixes)
+        found[variant] = [path for path in files if path.suffix.lower() == first]
+        others = [path for path in files if path not in found[variant]]
+        if others:
+            problem = (
+                f"{len(others)} files {others[0].suffix} of {variant.name} are not read"
+            )
+            fault = TrialError("(folder)", problem, f"those of {first} count")
+            report(others[0].parent, fault, left_out=False)
+    return found, findings
 
 
-def _place(root: Path, folder: Path) -> Variant | ImportFinding:
-    """Return the variant of the trials in a folder, or why they are left out."""
+def _variant(root: Path, folder: Path) -> Variant:
+    """Return the variant of the trials in a folder.
+
+    Raises:
+        TrialError: The folder is that of no variant.
+    """
     families = _families()
-    parts = list(folder.relative_to(root).parts)
-    if not any(_plain(part) in families for part in parts):
-        # The folder of a task, or one below it, was given as that of the dataset.
-        above = [*map(_plain, root.resolve().parts)]
-        tasks = [number for number, part in enumerate(above) if part in families]
-        parts = [*root.resolve().parts[tasks[-1] if tasks else len(above) :], *parts]
+    parts = _parts_from_task(root, folder)
     named = [part for part in parts if _plain(part) in families]
-    if named:
-        family = families[_plain(named[0])]
-        others = {*NEUTRAL, *map(_plain, named)}
-        rest = [part for part in parts if _plain(part) not in others]
-        variant = _variant(task_spec(family), rest)
-        if isinstance(variant, Variant):
-            return variant
-        problem, expected = variant
-    else:
-        problem = "no folder above it is a known task"
-        expected = f"that of a task below {', '.join(Group)} is expected"
-    # Trials of the published form count, other files beside them may be anything.
-    is_published = "json" in map(_plain, parts)
-    return replace(_finding(root, folder, problem, expected), left_out=is_published)
-
-
-def _one_form(
-    root: Path, variant: Variant, files: list[Path], findings: list[ImportFinding]
-) -> tuple[Path, ...]:
-    """Return the files of the first form of a variant's trials; add a finding for those of another form."""
-    forms = {
-        suffix: [p for p in files if p.suffix.lower() == suffix] for suffix in FORMS
-    }
-    first, *others = filter(None, forms.values())
-    for other in others:
-        problem = f"{len(other)} files {other[0].suffix} of {variant.name} are not read"
-        expected = f"those of {first[0].suffix} count"
-        finding = _finding(root, other[0].parent, problem, expected)
-        findings.append(replace(finding, left_out=False))
-    return tuple(sorted(first, key=_natural))
-
-
-def _variant(spec: TaskSpec, folders: Sequence[str]) -> Variant | tuple[str, str]:
-    """Return the variant of the folders around a trial, or what is wrong and what is expected."""
-    material, subtask = None, None
-    names = {_plain(name): name for name in spec.materials}
-    names |= {
-        _plain(dataset_name): material
-        for material, dataset_name in spec.metadata_materials.items()
-    }
+    ignored = {*NEUTRAL, *map(_plain, named)}
+    family = families[_plain(named[0])]
+    spec = task_spec(family)
+    materials = {_plain(name): name for name in spec.materials}
+    for name, published in spec.metadata_materials.items():
+        materials[_plain(published)] = name
     subtasks = ", ".join(f"task-{name}" for name in spec.subtasks) or "no task folder"
-    for folder in folders:
-        if _plain(folder) in names and material is None:
-            material = names[_plain(folder)]
-        elif (match := SUBTASK_FOLDER.fullmatch(folder)) and subtask is None:
+    material: str | None = None
+    subtask: str | None = None
+    for part in parts:
+        match = SUBTASK_FOLDER.fullmatch(part)
+        if _plain(part) in ignored:
+            continue
+        if material is None and _plain(part) in materials:
+            material = materials[_plain(part)]
+        elif subtask is None and match:
             subtask = match[1]
         else:
-            return (
-                f"{folder!r} is neither a material nor a subtask of {spec.family}",
-                f"materials are {', '.join(names.values())}; subtasks: {subtasks}",
+            problem = f"{part!r} is neither a material nor a subtask of {family}"
+            expected = (
+                f"materials are {', '.join(materials.values())}; subtasks: {subtasks}"
             )
+            raise TrialError("(folder)", problem, expected)
     if material is None and len(spec.materials) == 1:
         material = spec.materials[0]
     if material is None:
-        return (
-            f"it names no material of {spec.family}",
-            f"a folder of {', '.join(names)} is expected",
-        )
+        problem = f"it names no material of {family}"
+        expected = f"a folder of {', '.join(materials)} is expected"
+        raise TrialError("(folder)", problem, expected)
     if subtask not in (spec.subtasks or (None, "1")):
-        return (
-            f"{spec.family} has no subtask {subtask!r} in the data",
-            f"{subtasks} is expected",
-        )
-    return Variant(spec.family, subtask if spec.subtasks else None, material)
+        problem = f"{family} has no subtask {subtask!r} in the data"
+        raise TrialError("(folder)", problem, f"{subtasks} is expected")
+    return Variant(family, subtask if spec.subtasks else None, material)
+
+
+def _parts_from_task(root: Path, folder: Path) -> tuple[str, ...]:
+    """Return the names of the folders of a trial, with one of a task among them."""
+    families = _families()
+    parts = folder.relative_to(root).parts
+    if any(_plain(part) in families for part in parts):
+        return parts
+    # The folder of a task, or one below it, was given as that of the dataset.
+    parts = folder.resolve().parts
+    tasks = [index for index, part in enumerate(parts) if _plain(part) in families]
+    if not tasks:
+        problem = "no folder above it is a known task"
+        expected = f"that of a task below {', '.join(Group)} is expected"
+        raise TrialError("(folder)", problem, expected)
+    return parts[tasks[-1] :]
 
 
 @cache
@@ -252,13 +229,10 @@ def _families() -> dict[str, str]:
     """Return the family of each task folder, by the folder's letters and digits in lower case."""
     families = {}
     for family in dict.fromkeys(variant.family for variant in variants()):
-        metadata = task_spec(family).source.metadata
-        name = metadata.partition(".json")[0].rpartition("/")[2]
-        families[_plain(name)] = family
+        metadata = Path(task_spec(family).source.metadata.partition(".json")[0])
+        families[_plain(metadata.name)] = family
     for spelling, name in FOLDER_SPELLINGS.items():
-        if _plain(name) not in families:
-            continue
-        families[_plain(spelling)] = families[_plain(name)]
+        families[spelling] = families[name]
     return families
 
 
@@ -266,16 +240,7 @@ def _plain(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
+def _numeric_order(path: Path) -> list[int | str]:
     """Return a sort key that puts trial-2 before trial-10."""
-    parts = re.split(r"(\d+)", path.as_posix())
-    return [
-        (int(part), "") if part.isdecimal() else (0, part) for part in parts
-    ], path.as_posix()
-
-
-def _finding(root: Path, path: Path, problem: str, expected: str) -> ImportFinding:
-    file = printable(path.relative_to(root).as_posix())
-    return ImportFinding(
-        file=file, key="(folder)", problem=printable(problem), expected=expected
-    )
+    parts = re.split(r"([0-9]+)", path.as_posix())
+    return [int(part) if index % 2 else part for index, part in enumerate(parts)]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Sequence
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -23,8 +25,12 @@ from gauge_envs.tools.bench.driver_fit import motion_coordinates
 from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.trial import PoseTrack, Trial
 
-START_RANGE_MM = 300.0
+MAX_START_DISTANCE_MM = 300.0
 """Largest distance of a start from the calibrated start; beyond it frame, unit or body is another one."""
+
+AXES_TOLERANCE_MM = 30.0
+"""Distance from the calibrated start above which axes may be exchanged; exchanged back, it must be a quarter of it.
+Real starts are within 20 mm."""
 
 SWAPPED_MARKERS_MM = 10.0
 """Distance from their places at which markers may be swapped; exchanged places must be half as far."""
@@ -61,47 +67,36 @@ def trial_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
     Returns:
         g(t) in the observable's unit, shape [frame_count, coordinate_count]; NaN where a sample is missing. A trial may
         end early if no frame count was published for the variant; its later frames are NaN.
+
+    Raises:
+        TrialError: What is recorded is missing, damaged, or starts elsewhere; or the trial is too short.
     """
-    if experiment.score.observable is Observable.POSITION:
-        names = experiment.recorded
-        tracks = [_pose(trial, name).positions_mm for name in names]
-        for name, positions in zip(names, tracks, strict=True):
-            if len(positions) != len(tracks[0]):
-                raise TrialError(
-                    name,
-                    f"it has {len(positions)} frames",
-                    f"{len(tracks[0])} are expected, as {names[0]} has",
-                )
-            _check_start(
-                name, positions, np.asarray(experiment.scene.body(name).pose.position_m)
-            )
-        values = np.concatenate(tracks, axis=1)
-    else:
-        markers_m, markers = (
-            trial_markers_m(trial, experiment),
-            experiment.scene.markers,
+    markers = experiment.scene.markers
+    if experiment.score.observable is Observable.POSITION or markers is None:
+        tracks = {name: _pose_track(trial, name) for name in experiment.recorded}
+        _check_lengths({name: track.positions_mm for name, track in tracks.items()})
+        for name, track in tracks.items():
+            _check_start(name, track, experiment.scene.body(name).pose)
+        values = np.concatenate(
+            [track.positions_mm for track in tracks.values()], axis=1
         )
-        assert markers is not None
+    else:
+        markers_m = trial_markers_m(trial, experiment)
         try:
             values = observe_markers(markers_m, markers, experiment.score.observable)
         except ShapeError as error:
-            raise TrialError(
-                "markers", str(error), "markers as in the metadata are expected"
-            ) from None
+            expected = "markers as in the metadata are expected"
+            raise TrialError("markers", str(error), expected) from None
     needed = experiment.frame_count if published_baselines(experiment.name) else 2
     if len(values) < needed:
-        raise TrialError(
-            "(file)", f"it has {len(values)} frames", f"{needed} or more are needed"
-        )
+        problem = f"it has {len(values)} frames"
+        raise TrialError("(file)", problem, f"{needed} or more are needed")
     frames = np.full((experiment.frame_count, values.shape[1]), np.nan)
     count = min(len(values), experiment.frame_count)
     frames[:count] = values[:count]
     if np.isnan(frames).all():
-        raise TrialError(
-            "(file)",
-            "no frame of what is recorded was captured",
-            "samples are expected",
-        )
+        problem = "no frame of what is recorded was captured"
+        raise TrialError("(file)", problem, "samples are expected")
     return frames
 
 
@@ -111,20 +106,25 @@ def start_quaternions(trial: Trial, experiment: Experiment) -> FloatArray:
     Returns:
         Unit quaternions x y z w, body to world, shape [START_FRAMES, body_count, 4]; NaN where a trial has none.
     """
-    tracks = [_pose(trial, name).quaternions_xyzw for name in experiment.recorded]
-    found = np.full((START_FRAMES, len(tracks), 4), np.nan)
+    tracks = [_pose_track(trial, name) for name in experiment.recorded]
+    quaternions = np.full((START_FRAMES, len(tracks), 4), np.nan)
     for index, track in enumerate(tracks):
-        if track is not None:
-            found[: len(track), index] = track[:START_FRAMES]
-    return found
+        if track.quaternions_xyzw is not None:
+            first = track.quaternions_xyzw[:START_FRAMES]
+            quaternions[: len(first), index] = first
+    return quaternions
 
 
 def driver_tracks(trial: Trial, experiment: Experiment) -> tuple[DriverTrack, ...]:
-    """Return the recorded motion of the driven bodies, in the order of the scene's drivers."""
+    """Return the recorded motion of the driven bodies, in the order of the scene's drivers.
+
+    Raises:
+        TrialError: A driven body is missing or damaged, starts elsewhere, or was not captured at first.
+    """
     return tuple(
         _driver_track(
             driver,
-            _pose(trial, driver.body),
+            _pose_track(trial, driver.body),
             experiment.scene.body(driver.body).pose,
             experiment.frame_count,
         )
@@ -132,48 +132,66 @@ def driver_tracks(trial: Trial, experiment: Experiment) -> tuple[DriverTrack, ..
     )
 
 
+Asset = TypeVar("Asset")
+
+
+def _assets(
+    trial: Trial, assets: Mapping[str, Asset], names: Iterable[str]
+) -> dict[str, Asset]:
+    """Return the assets of some names, in any spelling, or raise the fault of one of them."""
+    plain = {_plain(name) for name in names}
+    for name, fault in trial.faults.items():
+        if _plain(name) in plain:
+            raise fault
+    return {name: asset for name, asset in assets.items() if _plain(name) in plain}
+
+
 def _plain(name: str) -> str:
     return "".join(character for character in name.lower() if character.isalnum())
 
 
-def _check_faults(trial: Trial, names: Container[str]) -> None:
-    """Raise the fault of an asset of these names, in plain spelling."""
-    for key, fault in trial.faults.items():
-        if _plain(key) in names:
-            raise fault
+def _pose_track(trial: Trial, name: str) -> PoseTrack:
+    tracks = _assets(trial, trial.poses, [name])
+    if not tracks:
+        raise TrialError(name, "the rigid body is missing", _contents(trial))
+    return next(iter(tracks.values()))
 
 
-def _pose(trial: Trial, name: str) -> PoseTrack:
-    _check_faults(trial, {_plain(name)})
-    found = next(
-        (track for key, track in trial.poses.items() if _plain(key) == _plain(name)),
-        None,
-    )
-    if found is None:
-        raise TrialError(
-            name,
-            "the rigid body is missing",
-            f"the file has {_listed([*trial.poses, *trial.markers])}",
-        )
-    return found
+def _contents(trial: Trial) -> str:
+    names = sorted([*trial.poses, *trial.markers])
+    more = f", ... {len(names)} in all" if len(names) > 8 else ""
+    return f"the file has {', '.join(names[:8]) or 'no asset'}{more}"
 
 
-def _listed(names: Sequence[str]) -> str:
-    text = ", ".join(sorted(names)[:8]) or "no asset"
-    return text if len(names) <= 8 else f"{text}, ... {len(names)} in all"
+def _check_lengths(arrays: Mapping[str, FloatArray]) -> None:
+    """Raise an error if arrays are not as long as the longest."""
+    longest = max(arrays, key=lambda name: len(arrays[name]))
+    for name, array in arrays.items():
+        if len(array) != len(arrays[longest]):
+            expected = f"{len(arrays[longest])} are expected, as {longest} has"
+            raise TrialError(name, f"it has {len(array)} frames", expected)
 
 
-def _check_start(name: str, positions_mm: FloatArray, start_m: FloatArray) -> None:
-    captured = np.flatnonzero(~np.isnan(positions_mm).any(axis=1))
-    if not captured.size:
+def _check_start(name: str, track: PoseTrack, start: Pose) -> None:
+    positions_mm = track.positions_mm[~np.isnan(track.positions_mm).any(axis=1)]
+    if not len(positions_mm):
         raise TrialError(name, "it was never captured", "samples are expected")
-    distance = length_of(positions_mm[captured[0]] - 1e3 * start_m)
-    if distance > START_RANGE_MM:
-        raise TrialError(
-            name,
-            f"it starts {distance:.0f} mm from its calibrated start",
-            f"within {START_RANGE_MM:.0f} mm, in the motion-capture frame and in mm, is expected",
-        )
+    _check_place(name, positions_mm[0], 1e3 * np.asarray(start.position_m))
+
+
+def _check_place(name: str, place_mm: FloatArray, start_mm: FloatArray) -> None:
+    """Raise an error if a first place is far from the calibrated start, or near to it with exchanged axes."""
+    distance_mm = length_of(place_mm - start_mm)
+    expected = f"within {MAX_START_DISTANCE_MM:.0f} mm, in the motion-capture frame and in mm, is expected"
+    problem = f"it starts {distance_mm:.0f} mm from its calibrated start"
+    if distance_mm > MAX_START_DISTANCE_MM:
+        raise TrialError(name, problem, expected)
+    for order in itertools.permutations(range(3)):
+        exchanged_mm = length_of(place_mm[list(order)] - start_mm)
+        if exchanged_mm < 0.25 * distance_mm and distance_mm > AXES_TOLERANCE_MM:
+            axes = ", ".join("xyz"[axis] for axis in order)
+            expected = f"its lists {axes} hold x, y, z of the motion-capture frame: exchange them"
+            raise TrialError(name, f"{problem}: its axes look exchanged", expected)
 
 
 # --- markers ---------------------------------------------------------------------------------------------------------
@@ -184,90 +202,57 @@ def trial_markers_m(trial: Trial, experiment: Experiment) -> FloatArray:
 
     Returns:
         Positions [m], shape [recorded_frame_count, marker_count, 3]; NaN where a marker is missing.
+
+    Raises:
+        TrialError: Markers are missing, damaged, or in another order.
     """
     markers = experiment.scene.markers
     if markers is None:
-        raise TrialError(
-            "(file)", "the experiment has no markers", "its task file lists them"
-        )
-    ids, positions_mm = _markers(trial, markers.bodies, len(markers.positions_m))
-    rest_mm = 1e3 * np.asarray(markers.positions_m)
-    _check_order(ids, positions_mm, rest_mm)
-    return 1e-3 * positions_mm
-
-
-def _markers(
-    trial: Trial, bodies: Iterable[str], count: int
-) -> tuple[list[str], FloatArray]:
-    """Return marker ids in the metadata's order, and positions [mm], shape [frame_count, marker_count, 3]."""
-    names = {_plain(name) for name in (*bodies, "markers")}
-    _check_faults(trial, names)
-    sets = {
-        key: found for key, found in trial.markers.items() if _plain(key) in names
-    } or trial.markers
+        problem = "the experiment has no markers"
+        raise TrialError("(file)", problem, "its task file lists them")
+    sets = _assets(trial, trial.markers, [*markers.bodies, "markers"]) or trial.markers
     if not sets:
-        raise TrialError(
-            "markers",
-            "the marker set is missing",
-            f"the file has {_listed([*trial.poses])}",
-        )
-    merged: dict[str, FloatArray] = {}
-    for name, found in sets.items():
-        for marker, positions in found.items():
-            if marker in merged:
-                raise TrialError(
-                    f"{name}.{marker}",
-                    "another marker set has the same id",
-                    "ids are unique",
-                )
-            merged[marker] = positions
-    if len(merged) != count:
-        raise TrialError(
-            ", ".join(sets), f"it has {len(merged)} markers", f"{count} are expected"
-        )
-    lengths = {name: len(next(iter(found.values()))) for name, found in sets.items()}
-    for name, length in lengths.items():
-        if length != max(lengths.values()):
-            raise TrialError(
-                name,
-                f"it has {length} frames",
-                f"{max(lengths.values())} are expected, as others have",
-            )
-    ids = _sorted_ids(merged)
-    return ids, np.stack([merged[marker] for marker in ids], axis=1)
-
-
-def _sorted_ids(ids: Iterable[str]) -> list[str]:
-    """Return ids sorted as numbers if all are numbers, so that 10 comes after 9; else sorted as text."""
-    ids = sorted(ids)
-    if all(
-        marker.isascii() and marker.isdecimal() and len(marker) < 19 for marker in ids
-    ):
-        return sorted(ids, key=int)
-    return ids
+        raise TrialError("markers", "the marker set is missing", _contents(trial))
+    positions = {
+        marker: positions_mm
+        for marker_set in sets.values()
+        for marker, positions_mm in marker_set.items()
+    }
+    count = len(markers.positions_m)
+    if len(positions) != count:
+        problem = f"it has {len(positions)} markers"
+        raise TrialError(", ".join(sets), problem, f"{count} are expected")
+    _check_lengths({name: next(iter(sets[name].values())) for name in sets})
+    are_numbers = all(marker.isdecimal() for marker in positions)
+    ids = sorted(positions, key=int if are_numbers else str)
+    positions_mm = np.stack([positions[marker] for marker in ids], axis=1)
+    _check_order(ids, positions_mm, 1e3 * np.asarray(markers.positions_m))
+    return 1e-3 * positions_mm
 
 
 def _check_order(
     ids: Sequence[str], positions_mm: FloatArray, rest_mm: FloatArray
 ) -> None:
-    """Raise if the markers start in a clearly permuted order."""
+    """Raise an error if the markers start elsewhere, or in a clearly permuted order.
+
+    Args:
+        ids: Marker ids in the order of the metadata.
+        positions_mm: Positions of the markers, shape [frame_count, marker_count, 3].
+        rest_mm: Calibrated positions, shape [marker_count, 3].
+    """
     captured = np.asarray(~np.isnan(positions_mm).any(axis=2))
     seen = np.flatnonzero(captured.any(axis=0))
     if not seen.size:
         raise TrialError(
             "markers", "no marker was ever captured", "samples are expected"
         )
-    starts = positions_mm[np.argmax(captured[:, seen], axis=0), seen]
-    _check_start(
-        "markers", starts.mean(axis=0, keepdims=True), 1e-3 * rest_mm[seen].mean(axis=0)
-    )
-    squares = cdist(starts, rest_mm[seen], "sqeuclidean")
+    starts_mm = positions_mm[captured[:, seen].argmax(axis=0), seen]
+    _check_place("markers", starts_mm.mean(axis=0), rest_mm[seen].mean(axis=0))
+    squares = cdist(starts_mm, rest_mm[seen], "sqeuclidean")
     rows, places = linear_sum_assignment(squares)
-    given, best = (
-        np.sqrt(np.diag(squares).mean()),
-        np.sqrt(squares[rows, places].mean()),
-    )
-    if given > SWAPPED_MARKERS_MM and best < 0.5 * given:
+    given_mm = np.sqrt(np.diag(squares).mean())
+    best_mm = np.sqrt(squares[rows, places].mean())
+    if given_mm > SWAPPED_MARKERS_MM and best_mm < 0.5 * given_mm:
         wrong = int(np.argmax(rows != places))
         raise TrialError(
             f"markers.{ids[seen[wrong]]}",
@@ -283,63 +268,45 @@ def _driver_track(
     driver: Driver, track: PoseTrack, start: Pose, frame_count: int
 ) -> DriverTrack:
     """Return the coordinates whose poses are nearest to the recorded ones, frame by frame."""
-    calibrated = np.asarray(start.position_m)
-    _check_start(driver.body, track.positions_mm, calibrated)
-    rotation_count = sum(motion.kind == "rotate" for motion in driver.motions)
-    if rotation_count > 1:
-        raise TrialError(
-            driver.body,
-            "its driver has several rotations",
-            "one rotation at most is expected, as several cannot be separated",
-        )
-    if rotation_count and track.quaternions_xyzw is None:
-        raise TrialError(
-            f"{driver.body}.qx",
-            "it is missing",
-            "a driver that rotates needs qx, qy, qz and qw",
-        )
-
-    positions = 1e-3 * track.positions_mm[:frame_count]
-    quaternions = (
-        np.zeros((0, 4))
-        if track.quaternions_xyzw is None
-        else track.quaternions_xyzw[:frame_count]
-    )
-    captured = (
-        positions if not len(quaternions) else np.column_stack([positions, quaternions])
-    )
-    known = np.flatnonzero(~np.isnan(captured).any(axis=1))
-    if known[:1].tolist() != [0]:
-        raise TrialError(
-            f"{driver.body}[0]",
-            "frame 0 was not captured",
-            "the motion of a driver is measured from frame 0",
-        )
-
-    first = positions[0]
-    offset = first - calibrated
-    # The axis of a motion belongs to the body, so it is shifted by the offset of the trial's start.
-    motions = [
-        replace(motion, point_m=tuple((motion.point_m + offset).tolist()))
-        for motion in driver.motions
-    ]
+    _check_start(driver.body, track, start)
+    positions_m = 1e-3 * track.positions_mm[:frame_count]
+    is_known = np.asarray(~np.isnan(positions_m).any(axis=1))
+    has_rotation = track.quaternions_xyzw is not None
+    if track.quaternions_xyzw is not None:
+        quaternions = track.quaternions_xyzw[:frame_count]
+        is_known &= ~np.isnan(quaternions).any(axis=1)
+    elif any(motion.kind == "rotate" for motion in driver.motions):
+        expected = "a driver that rotates needs qx, qy, qz and qw"
+        raise TrialError(f"{driver.body}.qx", "it is missing", expected)
+    if not is_known[0]:
+        expected = "the motion of a driver is measured from frame 0"
+        raise TrialError(f"{driver.body}[0]", "frame 0 was not captured", expected)
+    known = np.flatnonzero(is_known)
     rotations = (
         Rotation.from_quat(quaternions[known])
-        if len(quaternions)
+        if has_rotation
         else Rotation.identity(len(known))
     )
-    values, missed_m, rest_rad = motion_coordinates(
-        motions, first, positions[known], rotations * rotations[0].inv()
+    # The axis of a motion belongs to the body, so it is shifted by the offset of the trial's start.
+    offset_m = positions_m[0] - start.position_m
+    motions = [
+        replace(motion, point_m=tuple((motion.point_m + offset_m).tolist()))
+        for motion in driver.motions
+    ]
+    values, missed_m, missed_rad = motion_coordinates(
+        motions, positions_m[0], positions_m[known], rotations * rotations[0].inv()
     )
-    coordinates = np.full((frame_count, len(driver.motions)), np.nan)
-    residual_mm, residual_rad = (np.full(frame_count, np.nan) for _ in range(2))
-    coordinates[known], residual_mm[known] = values, 1e3 * missed_m
-    if len(quaternions):
-        residual_rad[known] = rest_rad
+    coordinates = np.full((frame_count, len(motions)), np.nan)
+    residual_mm = np.full(frame_count, np.nan)
+    residual_rad = np.full(frame_count, np.nan)
+    coordinates[known] = values
+    residual_mm[known] = 1e3 * missed_m
+    if has_rotation:
+        residual_rad[known] = missed_rad
     return DriverTrack(
         body=driver.body,
         coordinates=coordinates,
         residual_mm=residual_mm,
         residual_rad=residual_rad,
-        start_offset_mm=1e3 * length_of(offset),
+        start_offset_mm=1e3 * length_of(offset_m),
     )

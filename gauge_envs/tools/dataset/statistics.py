@@ -15,11 +15,17 @@ from gauge_envs.scoring.metrics import (
 SHIFT_STEP_S = 1.0 / 120.0
 """Step of the grid of time shifts [s]; the best one is refined."""
 
-REFINEMENTS, REFINED_POINTS = 8, 9
-"""Number of finer grids about the best shift, and their points: the last step is 1.3e-7 s."""
+SHIFT_TOLERANCE_S = 1e-7
+"""Step of the finest grid of time shifts [s]."""
 
 MIN_OVERLAP = 0.6
 """Smallest share of frames that a shifted trial must have in common with the mean of the others."""
+
+
+SHIFTS_S = np.arange(
+    -MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S + 0.5 * SHIFT_STEP_S, SHIFT_STEP_S
+)
+"""Time shifts from which the best one is refined [s]."""
 
 
 def mean_and_sigma(trials: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -33,9 +39,8 @@ def mean_and_sigma(trials: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
     is_seen = np.isfinite(trials)
     counts = is_seen.sum(axis=0)
-    total = np.where(is_seen, trials, 0.0).sum(axis=0)
-    mean = total / np.where(counts > 0, counts, np.nan)
-    squares = np.where(is_seen, np.square(trials - mean), 0.0).sum(axis=0)
+    mean = np.nansum(trials, axis=0) / np.where(counts > 0, counts, np.nan)
+    squares = np.nansum(np.square(trials - mean), axis=0)
     is_often = (counts > 1) & (2 * counts >= len(trials))
     return mean, np.sqrt(squares / np.where(is_often, counts - 1, np.nan))
 
@@ -59,48 +64,50 @@ def distances_to_others(trials: FloatArray) -> tuple[FloatArray, FloatArray]:
     A trial is nearer to a mean of N that it is part of, by the factor (N - 1) / N. The shift is the constant one with
     the least RMSE. A trial with too few frames for a distance has infinity.
     """
-    pairs = [
-        _raw_and_aligned(trial, mean_and_sigma(np.delete(trials, index, axis=0))[0])
-        for index, trial in enumerate(trials)
-    ]
-    raw, aligned = np.array(pairs).T
-    return raw, aligned
+    pairs = []
+    for index, trial in enumerate(trials):
+        mean, _ = mean_and_sigma(np.delete(trials, index, axis=0))
+        raw = _shifted_rmse(0.0, trial, mean)
+        pairs.append((raw, _aligned_rmse(trial, mean)))
+    raw_rmse, aligned_rmse = np.array(pairs).T
+    return raw_rmse, aligned_rmse
 
 
-def _raw_and_aligned(trial: FloatArray, mean: FloatArray) -> tuple[float, float]:
-    """Return the RMSE of a trial to a mean, raw and after the best time shift."""
+def _aligned_rmse(trial: FloatArray, mean: FloatArray) -> float:
+    """Return the least RMSE of a trial to a mean over constant time shifts, on finer and finer grids."""
+    shifts_s, step_s, least = SHIFTS_S, SHIFT_STEP_S, math.inf
+    while step_s > SHIFT_TOLERANCE_S:
+        rmse = [_shifted_rmse(shift_s, trial, mean) for shift_s in shifts_s]
+        best = int(np.argmin(rmse))
+        least = min(least, rmse[best])
+        finer_s = shifts_s[best] + step_s * np.linspace(-1.0, 1.0, 9)
+        shifts_s = np.clip(finer_s, -MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S)
+        step_s /= 4.0
+    return least
+
+
+def _shifted_rmse(shift_s: float, trial: FloatArray, mean: FloatArray) -> float:
+    """Return the RMSE of a trial, shifted in time, to a mean; infinity with too few common frames.
+
+    A body rests before its release, so times before the first sample have its value. Times after the last are unknown.
+
+    Args:
+        shift_s: Time by which the trial is later [s].
+        trial: The trial, shape [T, C].
+        mean: Mean of the others, shape [T, C].
+    """
     is_whole = np.isfinite(trial).all(axis=1)
-    if not is_whole.any():
-        return math.inf, math.inf
-    frames_s = np.arange(len(mean)) / FRAME_RATE_HZ
-    times_s = frames_s[is_whole]
     is_known = np.isfinite(mean).any(axis=1)
-    min_count = max(MIN_OVERLAP * is_known.sum(), 1.0)
-
-    def shifted_rmse(shifts_s: FloatArray) -> FloatArray:
-        queries_s = frames_s - shifts_s[:, None]
-        # A body rests before its release, so earlier times have the first sample. Later ones are unknown.
-        is_usable = is_known & (queries_s <= times_s[-1] + 1e-9)
-        apart = interpolated(queries_s, times_s, trial[is_whole]) - mean
-        squares = np.nansum(np.square(apart), axis=2, where=is_usable[:, :, None])
-        counts = is_usable.sum(axis=1)
-        rmse = np.sqrt(squares.sum(axis=1) / np.maximum(counts, 1))
-        return np.where(counts >= min_count, rmse, math.inf)
-
-    step_count = round(MAX_TIME_OFFSET_S / SHIFT_STEP_S)
-    grid_s = SHIFT_STEP_S * np.arange(-step_count, step_count + 1, dtype=np.float64)
-    coarse = shifted_rmse(grid_s)
-    raw, best = float(coarse[step_count]), int(coarse.argmin())
-    low_s, high_s = grid_s[best] - SHIFT_STEP_S, grid_s[best] + SHIFT_STEP_S
-    least = float(coarse[best])
-    for _ in range(REFINEMENTS):
-        # The next grid covers the two intervals about the least value of this one.
-        grid_s = np.linspace(low_s, high_s, REFINED_POINTS)
-        refined = shifted_rmse(grid_s)
-        best = int(refined.argmin())
-        least = min(least, float(refined[best]))
-        low_s, high_s = grid_s[max(best - 1, 0)], grid_s[min(best + 1, len(grid_s) - 1)]
-    return raw, least
+    if not is_whole.any():
+        return math.inf
+    frames_s = np.arange(len(mean)) / FRAME_RATE_HZ
+    last_s = frames_s[is_whole][-1]
+    is_common = is_known & (frames_s - shift_s <= last_s + 1e-9)
+    if is_common.sum() < max(MIN_OVERLAP * is_known.sum(), 1.0):
+        return math.inf
+    queries_s = frames_s[is_common] - shift_s
+    shifted = interpolated(queries_s, frames_s[is_whole], trial[is_whole])
+    return rms_over_frames(shifted - mean[is_common])
 
 
 def rms_over_frames(deviation: FloatArray) -> float:

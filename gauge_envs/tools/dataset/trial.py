@@ -1,27 +1,31 @@
 """Read and check one trial file of the GAUGE dataset.
 
-A trial is a JSON object with `FPS`, `translation unit` and one object per asset, which `forms` also makes of CSV.
-A rigid body has lists `x`, `y`, `z` and usually `qx`, `qy`, `qz`, `qw`; `ex`, `ey`, `ez` are not used. A marker set has
-an object with `x`, `y`, `z` per marker id. Each list has one sample per frame; `null` or NaN is a sample that was not
-captured.
+A trial is a JSON object with `FPS`, `translation unit` and one object per asset. A rigid body has lists `x`, `y`, `z`
+and usually `qx`, `qy`, `qz`, `qw`; `ex`, `ey`, `ez` are not used. A marker set has an object with `x`, `y`, `z` per
+marker id. Each list has one sample per frame; `null` or NaN is a sample that was not captured.
+
+A CSV file has a column for each of these lists, as `cube.x`, `cube.qw`, `foam.17.x`; comments `# fps: 30` and
+`# unit: mm` state rate and unit. Columns of other names are not read.
+
+Unit and rate are never inferred from the values. Where a file has none, the caller states them (`Stated`).
 """
 
-from collections.abc import Mapping
+import csv
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from gauge_envs.files import csv_text, json_document
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.dataset.findings import TrialError
-from gauge_envs.tools.dataset.forms import RATE, UNIT, Stated, published_form
-
-Lengths = dict[str, int]
-"""Number of samples of each list of an asset, by its place; all have as many as the first."""
 
 POSITION_KEYS = ("x", "y", "z")
 QUATERNION_KEYS = ("qx", "qy", "qz", "qw")
+
 MILLIMETRES = {
     "mm": 1.0,
     "millimeter": 1.0,
@@ -36,9 +40,24 @@ MILLIMETRES = {
 NORM_TOLERANCE = 0.01
 """Largest error of the norm of a unit quaternion; files round to three digits or more."""
 
+MAX_COORDINATE_MM = 1e5
+"""Largest coordinate; the capture volume is a few metres wide."""
 
-LARGEST_MM = 1e5
-"""Largest coordinate; the capture volume is a few metres wide, and squares of larger values may overflow."""
+COMMENT = re.compile(r"^#\s*(fps|unit)\s*[:=]\s*(\S+)", re.MULTILINE | re.IGNORECASE)
+"""Comment of a CSV file that states rate or unit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stated:
+    """What a user states for files that do not.
+
+    Attributes:
+        unit: `mm`, `cm` or `m`.
+        rate_hz: Frames in a second.
+    """
+
+    unit: str | None = None
+    rate_hz: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,143 +95,159 @@ def parse_trial(
 
     Args:
         content: The file's bytes.
-        suffix: Suffix of the file, in lower case: one of `FORMS`.
+        suffix: Suffix of the file, in lower case: one of `READERS`.
         stated: Unit and rate of files that do not state them.
+
+    Raises:
+        TrialError: The file is damaged, or of another rate or unit; errors of a single asset are its `faults`.
     """
-    values = published_form(content, suffix, stated or Stated())
-    rate, unit = values[RATE], values[UNIT]
-    if rate != FRAME_RATE_HZ:
-        advice = "; --rate 30 states that of files without one" if rate is None else ""
-        expected = f"{FRAME_RATE_HZ:g} is expected{advice}"
-        raise TrialError(RATE, f"it is {_shown(rate)}", expected)
-    scale = MILLIMETRES.get(str(unit).lower().rstrip("s"))
-    if scale is None:
-        advice = "; --unit mm states that of files without one" if unit is None else ""
-        expected = f"'mm' is expected, or 'cm' or 'm'{advice}"
-        raise TrialError(UNIT, f"it is {_shown(unit)}", expected)
+    try:
+        document = READERS[suffix](content)
+        if not isinstance(document, dict):
+            raise ValueError(f"it is a {type(document).__name__}")
+    except (ValueError, csv.Error) as error:
+        problem = f"it is not {suffix[1:].upper()}: {error}"
+        expected = "a complete file of objects and lists is expected"
+        raise TrialError("(file)", problem, expected) from None
+    scale_mm = _scale_mm(document, stated or Stated())
     poses: dict[str, PoseTrack] = {}
-    markers: dict[str, dict[str, FloatArray]] = {}
+    markers: dict[str, Mapping[str, FloatArray]] = {}
     faults: dict[str, TrialError] = {}
-    assets = {name: one for name, one in values.items() if isinstance(one, dict)}
-    if not assets:
+    for name, asset in document.items():
+        if not isinstance(asset, dict):
+            continue
+        try:
+            if any(isinstance(entry, dict) for entry in asset.values()):
+                markers[name] = _marker_set(name, asset, scale_mm)
+            else:
+                poses[name] = _pose_track(name, asset, scale_mm)
+        except TrialError as error:
+            faults[name] = error
+    if not (poses or markers or faults):
         expected = (
             "an object such as 'cube', or columns as cube.x, foam.17.x, are expected"
         )
         raise TrialError("(file)", "it holds no asset", expected)
-    for name, asset in assets.items():
-        lengths: Lengths = {}
-        try:
-            if any(isinstance(entry, dict) for entry in asset.values()):
-                markers[name] = {
-                    marker: _marker(f"{name}.{marker}", entry, lengths, scale)
-                    for marker, entry in asset.items()
-                }
-            else:
-                poses[name] = _pose(name, asset, lengths, scale)
-        except TrialError as error:
-            faults[name] = error
     return Trial(poses=poses, markers=markers, faults=faults)
 
 
-def _positions(
-    name: str, asset: Mapping[str, Any], lengths: Lengths, scale: float
-) -> FloatArray:
-    positions = scale * _table(name, asset, POSITION_KEYS, lengths)
-    far = np.abs(positions) > LARGEST_MM
-    if far.any():
-        frame, axis = np.argwhere(far)[0]
-        raise TrialError(
-            f"{name}.{POSITION_KEYS[axis]}[{frame}]",
-            f"it is {positions[frame, axis]:.4g} mm",
-            "the capture volume is a few metres wide",
+def _csv_document(content: bytes) -> dict[str, Any]:
+    """Return the columns of a CSV file in the objects of a JSON file, with rate and unit from its comments."""
+    text = csv_text(content).getvalue()
+    lines = [line for line in text.splitlines() if line.strip() and line[0] != "#"]
+    rows = list(csv.reader(lines))
+    if len(rows) < 2 or len({len(row) for row in rows}) > 1:
+        raise ValueError("a header and rows of equal length are needed")
+    if len(set(rows[0])) < len(rows[0]):
+        raise ValueError("a column occurs twice")
+    document: dict[str, Any] = {}
+    for title, *texts in zip(*rows, strict=True):
+        *assets, key = title.strip().split(".")
+        if len(assets) in (1, 2) and key in POSITION_KEYS + QUATERNION_KEYS:
+            parent = document
+            for asset in assets:
+                parent = parent.setdefault(asset, {})
+            parent[key] = [text.strip() or None for text in texts]
+    for name, value in COMMENT.findall(text):
+        is_rate = name.lower() == "fps"
+        document["FPS" if is_rate else "translation unit"] = (
+            float(value) if is_rate else value
         )
-    return positions
+    return document
 
 
-def _pose(
-    name: str, asset: Mapping[str, Any], lengths: Lengths, scale: float
-) -> PoseTrack:
-    positions = _positions(name, asset, lengths, scale)
-    given = [key for key in QUATERNION_KEYS if key in asset]
-    if not given:
-        return PoseTrack(positions, None)
-    quaternions = _table(name, asset, QUATERNION_KEYS, lengths)
-    with np.errstate(
-        over="ignore"
-    ):  # a component whose square is no float has an infinite norm
+READERS = {".json": json_document, ".csv": _csv_document}
+"""Readers by suffix; the first form counts where a trial is there in both."""
+
+
+def _scale_mm(document: Mapping[str, Any], stated: Stated) -> float:
+    """Check the rate of a file, and return the millimetres in its unit of length."""
+    rate_hz = document.get("FPS", stated.rate_hz)
+    unit = document.get("translation unit", stated.unit)
+    if rate_hz != FRAME_RATE_HZ:
+        problem, expected = f"it is {rate_hz!r}", f"{FRAME_RATE_HZ:g} is expected"
+        if rate_hz is None:
+            problem = "it is missing"
+            expected += "; --rate 30 states that of files without one"
+        raise TrialError("FPS", problem, expected)
+    scale_mm = MILLIMETRES.get(str(unit).lower().rstrip("s"))
+    if scale_mm is None:
+        problem, expected = f"it is {unit!r}", "'mm' is expected, or 'cm' or 'm'"
+        if unit is None:
+            problem = "it is missing"
+            expected += "; --unit mm states that of files without one"
+        raise TrialError("translation unit", problem, expected)
+    return scale_mm
+
+
+def _pose_track(name: str, asset: Mapping[str, Any], scale_mm: float) -> PoseTrack:
+    positions_mm = _positions_mm(name, asset, scale_mm)
+    if not any(key in asset for key in QUATERNION_KEYS):
+        return PoseTrack(positions_mm, None)
+    quaternions = _table(name, asset, QUATERNION_KEYS)
+    _check_lengths({f"{name}.x": positions_mm, f"{name}.qx": quaternions})
+    with np.errstate(over="ignore"):
         norms = np.linalg.norm(quaternions, axis=1)
-    wrong = np.abs(norms - 1.0) > NORM_TOLERANCE
-    if wrong.any():
-        frame = int(wrong.argmax())
-        raise TrialError(
-            f"{name}.q[{frame}]",
-            f"the quaternion's norm is {norms[frame]:.4g}",
-            "1 is expected",
-        )
-    return PoseTrack(positions, quaternions / norms[:, None])
+    is_wrong = np.abs(norms - 1.0) > NORM_TOLERANCE
+    if is_wrong.any():
+        frame = int(is_wrong.argmax())
+        problem = f"the quaternion's norm is {norms[frame]:.4g}"
+        raise TrialError(f"{name}.q[{frame}]", problem, "1 is expected")
+    return PoseTrack(positions_mm, quaternions / norms[:, None])
 
 
-def _marker(key: str, entry: Any, lengths: Lengths, scale: float) -> FloatArray:
-    if not isinstance(entry, dict):
-        raise TrialError(
-            key, f"it is {_shown(entry)}", "a marker is an object with x, y, z"
-        )
-    positions = _positions(key, entry, lengths, scale)
-    # A marker is captured in all three coordinates or not at all.
-    positions[np.isnan(positions).any(axis=1)] = np.nan
-    return positions
+def _marker_set(
+    name: str, asset: Mapping[str, Any], scale_mm: float
+) -> dict[str, FloatArray]:
+    markers = {}
+    for marker, entry in asset.items():
+        key = f"{name}.{marker}"
+        if not isinstance(entry, dict):
+            problem = f"it is {entry!r:.40}"
+            raise TrialError(key, problem, "a marker is an object with x, y, z")
+        markers[marker] = _positions_mm(key, entry, scale_mm)
+        # A marker is captured in all three coordinates or not at all.
+        markers[marker][np.isnan(markers[marker]).any(axis=1)] = np.nan
+    _check_lengths({f"{name}.{marker}": markers[marker] for marker in markers})
+    return markers
 
 
-def _table(
-    name: str, asset: Mapping[str, Any], keys: tuple[str, ...], lengths: Lengths
-) -> FloatArray:
+def _positions_mm(key: str, asset: Mapping[str, Any], scale_mm: float) -> FloatArray:
+    """Return the positions of a body or a marker [mm], shape [frame_count, 3]."""
+    positions_mm = scale_mm * _table(key, asset, POSITION_KEYS)
+    is_far = np.abs(positions_mm) > MAX_COORDINATE_MM
+    if is_far.any():
+        frame, axis = np.argwhere(is_far)[0]
+        place = f"{key}.{POSITION_KEYS[axis]}[{frame}]"
+        problem = f"it is {positions_mm[frame, axis]:.4g} mm"
+        raise TrialError(place, problem, "the capture volume is a few metres wide")
+    return positions_mm
+
+
+def _table(name: str, asset: Mapping[str, Any], keys: Sequence[str]) -> FloatArray:
     """Return lists of an asset as columns, shape [frame_count, column_count]."""
-    missing = [key for key in keys if key not in asset]
-    if missing:
-        raise TrialError(
-            f"{name}.{missing[0]}", "it is missing", f"an asset has {', '.join(keys)}"
-        )
-    columns = [_numbers(f"{name}.{key}", asset[key]) for key in keys]
-    for key, column in zip(keys, columns, strict=True):
-        lengths[f"{name}.{key}"] = len(column)
-        first, count = next(iter(lengths.items()))
-        if len(column) != count:
-            raise TrialError(
-                f"{name}.{key}",
-                f"it has {len(column)} samples",
-                f"{count} are expected, as in {first}",
-            )
-    return np.column_stack(columns)
+    columns = {}
+    for key in keys:
+        place = f"{name}.{key}"
+        if key not in asset:
+            raise TrialError(place, "it is missing", f"an asset has {', '.join(keys)}")
+        expected = "a list of numbers or null, one a frame, is expected"
+        try:
+            column = np.array(asset[key], dtype=np.float64)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise TrialError(place, f"{error}", expected) from None
+        if column.ndim != 1 or not column.size:
+            raise TrialError(place, f"it is {asset[key]!r:.40}", expected)
+        columns[place] = column
+    _check_lengths(columns)
+    return np.column_stack([*columns.values()])
 
 
-def _numbers(key: str, values: Any) -> FloatArray:
-    if not isinstance(values, list) or not values:
-        expected = "a list of numbers, one a frame, is expected"
-        raise TrialError(key, f"it is {_shown(values)}", expected)
-    for frame, value in enumerate(values):
-        # A boolean is an integer in Python.
-        if type(value) not in (int, float, type(None)):
-            place = f"{key}[{frame}]"
-            expected = "a number or null is expected"
-            raise TrialError(place, f"it is {_shown(value)}", expected)
-    try:
-        numbers = np.array(values, dtype=np.float64)
-    except OverflowError:
-        expected = "finite numbers are expected"
-        raise TrialError(key, "a number is too large", expected) from None
-    if np.isinf(numbers).any():
-        place = f"{key}[{np.isinf(numbers).argmax()}]"
-        raise TrialError(
-            place, "it is infinite", "a finite number, or null, is expected"
-        )
-    return numbers
-
-
-def _shown(value: Any) -> str:
-    """Return a short text of a value, for a message."""
-    if value is None:
-        return "missing"
-    if isinstance(value, list):
-        return "a list" if value else "an empty list"
-    text = repr(value) if isinstance(value, str | int | float) else type(value).__name__
-    return text if len(text) <= 40 else f"{text[:37]}..."
+def _check_lengths(columns: Mapping[str, FloatArray]) -> None:
+    """Raise an error if arrays of an asset differ in their number of samples."""
+    first, *others = columns
+    for place in others:
+        if len(columns[place]) != len(columns[first]):
+            problem = f"it has {len(columns[place])} samples"
+            expected = f"{len(columns[first])} are expected, as in {first}"
+            raise TrialError(place, problem, expected)

@@ -11,9 +11,11 @@ IMPORTED = {"drivers": "imported", "reference": "imported"}
 
 
 def imported(root, *only, stated=None):
-    """Import a dataset."""
-    found = import_trials(find_trials(root, only=only or ("*",)), stated=stated)
-    return {one.variant.name: one for one in found}
+    """Import a dataset, and return the outcomes by variant."""
+    layout = find_trials(root, only=only or ("*",))
+    return {
+        trials.variant.name: trials for trials in import_trials(layout, stated=stated)
+    }
 
 
 def import_contents(root, name, contents):
@@ -27,25 +29,3 @@ def band_of(name):
     band = load_band(name, DataSource.IMPORTED)
     assert band is not None
     return band
-
-
-MISSING = object()
-
-
-def put(place, value=MISSING):
-    """Puts a value at a place such as `cube.x.4`, or takes away what is there."""
-    *path, last = place.split(".")
-    sample = last.isdecimal() and len(path) == 2
-
-    def change(content):
-        inner = content
-        for key in path:
-            inner = inner[key]
-        key = int(last) if sample else last
-        if value is MISSING:
-            del inner[key]
-        else:
-            inner[key] = value
-        return content
-
-    return change

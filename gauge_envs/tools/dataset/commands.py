@@ -1,0 +1,148 @@
+"""`gauge data download`, `gauge data import` and `gauge list references`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import (
+    Format,
+    Progress,
+    echo,
+    message,
+    print_document,
+    print_json_lines,
+)
+from gauge_envs.pages.text import counted
+
+if TYPE_CHECKING:
+    from gauge_envs.pages.table import Table
+    from gauge_envs.tools.dataset.findings import ImportFinding
+
+
+def data_download(
+    patterns: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="PATTERN",
+            show_default="all trials",
+            help="Files, as 'data/rigid/slope slider/*'.",
+        ),
+    ] = None,
+    revision: Annotated[
+        str | None,
+        arguments.option(
+            arguments.SELECTION,
+            "Commit, branch or tag.",
+            metavar="NAME",
+            show_default="that of the bundled data",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, arguments.folder("Folder.", show_default="below the user's data")
+    ] = None,
+) -> None:
+    """Download the GAUGE dataset (10 GB in all); an interrupted download resumes."""
+    from gauge_envs.tools.dataset import download
+
+    revision = revision or download.PINNED_REVISION
+    commit = download.resolved_revision(revision)
+    message(f"{download.DATASET}, revision {revision} is {commit}")
+    folder = download.download_dataset(commit, out, patterns or [download.TRIAL_FILES])
+    echo(folder)
+    message(f"gauge data import '{folder}' makes bands and drivers from it")
+
+
+def data_import(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DIR", help="Folder of the dataset, which holds 'data'."
+        ),
+    ],
+    patterns: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="ID", show_default="all", help="Ids or patterns of experiments."
+        ),
+    ] = None,
+    unit: Annotated[
+        str | None,
+        arguments.option(
+            arguments.SCENE,
+            "Unit of lengths in files that state none, as mm.",
+            metavar="UNIT",
+        ),
+    ] = None,
+    rate_hz: Annotated[
+        float | None,
+        arguments.measured(
+            "--rate",
+            "Hz",
+            "Frames a second of files that state no rate.",
+            arguments.SCENE,
+            is_positive=True,
+        ),
+    ] = None,
+    form: arguments.Form = Format.TEXT,
+) -> bool:
+    """Make bands and drivers of real trials, beside the published baselines; offline.
+
+    A damaged file is reported and left out. Exit code 1 when any file was left out.
+    """
+    from gauge_envs.tools.dataset.importer import import_trials
+    from gauge_envs.tools.dataset.layout import find_trials
+    from gauge_envs.tools.dataset.report import import_document
+    from gauge_envs.tools.dataset.trial import Stated
+
+    layout = find_trials(folder, only=patterns or ["*"])
+    stated = Stated(unit=unit, rate_hz=rate_hz)
+    imports, findings = [], [*layout.findings]
+    with Progress("trials", layout.count) as progress:
+        for trials in import_trials(layout, stated=stated, advance=progress.advance):
+            imports.append(trials)
+            findings += trials.findings
+            if form is Format.JSON:
+                print_json_lines([trials.to_dict()])
+    _print_findings(findings)
+    if form is Format.JSON:
+        print_json_lines([{"finding": asdict(finding)} for finding in findings])
+    else:
+        print_document(import_document(imports), form)
+    stored = sum(trials.facts is not None for trials in imports)
+    used = sum(trials.used for trials in imports)
+    message(f"{counted(used, 'trial')} of {counted(stored, 'experiment')} imported")
+    if stored:
+        message(
+            "Use them with `gauge run ID --use imported`; the default stays bundled."
+        )
+    return any(finding.left_out for finding in findings)
+
+
+def _print_findings(findings: Iterable[ImportFinding]) -> None:
+    """Print findings on stderr; files with the same problem share a line."""
+    groups: dict[tuple[str, str, bool], list[ImportFinding]] = {}
+    for finding in findings:
+        group = finding.key, finding.problem, finding.left_out
+        groups.setdefault(group, []).append(finding)
+    for first, *others in groups.values():
+        more = f" (also in {counted(len(others), 'other file')})" if others else ""
+        message(f"{first}{more}", "left out" if first.left_out else "note")
+
+
+def list_references(patterns: Sequence[str]) -> list[Table]:
+    """Return the table of the reference and drivers of experiments, with imported and published baselines."""
+    from gauge_envs.experiments.variants import matching_variants
+    from gauge_envs.tools.dataset.report import status_row, status_table
+
+    variants = dict.fromkeys(
+        variant
+        for pattern in patterns or ["*"]
+        for variant in matching_variants(pattern)
+    )
+    return [status_table([status_row(variant) for variant in variants])]

@@ -1,0 +1,173 @@
+"""Tables of imports and of the state of the dataset."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.task_files import task_sha256
+from gauge_envs.experiments.variants import Variant
+from gauge_envs.files import json_ready
+from gauge_envs.pages.document import Document, Paragraph, Tone
+from gauge_envs.pages.table import Column, Place, Table
+from gauge_envs.pages.text import METRIC_TITLES, counted, short_id, with_unit
+from gauge_envs.references.band import load_band
+from gauge_envs.references.imported import load_imported
+from gauge_envs.references.published import published_baselines
+from gauge_envs.references.user_data import DataSource
+from gauge_envs.scoring.reference import reference_kind
+from gauge_envs.tools.dataset.importer import (
+    FLAGGED_DIFFERENCE,
+    ImportedTrials,
+    baseline_lines,
+)
+from gauge_envs.tools.dataset.schema import BaselineLine
+
+STATUS_NOTE = "Baselines: mean (standard deviation) of the real trials, imported and published in the paper (Table 5)."
+
+EXPERIMENT = Column("id", "experiment", short_id, place=Place.HEADING)
+
+
+def import_document(imports: Sequence[ImportedTrials]) -> Document:
+    """Return the imported and the published baselines, one row per metric, and the imported drivers."""
+    baselines: list[dict[str, Any]] = []
+    drivers: list[dict[str, Any]] = []
+    flagged = 0
+    for trials in imports:
+        row = {"id": trials.variant.id}
+        row["trials"] = f"{counted(trials.used, 'trial')}, {trials.left_out} left out"
+        baselines += [row | {"line": line} for line in trials.baselines]
+        flagged += sum(line["flagged"] for line in trials.baselines)
+        if trials.facts:
+            drivers += [row | driver.model_dump() for driver in trials.facts.drivers]
+    note = f"{flagged} baselines differ from the published ones by more than {100 * FLAGGED_DIFFERENCE:.0f} %"
+    tables = [_baselines_table(baselines)]
+    if drivers:
+        tables.append(_drivers_table(drivers))
+    tone = Tone.WARNING if flagged else Tone.NOTE
+    return Document(parts=[*tables, Paragraph(""), Paragraph(note, tone)])
+
+
+def _baselines_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    def style(difference: float) -> str:
+        return "yellow" if abs(difference) > FLAGGED_DIFFERENCE else ""
+
+    return Table(
+        columns=(
+            EXPERIMENT,
+            Column("trials", "", place=Place.HEADING),
+            Column("line.metric", "metric", METRIC_TITLES.__getitem__),
+            Column("line", "imported", _imported_text, is_number=True),
+            Column("line", "published", _published_text, is_number=True),
+            Column(
+                "line.difference",
+                "difference",
+                lambda difference: f"{100 * difference:+.1f} %",
+                is_number=True,
+                style=style,
+            ),
+        ),
+        rows=rows,
+    )
+
+
+def _drivers_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    def amount(driver: Mapping[str, Any], name: str) -> str:
+        values = {unit: driver.get(f"{name}_{unit}") for unit in ("mm", "deg")}
+        texts = [
+            f"{values[unit]:.2g} {unit}" for unit in values if values[unit] is not None
+        ]
+        return ", ".join(texts)
+
+    return Table(
+        title="Drivers",
+        columns=(
+            EXPERIMENT,
+            Column("body", "body"),
+            Column("trial_count", "trials", is_number=True),
+            Column("", "residual", lambda driver: amount(driver, "residual")),
+            Column("", "start offset", lambda driver: amount(driver, "start_offset")),
+            Column("", "scatter", lambda driver: amount(driver, "scatter")),
+        ),
+        rows=rows,
+    )
+
+
+def _imported_text(line: BaselineLine) -> str:
+    text = _spread(line["own_mean"], line["own_std"])
+    return text if text == "-" else with_unit(text, line["unit"])
+
+
+def _published_text(line: BaselineLine) -> str:
+    return _spread(line["published_mean"], line["published_std"])
+
+
+def _spread(mean: float | None, std: float | None) -> str:
+    if mean is None:
+        return "-"
+    return f"{mean:.4g}" if std is None else f"{mean:.4g} ({std:.3g})"
+
+
+def status_table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Return the rows of `status_row` as a table."""
+
+    def kind(row: Mapping[str, Any]) -> str:
+        text = row["kind"]
+        if row["imported"]:
+            text += ", imported"
+        return f"{text}; task file changed" if row["is_current"] is False else text
+
+    def baselines(lines: Sequence[BaselineLine]) -> str:
+        return "; ".join(
+            f"{METRIC_TITLES[line['metric']]} imported {_spread(line['own_mean'], line['own_std'])}, "
+            f"published {_published_text(line)}"
+            for line in lines
+        )
+
+    def drivers(bodies: Sequence[Mapping[str, Any]]) -> str:
+        texts = [f"{driver['body']}: {driver['provenance']}" for driver in bodies]
+        return ", ".join(texts) or "-"
+
+    return Table(
+        columns=(
+            Column("id", "experiment", short_id),
+            Column("", "reference", kind),
+            Column("trials", "trials", is_number=True),
+            Column("drivers", "driver", drivers),
+            Column("baselines", "baselines", baselines, place=Place.BELOW),
+        ),
+        rows=rows,
+        notes=(STATUS_NOTE,),
+    )
+
+
+def status_row(variant: Variant) -> dict[str, Any]:
+    """Return the reference and the drivers of a variant, JSON-ready, as `schema.StatusLine`."""
+    imported = load_imported(variant.name)
+    facts = imported.facts if imported else None
+    source = DataSource.IMPORTED if imported else DataSource.BUNDLED
+    band = load_band(variant.name, source)
+    scene = load_experiment(variant, drivers=source).scene
+    records = (
+        {driver.body: driver.model_dump() for driver in facts.drivers} if facts else {}
+    )
+    drivers = [
+        {
+            "body": driver.body,
+            "provenance": driver.provenance,
+            "recorded": records.get(driver.body),
+        }
+        for driver in scene.drivers
+    ]
+    published = published_baselines(variant.name)
+    return json_ready(
+        {
+            "id": variant.id,
+            "kind": reference_kind(variant.name, source).value,
+            "imported": facts is not None,
+            "trials": band and band.trial_count,
+            "revision": facts and facts.revision,
+            "is_current": facts and facts.task_sha256 == task_sha256(variant.family),
+            "drivers": drivers,
+            "baselines": baseline_lines(facts.metrics if facts else {}, published),
+        }
+    )
