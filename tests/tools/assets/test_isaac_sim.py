@@ -13,22 +13,19 @@ import numpy as np
 import pytest
 from isaac_stub import StubIsaacSim
 from places import ROOT
-from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, Vt
+from pxr import Gf, Sdf, Tf, Usd, UsdShade
 from scipy.spatial.transform import Rotation
 from usd_rules import usd_faults
 
 from gauge_envs import load_experiment, load_experiment_from_asset
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.envs.rollout import LATER_FRAMES
-from gauge_envs.errors import AssetError, ParameterError, ResultFileError
+from gauge_envs.errors import AssetError, ParameterError
 from gauge_envs.experiments.variants import variants
 from gauge_envs.observables.observer import MARKER_REACH_M, observe_markers
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.score_file import score_file
-from gauge_envs.scene import Cloth, SoftBody
-from gauge_envs.scene.fabrics import Fabric
-from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.assets.isaac_sim import (
     isaac_sim_stage,
@@ -36,13 +33,14 @@ from gauge_envs.tools.assets.isaac_sim import (
     unsupported_reason,
     write_isaac_sim_layer,
 )
-from gauge_envs.tools.usd.isaac_fabric import surface_constants
 
 SCHEMAS = tomllib.loads(
     (Path(__file__).parent / "omni_physics_schemas.toml").read_text()
 )
-CYLINDERS = "/physics/collisionApproximateCylinders"
+FLOAT, BOOL = Sdf.ValueTypeNames.Float, Sdf.ValueTypeNames.Bool
+BROADPHASE = "/World/PhysicsScene.physxScene:broadphaseType"
 PREFIXES = ("omniphysics:", "physx")
+VARIABILITY = (Sdf.VariabilityVarying, Sdf.VariabilityUniform)
 
 SUPPORTED = tuple(
     v.name for v in variants() if v.family not in ("RopeWinding", "StickStack")
@@ -59,10 +57,6 @@ EACH = [
     pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
     for name in SUPPORTED
 ]
-
-
-def path_of(body):
-    return f"/World/{Tf.MakeValidIdentifier(body)}"
 
 
 def runner_module():
@@ -98,70 +92,48 @@ def layer_of(name):
 def with_builtins(names):
     for name in names:
         if name in SCHEMAS:
-            yield name
+            yield SCHEMAS[name]
             yield from with_builtins(SCHEMAS[name].get("builtin", []))
 
 
 def schema_faults(stage):
     """What a layer states about PhysX that the published schemas do not have, or have otherwise."""
-    faults = []
-    for prim in stage.Traverse():
-        applied = [str(name) for name in prim.GetPrimTypeInfo().GetAppliedAPISchemas()]
-        kind = str(prim.GetTypeName())
-        names = applied + ([kind] if kind.startswith("OmniPhysics") else [])
-        unknown = [
-            name
-            for name in names
-            if name.startswith(("OmniPhysics", "Physx")) and name not in SCHEMAS
-        ]
-        faults += [f"{prim.GetPath()}: no schema {name}" for name in unknown]
-        schemas = [SCHEMAS[name] for name in with_builtins(names)]
-        faults += [
-            f"{prim.GetPath()}: a {kind} has a schema of {schema['prim_type']}"
-            for schema in schemas
-            if schema.get("prim_type", kind) != kind
-        ]
-        types = {
-            name: value
-            for schema in schemas
-            for name, value in schema.get("attributes", {}).items()
-        }
-        uniform = {name for schema in schemas for name in schema.get("uniform", [])}
-        tokens = {
-            name: allowed
-            for schema in schemas
-            for name, allowed in schema.get("tokens", {}).items()
-        }
-        relationships = {
-            name for schema in schemas for name in schema.get("relationships", [])
-        }
-        for one in prim.GetAuthoredProperties():
-            name = one.GetName()
-            if not name.startswith(PREFIXES):
-                continue
-            place = one.GetPath()
-            if isinstance(one, Usd.Relationship):
-                faults += (
-                    []
-                    if name in relationships
-                    else [f"{place}: no applied schema has it"]
+    return [fault for prim in stage.Traverse() for fault in prim_faults(prim)]
+
+
+def prim_faults(prim):
+    kind = str(prim.GetTypeName())
+    names = [kind, *map(str, prim.GetPrimTypeInfo().GetAppliedAPISchemas())]
+    for name in names:
+        if name.startswith(("OmniPhysics", "Physx")) and name not in SCHEMAS:
+            yield f"{prim.GetPath()}: no schema {name}"
+    schemas = [*with_builtins(names)]
+    for schema in schemas:
+        if schema.get("prim_type", kind) != kind:
+            yield f"{prim.GetPath()}: a {kind} has a schema of {schema['prim_type']}"
+    for one in prim.GetAuthoredProperties():
+        name = one.GetName()
+        if not name.startswith(PREFIXES):
+            continue
+        if isinstance(one, Usd.Relationship):
+            known = [name for s in schemas if name in s.get("relationships", [])]
+            stated = name
+        else:
+            stated = str(one.GetTypeName()), one.GetVariability(), one.IsCustom()
+            known = [
+                (
+                    s["attributes"][name],
+                    VARIABILITY[name in s.get("uniform", [])],
+                    False,
                 )
-            elif name not in types:
-                faults.append(f"{place}: no applied schema has it")
-            else:
-                if str(one.GetTypeName()) != types[name]:
-                    faults.append(
-                        f"{place}: {one.GetTypeName()} instead of {types[name]}"
-                    )
-                if (one.GetVariability() == Sdf.VariabilityUniform) != (
-                    name in uniform
-                ):
-                    faults.append(f"{place}: the variability differs")
-                if one.IsCustom():
-                    faults.append(f"{place}: is custom")
-                if name in tokens and one.Get() not in tokens[name]:
-                    faults.append(f"{place}: {one.Get()} is not allowed")
-    return faults
+                for s in schemas
+                if name in s.get("attributes", {})
+            ]
+        if stated not in known:
+            yield f"{one.GetPath()}: {stated}, no applied schema has it: {known}"
+        tokens = [s["tokens"][name] for s in schemas if name in s.get("tokens", {})]
+        if any(one.Get() not in allowed for allowed in tokens):
+            yield f"{one.GetPath()}: {one.Get()} is not allowed"
 
 
 @pytest.mark.parametrize("name", EACH)
@@ -179,56 +151,21 @@ def test_bundled_layers_follow_the_published_schemas(path):
 
 
 @pytest.mark.parametrize(
-    ("fault", "found"),
+    ("fault", "words"),
     [
-        (
-            lambda prim: prim.CreateAttribute(
-                "omniphysics:weight", Sdf.ValueTypeNames.Float, False
-            ),
-            "no applied schema",
-        ),
-        (
-            lambda prim: prim.CreateAttribute(
-                "omniphysics:startsAsleep", Sdf.ValueTypeNames.Bool, False
-            ),
-            "variability",
-        ),
-        (
-            lambda prim: prim.CreateAttribute(
-                "physxDeformableBody:sleepThreshold", Sdf.ValueTypeNames.Double
-            ),
-            "instead",
-        ),
-        (
-            lambda prim: prim.CreateAttribute(
-                "physxScene:bounceThreshold", Sdf.ValueTypeNames.Float
-            ),
-            "no applied",
-        ),
+        (lambda prim: prim.CreateAttribute("omniphysics:weight", FLOAT, False), "no applied schema"),
+        (lambda prim: prim.CreateAttribute("omniphysics:startsAsleep", BOOL, False), "Varying"),
+        (lambda prim: prim.CreateAttribute("physxDeformableBody:sleepThreshold", BOOL), "bool"),
         (lambda prim: prim.AddAppliedSchema("PhysxSurfaceDeformableAPI"), "no schema"),
-        (
-            lambda prim: prim.AddAppliedSchema("OmniPhysicsVolumeDeformableSimAPI"),
-            "a Mesh has a schema of TetMesh",
-        ),
-        (
-            lambda prim: prim.RemoveAppliedSchema("OmniPhysicsDeformableBodyAPI"),
-            "no applied schema",
-        ),
-        (
-            lambda prim: (
-                prim.GetStage()
-                .GetAttributeAtPath("/World/PhysicsScene.physxScene:broadphaseType")
-                .Set("CPU")
-            ),
-            "not allowed",
-        ),
+        (lambda prim: prim.AddAppliedSchema("OmniPhysicsVolumeDeformableSimAPI"), "a Mesh has a schema of TetMesh"),
+        (lambda prim: prim.GetStage().GetAttributeAtPath(BROADPHASE).Set("CPU"), "not allowed"),
     ],
-)
-def test_faults_of_a_layer_are_found(fault, found):
+)  # fmt: skip
+def test_faults_of_a_layer_are_found(fault, words):
     stage = layer_of("TableclothPulling-wood")
     assert schema_faults(stage) == []
     fault(stage.GetPrimAtPath("/World/textile"))
-    assert found in " ".join(schema_faults(stage))
+    assert words in " ".join(schema_faults(stage))
 
 
 # --- content of the layer --------------------------------------------------------------------------------------------
@@ -275,75 +212,75 @@ def material_of(stage, name):
     )
 
 
-@pytest.mark.parametrize("name", ["TextileBending-satin", "TableclothPulling-wood"])
-def test_cloth_has_the_mapped_constants(name):
-    experiment = load_experiment(name)
-    (cloth,) = experiment.scene.deformables
-    assert isinstance(cloth, Cloth)
-    stage = layer_of(experiment.name)
+def attributes(prim, names):
+    return [prim.GetAttribute(name).Get() for name in names.split()]
+
+
+@pytest.mark.parametrize(
+    ("name", "touches_itself"),
+    [("TextileBending-satin", True), ("TableclothPulling-wood", False)],
+)
+def test_cloth_has_the_mapped_constants(name, touches_itself):
+    """E = k / t, and the bending stiffness of a hinge over 4 t^3 (paper, textile mapping)."""
+    (cloth,) = load_experiment(name).scene.deformables
+    stage = layer_of(name)
+    thickness_m = cloth.thickness_m
     material, prim = (
         material_of(stage, "textile"),
         stage.GetPrimAtPath("/World/textile"),
     )
-    thickness, hinge = cloth.thickness_m, cloth.bend_stiffness_n_m_per_rad
-    stated = {
-        "youngsModulus": cloth.stretch_stiffness_n_per_m / thickness,
-        "poissonsRatio": surface_constants(Fabric.of(cloth)).constants[
-            "poissons_ratio"
+    assert attributes(
+        material,
+        "omniphysics:youngsModulus omniphysics:surfaceBendStiffness omniphysics:surfaceThickness",
+    ) == pytest.approx(
+        [
+            cloth.stretch_stiffness_n_per_m / thickness_m,
+            cloth.bend_stiffness_n_m_per_rad / (4.0 * thickness_m**3),
+            thickness_m,
         ],
-        "surfaceBendStiffness": hinge / (4.0 * thickness**3),
-        "surfaceThickness": thickness,
-    }
-    for attribute, expected in stated.items():
-        assert material.GetAttribute(f"omniphysics:{attribute}").Get() == pytest.approx(
-            expected, rel=1e-6
-        )
-    assert prim.GetAttribute("physxCollision:restOffset").Get() == pytest.approx(
-        0.5 * thickness, rel=1e-6
+        rel=1e-6,
     )
-    touches_itself = any(
-        {"textile"} <= set(c.first) & set(c.second) for c in experiment.scene.contacts
-    )
-    assert touches_itself is (name == "TextileBending-satin")
-    assert (
-        prim.GetAttribute("physxDeformableBody:selfCollision").Get() is touches_itself
-    )
+    assert attributes(
+        prim, "physxCollision:restOffset physxDeformableBody:selfCollision"
+    ) == [pytest.approx(0.5 * thickness_m, rel=1e-6), touches_itself]
+
+
+def test_foam_has_its_measured_constants_and_a_collider_that_meets_nothing():
+    name = "FoamStretching-soft"
+    (foam,) = load_experiment(name).scene.deformables
+    stage = layer_of(name)
+    material, prim = material_of(stage, "foam"), stage.GetPrimAtPath("/World/foam")
+    moduli = attributes(material, "omniphysics:youngsModulus omniphysics:poissonsRatio")
+    assert moduli == pytest.approx([foam.young_modulus_pa, foam.poisson_ratio])
+    collision = "physxCollision:restOffset physics:collisionEnabled"
+    assert attributes(prim, collision) == [0.0, True]
+    filtered = prim.GetRelationship("physics:filteredPairs").GetTargets()
+    assert {path.name for path in filtered} == {"base_1", "base_2", "ground"}
 
 
 @pytest.mark.parametrize(
     "name",
-    [
-        *EACH,
-        pytest.param("WallBreaking-wood", id="WallBreaking"),
-        pytest.param("Turntable-1-metal", id="Turntable"),
-    ],
+    [*EACH, pytest.param("WallBreaking-wood", id="WallBreaking")],
 )
 def test_the_average_of_two_materials_is_the_constant_of_the_pair(name):
     scene = load_experiment(name).scene
     stage = layer_of(name)
-    pairs = [
-        (contact, pair)
-        for contact in scene.contacts
-        for pair in scene.colliding_pairs(contact)
-    ]
-    for contact, pair in pairs:
-        own = [material_of(stage, Tf.MakeValidIdentifier(body)) for body in pair]
-        for attribute, expected in (
-            ("physics:staticFriction", contact.friction),
-            ("physics:dynamicFriction", contact.friction),
-            ("physics:restitution", contact.restitution),
-        ):
-            found = 0.5 * sum(
-                material.GetAttribute(attribute).Get() for material in own
-            )
-            assert found == pytest.approx(expected, abs=1e-7), (pair, attribute)
-        for material in own:
-            if material.HasAttribute("omniphysics:dynamicFriction"):
-                friction = material.GetAttribute("physics:dynamicFriction").Get()
-                assert (
-                    material.GetAttribute("omniphysics:dynamicFriction").Get()
-                    == friction
-                )
+    for contact in scene.contacts:
+        for pair in scene.colliding_pairs(contact):
+            materials = [
+                material_of(stage, Tf.MakeValidIdentifier(body)) for body in pair
+            ]
+            for attribute, expected in (
+                ("physics:staticFriction", contact.friction),
+                ("physics:dynamicFriction", contact.friction),
+                ("physics:restitution", contact.restitution),
+            ):
+                values = [one.GetAttribute(attribute).Get() for one in materials]
+                assert np.mean(values) == pytest.approx(expected, abs=1e-7), pair
+            for material in materials:
+                omni = material.GetAttribute("omniphysics:dynamicFriction")
+                physics = material.GetAttribute("physics:dynamicFriction").Get()
+                assert not omni or omni.Get() == physics
 
 
 @pytest.mark.parametrize("material", ["isaac_0", "body_textile"])
@@ -372,26 +309,6 @@ def test_an_edit_of_a_pair_counts(tmp_path):
     assert read.asset.changes == ("contact textile/table: friction 0.1 -> 0.2",)
 
 
-def test_foam_has_its_measured_constants_and_a_collider_that_meets_nothing():
-    experiment = load_experiment("FoamStretching-soft")
-    (foam,) = experiment.scene.deformables
-    assert isinstance(foam, SoftBody)
-    stage = layer_of(experiment.name)
-    material, prim = material_of(stage, "foam"), stage.GetPrimAtPath("/World/foam")
-    assert material.GetAttribute("omniphysics:youngsModulus").Get() == pytest.approx(
-        foam.young_modulus_pa
-    )
-    assert material.GetAttribute("omniphysics:poissonsRatio").Get() == pytest.approx(
-        foam.poisson_ratio
-    )
-    assert prim.GetAttribute("physxCollision:restOffset").Get() == 0.0
-    assert prim.GetAttribute("physics:collisionEnabled").Get()
-    filtered = {
-        path.name for path in prim.GetRelationship("physics:filteredPairs").GetTargets()
-    }
-    assert filtered == {"base_1", "base_2", "ground"}
-
-
 @pytest.mark.parametrize("name", ["RopeWinding-rubber", "StickStack-soft"])
 def test_ropes_and_rods_are_refused(name, tmp_path):
     experiment = load_experiment(name)
@@ -402,14 +319,6 @@ def test_ropes_and_rods_are_refused(name, tmp_path):
     ):
         write_isaac_sim_layer(experiment, tmp_path / "layer.usda")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_that_cannot_be_created_is_an_error(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(ResultFileError, match="file: cannot be created"):
-        write_isaac_sim_layer(
-            load_experiment("BouncingBall-rubber"), tmp_path / "file" / "layer.usda"
-        )
 
 
 # --- command ---------------------------------------------------------------------------------------------------------
@@ -442,44 +351,6 @@ def play(tmp_path, monkeypatch):
     return run
 
 
-def at_rest(stage, time_s):
-    """Motion of a simulation in which nothing moves."""
-
-
-def bend(points_m, time_s):
-    """Deform points smoothly, in every direction and with curvature."""
-    x, y, z = points_m.T
-    return np.column_stack(
-        [
-            x + 0.1 * time_s * y,
-            y - 0.2 * time_s * z * x,
-            z + time_s * (x**2 - 0.5 * y**2),
-        ]
-    )
-
-
-def deformed(name):
-    """Motion that deforms the meshes of an experiment in their own frames."""
-    rest = {}
-
-    def motion(stage, time_s):
-        for body in load_experiment(name).scene.deformables:
-            path = path_of(body.name)
-            points = UsdGeom.PointBased(stage.GetPrimAtPath(path)).GetPointsAttr()
-            rest.setdefault(path, np.array(points.Get(), dtype=np.float64))
-            moved = np.ascontiguousarray(bend(rest[path], time_s), dtype=np.float32)
-            points.Set(Vt.Vec3fArray.FromNumpy(moved))
-
-    return motion
-
-
-def columns(path):
-    header, *rows = path.read_text().splitlines()
-    return header.split(","), np.array(
-        [row.split(",") for row in rows], dtype=np.float64
-    )
-
-
 @pytest.mark.parametrize("record_hz", [30, 180])
 def test_a_rigid_trajectory_has_the_score_of_the_run_that_it_repeats(record_hz, play):
     name = "SlopeSlider-2-wood"
@@ -510,62 +381,6 @@ def test_a_rigid_trajectory_has_the_score_of_the_run_that_it_repeats(record_hz, 
         assert result.score.rmse_aligned == pytest.approx(
             expected.score.rmse_aligned, abs=1e-6
         )
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "TextileBending-satin",
-        pytest.param("TextileFlinging-oxford", marks=pytest.mark.slow),
-        pytest.param("FoamTwisting-hard", marks=pytest.mark.slow),
-        pytest.param("CantileverBeam-soft", marks=pytest.mark.slow),
-    ],
-)
-def test_markers_become_the_generalized_trajectory_of_the_package(name, play):
-    experiment = load_experiment(name)
-    markers = experiment.scene.markers
-    motion = deformed(name)
-    _, code, out = play(name, motion)
-    assert code == 0
-    header, table = columns(out)
-    unit = experiment.score.observable.unit
-    assert header == [
-        "time_s",
-        *(f"{column} [{unit}]" for column in experiment.coordinates),
-    ]
-    np.testing.assert_allclose(table[:, 0], np.arange(len(table)) / 30.0, atol=1e-6)
-    # The same meshes, interpolated at the markers with the weights of the layer.
-    stage = layer_of(experiment.name)
-    prim = stage.GetPrimAtPath("/World/Markers")
-    nodes = np.array(prim.GetAttribute("gauge:isaac:nodes").Get())
-    weights = np.array(prim.GetAttribute("gauge:isaac:weights").Get())
-    bodies = {body.name: body for body in experiment.scene.deformables}
-    rest = {
-        body: np.array(stage.GetPrimAtPath(path_of(body)).GetAttribute("points").Get())
-        for body in markers.bodies
-    }
-    tracked = np.stack(
-        [
-            np.einsum(
-                "mk,mkc->mc",
-                weights,
-                np.concatenate(
-                    [
-                        bodies[b].pose.to_world(bend(r.astype(float), k / 30.0))
-                        for b, r in rest.items()
-                    ]
-                )[nodes],
-            )
-            for k in range(len(table))
-        ]
-    )
-    assert np.abs(tracked[0] - np.asarray(markers.positions_m)).max() < 0.01
-    expected = observe_markers(tracked, markers, experiment.score.observable)
-    assert np.abs(expected[-1] - expected[0]).max() > 1e-3
-    np.testing.assert_allclose(table[:, 1:], expected, rtol=2e-4, atol=2e-4)
-    result, interpolated = score_file(out, variant=name)
-    assert interpolated == 0
-    assert len(result.trajectory.times_s) >= experiment.frame_count
 
 
 @pytest.mark.parametrize(
@@ -608,59 +423,25 @@ def test_markers_are_read_in_the_world_frame(name):
     )
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["Turntable-3-wood", pytest.param("FoamTwisting-hard", marks=pytest.mark.slow)],
-)
-def test_driven_bodies_are_placed_before_every_step(name, play):
+def test_driven_bodies_are_placed_before_every_step(play):
+    name = "Turntable-3-wood"
     experiment = load_experiment(name)
     scene, rate = experiment.scene, steps_per_second(experiment.scene)
-    stub, code, _ = play(name, at_rest)
+    stub, code, _ = play(name, lambda stage, time_s: None)
     assert code == 0
     steps = (experiment.frame_count - 1 + LATER_FRAMES) * rate // 30
-    np.testing.assert_allclose(
-        stub.times_s, [(step / rate, 1.0 / rate) for step in range(steps)]
-    )
+    expected_s = [(step / rate, 1.0 / rate) for step in range(steps)]
+    np.testing.assert_allclose(stub.times_s, expected_s)
     (driver,) = scene.drivers
-    placed = stub.placed[path_of(driver.body)]
+    placed = stub.placed[f"/World/{driver.body}"]
     assert len(placed) == steps
-    (motion,) = prescribed_motions(scene, steps / rate, interval_s=1.0 / rate)
-    still = np.zeros((1, motion.motion_count))
     for step, matrix in enumerate(placed):
         pose = driver.pose(scene.body(driver.body).pose, (step + 1) / rate)
         np.testing.assert_allclose(
             matrix.ExtractTranslation(), pose.position_m, atol=1e-9
         )
-        turned = Rotation.from_matrix(np.array(matrix.ExtractRotationMatrix()).T)
-        assert (
-            turned * Rotation.from_quat(pose.quaternion, scalar_first=True).inv()
-        ).magnitude() < 1e-7
-        if step + 1 < steps:
-            start_m = motion.targets(step + 1, still)[0, 0, :3]
-            np.testing.assert_allclose(matrix.ExtractTranslation(), start_m, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("name", "deformable"),
-    [("BouncingBall-rubber", {}), ("FoamStretching-soft", {CYLINDERS: True})],
-)
-def test_results_are_written_to_the_stage_by_its_settings(name, deformable, play):
-    stub, code, _ = play(name, at_rest)
-    assert code == 0
-    assert stub.settings == {
-        "/physics/fabricEnabled": False,
-        "/physics/suppressReadback": False,
-        "/physics/updateToUsd": True,
-        "/physics/updateParticlesToUsd": True,
-        **deformable,
-    }
-
-
-def test_a_stage_that_receives_nothing_is_reported(play, capsys):
-    _, code, out = play("BouncingBall-rubber", at_rest)
-    assert code == 0
-    assert "no recorded point moved" in capsys.readouterr().err
-    assert out.is_file()
+        rotation = Rotation.from_matrix(np.array(matrix.ExtractRotationMatrix()).T)
+        assert (rotation * pose.rotation.inv()).magnitude() < 1e-7
 
 
 def test_a_simulation_that_diverges_writes_no_file(play, capsys):
@@ -691,7 +472,7 @@ BUNDLED = assets_folder() / "usd" / "BouncingBall-rubber.usda"
 def test_a_file_that_is_no_layer_is_refused(
     content, reason, tmp_path, monkeypatch, capsys
 ):
-    stub = StubIsaacSim(at_rest)
+    stub = StubIsaacSim(lambda stage, time_s: None)
     stub.install(monkeypatch)
     monkeypatch.setattr(sys, "argv", ["run_layer.py"])
     layer = tmp_path / "layer.usda"
