@@ -46,7 +46,7 @@ suppress_warnings = ["ref.python", "myst.header"]
 
 PAGES_OF_FILES = {
     "../scoring/README.md": "formulas.md",
-    "../assets/README.md": "asset_files.md",
+    "../assets/README.md": "assets.md",
     "../CONTRIBUTING.md": "contributing.md",
     "../CHANGELOG.md": "changelog.md",
 }

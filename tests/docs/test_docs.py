@@ -37,7 +37,6 @@ PAGES += STUDIES
 RUN_ELSEWHERE = {
     "adding_a_check.md",
     "adding_an_engine.md",
-    "assets.md",
     "ecosystem.md",
 }
 """Pages whose code other tests run, as it needs an example package or takes long."""
