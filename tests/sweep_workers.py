@@ -1,7 +1,5 @@
 """Workers of sweeps in the process of the tests."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from importlib.util import find_spec
@@ -14,14 +12,13 @@ from gauge_envs.runs.episodes import run_request
 from gauge_envs.runs.pool import Limits, ProcessWorker
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import load_result
-from gauge_envs.tools.sweep.folder import earlier_episodes
-from gauge_envs.tools.sweep.plan import remaining_tasks
-from gauge_envs.tools.sweep.run import run_sweep
+from gauge_envs.tools.sweep.folder import earlier_episodes, run_sweep
+from gauge_envs.tools.sweep.plan import plan_sweep, remaining_tasks
+from gauge_envs.tools.sweep.spec import sweep_spec
 
 needs_rapier = pytest.mark.skipif(
     find_spec("rapier3d") is None, reason="extra 'rapier' is absent"
 )
-"""For tests of an engine whose repeats share worlds, or that declines deformable bodies."""
 
 
 class HereWorker:
@@ -47,7 +44,7 @@ class Mortal:
         self._seeds = set(seeds)
 
     def call(self, function, request):
-        if self._seeds & set(range(request.seed, request.seed + request.repeats)):
+        if self._seeds & set(request.seeds):
             raise GaugeError("died")
         return function(request)
 
@@ -64,13 +61,11 @@ def mortal_worker(*seeds):
     return worker
 
 
-def swept(
-    plan,
-    folder,
-    *used,
-    retry_failed=False,
-    notify=lambda text: None,
-):
+def planned(**values):
+    return plan_sweep(sweep_spec({"variants": ["SlopeSlider-2-wood"]} | values))
+
+
+def swept(plan, folder, *workers, retry_failed=False, notify=lambda text: None):
     """The results of what is left of a plan, as the command runs it."""
     done = {
         name
@@ -78,7 +73,7 @@ def swept(
         if not (retry_failed and one.outcome is Outcome.FAILED)
     }
     tasks = list(remaining_tasks(plan, done))
-    finished = run_sweep(tasks, used or [HereWorker()], folder)
+    finished = run_sweep(tasks, workers or [HereWorker()], folder)
     return [result for results in finished for result in results]
 
 

@@ -119,7 +119,7 @@ BUNDLED = (
         "sweep",
         "sweep.command:sweep",
         "Run engines, settings and experiments in all combinations; continue an earlier run.",
-        line="sweep.lines:SweepLine",
+        line="sweep.schema:SweepLine",
         version=6,
     ),
     Command(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import fnmatch
 from collections.abc import Sequence
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +11,7 @@ from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Format, print_document
 from gauge_envs.cli.results import loaded_results
 from gauge_envs.errors import ResultFileError, UnknownNameError
+from gauge_envs.pages.text import short_id
 
 if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
@@ -43,13 +44,7 @@ def compare(
 
     names, files = check_metrics(metric or ()), arguments.by_suffix(out, ".md", ".json")
     results, skipped = loaded_results(sources, corrected=corrected)
-    if results:
-        _check_chosen(list(results.values()), only or (), backend or ())
-    kept = [
-        one
-        for one in results.values()
-        if _is_chosen(one.id, only) and (not backend or one.backend in backend)
-    ]
+    kept = _chosen([*results.values()], only or ["*"], backend or ["*"])
     if not kept:
         raise ResultFileError("no result is left to compare; gauge run writes them")
     document = comparison_document(
@@ -62,23 +57,27 @@ def compare(
     return bool(skipped)
 
 
-def _check_chosen(
+def _chosen(
     results: Sequence[Result], only: Sequence[str], backends: Sequence[str]
-) -> None:
-    """Raise an error for a pattern or an engine that chooses no result."""
-    ids = {one.id for one in results}
-    engines = {one.backend for one in results if one.backend is not None}
-    for pattern in only:
-        if not any(_is_chosen(name, [pattern]) for name in ids):
-            raise UnknownNameError("experiment of the results", pattern, ids)
-    for engine in backends:
-        if engine not in engines:
-            raise UnknownNameError("backend of the results", engine, engines)
+) -> list[Result]:
+    """Return the results whose ids and engines match.
 
-
-def _is_chosen(name: str, only: Sequence[str] | None) -> bool:
-    """Return whether an id is one of `--only`, or matches one of its patterns."""
-    short = name.removeprefix("GAUGE/")
-    return not only or any(
-        fnmatchcase(short, pattern.removeprefix("GAUGE/")) for pattern in only
-    )
+    Raises:
+        UnknownNameError: A pattern or an engine matches no result.
+    """
+    ids = [short_id(one.id) for one in results]
+    engines = [one.backend or "" for one in results]
+    patterns = [short_id(pattern) for pattern in only]
+    for kind, wanted, known in (
+        ("experiment of the results", patterns, ids),
+        ("backend of the results", backends, engines),
+    ):
+        for pattern in wanted:
+            if known and not fnmatch.filter(known, pattern):
+                raise UnknownNameError(kind, pattern, set(known))
+    return [
+        one
+        for one, name, engine in zip(results, ids, engines, strict=True)
+        if any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)
+        and any(fnmatch.fnmatchcase(engine, pattern) for pattern in backends)
+    ]

@@ -302,18 +302,16 @@ def _scale_distances(axis: Axes, reference: Reference) -> None:
     """Choose a logarithmic axis for solutions, and where the spread of real trials would be a line on the axis."""
     curves = [line.get_ydata() for line in axis.get_lines() if line.get_color() != REAL]
     distances = np.concatenate([np.zeros(1), *curves])
-    distances = distances[distances > 0.0]
+    largest = float(np.nanmax(distances))
     spread = 0.0
     if reference.scored is not None:
         spread = float(np.nanmax(reference.lengths(reference.spread)))
-    largest = distances.max(initial=0.0)
     is_wide = 0.0 < MAX_LINEAR_RATIO * spread < largest
+    axis.set_ylim(bottom=0.0)
     if largest and (reference.band.kind.is_solution or is_wide):
-        low = float(np.quantile(distances, LOW_QUANTILE))
+        low = float(np.quantile(distances[distances > 0.0], LOW_QUANTILE))
         axis.set_yscale("log")
         axis.set_ylim(bottom=0.5 * min(low, spread or low))
-    else:
-        axis.set_ylim(bottom=0.0)
 
 
 # --- coordinates -----------------------------------------------------------------------------------------------------

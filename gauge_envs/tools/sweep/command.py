@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 import shlex
 import sys
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -33,24 +32,11 @@ from gauge_envs.pages.text import counted, short_id
 if TYPE_CHECKING:
     from gauge_envs.runs.pool import Limits, RequestWorker
     from gauge_envs.runs.result import Outcome
-    from gauge_envs.tools.sweep.folder import EarlierEpisode
     from gauge_envs.tools.sweep.plan import SweepPlan, SweepTask
     from gauge_envs.tools.sweep.spec import SweepSpec
 
-
-def _option(
-    option: str, panel: str, text: str, default: str | None = None, **more: Any
-) -> Any:
-    """Return an option that replaces a key of the sweep file, or that a sweep alone has."""
-    names = [option, "-" + option[2]] if option in SHORT else [option]
-    shown = True if default is None else default
-    return arguments.option(panel, text, *names, show_default=shown, **more)
-
-
-SHORT = ("--backend", "--parameter", "--seed")
-"""Options with a short one, which is their first letter."""
-
-Texts = list[str] | None
+Counts = Counter[tuple[str, "Outcome"]]
+"""Number of episodes by engine and outcome."""
 
 
 def sweep(
@@ -61,54 +47,59 @@ def sweep(
         ),
     ] = None,
     parameters: Annotated[
-        Texts,
-        _option(
-            "--parameter",
+        list[str] | None,
+        arguments.option(
             arguments.SCENE,
             "Parameter sets, as calibrated,effective; or overrides of one, as cube.friction=0.3.",
-            "calibrated",
+            "--parameter",
+            "-p",
             metavar=arguments.ASSIGNED,
+            show_default="calibrated",
         ),
     ] = None,
     jitter: arguments.JitterTexts = None,
     backend: Annotated[
-        Texts,
-        _option(
-            "--backend", arguments.NUMERICS, "Engines.", "mujoco", metavar="ENGINE"
-        ),
+        list[str] | None, arguments.backend("Engines.", show_default="mujoco")
     ] = None,
     preset: Annotated[
-        Texts,
-        _option(
-            "--preset",
+        list[str] | None,
+        arguments.option(
             arguments.NUMERICS,
             "Presets of every engine.",
-            "chosen by each engine",
+            "--preset",
             metavar="NAME",
+            show_default="chosen by each engine",
         ),
     ] = None,
     changes: Annotated[
-        Texts,
-        _option(
-            "--set",
+        list[str] | None,
+        arguments.option(
             arguments.NUMERICS,
             "Values of a setting, as timestep_s=1/1800,1/3600 or mujoco.iterations=10,50.",
-            "those of the engine",
+            "--set",
             metavar=arguments.ASSIGNED,
+            show_default="those of the engine",
         ),
     ] = None,
     seed: Annotated[
         int | None,
-        _option("--seed", arguments.NUMERICS, "Seed of the first repeat.", "0", min=0),
+        arguments.option(
+            arguments.NUMERICS,
+            "Seed of the first repeat.",
+            "--seed",
+            "-s",
+            min=0,
+            show_default="0",
+        ),
     ] = None,
     repeats: Annotated[
         int | None,
-        _option(
-            "--repeats",
+        arguments.option(
             arguments.NUMERICS,
             "Episodes of each combination, from starts that scatter.",
-            "1",
+            "--repeats",
             min=1,
+            show_default="1",
         ),
     ] = None,
     timeout: arguments.Timeout = None,
@@ -117,40 +108,42 @@ def sweep(
     jobs: arguments.Jobs = None,
     ray: Annotated[
         str | None,
-        _option(
-            "--ray",
+        arguments.option(
             arguments.NUMERICS,
             "Run on Ray: auto, local, or the address of a cluster.",
+            "--ray",
             metavar="ADDRESS",
         ),
     ] = None,
     only: Annotated[
-        Texts,
-        _option(
-            "--only",
+        list[str] | None,
+        arguments.option(
             arguments.SELECTION,
             "Ids, patterns or task files.",
-            "those of the file",
+            "--only",
             metavar="ID",
+            show_default="those of the file",
         ),
     ] = None,
     shard: Annotated[
         str | None,
-        _option(
-            "--shard",
+        arguments.option(
             arguments.SELECTION,
             "Run one part, as 0/16; parts may run at the same time.",
+            "--shard",
             metavar="NUMBER/COUNT",
         ),
     ] = None,
     retry_failed: Annotated[
         bool,
-        _option("--retry-failed", arguments.SELECTION, "Run again what failed before."),
+        arguments.option(
+            arguments.SELECTION, "Run again what failed before.", "--retry-failed"
+        ),
     ] = False,
     dry_run: Annotated[
         bool,
-        _option(
-            "--dry-run", arguments.OUTPUT, "Show the plan and its cost; run nothing."
+        arguments.option(
+            arguments.OUTPUT, "Show the plan and its cost; run nothing.", "--dry-run"
         ),
     ] = False,
     out: Annotated[Path, arguments.folder("Folder for the result files.")] = Path(
@@ -167,54 +160,45 @@ def sweep(
     from gauge_envs.runs.isolation import TIME_LIMIT_S
     from gauge_envs.runs.pool import Limits
     from gauge_envs.runs.result import Outcome
-    from gauge_envs.tools.sweep.folder import earlier_episodes
-    from gauge_envs.tools.sweep.plan import (
-        plan_sweep,
-        remaining_tasks,
-        shard as part_of,
-    )
-    from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
-    from gauge_envs.tools.sweep.words import outcome_table
+    from gauge_envs.tools.sweep.folder import StepTimes, earlier_episodes
+    from gauge_envs.tools.sweep.plan import plan_sweep, remaining_tasks
+    from gauge_envs.tools.sweep.report import cost_text, outcome_table, plan_document
 
     scatter = arguments.parsed_jitter(jitter)
-    options: dict[str, Any] = {
+    options = {
         "backends": backend,
         "variants": only,
         "presets": preset,
         "parameters": _parameter_sets(parameters),
         "repeats": repeats,
         "seed": seed,
-        "jitter": None if scatter is None else scatter.to_dict(),
+        "jitter": scatter and scatter.to_dict(),
     }
-    given = {key: value for key, value in options.items() if value is not None}
-    if file is None and not given and not changes:
-        raise ParameterError(
-            "nothing to run: give a sweep file, or experiments, as --only 'SlopeSlider-2-*'"
-        )
-    values = {} if file is None else load_sweep_file(file)
-    if changes:
-        given["settings"] = _with_changes(values.get("settings", {}), changes)
-    spec = sweep_spec(values | given)
-    bounds = Limits(TIME_LIMIT_S if timeout is None else timeout, memory, isolate)
-    plan = plan_sweep(spec, isolate=bounds.isolate)
+    spec = _spec(file, options, changes)
+    limits = Limits(TIME_LIMIT_S if timeout is None else timeout, memory, isolate)
+    plan = plan_sweep(spec, isolate=isolate)
     if shard is not None:
-        plan = part_of(plan, *_part(shard))
+        plan = _part(plan, shard)
     earlier = earlier_episodes(out, note)
-    names = set(plan.file_names)
     done = {
-        name: one.outcome
-        for name, one in earlier.items()
-        if name in names and not (retry_failed and one.outcome is Outcome.FAILED)
+        name: earlier[name].outcome
+        for name in plan.file_names
+        if name in earlier
+        and not (retry_failed and earlier[name].outcome is Outcome.FAILED)
     }
     tasks = list(remaining_tasks(plan, done))
     if dry_run:
-        _show_plan(plan, tasks, earlier.values(), jobs or processors(), form)
+        times = StepTimes(earlier.values())
+        print_document(plan_document(plan, tasks, times), form)
+        left = plan.episode_count - len(done)
+        message(
+            f"{plan.episode_count} episodes, {left} left; {counted(plan.duplicates, 'duplicate')} left out"
+        )
+        message(cost_text(times.cost_of(tasks), jobs or processors()))
         return False
-    counts = Counter(
-        (earlier[name].group[0], outcome) for name, outcome in done.items()
-    )
+    counts = Counter((earlier[name].group[0], one) for name, one in done.items())
     if tasks:
-        counts += _run(plan, tasks, _workers(ray, jobs, bounds, len(tasks)), out, form)
+        counts += _run(plan, tasks, _workers(ray, jobs, limits, len(tasks)), out, form)
     if form is not Format.JSON:
         print_document(outcome_table(plan, counts), form)
     message(f"{counted(counts.total(), 'episode')}; results in {out}")
@@ -228,6 +212,29 @@ def sweep(
 # --- what is asked for -----------------------------------------------------------------------------------------------
 
 
+def _spec(
+    file: Path | None, options: dict[str, Any], changes: Sequence[str] | None
+) -> SweepSpec:
+    """Return the sweep of a file, whose keys the options replace."""
+    from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
+
+    given = {key: value for key, value in options.items() if value is not None}
+    if file is None and not given and not changes:
+        raise ParameterError(
+            "nothing to run: give a sweep file, or experiments, as --only 'SlopeSlider-2-*'"
+        )
+    values = given if file is None else load_sweep_file(file) | given
+    settings = dict(values.get("settings", {}))
+    # The name of a setting may begin with an engine and a dot.
+    for text in changes or ():
+        for name, listed in arguments.assigned("--set", [text]).items():
+            backend, dot, key = name.rpartition(".")
+            texts = arguments.split_values(listed)
+            table = {key: [arguments.value_of(one) for one in texts]}
+            settings |= {backend: settings.get(backend, {}) | table} if dot else table
+    return sweep_spec(values | {"settings": settings})
+
+
 def _parameter_sets(texts: Sequence[str] | None) -> list[Any] | None:
     """Return names of parameter sets, or one set of overrides."""
     if texts and any("=" in text for text in texts):
@@ -235,54 +242,17 @@ def _parameter_sets(texts: Sequence[str] | None) -> list[Any] | None:
     return list(texts) if texts else None
 
 
-def _with_changes(settings: dict[str, Any], changes: list[str]) -> dict[str, Any]:
-    """Return settings with those of `--set`, whose name may begin with an engine and a dot."""
-    result = dict(settings)
-    for text in changes:
-        for name, values in arguments.assigned("--set", [text]).items():
-            listed = [arguments.value_of(one) for one in arguments.split_values(values)]
-            backend, dot, key = name.partition(".")
-            if dot:
-                table = result.get(backend)
-                table = table if isinstance(table, dict) else {}
-                result[backend] = {**table, key: listed}
-            else:
-                result[name] = listed
-    return result
+def _part(plan: SweepPlan, text: str) -> SweepPlan:
+    """Return the part of a plan that --shard names."""
+    from gauge_envs.tools.sweep.plan import shard
 
-
-def _part(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
-    if found is None:
+    numbers = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
+    if numbers is None:
         raise ParameterError(f"--shard {text!r}: expected NUMBER/COUNT, as 0/16")
-    return int(found[1]), int(found[2])
+    return shard(plan, int(numbers[1]), int(numbers[2]))
 
 
 # --- runs ------------------------------------------------------------------------------------------------------------
-
-
-def _show_plan(
-    plan: SweepPlan,
-    tasks: Sequence[SweepTask],
-    earlier: Iterable[EarlierEpisode],
-    worker_count: int,
-    form: Format,
-) -> None:
-    """Print what is left of a plan, and what it costs."""
-    from gauge_envs.tools.sweep.folder import EarlierCosts
-    from gauge_envs.tools.sweep.words import cost_text, plan_document
-
-    costs = EarlierCosts(earlier)
-    print_document(plan_document(plan, tasks, costs), form)
-    left = sum(len(task.seeds) for task in tasks)
-    message(
-        f"{plan.episode_count} episodes, {left} left; {counted(plan.duplicates, 'duplicate')} left out"
-    )
-    message(
-        cost_text(
-            costs.of(task for task in tasks if task.run.declined is None), worker_count
-        )
-    )
 
 
 def _workers(
@@ -295,9 +265,8 @@ def _workers(
         return ray_workers(ray, count and min(count, task_count), limits)[:task_count]
     from gauge_envs.runs.pool import ProcessWorker
 
-    return [
-        ProcessWorker(limits) for _ in range(min(count or processors(), task_count))
-    ]
+    count = min(count or processors(), task_count)
+    return [ProcessWorker(limits) for _ in range(count)]
 
 
 def _run(
@@ -306,21 +275,19 @@ def _run(
     workers: Sequence[RequestWorker],
     out: Path,
     form: Format,
-) -> Counter[tuple[str, Outcome]]:
+) -> Counts:
     """Run tasks, and return how many episodes of each engine had which outcome."""
     from gauge_envs.runs.result import Outcome
-    from gauge_envs.tools.sweep.folder import result_files
-    from gauge_envs.tools.sweep.run import run_sweep
+    from gauge_envs.tools.sweep.folder import result_files, run_sweep
 
-    counts: Counter[tuple[str, Outcome]] = Counter()
-    done = plan.episode_count - sum(len(task.seeds) for task in tasks)
-    progress = Progress(
-        "episodes", plan.episode_count, done=done, line_interval_s=LINE_INTERVAL_S
-    )
+    counts: Counts = Counter()
+    total = plan.episode_count
+    done = total - sum(len(task.seeds) for task in tasks)
+    progress = Progress("episodes", total, done=done, line_interval_s=LINE_INTERVAL_S)
     lost = LostOutput()
     try:
         with progress, closing(run_sweep(tasks, workers, out)) as finished:
-            for result in itertools.chain.from_iterable(finished):
+            for result in (one for results in finished for one in results):
                 counts[str(result.backend), result.outcome] += 1
                 name = f"{short_id(result.id)} on {result.backend}"
                 with lost.tolerated():
@@ -331,18 +298,14 @@ def _run(
                         print_json_lines([result.to_dict(trajectory=False)])
     except KeyboardInterrupt:
         left = set(plan.file_names) - {file.name for file in result_files(out)}
-        message(
-            f"interrupted: {len(left)} of {plan.episode_count} episodes left; continue with:"
-        )
+        message(f"interrupted: {len(left)} of {total} episodes left; continue with:")
         message(shlex.join(["gauge", *sys.argv[1:]]))
         raise typer.Exit(EXIT_INTERRUPTED) from None
     lost.report()
     return counts
 
 
-def _is_bad(
-    plan: SweepPlan, spec: SweepSpec, counts: Mapping[tuple[str, Outcome], int]
-) -> bool:
+def _is_bad(plan: SweepPlan, spec: SweepSpec, counts: Counts) -> bool:
     """Return whether an episode failed or diverged, or an experiment that was given by its id was declined."""
     from gauge_envs.experiments.variants import is_glob
     from gauge_envs.runs.result import Outcome

@@ -10,21 +10,83 @@ The files alone state what is done: a sweep goes on with the episodes that have 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
-from typing import Any
-
-import numpy as np
 
 from gauge_envs.pages.text import short_id
 from gauge_envs.runs.batch import check_writable
+from gauge_envs.runs.pool import RequestWorker, run_tasks
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import write_result
 from gauge_envs.tools.sweep.plan import SweepTask
 
 SUBFOLDERS = {Outcome.FAILED: "failed", Outcome.DECLINED: "declined"}
+
+
+def _folders(path: Path) -> list[Path]:
+    return [path, *(path / name for name in SUBFOLDERS.values())]
+
+
+def result_files(path: Path) -> Iterator[Path]:
+    """Yield the result files of a sweep."""
+    for folder in _folders(path):
+        yield from folder.glob("[!.]*.json")
+
+
+def write_episode(path: Path, result: Result, name: str) -> None:
+    """Write a result file; the file of an earlier failure of the episode is removed."""
+    file = path / SUBFOLDERS.get(result.outcome, "") / name
+    write_result(result, file)
+    for folder in _folders(path)[1:]:
+        if folder != file.parent:
+            (folder / name).unlink(missing_ok=True)
+
+
+def run_sweep(
+    tasks: Sequence[SweepTask], workers: Sequence[RequestWorker], path: Path
+) -> Generator[list[Result], None, None]:
+    """Run tasks on workers at once, and yield the results of each in their order, after they are written.
+
+    Args:
+        tasks: The tasks.
+        workers: The workers, which are closed at the end.
+        path: Folder of the result files, created if it does not exist.
+
+    Example:
+        >>> from tempfile import TemporaryDirectory
+        >>> from gauge_envs.runs.pool import Limits, ProcessWorker
+        >>> from gauge_envs.tools.sweep.plan import plan_sweep, remaining_tasks
+        >>> from gauge_envs.tools.sweep.spec import sweep_spec
+        >>> plan = plan_sweep(sweep_spec({"variants": ["SlopeSlider-2-*"], "settings": {"timestep_s": [1 / 1800]}}))
+        >>> with TemporaryDirectory() as folder:
+        ...     done = list(run_sweep(list(remaining_tasks(plan, ())), [ProcessWorker(Limits())], Path(folder)))
+        >>> [result.outcome.value for results in done for result in results]
+        ['finished', 'finished', 'finished']
+    """
+    for folder in _folders(path):
+        check_writable(folder)
+
+    def perform(worker: RequestWorker, task: SweepTask) -> list[Result]:
+        results = [_checked(task, result) for result in worker.run(task.request)]
+        for result, name in zip(results, task.file_names, strict=True):
+            write_episode(path, result, name)
+        return results
+
+    return run_tasks(tasks, workers, perform)
+
+
+def _checked(task: SweepTask, result: Result) -> Result:
+    """Return a result, or a failure if other versions made it than the plan states, as on another machine."""
+    difference = result.made_with_other_than(task.run.versions)
+    if result.trajectory is None or not difference:
+        return result
+    reason = f"{difference}: install the same versions on every machine"
+    return replace(result, outcome=Outcome.FAILED, error=reason, trajectory=None)
+
+
+# --- earlier episodes ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -34,47 +96,12 @@ class EarlierEpisode:
     Attributes:
         outcome: How it ended.
         group: Engine and experiment.
-        wall_s: Wall time in the engine [s]; None if it did not run.
-        steps: Number of its time steps; None where the engine does not tell.
+        step_s: Wall time of a time step [s]; None if the episode did not finish, or the engine does not tell its steps.
     """
 
     outcome: Outcome
     group: tuple[str, str]
-    wall_s: float | None
-    steps: float | None
-
-    @classmethod
-    def of(cls, values: Mapping[str, Any]) -> EarlierEpisode:
-        """Return the episode of a result in JSON."""
-        timestep_s = values["settings"].get("timestep_s")
-        return cls(
-            outcome=Outcome(values["outcome"]),
-            group=(values["backend"], short_id(values["id"])),
-            wall_s=values["wall_s"],
-            steps=values["sim_s"] / timestep_s if timestep_s else None,
-        )
-
-
-def create_folder(path: Path) -> None:
-    """Create the folder of a sweep if it does not exist."""
-    for name in ("", *SUBFOLDERS.values()):
-        check_writable(path / name)
-
-
-def result_files(path: Path) -> Iterator[Path]:
-    """Yield the result files of a sweep."""
-    for name in ("", *SUBFOLDERS.values()):
-        yield from (path / name).glob("[!.]*.json")
-
-
-def write_episode(path: Path, result: Result, name: str) -> None:
-    """Write a result file; that of an earlier failure of the episode is removed."""
-    file = path / SUBFOLDERS.get(result.outcome, "") / name
-    write_result(result, file)
-    for folder in SUBFOLDERS.values():
-        earlier = path / folder / name
-        if earlier != file:
-            earlier.unlink(missing_ok=True)
+    step_s: float | None
 
 
 def earlier_episodes(
@@ -86,16 +113,29 @@ def earlier_episodes(
         path: The folder; without one there are none.
         notify: Receives a sentence for each damaged file, whose episode is left out.
     """
-    found = {}
+    episodes = {}
     for file in result_files(path):
         try:
-            found[file.name] = EarlierEpisode.of(json.loads(file.read_bytes()))
+            values = json.loads(file.read_bytes())
+            outcome = Outcome(values["outcome"])
+            timestep_s = values["settings"].get("timestep_s")
+            step_s = None
+            if outcome is Outcome.FINISHED and timestep_s:
+                step_s = values["wall_s"] * timestep_s / values["sim_s"]
+            group = values["backend"], short_id(values["id"])
+            episodes[file.name] = EarlierEpisode(outcome, group, step_s)
         except OSError:
             # A folder or a link to nothing is no result.
             continue
-        except (ValueError, LookupError, TypeError, AttributeError) as error:
+        except (
+            ArithmeticError,
+            AttributeError,
+            LookupError,
+            TypeError,
+            ValueError,
+        ) as error:
             notify(f"{file}: not a result file: {error}; run again")
-    return found
+    return episodes
 
 
 @dataclass(frozen=True)
@@ -113,46 +153,31 @@ class Cost:
     unknown: int = 0
 
 
-class EarlierCosts:
-    """Costs of earlier episodes.
+class StepTimes:
+    """Wall time of a time step: the median of earlier episodes of the same engine and experiment.
 
-    The cost of an episode is the median time of earlier episodes of the same engine and experiment with as many time
-    steps. Between two numbers of steps it is interpolated, and beyond the largest it grows in proportion. Other
-    settings, as iterations, are not considered.
+    Other settings, as iterations, are not considered.
 
     Args:
         episodes: The earlier episodes.
     """
 
     def __init__(self, episodes: Iterable[EarlierEpisode]) -> None:
-        times_s: dict[tuple[str, str], dict[int, list[float]]] = {}
+        steps_s: dict[tuple[str, str], list[float]] = {}
         for one in episodes:
-            if one.outcome is Outcome.FINISHED and one.wall_s and one.steps:
-                of_group = times_s.setdefault(one.group, {})
-                of_group.setdefault(round(one.steps), []).append(one.wall_s)
-        self._medians = {
-            group: {steps: median(values) for steps, values in sorted(by_steps.items())}
-            for group, by_steps in times_s.items()
-        }
+            if one.step_s is not None:
+                steps_s.setdefault(one.group, []).append(one.step_s)
+        self._medians_s = {group: median(values) for group, values in steps_s.items()}
 
-    def of(self, tasks: Iterable[SweepTask]) -> Cost:
-        """Return the estimated cost of tasks."""
-        engine_s = 0.0
-        known = 0
-        unknown = 0
+    def cost_of(self, tasks: Iterable[SweepTask]) -> Cost:
+        """Return the estimated cost of those tasks that are not declined."""
+        engine_s, known, unknown = 0.0, 0, 0
         for task in tasks:
-            medians = self._medians.get(task.run.group)
-            if medians is None or task.run.steps is None:
-                unknown += len(task.seeds)
+            step_s, steps = self._medians_s.get(task.run.group), task.run.steps
+            count = 0 if task.run.declined else len(task.seeds)
+            if step_s is None or steps is None:
+                unknown += count
             else:
-                known += len(task.seeds)
-                engine_s += len(task.seeds) * _interpolated_s(medians, task.run.steps)
+                known += count
+                engine_s += count * step_s * steps
         return Cost(engine_s, known, unknown)
-
-
-def _interpolated_s(medians: Mapping[int, float], steps: float) -> float:
-    """Return the time for a number of steps [s], from times by numbers of steps in ascending order."""
-    largest = max(medians)
-    if steps > largest:
-        return medians[largest] * steps / largest
-    return float(np.interp(steps, list(medians), list(medians.values())))

@@ -17,20 +17,19 @@ The episodes are the product of all lists. A list in a table of one engine repla
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Mapping
 from itertools import product
 from math import prod
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
     ValidationError,
-    field_validator,
     model_validator,
 )
 
@@ -43,37 +42,25 @@ from gauge_envs.experiments.variants import (
 from gauge_envs.files import os_errors, toml_document
 from gauge_envs.scene.jitter import Jitter
 
-MAX_EPISODES = 1_000_000
-"""Largest number of episodes of a sweep."""
-
-LARGEST_SEED = 2**62
+MAX_SEED = 2**62
 """Largest first seed: the seeds of all repeats fit into 64 bits."""
 
-Text = Annotated[str, Field(min_length=1)]
+Names = Annotated[list[Annotated[str, Field(min_length=1)]], Field(min_length=1)]
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, strict=True
-    )
+JitterKey = Literal[
+    "position_m", "angle_rad", "velocity_m_per_s", "angular_velocity_rad_per_s"
+]
+"""Standard deviations of start poses and velocities; see `gauge_envs.Jitter`."""
 
 
-class JitterSpec(_Model):
-    """Standard deviations of start poses and velocities; see `gauge_envs.Jitter`."""
-
-    position_m: Annotated[float, Field(ge=0.0)] = Jitter.position_m
-    angle_rad: Annotated[float, Field(ge=0.0)] = Jitter.angle_rad
-    velocity_m_per_s: Annotated[float, Field(ge=0.0)] = 0.0
-    angular_velocity_rad_per_s: Annotated[float, Field(ge=0.0)] = 0.0
-
-
-class SweepSpec(_Model):
+class SweepSpec(BaseModel):
     """What a sweep covers. Its episodes are the product of its lists.
 
     Attributes:
         backends: Names of engines.
         variants: Ids, patterns such as `SlopeSlider-2-*`, or task files.
-        presets: Presets of every engine; empty for the preset that each engine chooses for a scene.
+        presets: Presets of every engine; None for the preset that each engine chooses for a scene.
         parameters: Parameter sets, or tables of overrides such as `{"cube.friction" = 0.3}`.
         repeats: Episodes of each combination, with seeds from `seed` on.
         seed: Seed of the first repeat.
@@ -82,76 +69,59 @@ class SweepSpec(_Model):
         settings: A list of values for each numerical setting; or, under the name of an engine, such a table for it.
     """
 
-    backends: Annotated[list[Text], Field(min_length=1)] = ["mujoco"]
-    variants: Annotated[list[Text], Field(min_length=1)]
-    presets: Annotated[list[Text], Field(min_length=1)] | None = None
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, strict=True
+    )
+
+    backends: Names = ["mujoco"]
+    variants: Names
+    presets: Names | None = None
     parameters: Annotated[list[Any], Field(min_length=1)] = ["calibrated"]
     repeats: Annotated[int, Field(ge=1)] = 1
-    seed: Annotated[int, Field(ge=0, le=LARGEST_SEED)] = 0
-    jitter: JitterSpec | None = None
+    seed: Annotated[int, Field(ge=0, le=MAX_SEED)] = 0
+    jitter: dict[JitterKey, Annotated[float, Field(ge=0.0)]] | None = None
     settings: dict[str, Any] = {}
 
-    @field_validator("parameters")
-    @classmethod
-    def _are_sets_or_overrides(cls, value: list[Any]) -> list[Any]:
-        for one in value:
-            if not (isinstance(one, str | dict) and one):
-                raise ValueError(
-                    f"{one!r}: the name of a parameter set is expected, or a table as {{ 'cube.friction' = 0.3 }}"
-                )
-        return value
-
     @model_validator(mode="after")
-    def _settings_are_lists(self) -> SweepSpec:
+    def _check_settings(self) -> SweepSpec:
         for name, values in self.settings.items():
-            if not isinstance(values, dict):
-                if name in self.backends:
-                    raise ValueError(
-                        f"settings.{name}: the name of an engine; a table of settings is expected"
-                    )
-                _check_values(name, values)
-            elif name not in self.backends:
+            is_engine = name in self.backends
+            if isinstance(values, dict) and not is_engine:
                 raise ValueError(
                     f"settings.{name}: a table of an engine that backends does not list"
                 )
-            else:
-                for key, one in values.items():
-                    _check_values(f"{name}.{key}", one)
+            if is_engine and not isinstance(values, dict):
+                raise ValueError(f"settings.{name}: a table of settings is expected")
+            lists = values if is_engine else {"": values}
+            for key, listed in lists.items():
+                _check_list(f"settings.{name}.{key}".rstrip("."), listed)
         return self
 
     @property
     def start_jitter(self) -> Jitter | None:
         """The jitter that was given, or None."""
-        return None if self.jitter is None else Jitter(**self.jitter.model_dump())
+        return None if self.jitter is None else Jitter(**self.jitter)
 
     def subjects(self) -> list[Variant]:
         """Return the variants, each once."""
-        return list(
-            dict.fromkeys(
-                variant
-                for pattern in self.variants
-                for variant in matching_variants(pattern)
-            )
-        )
+        matches = [match for one in self.variants for match in matching_variants(one)]
+        return list(dict.fromkeys(matches))
 
     def setting_lists(self, backend: str) -> dict[str, list[Any]]:
         """Return the values of each setting for an engine: the common ones, replaced by those of its own table."""
-        common: dict[str, list[Any]] = (
-            {} if self.presets is None else {"preset": list(self.presets)}
-        )
-        common |= {
+        presets = {} if self.presets is None else {"preset": self.presets}
+        common = {
             key: values
             for key, values in self.settings.items()
-            if isinstance(values, list)
+            if not isinstance(values, dict)
         }
-        of_engine = self.settings.get(backend)
-        return common | (of_engine if isinstance(of_engine, dict) else {})
+        of_engine: dict[str, list[Any]] = self.settings.get(backend, {})
+        return presets | common | of_engine
 
-    def setting_choices(self, backend: str) -> Iterator[dict[str, Any]]:
-        """Yield every combination of settings for an engine."""
+    def setting_choices(self, backend: str) -> list[dict[str, Any]]:
+        """Return every combination of settings for an engine."""
         lists = self.setting_lists(backend)
-        for values in product(*lists.values()):
-            yield dict(zip(lists, values, strict=True))
+        return [dict(zip(lists, one, strict=True)) for one in product(*lists.values())]
 
     def episode_count(self) -> int:
         """Return the number of combinations, without looking for equal ones."""
@@ -162,8 +132,26 @@ class SweepSpec(_Model):
         return choices * len(self.subjects()) * len(self.parameters) * self.repeats
 
 
+def _check_list(key: str, values: Any) -> None:
+    """Raise an error if the values of a setting are no list of finite numbers, texts or booleans."""
+    if not isinstance(values, list) or not values:
+        raise ValueError(
+            f"{key}: a list of one or more values is expected, as [0.001, 0.002]"
+        )
+    try:
+        json.dumps(values, allow_nan=False)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{key}: finite numbers, texts or booleans are expected, not {values}"
+        ) from None
+
+
 def sweep_spec(values: Mapping[str, Any]) -> SweepSpec:
-    """Return the sweep of keywords, which are the keys of a sweep file."""
+    """Return the sweep of keywords, which are the keys of a sweep file.
+
+    Raises:
+        ParameterError: A value is wrong.
+    """
     try:
         return SweepSpec.model_validate(dict(values))
     except ValidationError as error:
@@ -177,6 +165,9 @@ def load_sweep_file(path: str | PathLike[str]) -> dict[str, Any]:
 
     Returns:
         Its keys and values, for `sweep_spec`.
+
+    Raises:
+        SweepFileError: The file cannot be read, or a value is wrong.
     """
     path = Path(path)
     with os_errors(
@@ -190,37 +181,16 @@ def load_sweep_file(path: str | PathLike[str]) -> dict[str, Any]:
         raise SweepFileError(path, *_fault(error)) from None
     except ValueError as error:
         raise SweepFileError(path, None, f"not a TOML file: {error}") from error
-    located = [
+    variants = [
         str(path.parent / name) if is_task_path(name) else name
         for name in spec.variants
     ]
-    return values | {"variants": located}
-
-
-def _check_values(key: str, values: Any) -> None:
-    """Check that the values of a setting are a list of numbers, texts, booleans or lists of them."""
-    if not isinstance(values, list) or not values:
-        raise ValueError(
-            f"settings.{key}: a list of one or more values is expected, as [0.001, 0.002]"
-        )
-    for value in values:
-        for part in value if isinstance(value, list) else [value]:
-            if not isinstance(part, bool | int | float | str) or (
-                isinstance(part, float) and not math.isfinite(part)
-            ):
-                raise ValueError(
-                    f"settings.{key}: {part!r} is no finite number, text or boolean"
-                )
+    return values | {"variants": variants}
 
 
 def _fault(error: ValidationError) -> tuple[str, str]:
     """Return the key and the reason of the first fault, with the known keys for an unknown one."""
     key, reason = first_fault(error)
     if reason in ("unknown key", "missing key"):
-        known = (
-            JitterSpec.model_fields
-            if key.startswith("jitter.")
-            else SweepSpec.model_fields
-        )
-        reason = f"{reason}; keys: {', '.join(known)}"
+        reason = f"{reason}; keys: {', '.join(SweepSpec.model_fields)}"
     return key, reason

@@ -1,44 +1,94 @@
-"""Plans: each content once, keys that follow the content, and requests that would fail every episode."""
-
-from dataclasses import replace
+"""Sweep files and plans: each content once, names that follow the content, and a message for each wrong request."""
 
 import pytest
-from sweep_workers import needs_rapier
+from sweep_workers import needs_rapier, planned
 
-from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.settings import settings_for
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import ParameterError, SweepFileError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.tools.sweep.plan import (
-    content_sha256,
-    experiment_sha256,
-    plan_sweep,
-    remaining_tasks,
-    shard,
-)
-from gauge_envs.tools.sweep.spec import sweep_spec
+from gauge_envs.tools.sweep.folder import EarlierEpisode, StepTimes
+from gauge_envs.tools.sweep.plan import remaining_tasks, shard
+from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
 
 WOOD = "SlopeSlider-2-wood"
+SLIDE = 'variants = ["SlopeSlider-2-*"]\n'
+WHOLE = """
+backends = ["mujoco", "rapier"]
+variants = ["SlopeSlider-2-*", "crate.toml"]
+presets = ["contact", "stack"]
+parameters = ["calibrated", { "cube.friction" = 0.3 }]
 
+[settings]
+timestep_s = [0.001, 0.0005]
+iterations = [10]
 
-def planned(**values):
-    return plan_sweep(sweep_spec({"variants": [WOOD]} | values))
+[settings.mujoco]
+iterations = [20, 50, 100]
+"""
 
 
 def names(plan):
-    return {run.file_name(seed) for run in plan.runs for seed in run.request.seeds}
+    return set(plan.file_names)
 
 
-# --- keys ---
+# --- files ---
 
 
-def test_equal_sweeps_have_equal_names():
-    first, second = (
-        planned(repeats=2, settings={"iterations": [5, 10]}),
-        planned(repeats=2, settings={"iterations": [10, 5]}),
-    )
-    assert names(first) == names(second) and len(names(first)) == 4
+def test_a_table_of_an_engine_replaces_the_common_list(tmp_path):
+    (tmp_path / "sweep.toml").write_text(WHOLE)
+    values = load_sweep_file(tmp_path / "sweep.toml")
+    spec = sweep_spec(values)
+    assert spec.setting_lists("mujoco") == {
+        "preset": ["contact", "stack"],
+        "timestep_s": [0.001, 0.0005],
+        "iterations": [20, 50, 100],
+    }
+    assert spec.setting_lists("rapier")["iterations"] == [10]
+    # A task file is in the folder of the sweep file.
+    assert spec.variants[1] == str(tmp_path / "crate.toml")
+    counted = sweep_spec(values | {"variants": ["SlopeSlider-2-*"], "repeats": 4})
+    assert counted.episode_count() == (2 * 2 * 3 + 2 * 2 * 1) * 3 * 2 * 4
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("backends = [", "not a TOML file"),
+        (
+            SLIDE + "backend = ['mujoco']",
+            "backend: unknown key; keys: backends, variants",
+        ),
+        ("repeats = 2", "variants: missing key; keys: backends"),
+        (SLIDE + "repeats = true", "repeats: "),
+        (SLIDE + "seed = 100000000000000000000", "seed: "),
+        (SLIDE + "[jitter]\nposition_mm = 1.0", "jitter.position_mm"),
+        (SLIDE + "[jitter]\nposition_m = nan", "jitter.position_m: "),
+        (
+            SLIDE + "[settings]\ntimestep_s = 0.1",
+            "settings.timestep_s: a list of one or more",
+        ),
+        (
+            SLIDE + "[settings]\ntimestep_s = [nan]",
+            "settings.timestep_s: finite numbers",
+        ),
+        (
+            SLIDE + "[settings.bullet]\niterations = [1]",
+            "settings.bullet: a table of",
+        ),
+        (SLIDE + "[settings]\nmujoco = [1]", "settings.mujoco: a table of"),
+    ],
+)
+def test_a_wrong_file_is_named_with_key_and_reason(tmp_path, text, message):
+    file = tmp_path / "sweep.toml"
+    file.write_text(text)
+    with pytest.raises(SweepFileError) as caught:
+        load_sweep_file(file)
+    assert str(caught.value).startswith(str(file))
+    assert message in str(caught.value)
+
+
+# --- names ---
 
 
 @pytest.mark.parametrize(
@@ -49,96 +99,33 @@ def test_equal_sweeps_have_equal_names():
         {"parameters": [{"cube.friction": 0.3}]},
         {"seed": 5},
         {"jitter": {"position_m": 0.002}},
-        {"jitter": {"velocity_m_per_s": 0.1}},
         {"settings": {"timestep_s": [1 / 3600]}},
-        {"settings": {"tolerance": [1e-12]}},
         {"presets": ["stack"]},
     ],
 )
 def test_any_other_content_has_other_names(other):
-    assert not names(planned(repeats=2)) & names(planned(**{"repeats": 2} | other))
+    before = names(planned(repeats=2))
+    assert names(planned(repeats=2)) == before
+    assert not before & names(planned(**{"repeats": 2} | other))
 
 
-def test_the_versions_of_engine_and_package_belong_to_the_key(monkeypatch):
+def test_the_versions_of_an_engine_belong_to_the_names(monkeypatch):
     before = names(planned())
     monkeypatch.setattr(BackendMuJoCo, "versions", lambda self: {"mujoco": "99.0"})
     assert not before & names(planned())
 
 
-def test_more_repeats_keep_the_names_of_the_first_ones():
-    jitter = {"position_m": 0.001}
-    assert names(planned(repeats=2, jitter=jitter)) < names(
-        planned(repeats=5, jitter=jitter)
-    )
-
-
 def test_settings_that_resolve_to_the_same_run_once():
-    experiment = load_experiment(WOOD)
-    default = settings_for(experiment.scene)
-    plan = planned(
-        settings={
-            "timestep_s": [default.timestep_s, 1 / 3600, 1 / 3600],
-            "iterations": [default.iterations],
-        }
-    )
-    assert plan.episode_count == 2 and plan.duplicates == 1
+    default = settings_for(load_experiment(WOOD).scene)
+    steps = [default.timestep_s, 1 / 3600, 1 / 3600]
+    plan = planned(settings={"timestep_s": steps, "iterations": [default.iterations]})
+    assert (plan.episode_count, plan.duplicates) == (2, 1)
     assert names(planned()) < names(plan)
 
 
-@pytest.mark.parametrize("name", ["mujoco", pytest.param("rapier", marks=needs_rapier)])
-def test_resolved_settings_are_those_in_force(name):
-    engine, scene = backend(name), load_experiment(WOOD).scene
-    simulation = engine.build(scene, {"timestep_s": 1 / 720})
-    resolved = engine.resolved_settings(scene, {"timestep_s": 1 / 720})
-    assert resolved["timestep_s"] == 1 / 720
-    assert dict(simulation.settings).items() <= dict(resolved).items()
-    simulation.close()
-
-
-def test_the_scene_belongs_to_the_hash_of_an_experiment():
-    experiment = load_experiment(WOOD)
-    heavier = replace(experiment, scene=replace(experiment.scene, gravity_m_per_s2=9.8))
-    assert experiment_sha256(experiment) == experiment_sha256(load_experiment(WOOD))
-    assert experiment_sha256(heavier) != experiment_sha256(experiment)
-
-
-def test_every_experiment_has_a_hash_of_its_own():
+def test_every_experiment_has_a_name_of_its_own():
     plan = planned(variants=["*"])
     assert len(plan.runs) == 75 == len({run.sha256 for run in plan.runs})
-
-
-def test_what_has_no_content_hash_is_refused():
-    assert (
-        content_sha256({"a": (1, 2.5)})
-        == content_sha256({"a": [1, 2.5]})
-        != content_sha256({"a": [1, 2]})
-    )
-    with pytest.raises(TypeError, match="set has no content hash"):
-        content_sha256({1, 2})
-
-
-# --- plans ---
-
-
-@needs_rapier
-def test_a_setting_of_one_engine_stands_in_its_table():
-    plan = planned(
-        backends=["mujoco", "rapier"],
-        settings={"mujoco": {"noslip_iterations": [0, 5]}},
-    )
-    assert [run.request.backend for run in plan.runs] == ["mujoco", "mujoco", "rapier"]
-
-
-@needs_rapier
-def test_declined_episodes_are_planned_with_the_reason():
-    (run,) = planned(backends=["rapier"], variants=["FoamBending-soft"]).runs
-    assert run.declined is not None and "rigid bodies only" in run.declined
-
-
-def test_default_jitter_is_that_of_a_run():
-    assert planned().runs[0].request.jitter is None
-    jitter = planned(repeats=2).runs[0].request.jitter
-    assert jitter.position_m == 0.001
 
 
 # --- tasks ---
@@ -147,31 +134,37 @@ def test_default_jitter_is_that_of_a_run():
 def test_only_engines_that_advance_worlds_at_once_run_repeats_together():
     pytest.importorskip("newton")
     plan = planned(backends=["mujoco", "newton"], repeats=4)
-    assert [list(task.seeds) for task in remaining_tasks(plan, ())] == [
-        [0],
-        [1],
-        [2],
-        [3],
-        [0, 1, 2, 3],
-    ]
+    seeds = [list(task.seeds) for task in remaining_tasks(plan, ())]
+    assert seeds == [[0], [1], [2], [3], [0, 1, 2, 3]]
     mujoco, newton = plan.runs
-    done = {newton.file_name(2)} | {mujoco.file_name(seed) for seed in range(4)}
+    done = {newton.file_name(2), *map(mujoco.file_name, range(4))}
     tasks = list(remaining_tasks(plan, done))
     assert [list(task.seeds) for task in tasks] == [[0, 1], [3]]
     assert tasks[0].file_names == [newton.file_name(0), newton.file_name(1)]
-    assert (
-        tasks[0].request.seed,
-        tasks[0].request.repeats,
-        tasks[0].request.jitter,
-    ) == (0, 2, newton.request.jitter)
+    assert (tasks[1].request.seed, tasks[1].request.repeats) == (3, 1)
 
 
-@needs_rapier
 def test_parts_are_the_whole():
-    plan = planned(variants=["SlopeSlider-*"], backends=["mujoco", "rapier"])
+    plan = planned(variants=["SlopeSlider-*"])
     parts = [shard(plan, number, 4) for number in range(4)]
     assert [run for part in parts for run in part.runs] == list(plan.runs)
-    with pytest.raises(
-        ParameterError, match="shard 4/4: expected a number from 0 to 3"
-    ):
-        shard(plan, 4, 4)
+
+
+def test_the_cost_of_a_step_is_the_median_of_earlier_ones():
+    group = "mujoco", WOOD
+    earlier = [
+        EarlierEpisode("finished", group, step_s) for step_s in (0.01, 0.02, 0.5, None)
+    ]
+    plan = planned(
+        variants=["SlopeSlider-2-metal", WOOD], settings={"timestep_s": [1 / 720]}
+    )
+    cost = StepTimes(earlier).cost_of(remaining_tasks(plan, ()))
+    assert (cost.known, cost.unknown) == (1, 1)
+    # 0.6 s of 720 steps a second.
+    assert cost.engine_s == pytest.approx(432 * 0.02)
+
+
+def test_too_many_combinations_are_refused():
+    settings = {f"a{number}": [1, 2] for number in range(15_000)}
+    with pytest.raises(ParameterError, match="more than 1,000,000 episodes"):
+        planned(settings=settings)
