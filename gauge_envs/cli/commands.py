@@ -177,7 +177,7 @@ BUNDLED = (
         "backend versions",
         "versions.command:backend_versions",
         "Compare releases of MuJoCo on your model, settings or engines: what changed, and which side is right.",
-        line="versions.lines:VersionsLine",
+        line="versions.schema:VersionsLine",
         version=3,
     ),
     Command(

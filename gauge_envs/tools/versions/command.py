@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,8 +13,7 @@ from gauge_envs.cli.output import Format, message, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
-    from gauge_envs.pages.document import Document
-    from gauge_envs.tools.versions.model import Release, Side, Verdict
+    from gauge_envs.tools.versions.schema import Release, Side
 
 
 def backend_versions(
@@ -96,103 +95,69 @@ def backend_versions(
     Each release runs in a Python environment of its own, which is installed into a cache, 160 MB each. Exit code 1 when
     two versions differ by more than the noise of the model.
     """
+    from gauge_envs.tools.versions import report
+    from gauge_envs.tools.versions.comparison import compare, find_change
     from gauge_envs.tools.versions.environments import remove_environment
-    from gauge_envs.tools.versions.model import Verdict
-    from gauge_envs.tools.versions.sides import are_motions, of_interpreter
+    from gauge_envs.tools.versions.episodes import compare_motions, compare_returns
+    from gauge_envs.tools.versions.schema import Verdict
+    from gauge_envs.tools.versions.sides import (
+        compares_motions,
+        interpreter_side,
+        releases_between,
+    )
+    from gauge_envs.tools.versions.subject import bench
 
     files = arguments.by_suffix(out, ".md", ".json")
-    sides = [*_sides(versions or ()), *map(of_interpreter, python or ())]
+    sides = [*_sides(versions or ()), *map(interpreter_side, python or ())]
     if len(sides) != 2:
         raise ParameterError(
             f"two versions are compared, {len(sides)} are given: write as in gauge backend versions {subject} "
             "mujoco==3.3.0 mujoco==4.0.0"
         )
-    if bisect and not all(side.requirement for side in sides):
+    if bisect and not all(side.requirement.startswith("mujoco") for side in sides):
         raise ParameterError(
             "--bisect needs a range of releases, as mujoco==3.1.0..4.0.0"
         )
-    used = {side.requirement: None for side in sides if side.requirement}
+    used = [side.requirement for side in sides if side.requirement]
     try:
         if policy is not None:
-            found, document = _returns(subject, sides, policy, repeats, seed)
-        elif are_motions(subject, sides):
-            found, document = _motions(subject, sides, seed)
-        else:
-            found, document = _steps(
-                subject,
-                sides,
-                used if bisect else None,
-                states=states,
-                steps=steps,
-                seed=seed,
+            returns = compare_returns(
+                subject, *sides, policy=policy, seeds=repeats, seed=seed, say=message
             )
+            verdict, document = returns.verdict, report.returns_document(returns)
+        elif compares_motions(subject, sides):
+            motions, scores = compare_motions(subject, *sides, seed=seed, say=message)
+            verdict = motions.verdict
+            document = report.motions_document(motions, scores)
+        else:
+            releases = releases_between(sides, message) if bisect else []
+            used += [side.requirement for side in releases]
+            with bench(subject, states, steps=steps, seed=seed, say=message) as model:
+                tried: list[Release] = []
+                if bisect:
+                    sides, tried = find_change(model, releases, message)
+                found = compare(model, *sides)
+            verdict, document = found.verdict, report.comparison_document(found, tried)
     finally:
-        for requirement in [] if keep else used:
+        for requirement in () if keep else used:
             remove_environment(requirement)
     print_document(document, form, files=files)
-    return found is Verdict.DIFFERENT
-
-
-def _returns(
-    subject: str, sides: Sequence[Side], policy: str, repeats: int, seed: int
-) -> tuple[Verdict, Document]:
-    """Compare what a policy reaches."""
-    from gauge_envs.tools.versions.returns import compare_returns
-    from gauge_envs.tools.versions.words import returns_document
-
-    found = compare_returns(
-        subject, *sides, policy=policy, seeds=repeats, seed=seed, say=message
-    )
-    return found.verdict, returns_document(found)
-
-
-def _motions(
-    subject: str, sides: Sequence[Side], seed: int
-) -> tuple[Verdict, Document]:
-    """Compare whole motions of an experiment."""
-    from gauge_envs.tools.versions.motions import compare_motions
-    from gauge_envs.tools.versions.words import motions_document
-
-    found, scores = compare_motions(subject, *sides, seed=seed)
-    return found.verdict, motions_document(found, scores)
-
-
-def _steps(
-    subject: str, sides: Sequence[Side], used: dict[str, None] | None, **options: Any
-) -> tuple[Verdict, Document]:
-    """Compare steps from the same states; with a collection of used releases, of the neighbours that differ."""
-    from gauge_envs.tools.versions.bisection import bisect
-    from gauge_envs.tools.versions.comparison import compare
-    from gauge_envs.tools.versions.processes import bench
-    from gauge_envs.tools.versions.sides import releases_between
-    from gauge_envs.tools.versions.words import comparison_document
-
-    first, last = sides
-    tried: list[Release] = []
-    with bench(subject, say=message, **options) as at:
-        if used is not None:
-            releases = releases_between(first, last, message)
-            used |= {side.requirement: None for side in releases}
-            neighbours, tried = bisect(at, releases, message)
-            first, last = neighbours or (releases[0], releases[-1])
-        found = compare(at, first, last)
-    return found.verdict, comparison_document(found, tried)
+    return verdict is Verdict.DIFFERENT
 
 
 def _sides(texts: Sequence[str]) -> list[Side]:
     """Return the versions that the texts name."""
     from gauge_envs.tools.versions.sides import read_side
 
-    found: list[Side] = []
+    sides: list[Side] = []
     for text in texts:
-        # Settings alone are those of what is installed here.
-        has_settings_alone = (
-            "=" in text and "==" not in text.partition(":")[0] and ":" not in text
-        )
-        changes = text if has_settings_alone else text.partition(":")[2]
-        settings = (
+        head, _, changes = text.partition(":")
+        if "=" in head and "==" not in head:
+            # Settings alone belong to what is installed here.
+            changes = text
+        texts_of = (
             arguments.assigned(text, arguments.split_values(changes)) if changes else {}
         )
-        values = {name: arguments.value_of(value) for name, value in settings.items()}
-        found += read_side(text, values)
-    return found
+        settings = {name: arguments.value_of(value) for name, value in texts_of.items()}
+        sides += read_side(text, settings)
+    return sides

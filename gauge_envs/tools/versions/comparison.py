@@ -1,144 +1,157 @@
-"""Compare two versions of an engine on one model: the same states, one step from each."""
+"""Compare two versions of MuJoCo on one model, and find the release of a range with which a difference came."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from gauge_envs.tools.versions.ends import settled
-from gauge_envs.tools.versions.environments import sides_at_once
-from gauge_envs.tools.versions.fields import field_changes
-from gauge_envs.tools.versions.gap import DEPTH_TOLERANCE_M, Gap, Visit
-from gauge_envs.tools.versions.model import (
+from gauge_envs.tools.versions.differences import (
+    Gap,
+    field_changes,
+    pair_changes,
+    parting,
+    settled,
+)
+from gauge_envs.tools.versions.environments import (
+    Arrays,
+    Bench,
+    Output,
+    Say,
+    VersionsError,
+)
+from gauge_envs.tools.versions.laws import rulings
+from gauge_envs.tools.versions.schema import (
     Comparison,
-    PairChange,
-    Parting,
+    Release,
     Side,
     Verdict,
 )
-from gauge_envs.tools.versions.processes import Bench, Observed, VersionsError, arrays
-from gauge_envs.tools.versions.rulings import law_rulings, solved_rulings
+
+BITS = ("qacc", "step_acc", "constraint", "contact_dist", "contact_pair")
+"""Results whose bits are compared."""
 
 
 def compare(bench: Bench, before: Side, after: Side) -> Comparison:
     """Return what differs between two versions on the model of a bench.
 
-    Args:
-        bench: The bench.
-        before: First version.
-        after: Second version.
-
     Raises:
-        VersionsError: A version cannot run the model.
-        ReleaseError: An environment cannot be made.
+        VersionsError: An environment cannot be made, or a version cannot run the model.
     """
     sides = (before, after)
-    with sides_at_once() as pool:
-        (one, one_file), (two, two_file) = pool.map(bench.run, sides)
-        check_same_shape(bench, one, two)
-        files = [one_file, two_file]
-        first, second = pool.map(lambda side: bench.probe(side, files), sides)
-        visits = [
-            Visit(
-                gap=Gap(first.probes[index], second.probes[index]),
-                states=arrays(files[index]),
-                title=sides[index].title,
-                segments=[*(end["segment"] for end in one.words["ends"]), SAVED],
-                names=one.words["names"],
-            )
-            for index in range(2)
-        ]
-        rulings = [*law_rulings(visits, sides)]
-        rulings += solved_rulings(bench, sides, visits, pool)
-    partings = [visit.first() for visit in visits]
-    largest = max((visit.worst() for visit in visits), key=_acceleration)
-    differing = sum(int(np.sum(visit.gap.differs)) for visit in visits)
-    is_identical = all(visit.gap.is_identical for visit in visits)
+    runs = _runs(bench, sides)
+    gap = Gap(*_probes(bench, sides, runs))
+    states = {
+        name: np.concatenate([run.arrays[name] for run in runs])
+        for name in runs[0].arrays
+    }
+    first, second = (run.words for run in runs)
+    names = first["names"]
+    ruled = tuple(rulings(bench, sides, gap, states, first["fields"]))
+    rights = {ruling.right for ruling in ruled if ruling.right}
+    is_different = bool(np.any(gap.differs))
+    is_identical = all(
+        np.array_equal(gap.sides[0][name], gap.sides[1][name]) for name in BITS
+    )
     verdict = Verdict.IDENTICAL if is_identical else Verdict.SAME
-    right = {ruling.right for ruling in rulings if ruling.right}
-    fields, new_fields = field_changes(one.words, two.words)
+    segments = [*(end["segment"] for end in first["ends"]), "saved states"]
+    first_count = len(runs[0].arrays["step"])
+    partings = [
+        parting(
+            gap,
+            index,
+            int(states["step"][index]),
+            names,
+            segment=segments[int(states["segment"][index])],
+            of=(before if index < first_count else after).title,
+        )
+        for index in [*np.flatnonzero(gap.differs)[:1], *gap.worst(1)]
+    ]
+    # Where no step differs, chaos alone changes final positions.
+    ends = settled(first["ends"], second["ends"], names["body"])
     return Comparison(
         subject=bench.title,
         before=before.title,
         after=after.title,
-        versions=(one.words["version"], two.words["version"]),
-        verdict=Verdict.DIFFERENT if differing else verdict,
-        states=sum(len(visit.gap.relative) for visit in visits),
-        differing=differing,
-        largest=max(float(np.max(visit.gap.relative)) for visit in visits),
-        noise=float(np.median(np.concatenate([visit.gap.noise for visit in visits]))),
-        first=next((one for one in partings if one is not None), None),
-        worst=largest,
-        fields=fields,
-        new_fields=new_fields,
-        dropped=(tuple(one.words["dropped"]), tuple(two.words["dropped"])),
-        pairs=_pair_changes(visits),
-        # Without a step that differs, ends differ by chaos alone.
-        settled=tuple(settled(one.words, two.words)) if differing else (),
-        rulings=tuple(rulings),
-        right=right.pop() if differing and len(right) == 1 else "",
+        versions=(first["version"], second["version"]),
+        verdict=Verdict.DIFFERENT if is_different else verdict,
+        states=len(gap.relative),
+        differing=int(np.sum(gap.differs)),
+        largest=float(np.max(gap.relative)),
+        noise=float(np.median(gap.noise)),
+        first=partings[0] if is_different else None,
+        worst=partings[1] if is_different else None,
+        fields=tuple(field_changes(first["fields"], second["fields"], names)),
+        new_fields=tuple(sorted({*first["fields"]} ^ {*second["fields"]})),
+        dropped=(tuple(first["dropped"]), tuple(second["dropped"])),
+        pairs=pair_changes(gap, names["geom"]),
+        settled=tuple(ends) if is_different else (),
+        rulings=ruled,
+        right=rights.pop() if is_different and len(rights) == 1 else "",
     )
 
 
-def check_same_shape(bench: Bench, one: Observed, two: Observed) -> None:
-    """Check that a state of one side is a state of the other."""
-    counts = []
-    for side in (one, two):
-        counts.append(", ".join(f"{key} {side.words[key]}" for key in SHAPE))
-    if counts[0] != counts[1]:
-        raise VersionsError(
-            f"{bench.title}: {one.side.title} compiles {counts[0]}; {two.side.title} compiles {counts[1]}. "
-            "No state fits both."
+def find_change(
+    bench: Bench, releases: Sequence[Side], say: Say = print
+) -> tuple[list[Side], list[Release]]:
+    """Return two neighboring releases between which the difference of the ends of a range came.
+
+    A release belongs to the end whose accelerations are nearer to its accelerations, in the states that both ends
+    visit. If the range has several changes, this finds one of them.
+
+    Args:
+        bench: The bench.
+        releases: The releases, the oldest first.
+        say: Prints what was tried.
+
+    Returns:
+        The two releases, which are the ends if these do not differ; and the releases that were tried, in their order.
+    """
+    low, high = 0, len(releases) - 1
+    ends = (releases[low], releases[high])
+    runs = _runs(bench, ends)
+    first, last = _probes(bench, ends, runs)
+    whole = Gap(first, last).distance
+    tried = {
+        low: Release(
+            release=ends[0].title, from_first=0.0, from_last=whole, like="first"
+        ),
+        high: Release(
+            release=ends[1].title, from_first=whole, from_last=0.0, like="last"
+        ),
+    }
+    while whole and high - low > 1:
+        middle = (low + high) // 2
+        side = releases[middle]
+        (probe,) = _probes(bench, [side], runs)
+        distances = Gap(first, probe).distance, Gap(probe, last).distance
+        like = "first" if distances[0] <= distances[1] else "last"
+        tried[middle] = Release(
+            release=side.title,
+            from_first=distances[0],
+            from_last=distances[1],
+            like=like,
         )
+        say(f"{side.title} is like the {like} release")
+        low, high = (middle, high) if like == "first" else (low, middle)
+    return [releases[low], releases[high]], [tried[index] for index in sorted(tried)]
 
 
-SAVED = "saved states"
-"""States of the user's file, which are behind those of the segments."""
-
-SHAPE = ("nq", "nv", "nu")
-"""Sizes of a state."""
-
-
-def _pair_changes(visits: Sequence[Visit]) -> tuple[PairChange, ...]:
-    """Return the pairs of geoms whose contacts differ in number or depth, the one that differs most first."""
-    found: dict[tuple[int, int], list[dict[str, Any]]] = {}
-    for which, visit in enumerate(visits):
-        for place, side in enumerate((visit.gap.before, visit.gap.after)):
-            rows = zip(
-                side["contact_pair"],
-                side["contact_state"],
-                side["contact_dist"],
-                strict=True,
-            )
-            for (first, second), state, dist in rows:
-                empty = [{"states": set(), "count": 0, "depth": 0.0} for _ in range(2)]
-                entry = found.setdefault((int(first), int(second)), empty)[place]
-                entry["states"].add((which, int(state)))
-                entry["count"] += 1
-                entry["depth"] = max(entry["depth"], -float(dist))
-    total = sum(len(visit.gap.relative) for visit in visits)
-    changes = []
-    for (first, second), (one, two) in found.items():
-        is_deeper = abs(one["depth"] - two["depth"]) > 10.0 * DEPTH_TOLERANCE_M
-        if one["count"] != two["count"] or is_deeper:
-            geoms = visits[0].names["geom"]
-            changes.append(
-                PairChange(
-                    pair=(geoms[first], geoms[second]),
-                    states=total,
-                    states_before=len(one["states"]),
-                    states_after=len(two["states"]),
-                    contacts_before=one["count"],
-                    contacts_after=two["count"],
-                    depth_before_m=one["depth"],
-                    depth_after_m=two["depth"],
-                )
-            )
-    changes.sort(key=lambda one: -abs(one.contacts_before - one.contacts_after))
-    return tuple(changes)
+def _runs(bench: Bench, sides: Sequence[Side]) -> list[Output]:
+    """Move the model on both sides, and check that a state of one side is a state of the other."""
+    runs = bench.work(sides, task="run")
+    before, after = (run.words["sizes"] for run in runs)
+    if before != after:
+        raise VersionsError(
+            f"{bench.title}: {sides[0].title} compiles {before}; {sides[1].title} compiles {after}. No state fits both."
+        )
+    return runs
 
 
-def _acceleration(parting: Parting | None) -> float:
-    return -1.0 if parting is None else parting.acceleration
+def _probes(
+    bench: Bench, sides: Sequence[Side], runs: Sequence[Output]
+) -> list[Arrays]:
+    """Compute one step from each state of runs, on each side."""
+    files = [run.file for run in runs]
+    outputs = bench.work(sides, task="probe", states=files)
+    return [output.arrays for output in outputs]

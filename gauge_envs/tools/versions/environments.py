@@ -1,285 +1,266 @@
-"""Python environments of releases: made apart from the user's, cached by exact requirement, never used half made."""
+"""Python environments of releases in a cache, and the processes that run a model in them."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
-import time
 import venv
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from secrets import token_hex
-from threading import Event
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple, TypeAlias
 
+import numpy as np
 from platformdirs import user_cache_path
 
 from gauge_envs.errors import GaugeError
-from gauge_envs.files import locked, write_whole
-from gauge_envs.tools.versions.causes import NO_INDEX, cause, unreached
+from gauge_envs.files import locked
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.versions.schema import Side
 
-RECORD = "environment.json"
-"""File of a complete environment."""
-
-ABOUT_MB = 160
-"""Size of MuJoCo 3.3.0 with NumPy and pip on Linux [MB]; other releases differ by some 30."""
+TAG = f"-{sys.implementation.cache_tag}-{sys.platform}-{os.uname().machine if hasattr(os, 'uname') else 'any'}"
+"""End of the name of an environment: a cache in a shared home folder serves several machines."""
 
 NUMPY_2_SINCE = (3, 2)
-"""First release of MuJoCo whose wheels were built for NumPy 2: those before crash or refuse arrays with it."""
+"""First release of MuJoCo whose wheels were built for NumPy 2. Older ones crash with it."""
 
-LOOKING = ("-vv", "--no-input", "--retries", "2")
-"""Options of pip, which names an index that does not answer only in its details."""
+PIP = ("-m", "pip", "--no-input", "--disable-pip-version-check", "--retries", "2")
 
-INSTALL_LIMIT_S = 1800.0
-"""Time of an installation [s]."""
+UNREACHED = "connection broken|Failed to fetch|network was disabled|Could not fetch URL"
+"""Messages of pip and uv on an index that does not answer."""
 
-REMOVAL_LIMIT_S = 5.0
-"""Time in which children of an interrupted installation still write [s]."""
+WORKER = Path(__file__).with_name("worker.py")
 
-QUIET_S = 0.5
-"""Time without a new file after which they are taken for ended [s]."""
-
-
-_is_stopped = Event()
-"""Set when the threads of `sides_at_once` begin nothing more."""
+Arrays: TypeAlias = Mapping[str, FloatArray]
+Say: TypeAlias = Callable[[str], object]
+"""Prints a message."""
 
 
-class ReleaseError(GaugeError, RuntimeError):
-    """An environment cannot be made or used; the message names the requirement and the cause."""
+class VersionsError(GaugeError, RuntimeError):
+    """An environment cannot be made, or a version cannot run a model; the message names both and the cause."""
 
 
-@contextmanager
-def sides_at_once() -> Iterator[ThreadPoolExecutor]:
-    """Yield two threads, one for each side.
-
-    Ctrl-C reaches the main thread alone, which waits for the others: they would finish what they install.
-    """
-    pool = ThreadPoolExecutor(2)
-    try:
-        yield pool
-    except BaseException:
-        _is_stopped.set()
-        raise
-    finally:
-        pool.shutdown()
-        _is_stopped.clear()
-
-
-def cache_folder() -> Path:
-    """Return the folder of cached environments, which need not exist; `GAUGE_CACHE_DIR` states another one."""
-    given = os.environ.get("GAUGE_CACHE_DIR")
-    base = Path(given) if given else user_cache_path("gauge-envs", appauthor=False)
-    return base.expanduser() / "versions"
+# --- environments ----------------------------------------------------------------------------------------------------
 
 
 def environment_folder(requirement: str) -> Path:
     """Return the folder of the environment of a requirement, which need not exist.
 
-    The name has the Python and the platform: a cache in a shared home folder serves several machines.
+    The variable `GAUGE_CACHE_DIR` replaces the user's cache folder.
     """
-    python = f"{sys.implementation.cache_tag}-{sys.platform}-{os.uname().machine if hasattr(os, 'uname') else 'any'}"
-    return cache_folder() / f"{requirement.replace('==', '-')}-{python}"
+    cache = user_cache_path("gauge-envs", appauthor=False)
+    folder = Path(os.environ.get("GAUGE_CACHE_DIR") or cache).expanduser()
+    return folder / "versions" / f"{requirement.replace('==', '-')}{TAG}"
 
 
-def is_made(requirement: str) -> bool:
-    """Return whether the environment of a requirement is complete, and its Python is still there."""
-    folder = environment_folder(requirement)
-    return (folder / RECORD).is_file() and _python(folder).exists()
+def version_key(version: str) -> tuple[int, ...]:
+    """Return the numbers of a version, by which versions sort."""
+    return tuple(map(int, re.findall(r"\d+", version)))
 
 
-def made_environment(requirement: str, say: Callable[[str], object] = print) -> Path:
-    """Return the interpreter of the environment of a requirement, which is made if it is not in the cache.
+def make_environment(requirement: str, say: Say = print) -> Path:
+    """Return the interpreter of the environment of a requirement, and install it if it is not in the cache.
 
-    It is made in a folder of its own beside its place, imported once, and renamed. Of two commands at once, the second
-    waits.
+    It is installed into a folder next to its final place, and renamed. A second command waits.
 
     Args:
         requirement: Package with an exact version, as `mujoco==3.3.0`.
-        say: Prints what is installed, its size, and where it lies.
+        say: Prints what is installed.
 
     Raises:
-        ReleaseError: It cannot be made: no such version, no network, no space.
+        VersionsError: There is no such version, no network, or no space.
     """
-    _check_stopped()
-    folder = environment_folder(requirement)
-    if not is_made(requirement):
-        try:
-            with _locked_place(folder):
-                # Another command may have made it while this one waited.
-                if not is_made(requirement):
-                    _make(requirement, folder, say)
-        except OSError as error:
-            raise ReleaseError(
-                f"{requirement}: {folder.parent} cannot hold its environment: {error.strerror or error}. "
-                "Free space, or set GAUGE_CACHE_DIR to another folder."
-            ) from error
-    return _python(folder)
+    place = "Scripts/python.exe" if sys.platform == "win32" else "bin/python"
+    python = environment_folder(requirement) / place
+    try:
+        # Another command may make it while this one waits.
+        if not python.exists():
+            with _locked_folder(requirement) as folder:
+                if not python.exists():
+                    _install(requirement, folder, place, say)
+    except OSError as error:
+        raise VersionsError(
+            f"{requirement}: {error}; free space, or set GAUGE_CACHE_DIR to another folder"
+        ) from error
+    return python
 
 
 def remove_environment(requirement: str) -> None:
     """Remove the environment of a requirement from the cache."""
-    folder = environment_folder(requirement)
-    with _locked_place(folder):
-        # Without its record nothing takes the rest for an environment.
-        (folder / RECORD).unlink(missing_ok=True)
+    with _locked_folder(requirement) as folder:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def released_versions(
-    package: str, python: Path, *, has_candidates: bool = False
-) -> list[str]:
-    """Return the versions of a package that the index has, the oldest first.
-
-    Args:
-        package: Name of the package.
-        python: Interpreter whose pip asks the index.
-        has_candidates: Whether release candidates count.
-
-    Raises:
-        ReleaseError: The index does not answer.
-    """
-    command = [str(python), "-m", "pip", "index", "versions", *LOOKING]
-    if has_candidates:
-        command.append("--pre")
-    done = _run([*command, package])
-    text = done.stdout + done.stderr
-    found = re.search(r"Available versions: (.*)", done.stdout)
-    # Without the index, pip lists what it finds in folders.
-    if done.returncode != 0 or found is None or unreached(text):
-        raise ReleaseError(f"{package}: {cause(text, package)}")
-    return sorted(found[1].split(", "), key=version_key)
+@contextmanager
+def _locked_folder(requirement: str) -> Iterator[Path]:
+    """Hold the lock of an environment, and yield its folder."""
+    folder = environment_folder(requirement)
+    lock = folder.parent / ".locks" / folder.name
+    lock.mkdir(parents=True, exist_ok=True)
+    with locked(lock):
+        yield folder
 
 
-def version_key(version: str) -> tuple[int, ...]:
-    """Return the numbers of a version, by which versions sort: a candidate is before its release."""
-    release, rest = re.fullmatch(r"([\d.]*\d)(.*)", version).groups()  # type: ignore[union-attr]
-    stage = -1 if re.match(r"\.?(a|b|rc|dev)", rest) else 0
-    return (*map(int, release.split(".")), stage, *map(int, re.findall(r"\d+", rest)))
-
-
-# --- making ----------------------------------------------------------------------------------------------------------
-
-
-def _make(requirement: str, folder: Path, say: Callable[[str], object]) -> None:
-    package, _, version = requirement.partition("==")
+def _install(requirement: str, folder: Path, place: str, say: Say) -> None:
+    """Install a requirement into a folder, with its interpreter at a place; the caller has the lock."""
     packages = [requirement]
+    package, _, version = requirement.partition("==")
     if package == "mujoco" and version_key(version) < NUMPY_2_SINCE:
         packages.append("numpy<2")
-    say(f"{' and '.join(packages)}: installed into {folder}, about {ABOUT_MB} MB")
-    _remove_leftovers(folder)
-    with _removed_on_error(folder.with_name(f".{folder.name}.{token_hex(6)}")) as part:
+    say(f"{' and '.join(packages)}: installed into {folder}")
+    # Folders of killed commands, and an environment whose Python is gone.
+    for leftover in (folder, *folder.parent.glob(f".{folder.name}.*")):
+        shutil.rmtree(leftover, ignore_errors=True)
+    with TemporaryDirectory(
+        prefix=f".{folder.name}.", dir=folder.parent, ignore_cleanup_errors=True
+    ) as name:
+        part = Path(name) / "environment"
         if uv := shutil.which("uv"):
-            # `--seed` adds pip, which lists the versions of a range.
-            made = _run([uv, "venv", "--seed", "--python", sys.executable, str(part)])
-            _check(made, requirement)
-            install = [uv, "pip", "install", "--python", str(_python(part))]
+            # The seed has pip, which lists the releases of a range.
+            _run([uv, "venv", "--seed", "--python", sys.executable, part], requirement)
+            install = [uv, "pip", "install", "--python", str(part / place)]
         else:
-            venv.EnvBuilder().create(part)
-            pip = [str(_python(part)), "-m", "ensurepip", "--default-pip"]
-            _check(_run(pip), requirement)
-            install = [str(_python(part)), "-m", "pip", "install", "--no-compile"]
-            install += ["--progress-bar", "off", *LOOKING]
-        _check(_run([*install, "--only-binary", ":all:", *packages]), requirement)
-        _check(_run([str(_python(part)), "-c", f"import {package}"]), requirement)
-        size = sum(
-            one.lstat().st_size for one in part.rglob("*") if not one.is_symlink()
-        )
-        record = {"requirement": requirement, "bytes": size}
-        write_whole(part / RECORD, json.dumps(record).encode())
+            venv.create(part, with_pip=True)
+            install = [str(part / place), *PIP, "install"]
+        _run([*install, "--only-binary", ":all:", *packages], requirement)
         part.rename(folder)
-    say(f"{requirement}: {size / 1e6:.0f} MB")
 
 
-def _python(folder: Path) -> Path:
-    windows = folder / "Scripts" / "python.exe"
-    return windows if sys.platform == "win32" else folder / "bin" / "python"
+def released_versions(package: str, python: Path) -> list[str]:
+    """Return the versions of a package in the index of the pip of an interpreter, the oldest first.
+
+    Raises:
+        VersionsError: The index does not answer.
+    """
+    text = _run([python, *PIP, "index", "versions", package], package)
+    versions = re.findall(r"[^\s,]+", text.partition("Available versions:")[2])
+    numbers = itertools.takewhile(lambda each: each[0].isdigit(), versions)
+    return sorted(numbers, key=version_key)
 
 
-def _remove_leftovers(folder: Path) -> None:
-    """Remove what processes left that were killed; the lock is held, so nothing of it is in use."""
-    for part in folder.parent.glob(f".{folder.name}.*"):
-        shutil.rmtree(part, ignore_errors=True)
-    # An environment without its record was being removed.
-    shutil.rmtree(folder, ignore_errors=True)
-
-
-@contextmanager
-def _locked_place(folder: Path) -> Iterator[None]:
-    """Hold the lock of an environment, whose folder need not exist."""
-    place = folder.parent / ".locks" / folder.name
-    place.mkdir(parents=True, exist_ok=True)
-    with locked(place):
-        yield
-
-
-@contextmanager
-def _removed_on_error(part: Path) -> Iterator[Path]:
-    try:
-        yield part
-    except BaseException:  # Ctrl-C too.
-        deadline_s = time.monotonic() + REMOVAL_LIMIT_S
-        gone_since_s = time.monotonic()
-        while time.monotonic() < min(gone_since_s + QUIET_S, deadline_s):
-            if part.exists():
-                shutil.rmtree(part, ignore_errors=True)
-                gone_since_s = time.monotonic()
-            time.sleep(0.05)
-        raise
-
-
-def _check_stopped() -> None:
-    if _is_stopped.is_set():
-        raise ReleaseError("stopped, as the other side ended with an error")
-
-
-def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {
-        "PIP_DISABLE_PIP_VERSION_CHECK": "1",
-        "PYTHONNOUSERSITE": "1",
-        "LC_ALL": "C.UTF-8",
-    }
-    # Paths of the user's environment do not belong to this one.
-    for name in ("PYTHONPATH", "PYTHONHOME", "PIP_TARGET", "PIP_USER"):
-        environment.pop(name, None)
-    _check_stopped()
-    try:
-        return subprocess.run(
-            command,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=INSTALL_LIMIT_S,
-            env=environment,
-            stdin=subprocess.DEVNULL,
-        )
-    except subprocess.TimeoutExpired:
-        raise ReleaseError(
-            f"{command[0]}: no end after {INSTALL_LIMIT_S:g} s"
-        ) from None
-
-
-def _check(done: subprocess.CompletedProcess[str], requirement: str) -> None:
-    """Raise the cause of a failed installation."""
-    if done.returncode == 0:
-        return
+def _run(command: Sequence[str | Path], requirement: str) -> str:
+    """Return what pip or uv prints; a failure raises its cause."""
+    # Paths of the user's environment do not belong to the new one.
+    foreign = ("PYTHONPATH", "PYTHONHOME", "PIP_TARGET", "PIP_USER")
+    variables = {name: os.environ[name] for name in os.environ if name not in foreign}
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, env=variables
+    )
     text = done.stdout + done.stderr
-    why = f"{requirement}: {cause(text, requirement)}"
-    if unreached(text) or re.search(NO_INDEX, text):
-        cached = ", ".join(made_requirements()) or "none"
-        why += f". Environments that can be used without it: {cached}; --python FILE names one that has MuJoCo"
-    raise ReleaseError(why)
+    if re.search(UNREACHED, text):
+        raise VersionsError(
+            f"{requirement}: the package index does not answer; --python FILE names an interpreter that has MuJoCo"
+        )
+    if done.returncode:
+        offered = re.search(r"\(from versions: (\S.*)\)", text)
+        newest = (
+            f"; the newest versions are {', '.join(offered[1].split(', ')[-5:])}"
+            if offered
+            else ""
+        )
+        raise VersionsError(f"{requirement}: {text.strip().splitlines()[-1]}{newest}")
+    return text
 
 
-def made_requirements() -> list[str]:
-    """Return the requirements of the environments in the cache that this Python can use."""
-    found = []
-    for record in sorted(cache_folder().glob(f"*/{RECORD}")):
-        requirement = json.loads(record.read_text(encoding="utf-8"))["requirement"]
-        if environment_folder(requirement) == record.parent and is_made(requirement):
-            found.append(requirement)
-    return found
+# --- processes -------------------------------------------------------------------------------------------------------
+
+
+def run_process(
+    command: Sequence[str | Path], title: str, variables: dict[str, str]
+) -> None:
+    """Run a command, and wait for it.
+
+    Args:
+        command: Interpreter and arguments.
+        title: What fails, for messages.
+        variables: Variables that are added to the environment.
+
+    Raises:
+        VersionsError: It failed; the message has the last line of its error.
+    """
+    variables = (
+        os.environ | {"OMP_NUM_THREADS": "1", "MUJOCO_GL": "disable"} | variables
+    )
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, check=False, env=variables
+        )
+    except OSError as error:
+        raise VersionsError(f"{title}: it cannot be started: {error}") from error
+    # A traceback ends with the exception, whose message may have several lines.
+    message = re.split(r"^(?=\w[\w.]*: )", done.stderr, flags=re.M)[-1]
+    if done.returncode < 0:
+        signal_name = signal.Signals(-done.returncode).name
+        message = f"this release crashes on it ({signal_name})"
+    if done.returncode:
+        raise VersionsError(f"{title}: {' '.join(message.split())}")
+
+
+class Output(NamedTuple):
+    """What a worker wrote: a description of the model, arrays, and the file of the arrays."""
+
+    words: Mapping[str, Any]
+    arrays: Arrays
+    file: str
+
+
+@dataclass(kw_only=True)
+class Bench:
+    """A model, and the folder of the files of its workers.
+
+    Attributes:
+        title: The model as the user named it.
+        folder: Folder of the files of the workers.
+        job: Entries of every job.
+        say: Prints what is installed.
+    """
+
+    title: str
+    folder: Path
+    job: Mapping[str, Any]
+    say: Say = print
+    _numbers: Iterator[int] = field(default_factory=itertools.count)
+
+    def work(self, sides: Sequence[Side], **job: Any) -> list[Output]:
+        """Do a job on each side, two sides at a time.
+
+        Raises:
+            VersionsError: An environment cannot be made, or a version cannot run the model.
+        """
+        for side in sides:
+            if side.requirement:
+                make_environment(side.requirement, self.say)
+        names = [self.folder / f"job{next(self._numbers)}" for _ in sides]
+        for side, name in zip(sides, names, strict=True):
+            job |= {"settings": dict(side.settings), "out": str(name)}
+            name.with_suffix(".job").write_text(json.dumps({**self.job, **job}))
+        with ThreadPoolExecutor(2) as pool:
+            list(pool.map(self.execute, sides, names))
+        outputs = []
+        # NumPy parses the headers of arrays with `ast`, which is not safe in threads of Python 3.11.
+        for name in names:
+            words = json.loads(name.with_suffix(".json").read_text(encoding="utf-8"))
+            with np.load(f"{name}.npz") as arrays:
+                outputs.append(Output(words, dict(arrays), f"{name}.npz"))
+        return outputs
+
+    def execute(self, side: Side, name: Path) -> None:
+        """Run the worker on a job in the environment of a side."""
+        # With -I, neither the user's paths nor modules next to the worker count.
+        python = side.python or make_environment(side.requirement)
+        command = [python, "-I", "-B", WORKER, name.with_suffix(".job")]
+        title = f"{side.title} cannot run {self.title}"
+        run_process(command, title, {})
+        if not name.with_suffix(".npz").is_file():
+            raise VersionsError(
+                f"{title}: it ends without a result, as it is no Python"
+            )

@@ -2,12 +2,14 @@
 
 import json
 import sys
+import threading
 
 import numpy as np
 
 from gauge_envs.tools.versions import worker
-from gauge_envs.tools.versions.model import Side
-from gauge_envs.tools.versions.processes import READING, Bench, arrays
+from gauge_envs.tools.versions.environments import Bench
+from gauge_envs.tools.versions.laws import EXACT
+from gauge_envs.tools.versions.schema import Side
 
 SCENE = """<mujoco><option timestep="0.004"/><worldbody><geom name="floor" type="plane" size="3 3 1"/>
 <body name="box" pos="0 0 0.0999"><freejoint/><geom name="box" type="box" size="0.1 0.1 0.1"/></body>
@@ -15,38 +17,46 @@ SCENE = """<mujoco><option timestep="0.004"/><worldbody><geom name="floor" type=
 <geom name="arm" type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/></body></worldbody>
 <actuator><motor name="motor" joint="elbow" ctrlrange="-1 1"/></actuator></mujoco>"""
 
+LOCK = threading.Lock()
+
 
 def side(title, **settings):
     return Side(title=title, python=sys.executable, settings=settings)
 
 
 class Planted(Bench):
-    """A bench that works in this process, and changes what the side `new` computes.
+    """A bench whose worker runs in this process, and that changes what the side `new` computes.
 
     Args:
+        folder: Folder of all files.
         plant: Changes the arrays of a probe in place.
-        xml: Model of the side `new`; that of the bench if it is empty.
+        new: Model of the side `new`.
+        model: Model of the side `old`.
+        steps: Steps of each motion.
+        saved: File of saved states.
     """
 
-    def __init__(self, folder, plant=None, xml="", **options):
-        model = folder / "scene.xml"
-        model.write_text(SCENE)
-        super().__init__(model, folder, **({"steps": 20, "seed": 0} | options))
-        self.plant, self.xml = plant, xml
+    def __init__(self, folder, plant=None, new="", *, model=SCENE, steps=20, saved=""):
+        for name, text in (("old", model), ("new", new or model)):
+            (folder / f"{name}.xml").write_text(text)
+        job = {"motions": {}, "saved": str(saved), "steps": steps, "seed": 0}
+        super().__init__(title="scene", folder=folder, job=job)
+        self.plant = plant
 
-    def execute(self, side, job, worker_arguments):
-        stated = json.loads(job.read_text())
-        if side.title.startswith("new") and self.xml:
-            changed = job.with_suffix(".xml")
-            changed.write_text(self.xml)
-            job.write_text(json.dumps(stated | {"model": str(changed)}))
-        # The worker reads arrays too, here in a thread of this process.
-        with READING:
-            worker.main(job)
-        for file in job.parent.glob(f"{job.name.partition('.')[0]}.probe*.npz"):
-            # The second file of such a job has the solution at its end.
-            is_exact = stated.get("exact") and file.stem.endswith("probe1")
-            if side.title.startswith("new") and self.plant and not is_exact:
-                found = arrays(file)
-                self.plant(found)
-                np.savez(file, **found)
+    def plant_of(self, side):
+        return None if side.title == "old" else self.plant
+
+    def execute(self, side, name):
+        file = name.with_suffix(".job")
+        job = json.loads(file.read_text())
+        job["model"] = str(self.folder / f"{side.title[:3]}.xml")
+        file.write_text(json.dumps(job))
+        with LOCK:
+            worker.main(file)
+        is_exact = EXACT.items() <= job["settings"].items()
+        plant = self.plant_of(side)
+        if plant and "states" in job and not is_exact:
+            with np.load(f"{name}.npz") as stored:
+                arrays = dict(stored)
+            plant(arrays)
+            np.savez(f"{name}.npz", **arrays)

@@ -1,11 +1,11 @@
-"""What two versions of an engine make of one model, as data."""
+"""What `gauge backend versions` prints with `--json`, an object for each pair of sides."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypeAlias
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -305,3 +305,18 @@ class Release:
     from_first: float
     from_last: float
     like: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepComparison(Comparison):
+    """What two versions make of a model.
+
+    Attributes:
+        tried: Releases that a bisection tried, in their order; empty without one.
+    """
+
+    tried: tuple[Release, ...]
+
+
+VersionsLine: TypeAlias = StepComparison | MotionComparison | ReturnComparison
+"""Steps of a model, motions of an experiment, or returns of a policy."""

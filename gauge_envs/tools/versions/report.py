@@ -1,0 +1,168 @@
+"""Reports of a comparison: the answer, and what a maintainer needs to see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from gauge_envs.pages.document import Bullets, Document, Paragraph, Part, Tone
+from gauge_envs.pages.table import Column, Table
+from gauge_envs.pages.text import counted, interval_text, quantity_text, value_text
+from gauge_envs.tools.versions.schema import (
+    Comparison,
+    Estimate,
+    MotionComparison,
+    Release,
+    ReturnComparison,
+    Verdict,
+)
+
+if TYPE_CHECKING:
+    from gauge_envs.tools.compare import Comparison as ScoreComparison
+
+MAX_PAIRS = 5
+"""Pairs of geoms in the table of a terminal."""
+
+
+def comparison_document(found: Comparison, tried: Sequence[Release] = ()) -> Document:
+    """Return the answer, where the sides differ first and most, the tables of differences, and which side is right."""
+    sides = f"{found.before} and {found.after}"
+    states = counted(found.states, "state")
+    if found.verdict is Verdict.DIFFERENT:
+        answer = (
+            f"{sides} differ on {found.subject}: in {found.differing} of {states} one step from the same state gives "
+            f"other accelerations, by up to {100.0 * found.largest:.3g} %."
+        )
+    else:
+        noise = f"within its noise: accelerations differ by {100.0 * found.largest:.1g} % or less"
+        is_identical = found.verdict is Verdict.IDENTICAL
+        how = "bit for bit" if is_identical else noise
+        answer = f"{sides} compute the same on {found.subject}, {how}, in {states}."
+    differences = [
+        f"{name}: step {each.step} of {each.segment}, a state of {each.of}; {each.quantity}: {each.detail}; "
+        f"{each.where}: {each.acceleration_before:.5g} and {each.acceleration_after:.5g} (m/s^2 or rad/s^2)"
+        for name, each in (("first", found.first), ("largest", found.worst))
+        if each and (name, each) != ("largest", found.first)
+    ]
+    notes = [
+        f"{side} does not know, and runs without: {', '.join(dropped)}."
+        for side, dropped in zip(
+            (found.before, found.after), found.dropped, strict=True
+        )
+        if dropped
+    ]
+    if found.verdict is Verdict.DIFFERENT:
+        notes.append(
+            f"{found.right} is right, by the laws above."
+            if found.right
+            else "No law that was checked shows which side is right."
+        )
+    parts: list[Part] = [
+        _table("Releases that were tried", tried, "release from_first from_last like"),
+        Paragraph(answer, Tone.ANSWER),
+        *(
+            [Bullets(differences, "One step from the same state")]
+            if differences
+            else []
+        ),
+        _table("Compiled fields", found.fields, "field where count before after"),
+        _table(
+            "Contacts (the five pairs that differ most; --json has all)",
+            found.pairs[:MAX_PAIRS],
+            "pair contacts_before contacts_after depth_before_m depth_after_m",
+        ),
+        _table(
+            "Motions that end differently",
+            found.settled,
+            "segment body end_before end_after moved_before_m moved_after_m",
+        ),
+        _table(
+            "Laws: the largest miss of each side, as a fraction",
+            found.rulings,
+            "law before after states right",
+        ),
+        *(Paragraph(note, Tone.ANSWER) for note in notes),
+    ]
+    shown = [part for part in parts if not isinstance(part, Table) or part.rows]
+    row = asdict(found) | {"tried": [asdict(release) for release in tried]}
+    return Document(parts=shown, rows=[row])
+
+
+def motions_document(found: MotionComparison, scores: ScoreComparison) -> Document:
+    """Return where two motions differ first, and the scores of both."""
+    from gauge_envs.tools.compare import short_tables
+
+    sides = f"{found.before} and {found.after}"
+    largest = f"{quantity_text(found.largest)} {found.unit}"
+    noise = f"{quantity_text(found.noise)} {found.unit}, from an initial position 1e-9 m apart"
+    parts: list[Part] = list(short_tables(scores))
+    if found.verdict is Verdict.DIFFERENT:
+        answer = (
+            f"{sides} give different motions of {found.subject}: {found.coordinate} differs first, after "
+            f"{found.first_s:.3g} s by {quantity_text(found.difference)} {found.unit} (noise: {noise}). The largest "
+            f"difference is {largest}."
+        )
+        right = f"{found.right or 'Neither side'} is closer to the reference beyond its uncertainty."
+        parts.append(Paragraph(right, Tone.ANSWER))
+    else:
+        how = f"within its noise: they differ by {largest} or less (noise: {noise})"
+        is_identical = found.verdict is Verdict.IDENTICAL
+        answer = f"{sides} give the same motion of {found.subject}, {'bit for bit' if is_identical else how}."
+    return Document(
+        parts=[Paragraph(answer, Tone.ANSWER), *parts], rows=[asdict(found)]
+    )
+
+
+RETURNS = {
+    Verdict.IDENTICAL: "equal returns, bit for bit,",
+    Verdict.SAME: "returns that do not differ significantly",
+    Verdict.DIFFERENT: "different mean returns or successes",
+}
+
+
+def returns_document(found: ReturnComparison) -> Document:
+    """Return what a policy reaches on both sides."""
+    rows = {
+        "return": (*found.returns, found.change),
+        "success": (*found.success, found.success_change),
+    }
+    table = _table(
+        "Means with 95 % intervals; the change is seed by seed",
+        [
+            {"name": name, "before": before, "after": after, "change": change}
+            for name, (before, after, change) in rows.items()
+        ],
+        "name before after change",
+    )
+    answer = (
+        f"{found.before} and {found.after} give {RETURNS[found.verdict]} in {found.subject}, over "
+        f"{counted(found.seeds, 'seed')}."
+    )
+    return Document(parts=[Paragraph(answer, Tone.ANSWER), table], rows=[asdict(found)])
+
+
+def _table(title: str, rows: Sequence[Any], names: str) -> Table:
+    """Return a table of values by their names; `_m` at the end is the unit."""
+    columns = [
+        Column(
+            name,
+            name.removesuffix("_m").replace("_", " "),
+            _text,
+            unit="m" * name.endswith("_m"),
+        )
+        for name in names.split()
+    ]
+    return Table(title=title, columns=tuple(columns), rows=rows)
+
+
+def _text(value: Any) -> str:
+    """Return a value of a row: a number, an estimate, or a list."""
+    if isinstance(value, Estimate):
+        interval = None if value.low is None else (value.low, value.high or 0.0)
+        return interval_text(value.value, interval, lambda number: f"{number:.4g}")
+    if isinstance(value, float):
+        return quantity_text(value)
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_text, value)) or "none"
+    return value_text(value)

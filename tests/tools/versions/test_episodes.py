@@ -1,0 +1,159 @@
+"""Whole episodes on two sides: motions of an experiment, and returns of a policy."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from planted_models import side
+
+from gauge_envs.errors import ParameterError
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result_file import write_result
+from gauge_envs.tools.versions import episodes
+from gauge_envs.tools.versions.episodes import compare_motions, compare_returns
+from gauge_envs.tools.versions.schema import Verdict
+from gauge_envs.tools.versions.sides import compares_motions, read_side
+
+
+def read_sides(*texts):
+    return [read_side(str(text))[0] for text in texts]
+
+
+def test_engines_are_compared_as_motions():
+    sides = read_sides("mujoco", "pybullet")
+    assert compares_motions("SlopeSlider-2-wood", sides)
+    found, scores = compare_motions("SlopeSlider-2-wood", *sides, seed=0)
+    assert found.verdict is Verdict.DIFFERENT
+    assert found.difference > 10.0 * found.noise
+    assert found.first_s < 0.1
+    # No score separates them: their paths are within 0.3 mm.
+    assert (found.right, len(scores.configurations)) == ("", 2)
+
+
+def test_a_release_of_an_engine_runs_in_a_process_that_imports_it(
+    tmp_path, monkeypatch
+):
+    """The environment of the release is the one of this test here, so that the motions are equal."""
+    monkeypatch.setattr(
+        episodes, "make_environment", lambda *words: tmp_path / "bin" / "python"
+    )
+    commands = []
+
+    def run_process(command, title, variables):
+        commands.append(variables)
+        run_process_of(command, title, variables)
+
+    run_process_of = episodes.run_process
+    monkeypatch.setattr(episodes, "run_process", run_process)
+    sides = read_sides("pybullet==3.2.7", "pybullet")
+    found, _ = compare_motions("BouncingBall-rubber", *sides, seed=0)
+    assert (found.verdict, found.largest) == (Verdict.IDENTICAL, 0.0)
+    assert found.noise > 0.0
+    assert str(tmp_path) in commands[0]["PYTHONPATH"]
+
+
+def test_a_result_file_is_the_motion_of_its_run(tmp_path):
+    file = tmp_path / "there.json"
+    write_result(run_episode(RunRequest("BouncingBall-rubber")), file)
+    sides = read_sides(file, "mujoco")
+    found, _ = compare_motions("BouncingBall-rubber", *sides, seed=0)
+    assert (found.verdict, found.largest) == (Verdict.IDENTICAL, 0.0)
+    # A difference as large as chaos makes of rounding is noise; an initial shift of a millimeter is not.
+    for shift_mm, verdict in ((1e-9, Verdict.SAME), (1.0, Verdict.DIFFERENT)):
+        result = json.loads(file.read_text())
+        for sample in result["trajectory"]["samples"]:
+            sample[0] += shift_mm
+        moved = tmp_path / "moved.json"
+        moved.write_text(json.dumps(result))
+        found, _ = compare_motions(
+            "BouncingBall-rubber", *read_sides(file, moved), seed=0
+        )
+        assert found.verdict is verdict
+    with pytest.raises(ParameterError, match="is a result of GAUGE/BouncingBall"):
+        compare_motions("SlopeSlider-2-wood", *sides, seed=0)
+
+
+POLICY = """
+import gymnasium
+
+
+class Counter(gymnasium.Env):
+    observation_space = action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+
+    def __init__(self):
+        import mujoco
+        self.model = mujoco.MjModel.from_xml_string("<mujoco/>")
+
+    def reset(self, seed=None, options=None):
+        self.offset, self.steps = float(seed), 0
+        return self.observation_space.low, {}
+
+    def step(self, action):
+        self.steps += 1
+        reward = float(action[0]) + self.offset - self.model.opt.timestep
+        return action, reward, self.steps == 3, False, {"is_success": action[0] > 1.0}
+
+
+def policy():
+    return lambda observation: observation + 2.0
+"""
+
+
+@pytest.mark.parametrize(
+    "is_scripted", [False, pytest.param(True, marks=pytest.mark.slow)]
+)
+def test_returns_of_a_policy_are_compared_seed_by_seed(
+    tmp_path, monkeypatch, is_scripted
+):
+    """Three steps of reward action + seed - time step: the sides differ by 0.003 in each episode."""
+    (tmp_path / "played.py").write_text(POLICY)
+    np.save(tmp_path / "actions.npy", np.array([[0.5], [0.25]]))
+    monkeypatch.chdir(tmp_path)
+    sides = [side("old"), side("new", timestep=0.003)]
+    options = {"policy": "actions.npy" if is_scripted else "played:policy"}
+    options |= {"seed": 5, "say": print}
+    found = compare_returns("played:Counter", *sides, seeds=3, **options)
+    # The policy adds 2 to an observation of -1, then to its own actions.
+    actions = 1.0 if is_scripted else 1.0 + 3.0 + 5.0
+    assert found.returns[0].value == pytest.approx(3 * 6.0 + actions - 0.006, abs=1e-6)
+    assert found.change.value == pytest.approx(-0.003)
+    assert found.verdict is Verdict.DIFFERENT
+    assert [share.value for share in found.success] == [float(not is_scripted)] * 2
+    # Student's t of returns that differ by 3 from seed to seed: 4.303 x 3 / sqrt(3).
+    half_width = found.returns[0].value - found.returns[0].low
+    assert half_width == pytest.approx(4.3027 * 3.0**0.5, rel=1e-4)
+    equal = compare_returns("played:Counter", sides[0], sides[0], seeds=2, **options)
+    assert equal.verdict is Verdict.IDENTICAL
+
+
+@pytest.mark.parametrize("policy", ["word", "absent.npy"])
+def test_what_is_no_policy(policy):
+    with pytest.raises(ParameterError, match=rf"--policy {policy}"):
+        compare_returns(
+            "Hopper-v5", side("a"), side("b"), policy=policy, seeds=1, seed=0, say=print
+        )
+
+
+def test_a_release_replaces_mujoco_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        episodes, "make_environment", lambda *words: tmp_path / "bin" / "python"
+    )
+    packages = tmp_path / episodes._packages_folder(tmp_path / "bin" / "python")
+    for name in ("mujoco", "typer"):
+        (packages / name).mkdir(parents=True)
+        (packages / name / "__init__.py").write_text("__version__ = '0.0'")
+    links = tmp_path / "links"
+    episodes._link_release("mujoco==3.3.0", links)
+    code = "import mujoco, typer; print(mujoco.__version__, typer.__version__)"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"PYTHONPATH": str(links)},
+    )
+    release, other = done.stdout.split()
+    assert (release, other != "0.0") == ("0.0", True)
