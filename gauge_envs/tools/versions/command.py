@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +12,7 @@ from gauge_envs.cli.output import Format, message, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.versions.schema import Release, Side
+    from gauge_envs.tools.versions.schema import Release
 
 
 def backend_versions(
@@ -32,7 +31,7 @@ def backend_versions(
             show_default=False,
             help="Two versions, as mujoco==3.3.0, or a range, as mujoco==3.1.0..4.0.0; mujoco is what is installed "
             "here. Settings may follow, as mujoco==4.0.0:jacobian=dense, or stand alone, as iterations=4. On an id, "
-            "engines as newton:preset=training, and result files (.json).",
+            "engines as newton:preset=training or rapier==0.36.0, and result files (.json).",
         ),
     ] = None,
     python: Annotated[
@@ -103,12 +102,14 @@ def backend_versions(
     from gauge_envs.tools.versions.sides import (
         compares_motions,
         interpreter_side,
+        read_sides,
         releases_between,
     )
     from gauge_envs.tools.versions.subject import bench
 
     files = arguments.by_suffix(out, ".md", ".json")
-    sides = [*_sides(versions or ()), *map(interpreter_side, python or ())]
+    named = [side for text in versions or () for side in read_sides(text)]
+    sides = [*named, *map(interpreter_side, python or ())]
     if len(sides) != 2:
         raise ParameterError(
             f"two versions are compared, {len(sides)} are given: write as in gauge backend versions {subject} "
@@ -143,21 +144,3 @@ def backend_versions(
             remove_environment(requirement)
     print_document(document, form, files=files)
     return verdict is Verdict.DIFFERENT
-
-
-def _sides(texts: Sequence[str]) -> list[Side]:
-    """Return the versions that the texts name."""
-    from gauge_envs.tools.versions.sides import read_side
-
-    sides: list[Side] = []
-    for text in texts:
-        head, _, changes = text.partition(":")
-        if "=" in head and "==" not in head:
-            # Settings alone belong to what is installed here.
-            changes = text
-        texts_of = (
-            arguments.assigned(text, arguments.split_values(changes)) if changes else {}
-        )
-        settings = {name: arguments.value_of(value) for name, value in texts_of.items()}
-        sides += read_side(text, settings)
-    return sides

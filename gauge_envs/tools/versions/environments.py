@@ -152,22 +152,18 @@ def _run(command: Sequence[str | Path], requirement: str) -> str:
     # Paths of the user's environment do not belong to the new one.
     foreign = ("PYTHONPATH", "PYTHONHOME", "PIP_TARGET", "PIP_USER")
     variables = {name: os.environ[name] for name in os.environ if name not in foreign}
-    done = subprocess.run(
-        command, capture_output=True, text=True, check=False, env=variables
-    )
+    done = subprocess.run(command, capture_output=True, text=True, env=variables)
     text = done.stdout + done.stderr
     if re.search(UNREACHED, text):
         raise VersionsError(
             f"{requirement}: the package index does not answer; --python FILE names an interpreter that has MuJoCo"
         )
     if done.returncode:
-        offered = re.search(r"\(from versions: (\S.*)\)", text)
-        newest = (
-            f"; the newest versions are {', '.join(offered[1].split(', ')[-5:])}"
-            if offered
-            else ""
-        )
-        raise VersionsError(f"{requirement}: {text.strip().splitlines()[-1]}{newest}")
+        cause = text.strip().splitlines()[-1]
+        if offered := re.search(r"\(from versions: (\S.*)\)", text):
+            newest = ", ".join(offered[1].split(", ")[-5:])
+            cause += f"; the newest versions are {newest}"
+        raise VersionsError(f"{requirement}: {cause}")
     return text
 
 
@@ -187,13 +183,10 @@ def run_process(
     Raises:
         VersionsError: It failed; the message has the last line of its error.
     """
-    variables = (
-        os.environ | {"OMP_NUM_THREADS": "1", "MUJOCO_GL": "disable"} | variables
-    )
+    fixed = {"OMP_NUM_THREADS": "1", "MUJOCO_GL": "disable"}
+    variables = os.environ | fixed | variables
     try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, check=False, env=variables
-        )
+        done = subprocess.run(command, capture_output=True, text=True, env=variables)
     except OSError as error:
         raise VersionsError(f"{title}: it cannot be started: {error}") from error
     # A traceback ends with the exception, whose message may have several lines.

@@ -45,6 +45,7 @@ from gauge_envs.tools.versions.sides import is_suite_id
 
 if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
+    from gauge_envs.runs.result import RecordedTrajectory
     from gauge_envs.tools.compare import Comparison as ScoreComparison
 
 PERTURBATION_M = 1e-9
@@ -81,7 +82,7 @@ def compare_motions(
     results, noises = [], []
     for side in sides:
         result, request = _result(subject, side, seed, say)
-        # A result file is compared with runs of this machine, its noise is that of this machine too.
+        # The noise of a result file is that of the same run here.
         plain = _run(request, side, say) if side.file else result
         jitter = Jitter(position_m=PERTURBATION_M, angle_rad=0.0)
         perturbed = _run(replace(request, jitter=jitter), side, say)
@@ -92,31 +93,37 @@ def compare_motions(
     noise = np.max([each[:count] for each in noises], axis=(0, 2))
     # Chaos that grew stays in what follows.
     noise = np.maximum.accumulate(noise)
-    times_s, positions = _samples(results[0])
+    trajectory = _trajectory(results[0])
+    times_s, positions = trajectory.arrays()
     moved = float(np.nanmax(np.abs(positions - positions[0]), initial=0.0))
     largest = np.max(distances, axis=1)
     limit = np.maximum(NOISE_FACTOR * noise, MIN_LIMIT * moved)
-    is_beyond = largest[:count] > limit
-    is_different = bool(np.any(is_beyond))
-    first = int(np.argmax(is_beyond)) if is_different else -1
     scores = compare(results)
-    trajectory = results[0].trajectory
-    assert trajectory is not None
-    coordinate = trajectory.coordinates[int(np.argmax(distances[first]))]
-    verdict = Verdict.SAME if np.any(distances) else Verdict.IDENTICAL
-    return MotionComparison(
+    found = MotionComparison(
         subject=subject,
         before=before.title,
         after=after.title,
-        verdict=Verdict.DIFFERENT if is_different else verdict,
+        verdict=Verdict.SAME if np.any(distances) else Verdict.IDENTICAL,
         unit=trajectory.unit,
-        first_s=float(times_s[first]) if is_different else None,
-        coordinate=coordinate_words(coordinate) if is_different else "",
-        difference=float(largest[first]) if is_different else 0.0,
+        first_s=None,
+        coordinate="",
+        difference=0.0,
         largest=float(np.max(distances)),
-        noise=float(noise[first]),
-        right=_closer(scores, results, sides) if is_different else "",
-    ), scores
+        noise=float(noise[-1]),
+        right="",
+    )
+    for index in np.flatnonzero(largest[:count] > limit)[:1]:
+        name = trajectory.coordinates[int(np.argmax(distances[index]))]
+        found = replace(
+            found,
+            verdict=Verdict.DIFFERENT,
+            first_s=float(times_s[index]),
+            coordinate=coordinate_words(name),
+            difference=float(largest[index]),
+            noise=float(noise[index]),
+            right=_closer(scores, results, sides),
+        )
+    return found, scores
 
 
 def _result(subject: str, side: Side, seed: int, say: Say) -> tuple[Result, RunRequest]:
@@ -148,13 +155,22 @@ def _run(request: RunRequest, side: Side, say: Say) -> Result:
     options = [f"--set={name}={value}" for name, value in side.settings.items()]
     if request.jitter is not None:
         options.append(f"--jitter={1e3 * request.jitter.position_m}mm")
+    experiment_id = request.calibrated_experiment().id
     with TemporaryDirectory(prefix="gauge-versions-") as folder:
+        options += ["--backend", side.engine, "--seed", str(request.seed)]
         code = "from gauge_envs.cli.app import main; main()"
-        words = ["run", request.calibrated_experiment().id, "--backend", side.engine]
-        words += ["--seed", str(request.seed), "--out", folder, *options]
         run_process(
-            [sys.executable, "-c", code, *words],
-            f"{side.title} cannot run {request.calibrated_experiment().id}",
+            [
+                sys.executable,
+                "-c",
+                code,
+                "run",
+                experiment_id,
+                "--out",
+                folder,
+                *options,
+            ],
+            f"{side.title} cannot run {experiment_id}",
             {"PYTHONPATH": _packages_folder(python)},
         )
         (file,) = Path(folder).rglob("*.json")
@@ -167,16 +183,16 @@ def _packages_folder(python: Path) -> str:
     return sysconfig.get_path("platlib", "venv", {"base": base, "platbase": base})
 
 
-def _samples(result: Result) -> tuple[FloatArray, FloatArray]:
-    """Return the times [s] and the coordinates of a motion."""
+def _trajectory(result: Result) -> RecordedTrajectory:
+    """Return the trajectory of a result."""
     if result.trajectory is None:
         raise ParameterError(f"{result.backend} has no trajectory: {result.error}")
-    return result.trajectory.arrays()
+    return result.trajectory
 
 
 def _distances(first: Result, second: Result) -> FloatArray:
     """Return the distance of each coordinate of two motions at their common times."""
-    motions = [_samples(result)[1] for result in (first, second)]
+    motions = [_trajectory(result).arrays()[1] for result in (first, second)]
     count = min(map(len, motions))
     # Where one side is not a number, the distance is infinite.
     return np.nan_to_num(np.abs(motions[0][:count] - motions[1][:count]), nan=np.inf)
@@ -208,8 +224,8 @@ class PolicyBench(Bench):
         if side.requirement:
             links = name.with_suffix(".packages")
             _link_release(side.requirement, links)
-            paths = [str(links), *filter(None, [os.environ.get("PYTHONPATH")])]
-            variables["PYTHONPATH"] = os.pathsep.join(paths)
+            paths = [str(links), os.environ.get("PYTHONPATH", "")]
+            variables["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
         python = side.python or sys.executable
         command: list[str | Path] = [python, "-B", WORKER, name.with_suffix(".job")]
         run_process(command, f"{side.title} cannot run {self.title}", variables)
@@ -251,6 +267,11 @@ def compare_returns(
         ParameterError: The policy is neither.
         VersionsError: A side cannot play the episodes.
     """
+    for side in (before, after):
+        if side.file or side.engine not in ("", "mujoco"):
+            raise ParameterError(
+                f"{side.title}: --policy compares releases of MuJoCo and its options"
+            )
     if not Path(policy).is_file() if policy.endswith(".npy") else ":" not in policy:
         raise ParameterError(
             f"--policy {policy}: expected module:function that returns a policy, or an existing file .npy of actions"

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import mujoco
 
+from gauge_envs.cli import arguments
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.registry import engine_points
@@ -21,9 +22,7 @@ from gauge_envs.tools.versions.environments import (
 )
 from gauge_envs.tools.versions.schema import Side
 
-RELEASES = re.compile(
-    r"(?P<name>[\w-]+)==(?P<first>\d[\w.]*?)(\.\.(?P<last>\d[\w.]*))?"
-)
+RELEASES = re.compile(r"[\w-]+==(\d[\w.]*?)(?:\.\.(\d[\w.]*))?")
 
 PACKAGES = {
     "mujoco": "mujoco",
@@ -42,45 +41,46 @@ FORMS = (
 )
 
 
-def read_side(text: str, settings: dict[str, object] | None = None) -> tuple[Side, ...]:
+def read_sides(text: str) -> list[Side]:
     """Return the side that a text names, or both ends of a range of releases.
 
     Args:
         text: In one of `FORMS`.
-        settings: Settings in the text, which the caller reads.
 
     Raises:
         ParameterError: The text names no side.
     """
     if text.endswith(".json"):
-        return (Side(title=text, file=text, settings={}),)
-    head, colon, rest = text.partition(":")
-    side = Side(title=text, settings=settings or {})
+        return [Side(title=text, file=text, settings={})]
     engines = [point.name for point in engine_points()]
-    engine_of = {package: engine for engine, package in PACKAGES.items()}
+    head, _, changes = text.partition(":")
+    name = re.split("=+", head)[0]
+    if "=" in head and "==" not in head and name.isidentifier() and name not in engines:
+        # Settings alone belong to what is installed here.
+        head, changes = "mujoco", text
+    values = arguments.split_values(changes) if changes else []
+    settings = {
+        key: arguments.value_of(value)
+        for key, value in arguments.assigned(text, values).items()
+    }
+    if head in engines:
+        python = sys.executable
+        return [Side(title=text, engine=head, python=python, settings=settings)]
     release = RELEASES.fullmatch(head)
-    if (
-        release
-        and (engine := engine_of.get(release["name"], release["name"])) in PACKAGES
-    ):
-        return tuple(
-            replace(
-                side,
-                title=f"{release['name']}=={version}{colon}{rest}",
-                requirement=f"{PACKAGES[engine]}=={version}",
-                engine="" if engine == "mujoco" else engine,
-            )
-            for version in (release["first"], release["last"])
-            if version
-        )
-    name, equals, _ = head.partition("=")
-    is_setting = equals and name.isidentifier() and "==" not in head
-    engine = "mujoco" if is_setting and name not in engines else head
-    if engine not in engines:
+    engine = {PACKAGES[each]: each for each in PACKAGES}.get(name, name)
+    if release is None or engine not in PACKAGES:
         raise ParameterError(
             f"{text!r} is no side: expected {FORMS}; engines: {', '.join(engines)}"
         )
-    return (replace(side, engine=engine, python=sys.executable),)
+    return [
+        Side(
+            title=f"{name}=={version}{text[len(head) :]}",
+            requirement=f"{PACKAGES[engine]}=={version}",
+            engine="" if engine == "mujoco" else engine,
+            settings=settings,
+        )
+        for version in filter(None, release.groups())
+    ]
 
 
 def interpreter_side(python: Path) -> Side:

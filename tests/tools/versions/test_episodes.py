@@ -15,15 +15,15 @@ from gauge_envs.runs.result_file import write_result
 from gauge_envs.tools.versions import episodes
 from gauge_envs.tools.versions.episodes import compare_motions, compare_returns
 from gauge_envs.tools.versions.schema import Verdict
-from gauge_envs.tools.versions.sides import compares_motions, read_side
+from gauge_envs.tools.versions.sides import compares_motions, read_sides
 
 
-def read_sides(*texts):
-    return [read_side(str(text))[0] for text in texts]
+def pair(*texts):
+    return [side for text in texts for side in read_sides(str(text))]
 
 
 def test_engines_are_compared_as_motions():
-    sides = read_sides("mujoco", "pybullet")
+    sides = pair("mujoco", "pybullet")
     assert compares_motions("SlopeSlider-2-wood", sides)
     found, scores = compare_motions("SlopeSlider-2-wood", *sides, seed=0)
     assert found.verdict is Verdict.DIFFERENT
@@ -48,7 +48,7 @@ def test_a_release_of_an_engine_runs_in_a_process_that_imports_it(
 
     run_process_of = episodes.run_process
     monkeypatch.setattr(episodes, "run_process", run_process)
-    sides = read_sides("pybullet==3.2.7", "pybullet")
+    sides = pair("pybullet==3.2.7", "pybullet")
     found, _ = compare_motions("BouncingBall-rubber", *sides, seed=0)
     assert (found.verdict, found.largest) == (Verdict.IDENTICAL, 0.0)
     assert found.noise > 0.0
@@ -58,7 +58,7 @@ def test_a_release_of_an_engine_runs_in_a_process_that_imports_it(
 def test_a_result_file_is_the_motion_of_its_run(tmp_path):
     file = tmp_path / "there.json"
     write_result(run_episode(RunRequest("BouncingBall-rubber")), file)
-    sides = read_sides(file, "mujoco")
+    sides = pair(file, "mujoco")
     found, _ = compare_motions("BouncingBall-rubber", *sides, seed=0)
     assert (found.verdict, found.largest) == (Verdict.IDENTICAL, 0.0)
     # A difference as large as chaos makes of rounding is noise; an initial shift of a millimeter is not.
@@ -68,9 +68,7 @@ def test_a_result_file_is_the_motion_of_its_run(tmp_path):
             sample[0] += shift_mm
         moved = tmp_path / "moved.json"
         moved.write_text(json.dumps(result))
-        found, _ = compare_motions(
-            "BouncingBall-rubber", *read_sides(file, moved), seed=0
-        )
+        found, _ = compare_motions("BouncingBall-rubber", *pair(file, moved), seed=0)
         assert found.verdict is verdict
     with pytest.raises(ParameterError, match="is a result of GAUGE/BouncingBall"):
         compare_motions("SlopeSlider-2-wood", *sides, seed=0)
@@ -129,12 +127,18 @@ def test_returns_of_a_policy_are_compared_seed_by_seed(
     assert equal.verdict is Verdict.IDENTICAL
 
 
-@pytest.mark.parametrize("policy", ["word", "absent.npy"])
-def test_what_is_no_policy(policy):
-    with pytest.raises(ParameterError, match=rf"--policy {policy}"):
-        compare_returns(
-            "Hopper-v5", side("a"), side("b"), policy=policy, seeds=1, seed=0, say=print
-        )
+@pytest.mark.parametrize(
+    ("policy", "texts", "message"),
+    [
+        ("word", ("mujoco", "mujoco"), "--policy word: expected"),
+        ("absent.npy", ("mujoco", "mujoco"), "--policy absent.npy: expected"),
+        ("a:b", ("mujoco", "rapier==0.36.0"), "rapier==0.36.0: --policy compares"),
+    ],
+)
+def test_what_cannot_be_played(policy, texts, message):
+    options = {"policy": policy, "seeds": 1, "seed": 0, "say": print}
+    with pytest.raises(ParameterError, match=message):
+        compare_returns("Hopper-v5", *pair(*texts), **options)
 
 
 def test_a_release_replaces_mujoco_alone(tmp_path, monkeypatch):

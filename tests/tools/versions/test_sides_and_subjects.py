@@ -17,7 +17,7 @@ from gauge_envs.tools.versions.environments import Bench, VersionsError
 from gauge_envs.tools.versions.sides import (
     compares_motions,
     interpreter_side,
-    read_side,
+    read_sides,
     releases_between,
 )
 from gauge_envs.tools.versions.subject import check_states, read_subject
@@ -26,16 +26,16 @@ from gauge_envs.tools.versions.subject import check_states, read_subject
 
 
 def test_versions_are_read():
-    (release,) = read_side("mujoco==3.3.0:iterations=4", {"iterations": 4})
-    assert (release.title, release.requirement) == (
-        "mujoco==3.3.0:iterations=4",
-        "mujoco==3.3.0",
-    )
-    ends = read_side("mujoco==3.1.0..4.0.0")
+    (release,) = read_sides("mujoco==3.3.0:iterations=4,gravity=[0,0,-1]")
+    assert release.settings == {"iterations": 4, "gravity": [0, 0, -1]}
+    assert release.requirement == "mujoco==3.3.0"
+    ends = read_sides("mujoco==3.1.0..4.0.0")
     assert [end.requirement for end in ends] == ["mujoco==3.1.0", "mujoco==4.0.0"]
-    (rapier,) = read_side("rapier==0.36.0")
+    (rapier,) = read_sides("rapier==0.36.0")
     assert (rapier.engine, rapier.requirement) == ("rapier", "rapier3d==0.36.0")
-    assert read_side("mujoco")[0].python == sys.executable
+    assert read_sides("mujoco")[0].python == sys.executable
+    (alone,) = read_sides("iterations=4")
+    assert (alone.engine, alone.settings) == ("mujoco", {"iterations": 4})
 
 
 @pytest.mark.parametrize(
@@ -43,7 +43,7 @@ def test_versions_are_read():
 )
 def test_what_names_no_version_is_an_error_with_the_forms(text):
     with pytest.raises(ParameterError, match="expected mujoco=="):
-        read_side(text)
+        read_sides(text)
 
 
 @pytest.mark.parametrize(
@@ -57,8 +57,7 @@ def test_what_names_no_version_is_an_error_with_the_forms(text):
 def test_versions_that_cannot_be_compared(subject, texts, message):
     sides = []
     for text in texts:
-        settings = {"preset": "training"} if ":" in text else {}
-        sides += read_side(text, settings)
+        sides += read_sides(text)
     with pytest.raises(ParameterError, match=message):
         compares_motions(subject, sides)
 
@@ -124,10 +123,10 @@ def test_an_environment_is_made_once_and_leftovers_go(cache, monkeypatch):
 
 def test_a_range_has_the_releases_of_the_index_between_its_ends(cache, monkeypatch):
     pip(monkeypatch, "mujoco (4.0.0)\nAvailable versions: 3.10.0, 3.9.0, 3.3.0\n", 0)
-    releases = releases_between(read_side("mujoco==3.9..3.10.0"), print)
+    releases = releases_between(read_sides("mujoco==3.9..3.10.0"), print)
     assert [each.title for each in releases] == ["mujoco==3.9.0", "mujoco==3.10.0"]
     with pytest.raises(ParameterError, match=r"newest are 3\.3\.0, 3\.9\.0, 3\.10\.0"):
-        releases_between(read_side("mujoco==3.3.1..3.8"), print)
+        releases_between(read_sides("mujoco==3.3.1..3.8"), print)
 
 
 def started(folder, model):
