@@ -44,8 +44,7 @@ from gauge_envs.tools.versions.schema import (
 from gauge_envs.tools.versions.sides import is_suite_id
 
 if TYPE_CHECKING:
-    from gauge_envs.runs.result import Result
-    from gauge_envs.runs.result import RecordedTrajectory
+    from gauge_envs.runs.result import RecordedTrajectory, Result
     from gauge_envs.tools.compare import Comparison as ScoreComparison
 
 PERTURBATION_M = 1e-9
