@@ -11,7 +11,7 @@ import pytest
 @pytest.mark.parametrize(
     "name",
     [
-        "gauge_envs.tools.control.wrapper",
+        "gauge_envs.tools.control.env",
         "gauge_envs.envs.dm_env",
         "gauge_envs.envs.env",
         "gauge_envs.tools.sanity",

@@ -87,12 +87,7 @@ def test_what_moves_is_in_the_picture_and_fills_half_of_it(name):
 def test_a_body_that_actions_drive_stays_in_the_picture(task):
     env = gymnasium.make(f"GAUGE/{task}").unwrapped
     assert isinstance(env, ControlEnv)
-    reach_m = env.reach_m()
-    view = (
-        experiment_view(env.experiment)
-        if reach_m is None
-        else scene_view(env.experiment.scene, reach_m)
-    )
+    view = View(**{**experiment_view(env.experiment).model_dump(), **env.CAMERA})
     env.reset(seed=0)
     places_m = []
     over = False

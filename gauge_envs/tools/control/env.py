@@ -1,8 +1,7 @@
 """Base of the control tasks: a calibrated scene whose driver is the action, stepped at the frame rate of the trials.
 
-The module of a task reads in the order of dm_control's suite: constants; the scene and its limit; *physics*, which
-drives the world and reads quantities from it; *task*, which starts, observes and ends an episode; *reward*; and the
-policy of the law.
+The module of a task reads in the order of dm_control's suite: the numbers of the task; the scene and its limit; the
+hooks of an episode in the order in which `reset` and `step` call them; and the policy of the law.
 """
 
 from abc import ABC, abstractmethod
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.registry import versions_of
 from gauge_envs.envs.arguments import EnvArguments, checked_action
+from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.initial_states import SEEDS, InitialStates, Scatter
 from gauge_envs.envs.limits import (
     DISTANCE_LIMIT_M,
@@ -26,8 +26,9 @@ from gauge_envs.envs.limits import (
     diverged_nodes,
     spans_m,
 )
-from gauge_envs.envs.pictures import RENDER_MODES, Pictures, Rendered
+from gauge_envs.envs.pictures import Pictures, Rendered
 from gauge_envs.envs.rollout import intervals
+from gauge_envs.envs.wrappers import EndWrapper
 from gauge_envs.errors import EpisodeError, ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
@@ -38,7 +39,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter, perturbed_states
 from gauge_envs.scene.states import scene_at
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
-from gauge_envs.tools.control.limit import Ending, Limit, LimitReport, pair_friction
+from gauge_envs.tools.control.limit import Ending, Limit, LimitReport
 from gauge_envs.tools.control.stage import Stage
 
 BOUNDS: Mapping[str, float] = {
@@ -66,29 +67,33 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         backend: Name of an installed physics engine.
         parameters: `calibrated`, another parameter set of the task file, or overrides such as
             `{"cube.friction": 0.3}`.
-        settings: Numerical settings of the engine that replace those of the preset, and of `OWN_STEPS_S`.
+        settings: Numerical settings of the engine that replace those of the preset, and of `MUJOCO_TIMESTEPS_S`.
         render_mode: None; `human` for a window that the mouse turns, drawn by `reset` and `step`; `rgb_array`;
             `depth_array`, the distance from the plane of the camera [m], float32; `rgbd_tuple`, both.
         width: Picture width [pixels]; None is 640.
         height: Picture height [pixels]; None is 480.
         camera: Entries that replace those of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
             `elevation_deg`.
-        jitter: Noise of the start of every episode, as of `GaugeEnv`: `real`, or a `Jitter`. The random numbers of
+        jitter: Noise of the start of every episode, as for `GaugeEnv`: `real`, or a `Jitter`. The random numbers of
             the environment draw it, then the goal, if any.
 
     Attributes:
-        SCENE: Variant that states the scene, without its material, as `Turntable-1`.
+        SCENE: Variant whose scene the task uses, without its material, as `Turntable-1`.
         QUANTITY: The quantity that the law limits, in words.
         UNIT: Its unit; `1` for a ratio.
         LAW: The law, in words and symbols.
         SIGMA_SOURCE: Source of the limit's uncertainty.
         STEPS: Steps of an episode, one for each frame after the first.
-        OWN_STEPS_S: Time steps of the task [s] by engine and preset, in place of those of the preset; studies/steps
-            has the rule that chose them.
+        MUJOCO_TIMESTEPS_S: Time steps of the task in MuJoCo [s] by preset, in place of those of the preset;
+            studies/steps has the rule that chose them.
+        CAMERA: Entries of the camera that show all places to which actions bring bodies; empty for the scene's.
         COMMANDED: Names of the action's entries.
         OBSERVED: Names of the observation's entries, with units.
+        TIME_LIMIT_ENDING: Ending of an episode that reaches its last frame.
         arguments: Variant of the scene, engine, parameters and settings.
         experiment: The experiment, with the drivers and the duration of the task.
+        calibrated: The scene of the experiment with its calibrated constants, before the task changes it.
+        gravity_m_per_s2: Gravity of the scene.
         limit: The best that the law allows.
         simulation: The simulation, of one world.
         moving: Names of the bodies that move.
@@ -96,20 +101,19 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         versions: Versions of the engine's packages.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium declares it without ClassVar
-        "render_modes": [*RENDER_MODES],
-        "render_fps": int(FRAME_RATE_HZ),
-    }
+    metadata = GaugeEnv.metadata
 
     SCENE: ClassVar[str]
+    QUANTITY: ClassVar[str]
+    UNIT: ClassVar[str] = "1"
     LAW: ClassVar[str]
     SIGMA_SOURCE: ClassVar[str]
     STEPS: ClassVar[int]
-    OWN_STEPS_S: ClassVar[Mapping[str, Mapping[str, float]]] = {}
+    MUJOCO_TIMESTEPS_S: ClassVar[Mapping[str, float]] = {}
+    CAMERA: ClassVar[Mapping[str, Any]] = {}
     COMMANDED: ClassVar[tuple[str, ...]]
     OBSERVED: ClassVar[tuple[str, ...]]
-    QUANTITY: ClassVar[str]
-    UNIT: ClassVar[str] = "1"
+    TIME_LIMIT_ENDING: ClassVar[Ending] = Ending.MISSED
 
     def __init__(
         self,
@@ -125,21 +129,25 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         jitter: Scatter = None,
     ) -> None:
         self.render_mode = render_mode
-        self._pictures = Pictures(
-            render_mode, width=width, height=height, camera=camera
-        )
+        view = {**self.CAMERA, **(camera or {})}
+        self._pictures = Pictures(render_mode, width=width, height=height, camera=view)
         self._variant = find_variant(f"{self.SCENE}-{material}")
+        self.calibrated = load_experiment(self._variant).scene
+        settings = settings or {}
+        preset = settings.get("preset", "default")
+        if backend == "mujoco" and preset in self.MUJOCO_TIMESTEPS_S:
+            settings = {"timestep_s": self.MUJOCO_TIMESTEPS_S[preset], **settings}
         self.arguments = EnvArguments(
             self._variant,
             backend=backend,
             parameters=self._start_parameters(parameters),
-            settings=self._with_own_step(backend, settings),
+            settings=settings or None,
         )
-        stated = self.arguments.experiment()
-        scene = replace(self._scene(stated.scene), duration_s=self.duration_s)
-        self.experiment = replace(stated, scene=scene, frame_count=self.STEPS + 1)
+        experiment = self.arguments.experiment()
+        scene = replace(self._scene(experiment.scene), duration_s=self.duration_s)
+        self.experiment = replace(experiment, scene=scene, frame_count=self.STEPS + 1)
+        self.gravity_m_per_s2 = scene.gravity_m_per_s2
         self._initial_states = InitialStates(self.experiment, jitter)
-        self._is_moved = False
         self.simulation = self.arguments.simulation([self.experiment])
         self.versions = versions_of(backend)
         self._dynamic = [body.name for body in scene.dynamic_bodies]
@@ -149,27 +157,13 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         self._ending: Ending | None = None
         self._is_closed = False
         self._observations: list[FloatArray] = []
-        self._prepare(scene)
-        self.limit = self._limit()
+        self._start_from(scene)
         bounds = np.array([_bound(name) for name in self.OBSERVED])
         self.observation_space = spaces.Box(-bounds, bounds, dtype=np.float64)
         # Learners act in single precision.
         self.action_space = spaces.Box(-1.0, 1.0, (len(self.COMMANDED),), np.float32)
 
-    def _with_own_step(
-        self, backend: str, settings: Mapping[str, Any] | None
-    ) -> Mapping[str, Any] | None:
-        """Return the settings, with the task's own step unless they state one."""
-        preset = (settings or {}).get("preset", "default")
-        step_s = self.OWN_STEPS_S.get(backend, {}).get(preset)
-        if step_s is None:
-            return settings
-        return {"timestep_s": step_s, **(settings or {})}
-
-    # --- what a task states ---
-
-    _at_time_limit: ClassVar[Ending]
-    """Ending of an episode that reaches its last frame."""
+    # --- hooks: scene and limit ---
 
     _stage: Stage | None = None
     """The body that actions accelerate, or None."""
@@ -179,60 +173,43 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         return parameters
 
     @abstractmethod
-    def _scene(self, stated: Scene) -> Scene:
+    def _scene(self, scene: Scene) -> Scene:
         """Return the scene of the task, from that of the experiment.
 
-        Drivers have no motion of their own; their residual rates state how fast actions may move them.
+        Drivers have no motion of their own; their residual rates limit how fast actions may move them.
         """
 
-    def _clear(self, states: FloatArray) -> None:
-        """Move what the task adds out of the way of bodies that start elsewhere; states have shape [body_count, 13]."""
+    def _follow(self, states: FloatArray) -> None:
+        """Move what the task adds along with bodies that start elsewhere; states have shape [body_count, 13]."""
 
     @abstractmethod
     def _prepare(self, scene: Scene) -> None:
         """Compute what stays the same in all episodes from a start, from the scene of the task with that start."""
 
     @abstractmethod
-    def _limit_and_sigma(self) -> tuple[float, float]:
+    def _limit(self) -> tuple[float, float]:
         """Return the largest value that the law allows, and its standard uncertainty."""
 
-    def _limit(self) -> Limit:
-        value, sigma = self._limit_and_sigma()
-        return Limit(
-            quantity=self.QUANTITY,
-            unit=self.UNIT,
-            value=value,
-            sigma=sigma,
-            law=self.LAW,
-            sigma_source=self.SIGMA_SOURCE,
-        )
-
-    def _friction_and_sigma(self, *pair: str) -> tuple[float, float]:
-        """Return the friction coefficient of two bodies, and its uncertainty."""
-        # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
-        calibrated = pair_friction(load_experiment(self._variant).scene, *pair)
-        sigma = friction_std(calibrated, self._variant.material)
-        return pair_friction(self.experiment.scene, *pair), sigma
+    # --- hooks: an episode ---
 
     @abstractmethod
     def _begin(self) -> None:
         """Record the start of an episode; the simulation is at it."""
 
-    @abstractmethod
-    def _accelerate(self, command: FloatArray) -> FloatArray:
-        """Return the accelerations of the stage in a frame, one for each coordinate, or apply the action otherwise."""
+    def _before_step(self, command: FloatArray) -> None:
+        """Apply an action other than the acceleration of the stage."""
 
     @abstractmethod
-    def _look(self) -> Ending | None:
+    def _after_interval(self) -> Ending | None:
         """Read the world, which has advanced by 1/180 s; return the ending, if the episode ended in it."""
 
-    def _frame_ending(self) -> Ending | None:
-        """Return the ending, if the episode ended with the frame, after its last look."""
+    def _after_step(self) -> Ending | None:
+        """Return the ending, if the episode ended with the frame."""
         return None
 
     @abstractmethod
-    def _earned(self, ending: Ending | None) -> float:
-        """Return the sum of all rewards so far, up to a constant; the last frame may have ended the episode."""
+    def _total_reward(self) -> float:
+        """Return the sum of all rewards so far, up to a constant; `_ending` is known if the episode ended."""
 
     @abstractmethod
     def _observation(self) -> FloatArray:
@@ -277,77 +254,102 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
             seed: Seed of the random numbers, which draw the noise of the start and the goal, if there are any.
                 Without it they go on.
             options: `{"jitter": True}` adds noise to the start, as for `GaugeEnv`; it holds for autoreset too.
-        """
-        self._check_open("reset")
-        super().reset(seed=seed)
-        starts = self._starts(options, seeded=seed is not None)
-        self.simulation.reset(starts, seed or 0)
-        if self._stage is not None:
-            self._stage.reset()
-        self._frame, self._ending = 0, None
-        self._begin()
-        self._paid = self._earned(None)
-        self._observations = [self._observation()]
-        self._show()
-        return self._observations[0], self._info()
 
-    def _starts(
-        self, options: Mapping[str, Any] | None, *, seeded: bool
-    ) -> FloatArray | None:
-        """Draw the start and prepare the task for it; return its states, shape [1, body_count, 13], or None."""
-        if isinstance(options, Mapping) and options.get("trial") is not None:
+        Raises:
+            EpisodeError: The environment is closed.
+            ParameterError: There is no such option, or no body of the scene can start elsewhere.
+        """
+        self._check("reset")
+        super().reset(seed=seed)
+        draw = self._initial_states.of_reset(options, seeded=seed is not None)
+        if isinstance(draw, int):
             raise ParameterError(
                 f"reset of {type(self).__name__} has no option 'trial': its episodes are no recorded trials"
             )
-        draw = self._initial_states.of_reset(options, seeded=seeded)
         scene, states = self.experiment.scene, None
         if isinstance(draw, Jitter):
-            seed = int(self.np_random.integers(SEEDS))
-            states = perturbed_states(scene, draw, seed=seed)
-            self._clear(states)
-            scene = scene_at(scene, states)
-        if self._is_moved or states is not None:
-            self._prepare(scene)
-            self.limit = self._limit()
-        self._is_moved = states is not None
-        return None if states is None else states[None]
+            start_seed = int(self.np_random.integers(SEEDS))
+            states = perturbed_states(scene, draw, seed=start_seed)
+            self._follow(states)
+            scene, states = scene_at(scene, states), states[None]
+        self._start_from(scene)
+        self.simulation.reset(states, seed or 0)
+        self._frame, self._ending = 0, None
+        self._begin()
+        self._rewarded = self._total_reward()
+        self._observations = []
+        return self._observe(), self._info()
+
+    def _start_from(self, scene: Scene) -> None:
+        """Prepare the task and its limit for the start of a scene."""
+        self._prepare(scene)
+        value, sigma = self._limit()
+        self.limit = Limit(
+            quantity=self.QUANTITY,
+            unit=self.UNIT,
+            value=value,
+            sigma=sigma,
+            law=self.LAW,
+            sigma_source=self.SIGMA_SOURCE,
+        )
 
     def step(self, action: Any) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
-        """Simulate one frame, 1/30 s, or less if the episode ends within it."""
-        self._check_started("step")
-        if self._ending is not None:
+        """Simulate one frame, 1/30 s, or less if the episode ends within it.
+
+        Raises:
+            ActionError: The action has the wrong shape, is out of range or is not a number.
+            EpisodeError: The environment was not reset, or the episode is over.
+        """
+        self._check("step")
+        if self.is_over:
             raise EpisodeError(
                 f"{type(self).__name__}: the episode is over, call reset"
             )
-        ending = self._run(checked_action(action, self.action_space))
-        before, self._paid = self._paid, self._earned(ending)
-        reward = self._paid - before
+        self._ending = self._run_frame(checked_action(action, self.action_space))
+        before, self._rewarded = self._rewarded, self._total_reward()
+        reward = self._rewarded - before
         self._frame = (self._frame or 0) + 1
         info = self._info()
-        fault = self._divergence()
-        if fault is not None:
-            info["diverged"], ending, reward = fault, Ending.DIVERGED, 0.0
-        terminated = ending is not None
+        reason = self._divergence()
+        if reason is not None:
+            info["diverged"], self._ending, reward = reason, Ending.DIVERGED, 0.0
+        terminated = self.is_over
         truncated = not terminated and self._frame == self.STEPS
-        self._ending = self._at_time_limit if truncated else ending
-        observation = self._observation()
-        self._observations.append(observation)
-        self._show()
-        return observation, reward, terminated, truncated, info
+        if truncated:
+            self._ending = self.TIME_LIMIT_ENDING
+        return self._observe(), reward, terminated, truncated, info
 
-    def _run(self, command: FloatArray) -> Ending | None:
+    def _run_frame(self, command: FloatArray) -> Ending | None:
         """Drive and advance the intervals of a frame, until the episode ends."""
+        self._before_step(command)
         stages = [] if self._stage is None else [self._stage]
-        accelerations = [self._accelerate(command)[None]] * len(stages)
-        for index in intervals(
-            self.simulation, stages, 0, SAMPLES_PER_FRAME, accelerations
-        ):
+        actions = [command[None]] * len(stages)
+        for index in intervals(self.simulation, stages, 0, SAMPLES_PER_FRAME, actions):
             for stage in stages:
                 stage.sample = index + 1
-            ending = self._look()
+            ending = self._after_interval()
             if ending is not None:
                 return ending
-        return self._frame_ending()
+        return self._after_step()
+
+    def _observe(self) -> FloatArray:
+        """Record and return the observation, and draw it if there is a window."""
+        self._observations.append(self._observation())
+        if self.render_mode == "human":
+            self.render()
+        return self._observations[-1]
+
+    def _info(self) -> dict[str, Any]:
+        return {"frame": self._frame, "time_s": self.time_s}
+
+    def _divergence(self) -> str | None:
+        """Return why the simulation counts as diverged, the engine's reason first, or None."""
+        states = self.simulation.body_states(self._dynamic)
+        reasons = diverged_bodies(self._dynamic, states)
+        for name, rest_m in self.rest_nodes_m.items():
+            span_m = float(spans_m(rest_m[None])[0])
+            reasons |= diverged_nodes(name, self.simulation.nodes(name), span_m)
+        return (reasons | dict(self.simulation.diverged())).get(0)
 
     def trajectory(self) -> FloatArray:
         """Return the observations of the episode so far, from the start on, shape [frame + 1, len(OBSERVED)]."""
@@ -359,7 +361,11 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         return self._ending is not None
 
     def report(self) -> LimitReport:
-        """Return what the policy reached in the episode and what the law allows."""
+        """Return what the policy reached in the episode and what the law allows.
+
+        Raises:
+            EpisodeError: The episode is not over.
+        """
         if self._ending is None:
             raise EpisodeError(
                 f"{type(self).__name__}: an episode is reported when it is over"
@@ -369,28 +375,15 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
             limit=self.limit, reached=reached, ending=self._ending, time_s=self.time_s
         )
 
-    def _info(self) -> dict[str, Any]:
-        return {"frame": self._frame, "time_s": self.time_s}
-
-    def _divergence(self) -> str | None:
-        """Return why the simulation counts as diverged, the engine's reason first, or None."""
-        states = self.simulation.body_states(self._dynamic)
-        found = diverged_bodies(self._dynamic, states)
-        for name, rest_m in self.rest_nodes_m.items():
-            span_m = float(spans_m(rest_m[None])[0])
-            found |= diverged_nodes(name, self.simulation.nodes(name), span_m)
-        return (found | dict(self.simulation.diverged())).get(0)
-
-    def _check_open(self, call: str) -> None:
+    def _check(self, call: str) -> None:
+        """Raise an error if a method cannot be called now."""
+        name = type(self).__name__
         if self._is_closed:
             raise EpisodeError(
-                f"{type(self).__name__}: {call} after close; make the environment again"
+                f"{name}: {call} after close; make the environment again"
             )
-
-    def _check_started(self, call: str) -> None:
-        self._check_open(call)
-        if self._frame is None:
-            raise EpisodeError(f"{type(self).__name__}: call reset before {call}")
+        if self._frame is None and call != "reset":
+            raise EpisodeError(f"{name}: call reset before {call}")
 
     def close(self) -> None:
         """Free the simulation and the renderer. A second call does nothing."""
@@ -405,6 +398,19 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """Return the state of a rigid body, shape [13]."""
         return self.simulation.body_states((name,))[0, 0]
 
+    def _friction_limit(self, *pair: str) -> tuple[float, float]:
+        """Return the friction coefficient of two bodies that touch, and its standard uncertainty."""
+        # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
+        value, calibrated = (
+            next(
+                contact.friction
+                for contact in scene.contacts
+                if {*pair} <= {*contact.first, *contact.second}
+            )
+            for scene in (self.experiment.scene, self.calibrated)
+        )
+        return value, friction_std(calibrated, self._variant.material)
+
     def nodes_m(self) -> dict[str, FloatArray]:
         """Return the nodes of each deformable body now [m], shape [node_count, 3], by name."""
         return {
@@ -417,29 +423,45 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         states = self.simulation.body_states(self.moving)[0]
         return dict(zip(self.moving, states[:, :7], strict=True))
 
-    def reach_m(self) -> FloatArray | None:
-        """Return places that actions bring bodies to [m], shape [..., 3]; None where the camera shows all."""
-        return None
-
     def render(self) -> Rendered | None:
         """Return a picture of the scene in the form of the render mode; None without one, and with a window."""
         if self.render_mode is None:
             return None
-        self._check_started("render")
+        self._check("render")
         return self._pictures.draw(
             self.experiment,
             self.rest_nodes_m,
-            reach_m=self.reach_m(),
             poses=self.moving_poses(),
             nodes_m=self.nodes_m(),
         )
-
-    def _show(self) -> None:
-        """Draw what a reset or a step has reached, in the window if there is one."""
-        if self.render_mode == "human":
-            self.render()
 
 
 def _bound(name: str) -> float:
     """Return the bound on an entry of an observation."""
     return next(bound for end, bound in BOUNDS.items() if name.endswith(end))
+
+
+class ReportLimit(EndWrapper):
+    """Report what the policy reached and what the law allows when an episode ends.
+
+    `gymnasium.make` applies it to the ids of control tasks. It adds to `info` at the last step: `limit`, a
+    `gauge_envs.tools.control.limit.LimitReport`. An episode that another wrapper cuts short has no report.
+
+    Example:
+        >>> import gymnasium as gym, gauge_envs
+        >>> env = gym.make("GAUGE/SlopeSlider-Limit-metal")
+        >>> _ = env.reset(seed=0)
+        >>> over = False
+        >>> while not over:
+        ...     *_, terminated, truncated, info = env.step(env.unwrapped.law_action(0.98))
+        ...     over = terminated or truncated
+        >>> report = info["limit"]
+        >>> print(report.ending, f"{report.reached:.3f} of {report.limit.value:.3f}, ratio {report.ratio:.2f}")
+        held 0.258 of 0.263, ratio 0.98
+    """
+
+    def _add(self, info: dict[str, Any]) -> None:
+        env = self.unwrapped
+        assert isinstance(env, ControlEnv)
+        if env.is_over:
+            info["limit"] = env.report()

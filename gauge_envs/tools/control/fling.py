@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import material_points
 from gauge_envs.scene import Cloth, Scene
 from gauge_envs.scene.geometry import FloatArray
@@ -20,13 +19,11 @@ ROD = "rod"
 
 SPEED_SIGMA = 0.05 / 0.67
 """Relative uncertainty of the rod's speed in the recording (0.67 +- 0.05 m/s, tasks/textile_flinging.toml)."""
-
 CELLS = (20, 16)
 """Number of parts of the cloth along warp and weft, whose middles give the centre of mass."""
-
 LINES = {"upper": 1 / 3, "lower": 2 / 3, "hem": 1.0}
 """Observed lines across the cloth: their distance from the rod over the cloth's length."""
-
+PLACES = ("centre", *LINES)
 PUSHES = 5
 """Number of pushes in which the law's policy spends the speed: more swing higher, and take longer."""
 
@@ -63,96 +60,82 @@ class FlingLimit(ControlEnv):
     SIGMA_SOURCE = (
         "the rod's largest speed in the recording, half of U: 0.67 +- 0.05 m/s"
     )
-
     STEPS = EPISODE_STEPS["Fling"]
     """Time of an episode; the law's policy takes 2.7 s."""
-
     COMMANDED = ("acceleration_y",)
     OBSERVED = (
-        *(f"{place}_{axis}_m" for place in ("centre", *LINES) for axis in "yz"),
-        *(
-            f"{place}_velocity_{axis}_m_per_s"
-            for place in ("centre", *LINES)
-            for axis in "yz"
-        ),
+        *(f"{place}_{axis}_m" for place in PLACES for axis in "yz"),
+        *(f"{place}_velocity_{axis}_m_per_s" for place in PLACES for axis in "yz"),
         "rod_y_m",
         "rod_velocity_y_m_per_s",
         "speed_left_m_per_s",
         "highest_over_limit",
         "time_s",
     )
-    _at_time_limit = Ending.MISSED
     _stage: Stage
 
-    def _scene(self, stated: Scene) -> Scene:
+    # --- scene and limit ---
+
+    def _scene(self, scene: Scene) -> Scene:
         """Return the scene, in which actions translate the rod."""
-        (motion,) = stated.drivers[0].motions
-        return replace(
-            stated,
-            drivers=(
-                stage_driver(
-                    ROD,
-                    (motion.axis,),
-                    largest_speed_m_per_s=motion.profiles[0].largest_rate,
-                ),
-            ),
-        )
+        (motion,) = scene.drivers[0].motions
+        max_speed_m_per_s = motion.profiles[0].largest_rate
+        driver = stage_driver(ROD, motion.axis, max_speed_m_per_s=max_speed_m_per_s)
+        return replace(scene, drivers=(driver,))
 
     def _prepare(self, scene: Scene) -> None:
-        (recorded,) = (
-            load_experiment(self._variant).scene.drivers[0].motions[0].profiles
+        (recorded,) = self.calibrated.drivers[0].motions[0].profiles
+        (cloth,) = scene.deformables
+        assert isinstance(recorded, CosineProfile) and isinstance(cloth, Cloth)
+        self._acceleration_m_per_s2 = (
+            recorded.largest_rate * math.pi / recorded.duration_s
         )
-        assert isinstance(recorded, CosineProfile)
-        self._most_m_per_s2 = recorded.largest_rate * math.pi / recorded.duration_s
+        self._stroke_m = 0.5 * abs(recorded.amount)
         # The rod speeds up to its largest speed and brakes.
         self._speed_m_per_s = 2.0 * scene.drivers[0].motions[0].residual_rate
-        self._stroke_m = 0.5 * abs(recorded.amount)
         self._stage = Stage(
-            scene.drivers[0], scene.body(ROD).pose, np.array([self._stroke_m])
+            scene.drivers[0],
+            scene.body(ROD).pose,
+            self._acceleration_m_per_s2,
+            (self._stroke_m,),
+            speed_change=self._speed_m_per_s,
         )
-        (cloth,) = scene.deformables
-        assert isinstance(cloth, Cloth)
         self._weights = place_weights(cloth, self.rest_nodes_m[cloth.name])
 
-    def _limit_and_sigma(self) -> tuple[float, float]:
-        value = 0.5 * self._speed_m_per_s**2 / self.experiment.scene.gravity_m_per_s2
+    def _limit(self) -> tuple[float, float]:
+        value = 0.5 * self._speed_m_per_s**2 / self.gravity_m_per_s2
         return value, 2.0 * SPEED_SIGMA * value
 
-    # --- physics ---
+    # --- episode ---
 
-    def _accelerate(self, command: FloatArray) -> FloatArray:
-        """Return the acceleration of the rod, whose speed changes by no more than is left."""
-        self._stage.left = self._left_m_per_s
-        return command * self._most_m_per_s2
+    def _begin(self) -> None:
+        self._start_m = self._seen_m()
+        self._places_m, self._velocities = np.zeros((2, *self._start_m.shape))
+        self._left_m_per_s = self._speed_m_per_s
+        self._highest_m = 0.0
 
-    def _places(self) -> FloatArray:
+    def _seen_m(self) -> FloatArray:
         """Return y and z of centre and lines, seen from the rod [m], shape [1 + line_count, 2]."""
         (nodes_m,) = self.nodes_m().values()
         return (self._weights @ nodes_m)[:, 1:] - [self._stage.offset[0], 0.0]
 
-    # --- task ---
-
-    def _begin(self) -> None:
-        self._start_m = self._places()
-        self._places_m, self._velocities = np.zeros((2, *self._start_m.shape))
-        self._left_m_per_s = self._speed_m_per_s
-        self._rate_m_per_s = self._highest_m = 0.0
-
-    def _look(self) -> Ending | None:
+    def _after_interval(self) -> Ending | None:
+        stage = self._stage
         rose = self._velocities[0, 1] > 0.0
-        places_m = self._places() - self._start_m
+        places_m = self._seen_m() - self._start_m
         self._velocities = (places_m - self._places_m) / SAMPLE_INTERVAL_S
         self._places_m = places_m
-        if abs(self._stage.offset[0]) >= self._stroke_m:
+        if abs(stage.offset[0]) >= self._stroke_m:
             return Ending.LOST
-        before, self._rate_m_per_s = self._rate_m_per_s, float(self._stage.rate[0])
-        change = abs(self._rate_m_per_s - before)
-        self._left_m_per_s = max(self._left_m_per_s - change, 0.0)
+        self._left_m_per_s = stage.speed_changes_left[stage.sample]
         self._highest_m = max(self._highest_m, float(places_m[0, 1]))
         # What is left after the last push is a rounding error.
         if self._left_m_per_s < 1e-9 and rose and self._velocities[0, 1] <= 0.0:
             return Ending.REACHED
         return None
+
+    def _total_reward(self) -> float:
+        return self._highest_m / self.limit.value
 
     def _observation(self) -> FloatArray:
         return np.array(
@@ -167,11 +150,6 @@ class FlingLimit(ControlEnv):
             ]
         )
 
-    # --- reward ---
-
-    def _earned(self, ending: Ending | None) -> float:
-        return self._highest_m / self.limit.value
-
     def _reached(self) -> float:
         return self._highest_m if self._ending is Ending.REACHED else 0.0
 
@@ -182,9 +160,10 @@ class FlingLimit(ControlEnv):
         speed = fraction * self._speed_m_per_s / (2 * PUSHES - 1)
         place_m, velocity = float(self._places_m[0, 0]), float(self._velocities[0, 0])
         swings_up = place_m * velocity >= 0.0
-        is_low = abs(place_m) <= abs(velocity) * speed / self._most_m_per_s2
+        is_low = abs(place_m) <= abs(velocity) * speed / self._acceleration_m_per_s2
         wanted = math.copysign(speed, -velocity if swings_up or is_low else velocity)
-        return (wanted - self._rate_m_per_s) / FRAME_S / self._most_m_per_s2
+        change = wanted - float(self._stage.rate[0])
+        return change / FRAME_S / self._acceleration_m_per_s2
 
 
 def place_weights(cloth: Cloth, nodes_m: FloatArray) -> FloatArray:
@@ -198,15 +177,14 @@ def place_weights(cloth: Cloth, nodes_m: FloatArray) -> FloatArray:
         Weights, shape [1 + line_count, node_count].
     """
     along, across = ((np.arange(count) + 0.5) / count - 0.5 for count in CELLS)
-    rows = (along, *(np.array([0.5 - depth]) for depth in LINES.values()))
-    weights = np.zeros((len(rows), len(nodes_m)))
-    for row, places in zip(weights, rows, strict=True):
-        points = np.stack(
-            np.meshgrid(places, across, [0.0], indexing="ij"), axis=-1
-        ).reshape(-1, 3)
-        targets_m = cloth.pose.to_world(points * [*cloth.size_m, 1.0])
+    weights = np.zeros((len(PLACES), len(nodes_m)))
+    lines = [np.array([0.5 - depth]) for depth in LINES.values()]
+    for row, places in zip(weights, [along, *lines], strict=True):
+        points = np.array([(x, y, 0.0) for x in places for y in across])
         nodes, shares = material_points(
-            targets_m, {cloth.name: nodes_m}, {cloth.name: cloth}
+            cloth.pose.to_world(points * [*cloth.size_m, 1.0]),
+            {cloth.name: nodes_m},
+            {cloth.name: cloth},
         )
         np.add.at(row, nodes, shares / len(points))
     return weights

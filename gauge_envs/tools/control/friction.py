@@ -1,4 +1,4 @@
-"""Base of the turntable and the slope task: a cube that only friction holds on a body that turns."""
+"""Turn a turntable or tilt a board as far as a cube that only friction holds allows."""
 
 import math
 from dataclasses import replace
@@ -17,6 +17,7 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending
 from gauge_envs.tools.control.stage import Stage
+from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
 CUBE = "cube"
 
@@ -36,6 +37,12 @@ MuJoCo with this package's preset, 9.3 mm/s in Newton. A cube that uses 2 % too 
 actuator raises the friction used as fast as it can. So a policy can use 30 mm/s / (g HOLD_S) = 0.003 more friction than
 the law allows, 0.8 to 1.2 % of it.
 """
+
+TURNTABLE_APPROACH_S = 2.0 / FRAME_RATE_HZ
+"""Time constant with which the law's policy approaches its speed; two steps is the shortest that is smooth."""
+
+SLOPE_RAMP_S = 3.0
+"""Time in which the law's policy tilts; its acceleration uses only 0.4 % of the friction."""
 
 
 class FrictionLimit(ControlEnv):
@@ -81,51 +88,65 @@ class FrictionLimit(ControlEnv):
         "slip_over_threshold",
         "time_s",
     )
-    _at_time_limit = Ending.HELD
+    TIME_LIMIT_ENDING = Ending.HELD
     _stage: Stage
-    _corners_on_carrier: FloatArray
 
-    def _scene(self, stated: Scene) -> Scene:
+    def _scene(self, scene: Scene) -> Scene:
         """Return the scene, in which the carrier turns about the axis of the experiment by actions alone."""
-        driver = stated.drivers[0]
+        driver = scene.drivers[0]
         fastest = self.ACCELERATION_RAD_PER_S2 * self.duration_s
         motion = replace(driver.motions[0], profiles=(), residual_rate=fastest)
-        return replace(
-            stated, drivers=(replace(driver, motions=(motion,), provenance="action"),)
-        )
+        turned = replace(driver, motions=(motion,), provenance="action")
+        return replace(scene, drivers=(turned,))
 
     def _prepare(self, scene: Scene) -> None:
         driver = scene.drivers[0]
-        motion = driver.motions[0]
         carrier = scene.body(driver.body).pose
-        self._stage = Stage(driver, carrier, np.array([math.inf]))
-        self._axis = np.array(motion.axis)
-        self._across_axis = np.cross(self._axis, np.eye(3))
-        self._point_m = np.array(motion.point_m)
+        self._stage = Stage(driver, carrier, self.ACCELERATION_RAD_PER_S2)
+        self._axis = np.array(driver.motions[0].axis)
+        self._point_m = np.array(driver.motions[0].point_m)
         self._corners_m = scene.body(CUBE).shape.corners_m
 
-    def _limit_and_sigma(self) -> tuple[float, float]:
-        return self._friction_and_sigma(CUBE, self._stage.body)
+    def _limit(self) -> tuple[float, float]:
+        return self._friction_limit(CUBE, self._stage.body)
 
-    # --- physics ---
+    # --- episode ---
 
-    def _accelerate(self, command: FloatArray) -> FloatArray:
-        self._acceleration = command * self.ACCELERATION_RAD_PER_S2
+    def _begin(self) -> None:
+        self._used: list[float] = []
+        self._used_now = self._slip_m_per_s = 0.0
         self._cube_m: list[FloatArray] = []
-        return self._acceleration
+        self._corners_on_carrier = self._corners()
+
+    def _after_interval(self) -> None:
+        self._cube_m.append(self._state(CUBE)[:3])
+
+    def _after_step(self) -> Ending | None:
+        self._used_now = float(self._friction_used().mean())
+        self._cube_m = []
+        before, self._corners_on_carrier = self._corners_on_carrier, self._corners()
+        moved_m = np.linalg.norm(self._corners_on_carrier - before, axis=1).max()
+        self._slip_m_per_s = float(moved_m) * FRAME_RATE_HZ
+        # A comparison with NaN is false.
+        if not self._slip_m_per_s < SLIP_SPEED_M_PER_S:
+            return Ending.SLIPPED
+        self._used.append(self._used_now)
+        return None
 
     def _friction_used(self) -> FloatArray:
-        """Return the tangential over the normal part of the force that carries the cube, at the samples of the frame.
+        """Return the tangential over the normal part of the force that carries the cube.
 
         Returns:
-            Shape [sample_count], without the sample at the start of the frame.
+            Values at the ends of the intervals of the frame, shape [interval_count].
         """
-        around_m = (np.array(self._cube_m) - self._point_m) @ self._across_axis
-        inward_m = around_m @ self._across_axis
-        # In m/s^2, as of a unit of mass: the acceleration of the carrier minus that of gravity.
-        forces = self._acceleration * around_m + self._stage.rates[1:] ** 2 * inward_m
-        forces[:, 2] += self.experiment.scene.gravity_m_per_s2
-        normals = rotation_matrices(self._stage.states[1:, 3:7])[:, :, 2]
+        stage = self._stage
+        across_axis = np.cross(self._axis, np.eye(3))
+        around_m = (np.array(self._cube_m) - self._point_m) @ across_axis
+        inward_m = around_m @ across_axis
+        # Of a unit of mass [m/s^2]: the acceleration of the carrier, alpha x r + omega^2 r inward, minus gravity.
+        forces = stage.acceleration[0] * around_m + stage.rates[1:] ** 2 * inward_m
+        forces[:, 2] += self.gravity_m_per_s2
+        normals = rotation_matrices(stage.states[1:, 3:7])[:, :, 2]
         normal = (forces * normals).sum(axis=1)
         tangential = forces - normal[:, None] * normals
         return np.asarray(np.linalg.norm(tangential, axis=1) / normal)
@@ -133,60 +154,87 @@ class FrictionLimit(ControlEnv):
     def _corners(self) -> FloatArray:
         """Return the corners of the cube in the frame of the carrier [m], shape [8, 3]."""
         state, carrier = self._state(CUBE), self._stage.state
-        turn = rotation_matrices(unit_quaternions(state[3:7]))
-        corners_m = self._corners_m @ turn.T + state[:3] - carrier[:3]
+        rotation = rotation_matrices(unit_quaternions(state[3:7]))
+        corners_m = self._corners_m @ rotation.T + state[:3] - carrier[:3]
         return corners_m @ rotation_matrices(carrier[3:7])
 
-    def _slip(self) -> float:
-        """Return the mean speed of the cube's fastest corner on the carrier over the last frame [m/s]."""
-        corners = self._corners()
-        displacement_m = np.linalg.norm(
-            corners - self._corners_on_carrier, axis=1
-        ).max()
-        self._corners_on_carrier = corners
-        return float(displacement_m) * FRAME_RATE_HZ
-
-    @property
-    def _cube_radius_m(self) -> float:
-        """Distance of the cube from the axis [m]."""
-        arm = self._state(CUBE)[:3] - self._point_m
-        return length_of(arm - self._axis * (self._axis @ arm))
-
-    # --- task ---
-
-    def _begin(self) -> None:
-        self._used: list[float] = []
-        self._used_now = self._slip_m_per_s = 0.0
-        self._corners_on_carrier = self._corners()
-
-    def _look(self) -> None:
-        self._cube_m.append(self._state(CUBE)[:3])
-
-    def _frame_ending(self) -> Ending | None:
-        self._used_now = float(self._friction_used().mean())
-        self._slip_m_per_s = self._slip()
-        # A comparison with NaN is false.
-        if not self._slip_m_per_s < SLIP_SPEED_M_PER_S:
-            return Ending.SLIPPED
-        self._used.append(self._used_now)
-        return None
+    def _total_reward(self) -> float:
+        slipped = self._ending is Ending.SLIPPED
+        return sum(self._used[:-HOLD_FRAMES] if slipped else self._used)
 
     def _observation(self) -> FloatArray:
         slip = self._slip_m_per_s / SLIP_SPEED_M_PER_S
-        angle, rate = float(self._stage.offset[0]), float(self._stage.rate[0])
-        return np.array([angle, rate, self._used_now, slip, self.time_s])
-
-    # --- reward ---
-
-    def _earned(self, ending: Ending | None) -> float:
-        slipped = ending is Ending.SLIPPED
-        return sum(self._used[:-HOLD_FRAMES] if slipped else self._used)
+        stage = self._stage
+        return np.array(
+            [stage.offset[0], stage.rate[0], self._used_now, slip, self.time_s]
+        )
 
     def _reached(self) -> float:
         if len(self._used) < HOLD_FRAMES:
             return 0.0
-        return float(
-            np.convolve(
-                self._used, np.ones(HOLD_FRAMES) / HOLD_FRAMES, mode="valid"
-            ).max()
-        )
+        window = np.ones(HOLD_FRAMES) / HOLD_FRAMES
+        return float(np.convolve(self._used, window, mode="valid").max())
+
+
+class TurntableLimit(FrictionLimit):
+    """Turn as fast as possible without a slip of the cube, in the scene of Turntable-1.
+
+    On a level plate with angular velocity omega and angular acceleration alpha, a cube at the radius r uses the
+    friction sqrt((omega^2 r)^2 + (alpha r)^2) / g. So the law at a steady speed is omega^2 r = mu g: 6.5 to 7.0 rad/s
+    here. The cube slips before it tips, because it is as wide as it is high and mu is below 1. See `FrictionLimit` for
+    reward and proof.
+
+    A simulated cube creeps outward, so a constant speed uses more and more friction. The observation holds the friction
+    used at the current place of the cube.
+    """
+
+    SCENE = "Turntable-1"
+    LAW = "sqrt((omega^2 r)^2 + (alpha r)^2) / g <= mu, so at a steady speed omega^2 r = mu g"
+    SIGMA_SOURCE = (
+        "no trial shows where cubes slip on the turntable: the relative uncertainty of the same cube's friction on the "
+        "slope, where calibrated coefficients and 19 or 20 trials are known, measured by the same method"
+    )
+    STEPS = EPISODE_STEPS["Turntable"]
+    """Time of an episode: 1.2 s to the limit at full acceleration, and three times as long to hold it."""
+    MUJOCO_TIMESTEPS_S: ClassVar = {"training": 1 / 180}
+    ACCELERATION_RAD_PER_S2 = 6.0
+    """This acceleration reaches the limit in 1.2 s. Its own friction used, 0.046, adds less than 1 % to the limit's."""
+
+    def _law_command(self, fraction: float) -> float:
+        """Return the action that approaches omega = sqrt(fraction mu g / r), with r the current radius of the cube."""
+        arm_m = self._state(CUBE)[:3] - self._point_m
+        radius_m = length_of(arm_m - self._axis * (self._axis @ arm_m))
+        limit_m_per_s2 = fraction * self.limit.value * self.gravity_m_per_s2
+        wanted = math.sqrt(limit_m_per_s2 / radius_m)
+        change = wanted - float(self._stage.rate[0])
+        return change / TURNTABLE_APPROACH_S / self.ACCELERATION_RAD_PER_S2
+
+
+class SlopeSliderLimit(FrictionLimit):
+    """Tilt as far as possible without a slip of the cube, in the scene of SlopeSlider-3.
+
+    At rest at the tilt theta the cube uses the friction tan theta. So the law is tan theta = mu: 14.7 to 15.4 degrees
+    here. The axle is 38 mm below the board's centre and 0.24 m from the cube. An acceleration of the tilt therefore
+    changes the friction used, by up to 3 % of the limit; `FrictionLimit` includes that. See there for reward and proof.
+    """
+
+    SCENE = "SlopeSlider-3"
+    LAW = "tan(theta) <= mu at rest; while the board accelerates, tangential over normal specific force <= mu"
+    SIGMA_SOURCE = (
+        "friction of the same cube on the same board in 19 or 20 real trials at 30 degrees: root mean square distance "
+        "from the calibrated coefficient"
+    )
+    STEPS = EPISODE_STEPS["SlopeSlider"]
+    """Time of an episode: 1.0 s to the limit at full acceleration and braking, and 4 s to hold it."""
+    MUJOCO_TIMESTEPS_S: ClassVar = {"default": 1 / 1800, "training": 1 / 180}
+    ACCELERATION_RAD_PER_S2 = 1.0
+    """This acceleration reaches the limit in 1.0 s; the real motor takes 1.2 s to 15 degrees."""
+
+    def _law_command(self, fraction: float) -> float:
+        """Return the action that tilts to tan theta = fraction mu along two parabolas, and stays there."""
+        half_s = 0.5 * SLOPE_RAMP_S
+        tilt_rad = math.atan(fraction * self.limit.value)
+        command = tilt_rad / half_s**2 / self.ACCELERATION_RAD_PER_S2
+        if self.time_s < half_s:
+            return command
+        return -command if self.time_s < SLOPE_RAMP_S else 0.0

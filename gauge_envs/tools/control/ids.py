@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 REPORT = registration.WrapperSpec(
     name="ReportLimit",
-    entry_point="gauge_envs.tools.control.wrapper:ReportLimit",
+    entry_point="gauge_envs.tools.control.env:ReportLimit",
     kwargs={},
 )
 """The wrapper of every control task."""
@@ -47,6 +47,6 @@ def summary() -> str:
 
 def document(name: str) -> Document:
     """Return the page of a control task."""
-    from gauge_envs.tools.control.page import control_description, control_document
+    from gauge_envs.tools.control.page import control_document
 
-    return control_document(control_description(find_control_task(name)))
+    return control_document(find_control_task(name))

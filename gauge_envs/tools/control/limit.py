@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from gauge_envs.scene import Scene
-
 
 class Ending(StrEnum):
     """How an episode of a control task ended."""
@@ -69,10 +67,3 @@ class LimitReport:
     def z(self) -> float:
         """Reached minus the limit, in standard uncertainties of the limit."""
         return (self.reached - self.limit.value) / self.limit.sigma
-
-
-def pair_friction(scene: Scene, first: str, second: str) -> float:
-    """Return the friction coefficient of two bodies of a scene that touch."""
-    return next(
-        c.friction for c in scene.contacts if {first, second} <= {*c.first, *c.second}
-    )

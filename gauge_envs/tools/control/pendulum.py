@@ -1,7 +1,6 @@
 """Swing the pendulum to a height with the least work."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar
 
@@ -11,28 +10,21 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.scene import Hinge, Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending
+from gauge_envs.tools.control.stage import FRAME_S
 from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
 BALL = "ball"
 
 TARGET_RAD = math.radians(60.0)
 """Target angle of the ball [rad]: at half the height of the axle, and well below the published release, 90 degrees."""
-
 TORQUE_SHARE = 0.15
 """Largest torque over weight times length; it cannot lift the ball at once, so the policy must swing it up."""
-
 LENGTH_SIGMA = 0.004 / 0.270
 """Relative uncertainty of the effective length, from the recorded period (0.270 +- 0.004 m, tasks/pendulum.toml)."""
-
 MASS_SIGMA_KG = 1e-4 / math.sqrt(12.0)
 """Uncertainty of the mass [kg]: rounding, as it is published to 0.1 g."""
-
-
-PLACES_IN_VIEW = 13
-"""Number of places of the swing that the camera of pictures looks at."""
 
 
 class PendulumLimit(ControlEnv):
@@ -66,13 +58,10 @@ class PendulumLimit(ControlEnv):
         "length from the recorded period, 0.270 +- 0.004 m, "
         "which gives the height at an angle; mass to 0.1 g"
     )
-
     STEPS = EPISODE_STEPS["Pendulum"]
     """Time of five full swings; at full torque three are enough."""
-    OWN_STEPS_S: ClassVar[Mapping[str, Mapping[str, float]]] = {
-        "mujoco": {"default": 1 / 180, "training": 1 / 180}
-    }
-
+    MUJOCO_TIMESTEPS_S: ClassVar = {"default": 1 / 180, "training": 1 / 180}
+    CAMERA: ClassVar = {"target_m": (0.37, 0.49, 0.3), "distance_m": 1.97}
     COMMANDED = ("torque",)
     OBSERVED = (
         "angle_rad",
@@ -81,56 +70,60 @@ class PendulumLimit(ControlEnv):
         "work_over_least",
         "time_s",
     )
-    _at_time_limit = Ending.MISSED
+
+    # --- scene and limit ---
 
     def _start_parameters(self, parameters: Parameters) -> Parameters:
         """Return the parameters, with the ball hanging straight down."""
-        return dict(load_experiment(self._variant, parameters).overrides) | {
-            f"{BALL}.euler_deg": (0.0, 0.0, 0.0)
-        }
+        overrides = load_experiment(self._variant, parameters).overrides
+        return {**overrides, f"{BALL}.euler_deg": (0.0, 0.0, 0.0)}
 
-    def _scene(self, stated: Scene) -> Scene:
+    def _scene(self, scene: Scene) -> Scene:
         """Return the scene without drivers: the motor is a torque."""
-        return replace(stated, drivers=())
+        return replace(scene, drivers=())
 
     def _prepare(self, scene: Scene) -> None:
         hinge, ball = scene.joints[0], scene.body(BALL)
         assert isinstance(hinge, Hinge) and isinstance(ball.shape, Sphere)
+        length_m = math.dist(ball.pose.position_m, hinge.anchor_m)
         self._anchor_m = np.asarray(hinge.anchor_m)
         self._axis = np.asarray(hinge.axis)
-        self._length_m = math.dist(ball.pose.position_m, hinge.anchor_m)
         # Angles and heights are those from hanging straight down, wherever the ball starts.
-        self._hanging = np.array([0.0, 0.0, -self._length_m])
+        self._hanging = np.array([0.0, 0.0, -length_m])
         self._sideways = np.cross(self._axis, self._hanging)
+        self._length_m = length_m
         self._weight_n = ball.mass_kg * scene.gravity_m_per_s2
+        # Steiner's theorem for a solid ball.
         self._inertia_kg_m2 = ball.mass_kg * (
-            self._length_m**2 + 0.4 * ball.shape.radius_m**2
+            length_m**2 + 0.4 * ball.shape.radius_m**2
         )
-        self._largest_torque_n_m = TORQUE_SHARE * self._weight_n * self._length_m
-        self._target_m = self._length_m * (1.0 - math.cos(TARGET_RAD))
+        self._max_torque_n_m = TORQUE_SHARE * self._weight_n * length_m
+        self._target_m = length_m * (1.0 - math.cos(TARGET_RAD))
+        self._least_work_j = self._weight_n * self._target_m
 
-    def _limit_and_sigma(self) -> tuple[float, float]:
+    def _limit(self) -> tuple[float, float]:
         value = 1.0 / self._weight_n
         mass_kg = self.experiment.scene.body(BALL).mass_kg
-        sigma = value * math.hypot(LENGTH_SIGMA, MASS_SIGMA_KG / mass_kg)
-        return value, sigma
+        return value, value * math.hypot(LENGTH_SIGMA, MASS_SIGMA_KG / mass_kg)
 
-    def reach_m(self) -> FloatArray:
-        """Return the ball's places from the target on one side to that on the other [m], shape [n, 3]."""
-        angles = np.linspace(-TARGET_RAD, TARGET_RAD, PLACES_IN_VIEW)
-        arms = np.outer(np.cos(angles), self._hanging) + np.outer(
-            np.sin(angles), self._sideways
-        )
-        return self._anchor_m + arms
+    # --- episode ---
 
-    # --- physics ---
+    def _begin(self) -> None:
+        self._angle, self._rate = self._swing()
+        self._highest_m = self._work_j = 0.0
 
-    def _accelerate(self, command: FloatArray) -> FloatArray:
-        """Apply the torque; there is no stage to accelerate."""
-        self._torque_n_m = float(command[0]) * self._largest_torque_n_m
+    def _before_step(self, command: FloatArray) -> None:
+        self._torque_n_m = float(command[0]) * self._max_torque_n_m
         torque = self._torque_n_m * self._axis
         self.simulation.apply_wrench(BALL, np.array([[0.0, 0.0, 0.0, *torque]]))
-        return command
+
+    def _after_interval(self) -> Ending | None:
+        before = self._angle
+        self._angle, self._rate = self._swing()
+        self._work_j += max(self._torque_n_m * (self._angle - before), 0.0)
+        height_m = self._length_m * (1.0 - math.cos(self._angle))
+        self._highest_m = min(max(self._highest_m, height_m), self._target_m)
+        return Ending.REACHED if self._highest_m == self._target_m else None
 
     def _swing(self) -> tuple[float, float]:
         """Return the angle from hanging [rad] and its rate [rad/s]."""
@@ -139,52 +132,25 @@ class PendulumLimit(ControlEnv):
         angle = math.atan2(float(arm @ self._sideways), float(arm @ self._hanging))
         return angle, float(self._axis @ state[10:])
 
-    def _acceleration(self, torque: float) -> float:
-        """Return the angular acceleration [rad/s^2]."""
-        return (
-            torque - self._weight_n * self._length_m * math.sin(self._angle)
-        ) / self._inertia_kg_m2
-
-    def _rotation(self, torque: float, seconds: float) -> float:
-        """Return the rotation in the next `seconds` [rad], to second order."""
-        return (self._rate + 0.5 * self._acceleration(torque) * seconds) * seconds
-
-    # --- task ---
-
-    def _begin(self) -> None:
-        self._angle, self._rate = self._swing()
-        self._highest_m = self._work_j = 0.0
-
-    def _look(self) -> Ending | None:
-        before = self._angle
-        self._angle, self._rate = self._swing()
-        self._work_j += max(self._torque_n_m * (self._angle - before), 0.0)
-        height_m = self._length_m * (1.0 - math.cos(self._angle))
-        self._highest_m = min(max(self._highest_m, height_m), self._target_m)
-        return Ending.REACHED if self._highest_m == self._target_m else None
+    def _total_reward(self) -> float:
+        spent = self._work_j / self._least_work_j
+        return 2.0 * self._highest_m / self._target_m - spent
 
     def _observation(self) -> FloatArray:
-        least_j = self._weight_n * self._target_m
         return np.array(
             [
                 self._angle,
                 self._rate,
                 self._highest_m / self._target_m,
-                self._work_j / least_j,
+                self._work_j / self._least_work_j,
                 self.time_s,
             ]
         )
 
-    # --- reward ---
-
-    def _earned(self, ending: Ending | None) -> float:
-        spent = self._work_j / (self._weight_n * self._target_m)
-        return 2.0 * self._highest_m / self._target_m - spent
-
     def _reached(self) -> float:
-        return (
-            self._target_m / self._work_j if self._highest_m == self._target_m else 0.0
-        )
+        if self._highest_m < self._target_m:
+            return 0.0
+        return self._target_m / self._work_j
 
     # --- policy of the law ---
 
@@ -193,22 +159,26 @@ class PendulumLimit(ControlEnv):
 
         A `fraction` below 1 does more than the least work and reaches the target; one above 1 does less and does not.
         """
-        left_j = self._weight_n * self._target_m / fraction - self._work_j
-        frame_s = 1.0 / FRAME_RATE_HZ
-        direction = math.copysign(1.0, self._rate) if self._work_j > 0.0 else 1.0
-        torque = direction * self._largest_torque_n_m
-        rotation, rate = (
-            self._rotation(torque, frame_s),
-            self._rate + self._acceleration(torque) * frame_s,
-        )
+        left_j = self._least_work_j / fraction - self._work_j
+        has_begun = self._work_j > 0.0
+        direction = math.copysign(1.0, self._rate) if has_begun else 1.0
+        torque = direction * self._max_torque_n_m
+        rate = self._rate + self._acceleration(torque) * FRAME_S
         # Near a turning point a push would brake in the second half of the frame.
-        if left_j <= 0.0 or (
-            self._work_j > 0.0
-            and (rotation * direction <= 0.0 or rate * direction <= 0)
-        ):
+        turns = self._rotation(torque) * direction <= 0.0 or rate * direction <= 0.0
+        if left_j <= 0.0 or (has_begun and turns):
             return 0.0
         for _ in range(5):
-            torque = direction * min(
-                self._largest_torque_n_m, left_j / abs(self._rotation(torque, frame_s))
-            )
-        return torque / self._largest_torque_n_m
+            needed = left_j / abs(self._rotation(torque))
+            torque = direction * min(self._max_torque_n_m, needed)
+        return torque / self._max_torque_n_m
+
+    def _acceleration(self, torque_n_m: float) -> float:
+        """Return the angular acceleration [rad/s^2]."""
+        gravity = self._weight_n * self._length_m * math.sin(self._angle)
+        return (torque_n_m - gravity) / self._inertia_kg_m2
+
+    def _rotation(self, torque_n_m: float) -> float:
+        """Return the rotation in the next frame [rad], to second order."""
+        mean_rate = self._rate + 0.5 * self._acceleration(torque_n_m) * FRAME_S
+        return mean_rate * FRAME_S

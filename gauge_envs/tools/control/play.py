@@ -11,17 +11,11 @@ from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending, LimitReport
 
 Policy = Callable[[FloatArray], NDArray[np.floating]]
-"""Function that returns an action, shape [1], for an observation."""
+"""Function that returns an action, shape [len(COMMANDED)], for an observation."""
 
 
 def play(env: ControlEnv, policy: Policy, *, seed: int = 0) -> LimitReport:
-    """Run one episode and return its report; the environment then holds its trajectory.
-
-    Args:
-        env: The task, without wrappers.
-        policy: The policy.
-        seed: Seed of the reset.
-    """
+    """Run one episode and return its report; see `play_paid`."""
     return play_paid(env, policy, seed=seed)[1]
 
 
@@ -31,16 +25,15 @@ def play_paid(
     """Run one episode and return the sum of its rewards and its report.
 
     Args:
-        env: The task, without wrappers.
+        env: The task, without wrappers; it then holds the episode's trajectory.
         policy: The policy.
         seed: Seed of the reset, which draws the goal of a task that has one.
     """
     observation, _ = env.reset(seed=seed)
-    paid, over = 0.0, False
-    while not over:
-        observation, reward, terminated, truncated, _ = env.step(policy(observation))
+    paid = 0.0
+    while not env.is_over:
+        observation, reward, *_ = env.step(policy(observation))
         paid += reward
-        over = terminated or truncated
     return paid, env.report()
 
 
@@ -58,22 +51,27 @@ def engine_limit(
         env: The task, without wrappers.
         bounds: A share of the limit with which the policy succeeds, and one with which it fails.
         resolution: Largest width of the last interval; the result is its middle.
+
+    Raises:
+        ParameterError: The policy fails with the lower bound, or succeeds with the upper one.
     """
     low, high = bounds
 
-    def succeeds(fraction: float) -> bool:
-        return play(env, lambda _: env.law_action(fraction)).ending in (
-            Ending.HELD,
-            Ending.REACHED,
-        )
+    def succeeds(share: float) -> bool:
+        report = play(env, lambda _: env.law_action(share))
+        return report.ending in (Ending.HELD, Ending.REACHED)
 
-    for bound, wanted in ((low, True), (high, False)):
-        if succeeds(bound) is not wanted:
-            outcome = "fails" if wanted else "succeeds"
-            raise ParameterError(
-                f"{type(env).__name__}: the law's policy {outcome} with {bound} of the limit"
-            )
+    name = type(env).__name__
+    if not succeeds(low):
+        raise ParameterError(f"{name}: the law's policy fails with {low} of the limit")
+    if succeeds(high):
+        raise ParameterError(
+            f"{name}: the law's policy succeeds with {high} of the limit"
+        )
     while high - low > resolution:
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if succeeds(middle) else (low, middle)
+        if succeeds(middle):
+            low = middle
+        else:
+            high = middle
     return 0.5 * (low + high)

@@ -1,4 +1,4 @@
-"""A driven body that actions accelerate, and the shortest way to bring it to rest at a place."""
+"""A driven body that actions accelerate, and the acceleration that brings it to rest at a place."""
 
 import math
 from dataclasses import replace
@@ -17,96 +17,90 @@ FRAME_S = 1.0 / FRAME_RATE_HZ
 """Time of a step, in which the acceleration is constant [s]."""
 
 
-def stage_driver(
-    body: str, axes: tuple[Vector, ...], *, largest_speed_m_per_s: float
-) -> Driver:
+def stage_driver(body: str, *axes: Vector, max_speed_m_per_s: float) -> Driver:
     """Return a driver that translates a body by actions alone.
 
     Args:
         body: Name of the kinematic body.
-        axes: Unit vectors in the world, one for each entry of the action.
-        largest_speed_m_per_s: Largest speed along each axis.
+        *axes: Unit vectors in the world, one for each entry of the action.
+        max_speed_m_per_s: Largest speed along each axis.
     """
     motions = tuple(
         DriverMotion(
-            kind="translate",
-            axis=axis,
-            residual_rate=largest_speed_m_per_s,
-            profiles=(),
+            kind="translate", axis=axis, residual_rate=max_speed_m_per_s, profiles=()
         )
         for axis in axes
     )
     return Driver(body=body, motions=motions, provenance="action")
 
 
-def with_stage(
-    stated: Scene,
-    body: str,
-    size_m: Vector,
-    position_m: Vector,
-    driver: Driver,
-    *,
-    pushes: str,
-    like: Contact,
+def with_box(
+    scene: Scene, size_m: Vector, position_m: Vector, driver: Driver, touching: Contact
 ) -> Scene:
-    """Return a scene with a box that actions move.
+    """Return a scene with one more box, which actions move.
 
     Args:
-        stated: The scene.
-        body: Name of the box.
-        size_m: Its edges [m].
+        scene: The scene.
+        size_m: Edges of the box [m].
         position_m: Its centre at the start [m].
-        driver: Driver of `stage_driver`.
-        pushes: Name of the body that it touches.
-        like: Contact of that body whose constants and mode the contact with the box has.
+        driver: Its driver, which names it.
+        touching: Contact of the body that it touches, in which the box takes the place of the second body.
     """
     box = RigidBody(
-        name=body,
+        name=driver.body,
         shape=Box(size_m=size_m),
         motion=Motion.KINEMATIC,
         pose=Pose(position_m=position_m),
         mass_kg=1.0,
     )
-    contact = replace(like, first=(pushes,), second=(body,))
     return replace(
-        stated,
-        bodies=(*stated.bodies, box),
-        contacts=(*stated.contacts, contact),
+        scene,
+        bodies=(*scene.bodies, box),
+        contacts=(*scene.contacts, replace(touching, second=(box.name,))),
         drivers=(driver,),
     )
 
 
 class Stage:
-    """A body that is accelerated along the coordinates of its driver, up to a rate, within a stroke.
+    """A body that actions accelerate along the coordinates of its driver, up to a rate, within a stroke.
 
-    A coordinate is a displacement [m] or an angle [rad]. `gauge_envs.tools.bench.recording.intervals` drives the body.
+    A coordinate is a displacement [m] or an angle [rad]. `gauge_envs.envs.rollout.intervals` drives the body.
 
     Args:
         driver: Driver without a motion of its own; `residual_rate` is the largest rate of a coordinate.
         start: Pose of the body at the start.
-        strokes: Largest absolute value of each coordinate; at its end the body stops at once.
+        acceleration: Acceleration of a coordinate that an action of 1 commands [m/s^2 or rad/s^2].
+        strokes: Largest absolute value of each coordinate, where the body stops at once; None is no end.
+        speed_change: Sum of all changes of the rates in an episode [m/s or rad/s]; the body then keeps its rate.
 
     Attributes:
         body: Name of the body.
         sample: Number of intervals of the frame that have passed.
-        left: Sum of the changes of each rate that is left.
+        acceleration: Acceleration of each coordinate in the frame, shape [1, motion_count].
         offsets: Coordinates at the samples of the frame, shape [sample_count, motion_count].
         rates: Their rates, of the same shape.
+        speed_changes_left: What is left of `speed_change` at the samples.
         states: States of the body at the samples, shape [sample_count, 13].
     """
 
-    def __init__(self, driver: Driver, start: Pose, strokes: FloatArray) -> None:
+    def __init__(
+        self,
+        driver: Driver,
+        start: Pose,
+        acceleration: float,
+        strokes: tuple[float, ...] | None = None,
+        speed_change: float = math.inf,
+    ) -> None:
         self.body = driver.body
-        self.left = math.inf
-        self._driver, self._strokes = driver, strokes.tolist()
+        self._driver = driver
         self._start = np.array([[*start.position_m, *start.quaternion]])
-        self.reset()
-
-    def reset(self) -> None:
-        """Bring the body back to its start, at rest."""
+        self._scale = acceleration
+        self._max_rates = np.array([motion.residual_rate for motion in driver.motions])
+        self._strokes = np.array(strokes or np.inf)
         self.sample = 0
-        self.offsets = self.rates = np.zeros((1, len(self._strokes)))
-        self.states = self._driver.moved(self._start, self.offsets, self.rates)
+        self.offsets = self.rates = np.zeros((1, len(self._max_rates)))
+        self.speed_changes_left = [speed_change]
+        self.states = driver.moved(self._start, self.offsets, self.rates)
 
     @property
     def offset(self) -> FloatArray:
@@ -123,47 +117,40 @@ class Stage:
         """State of the body now, shape [13]."""
         return self.states[self.sample]
 
-    def targets(
-        self, first: int, accelerations: FloatArray, count: int = 1
-    ) -> FloatArray:
+    def targets(self, first: int, actions: FloatArray, count: int = 1) -> FloatArray:
         """Return what `Simulation.drive` takes in the next intervals of uniform acceleration.
 
         Args:
             first: Number of the first interval, of no use here.
-            accelerations: Acceleration of each coordinate, shape [1, motion_count].
+            actions: Action for each coordinate, from -1 to 1, shape [1, motion_count].
             count: Number of intervals.
 
         Returns:
             Shape [count, 1, 19].
         """
-        columns = [
-            self._coordinate(index, acceleration, count)
-            for index, acceleration in enumerate(accelerations[0].tolist())
-        ]
-        self.offsets, self.rates = np.array(columns).transpose(1, 2, 0)
+        self.acceleration = actions * self._scale
+        change = self.acceleration[0] * SAMPLE_INTERVAL_S
+        offset, rate = self.offset, self.rate
+        left = self.speed_changes_left[self.sample]
+        offsets, rates, lefts = [offset], [rate], [left]
+        for _ in range(count):
+            wanted_rate = rate + np.maximum(np.minimum(change, left), -left)
+            wanted_rate = np.maximum(
+                np.minimum(wanted_rate, self._max_rates), -self._max_rates
+            )
+            left = max(left - float(np.abs(wanted_rate - rate).sum()), 0.0)
+            wanted = offset + 0.5 * (rate + wanted_rate) * SAMPLE_INTERVAL_S
+            offset = np.maximum(np.minimum(wanted, self._strokes), -self._strokes)
+            rate = np.where(offset == wanted, wanted_rate, 0.0)
+            offsets.append(offset)
+            rates.append(rate)
+            lefts.append(left)
         self.sample = 0
+        self.offsets, self.rates = np.array(offsets), np.array(rates)
+        self.speed_changes_left = lefts
         starts = np.tile(self._start, (count + 1, 1))
         self.states = self._driver.moved(starts, self.offsets, self.rates)
         return uniformly_accelerated(self.states[:, None], SAMPLE_INTERVAL_S)
-
-    def _coordinate(
-        self, index: int, acceleration: float, count: int
-    ) -> tuple[list[float], list[float]]:
-        """Return a coordinate and its rate at the samples of the next intervals."""
-        offset, rate = float(self.offset[index]), float(self.rate[index])
-        fastest = self._driver.motions[index].residual_rate
-        stroke, left = self._strokes[index], self.left
-        offsets, rates = [offset], [rate]
-        for _ in range(count):
-            change = min(max(acceleration * SAMPLE_INTERVAL_S, -left), left)
-            wanted_rate = min(max(rate + change, -fastest), fastest)
-            left -= min(abs(wanted_rate - rate), left)
-            wanted = offset + 0.5 * (rate + wanted_rate) * SAMPLE_INTERVAL_S
-            offset = min(max(wanted, -stroke), stroke)
-            rate = wanted_rate if offset == wanted else 0.0
-            offsets.append(offset)
-            rates.append(rate)
-        return offsets, rates
 
 
 def acceleration_to_rest(
@@ -190,7 +177,7 @@ def speed_to_rest(
     distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float
 ) -> float:
     """Return the speed after the next frame [m/s] whose braking ends at a distance, or -inf if none does."""
-    # The speed w after the frame: distance = (v + w) t / 2 + w^2 / (2 a).
+    # The speed w after the frame of length t: distance = (v + w) t / 2 + w^2 / (2 a).
     half = 0.5 * deceleration_m_per_s2 * FRAME_S
     left_m = distance_m - 0.5 * speed_m_per_s * FRAME_S
     square = half**2 + 2.0 * deceleration_m_per_s2 * left_m

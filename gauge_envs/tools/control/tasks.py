@@ -1,8 +1,32 @@
-"""List of the control tasks: their ids and entry points."""
+"""List of the control tasks: their ids and entry points. It imports no engine and no task."""
 
 from dataclasses import dataclass
 
 from gauge_envs.errors import UnknownNameError
+
+CUBES = ("wood", "plastic", "metal")
+
+EPISODE_STEPS = {
+    "Turntable": 150,
+    "SlopeSlider": 150,
+    "Pendulum": 180,
+    "Carry": 90,
+    "Push": 60,
+    "Throw": 90,
+    "Fling": 120,
+}
+"""Steps of an episode of each family, 30 a second. Registration reads them without the modules of the tasks."""
+
+FAMILIES = {
+    "Turntable": ("friction:TurntableLimit", CUBES),
+    "SlopeSlider": ("friction:SlopeSliderLimit", CUBES),
+    "Pendulum": ("pendulum:PendulumLimit", ("metal",)),
+    "Carry": ("least_time:CarryLimit", CUBES),
+    "Push": ("least_time:PushLimit", CUBES),
+    "Throw": ("throw:ThrowLimit", ("rubber",)),
+    "Fling": ("fling:FlingLimit", ("satin",)),
+}
+"""Module and class of each family, and its materials."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,53 +51,26 @@ class ControlTask:
         return f"GAUGE/{self.name}"
 
 
-EPISODE_STEPS = {
-    "Turntable": 150,
-    "SlopeSlider": 150,
-    "Pendulum": 180,
-    "Carry": 90,
-    "Push": 60,
-    "Throw": 90,
-    "Fling": 120,
-}
-"""Steps of an episode of each family, 30 a second. Registration reads them without the modules of the tasks."""
-
-_TASKS = {
-    "Turntable": (
-        "gauge_envs.tools.control.turntable:TurntableLimit",
-        ("wood", "plastic", "metal"),
-    ),
-    "SlopeSlider": (
-        "gauge_envs.tools.control.slope_slider:SlopeSliderLimit",
-        ("wood", "plastic", "metal"),
-    ),
-    "Pendulum": ("gauge_envs.tools.control.pendulum:PendulumLimit", ("metal",)),
-    "Carry": (
-        "gauge_envs.tools.control.carry:CarryLimit",
-        ("wood", "plastic", "metal"),
-    ),
-    "Push": ("gauge_envs.tools.control.push:PushLimit", ("wood", "plastic", "metal")),
-    "Throw": ("gauge_envs.tools.control.throw:ThrowLimit", ("rubber",)),
-    "Fling": ("gauge_envs.tools.control.fling:FlingLimit", ("satin",)),
-}
-
-
 def control_tasks() -> tuple[ControlTask, ...]:
     """Return all control tasks; `gauge_envs.variants` does not list them."""
     return tuple(
         ControlTask(
             name=f"{family}-Limit-{material}",
-            entry_point=entry_point,
+            entry_point=f"gauge_envs.tools.control.{entry_point}",
             material=material,
             episode_steps=EPISODE_STEPS[family],
         )
-        for family, (entry_point, materials) in _TASKS.items()
+        for family, (entry_point, materials) in FAMILIES.items()
         for material in materials
     )
 
 
 def find_control_task(name: str) -> ControlTask:
-    """Return a control task by its name or Gymnasium id."""
+    """Return a control task by its name or Gymnasium id.
+
+    Raises:
+        UnknownNameError: There is no such task.
+    """
     by_name = {task.name: task for task in control_tasks()}
     try:
         return by_name[name.removeprefix("GAUGE/")]

@@ -1,12 +1,10 @@
 """Bounce a ball on a plate as high as its restitution allows."""
 
 import math
-from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
 
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.uncertainties import RESTITUTION_SHARE
 from gauge_envs.scene import Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray
@@ -19,7 +17,7 @@ from gauge_envs.tools.control.stage import (
     Stage,
     acceleration_to_rest,
     stage_driver,
-    with_stage,
+    with_box,
 )
 from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
@@ -45,6 +43,10 @@ START_STD_M = 0.001
 """Standard uncertainty of the ball's start [m]. The start height of 22 drops of BouncingBall scatters by 0.95 mm."""
 IMPACTS = 3
 """Number of impacts, after which the highest place counts."""
+MEETING_M = 0.8 * STROKE_M
+"""Place of the plate at which the law's policy meets the ball [m]."""
+LOWEST_M = -STROKE_M + 0.005
+"""Place of the plate from which the law's policy starts its stroke [m]."""
 
 
 def highest_m(
@@ -112,17 +114,12 @@ class ThrowLimit(ControlEnv):
         "restitution: root mean square distance of 22 real drops from the calibrated coefficient; start height: their "
         "scatter"
     )
-
     STEPS = EPISODE_STEPS["Throw"]
-    """Time of an episode; three impacts and the way up take 1.8 s."""
-
-    OWN_STEPS_S: ClassVar[Mapping[str, Mapping[str, float]]] = {
-        "mujoco": {"training": 1 / 180}
-    }
-
+    """Time of an episode; three impacts and the last rise take 1.8 s."""
+    MUJOCO_TIMESTEPS_S: ClassVar = {"training": 1 / 180}
     ACCELERATION_M_PER_S2 = 30.0
     """Full speed after one step."""
-
+    CAMERA: ClassVar = {"target_m": (0.53, 0.44, 0.44), "distance_m": 2.22}
     COMMANDED = ("acceleration_x", "acceleration_z")
     OBSERVED = (
         "ball_from_plate_x_m",
@@ -135,64 +132,46 @@ class ThrowLimit(ControlEnv):
         "impacts",
         "time_s",
     )
-    _at_time_limit = Ending.MISSED
     _stage: Stage
 
-    def _scene(self, stated: Scene) -> Scene:
+    # --- scene and limit ---
+
+    def _scene(self, scene: Scene) -> Scene:
         """Return the scene with a plate beside the ball's vertical."""
-        x, y, _ = stated.body(BALL).pose.position_m
-        top_m = stated.body("ground").pose.position_m[2] + PLATE_TOP_M
+        x, y, _ = scene.body(BALL).pose.position_m
+        top_m = scene.body("ground").pose.position_m[2] + PLATE_TOP_M
         place_m = (x + ASIDE_M, y, top_m - 0.5 * PLATE_SIZE_M[2])
-        driver = stage_driver(
-            PLATE, (X_AXIS, Z_AXIS), largest_speed_m_per_s=SPEED_M_PER_S
-        )
-        (on_ground,) = stated.contacts
-        return with_stage(
-            stated, PLATE, PLATE_SIZE_M, place_m, driver, pushes=BALL, like=on_ground
-        )
+        driver = stage_driver(PLATE, X_AXIS, Z_AXIS, max_speed_m_per_s=SPEED_M_PER_S)
+        (on_ground,) = scene.contacts
+        return with_box(scene, PLATE_SIZE_M, place_m, driver, on_ground)
 
     def _prepare(self, scene: Scene) -> None:
         ball, plate = scene.body(BALL), scene.body(PLATE).pose
         assert isinstance(ball.shape, Sphere)
-        self._stage = Stage(scene.drivers[0], plate, np.array([math.inf, STROKE_M]))
+        self._stage = Stage(
+            scene.drivers[0], plate, self.ACCELERATION_M_PER_S2, (math.inf, STROKE_M)
+        )
         # The height of the ball's centre in the world when it lies on the plate at the start.
         self._zero_m = plate.position_m[2] + 0.5 * PLATE_SIZE_M[2] + ball.shape.radius_m
         self._drop_m = ball.pose.position_m[2] - self._zero_m
 
-    def _limit_and_sigma(self) -> tuple[float, float]:
+    def _limit(self) -> tuple[float, float]:
         scene = self.experiment.scene
         (restitution,) = (c.restitution for c in scene.contacts if PLATE in c.second)
         gravity = scene.gravity_m_per_s2
         value = highest_m(self._drop_m, restitution, gravity)
         # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
-        (calibrated,) = load_experiment(self._variant).scene.contacts
-        std = RESTITUTION_SHARE * calibrated.restitution
+        std = RESTITUTION_SHARE * self.calibrated.contacts[0].restitution
         bouncier_m = highest_m(self._drop_m, restitution + std, gravity)
         started_higher_m = highest_m(self._drop_m + START_STD_M, restitution, gravity)
-        sigma = math.hypot(bouncier_m - value, started_higher_m - value)
-        return value, sigma
+        return value, math.hypot(bouncier_m - value, started_higher_m - value)
 
-    def reach_m(self) -> FloatArray:
-        """Return the ball at its largest height, the plate below, and the ends of its stroke [m], shape [4, 2, 3]."""
-        scene = self.experiment.scene
-        ball, plate = (
-            np.asarray(scene.body(name).pose.position_m) for name in (BALL, PLATE)
-        )
-        highest = np.array([*ball[:2], self._zero_m + self.limit.value])
-        below = np.array([*ball[:2], plate[2]])
-        stroke = np.array([0.0, 0.0, STROKE_M])
-        places = [
-            [ball, plate],
-            [highest, below],
-            [ball, below - stroke],
-            [ball, below + stroke],
-        ]
-        return np.array(places)
+    # --- episode ---
 
-    # --- physics ---
-
-    def _accelerate(self, command: FloatArray) -> FloatArray:
-        return command * self.ACCELERATION_M_PER_S2
+    def _begin(self) -> None:
+        self._impacts = 0
+        self._read()
+        self._highest_m = self._height_m
 
     def _read(self) -> None:
         """Read the ball's place, along x relative to the plate's centre, and its velocity."""
@@ -206,14 +185,7 @@ class ThrowLimit(ControlEnv):
         """Whether the ball is above the plate's top, and not near its edges."""
         return abs(self._from_plate_m) <= 0.5 * PLATE_SIZE_M[0] - EDGE_M
 
-    # --- task ---
-
-    def _begin(self) -> None:
-        self._impacts = 0
-        self._read()
-        self._highest_m = self._height_m
-
-    def _look(self) -> Ending | None:
+    def _after_interval(self) -> Ending | None:
         fell, was_inside = self._ball_velocity[1] < 0.0, self._is_inside
         self._read()
         has_turned = bool(fell and self._ball_velocity[1] > 0.0)
@@ -227,24 +199,21 @@ class ThrowLimit(ControlEnv):
             return Ending.REACHED
         return None
 
+    def _total_reward(self) -> float:
+        return self._highest_m / (self.limit.value - self._drop_m)
+
     def _observation(self) -> FloatArray:
-        plate = self._stage
         return np.array(
             [
                 self._from_plate_m,
                 self._height_m,
                 *self._ball_velocity,
-                plate.offset[1],
-                *plate.rate,
+                self._stage.offset[1],
+                *self._stage.rate,
                 self._impacts,
                 self.time_s,
             ]
         )
-
-    # --- reward ---
-
-    def _earned(self, ending: Ending | None) -> float:
-        return self._highest_m / (self.limit.value - self._drop_m)
 
     def _reached(self) -> float:
         return self._highest_m if self._ending is Ending.REACHED else 0.0
@@ -253,22 +222,20 @@ class ThrowLimit(ControlEnv):
 
     def _law_command(self, fraction: float) -> FloatArray:
         """Return the action that meets the ball near the top of the stroke with the speed fraction V."""
-        gravity = self.experiment.scene.gravity_m_per_s2
-        limit_m_per_s2, speed = self.ACCELERATION_M_PER_S2, fraction * SPEED_M_PER_S
-        place_m = 0.8 * STROKE_M
-        square = self._ball_velocity[1] ** 2 + 2.0 * gravity * (
-            self._height_m - place_m
-        )
-        meets_s = (self._ball_velocity[1] + math.sqrt(max(square, 0.0))) / gravity
-        across_m = self._from_plate_m + float(self._ball_velocity[0]) * meets_s
-        across_rate, rate = self._stage.rate.tolist()
-        across = acceleration_to_rest(across_m, across_rate, 0.5 * limit_m_per_s2)
+        gravity = self.gravity_m_per_s2
+        braking_m_per_s2 = 0.5 * self.ACCELERATION_M_PER_S2
+        speed = fraction * SPEED_M_PER_S
+        velocity_x, velocity_z = self._ball_velocity
+        above_m = self._height_m - MEETING_M
+        square = velocity_z**2 + 2.0 * gravity * above_m
+        meets_s = (velocity_z + math.sqrt(max(square, 0.0))) / gravity
+        across_m = self._from_plate_m + float(velocity_x) * meets_s
+        rate_x, rate_z = self._stage.rate.tolist()
+        across = acceleration_to_rest(across_m, rate_x, braking_m_per_s2)
         height_m = float(self._stage.offset[1])
         # A plate that is on this line in time, half a frame from now, meets the ball at its place with its speed.
-        if place_m - speed * (meets_s - 0.5 * FRAME_S) >= height_m:
-            up = (speed - rate) / FRAME_S
+        if MEETING_M - speed * (meets_s - 0.5 * FRAME_S) >= height_m:
+            up = (speed - rate_z) / FRAME_S
         else:
-            up = acceleration_to_rest(
-                -STROKE_M + 0.005 - height_m, rate, 0.5 * limit_m_per_s2
-            )
-        return np.array([across, up]) / limit_m_per_s2
+            up = acceleration_to_rest(LOWEST_M - height_m, rate_z, braking_m_per_s2)
+        return np.array([across, up]) / self.ACCELERATION_M_PER_S2

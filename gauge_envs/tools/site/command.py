@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections import defaultdict
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Progress, echo, message
 from gauge_envs.cli.results import loaded_results
 from gauge_envs.errors import ResultFileError
-from gauge_envs.pages.text import counted, shortened
+from gauge_envs.pages.text import counted, short_id, shortened
 
 
 def report(
@@ -41,15 +42,9 @@ def report(
     results, skipped = loaded_results(sources, with_scene=True, corrected=corrected)
     if not results:
         raise ResultFileError("no result is left to report; gauge run writes them")
-    words = [
-        "gauge",
-        "report",
-        *(sources or ["results"]),
-        "--out",
-        str(out),
-        *([] if corrected else ["--no-corrected"]),
-        *([] if replay else ["--no-replay"]),
-    ]
+    words = ["gauge", "report", *(sources or ["results"]), "--out", str(out)]
+    words += [] if corrected else ["--no-corrected"]
+    words += [] if replay else ["--no-replay"]
     with Progress("pages", len({result.id for result in results.values()})) as progress:
         notes = save_site(
             results,
@@ -58,14 +53,12 @@ def report(
             command=shlex.join(words),
             progress=progress.advance,
         )
-    reasons: dict[tuple[str, str], list[str]] = {}
-    for one in notes:
-        reasons.setdefault((one.label, one.reason), []).append(
-            one.id.removeprefix("GAUGE/")
-        )
-    for (label, reason), names in reasons.items():
-        message(f"{label}, {shortened(names)}: {reason}", "no replay")
-    size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
+    names = defaultdict(list)
+    for note in notes:
+        names[note.label, note.reason].append(short_id(note.id))
+    for (label, reason), ids in names.items():
+        message(f"{label}, {shortened(ids)}: {reason}", "no replay")
+    size = sum(file.stat().st_size for file in out.rglob("*"))
     message(f"{counted(len(results), 'result')}, {size / 1e6:.1f} MB")
     echo(out / "index.html")
     return bool(skipped)

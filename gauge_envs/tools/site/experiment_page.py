@@ -1,35 +1,37 @@
-"""The page of one experiment: picture, scores, replay, convergence, origin."""
+"""The page of one experiment: picture, scores, replay, estimates, and the commands that made its results."""
 
-from collections.abc import Iterator, Sequence
+import hashlib
+import json
+import math
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
-from gauge_envs.errors import GaugeError
 from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.figures import embedded
-from gauge_envs.pages.html import Html, element, join, listed
-from gauge_envs.pages.results import (
-    SCORE_METRICS,
-    discretization_text,
-)
-from gauge_envs.pages.table import Table, grid
+from gauge_envs.pages.html import Html, below, element, folded, join, listed
+from gauge_envs.pages.results import SCORE_METRICS, discretization_text
+from gauge_envs.pages.table import grid
 from gauge_envs.pages.text import (
     KIND_NOTES,
     digits_text,
     event_title,
     score_text,
+    short_id,
     with_unit,
 )
-from gauge_envs.references.band import Band
 from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import PUBLISHED_ENGINES
+from gauge_envs.references.user_data import DataSource
+from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scoring.estimates import Measured
 from gauge_envs.scoring.score import OVER_U
 from gauge_envs.tools.compare import ExperimentComparison, draw_experiment, judging_band
 from gauge_envs.tools.site.model import (
-    Parts,
-    Results,
     Site,
     first_results,
     score_cell,
@@ -37,7 +39,6 @@ from gauge_envs.tools.site.model import (
     site_page,
 )
 from gauge_envs.tools.site.overview import SOLUTION_NOTE, place_text
-from gauge_envs.tools.site.reproduce import run_commands
 
 REPLAY_SCRIPTS = ("assets/three.min.js", "assets/replay.js")
 
@@ -47,148 +48,132 @@ SCORES_NOTE = (
 )
 
 CONVERGENCE_NOTE = (
-    "Change of the whole trajectory when the time step or the cell of a mesh is halved, over the scatter of real "
+    "Half step, half cell: change of the whole trajectory when the time step or the cell of a mesh is halved, over the "
+    "scatter of real "
     "trials; where the reference is a solution, in the unit of g(t). It was measured once for each engine with its "
     "default settings (scoring/convergence)."
+)
+
+REPRODUCE_NOTE = (
+    "A command makes the same numbers, bit for bit, with the same versions on the same kind of processor. Wall times "
+    "differ."
 )
 
 
 def experiment_page(
     site: Site,
-    one: ExperimentComparison,
+    experiment: ExperimentComparison,
     replay: Html | None,
     replay_notes: Sequence[str],
 ) -> str:
     """Return the page of an experiment with its replay; the notes say why configurations have none."""
-    results = first_results(one)
-    experiment = _experiment(results)
-    band = None if experiment is None else judging_band(experiment, results.values())
-    replays: Parts = [
-        *([] if replay is None else [replay]),
-        *(Paragraph(note, Tone.WARNING) for note in replay_notes),
-    ]
-    parts = [
-        *_head(one, experiment, band),
-        *(_picture(site, one) if experiment is not None else []),
-        *_ranks(site, one),
-        *_scores(site, one),
+    results = first_results(experiment)
+    replays: list[Part] = [] if replay is None else [replay]
+    replays += [Paragraph(note, Tone.WARNING) for note in replay_notes]
+    parts: list[Part] = [
+        *_head(experiment, results),
+        *_picture(site, experiment),
+        *_scores(site, experiment),
         *([Heading("3D replay"), *replays] if replays else []),
-        *_words(site, results),
-        *_distances(site, one),
-        *section("Convergence", _convergence(site, results), CONVERGENCE_NOTE),
-        *section("Estimates", _estimates(site, results)),
-        *section("Did not finish", _not_run(site, one)),
+        *_sentences(site, results),
+        *_distances(site, experiment),
+        *_unfinished(site, experiment),
         Heading("How to reproduce"),
-        *run_commands(site, one),
+        Paragraph(REPRODUCE_NOTE, Tone.NOTE),
+        *_commands(site, experiment),
     ]
-    return site_page(
-        one.name,
-        parts,
-        here=site.experiment_page(one),
-        scripts=REPLAY_SCRIPTS if replay else (),
-    )
-
-
-def _experiment(results: Results) -> Experiment | None:
-    for result in results.values():
-        try:
-            return recorded_experiment(result)
-        except GaugeError:
-            continue
-    return None
+    scripts = REPLAY_SCRIPTS if replay else ()
+    return site_page(experiment.name, parts, scripts=scripts)
 
 
 def _head(
-    one: ExperimentComparison, experiment: Experiment | None, band: Band | None
+    experiment: ExperimentComparison, results: Mapping[int, Result]
 ) -> Iterator[Part]:
-    if experiment is not None:
-        yield element("p", experiment.spec.summary, class_="lead")
-        yield element(
-            "p", element("b", "Tests: "), ", ".join(experiment.spec.evaluates), "."
-        )
-    text = f"{KIND_NOTES[Kind(one.kind)]}."
-    source = (
-        ""
-        if band is None
-        else f" {band.source[:1].upper()}{band.source[1:].rstrip('.')}."
-    )
-    yield element("p", element("b", f"Reference, {one.kind}: "), text, source)
+    """Yield what the experiment is, and what its reference is."""
+    source = ""
+    for result in list(results.values())[:1]:
+        recorded: Experiment = recorded_experiment(result)
+        tests = f" {', '.join(recorded.spec.evaluates)}."
+        yield element("p", recorded.spec.summary, class_="lead")
+        yield element("p", element("b", "Tests:"), tests)
+        band = judging_band(recorded, results.values())
+        if band is not None:
+            source = f" {band.source[:1].upper()}{band.source[1:].rstrip('.')}."
+    title = element("b", f"Reference, {experiment.kind}: ")
+    yield element("p", title, f"{KIND_NOTES[Kind(experiment.kind)]}.", source)
 
 
-def _picture(site: Site, one: ExperimentComparison) -> Parts:
+def _picture(site: Site, experiment: ExperimentComparison) -> list[Html]:
     """Return the picture of an experiment: distance over time, scores, and the coordinates that decide them."""
-    among = [
-        result
-        for other in site.comparison.experiments
-        for cell in other.cells
-        for result in (cell.results if cell else ())
-    ]
-    shown = [
-        result
-        for result in among
-        if result.id == one.id and result.trajectory is not None
-    ]
-    if not shown:
+    drawn = [result for result in experiment.results if result.trajectory is not None]
+    if not drawn:
         return []
-    figure = draw_experiment(shown, among=among)
-    return [embedded(figure, f"{one.name}: distance over time, scores, coordinates")]
+    among = [result for one in site.comparison.experiments for result in one.results]
+    figure = draw_experiment(drawn, among=among)
+    text = f"{experiment.name}: distance over time, scores, coordinates"
+    return [embedded(figure, text)]
 
 
-def _ranks(site: Site, one: ExperimentComparison) -> Parts:
-    lines = [
-        join([site.links[score.configuration], f": {place_text(kind, score)}"])
-        for kind in site.comparison.compare_within([one])
-        for score in kind.ranked
-        if len(kind.scores) > 1
-    ]
-    return [listed(lines)] if len(lines) > 1 else []
-
-
-def _scores(site: Site, one: ExperimentComparison) -> Parts:
+def _scores(site: Site, experiment: ExperimentComparison) -> list[Part]:
     """Return the table of scores; RMSE and DTW from a solution have no scale, and its distance says it."""
     names = [
         name
-        for name in one.metrics()
-        if not one.is_solution or name == OVER_U or SCORE_METRICS[name].is_event
+        for name in experiment.metrics()
+        if not experiment.is_solution or name == OVER_U or SCORE_METRICS[name].is_event
     ]
     if not names:
         return []
-    has_trials = any(cell and cell.percentile is not None for cell in one.cells)
+    ranks = {
+        score.configuration: place_text(kind, score)
+        for kind in site.comparison.compare_within([experiment])
+        for score in kind.scores
+    }
+    rows: list[list[str]] = []
+    for index, cell in enumerate(experiment.cells):
+        notes = [ranks.get(index, "")]
+        if cell and cell.percentile is not None:
+            notes.append(f"{cell.percentile:.0f} % of the real trials are closer")
+        name = join([site.names[index], *map(below, notes)])
+        scores = (score_cell(experiment, cell, metric) for metric in names)
+        rows.append([name, *scores])
+    for engine, title in PUBLISHED_ENGINES.items():
+        values = [(experiment.published(name) or {}).get(engine) for name in names]
+        if any(value is not None for value in values):
+            rows.append([f"{title}, paper", *map(score_text, values)])
     titles = ["", *(SCORE_METRICS[name].title for name in names)]
     note = SOLUTION_NOTE if OVER_U in names else SCORES_NOTE
-    if has_trials:
-        titles.append("real trials closer")
-        note += " Real trials closer: share of the real trials that are closer to their mean."
-    titles.append("physics")
-    rows: list[list[str]] = []
-    for index, cell in enumerate(one.cells):
-        row: list[str] = [
-            site.links[index],
-            *(score_cell(one, cell, name) for name in names),
-        ]
-        if has_trials:
-            share = cell.percentile if cell else None
-            row.append("-" if share is None else f"{share:.0f} %")
-        row.append(site.comparison.configurations[index].physics or "-")
-        rows.append(row)
-    for engine, title in PUBLISHED_ENGINES.items():
-        values = [(one.published(name) or {}).get(engine) for name in names]
-        if any(value is not None for value in values):
-            empty = [""] * (len(titles) - 1 - len(names))
-            rows.append([f"{title}, paper", *map(score_text, values), *empty])
     return section("Scores", grid(titles, rows), note)
 
 
-def _words(site: Site, results: Results) -> Parts:
-    lines = [
-        join([site.swatch(index), f"{site.labels[index]}: {result.score.summary()}"])
-        for index, result in results.items()
-    ]
-    return [Heading("In words"), listed(lines)] if lines else []
+def _sentences(site: Site, results: Mapping[int, Result]) -> list[Part]:
+    """Return the score of each configuration in words, what it estimates, and how far it has converged."""
+    entries = []
+    for index, result in results.items():
+        known = convergence_rows(result.backend, result.id)
+        convergence = discretization_text(result, known)
+        texts = [
+            f"{event_title(name)}: {_estimate_text(estimate)}"
+            for name, estimate in result.score.estimates.items()
+        ]
+        texts += [convergence] if convergence else []
+        sentence = f"{site.labels[index]}: {result.score.summary()}"
+        entries.append(join([site.swatch(index), sentence, *map(below, texts)]))
+    note = Paragraph(CONVERGENCE_NOTE, Tone.NOTE)
+    return [Heading("In words"), listed(entries), note] if entries else []
 
 
-def _distances(site: Site, one: ExperimentComparison) -> Parts:
-    if one.kind != Kind.NONE:
+def _estimate_text(estimate: Measured) -> str:
+    text = f"simulated {with_unit(digits_text(estimate.value), estimate.unit)}"
+    if estimate.real is not None:
+        text += f", real {digits_text(estimate.real)}"
+    if estimate.real_uncertainty is not None:
+        text += f" \u00b1 {estimate.real_uncertainty:.2g}"
+    return text
+
+
+def _distances(site: Site, experiment: ExperimentComparison) -> list[Part]:
+    """Return the distances between engines where there is no reference."""
+    if experiment.kind != Kind.NONE:
         return []
     rows = [
         (
@@ -197,52 +182,109 @@ def _distances(site: Site, one: ExperimentComparison) -> Parts:
             far.text(far.motion_rms),
             far.apart_text,
         )
-        for far in one.distances
+        for far in experiment.distances
     ]
-    limits = sorted({far.text(far.threshold) for far in one.distances})
-    note = "Root mean square over the frames. Apart: first time at which the distance exceeds "
+    limits = sorted({far.text(far.threshold) for far in experiment.distances})
     titles = ("between", "distance", "motion", "apart at")
     return section(
         "Distances between engines",
         grid(titles, rows, number_from=1),
-        f"{note}{', '.join(limits)}.",
+        "Root mean square over the frames. Apart: first time at which the distance exceeds "
+        f"{', '.join(limits)}.",
     )
 
 
-def _convergence(site: Site, results: Results) -> Table:
-    rows = []
-    for index, result in results.items():
-        text = discretization_text(result, convergence_rows(result.backend, result.id))
-        if text is not None:
-            rows.append((site.links[index], text))
-    return grid(("engine", "half step, half cell"), rows)
-
-
-def _estimates(site: Site, results: Results) -> Table:
-    rows = [
-        (
-            site.links[index],
-            event_title(name),
-            with_unit(digits_text(one.value), one.unit),
-            "-" if one.real is None else with_unit(_real_text(one), one.unit),
-        )
-        for index, result in results.items()
-        for name, one in result.score.estimates.items()
-    ]
-    return grid(("engine", "quantity", "simulated", "real"), rows)
-
-
-def _real_text(one: Measured) -> str:
-    if one.real_uncertainty is None:
-        return digits_text(one.real)
-    return f"{digits_text(one.real)} \u00b1 {one.real_uncertainty:.2g}"
-
-
-def _not_run(site: Site, one: ExperimentComparison) -> Table:
-    rows = [
-        (site.links[index], result.outcome.value, reason)
-        for index, cell in enumerate(one.cells)
+def _unfinished(site: Site, experiment: ExperimentComparison) -> list[Part]:
+    reasons = [
+        f"{site.labels[index]}, {result.outcome.value}: {reason}"
+        for index, cell in enumerate(experiment.cells)
         for result in (cell.results if cell else ())
         if (reason := result.error or result.diverged_reason)
     ]
-    return grid(("engine", "outcome", "reason"), rows)
+    return [Heading("Did not finish"), listed(reasons)] if reasons else []
+
+
+# --- how to reproduce ---
+
+
+def _commands(site: Site, experiment: ExperimentComparison) -> Iterator[Part]:
+    """Yield the command of each configuration, its result files, versions and settings."""
+    for index, cell in enumerate(experiment.cells):
+        if cell is None:
+            continue
+        first = cell.results[0]
+        yield element("p", site.swatch(index), site.labels[index])
+        yield element("pre", element("code", run_command(cell.results)))
+        versions = ", ".join(f"{name} {text}" for name, text in first.versions.items())
+        yield Paragraph(f"Versions: {versions}.", Tone.NOTE)
+        settings = element("code", "\n".join(_assignments(first.settings)))
+        origins = (_origin(site, result) for result in cell.results)
+        yield folded("files, settings", listed(origins), element("pre", settings))
+
+
+def _origin(site: Site, result: Result) -> str:
+    """Return the file of a result with its hash, that of its task file, and the date."""
+    file = site.files[id(result)]
+    digest = "gone"
+    if file.is_file():
+        digest = hashlib.sha256(file.read_bytes()).hexdigest()[:16]
+    date = result.created.partition(".")[0].replace("T", " ")
+    task = result.task_sha256[:16]
+    return f"{file.name}, SHA-256 {digest}, task file {task}, created {date} UTC"
+
+
+def run_command(results: Sequence[Result]) -> str:
+    """Return the `gauge run` command that makes the repeats of one configuration in one experiment."""
+    first = results[0]
+    if first.backend is None:
+        return "scored from a trajectory file: gauge score FILE"
+    words = ["gauge", "run", short_id(first.id), "--backend", first.backend]
+    if not isinstance(first.parameters, str):
+        words += ["--parameter", ",".join(_assignments(first.parameters))]
+    elif first.parameters != "calibrated":
+        words += ["--parameter", first.parameters]
+    for assignment in _assignments(first.settings_given):
+        words += ["--set", assignment]
+    if first.marker_proxy != MarkerProxy.MATERIAL:
+        words += ["--marker-proxy", str(first.marker_proxy)]
+    used = [
+        f"imported-{key}"
+        for key in ("drivers", "reference")
+        if first.dataset.get(key) == DataSource.IMPORTED
+    ]
+    if used:
+        words += ["--use", ",".join(used)]
+    if first.asset:
+        words += ["--asset", first.asset["file"]]
+    return shlex.join([*words, *_start_words(results)])
+
+
+def _assignments(values: Mapping[str, Any]) -> list[str]:
+    return [
+        f"{name}={value if isinstance(value, str) else json.dumps(value, separators=(',', ':'))}"
+        for name, value in values.items()
+    ]
+
+
+def _start_words(results: Sequence[Result]) -> list[str]:
+    """Return the words for seed, repeats and jitter."""
+    seeds = [result.seed or 0 for result in results]
+    first, last = min(seeds), max(seeds)
+    words = ["--seed", str(first)] if first else []
+    # Repeats have consecutive seeds; the range holds also those that are missing here.
+    if last > first:
+        words += ["--repeats", str(last - first + 1)]
+    jitter = results[0].jitter
+    if "position_m" in jitter:
+        position_m, angle_rad = jitter["position_m"], jitter["angle_rad"]
+        millimetres = _exact(position_m, position_m / 1e-3, lambda mm: 1e-3 * mm)
+        degrees = _exact(angle_rad, math.degrees(angle_rad), math.radians)
+        words += ["--jitter", f"{millimetres}mm,{degrees}deg"]
+    return words
+
+
+def _exact(value: float, scaled: float, restored: Callable[[float], float]) -> str:
+    """Return the shortest number of which the command makes exactly this value."""
+    texts = (f"{scaled:.{digits}g}" for digits in range(1, 18))
+    exact = (text for text in texts if restored(float(text)) == value)
+    return next(exact, repr(scaled))

@@ -1,32 +1,38 @@
 """The first page: which engine is how far from reality, or from the solution of its scene, in what, how certainly."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import partial
 
-from gauge_envs.pages.document import Paragraph, Part, Tone
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.html import Html, below, element, join
 from gauge_envs.pages.results import SCORE_METRICS, versions_text
-from gauge_envs.pages.table import Column, Table, grid
-from gauge_envs.pages.text import KIND_NOTES, counted
+from gauge_envs.pages.table import Table, grid
+from gauge_envs.pages.text import counted
 from gauge_envs.references.kind import Kind
 from gauge_envs.tools.compare import (
-    PUBLISHED,
-    Cell,
     ExperimentComparison,
     KindComparison,
     KindScore,
     mean_rank_text,
 )
 from gauge_envs.tools.site.model import (
-    LOST,
     Site,
+    experiment_link,
+    losses,
+    page_file,
     score_cell,
+    score_html,
     section,
     site_page,
-    standing,
-    whisker_text,
+    verdict_of,
 )
+
+KIND_TITLES = {
+    "trials": "real trials",
+    "recording": "one recorded trial",
+    "analytic": "a closed form, not reality",
+    "numerical": "a numerical solution, not reality",
+}
 
 SCALE_NOTE = (
     "Score: distance to the real mean over the mean distance of single real trials, which is 1. Lower is closer. In "
@@ -50,7 +56,7 @@ EVENTS_NOTE = (
     "cradle hands on. PD: period of the pendulum. EL: energy loss of the pendulum."
 )
 
-PARTIAL_NOTE = "No distance of real trials is published for what these references compare, so nothing is 1."
+PARTIAL_NOTE = "RMSE in its unit: no distance of real trials is published for what these references compare."
 
 UNSCORED_NOTE = (
     "No real reference is published, so nothing says which engine is right. Distance and motion: root mean square "
@@ -62,163 +68,125 @@ def overview_page(site: Site) -> str:
     """Return the first page of a site."""
     comparison = site.comparison
     kinds = [kind for kind in comparison.kinds if kind.ids]
-    references = ", ".join(f"{len(kind.ids)} against {_title(kind)}" for kind in kinds)
+    references = [f"{len(kind.ids)} against {KIND_TITLES[kind.kind]}" for kind in kinds]
+    engines = {one.backend or "file" for one in comparison.configurations}
     lead = (
         f"{counted(len(comparison.experiments), 'experiment')}, "
-        f"{counted(len(comparison.configurations), 'configuration')} of {counted(len(site.engines), 'engine')}. "
-        f"Compared: {references or 'none'}."
+        f"{counted(len(comparison.configurations), 'configuration')} of {counted(len(engines), 'engine')}. "
+        f"Compared: {', '.join(references) or 'none'}."
     )
     parts: list[Part] = [
         element("p", lead, class_="lead"),
         *section(
-            "Engine by phenomenon", _matrix(site), SCALE_NOTE, SOLUTION_NOTE, RANK_NOTE
+            "Engine by phenomenon",
+            grid(["phenomenon", *site.names], _phenomena(site), look="matrix"),
+            SCALE_NOTE,
+            SOLUTION_NOTE,
         ),
-        *(part for kind in kinds for part in _ranking(site, kind)),
-        *section(
-            "Distance without a scale",
-            _scores_table(site, "experiment", _unscaled(site)),
-            PARTIAL_NOTE,
-        ),
-        *section("Events", _scores_table(site, "event", _events(site)), EVENTS_NOTE),
+        *section("Mean ranks", _ranks(site, kinds), RANK_NOTE),
+        *section("Other metrics", _others(site), PARTIAL_NOTE, EVENTS_NOTE),
         *section(
             "Without a reference: how far engines are apart",
-            _unscored_table(site),
+            _farthest_apart(site),
             UNSCORED_NOTE,
         ),
-        *_engines(site),
+        *section("Engines", _engines(site)),
         *(Paragraph(f"Note: {note}.", Tone.WARNING) for note in comparison.notes),
+        Heading("This site"),
+        element("pre", element("code", site.command)),
+        element(
+            "p",
+            "The page of an experiment has the command of each result. The 3D replays are drawn by three.js, MIT ",
+            element("a", "licence", href="assets/three.LICENSE.txt"),
+            ". Real data: GAUGE, arXiv 2608.05948.",
+        ),
     ]
-    return site_page("How far is each engine off?", parts, here="index.html")
-
-
-def _title(kind: KindComparison) -> str:
-    return {
-        "trials": "real trials",
-        "recording": "one recorded trial",
-        "analytic": "a closed form, not reality",
-        "numerical": "a numerical solution, not reality",
-    }[kind.kind]
+    return site_page("How far is each engine off?", parts)
 
 
 # --- ranks and phenomena ---
 
 
-def _ranking(site: Site, kind: KindComparison) -> list[Part]:
-    """Return the mean ranks within a kind of reference."""
-    if len(kind.scores) < 2:
-        return []
-    constants = "" if kind.constants == PUBLISHED else f", parameters {kind.constants}"
-    rows = [
-        (
-            join([site.swatch(one.configuration), site.labels[one.configuration]]),
-            site.comparison.configurations[one.configuration].physics,
-            mean_rank_text(one.mean_rank),
-        )
-        for one in kind.ranked
-        if one.mean_rank is not None
-    ]
-    return section(
-        f"Ranks against {_title(kind)}{constants}, {counted(len(kind.ids), 'experiment')}",
-        grid(("configuration", "physics", "mean rank"), rows),
-        f"{KIND_NOTES[Kind(kind.kind)].capitalize()}.",
-    )
+def _ranks(site: Site, kinds: Iterable[KindComparison]) -> Table:
+    """Return the mean rank of each configuration within each kind of reference."""
+    rows = []
+    for kind in kinds:
+        ranks = {
+            score.configuration: mean_rank_text(score.mean_rank)
+            for score in kind.scores
+            if score.mean_rank is not None
+        }
+        if len(ranks) > 1:
+            constants = kind.name.removeprefix(kind.kind)
+            title = element("b", f"{KIND_TITLES[kind.kind]}{constants}")
+            count = counted(len(kind.ids), "experiment")
+            cells = (ranks.get(index, "") for index in range(len(site.names)))
+            rows.append([join([title, below(count)]), *cells])
+    return grid(["reference", *site.names], rows, look="matrix")
 
 
-@dataclass(frozen=True)
-class _Phenomenon:
-    """Experiments of one family against references of one kind, of which one has a score."""
-
-    title: str
-    tests: str
-    kinds: Sequence[KindComparison]
-    members: Sequence[ExperimentComparison]
-
-    def of(self, configuration: int) -> tuple[KindComparison, KindScore] | None:
-        """Return the comparison that ranks a configuration, and its score there; None without a mean."""
-        found = (
-            (kind, one)
-            for kind in self.kinds
-            for one in kind.scores
-            if one.configuration == configuration and one.mean is not None
-        )
-        return next(found, None)
-
-    def cells(self, configuration: int) -> list[Cell]:
-        """Return the results of a configuration."""
-        cells = (member.cells[configuration] for member in self.members)
-        return [cell for cell in cells if cell is not None]
-
-
-def _phenomena(site: Site) -> Iterator[_Phenomenon]:
+def _phenomena(site: Site) -> Iterator[list[Html]]:
+    """Yield a row for the experiments of each phenomenon against references of one kind, if one of them has a score."""
     groups: dict[tuple[str, str, str], list[ExperimentComparison]] = {}
-    for one in site.comparison.experiments:
-        groups.setdefault((*site.family(one), one.kind), []).append(one)
+    for experiment in site.comparison.experiments:
+        spec = load_experiment(experiment.name).spec
+        key = (experiment.kind, spec.title, ", ".join(spec.evaluates))
+        groups.setdefault(key, []).append(experiment)
     for kind in Kind:
-        for (title, tests, name), members in groups.items():
-            if name == kind and (found := site.comparison.compare_within(members)):
-                yield _Phenomenon(title, tests, found, members)
+        for (name, title, tests), members in groups.items():
+            ranks = site.comparison.compare_within(members) if name == kind else ()
+            if ranks:
+                yield [
+                    _phenomenon(f"{title}, {KIND_TITLES[name]}", tests, members),
+                    *(
+                        _phenomenon_cell(index, members, ranks)
+                        for index in range(len(site.names))
+                    ),
+                ]
 
 
-def _matrix(site: Site) -> Table:
-    def heading(one: _Phenomenon) -> Html:
-        links = (
-            element(
-                "a",
-                member.name.partition("-")[2] or member.name,
-                href=site.experiment_page(member),
-            )
-            for member in one.members
+def _phenomenon(
+    title: str, tests: str, members: Sequence[ExperimentComparison]
+) -> Html:
+    links = (
+        element(
+            "a",
+            member.name.partition("-")[2] or member.name,
+            href=page_file(member),
         )
-        metric = ", ".join(
-            dict.fromkeys(SCORE_METRICS[member.primary].title for member in one.members)
-        )
-        return join(
-            [
-                element("b", f"{one.title}, {_title(one.kinds[0])}"),
-                below(one.tests),
-                below(f"{metric}: ", join(links, " \u00b7 ")),
-            ]
-        )
-
-    columns = (
-        Column(
-            "", link, html=partial(_matrix_cell, index), style=partial(_style, index)
-        )
-        for index, link in enumerate(site.headings)
+        for member in members
     )
-    return Table(
-        columns=(Column("", "phenomenon", html=heading), *columns),
-        rows=list(_phenomena(site)),
-        look="matrix",
-    )
+    metrics = dict.fromkeys(SCORE_METRICS[member.primary].title for member in members)
+    experiments = below(f"{', '.join(metrics)}: ", join(links, " \u00b7 "))
+    return join([element("b", title), below(tests), experiments])
 
 
-def _style(index: int, one: _Phenomenon) -> str:
-    return standing(one.cells(index))[0]
-
-
-def _matrix_cell(index: int, one: _Phenomenon) -> Html:
+def _phenomenon_cell(
+    index: int,
+    members: Sequence[ExperimentComparison],
+    ranks: Sequence[KindComparison],
+) -> Html:
     """Return the score and the rank of a configuration in a phenomenon, and what has no score."""
-    cells = one.cells(index)
-    lost = [
-        below(f"{count} {outcome.value}")
-        for outcome in LOST
-        if (count := sum(cell.count(outcome) for cell in cells))
-    ]
-    found = one.of(index)
-    if found is None or found[1].mean is None:
-        text = "no score" if cells else "not run"
-        return join([element("span", text, class_="quiet"), *lost])
-    kind, score = found
-    mean, badge = found[1].mean, standing(cells)[1]
-    parts = [
-        whisker_text(mean.value, mean.interval_95, "u" if kind.is_solution else "1"),
-        *([] if badge is None else [badge]),
-        below(place_text(kind, score)),
-    ]
-    if len(kind.ids) < len(one.members):
-        parts.append(below(f"over {len(kind.ids)} of {len(one.members)} experiments"))
-    return join([*parts, *lost])
+    results = (member.cells[index] for member in members)
+    cells = [cell for cell in results if cell is not None]
+    lost = map(below, losses(*cells))
+    scores = ((kind, score) for kind in ranks for score in kind.scores)
+    for kind, score in scores:
+        if score.configuration != index or score.mean is None:
+            continue
+        unit = "u" if kind.is_solution else "1"
+        color, badge = verdict_of(*cells)
+        parts = [
+            score_html(score.mean.value, score.mean.interval_95, unit),
+            badge,
+            below(place_text(kind, score)),
+        ]
+        if len(kind.ids) < len(members):
+            count = f"over {len(kind.ids)} of {len(members)} experiments"
+            parts.append(below(count))
+        return element("div", *parts, *lost, class_=color)
+    text = "no score" if cells else "not run"
+    return join([element("span", text, class_="quiet"), *lost])
 
 
 def place_text(kind: KindComparison, score: KindScore) -> str:
@@ -230,80 +198,66 @@ def place_text(kind: KindComparison, score: KindScore) -> str:
 
 # --- the rest ---
 
-MetricRow = tuple[ExperimentComparison, str, str]
-"""Experiment, metric, and what stands below its name."""
 
-
-def _scores_table(site: Site, title: str, rows: Iterable[MetricRow]) -> Table:
-    """Return the score of each configuration in a metric of each experiment."""
-    lines = (
-        [
-            site.experiment_link(one, text),
-            *(score_cell(one, cell, name) for cell in one.cells),
-        ]
-        for one, name, text in rows
-    )
-    return grid([title, *site.headings], lines, look="matrix")
-
-
-def _events(site: Site) -> Iterator[MetricRow]:
-    for one in site.comparison.experiments:
-        for name in one.metrics():
+def _others(site: Site) -> Table:
+    """Return the scores that no ranking has: metrics of events, and the RMSE where real trials give no scale."""
+    rows = []
+    for experiment in site.comparison.experiments:
+        notes = {}
+        if _is_unscaled(experiment):
+            notes["rmse"] = f"RMSE, {experiment.kind}"
+        for name in experiment.metrics():
             metric = SCORE_METRICS[name]
-            if metric.is_event and any(
-                cell and cell.spread(name, normalized=False) for cell in one.cells
-            ):
-                yield (
-                    one,
-                    name,
-                    f"{metric.title}, {'0 is ideal' if name == 'el' else '1 is the real value'}",
-                )
+            if metric.is_event and _has(experiment, name, normalized=False):
+                ideal = "0 is ideal" if name == "el" else "1 is the real value"
+                notes[name] = f"{metric.title}, {ideal}"
+        for name, note in notes.items():
+            cells = (score_cell(experiment, cell, name) for cell in experiment.cells)
+            rows.append([experiment_link(experiment, note), *cells])
+    return grid(["experiment", *site.names], rows, look="matrix")
 
 
-def _unscaled(site: Site) -> Iterator[MetricRow]:
-    """Yield the experiments with a real reference and no published distance of real trials: their RMSE in its unit."""
-    for one in site.comparison.experiments:
-        cells = [cell for cell in one.cells if cell is not None]
-        has_scale = any(
-            cell.deviations is not None or cell.spread("rmse", normalized=True)
-            for cell in cells
-        )
-        if (
-            not one.is_solution
-            and not has_scale
-            and any(cell.spread("rmse", normalized=False) for cell in cells)
-        ):
-            yield one, "rmse", f"RMSE, {one.kind}"
+def _is_unscaled(experiment: ExperimentComparison) -> bool:
+    """Return whether no distance of real trials is published for a real reference."""
+    return not (
+        experiment.is_solution
+        or any(cell and cell.deviations for cell in experiment.cells)
+        or _has(experiment, "rmse", normalized=True)
+    ) and _has(experiment, "rmse", normalized=False)
 
 
-def _unscored_table(site: Site) -> Table:
+def _has(experiment: ExperimentComparison, metric: str, *, normalized: bool) -> bool:
+    """Return whether a result of an experiment has a metric."""
+    return any(
+        cell and cell.spread(metric, normalized=normalized) for cell in experiment.cells
+    )
+
+
+def _farthest_apart(site: Site) -> Table:
     """Return the largest distance between two configurations in each experiment without a reference."""
     rows: list[list[str]] = []
-    for one in site.comparison.experiments:
-        if one.kind != Kind.NONE:
+    for experiment in site.comparison.experiments:
+        if experiment.kind != Kind.NONE:
             continue
         cells = ["one configuration: nothing to compare", "", ""]
-        if one.distances:
-            far = max(one.distances, key=lambda distance: distance.rms.mean)
-            between = f"{site.labels[far.first]} and {site.labels[far.second]}"
-            cells = [between, far.text(far.rms.mean), far.text(far.motion_rms)]
-        rows.append([site.experiment_link(one), *cells])
-    return grid(
-        ("experiment", "furthest apart", "distance", "motion"), rows, number_from=2
-    )
+        if experiment.distances:
+            far = max(experiment.distances, key=lambda distance: distance.rms.mean)
+            pair = f"{site.labels[far.first]} and {site.labels[far.second]}"
+            cells = [pair, far.text(far.rms.mean), far.text(far.motion_rms)]
+        rows.append([experiment_link(experiment), *cells])
+    titles = ("experiment", "furthest apart", "distance", "motion")
+    return grid(titles, rows, number_from=2)
 
 
-def _engines(site: Site) -> list[Part]:
-    comparison = site.comparison
+def _engines(site: Site) -> Table:
+    configurations = site.comparison.configurations
     rows = [
-        [
-            site.links[index],
-            versions_text(one) or "-",
-            *map(str, (summary.ran, summary.scored, summary.diverged, summary.not_run)),
-        ]
-        for index, (one, summary) in enumerate(
-            zip(comparison.configurations, comparison.summaries(), strict=True)
+        (
+            site.names[index],
+            versions_text(configurations[index]) or "-",
+            *map(str, (counts.ran, counts.scored, counts.diverged, counts.not_run)),
         )
+        for index, counts in enumerate(site.comparison.summaries())
     ]
     titles = ("engine", "versions", "ran", "scored", "diverged", "not run")
-    return section("Engines", grid(titles, rows, number_from=2))
+    return grid(titles, rows, number_from=2)

@@ -5,88 +5,89 @@
 "use strict";
 
 (function () {
-  const MOST = 32767; // Largest component of a stored quaternion.
-  const STRIP = 28; // Height of the names above the pictures [px].
-  const CROWD = 20; // Most bodies of one shape that are drawn one by one, with their edges.
+  const MAX_COUNT = 32767; // Largest stored number.
+  const FRAME_S = 1 / 30;
+  const MAX_PIXELS = 2; // Largest number of drawn pixels for each pixel of the page.
+  const up = new THREE.Vector3(0, 1, 0), start = new THREE.Vector3(), end = new THREE.Vector3();
+  const rotation = new THREE.Quaternion();
   const waiting = {};
 
   window.gaugeReplay = (key, data) => waiting[key](data);
 
+  // --- data ---
+
   function load(entry) {
-    entry.data ??= new Promise((resolve, reject) => {
-      waiting[entry.key] = (data) => resolve(data);
+    return new Promise((resolve, reject) => {
+      waiting[entry.key] = resolve;
       const script = document.createElement("script");
       script.src = entry.file;
       script.onerror = () => reject(new Error(entry.file + " is missing"));
       document.head.append(script);
     });
-    return entry.data;
   }
 
-  function css(name) {
+  function integers(text, Type = Int16Array) {
+    return new Type(Uint8Array.from(atob(text), (character) => character.charCodeAt(0)).buffer);
+  }
+
+  function positions(packed) {
+    return Float32Array.from(integers(packed.data), (count, i) => packed.centre[i % 3] + count * packed.step[i % 3]);
+  }
+
+  // Return a function that gives the `width` numbers of a view between view `index` and the next one.
+  function views(values, width) {
+    const now = new Float32Array(width), last = values.length / width - 1;
+    return (view) => {
+      const index = Math.min(Math.floor(view), last), share = Math.min(view, last) - index;
+      const first = index * width, next = Math.min(index + 1, last) * width;
+      for (let i = 0; i < width; i++) now[i] = values[first + i] * (1 - share) + values[next + i] * share;
+      return now;
+    };
+  }
+
+  function color(name) {
     return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   }
-
-  function numbers(text, Type) {
-    const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-    return new Type(bytes.buffer);
-  }
-
-  function points(packed) {
-    const counts = numbers(packed.data, Int16Array);
-    const values = new Float32Array(counts.length);
-    for (let i = 0; i < counts.length; i++) values[i] = packed.centre[i % 3] + counts[i] * packed.step[i % 3];
-    return values;
-  }
-
-  // Dots have a size in pixels. A small picture has small dots.
-  let dotScale = 1;
 
   // --- still parts ---
 
   function geometryOf(solid) {
-    if (solid.kind === "box") return new THREE.BoxGeometry(...solid.size);
-    if (solid.kind === "sphere") return new THREE.SphereGeometry(solid.radius, 32, 20);
-    if (solid.kind === "ellipsoid") return new THREE.SphereGeometry(1, 32, 20).scale(...solid.radii);
-    // three.js has the axis along y, the scenes along z.
-    if (solid.kind === "cylinder")
-      return new THREE.CylinderGeometry(solid.radius, solid.radius, solid.length, 48).rotateX(Math.PI / 2);
-    if (solid.kind === "capsule") return new THREE.CapsuleGeometry(solid.radius, solid.length).rotateX(Math.PI / 2);
+    switch (solid.kind) {
+      case "box": return new THREE.BoxGeometry(...solid.size);
+      case "sphere": return new THREE.SphereGeometry(solid.radius, 32, 20);
+      case "ellipsoid": return new THREE.SphereGeometry(1, 32, 20).scale(...solid.radii);
+      // three.js has the axis along y, the scenes along z.
+      case "cylinder": return new THREE.CylinderGeometry(solid.radius, solid.radius, solid.length, 48).rotateX(Math.PI / 2);
+      case "capsule": return new THREE.CapsuleGeometry(solid.radius, solid.length).rotateX(Math.PI / 2);
+    }
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", new THREE.Float32BufferAttribute(solid.triangles, 3));
     geometry.computeVertexNormals();
     return geometry;
   }
 
-  function place(object, pose, first = 0) {
-    object.position.fromArray(pose, first);
-    object.quaternion.fromArray(pose, first + 3);
+  function place(object, pose) {
+    object.position.fromArray(pose);
+    object.quaternion.fromArray(pose, 3);
   }
 
   function ground(camera) {
-    const wide = 400 * camera.distance; // Beyond the far plane, so that the horizon is level.
-    const group = new THREE.Group();
-    const floor = new THREE.Mesh(new THREE.PlaneGeometry(wide, wide), new THREE.MeshBasicMaterial());
+    const width = 400 * camera.distance; // Beyond the far plane, so that the horizon is level.
+    const material = new THREE.MeshBasicMaterial({ color: color("--floor") });
     const step = camera.distance < 3 ? 0.1 : 0.5;
-    const lines = 2 * Math.ceil((1.5 * camera.distance) / step);
-    const grid = new THREE.GridHelper(lines * step, lines);
+    const count = 2 * Math.ceil((1.5 * camera.distance) / step);
+    const grid = new THREE.GridHelper(count * step, count, color("--head"), color("--head"));
     grid.rotation.x = Math.PI / 2;
-    grid.position.z = 5e-4 * camera.distance; // Above the floor, or both flicker.
-    group.add(floor, grid);
-    group.userData.paint = () => {
-      floor.material.color.set(css("--floor"));
-      grid.material.vertexColors = false;
-      grid.material.color.set(css("--head"));
-    };
-    return group;
+    grid.position.set(Math.round(camera.target[0]), Math.round(camera.target[1]), 5e-4 * camera.distance);
+    return new THREE.Group().add(new THREE.Mesh(new THREE.PlaneGeometry(width, width), material), grid);
   }
 
-  function bodyOf(body, shapes) {
+  function bodyOf(body, solids) {
     const group = new THREE.Group();
     // The faces lie a little deeper than their edges, or both flicker.
     const deeper = { polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 };
     const material = new THREE.MeshLambertMaterial({ color: body.color, ...deeper });
-    for (const solid of shapes[body.shape]) {
+    for (const solid of solids) {
       const mesh = new THREE.Mesh(geometryOf(solid), material);
       if (solid.kind === "box" || solid.kind === "mesh") {
         // Edges show how a body turns, and where bricks touch.
@@ -99,395 +100,301 @@
     return group;
   }
 
-  // Equal bodies, as the bricks of a wall: one drawing for all, in shades, because it has no edges.
-  function crowd(members, solid, scene) {
-    const mesh = new THREE.InstancedMesh(geometryOf(solid), new THREE.MeshLambertMaterial(), members.length);
-    mesh.frustumCulled = false;
-    const shade = new THREE.Color();
-    members.forEach(({ body }, index) => {
-      shade.set(body.color).offsetHSL(0, 0, 0.03 * ((index * 7) % 5) - 0.06);
-      mesh.setColorAt(index, shade);
-    });
-    scene.add(mesh);
-    return () => {
-      members.forEach(({ object }, index) => {
-        matrix.compose(object.position, object.quaternion, size.set(1, 1, 1));
-        mesh.setMatrixAt(index, matrix);
-      });
-      mesh.instanceMatrix.needsUpdate = true;
-    };
-  }
+  // --- moving parts: each function returns one that moves its parts to a view, as 2.5 between views 2 and 3 ---
 
-  // --- moving parts ---
-
-  const up = new THREE.Vector3(0, 1, 0), one = new THREE.Vector3(), two = new THREE.Vector3();
-  const turn = new THREE.Quaternion(), other = new THREE.Quaternion(), size = new THREE.Vector3();
-  const matrix = new THREE.Matrix4();
-
-  function segments(count, radius, color) {
-    const geometry = new THREE.CylinderGeometry(radius, radius, 1, 10);
-    const mesh = new THREE.InstancedMesh(geometry, new THREE.MeshLambertMaterial({ color }), count);
-    mesh.frustumCulled = false;
-    mesh.userData.span = (index, start, end) => {
-      const along = end.clone().sub(start);
-      const length = Math.max(along.length(), 1e-9);
-      turn.setFromUnitVectors(up, along.divideScalar(length));
-      matrix.compose(start.clone().add(end).multiplyScalar(0.5), turn, size.set(1, length, 1));
-      mesh.setMatrixAt(index, matrix);
-      mesh.instanceMatrix.needsUpdate = true;
-    };
-    return mesh;
-  }
-
-  // Each of these returns a function that moves its parts to view `index + share`.
-
-  function movingBodies(data, scene, bodies) {
-    const places = points(data.positions), turns = numbers(data.turns, Int16Array);
-    const count = data.moving.length, last = data.views - 1;
-    return (index, share) => {
-      const next = Math.min(index + 1, last);
+  function movingBodies(data, bodies) {
+    const places = views(positions(data.positions), 3 * data.moving.length);
+    const turns = integers(data.turns), count = data.moving.length;
+    return (view) => {
+      const now = places(view), index = Math.floor(view), next = Math.min(index + 1, data.views - 1);
       data.moving.forEach((name, body) => {
-        const at = index * count + body, then = next * count + body, object = bodies[name];
-        object.position.fromArray(places, 3 * at).lerp(one.fromArray(places, 3 * then), share);
-        turn.fromArray(turns, 4 * at).normalize();
-        object.quaternion.copy(turn).slerp(other.fromArray(turns, 4 * then).normalize(), share);
+        const object = bodies[name];
+        object.position.fromArray(now, 3 * body);
+        object.quaternion.fromArray(turns, 4 * (index * count + body)).normalize();
+        rotation.fromArray(turns, 4 * (next * count + body)).normalize();
+        object.quaternion.slerp(rotation, view - index);
       });
+    };
+  }
+
+  // Cylinders from point to point.
+  function segments(scene, count, radius, color) {
+    const geometry = new THREE.CylinderGeometry(radius, radius, 1, 10);
+    const material = new THREE.MeshLambertMaterial({ color });
+    const meshes = Array.from({ length: count }, () => new THREE.Mesh(geometry, material));
+    scene.add(...meshes);
+    return (index, from, to) => {
+      const mesh = meshes[index], length = Math.max(from.distanceTo(to), 1e-9);
+      mesh.position.addVectors(from, to).multiplyScalar(0.5);
+      mesh.scale.y = length;
+      mesh.quaternion.setFromUnitVectors(up, to.sub(from).divideScalar(length));
     };
   }
 
   function strings(data, scene, bodies) {
-    const drawn = segments(data.scene.strings.length, data.scene.string.radius, 0);
-    drawn.userData.paint = () => drawn.material.color.set(css("--real"));
-    drawn.userData.move = () =>
+    const span = segments(scene, data.scene.strings.length, data.scene.string.radius, color("--real"));
+    return () =>
       data.scene.strings.forEach((string, index) =>
-        drawn.userData.span(index, one.fromArray(string.anchor), two.copy(bodies[string.body].position))
+        span(index, start.fromArray(string.anchor), end.copy(bodies[string.body].position))
       );
-    scene.add(drawn);
-    return drawn;
   }
 
-  function between(values, stride, last) {
-    const now = new Float32Array(stride);
-    return (index, share) => {
-      const a = index * stride, b = Math.min(index + 1, last) * stride;
-      for (let i = 0; i < stride; i++) now[i] = values[a + i] + share * (values[b + i] - values[a + i]);
-      return now;
-    };
-  }
-
-  function softBody(soft, scene, last) {
-    const read = between(points(soft.nodes), 3 * soft.count, last);
+  function softBody(soft, scene) {
+    const nodes = views(positions(soft.nodes), 3 * soft.count);
     if (soft.kind === "line") {
-      const drawn = segments(soft.count - 1, soft.radius, soft.color);
-      scene.add(drawn);
-      return (index, share) => {
-        const now = read(index, share);
-        for (let i = 0; i + 1 < soft.count; i++)
-          drawn.userData.span(i, one.fromArray(now, 3 * i), two.fromArray(now, 3 * i + 3));
+      const span = segments(scene, soft.count - 1, soft.radius, soft.color);
+      return (view) => {
+        const now = nodes(view);
+        for (let i = 0; i + 1 < soft.count; i++) span(i, start.fromArray(now, 3 * i), end.fromArray(now, 3 * i + 3));
       };
     }
     const geometry = new THREE.BufferGeometry();
     const attribute = new THREE.BufferAttribute(new Float32Array(3 * soft.count), 3);
     geometry.setAttribute("position", attribute);
-    geometry.setIndex(new THREE.BufferAttribute(numbers(soft.faces, Uint16Array), 1));
-    const material = new THREE.MeshLambertMaterial({ color: soft.color, side: THREE.DoubleSide });
-    const mesh = new THREE.Mesh(geometry, material);
+    geometry.setIndex(new THREE.BufferAttribute(integers(soft.faces, Uint16Array), 1));
+    const mesh = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ color: soft.color, side: THREE.DoubleSide }));
     mesh.frustumCulled = false;
     scene.add(mesh);
-    return (index, share) => {
-      attribute.array.set(read(index, share));
+    return (view) => {
+      attribute.array.set(nodes(view));
       attribute.needsUpdate = true;
       geometry.computeVertexNormals();
     };
   }
 
-  function dots(count, color, pixels) {
-    const geometry = new THREE.BufferGeometry();
-    geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(3 * count), 3));
-    const material = new THREE.PointsMaterial({ color, size: pixels, sizeAttenuation: false, depthTest: false });
+  function dots(scene, count, color, size) {
+    const attribute = new THREE.BufferAttribute(new Float32Array(3 * count), 3);
+    const geometry = new THREE.BufferGeometry().setAttribute("position", attribute);
+    const material = new THREE.PointsMaterial({ color, size, sizeAttenuation: false, depthTest: false });
     const drawn = new THREE.Points(geometry, material);
     drawn.frustumCulled = false;
     drawn.renderOrder = 2;
-    drawn.onBeforeRender = () => (material.size = pixels * dotScale * Math.min(devicePixelRatio, 2));
-    return drawn;
+    scene.add(drawn);
+    return attribute;
   }
 
   function markers(data, scene) {
-    const drawn = dots(data.markers.count, 0x202020, 4);
-    const last = data.markers.data.length ? points(data.markers).length / (3 * data.markers.count) - 1 : 0;
-    const read = between(points(data.markers), 3 * data.markers.count, last);
-    scene.add(drawn);
-    return (index, share) => {
-      const frame = Math.min(((index + share) * 30) / data.rate, last);
-      drawn.geometry.attributes.position.array.set(read(Math.floor(frame), frame % 1));
-      drawn.geometry.attributes.position.needsUpdate = true;
+    const places = views(positions(data.markers), 3 * data.markers.count);
+    const attribute = dots(scene, data.markers.count, 0x202020, 6);
+    return (view) => {
+      attribute.array.set(places(view / data.rate / FRAME_S));
+      attribute.needsUpdate = true;
     };
   }
 
-  // The real trajectory: a path over all frames, and a translucent ball, or a dot, where it is now.
-  function ghost(data, scene) {
-    const group = new THREE.Group(), real = data.ghost;
-    const line = new THREE.LineBasicMaterial({ transparent: true, opacity: 0.8, depthTest: false });
+  // The reference: a path over all frames, and a translucent ball, or a dot, where it is now.
+  function ghost(data, group) {
+    const real = data.ghost, tint = color("--real");
+    const line = new THREE.LineBasicMaterial({ color: tint, transparent: true, opacity: 0.8, depthTest: false });
     // Nearer than it is by 0.3 % of the distance, or it flickers where it coincides with the simulated ball.
     const nearer = { polygonOffset: true, polygonOffsetFactor: -1, polygonOffsetUnits: -1000 };
-    const solid = new THREE.MeshLambertMaterial({ transparent: true, opacity: 0.4, depthWrite: false, ...nearer });
-    const balls = real.radii.map((radius) => radius && new THREE.Mesh(new THREE.SphereGeometry(radius, 32, 20), solid));
-    const bare = real.names.map((_, body) => body).filter((body) => !balls[body]);
-    const dot = dots(Math.max(bare.length, 1), 0, 9);
-    real.names.forEach((_, body) => {
-      const known = real.places.filter(Boolean).map((row) => new THREE.Vector3(...row[body]));
-      const path = new THREE.Line(new THREE.BufferGeometry().setFromPoints(known), line);
-      path.renderOrder = 1;
-      group.add(path);
-      if (balls[body]) group.add(balls[body]);
+    const solid = new THREE.MeshLambertMaterial({ color: tint, transparent: true, opacity: 0.4, depthWrite: false, ...nearer });
+    const movers = real.names.map((_, point) => {
+      const path = real.places.filter(Boolean).map((places) => new THREE.Vector3(...places[point]));
+      group.add(new THREE.Line(new THREE.BufferGeometry().setFromPoints(path), line));
+      if (real.radii[point]) {
+        const ball = new THREE.Mesh(new THREE.SphereGeometry(real.radii[point], 32, 20), solid);
+        group.add(ball);
+        return (place) => ball.position.copy(place);
+      }
+      const attribute = dots(group, 1, tint, 12);
+      return (place) => {
+        place.toArray(attribute.array);
+        attribute.needsUpdate = true;
+      };
     });
-    if (bare.length) group.add(dot);
-    scene.add(group);
-    group.userData.paint = () => [line, solid, dot.material].forEach((m) => m.color.set(css("--real")));
-    group.userData.move = (index, share) => {
-      const frame = Math.min(((index + share) * 30) / data.rate, real.places.length - 1);
-      const first = Math.floor(frame), a = real.places[first], b = real.places[Math.min(first + 1, real.places.length - 1)];
-      dot.visible = Boolean(a);
-      balls.forEach((ball) => ball && (ball.visible = Boolean(a)));
-      if (!a) return;
-      real.names.forEach((_, body) => {
-        one.fromArray(a[body]).lerp(two.fromArray((b || a)[body]), frame % 1);
-        if (balls[body]) balls[body].position.copy(one);
-        else one.toArray(dot.geometry.attributes.position.array, 3 * bare.indexOf(body));
-      });
-      dot.geometry.attributes.position.needsUpdate = true;
+    return (view) => {
+      const frame = Math.min(view / data.rate / FRAME_S, real.places.length - 1), index = Math.floor(frame);
+      const now = real.places[index], next = real.places[Math.min(index + 1, real.places.length - 1)] || now;
+      if (now) movers.forEach((move, point) => move(start.fromArray(now[point]).lerp(end.fromArray(next[point]), frame % 1)));
     };
-    return group;
   }
 
   function build(data) {
-    const scene = new THREE.Scene(), bodies = {}, painted = [];
-    scene.add(new THREE.HemisphereLight(0xffffff, 0xb8bcc4, 2.8));
+    const scene = new THREE.Scene(), reference = new THREE.Group(), bodies = {};
     const sun = new THREE.DirectionalLight(0xffffff, 1.6);
     sun.position.set(-0.4, -1, 2.5);
-    scene.add(sun);
-    const crowds = {}, alike = {};
-    for (const body of data.scene.bodies) alike[body.shape] = (alike[body.shape] ?? 0) + 1;
+    scene.add(new THREE.HemisphereLight(0xffffff, 0xb8bcc4, 2.8), sun, reference);
     for (const body of data.scene.bodies) {
-      const solids = data.scene.shapes[body.shape], isPlane = solids[0].kind === "plane";
-      if (!isPlane && solids.length === 1 && !solids[0].pose && alike[body.shape] > CROWD) {
-        const object = new THREE.Group();
-        place(object, body.pose);
-        bodies[body.name] = object;
-        (crowds[body.shape] ??= []).push({ body, object });
-        continue;
-      }
-      const object = isPlane ? ground(data.scene.camera) : bodyOf(body, data.scene.shapes);
-      place(object, body.pose);
-      if (isPlane) {
-        object.position.x += Math.round(data.scene.camera.target[0]);
-        object.position.y += Math.round(data.scene.camera.target[1]);
-        painted.push(object);
-      }
-      bodies[body.name] = object;
-      scene.add(object);
+      const solids = data.scene.shapes[body.shape];
+      bodies[body.name] = solids[0].kind === "plane" ? ground(data.scene.camera) : bodyOf(body, solids);
+      place(bodies[body.name], body.pose);
+      scene.add(bodies[body.name]);
     }
-    const moves = [movingBodies(data, scene, bodies)];
-    for (const shape in crowds) moves.push(crowd(crowds[shape], data.scene.shapes[shape][0], scene));
-    if (data.scene.strings.length) {
-      const drawn = strings(data, scene, bodies);
-      painted.push(drawn);
-      moves.push(drawn.userData.move);
-    }
-    for (const soft of data.soft) moves.push(softBody(soft, scene, data.views - 1));
+    const moves = [movingBodies(data, bodies), ...data.soft.map((soft) => softBody(soft, scene))];
+    if (data.scene.strings.length) moves.push(strings(data, scene, bodies));
     if (data.markers) moves.push(markers(data, scene));
-    const real = data.ghost && ghost(data, scene);
-    if (real) {
-      painted.push(real);
-      moves.push(real.userData.move);
-    }
-    const paint = () => painted.forEach((object) => object.userData.paint());
-    paint();
+    if (data.ghost) moves.push(ghost(data, reference));
+    const last = data.views - 1;
     return {
-      scene, paint, real,
-      end: (data.views - 1) / data.rate,
-      show(time) {
-        const view = Math.min(time * data.rate, data.views - 1);
-        moves.forEach((move) => move(Math.floor(view), view % 1));
-      },
+      scene, reference,
+      end: last / data.rate,
+      show: (time) => moves.forEach((move) => move(Math.min(time * data.rate, last))),
     };
   }
 
   // --- page ---
 
-  function start(root) {
-    const entries = JSON.parse(root.dataset.replays);
-    const stage = root.querySelector(".stage"), controls = root.querySelector(".controls");
-    const canvas = stage.querySelector("canvas"), names = stage.querySelector(".names");
-    const part = (name) => controls.querySelector(`[name=${name}]`);
-    const [button, slider, speed, output, reset] = ["play", "time", "speed", "now", "view"].map(part);
-    const boxes = [...controls.querySelectorAll("[name=engine]")], ghosts = part("ghost");
+  function begin(root) {
+    const { entries, ghost } = JSON.parse(root.dataset.replays);
+    const stage = root.querySelector(".stage");
+    const part = (name) => root.querySelector(`[name=${name}]`);
+    const [button, slider, speed, output, reset, ghosts] = ["play", "time", "speed", "now", "view", "ghost"].map(part);
+    ghosts.parentElement.hidden = !ghost;
+    const boxes = entries.map((entry) => {
+      const label = document.createElement("label"), box = document.createElement("input");
+      box.type = "checkbox";
+      label.append(box, " " + entry.label);
+      ghosts.parentElement.before(label);
+      return box;
+    });
     let renderer;
     try {
-      renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
+      renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true });
     } catch (error) {
       root.replaceChildren("This browser has no WebGL, so there is no replay. The curves show the same motion.");
       return;
     }
-    renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     const camera = new THREE.PerspectiveCamera();
     camera.up.set(0, 0, 1);
-    const orbit = new THREE.OrbitControls(camera, canvas);
-    canvas.style.touchAction = "pan-y"; // A vertical swipe scrolls the page.
-    orbit.enableZoom = false; // Until the picture has the focus, the wheel scrolls the page.
-    let shown = [], time = 0, end = 0, playing = false, before = 0, home = null, looked = false, pending = false;
-    let drawnSize = "";
+    const orbit = new THREE.OrbitControls(camera, stage);
+    stage.style.touchAction = "pan-y"; // A vertical swipe scrolls the page.
+    orbit.enableZoom = false; // Until the pictures have the focus, the wheel scrolls the page.
+    let shown = [], time = 0, last = 0, playing = false, before = 0, home = null, pending = false;
 
-    function layout() {
-      const width = stage.clientWidth, count = Math.max(shown.length, 1);
-      const columns = Math.min(count, width < 700 ? 2 : count === 4 ? 2 : 3);
-      const cell = Math.floor(width / columns), rows = Math.ceil(count / columns);
-      const height = Math.round(Math.min(cell * (count === 1 ? 0.56 : 0.75), 520)) + STRIP;
-      // A new size, even an equal one, makes the browser allocate the picture anew.
-      if (drawnSize !== `${width} ${rows * height}`) {
-        drawnSize = `${width} ${rows * height}`;
-        renderer.setSize(width, rows * height, false);
-        canvas.style.height = rows * height + "px";
-      }
-      return { columns, cell, height, rows, picture: height - STRIP };
-    }
-
+    // All pictures come from one renderer: a browser allows few WebGL contexts.
     function draw() {
       pending = false;
-      const { columns, cell, height, rows, picture } = layout();
-      camera.aspect = cell / picture;
-      camera.updateProjectionMatrix();
-      renderer.setScissorTest(true);
-      dotScale = Math.min(1, cell / 500);
-      shown.forEach((one, index) => {
-        const x = (index % columns) * cell, y = (rows - 1 - Math.floor(index / columns)) * height;
-        renderer.setViewport(x, y, cell - 2, picture - 2);
-        renderer.setScissor(x, y, cell - 2, picture - 2);
-        if (one.built.real) one.built.real.visible = !ghosts || ghosts.checked;
-        one.built.show(time);
-        renderer.render(one.built.scene, camera);
-      });
+      for (const entry of shown) {
+        const canvas = entry.canvas, pixels = Math.min(devicePixelRatio, MAX_PIXELS);
+        const width = canvas.clientWidth * pixels, height = canvas.clientHeight * pixels;
+        if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+        renderer.setSize(width, height, false);
+        camera.aspect = width / height;
+        camera.updateProjectionMatrix();
+        entry.built.reference.visible = ghosts.checked;
+        entry.built.show(time);
+        renderer.render(entry.built.scene, camera);
+        const context = canvas.getContext("2d");
+        context.clearRect(0, 0, width, height);
+        context.drawImage(renderer.domElement, 0, 0);
+      }
       slider.value = time;
-      const text = `${time.toFixed(2)} of ${end.toFixed(2)} s`;
-      output.value = text;
-      slider.setAttribute("aria-valuetext", text);
+      output.value = `${time.toFixed(2)} of ${last.toFixed(2)} s`;
+      slider.setAttribute("aria-valuetext", output.value);
     }
 
     function redraw() {
-      if (!pending && !playing) requestAnimationFrame(draw);
-      pending = !playing;
+      if (!pending) requestAnimationFrame(draw);
+      pending = true;
     }
 
     function look() {
-      const view = home.camera, azimuth = (view.azimuth * Math.PI) / 180, elevation = (view.elevation * Math.PI) / 180;
-      orbit.target.fromArray(view.target);
+      const azimuth = (home.azimuth * Math.PI) / 180, elevation = (home.elevation * Math.PI) / 180;
+      const flat = Math.cos(elevation), { clientWidth, clientHeight } = shown[0].canvas;
       // A narrow picture needs more distance to show the same width.
-      const { cell, picture } = layout(), distance = (0.9 * view.distance) / Math.min(1, cell / picture);
-      const flat = Math.cos(elevation);
-      one.set(flat * Math.cos(azimuth), flat * Math.sin(azimuth), Math.sin(elevation));
-      camera.position.copy(orbit.target).addScaledVector(one, -distance);
-      camera.fov = view.fov;
-      camera.near = 0.02 * distance;
-      camera.far = 80 * distance;
+      const distance = (0.9 * home.distance) / Math.min(1, clientWidth / clientHeight);
+      orbit.target.fromArray(home.target);
+      start.set(flat * Math.cos(azimuth), flat * Math.sin(azimuth), Math.sin(elevation));
+      camera.position.copy(orbit.target).addScaledVector(start, -distance);
+      Object.assign(camera, { fov: home.fov, near: 0.02 * distance, far: 80 * distance });
       orbit.update();
       redraw();
     }
 
-    function label() {
-      const { columns, cell, height } = layout();
-      names.replaceChildren(
-        ...shown.map((one, index) => {
-          const text = document.createElement("span");
-          text.textContent = one.label + (one.built.end < end - 0.02 ? `, ended at ${one.built.end.toFixed(2)} s` : "");
-          text.style.cssText = `left:${(index % columns) * cell}px;top:${Math.floor(index / columns) * height}px;max-width:${cell - 12}px`;
-          text.style.borderColor = one.color;
-          return text;
-        })
-      );
+    function figure(entry) {
+      const picture = document.createElement("figure"), caption = document.createElement("figcaption");
+      entry.canvas = document.createElement("canvas");
+      caption.style.borderColor = entry.color;
+      caption.textContent = entry.label;
+      picture.append(caption, entry.canvas);
+      return picture;
     }
 
     async function choose() {
       const chosen = entries.filter((_, index) => boxes[index].checked);
       for (const entry of chosen) {
+        if (entry.built) continue;
         const data = await load(entry);
-        home ??= data.scene;
-        entry.built ??= build(data);
+        home ??= data.scene.camera;
+        entry.built = build(data);
+        entry.figure = figure(entry);
       }
       shown = chosen;
-      end = Math.max(0, ...shown.map((one) => one.built.end));
-      slider.max = end;
-      time = Math.min(time, end);
-      label();
-      if (shown.length && !looked) {
-        looked = true;
-        look();
+      last = Math.max(0, ...shown.map((entry) => entry.built.end));
+      for (const entry of shown) {
+        const ended = entry.built.end < last - 0.02 ? `, ended at ${entry.built.end.toFixed(2)} s` : "";
+        entry.figure.firstChild.textContent = entry.label + ended;
       }
-      redraw();
+      const isFirst = !stage.firstChild;
+      stage.replaceChildren(...shown.map((entry) => entry.figure));
+      slider.max = last;
+      time = Math.min(time, last);
+      if (isFirst && shown.length) look();
+      draw();
     }
 
     function tick(now) {
       if (!playing) return;
-      // A tab that was hidden for long goes on where it was.
+      // A tab that was hidden for long continues where it was.
       time += Math.min((now - before) / 1000, 0.25) * Number(speed.value);
       before = now;
-      if (time > end) time = end > 0 ? time % end : 0;
+      if (time > last) time = last > 0 ? time % last : 0;
       draw();
       requestAnimationFrame(tick);
     }
 
-    function play(wanted) {
-      playing = wanted;
+    function play() {
+      playing = !playing;
       button.textContent = playing ? "Pause" : "Play";
       before = performance.now();
       if (playing) requestAnimationFrame(tick);
     }
 
     function move(to) {
-      time = Math.min(Math.max(to, 0), end);
+      time = Math.min(Math.max(to, 0), last);
       redraw();
     }
 
-    button.addEventListener("click", () => play(!playing));
-    slider.addEventListener("input", () => move(Number(slider.value)));
-    reset.addEventListener("click", look);
+    function turn(angle) {
+      start.copy(camera.position).sub(orbit.target).applyAxisAngle(camera.up, angle);
+      camera.position.copy(orbit.target).add(start);
+      orbit.update();
+    }
+
     const fail = (error) => root.replaceChildren("The replay cannot be shown: " + error.message + ".");
     for (const box of boxes) box.addEventListener("change", () => choose().catch(fail));
-    if (ghosts) ghosts.addEventListener("change", redraw);
+    ghosts.addEventListener("change", redraw);
+    button.addEventListener("click", play);
+    slider.addEventListener("input", () => move(Number(slider.value)));
+    reset.addEventListener("click", look);
     orbit.addEventListener("change", redraw);
-    canvas.addEventListener("pointerdown", () => canvas.focus({ preventScroll: true }));
-    canvas.addEventListener("focus", () => (orbit.enableZoom = true));
-    canvas.addEventListener("blur", () => (orbit.enableZoom = false));
-    canvas.addEventListener("keydown", (event) => {
-      const step = event.shiftKey ? 1 / 6 : 1 / 30;
-      const moves = { ArrowLeft: time - step, ArrowRight: time + step, Home: 0, End: end };
-      const turns = { a: 0.15, d: -0.15 };
-      if (event.key === " ") play(!playing);
-      else if (event.key in moves) move(moves[event.key]);
-      else if (event.key in turns) {
-        one.copy(camera.position).sub(orbit.target).applyAxisAngle(camera.up, turns[event.key]);
-        camera.position.copy(orbit.target).add(one);
-        orbit.update();
-      } else return;
+    stage.addEventListener("pointerdown", () => stage.focus({ preventScroll: true }));
+    stage.addEventListener("focus", () => (orbit.enableZoom = true));
+    stage.addEventListener("blur", () => (orbit.enableZoom = false));
+    stage.addEventListener("keydown", (event) => {
+      const step = event.shiftKey ? 5 * FRAME_S : FRAME_S;
+      const actions = {
+        " ": play,
+        ArrowLeft: () => move(time - step),
+        ArrowRight: () => move(time + step),
+        Home: () => move(0),
+        End: () => move(last),
+        a: () => turn(0.15),
+        d: () => turn(-0.15),
+      };
+      if (!(event.key in actions)) return;
+      actions[event.key]();
       event.preventDefault();
     });
-    // The height follows from the width, so a change of the height alone asks for nothing.
-    let width = 0;
-    const resized = () => {
-      if (stage.clientWidth === width || !stage.isConnected) return;
-      width = stage.clientWidth;
-      label();
-      redraw();
-    };
-    new ResizeObserver(() => requestAnimationFrame(resized)).observe(stage);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-      for (const entry of entries) if (entry.built) entry.built.paint();
-      redraw();
-    });
-    // A phone starts with two pictures, which share its width.
-    const first = stage.clientWidth < 700 ? 2 : 6;
-    boxes.forEach((box, index) => (box.checked = index < first));
+    new ResizeObserver(redraw).observe(stage);
+    // The scenes have the colours of the page.
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => location.reload());
+    // A phone starts with two pictures.
+    const count = stage.clientWidth < 700 ? 2 : 6;
+    boxes.forEach((box, index) => (box.checked = index < count));
     choose().catch(fail);
   }
 
-  for (const root of document.querySelectorAll(".replay")) start(root);
+  for (const root of document.querySelectorAll(".replay")) begin(root);
 })();

@@ -1,0 +1,140 @@
+"""Turntable and SlopeSlider: engines that obey the law let a policy use the friction that it allows, and no more."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from control_episodes import FAST, by_law, make
+from places import ROOT
+from programs import printed
+
+from gauge_envs.errors import ParameterError
+from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.geometry import rotation_matrices
+from gauge_envs.tools.control import control_tasks
+from gauge_envs.tools.control.friction import HOLD_S, SLIP_SPEED_M_PER_S
+from gauge_envs.tools.control.limit import Ending
+from gauge_envs.tools.control.play import engine_limit, play
+
+STEADY = [
+    task.name
+    for task in control_tasks()
+    if task.name.startswith(("Turntable", "SlopeSlider", "Pendulum"))
+]
+GOOD = (Ending.HELD, Ending.REACHED)
+WOOD = ("Turntable-Limit-wood", "SlopeSlider-Limit-wood")
+
+
+@pytest.mark.parametrize("name", [*WOOD, "Pendulum-Limit-metal"])
+def test_law_holds_at_98_percent_and_not_at_102(name):
+    env = make(name)
+    below = by_law(env, 0.98)[1]
+    assert below.ending in GOOD
+    assert below.ratio == pytest.approx(0.98, abs=0.005)
+    assert by_law(env, 1.02)[1].ending not in GOOD
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", STEADY)
+def test_default_engine_allows_the_law(name):
+    share = engine_limit(make(name), bounds=(0.95, 1.05))
+    assert share == pytest.approx(1.0, abs=0.006)
+
+
+def test_engine_limit_of_soft_contacts():
+    """A cube that is carried round creeps with half the contacts' time constant, 0.02 s, times omega^2 r."""
+    settings = {
+        "timestep_s": 1 / 540,
+        "contact_solref": (0.02, 1.0),
+        "integrator": "Euler",
+        "impratio": 1.0,
+    }
+    env = make("Turntable-Limit-wood", settings=settings)
+    share = engine_limit(env, bounds=(0.2, 1.5), resolution=0.02)
+    creeps = SLIP_SPEED_M_PER_S / (0.5 * 0.02) / (env.limit.value * GRAVITY_M_PER_S2)
+    assert share == pytest.approx(creeps, rel=0.2)
+    with pytest.raises(ParameterError, match=r"fails with 0\.9"):
+        engine_limit(env, bounds=(0.9, 1.1))
+
+
+@pytest.mark.parametrize("name", WOOD)
+def test_friction_used_is_that_of_the_contact_forces(name):
+    """The engine's contact forces on the cube, tangential over normal, are what the kinematics ask for."""
+    # The force at one instant scatters by 1 % with the slope's own step, 1/1800 s.
+    env = make(name, settings={"timestep_s": 1 / 9000})
+    env.reset()
+    checked = 0
+    for step in range(30):
+        # Strongly accelerated all the time, both ways, so that the sign of each term matters.
+        observation = env.step(np.array([0.4 if step < 20 else -0.8]))[0]
+        data, model = env.simulation.data, env.simulation.model
+        total, wrench = np.zeros(3), np.zeros(6)
+        for index, contact in enumerate(data.contact):
+            mujoco.mj_contactForce(model, data, index, wrench)
+            total += contact.frame.reshape(3, 3).T @ wrench[:3]
+        normal = rotation_matrices(env._stage.state[3:7])[:, 2]
+        used = np.linalg.norm(total - normal * (total @ normal)) / abs(total @ normal)
+        if step % 20 > 5:
+            # The observation is the mean over the frame, the forces are those at its end.
+            change = abs(observation[2] - env.trajectory()[-2][2])
+            assert used == pytest.approx(observation[2], abs=change + 2e-3)
+            checked += 1
+    assert checked > 15
+
+
+@pytest.mark.parametrize("name", WOOD)
+def test_reward_is_the_friction_used_and_slipping_takes_it_back(name):
+    env = make(name, settings=FAST)
+    held, _ = by_law(env, 0.95)
+    assert held == pytest.approx(env.trajectory()[1:, 2].sum())
+    closer, _ = by_law(env, 0.99)
+    assert held < closer < env.limit.value * env.STEPS
+    slipped, report = by_law(env, 1.05)
+    assert report.ending is Ending.SLIPPED
+    used = env.trajectory()[1:-1, 2]
+    assert slipped == pytest.approx(used[: -round(HOLD_S * 30)].sum())
+
+
+@pytest.mark.parametrize("name", WOOD)
+def test_no_policy_earns_more_than_the_law(name):
+    """Dithering about the limit: what exceeds it in one frame is lost in the next."""
+    env = make(name, settings=FAST)
+    random = np.random.default_rng(0)
+
+    def dither(_):
+        share = 0.97 if env.time_s < 3.0 else random.uniform(0.92, 1.06)
+        return env.law_action(share)
+
+    slip = SLIP_SPEED_M_PER_S / (math.cos(0.27) * GRAVITY_M_PER_S2 * HOLD_S)
+    for _ in range(3):
+        assert 0.0 < play(env, dither).reached <= env.limit.value + slip
+
+
+def test_a_slip_in_pybullet_is_driven_by_more_than_the_law():
+    """The ratio of Carry can exceed 1 there by as much, as docs/control.md says: friction is bounded axis by axis."""
+    pytest.importorskip("pybullet")
+    largest = {}
+    for engine in ("pybullet", "mujoco"):
+        env = make("Carry-Limit-wood", backend=engine)
+        law = env.limit.value * GRAVITY_M_PER_S2
+        shares = []
+        for angle in (0.0, math.pi / 6, math.pi / 4):
+            env.reset(seed=0)
+            # 4.5 m/s^2 is more than friction holds, so the cube slips.
+            action = np.array([math.cos(angle), math.sin(angle)], dtype=np.float32)
+            speeds = [np.linalg.norm(env.step(action)[0][2:4]) for _ in range(10)]
+            shares.append((speeds[-1] - speeds[2]) / (7 / 30) / law)
+        largest[engine] = max(shares)
+    assert largest["mujoco"] == pytest.approx(1.0, abs=0.001)
+    assert 1.02 < largest["pybullet"] < 1.05
+
+
+@pytest.mark.slow
+def test_example_runs(tmp_path):
+    pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
+    script = ROOT / "examples" / "rl_sanity.py"
+    shown = printed(script, "--steps", 1200, "--out", tmp_path / "run.png")
+    assert "MuJoCo, half the step" in shown
+    assert "The policy" in shown
+    assert (tmp_path / "run.png").stat().st_size > 20_000
