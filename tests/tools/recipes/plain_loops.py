@@ -190,46 +190,6 @@ def pybullet(snippet, foot):
     return places
 
 
-def drake(snippet, foot):
-    """Drake, from Python; the plate has spheres at its corners."""
-    from pydrake.geometry import HalfSpace, Sphere
-    from pydrake.math import RigidTransform
-    from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-    from pydrake.multibody.tree import SpatialInertia
-    from pydrake.systems.analysis import Simulator
-    from pydrake.systems.framework import DiagramBuilder
-
-    names = names_of(snippet)
-    builder = DiagramBuilder()
-    plant, _ = AddMultibodyPlantSceneGraph(builder, names["TIME_STEP"])
-    names["set_contact"](plant)
-    plant.mutable_gravity_field().set_gravity_vector(foot.gravity)
-    world, origin = plant.world_body(), RigidTransform()
-    ground = names["properties"](is_ground=True)
-    plant.RegisterCollisionGeometry(world, origin, HalfSpace(), "floor", ground)
-    points = [[0.0, 0.0, 0.0]]
-    inertia = SpatialInertia.SolidSphereWithMass(foot.mass_kg, RADIUS_M)
-    if foot.size_m:
-        x, y, z = foot.half_m
-        points = [[sx * x, sy * y, -z] for sx in (-1, 1) for sy in (-1, 1)]
-        inertia = SpatialInertia.SolidBoxWithMass(foot.mass_kg, *foot.size_m)
-    sphere = Sphere(1e-6 if foot.size_m else RADIUS_M)
-    body = plant.AddRigidBody("foot", inertia)
-    for index, point in enumerate(points):
-        given = names["properties"](len(points))
-        plant.RegisterCollisionGeometry(body, RigidTransform(point), sphere, f"foot-{index}", given)  # fmt: skip
-    plant.Finalize()
-    simulator = Simulator(builder.Build())
-    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-    plant.SetFreeBodyPose(context, body, RigidTransform([0.0, 0.0, foot.height_m]))
-    simulator.Initialize()
-
-    def step():
-        simulator.AdvanceTo(simulator.get_context().get_time() + foot.step_s)
-
-    return stepped_places(foot, step, lambda: plant.EvalBodyPoseInWorld(context, body).translation())  # fmt: skip
-
-
 def newton(snippet, foot):
     """Newton, from Python."""
     import newton as nt
@@ -269,37 +229,4 @@ def newton(snippet, foot):
     return stepped_places(foot, step, lambda: states[0].body_q.numpy()[0, :3])
 
 
-def genesis(snippet, foot):
-    """Genesis, from Python."""
-    import genesis as gs
-
-    names = names_of(snippet)
-    place = (0.0, 0.0, foot.height_m)
-    try:
-        scene = gs.Scene(
-            show_viewer=False,
-            sim_options=gs.options.SimOptions(dt=names["DT"], gravity=foot.gravity),
-            rigid_options=names["rigid_options"](),
-        )
-        scene.add_entity(gs.morphs.Plane(), material=names["material"]())
-        morph = gs.morphs.Sphere(radius=RADIUS_M, pos=place)
-        volume = 4.0 / 3.0 * math.pi * RADIUS_M**3
-        if foot.size_m:
-            morph = gs.morphs.Box(size=foot.size_m, pos=place)
-            volume = math.prod(foot.size_m)
-        material = names["material"]()
-        material.rho = foot.mass_kg / volume
-        body = scene.add_entity(morph, material=material)
-        scene.build()
-        names["set_contact"](scene)
-        return stepped_places(foot, scene.step, lambda: body.get_pos().cpu().numpy())
-    finally:
-        gs.destroy()
-
-
-LOOPS = {
-    loop.__name__: loop
-    for loop in (mujoco, rapier, physx, pybullet, drake, newton, genesis)
-}
-FEW_DROPS = ("newton", "genesis")
-"""Engines of slow steps, which get two drops."""
+LOOPS = {loop.__name__: loop for loop in (mujoco, rapier, physx, pybullet, newton)}

@@ -12,7 +12,6 @@ from gauge_envs.backends.shared.spring_damper import (
 )
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.recipes import Aim, Probe, engine_settings
-from gauge_envs.tools.recipes.closed_forms import mujoco_impedance
 from gauge_envs.tools.recipes.explain import explain, parsed_contact
 
 MUJOCO = engine_settings("mujoco")
@@ -63,7 +62,7 @@ STIFF = "solref=-4000 -800 solreffriction=0 -500 solimp=0.99 0.99 0.001 cone=ell
         # MuJoCo keeps the time constant at two steps or more.
         "solref=0.002 1 solimp=0.9 0.95 0.001 cone=elliptic friction=0.5",
         f"{STIFF} impratio=10",
-        "solref=0.02 1 friction=0.5",
+        "solref=0.02 1 friction=0.5 solimp=0.9 0.95 0.0002",
     ],
 )
 def test_mujoco_gives_what_its_documented_equation_gives(contact):
@@ -80,13 +79,6 @@ def test_mujoco_gives_what_its_documented_equation_gives(contact):
     if expected["time_constant_s"] is not None:
         for name, share in (("creep_m_s", 1e-3), ("time_constant_s", 0.01)):
             assert reached[name] == pytest.approx(expected[name], rel=share)
-
-
-def test_the_impedance_runs_from_d0_to_dwidth():
-    solimp = (0.9, 0.95, 0.001, 0.5, 2.0)
-    depths_m = (0.0, 5e-4, 1e-3, 1.0)
-    impedances = [mujoco_impedance(solimp, depth_m) for depth_m in depths_m]
-    assert impedances == pytest.approx([0.9, 0.925, 0.95, 0.95])
 
 
 def test_the_closed_form_has_the_impedance_that_mujoco_makes_of_a_stated_one():

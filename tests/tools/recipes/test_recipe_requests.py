@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from gauge_envs.backends import backend
 from gauge_envs.backends.shared.spring_damper import spring_damper_restitution
 from gauge_envs.cli.app import app
-from gauge_envs.errors import MissingExtraError, ParameterError, UnsupportedSceneError
+from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.recipes import Aim, engine_settings, find_recipe
@@ -158,14 +158,6 @@ def test_a_contact_without_stiffness_says_so():
     assert "no stiffness" in found.explanation
 
 
-def test_settings_are_explained_on_the_command_line(values):
-    contact = "solref=0.02 1 solimp=0.9 0.95 0.001"
-    words = f"--backend mujoco --explain '{contact}' --mass=2 --set=timestep_s=0.002"
-    found = values(words)
-    depth_m = found["closed_form"]["penetration_m"]
-    assert found["reached"]["penetration_m"] == pytest.approx(depth_m, rel=1e-3)
-
-
 def test_an_engine_with_half_the_friction_is_found(monkeypatch):
     """A planted fault: the engine has at most a friction of 0.2, whatever the search tries."""
     cls = engine_settings("mujoco")
@@ -243,17 +235,6 @@ def test_wrong_requests_end_with_their_reasons(gauge, approved):
 def test_wrong_settings_are_refused(text, message):
     with pytest.raises(ParameterError, match=message):
         explain(parsed_contact(engine_settings("mujoco"), text, 0.002), 2.0)
-
-
-def test_an_engine_that_is_not_installed_is_named(monkeypatch, gauge):
-    def absent():
-        gone = ModuleNotFoundError(name="rapier3d")
-        raise MissingExtraError("backend 'rapier'", "rapier", gone)
-
-    monkeypatch.setattr(engine_settings("rapier"), "backend", absent)
-    result = gauge("recipe", *shlex.split(asked("--backend=rapier")))
-    assert result.exit_code == 2
-    assert "pip install 'gauge-envs[rapier]'" in result.stderr
 
 
 def test_a_divergence_is_an_outcome_with_its_cause(monkeypatch, gauge):

@@ -1,10 +1,12 @@
 """Snippets of recipes give what is said in a plain loop of the engine."""
 
+import math
 from functools import cache
 
 import pytest
-from plain_loops import FEW_DROPS, LOOPS, PHASES, rebound, slide
+from plain_loops import DROP_M, LOOPS, PHASES, G, rebound, slide
 
+from gauge_envs.backends.drake.contacts import rebound as drake_rebound
 from gauge_envs.tools.recipes import Aim, engine_settings, find_recipe
 
 FRICTION, RESTITUTION, MASS_KG, STEP_S = 0.4, 0.6, 0.5, 0.002
@@ -13,14 +15,12 @@ MODULES = {
     "rapier": "rapier3d",
     "physx": "sapien",
     "pybullet": "pybullet",
-    "drake": "pydrake",
     "newton": "newton",
-    # A folder of tests is a namespace package `genesis`.
-    "genesis": "genesis.version",
 }
-HEAVY = ("pybullet", "drake", "newton", "genesis")
 ENGINES = [
-    pytest.param(name, marks=[pytest.mark.slow] if name in HEAVY else [])
+    pytest.param(
+        name, marks=[pytest.mark.slow] if name in ("pybullet", "newton") else []
+    )
     for name in MODULES
 ]
 
@@ -37,7 +37,8 @@ def recipe(engine):
 def looped(engine, snippet):
     """Friction and restitution in a plain loop."""
     loop = LOOPS[engine]
-    count = 2 if engine in FEW_DROPS else PHASES
+    # Newton's steps are slow.
+    count = 2 if engine == "newton" else PHASES
     return (
         slide(loop, snippet, FRICTION, MASS_KG, STEP_S),
         rebound(loop, snippet, MASS_KG, STEP_S, count=count),
@@ -81,3 +82,21 @@ def test_a_body_that_holds_contact_has_the_asked_friction_and_hopping_plates_hav
     assert found.reached["friction_hopping"] < 0.9 * 0.995
     comment, *_ = found.snippet.splitlines()
     assert comment.startswith("<!-- Friction: 0.9 of bodies that hold contact, 0.8")
+
+
+@pytest.mark.parametrize("restitution", [0.2, 0.7])
+def test_proposals_of_engines_that_may_be_absent_rebound_by_their_equations(
+    restitution,
+):
+    """Genesis has MuJoCo's equation; Drake's scheme is repeated in its backend. Both snippets are Python."""
+    aim = Aim(restitution=restitution, mass_kg=MASS_KG, timestep_s=STEP_S)
+    genesis = engine_settings("genesis").aimed(aim)
+    assert genesis.closed_form()["restitution"] == pytest.approx(restitution, abs=2e-3)
+    drake = engine_settings("drake").aimed(aim)
+    settings = drake.backend_settings(MASS_KG)
+    weight = G * STEP_S / math.sqrt(2.0 * G * DROP_M)
+    constants = (settings["sustained_rate"], settings["sustained_relaxation_steps"])
+    mean = drake_rebound("relaxation", *constants, weight).mean()
+    assert mean == pytest.approx(restitution, abs=2e-3)
+    for contact in (genesis, drake):
+        compile(contact.snippet(), "snippet", "exec")
