@@ -136,8 +136,7 @@ def _measured_settings(
     Raises:
         DivergedError: A simulation diverged.
     """
-    turning = {"torsion_m": aim.torsion_m or 0.0, "rolling_m": aim.rolling_m or 0.0}
-    settings = _searched(engine, aim).model_copy(update=turning)
+    settings = _searched(engine, aim)
     found = measured(settings, aim.mass_kg, friction=aim.sliding_friction)
     impratio = getattr(settings, "impratio", None)
     if impratio and aim.creep_m_s and found["creep_m_s"] > aim.creep_m_s:

@@ -68,9 +68,22 @@ class ContactSettings(BaseModel, ABC):
         return backend(cls.engine)
 
     @classmethod
-    @abstractmethod
     def aimed(cls, aim: Aim) -> Self:
         """Return the settings that are to give a behaviour, by a closed form."""
+        return cls.model_validate(
+            {
+                "timestep_s": aim.timestep_s,
+                "torsion_m": aim.torsion_m or 0.0,
+                "rolling_m": aim.rolling_m or 0.0,
+                cls.friction_field: aim.sliding_friction,
+                **cls.constants(aim),
+            }
+        )
+
+    @classmethod
+    @abstractmethod
+    def constants(cls, aim: Aim) -> dict[str, Any]:
+        """Return the other fields for a behaviour, by a closed form."""
 
     @abstractmethod
     def snippet(self) -> str:

@@ -1,7 +1,7 @@
 """Drake's point contact: stiffness and dissipation of geometries."""
 
 import math
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -59,15 +59,13 @@ class DrakeSettings(ContactSettings):
     relaxation_time: NonNegative = 0.1
 
     @classmethod
-    def aimed(cls, aim: Aim) -> Self:
+    def constants(cls, aim: Aim) -> dict[str, Any]:
         """Return the hardest contact that rebounds enough in Drake's implicit steps, with the dissipation left."""
-        rate, relaxation_steps = _constants(aim)
-        return cls(
-            timestep_s=aim.timestep_s,
-            friction=aim.sliding_friction,
-            point_contact_stiffness=aim.mass_kg * (rate / aim.timestep_s) ** 2,
-            relaxation_time=relaxation_steps * aim.timestep_s,
-        )
+        rate, relaxation_steps = _rate_and_relaxation(aim)
+        return {
+            "point_contact_stiffness": aim.mass_kg * (rate / aim.timestep_s) ** 2,
+            "relaxation_time": relaxation_steps * aim.timestep_s,
+        }
 
     def backend_settings(self, mass_kg: float) -> dict[str, Any]:
         """Return point contact with SAP; the stiffness is that of the mass."""
@@ -103,7 +101,7 @@ def set_contact(plant):
 """
 
 
-def _constants(aim: Aim) -> tuple[float, float]:
+def _rate_and_relaxation(aim: Aim) -> tuple[float, float]:
     """Return the natural frequency times the step, and the relaxation time [steps].
 
     The damping ratio is half the relaxation time times the natural frequency.

@@ -111,24 +111,18 @@ class GenesisSettings(ContactSettings):
         return self
 
     @classmethod
-    def aimed(cls, aim: Aim) -> Self:
+    def constants(cls, aim: Aim) -> dict[str, Any]:
         """Return a spring that rebounds as hard as steps resolve it, or the spring and damper that is asked for."""
         frequency_per_s = spring_frequency_per_s(aim)
         if frequency_per_s is None:
-            sol_params = _impact(aim)
-        else:
-            ratio = 1.0
-            if aim.rebound is not None:
-                ratio = max(damping_ratio_of(aim.rebound), 1e-3)
-            ratio = min(ratio, _max_ratio(frequency_per_s, aim.timestep_s))
-            solref = (1.0 / (ratio * frequency_per_s), ratio)
-            sol_params = (*solref, SOFT_IMPEDANCE, SOFT_IMPEDANCE, *SHAPE)
-        return cls(
-            timestep_s=aim.timestep_s,
-            friction=aim.sliding_friction,
-            sol_params=sol_params,
-            friction_cone="elliptic",
-        )
+            return {"sol_params": _impact(aim), "friction_cone": "elliptic"}
+        ratio = 1.0
+        if aim.rebound is not None:
+            ratio = max(damping_ratio_of(aim.rebound), 1e-3)
+        ratio = min(ratio, _max_ratio(frequency_per_s, aim.timestep_s))
+        solref = (1.0 / (ratio * frequency_per_s), ratio)
+        sol_params = (*solref, SOFT_IMPEDANCE, SOFT_IMPEDANCE, *SHAPE)
+        return {"sol_params": sol_params, "friction_cone": "elliptic"}
 
     def snippet(self) -> str:
         """Return Python for the options, the material and the constants of a scene."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
@@ -49,6 +49,9 @@ DEFAULT_TIME_S = 0.02
 DAMPED_STEPS = 10.0
 """Fewest steps of a time constant whose damping is kept in the tangential directions: a plate at 4 m/s hops by 4 mm."""
 
+DEFAULT_SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
+"""MuJoCo's impedance."""
+
 MARGIN = 0.8
 """Share of the allowed depth that settings aim at."""
 
@@ -65,22 +68,11 @@ def _first(coefficients: Any) -> Any:
     return coefficients[0] if is_list else coefficients
 
 
-StatedSolimp = Annotated[Solimp, BeforeValidator(_with_shape)]
-
-
-def condim(settings: ContactSettings) -> int:
-    """Return MuJoCo's dimension of contacts that resist what the settings resist."""
-    if settings.rolling_m:
-        return 6
-    return 4 if settings.torsion_m else 3
-
-
 NATIVES = {
     "integrator": "integrator",
     "cone": "cone",
     "impratio": "impratio",
     "solref": "contact_solref",
-    "solreffriction": "contact_solreffriction",
     "solimp": "contact_solimp",
 }
 """Settings of the backend, by the field that states them."""
@@ -95,7 +87,33 @@ LIMITS = {
 """What the engine itself limits, by the measured value."""
 
 
-class MuJoCoSettings(ContactSettings):
+class ConstraintSettings(ContactSettings):
+    """Settings of an engine that solves MuJoCo's contact equation.
+
+    Attributes:
+        solref: Time constant [s] and damping ratio; or the negative stiffness [1/s^2] and damping [1/s] per mass.
+        solimp: Impedance: d0, dwidth, width [m], midpoint, power.
+    """
+
+    is_soft = True
+    natives = NATIVES
+    limits = LIMITS
+
+    integrator: str
+    cone: str = "pyramidal"
+    impratio: float = Field(default=1.0, gt=0.0)
+    solref: SolRef = (0.02, 1.0)
+    solimp: Annotated[Solimp, BeforeValidator(_with_shape)] = DEFAULT_SOLIMP
+
+    @property
+    def condim(self) -> int:
+        """MuJoCo's dimension of contacts that resist what the settings resist."""
+        if self.rolling_m:
+            return 6
+        return 4 if self.torsion_m else 3
+
+
+class MuJoCoSettings(ConstraintSettings):
     """Options of MuJoCo and constants of one pair of geoms.
 
     Attributes:
@@ -104,28 +122,16 @@ class MuJoCoSettings(ContactSettings):
     """
 
     engine = "mujoco"
-    is_soft = True
-    natives = NATIVES
-    limits = LIMITS
+    natives = NATIVES | {"solreffriction": "contact_solreffriction"}
 
     integrator: str = "Euler"
-    cone: str = "pyramidal"
-    impratio: float = Field(default=1.0, gt=0.0)
     friction: Annotated[float, BeforeValidator(_first)] = Field(default=1.0, gt=0.0)
-    solref: SolRef = (0.02, 1.0)
     solreffriction: tuple[float, float] = (0.0, 0.0)
-    solimp: StatedSolimp = (0.9, 0.95, 0.001, 0.5, 2.0)
 
     @classmethod
-    def aimed(cls, aim: Aim) -> Self:
+    def constants(cls, aim: Aim) -> dict[str, Any]:
         """Return one of three kinds: hard without rebound, one step that reverses the speed, spring and damper."""
-        return cls(
-            timestep_s=aim.timestep_s,
-            integrator="implicitfast",
-            cone="elliptic",
-            friction=aim.sliding_friction,
-            **contact_of(aim),
-        )
+        return contact_of(aim)
 
     def snippet(self) -> str:
         """Return options and a pair in MJCF."""
@@ -137,7 +143,7 @@ class MuJoCoSettings(ContactSettings):
         return f"""\
 <option timestep="{self.timestep_s:.9g}" integrator="{self.integrator}" cone="{self.cone}" impratio="{impratio}"/>
 <contact>
-  <pair geom1="foot" geom2="floor" condim="{condim(self)}"
+  <pair geom1="foot" geom2="floor" condim="{self.condim}"
         friction="{numbers(friction)} {self.rolling_m:g}"
         solref="{numbers(self.solref)}" solimp="{numbers(self.solimp)}"{tangential}/>
 </contact>
@@ -171,7 +177,11 @@ def _effective(solimp: Solimp) -> Solimp:
 
 
 def contact_of(aim: Aim) -> dict[str, Any]:
-    """Return `solref`, `solreffriction`, `solimp` and `impratio` for an aim."""
+    """Return integrator, cone, `solref`, `solreffriction`, `solimp` and `impratio` for an aim."""
+    return {"integrator": "implicitfast", "cone": "elliptic", **_constraint_of(aim)}
+
+
+def _constraint_of(aim: Aim) -> dict[str, Any]:
     frequency_per_s = spring_frequency_per_s(aim)
     if frequency_per_s is not None:
         return _spring(aim, frequency_per_s)

@@ -1,30 +1,18 @@
 """Contact settings of Newton's MuJoCo solver."""
 
 import math
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
 from gauge_envs.tools.recipes.aim import Aim
-from gauge_envs.tools.recipes.engines.base import ContactSettings, numbers
+from gauge_envs.tools.recipes.engines.base import numbers
 from gauge_envs.tools.recipes.engines.mujoco import (
     LIMITS as MUJOCO_LIMITS,
-    StatedSolimp,
-    condim,
+    NATIVES as MUJOCO_NATIVES,
+    ConstraintSettings,
     contact_of,
 )
-
-NATIVES = {
-    "integrator": "integrator",
-    "cone": "cone",
-    "impratio": "impratio",
-    "iterations": "iterations",
-    "ls_iterations": "line_search_iterations",
-    "kf": "contact_kf_n_s_per_m",
-    "solref": "contact_solref",
-    "solimp": "contact_solimp",
-}
-"""Settings of the backend, by the field that states them."""
 
 LIMITS = MUJOCO_LIMITS | {
     "restitution": "Newton's restitution has no effect in its MuJoCo solver: a contact equation that is evaluated "
@@ -32,8 +20,15 @@ LIMITS = MUJOCO_LIMITS | {
 }
 """What the engine itself limits, by the measured value."""
 
+NATIVES = MUJOCO_NATIVES | {
+    "iterations": "iterations",
+    "ls_iterations": "line_search_iterations",
+    "kf": "contact_kf_n_s_per_m",
+}
+"""Settings of the backend, by the field that states them."""
 
-class NewtonSettings(ContactSettings):
+
+class NewtonSettings(ConstraintSettings):
     """Settings of SolverMuJoCo, and material of the shape that has priority.
 
     `ke` and `kd` may stand for `solref`: Newton's solver turns them into the time constant 2 / kd and the damping ratio
@@ -47,21 +42,16 @@ class NewtonSettings(ContactSettings):
     """
 
     engine = "newton"
-    is_soft = True
     friction_field = "mu"
     preset = "rigid"
     natives = NATIVES
     limits = LIMITS
 
     integrator: Literal["euler", "implicitfast"] = "euler"
-    cone: str = "pyramidal"
-    impratio: float = 1.0
     iterations: int = 100
     ls_iterations: int = 50
     mu: float = Field(default=1.0, gt=0.0)
     kf: float = 1000.0
-    solref: tuple[float, float] = (0.02, 1.0)
-    solimp: StatedSolimp = (0.9, 0.95, 0.001, 0.5, 2.0)
 
     @model_validator(mode="before")
     @classmethod
@@ -78,7 +68,7 @@ class NewtonSettings(ContactSettings):
         return {**values, "solref": (2.0 / damping, damping_ratio)}
 
     @classmethod
-    def aimed(cls, aim: Aim) -> Self:
+    def constants(cls, aim: Aim) -> dict[str, Any]:
         """Return MuJoCo's settings, with the friction gain that has the damping of their tangential directions."""
         contact = contact_of(aim)
         gain_n_s_per_m = -1.0
@@ -87,14 +77,7 @@ class NewtonSettings(ContactSettings):
             impedance = contact["solimp"][1]
             share = (1.0 - impedance) / contact["impratio"] + impedance
             gain_n_s_per_m = -damping_per_s * impedance * aim.mass_kg / share
-        return cls(
-            timestep_s=aim.timestep_s,
-            integrator="implicitfast",
-            cone="elliptic",
-            mu=aim.sliding_friction,
-            kf=gain_n_s_per_m,
-            **contact,
-        )
+        return {**contact, "kf": gain_n_s_per_m}
 
     def snippet(self) -> str:
         """Return Python for shapes, solver and step."""
@@ -107,7 +90,7 @@ config = newton.ModelBuilder.ShapeConfig(
     mu={self.mu:g}, kf={self.kf:g}, mu_torsional={self.torsion_m:g}, mu_rolling={self.rolling_m:g}, gap=0.002
 )
 attributes = {{  # of the foot's shapes: add_shape_box(..., cfg=config, custom_attributes=attributes)
-    "mujoco:condim": {condim(self)},
+    "mujoco:condim": {self.condim},
     "mujoco:geom_priority": 1,
     "mujoco:solref_mode": 1,  # solref as given
     "mujoco:solref": wp.vec2({numbers(self.solref, ", ")}),

@@ -1,6 +1,6 @@
 """SAPIEN's PhysX: materials of shapes and the scene's contact options."""
 
-from typing import Self
+from typing import Any, Self
 
 from pydantic import Field, model_validator
 
@@ -60,15 +60,13 @@ class PhysXSettings(ContactSettings):
         return self
 
     @classmethod
-    def aimed(cls, aim: Aim) -> Self:
+    def constants(cls, aim: Aim) -> dict[str, Any]:
         """Return the coefficients themselves, and a bounce threshold just above a resting body's speed."""
-        return cls(
-            timestep_s=aim.timestep_s,
-            static_friction=aim.sliding_friction,
-            dynamic_friction=aim.sliding_friction,
-            restitution=aim.rebound or 0.0,
-            bounce_threshold=THRESHOLD_STEPS * GRAVITY_M_PER_S2 * aim.timestep_s,
-        )
+        return {
+            "static_friction": aim.sliding_friction,
+            "restitution": aim.rebound or 0.0,
+            "bounce_threshold": THRESHOLD_STEPS * GRAVITY_M_PER_S2 * aim.timestep_s,
+        }
 
     def snippet(self) -> str:
         """Return Python for the configurations of PhysX and a material."""

@@ -62,18 +62,16 @@ class PyBulletSettings(ContactSettings):
     contactSlop: float = 1e-5  # noqa: N815
 
     @classmethod
-    def aimed(cls, aim: Aim) -> Self:
-        """Return the coefficients themselves, with contacts that act when bodies touch."""
+    def constants(cls, aim: Aim) -> dict[str, Any]:
+        """Return the restitution itself, with contacts that act when bodies touch."""
         threshold_m_per_s = THRESHOLD_STEPS * GRAVITY_M_PER_S2 * aim.timestep_s
-        return cls(
-            timestep_s=aim.timestep_s,
-            lateralFriction=aim.sliding_friction,
-            restitution=aim.rebound or 0.0,
-            contactProcessingThreshold=0 if aim.rebound else "default",
-            useMaximalCoordinates=True,
-            restitutionVelocityThreshold=threshold_m_per_s,
-            contactERP=0.2,
-        )
+        return {
+            "restitution": aim.rebound or 0.0,
+            "contactProcessingThreshold": 0 if aim.rebound else "default",
+            "useMaximalCoordinates": True,
+            "restitutionVelocityThreshold": threshold_m_per_s,
+            "contactERP": 0.2,
+        }
 
     def backend_settings(self, mass_kg: float) -> dict[str, Any]:
         """Return the settings of a world in metres, without damping and sleep."""

@@ -1,7 +1,7 @@
 """Rapier's collider coefficients and integration parameters."""
 
 import math
-from typing import Any, Self
+from typing import Any
 
 from gauge_envs.backends.shared.spring_damper import damping_ratio_of
 from gauge_envs.scene import GRAVITY_M_PER_S2
@@ -52,23 +52,18 @@ class RapierSettings(ContactSettings):
     allowed_linear_error: float = 0.005
 
     @classmethod
-    def aimed(cls, aim: Aim) -> Self:
-        """Return the coefficients themselves, and a frequency of the contact for the depth: (2 pi f)^2 = g / depth."""
-        contact: dict[str, Any] = {}
+    def constants(cls, aim: Aim) -> dict[str, Any]:
+        """Return the restitution itself, and a frequency of the contact for the depth: (2 pi f)^2 = g / depth."""
+        contact = {"restitution": aim.rebound or 0.0}
         depth_m = aim.aimed_depth_m(MARGIN)
         if depth_m is not None:
             frequency_hz = math.sqrt(GRAVITY_M_PER_S2 / depth_m) / (2.0 * math.pi)
             if aim.stiffness_n_per_m is None:
                 frequency_hz = max(frequency_hz, DEFAULT_FREQUENCY_HZ)
-            contact = {"natural_frequency": frequency_hz, "allowed_linear_error": 0.0}
+            contact |= {"natural_frequency": frequency_hz, "allowed_linear_error": 0.0}
         if aim.damping_n_s_per_m is not None and aim.rebound is not None:
             contact["damping_ratio"] = max(damping_ratio_of(aim.rebound), 1e-3)
-        return cls(
-            timestep_s=aim.timestep_s,
-            friction=aim.sliding_friction,
-            restitution=aim.rebound or 0.0,
-            **contact,
-        )
+        return contact
 
     def backend_settings(self, mass_kg: float) -> dict[str, Any]:
         """Return the settings of a world whose bodies do not sleep."""
