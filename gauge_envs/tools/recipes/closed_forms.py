@@ -126,9 +126,9 @@ class MuJoCoContact:
     def _creep_m_s(self) -> float:
         """Return the speed of the plate on the slope [m/s], at which damping balances the soft share of the load."""
         slope_rad = creep_slope_rad(self.friction)
-        is_own = any(self.solreffriction)
+        has_tangential = any(self.solreffriction)
         _, damping_per_s = self._constants(
-            self.solreffriction if is_own else self.solref
+            self.solreffriction if has_tangential else self.solref
         )
         if damping_per_s <= 0.0:
             return math.inf

@@ -67,7 +67,7 @@ def parsed_contact(
         ParameterError: The text has another form, or the engine has no such setting.
     """
     pairs = ASSIGNMENT.findall(text)
-    values: dict[str, Any] = {name: VALUE.findall(stated) for name, stated in pairs}
+    values: dict[str, Any] = {name: VALUE.findall(parts) for name, parts in pairs}
     is_whole = pairs and not ASSIGNMENT.sub("", text).strip()
     if not is_whole or len(values) < len(pairs) or "timestep_s" in values:
         raise ParameterError(
@@ -113,10 +113,10 @@ def explain(settings: ContactSettings, mass_kg: float) -> Meaning:
         ) from None
     reached: Numbers = dict.fromkeys(NAMES)
     try:
-        found = measured(settings, mass_kg)
+        values = measured(settings, mass_kg)
         names = (*NAMES, "torsion_m", "rolling_m")
-        reached = {name: found[name] for name in names if name in found}
-        explanation = " ".join([MEASURED_IN, *notes_on(found)])
+        reached = {name: values[name] for name in names if name in values}
+        explanation = " ".join([MEASURED_IN, *notes_on(values)])
     except DivergedError as error:
         explanation = divergence_text(error)
     return Meaning(

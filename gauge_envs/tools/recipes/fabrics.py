@@ -2,8 +2,8 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.backends.registry import backend, backend_class, backend_names
@@ -14,8 +14,6 @@ from gauge_envs.tools.bench.recording import DivergedError
 from gauge_envs.tools.conformance import (
     BENT_FREE_M,
     Lab,
-    Measurement,
-    Recording,
     bending_stiffness,
     cantilever_strip,
     checks,
@@ -39,8 +37,11 @@ CELLS = 6
 STIFFNESSES = ("stretch_n_per_m", "shear_n_per_m", "bend_n_m", "bending_length_m")
 """Names of the measured constants that a simulation can give."""
 
-CHECKS = {"stretch_n_per_m": "cloth-stretch", "bend_n_m": "cloth-bending"}
-"""Conformance checks whose tolerances the strips have, by the measured value."""
+STRIPS = {
+    "stretch_n_per_m": (stretch_stiffness, "cloth-stretch"),
+    "bend_n_m": (bending_stiffness, "cloth-bending"),
+}
+"""Measure of each strip, and the conformance check whose tolerance it has, by the measured value."""
 
 
 def fabric_constants(fabric: Fabric) -> dict[str, FabricConstants]:
@@ -76,47 +77,33 @@ def fabric_recipe(
         )
     mapped = known[key]
     start_s = time.perf_counter()
-    versions: Mapping[str, str] = {}
-    values: dict[str, float] = {}
-    step_s, texts = None, [f"A fall-back sets {text}." for text in mapped.fallbacks]
+    targets = _measured_constants(fabric)
+    texts = [f"A fall-back sets {text}." for text in mapped.fallbacks]
     texts += [f"The mapping loses {loss}." for loss in mapped.lost]
+    versions: Mapping[str, str] = {}
+    strips: dict[str, Strip] = {}
+    step_s = None
     if key == ISAAC:
         texts.append("This package does not simulate Isaac Sim.")
     else:
         versions = backend(key).versions()
         changes = {} if timestep_s is None else {"timestep_s": timestep_s}
         lab = Lab(backend(key), {**mapped.settings, **changes})
+        hung = hanging_strip(fabric)
+        strips["stretch_n_per_m"] = _strip(lab, hung, targets, "stretch_n_per_m")
+        step_s = lab.settings_in_force.get("timestep_s")
         free_m = BENT_SHARE * BENT_FREE_M
         bent = cantilever_strip(fabric, free_m, height_m=0.0)
-        hung = _strip(lab, hanging_strip(fabric), stretch_stiffness)
-        step_s = lab.settings_in_force.get("timestep_s")
-        strips = {
-            "stretch_n_per_m": hung,
-            "bend_n_m": _strip(lab, bent, bending_stiffness, cell_m=free_m / CELLS),
-        }
-        values = {name: value for name, (value, _) in strips.items() if value == value}
-        texts += [
-            f"{name}: {reason}."
-            for name, (_, reason) in strips.items()
-            if name not in values
-        ]
-    if "bend_n_m" in values:
+        strips["bend_n_m"] = _strip(
+            lab, bent, targets, "bend_n_m", cell_m=free_m / CELLS
+        )
+    reached = dict.fromkeys(STIFFNESSES) | {
+        name: strip.stiffness for name, strip in strips.items()
+    }
+    if reached["bend_n_m"] is not None:
         weight_n_per_m2 = fabric.areal_density_kg_per_m2 * GRAVITY_M_PER_S2
-        length_m = math.cbrt(max(values["bend_n_m"], 0.0) / weight_n_per_m2)
-        values["bending_length_m"] = length_m
-    targets = _measured_constants(fabric)
-    reached = {name: values.get(name) for name in STIFFNESSES}
-    misses = [
-        name
-        for name, check in CHECKS.items()
-        if name in values
-        and not abs(values[name] - targets[name])
-        <= checks((check,))[0].tolerance.width(targets[name])
-    ]
-    texts += [
-        f"{name}: the simulated strip has {values[name]:.4g}, {values[name] / targets[name]:.3g} of what is asked."
-        for name in misses
-    ]
+        length_m = math.cbrt(max(reached["bend_n_m"], 0.0) / weight_n_per_m2)
+        reached["bending_length_m"] = length_m
     return Recipe(
         engine=key,
         asked=targets,
@@ -124,23 +111,42 @@ def fabric_recipe(
         snippet=fabric_snippet(mapped),
         reached=reached,
         error={name: difference(reached[name], targets[name]) for name in reached},
-        misses=misses,
+        misses=[name for name, strip in strips.items() if strip.is_missed],
         detail={"mapping_gives": law_of(mapped), "timestep_s": step_s},
         wall_s=time.perf_counter() - start_s,
-        explanation=" ".join(texts) or NOTHING_LOST,
+        explanation=" ".join(
+            [*texts, *(strip.text for strip in strips.values())]
+        ).strip()
+        or NOTHING_LOST,
         versions=versions,
     )
 
 
+class Strip(NamedTuple):
+    """Stiffness of a simulated strip, None if it diverges or moves on, whether it is missed, and why."""
+
+    stiffness: float | None
+    is_missed: bool = False
+    text: str = ""
+
+
 def _strip(
-    lab: Lab, scene: Scene, measure: Callable[[Recording], Measurement], **changes: Any
-) -> tuple[float, str]:
-    """Return the stiffness of a simulated strip, NaN if it has none, and the reason."""
+    lab: Lab, scene: Scene, targets: Mapping[str, float], name: str, **changes: Any
+) -> Strip:
+    """Return the stiffness of a simulated strip, with the tolerance of the conformance check."""
+    measure, check = STRIPS[name]
     try:
         measurement = measure(lab.rollout(scene, **changes))
     except DivergedError as error:
-        return math.nan, f"the simulation diverges: {error}"
-    return measurement.measured, measurement.hint
+        return Strip(None, text=f"{name}: the simulation diverges: {error}.")
+    stiffness, target = measurement.measured, targets[name]
+    if not math.isfinite(stiffness):
+        return Strip(None, text=f"{name}: {measurement.hint}.")
+    if abs(stiffness - target) <= checks((check,))[0].tolerance.width(target):
+        return Strip(stiffness)
+    ratio = stiffness / target
+    text = f"{name}: the simulated strip has {stiffness:.4g}, {ratio:.3g} of what is asked."
+    return Strip(stiffness, True, text)
 
 
 def _measured_constants(fabric: Fabric) -> dict[str, float]:
@@ -166,8 +172,8 @@ def law_of(mapped: FabricConstants) -> dict[str, float]:
 
 def fabric_snippet(mapped: FabricConstants) -> str:
     """Return the constants of a fabric in the engine's own language."""
-    lines = (
+    assignments = (
         f"{name} = {value:.6g}  # {mapped.units[name]}\n"
         for name, value in mapped.constants.items()
     )
-    return mapped.snippet or "".join(lines)
+    return mapped.snippet or "".join(assignments)

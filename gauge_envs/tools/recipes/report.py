@@ -177,10 +177,12 @@ def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
         for constant, unit in first.units.items():
             row = {"engine": engine, "constant": constant, "unit": unit}
             rows.append(
-                row | {name: _cell(one, constant) for name, one in mapped.items()}
+                row | {name: _cell(fabric, constant) for name, fabric in mapped.items()}
             )
         row = {"engine": engine, "constant": "shear over real", "unit": "1"}
-        rows.append(row | {name: _shear_share(one) for name, one in mapped.items()})
+        rows.append(
+            row | {name: _shear_share(fabric) for name, fabric in mapped.items()}
+        )
     table = Table(
         columns=(
             Column("engine", "engine", place=Place.HEADING),

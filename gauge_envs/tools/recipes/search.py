@@ -95,15 +95,15 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
     versions = engine.backend().versions()
     start_s = time.perf_counter()
     targets = aim.targets
-    settings, found = engine.aimed(aim), dict[str, Any]()
+    settings, values = engine.aimed(aim), dict[str, Any]()
     snippet = settings.snippet()
     try:
-        settings, found = _measured_settings(engine, aim)
-        snippet = _commented_snippet(settings, found)
-        explanation = _explanation(settings, aim, found)
+        settings, values = _measured_settings(engine, aim)
+        snippet = _commented_snippet(settings, values)
+        explanation = _explanation(settings, aim, values)
     except DivergedError as error:
         explanation = divergence_text(error)
-    reached = {name: found.get(name) for name in [*NAMES[:-1], *targets]}
+    reached = {name: values.get(name) for name in [*NAMES[:-1], *targets]}
     return Recipe(
         engine=engine.engine,
         asked=asdict(aim),
@@ -114,7 +114,7 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
             name: difference(reached[name], target) for name, target in targets.items()
         },
         misses=_misses(aim, reached),
-        detail={name: value for name, value in found.items() if name not in reached},
+        detail={name: value for name, value in values.items() if name not in reached},
         wall_s=time.perf_counter() - start_s,
         explanation=explanation,
         versions=versions,
@@ -137,18 +137,18 @@ def _measured_settings(
         DivergedError: A simulation diverged.
     """
     settings = _searched(engine, aim)
-    found = measured(settings, aim.mass_kg, friction=aim.sliding_friction)
+    values = measured(settings, aim.mass_kg, friction=aim.sliding_friction)
     impratio = getattr(settings, "impratio", None)
-    if impratio and aim.creep_m_s and found["creep_m_s"] > aim.creep_m_s:
-        impratio *= CREEP_MARGIN * found["creep_m_s"] / aim.creep_m_s
+    if impratio and aim.creep_m_s and values["creep_m_s"] > aim.creep_m_s:
+        impratio *= CREEP_MARGIN * values["creep_m_s"] / aim.creep_m_s
         settings = settings.model_copy(update={"impratio": rounded(impratio)})
-        found = measured(settings, aim.mass_kg, friction=aim.sliding_friction)
-    return settings, found
+        values = measured(settings, aim.mass_kg, friction=aim.sliding_friction)
+    return settings, values
 
 
-def _commented_snippet(settings: ContactSettings, found: Mapping[str, Any]) -> str:
+def _commented_snippet(settings: ContactSettings, values: Mapping[str, Any]) -> str:
     """Return a snippet below a comment with the friction of bodies that hold contact and that hop."""
-    holds, hops = found["friction"], found["friction_hopping"]
+    holds, hops = values["friction"], values["friction_hopping"]
     text = f"Friction: {holds:.3g} of bodies that hold contact, {hops:.3g} of plates that can hop."
     return f"{settings.comment(text)}\n{settings.snippet()}"
 
@@ -183,39 +183,30 @@ def divergence_text(error: DivergedError) -> str:
 
 def _searched(engine: type[ContactSettings], aim: Aim) -> ContactSettings:
     """Return settings after the searches for what the proposal misses, along one number of the aim each."""
-    target, stiffness, depth_m, rebound = (
-        aim,
-        aim.stiffness_n_per_m,
-        aim.depth_m or 0.0,
-        aim.rebound,
-    )
+    target, stiffness, rebound = aim, aim.stiffness_n_per_m, aim.rebound
 
     def stiffer(value: float) -> Aim:
         return replace(aim, stiffness_n_per_m=value)
+
+    def depth_error(value: float) -> float:
+        depth_m = _reached(engine.aimed(stiffer(value)), aim, "penetration_m")
+        return 1.0 - depth_m / (aim.depth_m or 1.0)
 
     def rebounding(value: float) -> Aim:
         if value == rebound:
             return target
         return replace(target, restitution=value, damping_n_s_per_m=None)
 
-    def reached(changed: Aim, name: str) -> float:
-        return _reached(engine.aimed(changed), aim, name)
+    def rebound_error(value: float) -> float:
+        restitution = _reached(engine.aimed(rebounding(value)), aim, "restitution")
+        return restitution - (rebound or 0.0)
 
     if engine.is_soft and stiffness is not None:
-        stiffness = _root(
-            lambda value: 1.0 - reached(stiffer(value), "penetration_m") / depth_m,
-            stiffness,
-            (stiffness / MAX_STIFFENING, stiffness * MAX_STIFFENING),
-            DEPTH_SHARE,
-        )
-        target = stiffer(stiffness)
+        ends = (stiffness / MAX_STIFFENING, stiffness * MAX_STIFFENING)
+        target = stiffer(_root(depth_error, stiffness, ends, DEPTH_SHARE))
     if rebound is not None:
-        value = _root(
-            lambda value: reached(rebounding(value), "restitution") - rebound,
-            rebound,
-            engine.restitution_range,
-            RESTITUTION_TOLERANCE,
-        )
+        ends = engine.restitution_range
+        value = _root(rebound_error, rebound, ends, RESTITUTION_TOLERANCE)
         target = rebounding(value)
     return engine.aimed(target)
 
@@ -270,24 +261,18 @@ def _root(
 # --- explanation -----------------------------------------------------------------------------------------------------
 
 
-def _explanation(settings: ContactSettings, aim: Aim, found: Numbers) -> str:
+def _explanation(settings: ContactSettings, aim: Aim, values: Mapping[str, Any]) -> str:
     """Return why values are missed, with a simulation of the suspected cause."""
-    misses = _misses(aim, found)
+    misses = _misses(aim, values)
     texts = [] if misses else ["All asked values are reached."]
     for name in misses:
-        texts.append(f"{name}: the settings reach {found[name]:.3g}.")
+        texts.append(f"{name}: the settings reach {values[name]:.3g}.")
         if name in settings.limits:
             texts.append(f"{settings.limits[name]}.")
         is_rigid = name == "penetration_m" and not settings.is_soft
         if name in SCENES and not is_rigid:
             texts.append(_step_text(type(settings), aim, name))
-    if aim.rebound and (other := settings.other_body()) is not None:
-        text, others = other
-        restitution = _reached(others, aim, "restitution")
-        texts.append(
-            f"{text} the same settings give a restitution of {restitution:.3f}."
-        )
-    return " ".join([*texts, *notes_on(found)])
+    return " ".join([*texts, *notes_on(values)])
 
 
 def _step_text(engine: type[ContactSettings], aim: Aim, name: str) -> str:

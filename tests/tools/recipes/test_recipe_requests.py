@@ -12,7 +12,6 @@ from approval import refused_commands
 from places import ROOT
 from typer.testing import CliRunner
 
-from gauge_envs.backends import backend
 from gauge_envs.backends.shared.spring_damper import spring_damper_restitution
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
@@ -22,9 +21,6 @@ from gauge_envs.tools.recipes import Aim, engine_settings, find_recipe
 from gauge_envs.tools.recipes.explain import explain, parsed_contact
 from gauge_envs.tools.recipes.materials import material_pairs, published_pairs
 from gauge_envs.tools.recipes.report import PUBLISHED
-from gauge_envs.tools.sanity import Verdict
-from gauge_envs.tools.sanity.measure import Measurements
-from gauge_envs.tools.sanity.phenomena import phenomenon
 
 GOOD = "--backend=mujoco --friction=0.4 --mass=0.5 --set=timestep_s=0.002"
 """A request that is met; a word replaces an earlier one of the same name."""
@@ -87,19 +83,10 @@ def test_torsional_and_rolling_friction_are_those_of_a_plain_ball():
     assert max(losses(found.snippet.replace('condim="6"', 'condim="3"'))) < 0.01
 
 
-@pytest.mark.slow
 def test_a_creep_that_is_asked_is_not_exceeded():
-    """A box that pads hold creeps 3.44 times faster than the plate, and then within the limit of the sanity check."""
-    verdicts = []
-    for creep_m_s in (None, 2.5e-6):
-        found = searched(friction=0.5, mass_kg=0.2, creep_m_s=creep_m_s)
-        settings = engine_settings("mujoco")(**found.settings).backend_settings(0.2)
-        held = Measurements(backend("mujoco")).measure(
-            phenomenon("grasp-creep"), settings
-        )
-        assert held.value / found.reached["creep_m_s"] == pytest.approx(3.44e6, 0.01)
-        verdicts.append(held.verdict)
-    assert verdicts == [Verdict.WRONG, Verdict.INSIDE]
+    asked = {"friction": 0.5, "mass_kg": 0.2}
+    assert searched(**asked).reached["creep_m_s"] > 2.5e-6
+    found = searched(**asked, creep_m_s=2.5e-6)
     assert not found.misses and found.reached["creep_m_s"] < 2.5e-6
 
 
@@ -142,10 +129,10 @@ def test_a_stiffness_is_reached_as_a_depth_and_a_damping_as_a_rebound():
 
 
 def test_a_miss_has_its_reason_and_the_step_that_reaches_it():
-    """At 10 ms MuJoCo rebounds with 0.6 or rests 10 micrometres deep, not both; at 2 ms it does both."""
-    asked = {"restitution": 0.6, "penetration_m": 1e-5}
-    assert not searched(**asked).misses
-    found = searched(**asked, timestep_s=0.01)
+    """At 10 ms MuJoCo rebounds with 0.6 or rests 10 micrometres deep, not both; without a rebound it rests there."""
+    asked = {"penetration_m": 1e-5, "timestep_s": 0.01}
+    assert searched(**asked).reached["penetration_m"] <= 1e-5
+    found = searched(**asked, restitution=0.6)
     assert found.misses == ["penetration_m"]
     assert "impedance d is at most 0.9999" in found.explanation
     assert "A time step of 0.005 s reaches" in found.explanation
@@ -200,8 +187,9 @@ def test_materials_are_listed_with_their_sources(gauge):
 def asked(word):
     """Return the good request with a word, in place of its value for the same option."""
     option = word.partition("=")[0]
-    others = [one for one in GOOD.split() if one.partition("=")[0] != option]
-    return " ".join([*others, repr(word)])
+    return " ".join(
+        [*(w for w in GOOD.split() if not w.startswith(option)), repr(word)]
+    )
 
 
 WRONG_WORDS = """

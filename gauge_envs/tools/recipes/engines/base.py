@@ -103,10 +103,6 @@ class ContactSettings(BaseModel, ABC):
         given = {setting: getattr(self, name) for name, setting in self.natives.items()}
         return {"preset": self.preset, **given}
 
-    def other_body(self) -> tuple[str, Self] | None:
-        """Return a kind of body on which the same settings rebound differently, and its settings; None for none."""
-        return None
-
     def closed_form(self) -> dict[str, float | None] | None:
         """Return what the engine's contact equation gives, by name; None where the engine documents none."""
         return None

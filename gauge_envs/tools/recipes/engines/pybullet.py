@@ -1,6 +1,6 @@
 """PyBullet's dynamics of two bodies, and parameters of its world."""
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -94,7 +94,8 @@ class PyBulletSettings(ContactSettings):
         return f"""\
 import pybullet
 
-COORDINATES = dict(useMaximalCoordinates={self.useMaximalCoordinates:d})  # of createMultiBody
+# Of createMultiBody. With 0, PyBullet's default and the only choice for links of a robot, bodies rebound differently.
+COORDINATES = dict(useMaximalCoordinates={self.useMaximalCoordinates:d})
 
 def set_contact(foot, floor, client=0):
     pybullet.setPhysicsEngineParameter(
@@ -109,10 +110,3 @@ def set_contact(foot, floor, client=0):
                             spinningFriction={self.torsion_m:g}, rollingFriction={rolling_m:.4g},
                             linearDamping=0, angularDamping=0, physicsClientId=client)
 """
-
-    def other_body(self) -> tuple[str, Self] | None:
-        """Return the settings of a body in reduced coordinates, as links of robots are."""
-        if not self.useMaximalCoordinates:
-            return None
-        text = "With useMaximalCoordinates=0, PyBullet's default and the only choice for links of a robot,"
-        return text, self.model_copy(update={"useMaximalCoordinates": False})
