@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.output import Format, echo, print_document
+from gauge_envs.cli.output import Format, Progress, echo, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -122,12 +122,13 @@ def recipe(
         **_timestep(changes),
     }
     given = {name: value for name, value in wanted.items() if value is not None}
-    if explain is not None:
-        answer = _meaning(engine, explain, material, given)
-    elif material in known_fabrics():
-        answer = _fabric(engine, str(material), given)
-    else:
-        answer = _contact(engine, material, given)
+    with Progress("simulates", None):
+        if explain is not None:
+            answer = _meaning(engine, explain, material, given)
+        elif material in known_fabrics():
+            answer = _fabric(engine, str(material), given)
+        else:
+            answer = _contact(engine, material, given)
     print_document(answer.shown, form)
     if form is not Format.JSON:
         # A terminal's width must not wrap or cut what is to be pasted.

@@ -35,7 +35,7 @@ LIMITS = {
     "dissipate the more, the stiffer the spring is for the step",
     "penetration_m": "Drake's contact is a spring: its depth at rest is the weight over the stiffness, and a "
     "rebound needs a soft spring",
-    "friction": "on a contact that is soft for the step, the plate has not settled within the slide",
+    "friction": "On a contact that is soft for the step, the plate has not settled within the slide",
 }
 """What the engine itself limits, by the measured value."""
 

@@ -21,7 +21,7 @@ NATIVES = {
 """Settings of the backend, by the field that states them."""
 
 LIMITS = {
-    "penetration_m": "contacts in SAPIEN's PhysX are rigid: its materials have no stiffness",
+    "penetration_m": "Contacts in SAPIEN's PhysX are rigid: its materials have no stiffness",
     "restitution": "PhysX rebounds from the speed of approach at the start of the step, and only above the bounce "
     "threshold",
 }

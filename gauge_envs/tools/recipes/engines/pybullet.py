@@ -24,7 +24,7 @@ NATIVES = {
 """Settings of the backend, by the field that states them."""
 
 LIMITS = {
-    "penetration_m": "contacts of this recipe are rigid: this package does not measure PyBullet's contactStiffness",
+    "penetration_m": "Contacts of this recipe are rigid: this package does not measure PyBullet's contactStiffness",
     "restitution": "Bullet takes the speed of approach at the start of a step, and multiplies the coefficients "
     "of the two bodies",
 }
