@@ -137,31 +137,28 @@ def video_report(
     judged or a file is named otherwise; the others are on the page.
     """
     videos, others = report.find_videos(folder)
-    results: dict[tuple[str, str], dict[Path, VideoScore | None]] = {}
     errors = [
         f"{file}: its name is not MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4"
         for file in others
     ]
-    lines = []
+    clips: list[tuple[str, str, Path, VideoScore | None]] = []
     with Progress("videos", len(videos)) as progress:
         for model, task, file in videos:
             progress.show(f"{model}: {task}")
-            clips = results.setdefault((model, task), {})
-            clips[file] = None
             track = file.with_suffix(".csv")
+            result = None
             try:
                 result = _scored(track if track.exists() else file, video_task(task))
+                result = replace(result, video=str(file.relative_to(folder)))
             except VideoError as error:
                 errors.append(str(error))
-            else:
-                result = replace(result, video=str(file.relative_to(folder)))
-                clips[file] = result
-                lines.append({"model": model, **result.to_dict()})
+            clips.append((model, task, file, result))
             progress.advance(f"{model}: {task}")
     for text in errors:
         message(text, "left out")
-    table = report.results_table(results)
-    page = save_file(out / "index.html", report.video_page(results, table))
+    table = report.results_table(clips)
+    page = save_file(out / "index.html", report.video_page(clips, table))
+    lines = [{"model": model, **x.to_dict()} for model, _, _, x in clips if x]
     save_file(out / "results.json", json_text(lines))
     save_file(out / "table.csv", report.table_csv(table))
     save_file(out / "table.tex", report.table_latex(table))

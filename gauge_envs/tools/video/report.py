@@ -4,7 +4,7 @@ import csv
 import io
 import re
 from base64 import b64encode
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -16,12 +16,11 @@ from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Par
 from gauge_envs.pages.figures import embedded, legend_above, new_figure, tidy_axis
 from gauge_envs.pages.html import Html, element
 from gauge_envs.pages.page import page
-from gauge_envs.pages.table import Column, Place, Table
+from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.video.frames import FileFrames, Frames, Picture, cv2
 from gauge_envs.tools.video.scoring import METRICS, VideoScore
 from gauge_envs.tools.video.tasks import (
     REFERENCE_SIZE_PX,
-    Measured,
     VideoTask,
     published_results,
     video_task,
@@ -38,8 +37,14 @@ TITLES = {
     "de": "DE [N]",
     "acceleration_m_s2": "acceleration [m/s^2]",
     "form": "form",
+    "size_mm": "object [mm]",
+    "size_px": "object [px]",
+    "interval": "95 % interval",
+    "low": "95 % from",
+    "high": "to",
+    "real": "real trials",
 }
-"""Titles of the metrics by name."""
+"""Titles of metrics and columns by name."""
 
 VERDICT_NOTE = (
     "On renderers that the rules had not met, about one in ten sound tracks was wrong (77 of 665): look at what was "
@@ -52,8 +57,8 @@ VALUES_NOTE = (
     "Mean over the clips (seeds) of a model whose track is sound, and their share. Interval of 95 %: of the mean by "
     "Student's t; of one clip, of simulated tracks. Spread: standard deviation over seeds. Metrics in capitals and a: "
     "as the paper defines them. Published: GAUGE, arXiv 2608.05948, Table 3. Law: of the ideal motion with the "
-    "calibrated constants, Table 3 again. Real trials: mean of motion-capture trials. Agrees: all values of a clip are "
-    "within 10 % of the published ones. The paper does not publish the frames of its fits."
+    "calibrated constants, Table 3 again. Real trials: mean of motion-capture trials. Agrees: the value of a clip is "
+    "within 10 % of the published one. The paper does not publish the frames of its fits."
 )
 
 CLOSE = 0.1
@@ -68,42 +73,35 @@ PICTURES, PICTURE_SIZE_PX = 6, (416, 240)
 RETAINED, DROPPED, PRESENT = (80, 200, 80), (150, 150, 150), (60, 60, 230)
 """Colours in blue, green and red: of retained places, of dropped ones, and of the present place."""
 
-Results: TypeAlias = Mapping[tuple[str, str], Mapping[Path, VideoScore | None]]
-"""Results of the clips by model and task; None for a clip that cannot be scored."""
+Clips: TypeAlias = Sequence[tuple[str, str, Path, VideoScore | None]]
+"""Model, task, file and result of each clip; no result for a clip that cannot be scored."""
 
 
 # --- tables ----------------------------------------------------------------------------------------------------------
 
 
-def short_text(value: float) -> str:
-    """Return a value with four digits."""
-    return f"{value:.4g}"
+def _table(rows: list[dict[str, Any]], *notes: str) -> Table:
+    """Return a table of rows with the same keys; a number has four digits."""
+    columns = []
+    for key in rows[0]:
+        is_text = any(isinstance(row[key], str) for row in rows)
+        form = str if is_text else "{:.4g}".format
+        columns.append(Column(key, TITLES.get(key, key), form, is_number=not is_text))
+    return Table(columns=tuple(columns), rows=rows, notes=notes)
 
 
-def measured_text(value: Measured) -> str:
-    """Return the mean and the standard deviation of real trials."""
-    return f"{value.mean:.4g} +- {value.std:.2g}"
-
-
-def _number(key: str, title: str = "") -> Column:
-    """Return a column of numbers, whose title is the key if none is given."""
-    return Column(key, title or key, short_text, is_number=True)
+def _real_text(task: VideoTask, name: str) -> str | None:
+    """Return the mean and the standard deviation of real trials; None where there are none."""
+    real = task.real.get(name)
+    return None if real is None else f"{real.mean:.4g} +- {real.std:.2g}"
 
 
 def task_table(tasks: Iterable[VideoTask]) -> Table:
     """Return the tasks with their object, scale, and the values of the law and of real trials."""
-    columns = (
-        Column("task", "task"),
-        Column("motion", "motion"),
-        _number("size_mm", "object [mm]"),
-        _number("size_px", "object [px]"),
-        Column("law", "law"),
-        Column("real", "real trials"),
-    )
     rows = []
     for task in tasks:
         law = [f"{TITLES[name]} {value:g}" for name, value in task.law.items()]
-        real = [f"{TITLES[name]} {measured_text(x)}" for name, x in task.real.items()]
+        real = [f"{TITLES[name]} {_real_text(task, name)}" for name in task.real]
         rows.append(
             {
                 "task": task.id,
@@ -114,7 +112,7 @@ def task_table(tasks: Iterable[VideoTask]) -> Table:
                 "real": ", ".join(real),
             }
         )
-    return Table(columns=columns, rows=rows)
+    return _table(rows)
 
 
 def verdict(result: VideoScore) -> str:
@@ -131,127 +129,111 @@ def score_document(result: VideoScore, task: VideoTask) -> Document:
         result: The result.
         task: Task whose law and real trials are shown too.
     """
-    rows = [
-        {
-            "metric": TITLES[name],
-            "video": value,
-            "interval": result.uncertainty[name],
-            "law": task.law.get(name),
-            "real": task.real.get(name),
-        }
-        for name, value in result.metrics.items()
-        if value is not None
-    ]
-    columns = (
-        Column("metric", "metric"),
-        _number("video"),
-        Column("interval", "95 % interval", lambda x: f"{x[0]:.4g} to {x[1]:.4g}"),
-        _number("law"),
-        Column("real", "real trials", measured_text),
-    )
+    rows = []
+    for name, value in result.metrics.items():
+        interval = result.uncertainty[name]
+        if value is not None:
+            rows.append(
+                {
+                    "metric": TITLES[name],
+                    "video": value,
+                    "interval": interval and "{:.4g} to {:.4g}".format(*interval),
+                    "law": task.law.get(name),
+                    "real": _real_text(task, name),
+                }
+            )
     scale = f"{1000.0 * result.scale_m_per_px:.3f} mm a pixel"
-    texts = [VERDICT_NOTE] * result.is_sound + [*result.reasons, *result.findings]
+    is_given = any(event.kind == "given" for event in result.track.events)
+    notes = [VERDICT_NOTE] if result.is_sound and not is_given else []
+    texts = [*notes, *result.reasons, *result.findings]
     parts: list[Part] = [
         Paragraph(f"{result.video}, {result.task}: {verdict(result)}; {scale}"),
         *(Paragraph(f"  {text}") for text in texts),
     ]
     if rows:
-        parts.append(Table(columns=columns, rows=rows))
+        parts.append(_table(rows))
     return Document(parts=tuple(parts), rows=[result.to_dict()])
 
 
-def agreement(result: VideoScore, published: Mapping[str, float]) -> str:
-    """Return whether the metrics of a clip agree with the published ones of the same clip."""
+def agreement(result: VideoScore, name: str, published: float) -> str:
+    """Return whether a metric of a clip agrees with the published value of the same clip."""
+    value, interval = result.metrics[name], result.uncertainty[name]
     if not result.is_sound:
         return "track not sound"
-    is_close, is_within = True, True
-    for name, value in published.items():
-        low, high = result.uncertainty[name] or (np.inf, -np.inf)
-        is_within = is_within and low <= value <= high
-        difference = abs((result.metrics[name] or 0.0) - value)
-        is_close = is_close and difference <= CLOSE * abs(value)
-    if is_close:
+    if value is not None and abs(value - published) <= CLOSE * abs(published):
         return "agrees"
-    return "within the interval" if is_within else "differs"
+    if interval is not None and interval[0] <= published <= interval[1]:
+        return "within the interval"
+    return "differs"
 
 
-def results_table(results: Results) -> Table:
+def results_table(clips: Clips) -> Table:
     """Return a row for each model, task and metric: the mean over sound clips, its interval, and the published value.
 
     The other models of the published table have rows too.
     """
     published = published_results()
-    rows: list[dict[str, Any]] = []
-    shown = {model.replace("-", "_") for model, _ in results}
+    results: dict[tuple[str, str], list[VideoScore | None]] = {}
+    for model, task, _, result in clips:
+        results.setdefault((model, task), []).append(result)
+    models = {model.replace("-", "_") for model, _ in results}
+    others = [model for model in published if model not in models]
     tasks = dict.fromkeys(task for _, task in results)
-    others = [(m, task) for m in published if m not in shown for task in tasks]
-    for model, task in (*results, *others):
-        clips = list(results.get((model, task), {}).values())
+    results |= {(model, task): [] for model in others for task in tasks}
+    rows: list[dict[str, Any]] = []
+    for (model, task), seeds in results.items():
         known = published.get(model.replace("-", "_"), {}).get(task, {})
-        rows += _metric_rows(model, video_task(task), clips, known)
-    columns = (
-        Column("model", "model"),
-        Column("task", "task"),
-        Column("metric", "metric"),
-        Column("sound", "sound", "{:.0%}".format, is_number=True),
-        _number("mean"),
-        _number("low", "95 % from"),
-        _number("high", "to"),
-        *map(_number, ("spread", "law", "real", "published", "clips")),
-        Column("agrees", "agrees", place=Place.BELOW),
-    )
-    return Table(columns=columns, rows=rows, notes=(VALUES_NOTE,))
+        for name in METRICS:
+            row = _metric_row(name, video_task(task), seeds, known.get(name))
+            if row["mean"] is not None or row["law"] is not None:
+                rows.append({"model": model, "task": task, **row})
+    return _table(rows, VALUES_NOTE)
 
 
-def _metric_rows(
-    model: str,
+def _metric_row(
+    name: str,
     task: VideoTask,
-    clips: list[VideoScore | None],
-    published: Mapping[str, float],
-) -> Iterator[dict[str, Any]]:
-    """Yield the row of each metric that clips have or that the law states."""
-    sound = [clip for clip in clips if clip is not None and clip.is_sound]
-    # The agreement of all metrics of the only clip is in the first row.
-    clip = clips[0] if len(clips) == 1 else None
-    agrees = agreement(clip, published) if clip and published else None
-    for name in METRICS:
-        values = [value for clip in sound if (value := clip.metrics[name]) is not None]
-        if not values and name not in task.law:
-            continue
-        row = dict.fromkeys(("mean", "low", "high", "spread"))
-        if values:
-            row["mean"] = mean = float(np.mean(values))
-            row["low"], row["high"] = sound[0].uncertainty[name] or (None, None)
-        if len(values) > 1:
-            half = float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))
-            row["low"], row["high"] = mean - half, mean + half
-            row["spread"] = float(np.std(values, ddof=1))
-        yield row | {
-            "model": model,
-            "task": task.id,
-            "metric": TITLES[name],
-            "sound": len(sound) / len(clips) if clips else None,
-            "law": task.law.get(name),
-            "real": task.real[name].mean if name in task.real else None,
-            "published": published.get(name),
-            "clips": len(clips) or None,
-            "agrees": agrees,
-        }
-        agrees = None
+    seeds: list[VideoScore | None],
+    published: float | None,
+) -> dict[str, Any]:
+    """Return the mean of a metric over the seeds whose track is sound, and what it is compared with."""
+    sound = [seed for seed in seeds if seed is not None and seed.is_sound]
+    values = [value for seed in sound if (value := seed.metrics[name]) is not None]
+    mean = float(np.mean(values)) if values else None
+    low, high, spread, agrees = None, None, None, None
+    if len(values) > 1:
+        half = stats.t.ppf(0.975, len(values) - 1) * stats.sem(values)
+        low, high = mean - half, mean + half
+        spread = np.std(values, ddof=1)
+    elif values:
+        low, high = sound[0].uncertainty[name] or (None, None)
+    if published is not None and len(seeds) == 1 and seeds[0] is not None:
+        agrees = agreement(seeds[0], name, published)
+    return {
+        "metric": TITLES[name],
+        "sound": len(sound) / len(seeds) if seeds else None,
+        "mean": mean,
+        "low": low,
+        "high": high,
+        "spread": spread,
+        "law": task.law.get(name),
+        "real": task.real[name].mean if name in task.real else None,
+        "published": published,
+        "clips": len(seeds) or None,
+        "agrees": agrees,
+    }
 
 
 def summary_table(table: Table) -> Table:
     """Return the metrics of the paper as in its Table 3: a row for each task and metric, a column for each model."""
+    shown = [row for row in table.rows if row["clips"] and row["law"] is not None]
+    models = dict.fromkeys(row["model"] for row in shown)
     rows: dict[tuple[str, str], dict[str, Any]] = {}
-    for row in table.rows:
-        if row["clips"] and row["law"] is not None:
-            place = (row["task"], row["metric"])
-            rows.setdefault(place, dict(row))[row["model"]] = row["mean"]
-    models = dict.fromkeys(row["model"] for row in table.rows if row["clips"])
-    columns = [Column("task", "task"), Column("metric", "metric")]
-    columns += map(_number, ("law", *models))
-    notes = (VERDICT_NOTE,)
-    return Table(columns=tuple(columns), rows=list(rows.values()), notes=notes)
+    for row in shown:
+        start = {key: row[key] for key in ("task", "metric", "law")}
+        summary = rows.setdefault((row["task"], row["metric"]), start | models)
+        summary[row["model"]] = row["mean"]
+    return _table(list(rows.values()), VERDICT_NOTE)
 
 
 def table_csv(table: Table) -> str:
@@ -300,7 +282,7 @@ def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
         raise VideoError(
             f"{folder}: it contains no video of a task; expected MODEL/TASK.mp4 with a TASK of {', '.join(tasks)}"
         )
-    return sorted(videos, key=lambda video: (tasks.index(video[1]), video[0])), others
+    return sorted(videos, key=lambda video: tasks.index(video[1])), others
 
 
 def video_of(track: Path) -> Path | None:
@@ -309,19 +291,18 @@ def video_of(track: Path) -> Path | None:
     return next(filter(Path.exists, videos), None)
 
 
-def video_page(results: Results, table: Table) -> str:
+def video_page(clips: Clips, table: Table) -> str:
     """Return the page of many videos: the table, and what was followed in each clip. It needs no other file."""
     parts: list[Part] = [table]
-    for (model, task), clips in results.items():
-        for file, clip in clips.items():
-            if clip is not None:
-                parts += [
-                    Heading(f"{task}, {model}, {file.stem}"),
-                    Paragraph(verdict(clip)),
-                    Bullets((*clip.reasons, *clip.findings)),
-                    element("div", *_pictures(clip, file), class_="strip"),
-                    _curve(clip),
-                ]
+    for model, task, file, result in clips:
+        if result is not None:
+            parts += [
+                Heading(f"{task}, {model}, {file.stem}"),
+                Paragraph(verdict(result)),
+                Bullets((*result.reasons, *result.findings)),
+                element("div", *_pictures(result, file), class_="strip"),
+                _curve(result),
+            ]
     return page("Videos and the laws of motion", parts, look="full")
 
 

@@ -14,7 +14,6 @@ from clips import clip, driven, track_of, written  # noqa: E402
 from scipy import stats  # noqa: E402
 
 from gauge_envs.errors import VideoError  # noqa: E402
-from gauge_envs.experiments.resolve import load_experiment  # noqa: E402
 from gauge_envs.tools.video import (  # noqa: E402
     law_share,
     read_track,
@@ -218,18 +217,6 @@ def test_a_swing_that_is_shown_in_part_is_named():
     assert any("less than half a period is shown" in one for one in part.findings)
 
 
-@pytest.mark.slow
-def test_the_interval_of_a_period_includes_what_the_law_does_not_explain():
-    times_s = np.arange(48) / 24.0
-    lawful, drift = 0.25 * np.cos(2.0 * np.pi * times_s), 0.02 * np.sin(3.0 * times_s)
-    widths = []
-    for angles_rad in (lawful, lawful + drift):
-        low, high = score_track(swung(PENDULUM, angles_rad), PENDULUM).uncertainty["pd"]
-        assert low < 1.0 < high
-        widths.append(high - low)
-    assert widths[1] > 3.0 * widths[0]
-
-
 def test_the_law_share_of_a_fall_is_the_smaller_ratio():
     for a_m_s2, share in ((9.81, 1.0), (0.5 * 9.81, 0.5), (2.0 * 9.81, 0.5)):
         track = driven(BALL.id, a_m_s2, fps=60.0, release_s=0.0)
@@ -252,29 +239,14 @@ def test_published_values_are_those_of_the_table():
         assert named == set(task.law)
 
 
-@pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
-def test_the_law_of_a_slide_has_the_calibrated_friction_and_real_cubes_another(
-    material,
-):
-    task = video_task(f"SlopeSlider-2-{material}")
-    scene = load_experiment(task.id).scene
-    friction = next(x.friction for x in scene.contacts if "cube" in x.first)
-    slope = np.radians(30.0)
-    law = scene.gravity_m_per_s2 * (np.sin(slope) - friction * np.cos(slope))
-    # The table states two decimals; each material has 19 trials or more.
-    assert task.law["a"] == pytest.approx(law, abs=0.006)
-    real = task.real["a"]
-    assert abs(real.mean - law) > 3.0 * real.std / np.sqrt(19)
-
-
 def test_agreement_with_a_published_value():
     result = score_track(driven(SLIDE.id, 1.7), SLIDE)
     a = result.metrics["a"]
-    assert agreement(result, {"a": 1.09 * a}) == "agrees"
-    assert agreement(result, {"a": 1.12 * a}) == "differs"
+    assert agreement(result, "a", 1.09 * a) == "agrees"
+    assert agreement(result, "a", 1.12 * a) == "differs"
     wide = replace(result, uncertainty={"a": (a, 1.2 * a)})
-    assert agreement(wide, {"a": 1.12 * a}) == "within the interval"
-    assert agreement(replace(result, is_sound=False), {"a": a}) == "track not sound"
+    assert agreement(wide, "a", 1.12 * a) == "within the interval"
+    assert agreement(replace(result, is_sound=False), "a", a) == "track not sound"
 
 
 # --- commands --------------------------------------------------------------------------------------------------------
@@ -304,8 +276,8 @@ def test_the_command_scores_a_file_and_draws_the_track(tmp_path, gauge):
         again = gauge("video", "score", file, "--id", film.task, "--json")
         value = json.loads(again.stdout)["metrics"]["acceleration_m_s2"]
         assert value == pytest.approx(line["metrics"]["acceleration_m_s2"], rel=1e-3)
-    text = gauge("video", "score", saved, "--id", film.task)
-    assert "the track is sound" in text.stdout and "about one in ten" in text.stdout
+    text = gauge("video", "score", "slide.mp4", "--id", film.task).stdout
+    assert "the track is sound" in text and "about one in ten" in text
 
 
 def test_the_report_shows_every_model_and_names_broken_files(tmp_path, gauge):
@@ -336,17 +308,12 @@ def test_the_report_shows_every_model_and_names_broken_files(tmp_path, gauge):
 
 
 def test_seeds_have_a_mean_with_its_interval_and_a_share_of_sound_tracks(tmp_path):
-    for name in (
-        "a/Pendulum-metal/seed_3.mp4",
-        "a/Pendulum-metal.mp4",
-        "a/b/seed_1.mp4",
-    ):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+    for name in ("a/Pendulum-metal/seed_3.mp4", "a/b/seed_1.mp4"):
+        (tmp_path / name).parent.mkdir(parents=True)
         (tmp_path / name).touch()
     videos, others = find_videos(tmp_path)
-    assert [file.stem for *_, file in videos] == ["seed_3", "Pendulum-metal"]
-    assert [file.name for file in others] == ["seed_1.mp4"]
-
+    assert [file.stem for *_, file in videos] == ["seed_3"]
+    assert [file.stem for file in others] == ["seed_1"]
     result = score_track(driven(SLIDE.id, 1.7), SLIDE)
     values = np.array([1.0, 2.0, 3.0, 4.0])
     seeds = [
@@ -354,8 +321,8 @@ def test_seeds_have_a_mean_with_its_interval_and_a_share_of_sound_tracks(tmp_pat
         for a in (*values, 90.0)
     ]
     seeds[-1] = replace(seeds[-1], is_sound=False)
-    clips = {Path(str(number)): seed for number, seed in enumerate([*seeds, None])}
-    table = results_table({("mine", SLIDE.id): clips})
+    clips = [("mine", SLIDE.id, Path(), seed) for seed in (*seeds, None)]
+    table = results_table(clips)
     rows = csv.DictReader(table_csv(table).splitlines())
     row = next(row for row in rows if row["metric"] == "acceleration [m/s^2]")
     spread = np.std(values, ddof=1)
@@ -364,8 +331,8 @@ def test_seeds_have_a_mean_with_its_interval_and_a_share_of_sound_tracks(tmp_pat
         pytest.approx([2.5, 2.5 - half, 2.5 + half, spread], rel=1e-6)
     )
     assert float(row["sound"]) == pytest.approx(4 / 6) and row["clips"] == "6"
-    first, _, line, *_, last = table_latex(table).splitlines()
+    first, first_row, line, *_, last = table_latex(table).splitlines()
     assert first.startswith(r"\begin{tabular}") and last == r"\end{tabular}"
     assert line.count(" & ") == len(table.columns) - 1 and line.endswith(r" \\")
-    assert r"67\%" in line
+    assert r"95 \% from" in first_row
     assert summary_table(table).rows[0]["mine"] == pytest.approx(result.metrics["a"])
