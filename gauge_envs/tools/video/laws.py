@@ -290,11 +290,9 @@ def _straight(
             break
     if task.motion is Motion.SLIDE and task.direction:
         right, down = task.direction
-        offset_px = (track.points_px[rows] - track.points_px[rows[start]]) @ [
-            -down,
-            right,
-        ]
-        is_off = np.abs(offset_px[start:]) > OFF_LINE * task.size_px
+        places_px = track.points_px[rows[start:]]
+        offset_px = (places_px - places_px[0]) @ np.array([-down, right])
+        is_off = np.abs(offset_px) > OFF_LINE * task.size_px
         if is_off.any():
             end = min(end, start + int(is_off.argmax()) - 1)
     return (int(rows[start]), int(rows[end])) if end - start >= 3 else None
@@ -326,9 +324,12 @@ def apices(
         angles_rad: Its angles from the vertical [rad], shape [frame_count].
         step_s: Time from frame to frame of the video [s].
     """
-    frames = np.rint((times_s - times_s[0]) / step_s).astype(int)
+    separation = max(1, int(APEX_SEPARATION_S / step_s))
+    gaps_s = np.diff(times_s)
+    # A longer gap separates swings as well as this one.
+    gaps = np.minimum(np.rint(gaps_s / step_s), 2 * separation + 1)
+    frames = np.append(0, gaps.cumsum()).astype(int)
     swing_rad = np.interp(np.arange(frames[-1] + 1), frames, angles_rad)
-    separation = int(APEX_SEPARATION_S / step_s)
     peaks, shape = find_peaks(
         swing_rad,
         height=LEAST_APEX_RAD,
@@ -339,8 +340,8 @@ def apices(
     fall_rad = np.minimum(APEX_FALL * swing_rad[peaks], APEX_FALL_RAD)
     is_swing = shape["prominences"] >= fall_rad
     rows = np.searchsorted(frames, peaks[is_swing])
-    gaps_s = np.diff(times_s, prepend=-np.inf, append=np.inf)
-    is_seen = np.maximum(gaps_s[rows], gaps_s[rows + 1]) <= MAX_APEX_STEPS * step_s
+    # A peak is neither the first nor the last row.
+    is_seen = np.maximum(gaps_s[rows - 1], gaps_s[rows]) <= MAX_APEX_STEPS * step_s
     return rows[is_seen]
 
 

@@ -88,6 +88,8 @@ def test_an_apex_is_a_swing_that_is_seen_on_both_sides():
     times_s = np.arange(60) / 30.0
     swing = np.maximum(0.4 * np.sin(2.0 * np.pi * times_s), 0.0)
     assert list(apices(times_s, swing, 1.0 / 30.0)) in ([7, 37], [8, 38])
+    late_s = np.where(times_s < 0.7, times_s, times_s + 1e9)
+    assert len(apices(late_s, swing, 1.0 / 30.0)) == 2
     trembling = 0.1 + 0.005 * np.sin(2.0 * np.pi * times_s * 1.3)
     assert not len(apices(times_s, trembling, 1.0 / 30.0))
     # The first frame after a gap is the highest that is left of this swing, and no apex.
