@@ -9,40 +9,38 @@ from itertools import pairwise
 
 import numpy as np
 from pxr import Usd
+from pydantic import ValidationError
 
-from gauge_envs.errors import ShapeError
+from gauge_envs.errors import ShapeError, first_fault
+from gauge_envs.scene import Pose
 from gauge_envs.scene.drivers import Driver, DriverMotion
-from gauge_envs.scene.geometry import Pose, pose_distance
+from gauge_envs.scene.geometry import pose_distance
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.bench.driver_fit import sampled_motions
 from gauge_envs.tools.usd.layer import (
     TEXT,
     WRITTEN,
+    DriverRecord,
     motions_digest,
-    motions_from_json,
     samples_digest,
 )
-from gauge_envs.tools.usd.source import Source
+from gauge_envs.tools.usd.source import MAX_DURATION_S, Source
 
-AGREES = 1e-6
+SAME_POSE = 1e-6
 """Largest difference between time samples and `gauge:driver` [m, rad] if both were edited."""
-
-LONGEST_S = 3600.0
-"""Longest duration of time samples [s]; longer ones have another unit of time or are damaged."""
 
 Track = dict[float, Pose]
 """Poses by time code."""
 
 
-def driven_body(
+def read_driven(
     source: Source, prim: Usd.Prim, name: str, pose_at: Callable[[Usd.TimeCode], Pose]
 ) -> tuple[Pose, Driver | None, int | None]:
     """Return the start pose and the driver of a kinematic body.
 
     `gauge:driver` contains the exact motion; the time samples of the transform contain its poses at the frames. The
     edited one of both counts. Edited samples, and samples without `gauge:driver`, become sampled motions with monotone
-    cubic interpolation. Between samples that are more than a frame apart, the poses at the frames are added. An edited
-    motion was not measured, so its provenance is `nominal` and mentions the edit.
+    cubic interpolation. An edited motion was not measured, so its provenance is `nominal` and mentions the edit.
 
     Args:
         source: The stage.
@@ -53,89 +51,89 @@ def driven_body(
     Returns:
         The pose before anything moves; the driver, or None if the body does not move; and the index of the driver in
         the scene, or None if the file does not define it.
+
+    Raises:
+        AssetError: The motion cannot be read, or contradicts the time samples.
     """
-    start = Usd.TimeCode(source.start)
     samples = {code: pose_at(Usd.TimeCode(code)) for code in source.sample_codes(prim)}
-    if samples and source.seconds(max(samples)) > LONGEST_S:
-        last_s = source.seconds(max(samples))
+    if samples and source.seconds(max(samples)) > MAX_DURATION_S:
         raise source.fault(
-            prim,
-            f"its time samples end after {last_s:.6g} s: {LONGEST_S:.6g} s at most are expected",
+            prim, f"its time samples end after more than {MAX_DURATION_S:g} s"
         )
-    track = _timeline(source, samples, pose_at)
     attribute = prim.GetAttribute("gauge:driver")
     text = source.text(attribute)
     if text is None:
-        poses = list(track.values())
-        if all(pose_distance(pose, poses[0]) == 0.0 for pose in poses):
-            return pose_at(start), None, None
-        motions = _sampled(source, prim, poses[0], track, ())
-        if not motions:
-            return poses[0], None, None
+        track = _track(source, samples, pose_at)
+        start = track[source.start]
+        if all(pose_distance(pose, start) == 0.0 for pose in track.values()):
+            return start, None, None
+        motions = _sampled(source, prim, start, track)
         provenance = f"nominal: time samples of {source.file.name}"
-        return poses[0], Driver(body=name, motions=motions, provenance=provenance), None
+        driver = Driver(body=name, motions=motions, provenance=provenance)
+        return start, driver if motions else None, None
     try:
-        motions, place = motions_from_json(text)
-    except ValueError as error:
-        reason = "; ".join(str(error).splitlines()[:3])
+        record = DriverRecord.model_validate_json(text)
+    except ValidationError as error:
+        place, reason = first_fault(error)
         raise source.fault(
-            attribute, f"is not as the writer writes it: {reason}"
+            attribute, f"is not as the writer writes it: {place} {reason}"
         ) from None
     provenance = source.text(prim.GetAttribute("gauge:driver_provenance")) or "nominal"
-    driver = Driver(body=name, motions=motions, provenance=provenance)
-    pose, driver = _edited(
-        source, prim, driver, pose_at(Usd.TimeCode.Default()), samples, track
-    )
-    return pose, driver, place
+    driver = Driver(body=name, motions=record.motions, provenance=provenance)
+    start, driver = _edited(source, prim, driver, samples, pose_at)
+    return start, driver, record.index
 
 
 def _edited(
     source: Source,
     prim: Usd.Prim,
     driver: Driver,
-    start: Pose,
     samples: Track,
-    track: Track,
+    pose_at: Callable[[Usd.TimeCode], Pose],
 ) -> tuple[Pose, Driver]:
     """Return the start pose and the driver of a body with `gauge:driver` and possibly time samples."""
     attribute = prim.GetAttribute("gauge:driver")
-    changed = replace(
-        driver,
-        provenance=f"nominal: edited in {source.file.name}, was {driver.provenance}",
-    )
+    start = pose_at(Usd.TimeCode.Default())
     is_edited = motions_digest(attribute.Get()) != attribute.GetCustomDataByKey(TEXT)
-    written = attribute.GetCustomDataByKey(WRITTEN)
-    apart = [
+    note = f"nominal: edited in {source.file.name}, was {driver.provenance}"
+    changed = replace(driver, provenance=note)
+    if not samples:
+        return start, changed if is_edited else driver
+    track = _track(source, samples, pose_at)
+    distances = [
         pose_distance(driver.pose(start, source.seconds(code)), pose)
         for code, pose in track.items()
-        if samples
     ]
-    if not samples or (written is not None and _digest(source, samples) == written):
-        if not is_edited and samples and apart[0] > AGREES:
+    times_s = [source.seconds(code) for code in samples]
+    poses = np.array(
+        [[*pose.position_m, *pose.quaternion] for pose in samples.values()]
+    )
+    if samples_digest(times_s, poses) == attribute.GetCustomDataByKey(WRITTEN):
+        if is_edited:
+            return start, changed
+        if distances[0] > SAME_POSE:
             raise source.fault(
                 prim,
                 "its pose was edited, but not the time samples of its transform: edit both, or delete the samples, so "
                 "that gauge:driver moves it from the edited pose",
             )
-        return start, changed if is_edited else driver
-    if is_edited or written is None:
-        if max(apart) > AGREES:
+        return start, driver
+    if is_edited:
+        if max(distances) > SAME_POSE:
             raise source.fault(
                 attribute,
-                f"puts the body up to {max(apart):.3g} (m, rad) away from the time samples of its transform, and both "
-                "were edited: make them agree, or delete one",
+                f"puts the body up to {max(distances):.3g} (m, rad) away from the time samples of its transform, and "
+                "both were edited: make them agree, or delete one",
             )
         return start, changed
-    first = next(iter(track.values()))
     # If the samples start elsewhere than the driver, the body starts there too: a jump would throw other bodies.
-    if apart[0] > AGREES:
-        start = first
-    return start, replace(
-        changed, motions=_sampled(source, prim, start, track, driver.motions)
-    )
+    if distances[0] > SAME_POSE:
+        start = track[source.start]
+    motions = _sampled(source, prim, start, track, driver.motions)
+    return start, replace(changed, motions=motions)
 
 
-def _timeline(
+def _track(
     source: Source, samples: Track, pose_at: Callable[[Usd.TimeCode], Pose]
 ) -> Track:
     """Return poses from the start of the stage on, at two times or more, with at most a frame between them.
@@ -145,24 +143,11 @@ def _timeline(
     keys = sorted({source.start, *(code for code in samples if code > source.start)})
     if len(keys) == 1:
         keys.append(source.start + 1.0)
-    codes = [keys[0]]
-    for one, other in pairwise(keys):
-        steps = math.ceil((other - one) / source.rate * FRAME_RATE_HZ - 1e-6)
-        codes += (
-            [one + (other - one) * step / steps for step in range(1, steps)]
-            if steps > 1
-            else []
-        )
-        codes.append(other)
+    codes = keys[:1]
+    for first, last in pairwise(keys):
+        count = math.ceil((last - first) / source.rate_hz * FRAME_RATE_HZ - 1e-6)
+        codes += np.linspace(first, last, max(count, 1) + 1)[1:].tolist()
     return {code: samples.get(code) or pose_at(Usd.TimeCode(code)) for code in codes}
-
-
-def _digest(source: Source, samples: Track) -> str:
-    return samples_digest(
-        np.array([source.seconds(code) for code in samples]),
-        np.array([pose.position_m for pose in samples.values()]),
-        np.array([pose.quaternion for pose in samples.values()]),
-    )
 
 
 def _sampled(
@@ -170,7 +155,7 @@ def _sampled(
     prim: Usd.Prim,
     start: Pose,
     track: Track,
-    like: Sequence[DriverMotion],
+    like: Sequence[DriverMotion] = (),
 ) -> tuple[DriverMotion, ...]:
     times_s = [source.seconds(code) for code in track]
     try:

@@ -2,142 +2,124 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
 
-from gauge_envs.scene.bodies import Hinge, Motion, RigidBody, Tether
+from gauge_envs.scene import Hinge, Motion, RigidBody, Tether
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
-from gauge_envs.tools.usd.layer import (
-    WRITTEN,
-    hinge_axis,
-    hinge_frame,
-    wxyz,
-)
+from gauge_envs.tools.usd.layer import WRITTEN, as_array, hinge_axis, hinge_frame
 from gauge_envs.tools.usd.source import Source, StoredValue
 
-GAP_M = 1e-4
+MAX_GAP = 1e-4
 """Largest distance between the two ends of a joint at the start [m], and largest angle between its axes [rad]."""
 
 UNIT = 1e-6
 """Largest deviation of an axis from unit length."""
 
+LIMITS = (
+    "physics:lowerLimit",
+    "physics:upperLimit",
+    "physics:breakForce",
+    "physics:breakTorque",
+)
+"""Attributes that limit a joint where they are finite."""
 
-UNSUPPORTED = (
-    "gauge:backlash_rad",
-    "gauge:motor",
-    "gauge:quadratic_friction",
+RESISTANCES = (
     "mjc:armature",
     "mjc:damping",
     "mjc:frictionloss",
     "mjc:stiffness",
+    "physics:minDistance",
     "physxJoint:armature",
     "physxJoint:jointFriction",
 )
-"""Attributes with physics that joints of a scene do not have, unless they are 0."""
+"""Attributes that resist the motion of a joint where they are above 0."""
 
 
+@dataclass(frozen=True)
 class _End:
-    """One end of a joint.
+    """One end of a joint: its frame in the space of a prim or of the stage, and the path of its moving body."""
 
-    Args:
-        source: The stage.
-        joint: The joint.
-        side: Index of the end, 0 or 1.
+    source: Source
+    space: Usd.Prim | None
+    body: Sdf.Path | None
+    position: Usd.Attribute
+    rotation: Usd.Attribute
 
-    Attributes:
-        body: Prim of the moving body; None for an end in the world.
-        space: Prim in whose space the frame is; None for that of the world.
-        position: Attribute of the origin of the frame.
-        rotation: Attribute of its orientation.
-    """
-
-    def __init__(self, source: Source, joint: Usd.Prim, side: int) -> None:
-        api = UsdPhysics.Joint(joint)
-        targets = (api.GetBody0Rel(), api.GetBody1Rel())[side].GetTargets()
-        target = source.stage.GetPrimAtPath(targets[0]) if targets else None
-        if targets and not target:
-            raise source.fault(joint, f"joins {targets[0]}, which does not exist")
-        owner = source.body_of(target) if target else None
-        self._source = source
-        self.body = owner if owner and source.is_rigid(owner) else None
-        self.space = self.body or target
-        self.position = (api.GetLocalPos0Attr(), api.GetLocalPos1Attr())[side]
-        self.rotation = (api.GetLocalRot0Attr(), api.GetLocalRot1Attr())[side]
-
-    def reading(self) -> StoredValue | None:
+    def stored_anchor(self) -> StoredValue | None:
         """Return the authored origin of the frame in world coordinates [m]."""
-        source, space = self._source, self.space
-        convert = (
-            source.world_m
-            if space is None
-            else lambda points: source.to_world(space, points)
-        )
-        return source.reading(self.position, (3,), convert)
+        to_world = partial(self.source.to_world, self.space)
+        return self.source.stored(self.position, (3,), to_world)
 
-    def place(self) -> FloatArray:
+    def anchor_m(self) -> FloatArray:
         """Return the origin of the frame in world coordinates [m]; that of its space if none is authored."""
-        stated = self.reading()
-        if stated is not None:
-            return stated.value
-        return (
-            np.zeros(3)
-            if self.space is None
-            else self._source.to_world(self.space, np.zeros(3))
-        )
+        stored = self.stored_anchor()
+        if stored is not None:
+            return stored.value
+        return self.source.to_world(self.space, np.zeros(3))
 
     def axis(self, letter: str) -> FloatArray:
         """Return the direction of an axis of the frame in the world."""
-        source, quaternion = self._source, self._source.numbers(self.rotation, (4,))
-        if quaternion is not None and not quaternion.any():
-            raise source.fault(
-                self.rotation, "is a zero quaternion: a rotation is expected"
-            )
-        axis = hinge_axis(
-            np.array([1.0, 0.0, 0.0, 0.0]) if quaternion is None else quaternion, letter
-        )
-        if self.space is None:
-            return source.up @ axis
-        return source.frame(self.space, Usd.TimeCode(source.start)).pose.rotation.apply(
-            axis
-        )
-
-
-def _ends(source: Source, joint: Usd.Prim) -> list[_End]:
-    return [_End(source, joint, side) for side in (0, 1)]
+        quaternion = self.source.numbers(self.rotation, (4,))
+        if quaternion is None or not quaternion.any():
+            quaternion = np.array([1.0, 0.0, 0.0, 0.0])
+        ends = np.array([np.zeros(3), hinge_axis(quaternion, letter)])
+        start, end = self.source.to_world(self.space, ends)
+        return _unit(end - start)
 
 
 def joint_prims(source: Source) -> list[Usd.Prim]:
     """Return the enabled joints in the stage's order."""
+    joints = [UsdPhysics.Joint(prim) for prim in source.prims()]
     return [
-        prim
-        for prim in source.prims()
-        if prim.IsA(UsdPhysics.Joint)
-        and source.flag(UsdPhysics.Joint(prim).GetJointEnabledAttr(), default=True)
+        joint.GetPrim()
+        for joint in joints
+        if joint and joint.GetJointEnabledAttr().Get() is not False
     ]
 
 
-def is_welded(source: Source, joint: Usd.Prim, body: Usd.Prim) -> bool:
-    """Return whether a joint fixes a body to the world."""
-    return (
-        joint.IsA(UsdPhysics.FixedJoint)
-        and _world_joint(source, joint, {})[1].body == body
-    )
+def welded_body(source: Source, joint: Usd.Prim) -> Sdf.Path | None:
+    """Return the path of the body that a fixed joint fixes to the world; None for other joints."""
+    if not joint.IsA(UsdPhysics.FixedJoint):
+        return None
+    return _ends(source, joint, fixed=())[1].body
 
 
-def _is_loose(end: _End, bodies: Mapping[Sdf.Path, RigidBody]) -> bool:
-    """Return whether an end of a joint is in a body that is not fixed; bodies that are not given are not."""
-    if end.body is None:
-        return False
-    body = bodies.get(end.body.GetPath())
-    return body is None or body.motion is not Motion.FIXED
+def _ends(
+    source: Source, prim: Usd.Prim, fixed: Collection[Sdf.Path]
+) -> tuple[_End, _End]:
+    """Return the ends of a joint in the world, or in one of the fixed bodies, and in its moving body."""
+    joint = UsdPhysics.Joint(prim)
+    ends = []
+    for body, position, rotation in (
+        (joint.GetBody0Rel(), joint.GetLocalPos0Attr(), joint.GetLocalRot0Attr()),
+        (joint.GetBody1Rel(), joint.GetLocalPos1Attr(), joint.GetLocalRot1Attr()),
+    ):
+        paths = body.GetTargets()
+        space = source.stage.GetPrimAtPath(paths[0]) if paths else None
+        if paths and not space:
+            raise source.fault(prim, f"joins {paths[0]}, which does not exist")
+        owner, path = source.body_of(space), None
+        if owner and source.is_rigid(owner) and owner.GetPath() not in fixed:
+            space, path = owner, owner.GetPath()
+        ends.append(_End(source, space, path, position, rotation))
+    ends.sort(key=lambda end: end.body is not None)
+    moving = [str(end.body) for end in ends if end.body is not None]
+    if len(moving) != 1:
+        raise source.fault(
+            prim,
+            f"unsupported joint: a {prim.GetTypeName()} of {', '.join(moving) or 'no moving body'}; this joint must be "
+            "of one body and the world",
+        )
+    return ends[0], ends[1]
 
 
 def read_joint(
-    source: Source,
-    prim: Usd.Prim,
-    bodies: Mapping[Sdf.Path, RigidBody],
+    source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]
 ) -> Hinge | Tether | None:
     """Return a hinge for a revolute joint, a tether for a distance joint, and None for a fixed joint.
 
@@ -148,163 +130,117 @@ def read_joint(
         source: The stage.
         prim: The joint.
         bodies: Rigid bodies, by path of the prim.
+
+    Raises:
+        AssetError: The joint is of another kind, joins two moving bodies, or has friction, limits or a motor.
     """
-    kind = str(prim.GetTypeName())
-    if kind == "PhysicsFixedJoint":
-        _world_joint(source, prim, {})
+    if prim.IsA(UsdPhysics.FixedJoint):
         return None
-    world, moving = _world_joint(source, prim, bodies)
-    if kind not in ("PhysicsRevoluteJoint", "PhysicsDistanceJoint"):
+    fixed = [path for path, body in bodies.items() if body.motion is Motion.FIXED]
+    world, moving = _ends(source, prim, fixed)
+    hinge, tether = UsdPhysics.RevoluteJoint(prim), UsdPhysics.DistanceJoint(prim)
+    if not hinge and not tether:
         raise source.fault(
             prim,
-            f"unsupported joint: {kind}; revolute, distance and fixed joints to the world are read",
+            f"unsupported joint: {prim.GetTypeName()}; revolute, distance and fixed joints to the world are read",
         )
     assert moving.body is not None
-    body = bodies[moving.body.GetPath()]
+    body = bodies[moving.body]
     if body.motion is not Motion.DYNAMIC:
-        raise source.fault(prim, f"unsupported joint: a {kind} of a {body.motion} body")
-    _check_plain(source, prim)
-    double = prim.GetAttribute("gauge:anchor_m")
-    anchor = source.counted(double, [world.reading()], (3,))
-    if anchor is None:
-        anchor = world.place()
-    if kind == "PhysicsDistanceJoint":
-        return _tether(source, prim, body, anchor, moving.place())
-    # If only the body was moved, the anchor stays.
-    is_free = bool(double and double.HasAuthoredValue()) and not _is_edited(
-        moving.position
-    )
-    return _hinge(source, prim, body, anchor, world, moving, is_free=is_free)
-
-
-def _world_joint(
-    source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]
-) -> tuple[_End, _End]:
-    """Return the ends of a joint in the world, or a fixed body, and in its moving body."""
-    ends = sorted(_ends(source, prim), key=lambda end: _is_loose(end, bodies))
-    moving = [end.body for end in ends if end.body and _is_loose(end, bodies)]
-    if len(moving) != 1:
-        joined = ", ".join(str(body.GetPath()) for body in moving) or "no moving body"
         raise source.fault(
-            prim,
-            f"unsupported joint: a {prim.GetTypeName()} of {joined}; this joint must be of one body and the world",
+            prim, f"unsupported joint: a {prim.GetTypeName()} of a {body.motion} body"
         )
-    return ends[0], ends[1]
+    _check_free(source, prim)
+    exact = prim.GetAttribute("gauge:anchor_m")
+    anchor_m = source.edited(exact, [world.stored_anchor()], (3,))
+    if anchor_m is None:
+        anchor_m = world.anchor_m()
+    if tether:
+        return _read_tether(source, tether, body, anchor_m, moving)
+    axis = _read_axis(source, hinge, world)
+    # If only the body of a layer of this package was moved, the anchor stays.
+    ends = (moving.position, moving.rotation)
+    if not exact or any(end.Get() != end.GetCustomDataByKey(WRITTEN) for end in ends):
+        gap = length_of(moving.anchor_m() - anchor_m)
+        angle = length_of(moving.axis(_letter(source, hinge)) - axis)
+        if max(gap, angle) > MAX_GAP:
+            raise source.fault(
+                prim,
+                f"its two frames lie {1e3 * gap:.3g} mm apart and {angle:.3g} rad askew at the start: they must meet",
+            )
+    return Hinge(body=body.name, anchor_m=vector(anchor_m), axis=vector(axis))
 
 
-def _letter(source: Source, prim: Usd.Prim) -> str:
-    return (
-        source.text(UsdPhysics.RevoluteJoint(prim).GetAxisAttr(), ("X", "Y", "Z"))
-        or "X"
-    )
-
-
-def _normalized(axis: FloatArray) -> FloatArray:
-    """Return a unit vector; an axis that was edited has single precision, and one that a task file may state stays."""
-    length = length_of(axis)
-    return axis if abs(length - 1.0) <= 1e-9 else axis / length
-
-
-def _is_edited(attribute: Usd.Attribute) -> bool:
-    """Return whether an attribute at the body's end of a joint differs from its written value."""
-    return bool(attribute) and attribute.Get() != attribute.GetCustomDataByKey(WRITTEN)
-
-
-def _check_plain(source: Source, prim: Usd.Prim) -> None:
+def _check_free(source: Source, prim: Usd.Prim) -> None:
     """Check that a joint has no drive, friction, armature, limit and breaking strength."""
-    applied = [
-        name
-        for name in prim.GetAppliedSchemas()
-        if name.startswith(("PhysicsDriveAPI", "PhysicsLimitAPI"))
-    ]
-    if applied:
-        raise source.fault(
-            prim,
-            f"unsupported joint: it has {applied[0]}, and joints of a scene move freely",
-        )
-    for attribute in map(prim.GetAttribute, UNSUPPORTED):
-        if attribute and attribute.Get():
+    for name in prim.GetAppliedSchemas():
+        if name.startswith(("PhysicsDriveAPI", "PhysicsLimitAPI")):
             raise source.fault(
-                attribute,
-                f"unsupported joint: it is {attribute.Get()}, and joints of a scene move freely",
+                prim,
+                f"unsupported joint: it has {name}, and joints of a scene move freely",
             )
-    limits = ("physics:lowerLimit", "physics:upperLimit")
-    for name in (*limits, "physics:breakForce", "physics:breakTorque"):
-        attribute = prim.GetAttribute(name)
-        value = attribute.Get() if attribute else None
-        if value is not None and np.isfinite(value):
+    for attribute in prim.GetAuthoredAttributes():
+        name, value = attribute.GetName(), attribute.Get()
+        if (name in LIMITS and np.isfinite(value)) or (
+            name in RESISTANCES and value > 0.0
+        ):
             raise source.fault(
                 attribute,
-                f"unsupported joint: it is {value}, but joints of a scene have no limits",
+                f"unsupported joint: it is {value}, and joints of a scene move freely",
             )
 
 
-def _tether(
+def _read_tether(
     source: Source,
-    prim: Usd.Prim,
+    joint: UsdPhysics.DistanceJoint,
     body: RigidBody,
-    anchor: FloatArray,
-    end_m: FloatArray,
+    anchor_m: FloatArray,
+    moving: _End,
 ) -> Tether:
-    joint = UsdPhysics.DistanceJoint(prim)
-    if np.linalg.norm(end_m - body.pose.position_m) > GAP_M:
+    end_m = moving.anchor_m()
+    if length_of(end_m - body.pose.position_m) > MAX_GAP:
         raise source.fault(
-            prim,
+            joint.GetPrim(),
             f"ends at {end_m.tolist()} m, not at the origin of {body.name!r}, where strings end",
         )
-    shortest = source.number(joint.GetMinDistanceAttr())
-    if shortest is not None and shortest > 0.0:
-        raise source.fault(
-            joint.GetMinDistanceAttr(),
-            f"unsupported joint: it is {shortest}, and a string only pulls",
-        )
-    longest = source.reading(
+    longest = source.stored(
         joint.GetMaxDistanceAttr(), (), lambda length: length * source.metres
     )
-    length = source.counted(prim.GetAttribute("gauge:length_m"), [longest])
-    if length is None or length <= 0.0:
+    length_m = source.edited(joint.GetPrim().GetAttribute("gauge:length_m"), [longest])
+    if length_m is None or length_m <= 0.0:
         raise source.fault(
-            prim,
+            joint.GetPrim(),
             "physics:maxDistance, the length of the string, is missing or not positive",
         )
-    return Tether(body=body.name, anchor_m=vector(anchor), length_m=float(length))
+    return Tether(body=body.name, anchor_m=vector(anchor_m), length_m=float(length_m))
 
 
-def _hinge(
-    source: Source,
-    prim: Usd.Prim,
-    body: RigidBody,
-    anchor: FloatArray,
-    world: _End,
-    moving: _End,
-    *,
-    is_free: bool,
-) -> Hinge:
-    """Return the hinge; the place of a free one in its body does not count."""
-    letter = _letter(source, prim)
-    stated = world.axis(letter)
-    standard = StoredValue(
-        place=str(world.rotation.GetPath()), raw=stated, value=stated
-    )
-    double = prim.GetAttribute("gauge:axis")
-    axis = source.counted(
-        double,
-        [standard],
+def _read_axis(
+    source: Source, joint: UsdPhysics.RevoluteJoint, world: _End
+) -> FloatArray:
+    """Return the axis of a hinge in the world, a unit vector, shape [3]."""
+    standard = world.axis(_letter(source, joint))
+    stored = StoredValue(world.rotation.GetPath(), standard, standard)
+    axis = source.edited(
+        joint.GetPrim().GetAttribute("gauge:axis"),
+        [stored],
         (3,),
-        rounded=lambda a: hinge_axis(wxyz(hinge_frame(vector(a)))),
+        rounded=lambda axis: hinge_axis(as_array(hinge_frame(vector(axis)))),
     )
     assert axis is not None
     if abs(length_of(axis) - 1.0) > UNIT:
         raise source.fault(
-            prim, f"its axis {axis.tolist()} is not a unit vector: normalize it"
+            joint.GetPrim(),
+            f"its axis {axis.tolist()} is not a unit vector: normalize it",
         )
-    axis = _normalized(axis)
-    if not is_free or _is_edited(moving.rotation):
-        gap = 0.0 if is_free else length_of(moving.place() - anchor)
-        askew = length_of(moving.axis(letter) - axis)
-        if max(gap, askew) > GAP_M:
-            raise source.fault(
-                prim,
-                f"its two frames lie {1e3 * gap:.3g} mm apart and {askew:.3g} rad askew at the start: they must meet",
-            )
-    return Hinge(body=body.name, anchor_m=vector(anchor), axis=vector(axis))
+    return _unit(axis)
+
+
+def _letter(source: Source, joint: UsdPhysics.RevoluteJoint) -> str:
+    return source.text(joint.GetAxisAttr(), ("X", "Y", "Z")) or "X"
+
+
+def _unit(axis: FloatArray) -> FloatArray:
+    """Return a unit vector; one that is exact within the tolerance of `DriverMotion` keeps its digits."""
+    length = length_of(axis)
+    return axis if abs(length - 1.0) <= 1e-9 else axis / length

@@ -10,7 +10,7 @@ from pxr import Gf, Usd
 from pydantic import BaseModel, ConfigDict, NonNegativeInt
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.scene.bodies import Cloth, Deformable, Rod, Rope, SoftBody
+from gauge_envs.scene import Cloth, Deformable, Rod, Rope, SoftBody, Vector
 from gauge_envs.scene.drivers import DriverMotion
 from gauge_envs.scene.geometry import FloatArray
 
@@ -39,22 +39,31 @@ OMNI_MATERIAL = {
 }
 """Attributes of Omniverse's deformable material, by the constants of a body that they hold in single precision."""
 
+VELOCITIES = ("linear_velocity_m_per_s", "angular_velocity_rad_per_s")
+"""Fields of a rigid body for its start velocities, and names of the doubles."""
+
 ARMS = ("torsion_m", "rolling_m")
 """Fields of a contact beyond UsdPhysics, written where they are not zero."""
 
 AIR_KINDS = {"wind_m_per_s": "double3"}
 """Type in USD of the fields of the air that are no double."""
 
-MARKER_INDICES = {
-    "faces": "int3[]",
-    "lines": "int2[]",
-    "corner": "int[]",
-    "edge": "int[]",
-}
-"""Type in USD of each kind of marker indices."""
+MARKER_INDICES = {"faces": (-1, 3), "lines": (-1, 2), "corner": (-1,), "edge": (-1,)}
+"""Shape of each kind of marker indices; -1 stands for any length."""
 
 DIGEST_DECIMALS = 9
 """Number of decimals in digests, so that the last digit of a sine, which differs between machines, has no effect."""
+
+
+def as_array(value: Any) -> FloatArray:
+    """Return a value of USD as numbers; a quaternion is w, x, y, z.
+
+    Raises:
+        TypeError, ValueError: The value is not numeric.
+    """
+    if isinstance(value, Gf.Quatd | Gf.Quatf | Gf.Quath):
+        value = (value.GetReal(), *value.GetImaginary())
+    return np.array(value, dtype=np.float64)
 
 
 # --- records of written values ---------------------------------------------------------------------------------------
@@ -64,51 +73,36 @@ def digest(values: ArrayLike) -> str:
     """Return a short hash of numbers and their shape, rounded to nine decimals (m, rad, ...)."""
     # Adding zero turns -0.0 into 0.0.
     rounded = np.round(np.asarray(values, dtype=np.float64), DIGEST_DECIMALS) + 0.0
-    return hashlib.sha256(
-        repr(rounded.shape).encode() + rounded.astype("<f8").tobytes()
-    ).hexdigest()[:16]
-
-
-def _text_digest(text: str) -> str:
-    """Return a short hash of a text."""
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return _hash(repr(rounded.shape).encode() + rounded.astype("<f8").tobytes())
 
 
 def motions_digest(text: str) -> str:
     """Return a short hash of JSON, whose numbers are rounded as in `digest`."""
-    return _text_digest(
-        json.dumps(
-            json.loads(
-                text, parse_float=lambda number: round(float(number), DIGEST_DECIMALS)
-            )
-        )
+    rounded = json.loads(
+        text, parse_float=lambda number: round(float(number), DIGEST_DECIMALS)
     )
+    return _hash(json.dumps(rounded).encode())
 
 
 def names_digest(pairs: set[frozenset[str]]) -> str:
     """Return a short hash of pairs of names."""
-    return _text_digest(json.dumps(sorted(sorted(pair) for pair in pairs)))
+    return _hash(json.dumps(sorted(sorted(pair) for pair in pairs)).encode())
 
 
-def samples_digest(
-    times_s: FloatArray, positions_m: FloatArray, quaternions: FloatArray
-) -> str:
+def samples_digest(times_s: ArrayLike, poses: FloatArray) -> str:
     """Return a short hash of poses at times; both quaternions of a rotation have the same hash.
 
     Args:
         times_s: Shape [sample_count].
-        positions_m: Shape [sample_count, 3].
-        quaternions: w, x, y, z, shape [sample_count, 4].
+        poses: Position [m] and quaternion w, x, y, z, shape [sample_count, 7].
     """
-    matrices = (
-        Rotation.from_quat(quaternions, scalar_first=True).as_matrix().reshape(-1, 9)
-    )
-    return digest(np.column_stack([times_s, positions_m, matrices]))
+    rotations = Rotation.from_quat(poses[:, 3:], scalar_first=True)
+    matrices = rotations.as_matrix().reshape(-1, 9)
+    return digest(np.column_stack([times_s, poses[:, :3], matrices]))
 
 
-def record_written(gauge: Usd.Attribute, written: Any) -> None:
-    """Record the written value of the standard counterpart of a `gauge:` attribute."""
-    gauge.SetCustomDataByKey(WRITTEN, written)
+def _hash(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
 
 
 def record_follower(attribute: Usd.Attribute, source: str) -> None:
@@ -125,33 +119,28 @@ def record_follower(attribute: Usd.Attribute, source: str) -> None:
     attribute.SetCustomDataByKey(FOLLOWS, source)
 
 
-def hinge_frame(axis: tuple[float, float, float]) -> Gf.Quatf:
+# --- hinges ----------------------------------------------------------------------------------------------------------
+
+
+def hinge_frame(axis: Vector) -> Gf.Quatf:
     """Return the orientation whose x axis is a hinge's world axis."""
     return Gf.Quatf(Gf.Rotation(Gf.Vec3d(1.0, 0.0, 0.0), Gf.Vec3d(*axis)).GetQuat())
 
 
-def wxyz(quaternion: Gf.Quatf | Gf.Quatd | Gf.Quath) -> FloatArray:
-    """Return a quaternion as four numbers w, x, y, z."""
-    return np.array(
-        [quaternion.GetReal(), *quaternion.GetImaginary()], dtype=np.float64
-    )
-
-
 def hinge_axis(quaternion: FloatArray, letter: str = "X") -> FloatArray:
     """Return the direction of an axis of an orientation w, x, y, z, shape [3]."""
-    return Rotation.from_quat(quaternion, scalar_first=True).apply(
-        np.eye(3)["XYZ".index(letter)]
-    )
+    axes = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+    return axes[:, "XYZ".index(letter)]
 
 
 # --- driver motions as JSON ------------------------------------------------------------------------------------------
 
 
-class _DriverRecord(BaseModel):
-    """What `gauge:driver` of a body holds.
+class DriverRecord(BaseModel):
+    """Content of `gauge:driver` of a body as JSON, which preserves doubles exactly.
 
     Attributes:
-        index: Place of the driver among those of its scene.
+        index: Index of the driver in its scene.
         motions: Motions in the order in which they apply.
     """
 
@@ -162,20 +151,6 @@ class _DriverRecord(BaseModel):
     index: NonNegativeInt
     motions: tuple[DriverMotion, ...]
 
-
-def motions_to_json(motions: tuple[DriverMotion, ...], index: int) -> str:
-    """Return the motions of a driver as JSON, which preserves doubles exactly.
-
-    Args:
-        motions: Motions in the order in which they apply.
-        index: Index of the driver in its scene.
-    """
-    return json.dumps(
-        _DriverRecord(index=index, motions=motions).model_dump(), allow_nan=False
-    )
-
-
-def motions_from_json(text: str) -> tuple[tuple[DriverMotion, ...], int]:
-    """Return the motions of a driver and its index in the scene."""
-    record = _DriverRecord.model_validate(json.loads(text))
-    return record.motions, record.index
+    def to_json(self) -> str:
+        """Return the record as JSON."""
+        return json.dumps(self.model_dump(), allow_nan=False)

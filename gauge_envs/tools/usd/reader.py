@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -17,10 +17,22 @@ import numpy as np
 from pxr import Sdf, Tf, Usd, UsdPhysics
 
 from gauge_envs.errors import AssetError, ParameterError
-from gauge_envs.scene.bodies import Contact, ContactMode, Motion, RigidBody
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
+    Contact,
+    ContactMode,
+    Motion,
+    RigidBody,
+    Scene,
+)
 from gauge_envs.scene.drivers import Driver
-from gauge_envs.scene.geometry import Pose, vector
-from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
+from gauge_envs.tools.usd.bodies import read_body
+from gauge_envs.tools.usd.contacts import (
+    Collider,
+    ContactOptions,
+    is_enabled,
+    read_contacts,
+)
 from gauge_envs.tools.usd.deformables import (
     is_deformable,
     read_air,
@@ -28,16 +40,12 @@ from gauge_envs.tools.usd.deformables import (
     read_deformable,
     read_markers,
 )
-from gauge_envs.tools.usd.driven import driven_body
-from gauge_envs.tools.usd.joints import is_welded, joint_prims, read_joint
-from gauge_envs.tools.usd.layer import WRITTEN
-from gauge_envs.tools.usd.pairs import PairOptions, Party, contacts_of
-from gauge_envs.tools.usd.solids import inertia_kg_m2, mass_kg, solid_of
-from gauge_envs.tools.usd.source import LARGEST, Source, StoredValue, usd_reason
-from gauge_envs.tools.usd.velocities import read_velocities
-
-MOST_BODIES = 1000
-"""Largest number of bodies; the number of pairs that may collide grows with the square."""
+from gauge_envs.tools.usd.joints import joint_prims, read_joint, welded_body
+from gauge_envs.tools.usd.source import (
+    MAX_DURATION_S,
+    Source,
+    StoredValue,
+)
 
 LEVEL = 1e-6
 """Largest angle between gravity and the vertical [rad]."""
@@ -73,11 +81,19 @@ def read_usd(
 
     `unstated_duration_s` is the duration of a file that states none [s].
     """
-    options = PairOptions(friction=friction, mode=mode, contacts=contacts)
-    with _opened(Path(path)) as source:
-        reader = _Reader(source, options, duration_s)
-        reader.unstated_duration_s = unstated_duration_s
-        return reader.read()
+    options = ContactOptions(friction=friction, mode=mode, contacts=contacts)
+    with _usd_errors(Path(path)):
+        source = Source(Path(path))
+        physics = _physics(source)
+        length_s = _duration_s(source, physics, duration_s, unstated_duration_s)
+        names, scene = _read_scene(source, physics, length_s, options)
+        notes = source.stage.GetRootLayer().customLayerData.get("gauge", {})
+        return UsdScene(
+            scene=scene,
+            paths={name: str(path) for path, name in names.items()},
+            metadata={key: str(value) for key, value in notes.items()},
+            used_files=source.used_files(),
+        )
 
 
 def from_usd(
@@ -107,293 +123,191 @@ def from_usd(
 
 
 @contextmanager
-def _opened(file: Path) -> Iterator[Source]:
-    """Open a stage; convert errors of USD to AssetError while it is read."""
+def _usd_errors(file: Path) -> Iterator[None]:
+    """Convert errors of USD and of the scene to AssetError while a stage is read."""
     try:
-        yield Source(file)
+        yield
     except Tf.ErrorException as error:
         # USD detects some faults only when values are read, such as an attribute of another type than in its schema.
-        raise AssetError(file, "", f"USD cannot read it: {usd_reason(error)}") from None
-    except UnicodeDecodeError:
-        raise AssetError(
-            file, "", "it holds names or texts that are not UTF-8"
-        ) from None
+        raise AssetError(file, "", f"USD cannot read it: {_reason(error)}") from None
     except ParameterError as error:
         # A scene refuses parts that contradict each other, such as a start velocity across a hinge.
         raise AssetError(file, "", str(error)) from None
 
 
-class _Reader:
-    """Reader of one stage."""
+def _reason(error: Tf.ErrorException) -> str:
+    """Return the message of an error of USD, first cause first."""
+    try:
+        return str(error.args[0].commentary).strip()
+    except UnicodeDecodeError:
+        # The message quotes the file.
+        return "it holds bytes that are not UTF-8 text"
 
-    def __init__(
-        self,
-        source: Source,
-        options: PairOptions,
-        duration_s: float | None,
-    ) -> None:
-        self.source = source
-        self.options = options
-        self.duration_s = duration_s
-        self.unstated_duration_s: float | None = None
-        self.start = Usd.TimeCode(source.start)
 
-    def read(self) -> UsdScene:
-        source = self.source
-        for prim in source.prims():
-            source.check_followers(prim)
-        scenes = [
-            UsdPhysics.Scene(prim)
-            for prim in source.prims()
-            if prim.IsA(UsdPhysics.Scene)
-        ]
-        if len(scenes) != 1:
+def _physics(source: Source) -> UsdPhysics.Scene:
+    """Return the only PhysicsScene of a stage."""
+    scenes = [
+        UsdPhysics.Scene(prim) for prim in source.prims() if prim.IsA(UsdPhysics.Scene)
+    ]
+    if len(scenes) != 1:
+        raise source.fault(
+            "",
+            f"{len(scenes)} PhysicsScene prims: exactly one is expected, for gravity",
+        )
+    return scenes[0]
+
+
+def _read_scene(
+    source: Source,
+    physics: UsdPhysics.Scene,
+    duration_s: float,
+    options: ContactOptions,
+) -> tuple[dict[Sdf.Path, str], Scene]:
+    """Return the names of all bodies by path, and the scene."""
+    for prim in source.prims():
+        source.check_derived(prim)
+    rigid = _rigid_bodies(source)
+    soft = [
+        (prim, [prim] if prim.HasAPI(UsdPhysics.CollisionAPI) else [])
+        for prim in source.prims()
+        if is_deformable(prim)
+    ]
+    names = _names(source, [prim for prim, _ in (*rigid, *soft)])
+    joints = joint_prims(source)
+    welded = {welded_body(source, joint) for joint in joints}
+    bodies: dict[Sdf.Path, RigidBody] = {}
+    drivers: list[tuple[int, Driver]] = []
+    for prim, shapes in rigid:
+        path = prim.GetPath()
+        body, driver, index = read_body(source, prim, shapes, names[path], welded)
+        bodies[path] = body
+        if driver is not None:
+            # Drivers without an index in the file come last, in the stage's order.
+            drivers.append((len(rigid) if index is None else index, driver))
+    drivers.sort(key=lambda pair: pair[0])
+    still = {path for path, body in bodies.items() if body.motion is not Motion.DYNAMIC}
+    colliders = [
+        Collider(
+            name=names[prim.GetPath()],
+            prim=prim,
+            shapes=shapes,
+            moves=prim.GetPath() not in still,
+        )
+        for prim, shapes in (*rigid, *soft)
+    ]
+    read_joints = [read_joint(source, joint, bodies) for joint in joints]
+    scene = Scene(
+        bodies=tuple(bodies.values()),
+        deformables=tuple(
+            read_deformable(source, prim, names[prim.GetPath()]) for prim, _ in soft
+        ),
+        joints=tuple(joint for joint in read_joints if joint is not None),
+        attachments=tuple(read_attachments(source, names)),
+        contacts=read_contacts(source, physics.GetPrim(), colliders, options),
+        drivers=tuple(driver for _, driver in drivers),
+        markers=read_markers(source, names),
+        duration_s=duration_s,
+        gravity_m_per_s2=_gravity_m_per_s2(source, physics),
+        air=read_air(source, physics.GetPrim()),
+    )
+    return names, scene
+
+
+def _gravity_m_per_s2(source: Source, physics: UsdPhysics.Scene) -> float:
+    attribute = physics.GetGravityDirectionAttr()
+    direction = source.numbers(attribute, (3,))
+    # Zeros, the fallback of the schema, stand for down.
+    if direction is not None and direction.any():
+        down = source.up @ (direction / np.linalg.norm(direction))
+        if down[2] >= 0.0 or np.hypot(down[0], down[1]) > LEVEL:
             raise source.fault(
-                "",
-                f"{len(scenes)} PhysicsScene prims: exactly one is expected, for gravity",
+                attribute,
+                f"is {direction.tolist()}: gravity must point down, against the up axis",
             )
-        (self.physics,) = scenes
-        self.joints = joint_prims(source)
-        found = self._find()
-        deformable = [prim for prim in source.prims() if is_deformable(prim)]
-        if len(found) + len(deformable) > MOST_BODIES:
-            raise source.fault(
-                "",
-                f"it has {len(found) + len(deformable)} bodies, the limit is {MOST_BODIES}",
-            )
-        self.names = self._names([*(prim for prim, _ in found), *deformable])
-        bodies: dict[Sdf.Path, RigidBody] = {}
-        drivers: list[tuple[int, Driver]] = []
-        for prim, colliders in found:
-            body, driver, place = self._body(prim, colliders)
-            bodies[prim.GetPath()] = body
-            if driver is not None:
-                # Drivers without an index in the file come last, in the stage's order.
-                drivers.append((len(found) if place is None else place, driver))
-        parties = [
-            self._party(
-                prim, colliders, moves=bodies[prim.GetPath()].motion is Motion.DYNAMIC
-            )
-            for prim, colliders in found
-        ]
-        parties += [
-            self._party(prim, (prim,) if prim.HasAPI(UsdPhysics.CollisionAPI) else ())
-            for prim in deformable
-        ]
-        joints = [read_joint(source, prim, bodies) for prim in self.joints]
-        scene = Scene(
-            bodies=tuple(bodies.values()),
-            deformables=tuple(
-                read_deformable(source, prim, self.names[prim.GetPath()])
-                for prim in deformable
-            ),
-            joints=tuple(joint for joint in joints if joint is not None),
-            attachments=tuple(read_attachments(source, self.names)),
-            contacts=contacts_of(source, self.physics.GetPrim(), parties, self.options),
-            drivers=tuple(
-                driver for _, driver in sorted(drivers, key=lambda pair: pair[0])
-            ),
-            markers=read_markers(source, self.names),
-            duration_s=self._duration(),
-            gravity_m_per_s2=self._gravity(),
-            air=read_air(source, self.physics.GetPrim()),
+    magnitude = physics.GetGravityMagnitudeAttr()
+    # Minus infinity, the fallback of the schema, stands for standard gravity.
+    stored = None
+    if magnitude.Get() != -np.inf:
+        stored = source.stored(magnitude, (), lambda value: value * source.metres)
+    exact = physics.GetPrim().GetAttribute("gauge:gravity_m_per_s2")
+    gravity = source.edited(exact, [stored])
+    if gravity is None:
+        return GRAVITY_M_PER_S2
+    if gravity < 0.0:
+        raise source.fault(
+            magnitude, f"is {float(gravity)} m/s^2: 0 or more is expected"
         )
-        noted = source.stage.GetRootLayer().customLayerData.get("gauge", {})
-        return UsdScene(
-            scene=scene,
-            paths={name: str(place) for place, name in self.names.items()},
-            metadata={key: str(value) for key, value in noted.items()}
-            if isinstance(noted, dict)
-            else {},
-            used_files=source.used_files(),
+    return float(gravity)
+
+
+def _duration_s(
+    source: Source,
+    physics: UsdPhysics.Scene,
+    given_s: float | None,
+    unstated_s: float | None,
+) -> float:
+    """Return `gauge:duration_s`, else the given duration, else that of the time codes, else that for unstated ones."""
+    exact = physics.GetPrim().GetAttribute("gauge:duration_s")
+    stored = None
+    if source.stage.HasAuthoredTimeCodeRange() and (exact or given_s is None):
+        length_s = np.array(source.seconds(source.stage.GetEndTimeCode()))
+        stored = StoredValue("endTimeCode", length_s, length_s)
+    value = source.edited(
+        exact,
+        [stored],
+        rounded=lambda length_s: np.round(length_s * source.rate_hz) / source.rate_hz,
+    )
+    durations = [given_s if value is None else float(value), unstated_s]
+    duration_s = next((length for length in durations if length is not None), None)
+    if duration_s is None:
+        raise source.fault(
+            "",
+            "its duration is not known: give duration_s, or author startTimeCode and endTimeCode",
         )
-
-    # --- stage ---
-
-    def _gravity(self) -> float:
-        source, physics = self.source, self.physics
-        attribute = physics.GetGravityDirectionAttr()
-        direction = source.numbers(attribute, (3,))
-        if direction is not None and direction.any():
-            down = source.up @ (direction / np.linalg.norm(direction))
-            if down[2] >= 0.0 or np.hypot(down[0], down[1]) > LEVEL:
-                raise source.fault(
-                    attribute,
-                    f"is {direction.tolist()}: gravity must point down, against the up axis",
-                )
-        magnitude = physics.GetGravityMagnitudeAttr()
-        # Minus infinity, the fallback of the schema, stands for standard gravity.
-        is_given = magnitude.HasAuthoredValue() and magnitude.Get() != -np.inf
-        standard = (
-            source.reading(magnitude, (), lambda g: g * source.metres)
-            if is_given
-            else None
+    if not 0.0 < duration_s <= MAX_DURATION_S:
+        raise source.fault(
+            "endTimeCode" if stored else "",
+            f"its duration is {duration_s} s: above 0 and at most {MAX_DURATION_S:g} s are expected",
         )
-        gravity = source.counted(
-            physics.GetPrim().GetAttribute("gauge:gravity_m_per_s2"), [standard]
-        )
-        if gravity is None:
-            return GRAVITY_M_PER_S2
-        if gravity < 0.0:
-            raise source.fault(
-                magnitude, f"is {float(gravity)} m/s^2: 0 or more is expected"
-            )
-        return float(gravity)
+    return duration_s
 
-    def _duration(self) -> float:
-        source, stage = self.source, self.source.stage
-        attribute = self.physics.GetPrim().GetAttribute("gauge:duration_s")
-        stated = None
-        if stage.HasAuthoredTimeCodeRange():
-            length = np.array(source.seconds(stage.GetEndTimeCode()))
-            stated = StoredValue(place="endTimeCode", raw=length, value=length)
-        exact = attribute.HasAuthoredValue() if attribute else False
-        if self.duration_s is not None and not exact:
-            stated = None
-        value = source.counted(
-            attribute,
-            [stated],
-            rounded=lambda t: np.round(t * source.rate) / source.rate,
-        )
-        duration = float(value) if value is not None else self.duration_s
-        if duration is None:
-            duration = self.unstated_duration_s
-        if duration is None:
-            raise source.fault(
-                "",
-                "its duration is not known: give duration_s, or author startTimeCode and endTimeCode",
-            )
-        if not 0.0 < duration <= LARGEST:
-            raise source.fault(
-                "endTimeCode" if stated else "",
-                f"its duration is {duration} s: a positive one is expected",
-            )
-        return duration
 
-    # --- prims of bodies ---
-
-    def _find(self) -> list[tuple[Usd.Prim, tuple[Usd.Prim, ...]]]:
-        """Return rigid bodies in the stage's order with their colliders; one without a rigid body is a fixed body."""
-        source = self.source
-        roots: dict[Sdf.Path, list[Usd.Prim]] = {}
-        for prim in source.prims():
-            if source.is_rigid(prim) or (
-                prim.HasAttribute("gauge:name") and not is_deformable(prim)
-            ):
-                roots.setdefault(prim.GetPath(), [])
-            if prim.HasAPI(UsdPhysics.CollisionAPI) and not is_deformable(prim):
-                owner = source.body_of(prim)
-                colliders = roots.setdefault(
-                    owner.GetPath() if owner else prim.GetPath(), []
-                )
-                colliders.append(prim)
-        found = []
-        for path, colliders in roots.items():
-            prim = source.stage.GetPrimAtPath(path)
-            enabled = [one for one in colliders if source.collides(one)]
-            if (
-                not enabled
-                and not source.is_rigid(prim)
-                and not prim.HasAttribute("gauge:name")
-            ):
-                continue
-            if not colliders:
-                raise source.fault(
-                    prim,
-                    "is a rigid body without a collider, so its shape is unknown: add a collider",
-                )
-            found.append((prim, tuple(enabled or colliders)))
-        return found
-
-    def _names(self, prims: Sequence[Usd.Prim]) -> dict[Sdf.Path, str]:
-        """Return names in the scene: `gauge:name` if given, else the prim's name if unique, else its path."""
-        often = Counter(prim.GetName() for prim in prims)
-        names: dict[Sdf.Path, str] = {}
-        paths: dict[str, Sdf.Path] = {}
-        for prim in prims:
-            short = (
-                prim.GetName()
-                if often[prim.GetName()] == 1
-                else str(prim.GetPath())[1:]
-            )
-            name = self.source.text(prim.GetAttribute("gauge:name")) or short
-            if name in paths:
-                raise self.source.fault(
-                    prim, f"is named {name!r}, as {paths[name]} is: rename one of them"
-                )
-            names[prim.GetPath()], paths[name] = name, prim.GetPath()
-        return names
-
-    def _party(
-        self, prim: Usd.Prim, colliders: tuple[Usd.Prim, ...], *, moves: bool = True
-    ) -> Party:
-        return Party(
-            name=self.names[prim.GetPath()], prim=prim, colliders=colliders, moves=moves
-        )
-
-    # --- rigid bodies ---
-
-    def _body(
-        self, prim: Usd.Prim, colliders: tuple[Usd.Prim, ...]
-    ) -> tuple[RigidBody, Driver | None, int | None]:
-        source, motion = self.source, self._motion(prim)
-        frame = source.frame(prim, self.start)
-        solid = solid_of(source, prim, frame, colliders, motion)
-        mass = mass_kg(source, prim, colliders, solid, frame, motion)
-
-        def pose_at(time: Usd.TimeCode) -> Pose:
-            moved = source.frame(prim, time)
-            return (
-                moved.moved(solid.offset_m, solid.rotation) if solid.is_moved else moved
-            ).pose
-
-        name, driver, place = self.names[prim.GetPath()], None, None
-        if motion is Motion.KINEMATIC:
-            pose, driver, place = driven_body(source, prim, name, pose_at)
-        elif motion is Motion.FIXED and len(source.sample_codes(prim)) > 1:
+def _rigid_bodies(source: Source) -> list[tuple[Usd.Prim, list[Usd.Prim]]]:
+    """Return rigid bodies in the stage's order with their colliders; one without a rigid body is a fixed body."""
+    found: dict[Sdf.Path, list[Usd.Prim]] = {}
+    for prim in source.prims():
+        owner = source.body_of(prim)
+        if is_deformable(prim) or (owner is not None and is_deformable(owner)):
+            continue
+        if owner == prim:
+            found.setdefault(prim.GetPath(), [])
+        if prim.HasAPI(UsdPhysics.CollisionAPI):
+            found.setdefault((owner or prim).GetPath(), []).append(prim)
+    bodies = []
+    for path, shapes in found.items():
+        prim = source.stage.GetPrimAtPath(path)
+        if not shapes:
             raise source.fault(
                 prim,
-                "is a collider that moves without a rigid body: make it a kinematic body",
+                "is a rigid body without a collider, so its shape is unknown: add a collider",
             )
-        else:
-            pose = pose_at(self.start)
-        body = RigidBody(
-            name=name,
-            shape=solid.shape,
-            motion=motion,
-            pose=pose,
-            mass_kg=mass,
-            inertia_kg_m2=inertia_kg_m2(source, prim),
-        )
-        if motion is Motion.DYNAMIC:
-            linear, angular = read_velocities(source, prim, frame, pose, solid.shape)
-            body = replace(
-                body,
-                linear_velocity_m_per_s=vector(linear),
-                angular_velocity_rad_per_s=vector(angular),
-            )
-        return body, driver, place
+        enabled = [shape for shape in shapes if is_enabled(shape)]
+        if enabled or source.body_of(prim):
+            bodies.append((prim, enabled or shapes))
+    return bodies
 
-    def _motion(self, prim: Usd.Prim) -> Motion:
-        source = self.source
-        standard = Motion.FIXED
-        if source.is_rigid(prim):
-            driven = source.flag(
-                UsdPhysics.RigidBodyAPI(prim).GetKinematicEnabledAttr(), default=False
+
+def _names(source: Source, prims: Sequence[Usd.Prim]) -> dict[Sdf.Path, str]:
+    """Return names in the scene: `gauge:name` if given, else the prim's name if unique, else its path."""
+    counts = Counter(prim.GetName() for prim in prims)
+    names: dict[Sdf.Path, str] = {}
+    for prim in prims:
+        path, short = prim.GetPath(), prim.GetName()
+        unique = short if counts[short] == 1 else str(path)[1:]
+        name = source.text(prim.GetAttribute("gauge:name")) or unique
+        if name in names.values():
+            raise source.fault(
+                prim, f"is named {name!r}, as another body is: rename it"
             )
-            standard = Motion.KINEMATIC if driven else Motion.DYNAMIC
-            if any(is_welded(source, joint, prim) for joint in self.joints):
-                standard = Motion.FIXED
-        attribute = prim.GetAttribute("gauge:motion")
-        exact = source.text(attribute, tuple(Motion))
-        if exact is None or exact == standard:
-            return standard
-        written = attribute.GetCustomDataByKey(WRITTEN)
-        if standard == written:
-            return Motion(exact)
-        if exact == written:
-            return standard
-        raise source.fault(
-            attribute,
-            f"is {exact}, but UsdPhysics makes the body {standard}: make them agree",
-        )
+        names[path] = name
+    return names

@@ -15,58 +15,49 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from gauge_envs.errors import ParameterError, ResultFileError
-from gauge_envs.scene.bodies import (
+from gauge_envs.scene import (
+    Box,
+    Compound,
     Contact,
+    ConvexUnion,
+    Cylinder,
     Hinge,
     Markers,
     Motion,
     RigidBody,
     Rod,
     Rope,
+    Scene,
+    Shape,
+    Sphere,
     Tether,
 )
 from gauge_envs.scene.drivers import Driver
-from gauge_envs.scene.geometry import (
-    Box,
-    Compound,
-    ConvexUnion,
-    Cylinder,
-    FloatArray,
-    Shape,
-    Sphere,
-    vector,
-)
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.meshes import hull_faces
-from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.usd.deformable_writer import DeformableWriter, material_path
+from gauge_envs.tools.usd.deformable_writer import write_attachment, write_deformable
 from gauge_envs.tools.usd.layer import (
     AIR_KINDS,
     ARMS,
     MARKER_INDICES,
     TEXT,
+    VELOCITIES,
+    WRITTEN,
+    DriverRecord,
+    as_array,
     digest,
     hinge_axis,
     hinge_frame,
     motions_digest,
-    motions_to_json,
     names_digest,
-    record_written,
     samples_digest,
-    wxyz,
 )
-from gauge_envs.tools.usd.target import (
-    Target,
-    quatd,
-    single_points,
-    write_extent,
-    write_friction,
-    write_gauge,
-)
-from gauge_envs.tools.usd.velocities import write_velocities
+from gauge_envs.tools.usd.target import Target, write, write_extent, write_friction
+from gauge_envs.tools.usd.velocities import body_velocities
 
 SUFFIXES = (".usda", ".usdc", ".usd")
 
@@ -83,6 +74,10 @@ def to_usd(scene: Scene, path: str | Path) -> None:
     Args:
         scene: A scene with unique body names and at most one driver per body.
         path: File to write; its suffix determines the format, text (`.usda`) or binary (`.usdc`, `.usd`).
+
+    Raises:
+        ParameterError: The suffix is unknown, a name or a driver is not unique, or a body is a compound.
+        ResultFileError: The file cannot be written.
     """
     export_stage(scene_stage(scene), Path(path))
 
@@ -108,311 +103,269 @@ def scene_stage(
         later_frames: Frames after the last one for which driven bodies have time samples.
     """
     stage = Usd.Stage.CreateInMemory("scene.usda")
-    _Writer(stage, scene, samples_per_frame, later_frames).write()
+    target = Target(stage, scene)
+    last_frame = round(scene.duration_s * FRAME_RATE_HZ)
+    physics = _write_physics(target, last_frame)
+    for index, contact in enumerate(scene.contacts):
+        _write_contact(target, index, contact)
+    for body in scene.bodies:
+        _write_body(target, body)
+    sample_count = (last_frame + later_frames) * samples_per_frame + 1
+    codes = np.arange(sample_count) / samples_per_frame
+    times_s = np.arange(sample_count) / (FRAME_RATE_HZ * samples_per_frame)
+    for index, driver in enumerate(scene.drivers):
+        _write_driver(target, index, driver, codes, times_s)
+    for deformable in scene.deformables:
+        write_deformable(target, deformable)
+    _write_pairs(target, physics)
+    for index, joint in enumerate(scene.joints):
+        _write_joint(target, f"{target.group('Joints')}/joint_{index}", joint)
+    for index, attachment in enumerate(scene.attachments):
+        write_attachment(target, index, attachment)
+    if scene.markers is not None:
+        _write_markers(target, scene.markers)
     return stage
 
 
-class _Writer:
-    """Writes one scene into an empty stage."""
+def _write_physics(target: Target, last_frame: int) -> UsdPhysics.Scene:
+    """Write the units and rates of the stage, and the scene prim with gravity, air and duration."""
+    stage, scene = target.stage, target.scene
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    stage.SetTimeCodesPerSecond(FRAME_RATE_HZ)
+    stage.SetFramesPerSecond(FRAME_RATE_HZ)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(last_frame)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+    physics = UsdPhysics.Scene.Define(stage, "/World/PhysicsScene")
+    physics.CreateGravityDirectionAttr((0.0, 0.0, -1.0))
+    gravity = scene.gravity_m_per_s2
+    magnitude = physics.CreateGravityMagnitudeAttr(gravity).Get()
+    write(physics, "gauge:gravity_m_per_s2", gravity, written=magnitude)
+    for name, value in (asdict(scene.air) if scene.air else {}).items():
+        write(physics, f"gauge:air:{name}", value, AIR_KINDS.get(name, "double"))
+    frames_s = last_frame / FRAME_RATE_HZ
+    write(physics, "gauge:duration_s", scene.duration_s, written=frames_s)
+    return physics
 
-    def __init__(
-        self, stage: Usd.Stage, scene: Scene, samples_per_frame: int, later_frames: int
-    ) -> None:
-        self.stage = stage
-        self.scene = scene
-        self.target = Target(stage, scene)
-        self.paths = self.target.paths
-        self.soft = DeformableWriter(self.target)
-        self.samples_per_frame = samples_per_frame
-        self.later_frames = later_frames
-        self.frame_count = round(scene.duration_s * FRAME_RATE_HZ) + 1
 
-    def write(self) -> None:
-        scene, physics = self.scene, self._physics()
-        materials = [
-            self._contact_material(index, contact)
-            for index, contact in enumerate(scene.contacts)
+# --- contacts --------------------------------------------------------------------------------------------------------
+
+
+def _write_contact(target: Target, index: int, contact: Contact) -> None:
+    """Write the exact contact below `/World/Contacts`, and a material with its constants."""
+    path = f"{target.group('Contacts')}/contact_{index}"
+    prim = UsdGeom.Scope.Define(target.stage, path).GetPrim()
+    target.relate(prim, "gauge:first", contact.first)
+    target.relate(prim, "gauge:second", contact.second)
+    material = UsdShade.Material.Define(
+        target.stage, f"{target.group('Materials')}/contact_{index}"
+    )
+    constants = write_friction(material.GetPrim(), contact)
+    for name, single in (
+        ("friction", constants.GetDynamicFrictionAttr().Get()),
+        ("restitution", constants.GetRestitutionAttr().Get()),
+    ):
+        write(prim, f"gauge:{name}", getattr(contact, name), written=single)
+    for name in ARMS:
+        if arm_m := getattr(contact, name):
+            write(prim, f"gauge:{name}", arm_m)
+    write(prim, "gauge:mode", contact.mode.value, "token")
+    deformable = [
+        target.material_path(body.name)
+        for body in target.scene.deformables
+        if target.first_contact(body.name) == index
+    ]
+    materials = prim.CreateRelationship("gauge:materials", custom=True)
+    materials.SetTargets([material.GetPath(), *deformable])
+
+
+def _write_pairs(target: Target, physics: UsdPhysics.Scene) -> None:
+    """Filter all pairs without a contact, since UsdPhysics lets all collide, and write a hash of the other pairs."""
+    scene = target.scene
+    allowed = {
+        frozenset((a, b))
+        for contact in scene.contacts
+        for a in contact.first
+        for b in contact.second
+    }
+    moving = {body.name for body in (*scene.dynamic_bodies, *scene.deformables)}
+    filtered: dict[str, list[str]] = {}
+    for pair in combinations(
+        [name for name in target.paths if name in target.collides], 2
+    ):
+        if frozenset(pair) not in allowed and not moving.isdisjoint(pair):
+            filtered.setdefault(pair[0], []).append(pair[1])
+    for name, others in filtered.items():
+        prim = target.stage.GetPrimAtPath(target.paths[name])
+        relationship = UsdPhysics.FilteredPairsAPI.Apply(prim).CreateFilteredPairsRel()
+        relationship.SetTargets([target.paths[other] for other in others])
+    # UsdPhysics does not know the colliders of ropes and rods.
+    lines = {body.name for body in scene.deformables if isinstance(body, Rope | Rod)}
+    known = {
+        pair
+        for pair in allowed
+        if len(pair) == 2 and pair & moving and not pair & lines
+    }
+    write(physics, "gauge:colliding_pairs", names_digest(known), "string")
+
+
+# --- rigid bodies ----------------------------------------------------------------------------------------------------
+
+
+def _write_body(target: Target, body: RigidBody) -> None:
+    xform = UsdGeom.Xform.Define(target.stage, target.paths[body.name])
+    prim = xform.GetPrim()
+    target.place(xform, body.name, body.pose)
+    motion = body.motion.value
+    write(prim, "gauge:motion", motion, "token", written=motion)
+    single = None
+    if body.motion is not Motion.FIXED:
+        rigid = UsdPhysics.RigidBodyAPI.Apply(prim)
+        rigid.CreateKinematicEnabledAttr(body.motion is Motion.KINEMATIC)
+        mass = UsdPhysics.MassAPI.Apply(prim)
+        single = mass.CreateMassAttr(body.mass_kg).Get()
+        if body.inertia_kg_m2 is not None:
+            write(prim, "gauge:inertia_kg_m2", body.inertia_kg_m2)
+            mass.CreateDiagonalInertiaAttr((body.inertia_kg_m2,) * 3)
+        if not body.starts_at_rest:
+            _write_velocities(rigid, body)
+    write(prim, "gauge:mass_kg", body.mass_kg, written=single)
+    for geometry in _write_geometry(target, prim.GetPath(), body.shape):
+        collision = UsdPhysics.CollisionAPI.Apply(geometry.GetPrim())
+        collision.CreateCollisionEnabledAttr(body.name in target.collides)
+    if (index := target.first_contact(body.name)) is not None:
+        target.bind(body.name, f"/World/Materials/contact_{index}")
+
+
+def _write_velocities(rigid: UsdPhysics.RigidBodyAPI, body: RigidBody) -> None:
+    exact = np.array([getattr(body, name) for name in VELOCITIES])
+    linear, angular = body_velocities(body.pose, body.shape, exact)
+    written = digest(
+        [
+            rigid.CreateVelocityAttr(vector(linear)).Get(),
+            rigid.CreateAngularVelocityAttr(vector(angular)).Get(),
         ]
-        for body in scene.bodies:
-            self._body(body)
-            if (index := self.target.first_contact(body.name)) is not None:
-                self.target.bind(self.paths[body.name], materials[index])
-        for index, driver in enumerate(scene.drivers):
-            self._drive(index, driver)
-        for deformable in scene.deformables:
-            self.soft.write(deformable)
-        write_gauge(physics, "colliding_pairs", self._filtered_pairs(), "string")
-        for index, joint in enumerate(scene.joints):
-            self._joint(f"{self.target.group('Joints')}/joint_{index}", joint)
-        for index, attachment in enumerate(scene.attachments):
-            self.soft.attach(index, attachment)
-        if scene.markers is not None:
-            self._markers(scene.markers)
+    )
+    for name in VELOCITIES:
+        value = getattr(body, name)
+        write(rigid, f"gauge:{name}", value, "double3", written=written)
 
-    # --- stage ---
 
-    def _physics(self) -> UsdPhysics.Scene:
-        """Write the units and rates of the stage, and the scene prim with gravity, air and duration."""
-        UsdGeom.SetStageMetersPerUnit(self.stage, 1.0)
-        UsdPhysics.SetStageKilogramsPerUnit(self.stage, 1.0)
-        UsdGeom.SetStageUpAxis(self.stage, UsdGeom.Tokens.z)
-        self.stage.SetTimeCodesPerSecond(FRAME_RATE_HZ)
-        self.stage.SetFramesPerSecond(FRAME_RATE_HZ)
-        self.stage.SetStartTimeCode(0)
-        self.stage.SetEndTimeCode(self.frame_count - 1)
-        self.stage.SetDefaultPrim(UsdGeom.Xform.Define(self.stage, "/World").GetPrim())
-        physics = UsdPhysics.Scene.Define(self.stage, "/World/PhysicsScene")
-        physics.CreateGravityDirectionAttr(Gf.Vec3f(0.0, 0.0, -1.0))
-        magnitude = physics.CreateGravityMagnitudeAttr(self.scene.gravity_m_per_s2)
-        write_gauge(
-            physics,
-            "gravity_m_per_s2",
-            self.scene.gravity_m_per_s2,
-            written=magnitude.Get(),
+def _write_geometry(
+    target: Target, parent: Sdf.Path, shape: Shape
+) -> list[UsdGeom.Gprim]:
+    path = parent.AppendChild("collision")
+    if isinstance(shape, Compound):
+        raise ParameterError(
+            f"{parent.name!r} is a compound of solids, which USD layers of this suite do not have"
         )
-        for name, value in (asdict(self.scene.air) if self.scene.air else {}).items():
-            write_gauge(physics, f"air:{name}", value, AIR_KINDS.get(name, "double"))
-        write_gauge(
-            physics,
-            "duration_s",
-            self.scene.duration_s,
-            written=(self.frame_count - 1) / FRAME_RATE_HZ,
-        )
-        return physics
-
-    # --- contacts ---
-
-    def _contact_material(self, index: int, contact: Contact) -> UsdShade.Material:
-        """Write the exact contact below `/World/Contacts`, and return a material with its constants."""
-        prim = UsdGeom.Scope.Define(
-            self.stage, f"{self.target.group('Contacts')}/contact_{index}"
-        ).GetPrim()
-        for side, names in (("first", contact.first), ("second", contact.second)):
-            prim.CreateRelationship(f"gauge:{side}", custom=True).SetTargets(
-                [self.paths[name] for name in names]
-            )
-        friction = write_gauge(prim, "friction", contact.friction)
-        restitution = write_gauge(prim, "restitution", contact.restitution)
-        for name in ARMS:
-            if arm := getattr(contact, name):
-                write_gauge(prim, name, arm)
-        write_gauge(prim, "mode", contact.mode.value, "token")
-        material = UsdShade.Material.Define(
-            self.stage, f"{self.target.group('Materials')}/contact_{index}"
-        )
-        constants = write_friction(material.GetPrim(), contact)
-        record_written(friction, constants.GetDynamicFrictionAttr().Get())
-        record_written(restitution, constants.GetRestitutionAttr().Get())
-        deformable = [
-            name
-            for name in self.soft.deformables
-            if self.target.first_contact(name) == index
+    if isinstance(shape, ConvexUnion):
+        return [
+            _write_piece(target, f"{path}_{index}", np.array(piece))
+            for index, piece in enumerate(shape.pieces_m)
         ]
-        targets = [
-            material.GetPath(),
-            *(material_path(self.target, name) for name in deformable),
-        ]
-        prim.CreateRelationship("gauge:materials", custom=True).SetTargets(targets)
-        return material
+    if isinstance(shape, Box):
+        geometry = UsdGeom.Cube.Define(target.stage, path)
+        geometry.CreateSizeAttr(1.0)
+        geometry.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(shape.size_m)
+    elif isinstance(shape, Sphere):
+        geometry = UsdGeom.Sphere.Define(target.stage, path)
+        geometry.CreateRadiusAttr(shape.radius_m)
+    elif isinstance(shape, Cylinder):
+        geometry = UsdGeom.Cylinder.Define(target.stage, path)
+        geometry.CreateAxisAttr(UsdGeom.Tokens.z)
+        geometry.CreateRadiusAttr(shape.radius_m)
+        geometry.CreateHeightAttr(shape.length_m)
+    else:
+        geometry = UsdGeom.Plane.Define(target.stage, path)
+        geometry.CreateAxisAttr(UsdGeom.Tokens.z)
+        geometry.CreateWidthAttr(PLANE_EXTENT_M)
+        geometry.CreateLengthAttr(PLANE_EXTENT_M)
+    write_extent(geometry)
+    return [geometry]
 
-    def _filtered_pairs(self) -> str:
-        """Filter all pairs without a contact, since UsdPhysics lets all collide; return a hash of the other pairs."""
-        allowed = {
-            frozenset((a, b))
-            for contact in self.scene.contacts
-            for a in contact.first
-            for b in contact.second
-        }
-        moves = {body.name for body in self.scene.dynamic_bodies} | set(
-            self.soft.deformables
-        )
-        filtered: dict[str, list[str]] = {}
-        for one, other in combinations(
-            [name for name in self.paths if name in self.target.collides], 2
-        ):
-            if frozenset((one, other)) not in allowed and (
-                one in moves or other in moves
-            ):
-                filtered.setdefault(one, []).append(self.paths[other])
-        for name, targets in filtered.items():
-            pairs = UsdPhysics.FilteredPairsAPI.Apply(
-                self.stage.GetPrimAtPath(self.paths[name])
-            )
-            pairs.CreateFilteredPairsRel().SetTargets(targets)
-        lines = {
-            body.name for body in self.scene.deformables if isinstance(body, Rope | Rod)
-        }
-        return names_digest(
-            {
-                pair
-                for pair in allowed
-                if len(pair) == 2 and pair & moves and not pair & lines
-            }
-        )
 
-    # --- rigid bodies ---
+def _write_piece(target: Target, path: str, points_m: FloatArray) -> UsdGeom.Mesh:
+    mesh = target.mesh(path, points_m, hull_faces(points_m))
+    written = digest(mesh.GetPointsAttr().Get())
+    write(mesh, "gauge:points_m", points_m, "double3[]", written=written)
+    collision = UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim())
+    collision.CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
+    return mesh
 
-    def _body(self, body: RigidBody) -> None:
-        xform = UsdGeom.Xform.Define(self.stage, self.paths[body.name])
-        prim = xform.GetPrim()
-        self.target.place(xform, body.name, body.pose)
-        write_gauge(
-            prim, "motion", body.motion.value, "token", written=body.motion.value
-        )
-        mass = write_gauge(prim, "mass_kg", body.mass_kg)
-        if body.motion is not Motion.FIXED:
-            rigid = UsdPhysics.RigidBodyAPI.Apply(prim)
-            rigid.CreateKinematicEnabledAttr(body.motion is Motion.KINEMATIC)
-            api = UsdPhysics.MassAPI.Apply(prim)
-            record_written(mass, api.CreateMassAttr(body.mass_kg).Get())
-            if body.inertia_kg_m2 is not None:
-                write_gauge(prim, "inertia_kg_m2", body.inertia_kg_m2)
-                api.CreateDiagonalInertiaAttr(Gf.Vec3f(body.inertia_kg_m2))
-            if not body.starts_at_rest:
-                write_velocities(rigid, body)
-        for geometry in self._geometry(prim.GetPath(), body.shape):
-            collision = UsdPhysics.CollisionAPI.Apply(geometry.GetPrim())
-            collision.CreateCollisionEnabledAttr(body.name in self.target.collides)
 
-    def _drive(self, index: int, driver: Driver) -> None:
-        """Write the exact motion and its time samples; a constant position or rotation has a single value."""
-        body, xform = (
-            self.scene.body(driver.body),
-            UsdGeom.Xform(self.stage.GetPrimAtPath(self.paths[driver.body])),
-        )
-        translate, orient = xform.GetOrderedXformOps()
-        sample_count = (
-            self.frame_count - 1 + self.later_frames
-        ) * self.samples_per_frame + 1
-        codes = np.arange(sample_count) / self.samples_per_frame
-        times_s = np.arange(sample_count) / (FRAME_RATE_HZ * self.samples_per_frame)
-        poses = [driver.pose(body.pose, time_s) for time_s in times_s.tolist()]
-        translates = any(pose.position_m != body.pose.position_m for pose in poses)
-        rotates = any(pose.quaternion != body.pose.quaternion for pose in poses)
+def _write_driver(
+    target: Target, index: int, driver: Driver, codes: FloatArray, times_s: FloatArray
+) -> None:
+    """Write the exact motion and its time samples; a constant position or rotation has a single value."""
+    start = target.scene.body(driver.body).pose
+    prim = target.stage.GetPrimAtPath(target.paths[driver.body])
+    translate, orient = UsdGeom.Xform(prim).GetOrderedXformOps()
+    poses = driver.path(start, times_s)[:, :7]
+    positions, quaternions = poses[:, :3], poses[:, 3:]
+    text = DriverRecord(index=index, motions=driver.motions).to_json()
+    attribute = write(prim, "gauge:driver", text, "string")
+    attribute.SetCustomDataByKey(TEXT, motions_digest(text))
+    write(prim, "gauge:driver_provenance", driver.provenance, "string")
+    translates = (positions != start.position_m).any()
+    rotates = (quaternions != start.quaternion).any()
+    if translates or rotates:
+        attribute.SetCustomDataByKey(WRITTEN, samples_digest(times_s, poses))
+    last = np.asarray(start.quaternion)
+    for code, position, quaternion in zip(
+        codes.tolist(), positions.tolist(), quaternions, strict=True
+    ):
         if translates:
-            for code, pose in zip(codes.tolist(), poses, strict=True):
-                translate.Set(Gf.Vec3d(*pose.position_m), code)
+            translate.Set(Gf.Vec3d(position), code)
+        # Take the closer of the two quaternions of a rotation, so that interpolation takes the short path.
+        last = quaternion if last @ quaternion >= 0.0 else -quaternion
         if rotates:
-            last = np.asarray(body.pose.quaternion)
-            for code, pose in zip(codes.tolist(), poses, strict=True):
-                # Take the closer of the two quaternions of a rotation, so that interpolation takes the short path.
-                last = np.asarray(pose.quaternion) * (
-                    1.0 if last @ pose.quaternion >= 0.0 else -1.0
-                )
-                orient.Set(quatd(last.tolist()), code)
-        write_gauge(xform, "driver_provenance", driver.provenance, "string")
-        text = motions_to_json(driver.motions, index)
-        attribute = write_gauge(xform, "driver", text, "string")
-        attribute.SetCustomDataByKey(TEXT, motions_digest(text))
-        if translates or rotates:
-            positions = np.array([pose.position_m for pose in poses])
-            quaternions = np.array([pose.quaternion for pose in poses])
-            record_written(attribute, samples_digest(times_s, positions, quaternions))
+            orient.Set(Gf.Quatd(*last.tolist()), code)
 
-    def _geometry(self, parent: Sdf.Path, shape: Shape) -> list[UsdGeom.Gprim]:
-        path = parent.AppendChild("collision")
-        if isinstance(shape, Compound):
-            raise ParameterError(
-                f"{parent.name!r} is a compound of solids, which USD layers of this suite do not have"
-            )
-        if isinstance(shape, ConvexUnion):
-            return [
-                self._piece(f"{path}_{index}", np.array(piece))
-                for index, piece in enumerate(shape.pieces_m)
-            ]
-        if isinstance(shape, Box):
-            geometry = UsdGeom.Cube.Define(self.stage, path)
-            geometry.CreateSizeAttr(1.0)
-            geometry.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(
-                Gf.Vec3d(*shape.size_m)
-            )
-        elif isinstance(shape, Sphere):
-            geometry = UsdGeom.Sphere.Define(self.stage, path)
-            geometry.CreateRadiusAttr(shape.radius_m)
-        elif isinstance(shape, Cylinder):
-            geometry = UsdGeom.Cylinder.Define(self.stage, path)
-            geometry.CreateAxisAttr(UsdGeom.Tokens.z)
-            geometry.CreateRadiusAttr(shape.radius_m)
-            geometry.CreateHeightAttr(shape.length_m)
-        else:
-            geometry = UsdGeom.Plane.Define(self.stage, path)
-            geometry.CreateAxisAttr(UsdGeom.Tokens.z)
-            geometry.CreateWidthAttr(PLANE_EXTENT_M)
-            geometry.CreateLengthAttr(PLANE_EXTENT_M)
-        write_extent(geometry)
-        return [geometry]
 
-    def _piece(self, path: str, points_m: FloatArray) -> UsdGeom.Mesh:
-        mesh = self.target.mesh(path, points_m, hull_faces(points_m))
-        written = digest(mesh.GetPointsAttr().Get())
-        write_gauge(
-            mesh,
-            "points_m",
-            Vt.Vec3dArray.FromNumpy(points_m),
-            "double3[]",
-            written=written,
-        )
-        UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(
-            UsdPhysics.Tokens.convexHull
-        )
-        return mesh
+# --- joints and markers ----------------------------------------------------------------------------------------------
 
-    # --- deformable bodies ---
 
-    # --- joints ---
+def _write_joint(target: Target, path: str, stated: Hinge | Tether) -> None:
+    """Write a joint of a body and the world; a joint without a first body is one to the world."""
+    pose = target.scene.body(stated.body).pose
+    local_m = (0.0, 0.0, 0.0)
+    joint: UsdPhysics.Joint
+    if isinstance(stated, Hinge):
+        joint = UsdPhysics.RevoluteJoint.Define(target.stage, path)
+        joint.CreateAxisAttr(UsdPhysics.Tokens.x)
+        rotation = hinge_frame(stated.axis)
+        inverse = Gf.Quatd(*pose.quaternion).GetInverse()
+        world = joint.CreateLocalRot0Attr(rotation).Get()
+        local = joint.CreateLocalRot1Attr(Gf.Quatf(inverse * Gf.Quatd(rotation)))
+        local.SetCustomDataByKey(WRITTEN, local.Get())
+        written = digest(hinge_axis(as_array(world)))
+        write(joint, "gauge:axis", stated.axis, "double3", written=written)
+        local_m = vector(pose.to_body(np.asarray(stated.anchor_m)))
+    else:
+        joint = UsdPhysics.DistanceJoint.Define(target.stage, path)
+        longest = joint.CreateMaxDistanceAttr(stated.length_m).Get()
+        write(joint, "gauge:length_m", stated.length_m, written=longest)
+    joint.CreateBody1Rel().SetTargets([target.paths[stated.body]])
+    world = joint.CreateLocalPos0Attr(stated.anchor_m).Get()
+    local = joint.CreateLocalPos1Attr(local_m)
+    local.SetCustomDataByKey(WRITTEN, local.Get())
+    write(joint, "gauge:anchor_m", stated.anchor_m, "double3", written=world)
 
-    def _joint(self, path: str, stated: Hinge | Tether) -> None:
-        """Write a joint of a body and the world; a joint without a first body is one to the world."""
-        pose, anchor_m = self.scene.body(stated.body).pose, stated.anchor_m
-        local_m = (0.0, 0.0, 0.0)
-        joint: UsdPhysics.Joint
-        if isinstance(stated, Hinge):
-            local_m = vector(pose.to_body(np.asarray(anchor_m)))
-            joint = UsdPhysics.RevoluteJoint.Define(self.stage, path)
-            joint.CreateAxisAttr(UsdPhysics.Tokens.x)
-            rotation = hinge_frame(stated.axis)
-            world = joint.CreateLocalRot0Attr(rotation)
-            local = joint.CreateLocalRot1Attr(
-                Gf.Quatf(quatd(pose.quaternion).GetInverse() * Gf.Quatd(rotation))
-            )
-            record_written(local, local.Get())
-            write_gauge(
-                joint,
-                "axis",
-                stated.axis,
-                "double3",
-                written=digest(hinge_axis(wxyz(world.Get()))),
-            )
-        else:
-            joint = UsdPhysics.DistanceJoint.Define(self.stage, path)
-            longest = joint.CreateMaxDistanceAttr(stated.length_m)
-            write_gauge(joint, "length_m", stated.length_m, written=longest.Get())
-        joint.CreateBody1Rel().SetTargets([self.paths[stated.body]])
-        world = joint.CreateLocalPos0Attr(Gf.Vec3f(*anchor_m))
-        local = joint.CreateLocalPos1Attr(Gf.Vec3f(*local_m))
-        record_written(local, local.Get())
-        write_gauge(joint, "anchor_m", anchor_m, "double3", written=world.Get())
 
-    # --- attachments and markers ---
-
-    def _markers(self, markers: Markers) -> None:
-        positions = np.asarray(markers.positions_m)
-        points = UsdGeom.Points.Define(self.stage, "/World/Markers")
-        points.CreatePointsAttr(single_points(positions))
-        points.CreateIdsAttr(list(range(len(positions))))
-        points.CreatePurposeAttr(UsdGeom.Tokens.guide)
-        points.CreateWidthsAttr([MARKER_WIDTH_M] * len(positions))
-        write_extent(points)
-        prim = points.GetPrim()
-        bodies = prim.CreateRelationship("gauge:bodies", custom=True)
-        bodies.SetTargets([self.paths[name] for name in markers.bodies])
-        written = digest(points.GetPointsAttr().Get())
-        write_gauge(
-            prim,
-            "positions_m",
-            Vt.Vec3dArray.FromNumpy(positions),
-            "double3[]",
-            written=written,
-        )
-        for name, kind in MARKER_INDICES.items():
-            write_gauge(prim, name, list(getattr(markers, name)), kind)
+def _write_markers(target: Target, markers: Markers) -> None:
+    count = len(markers.positions_m)
+    points = UsdGeom.Points.Define(target.stage, "/World/Markers")
+    written = digest(points.CreatePointsAttr(markers.positions_m).Get())
+    points.CreateIdsAttr(list(range(count)))
+    points.CreatePurposeAttr(UsdGeom.Tokens.guide)
+    points.CreateWidthsAttr([MARKER_WIDTH_M] * count)
+    write_extent(points)
+    prim = points.GetPrim()
+    target.relate(prim, "gauge:bodies", markers.bodies)
+    write(prim, "gauge:positions_m", markers.positions_m, "double3[]", written=written)
+    for name, (_, *width) in MARKER_INDICES.items():
+        kind = f"int{width[0] if width else ''}[]"
+        write(prim, f"gauge:{name}", list(getattr(markers, name)), kind)

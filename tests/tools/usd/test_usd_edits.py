@@ -16,7 +16,6 @@ from gauge_envs.scene import (
     Box,
     Contact,
     ConvexUnion,
-    Hinge,
     Motion,
     Pose,
     RigidBody,
@@ -83,7 +82,7 @@ MATERIAL, SHEET, JOINT = (
     "/World/textile",
     "/World/Joints/joint_0",
 )
-PLATE, FABRIC = "/World/plate", "/World/Materials/body_textile"
+PLATE = "/World/plate"
 
 # Edits of a layer: attribute, new value, place in the scene, and what stands there if it is another value. Numbers in
 # single precision count as the decimal that was typed.
@@ -154,22 +153,6 @@ def test_the_edited_value_counts_and_no_other_changes(source, row, tmp_path):
     assert edited(source, tmp_path, {path: literal_eval(value)}) == expected
 
 
-def test_two_edits_that_agree_keep_every_digit(tmp_path):
-    value = 0.123456789012
-    edit = {f"{CUBE}.gauge:mass_kg": value, f"{CUBE}.physics:mass": value}
-    expected = changed(original(SLIDER), "bodies.cube.mass_kg", value)
-    assert edited(SLIDER, tmp_path, edit) == expected
-
-
-def without(*paths):
-    def edit(stage):
-        for path in paths:
-            attribute = stage.GetAttributeAtPath(path)
-            assert attribute.GetPrim().RemoveProperty(attribute.GetName())
-
-    return edit
-
-
 def shifted(path, index, to):
     """Moves a point of a mesh, cloth or set of markers."""
 
@@ -189,20 +172,6 @@ def test_a_duration_and_a_marker_count(tmp_path):
     assert moved == changed(
         original(CLOTH), "markers.positions_m.3", (0.5, 0.25, 0.125)
     )
-
-
-def test_a_vertex_of_a_mesh_moves_and_the_others_keep_every_digit(tmp_path):
-    before = original("Funnel-rayon")
-    body = next(body for body in before.bodies if isinstance(body.shape, ConvexUnion))
-    old = np.float32(body.shape.pieces_m[2][1])
-    moved = tuple(map(float, np.float32(1.01) * old))
-    after = edited(
-        "Funnel-rayon", tmp_path, shifted(f"/World/{body.name}/collision_2", 1, moved)
-    )
-    found = after.body(body.name).shape.pieces_m
-    assert found[2][1] == pytest.approx(moved, rel=1e-6)
-    place = f"bodies.{body.name}.shape.pieces_m.2.1"
-    assert after == changed(before, place, found[2][1])
 
 
 def test_a_hinge_turned_in_the_joint_frame_turns(tmp_path):
@@ -225,22 +194,6 @@ def test_a_world_that_is_moved_moves_its_bodies(tmp_path):
         places[0], np.add(places[1], [1.0, 0.0, 0.0]), atol=1e-15
     )
     assert scene.contacts == before.contacts
-
-
-# --- joints of two bodies, axes and units ----------------------------------------------------------------------------
-
-
-def test_axes_of_many_digits_and_swings_return_exactly(tmp_path):
-    axis = (0.0, 1.0 - 5e-10, 0.0)
-    scene = changed(original(PENDULUM), "joints.0.axis", axis)
-    assert edited(scene, tmp_path, {}) == scene
-    velocities = {
-        "linear_velocity_m_per_s": (-0.6, 0.0, 0.0),
-        "angular_velocity_rad_per_s": (0.0, 2.0, 0.0),
-    }
-    hinge = Hinge(body="thrown", anchor_m=(0.2, 0.1, 1.3), axis=(0.0, 1.0, 0.0))
-    swing = Scene(bodies=(replace(BOB, **velocities),), joints=(hinge,), duration_s=0.5)
-    assert edited(swing, tmp_path, {}) == swing
 
 
 # --- velocities ------------------------------------------------------------------------------------------------------
@@ -293,14 +246,6 @@ def turning(turn):
     return edit
 
 
-def both(*edits):
-    return lambda stage: [edit(stage) for edit in edits]
-
-
-def moved_plate(stage):
-    stage.GetAttributeAtPath(f"{PLATE}.xformOp:translate").Set((0.5, 0.5, 0.178902))
-
-
 def faster(stage):
     attribute = stage.GetAttributeAtPath(f"{PLATE}.gauge:driver")
     amount = original(TABLE).drivers[0].motions[0].profiles[0].amount
@@ -324,10 +269,6 @@ def test_samples_that_stay_on_the_axis_keep_it_and_its_action(tmp_path):
     assert values == pytest.approx(2.0 * times**2, abs=1e-9)
     assert scene.bodies == before.bodies
     assert driver.provenance.startswith("nominal: edited in edited.usda")
-    (turned,) = edited(TABLE, tmp_path, both(moved_plate, turning(spun))).drivers
-    # It turns about its new place.
-    assert turned.motions[0].point_m[:2] == pytest.approx((0.5, 0.5), abs=1e-9)
-    assert turned.motions[0].residual_rate == old.residual_rate
 
 
 def test_one_sample_that_is_edited_leaves_the_others(tmp_path):
@@ -352,25 +293,6 @@ def test_one_sample_that_is_edited_leaves_the_others(tmp_path):
     assert driver.provenance.startswith("nominal") and "video" in driver.provenance
 
 
-def test_general_samples_are_reproduced(tmp_path):
-    def tumble(time_s):
-        return Rotation.from_euler("xyz", [time_s, 0.3 * time_s, np.sin(time_s)])
-
-    scene = edited(TABLE, tmp_path, turning(tumble))
-    (driver,), start = scene.drivers, scene.body("plate").pose
-    for frame in TABLE_FRAMES:
-        time_s = frame / FRAME_RATE_HZ
-        quaternion = tuple(tumble(time_s).as_quat(scalar_first=True).tolist())
-        expected = replace(start, quaternion=quaternion)
-        assert pose_distance(driver.pose(start, time_s), expected) < 1e-9
-    kept = [
-        motion.residual_rate
-        for motion in driver.motions
-        if (motion.axis, motion.kind) == ((0.0, 0.0, 1.0), "rotate")
-    ]
-    assert kept == [original(TABLE).drivers[0].motions[0].residual_rate]
-
-
 def test_the_exact_motion_counts_with_its_edits_and_without_samples(tmp_path):
     def no_samples(stage):
         stage.GetAttributeAtPath(f"{PLATE}.xformOp:orient").Clear()
@@ -390,14 +312,6 @@ def filtered(one, other):
         api.CreateFilteredPairsRel().AddTarget(other)
 
     return edit
-
-
-def test_a_collider_that_is_disabled_collides_no_more(tmp_path):
-    edit = {"/World/ground/collision.physics:collisionEnabled": False}
-    before = original(TABLE)
-    assert edited(TABLE, tmp_path, edit) == replace(
-        before, contacts=before.contacts[:1]
-    )
 
 
 @pytest.mark.parametrize("name", ["NonsmoothContact-1-wood", CRADLE])
@@ -420,16 +334,6 @@ def test_a_pair_of_groups_that_overlap_is_taken_out_once(tmp_path):
     scene = Scene(bodies=bodies, contacts=(contact,), duration_s=1.0)
     found = edited(scene, tmp_path, filtered("/World/a", "/World/c"))
     assert pairs(found) == {frozenset("ab"), frozenset("bc")}
-
-
-def test_a_pair_that_is_added_to_a_contact_counts_though_it_is_filtered(tmp_path):
-    def edit(stage):
-        second = stage.GetRelationshipAtPath(f"{CONTACT}.gauge:second")
-        second.AddTarget("/World/ground")
-
-    before = original(ROD)
-    second = (*before.contacts[0].second, "ground")
-    assert edited(ROD, tmp_path, edit) == changed(before, "contacts.0.second", second)
 
 
 def test_a_body_that_is_added_collides_by_its_material(tmp_path):
@@ -468,33 +372,12 @@ def on_ice(stage):
     bind(stage, CUBE, "/World/ice")
 
 
-def quarter_turns(time_s):
-    """A quarter turn about each axis, and back."""
-    third, phase = divmod(round(time_s * FRAME_RATE_HZ), 32)
-    angle = 0.5 * np.pi * np.sin(np.pi * phase / 32) ** 2
-    return Rotation.from_rotvec(angle * np.eye(3)[third])
-
-
-def accelerated(stage):
-    attribute = stage.GetAttributeAtPath(f"{PLATE}.gauge:driver")
-    assert '"accelerate_s": 0.5' in attribute.Get()
-    attribute.Set(attribute.Get().replace('"accelerate_s": 0.5', '"accelerate_s": 0.4'))
-
-
 # The layer, its edits, and the place and the fault in the words of the error.
 DECLINED = [
     (
         SLIDER,
         {f"{CUBE}.gauge:mass_kg": 0.3, f"{CUBE}.physics:mass": 0.2},
         r"/cube.gauge:mass_kg: is 0.3 but /World/cube.physics:mass is 0.2",
-    ),
-    (
-        SLIDER,
-        {
-            f"{MATERIAL}.physics:staticFriction": 0.3,
-            f"{MATERIAL}.physics:dynamicFriction": 0.2,
-        },
-        r"staticFriction: is 0.3 but .*dynamicFriction is 0.2",
     ),
     (SLIDER, on_ice, r"/cube: is bound to /World/ice"),
     (
@@ -508,21 +391,6 @@ DECLINED = [
         r"textile.points: was edited, but it follows from gauge:size_m",
     ),
     (
-        CLOTH,
-        {f"{FABRIC}.omniphysics:density": 1.0},
-        r"density: .* follows from gauge:areal_density",
-    ),
-    (
-        CLOTH,
-        {f"{FABRIC}.omniphysics:youngsModulus": 1.0},
-        r"Modulus: .* follows from gauge:stretch_",
-    ),
-    (
-        CLOTH,
-        {"/World/Attachments/attachment_0.omniphysics:vtxIndicesSrc0": [0]},
-        r"IndicesSrc0: .* follows from gauge:region",
-    ),
-    (
         PENDULUM,
         {f"{JOINT}.physics:localPos1": (0.0, 0.0, 0.5)},
         r"/joint_0: its two frames lie",
@@ -534,18 +402,8 @@ DECLINED = [
     ),
     (
         TABLE,
-        both(turning(spun), accelerated),
-        r"gauge:driver: puts the body up to .* away from the time samples",
-    ),
-    (
-        TABLE,
         {f"{PLATE}.gauge:driver": "{"},
         r"/plate.gauge:driver: is not as the writer writes it",
-    ),
-    (
-        TABLE,
-        turning(quarter_turns),
-        r"/plate: the time samples of its transform: no three successive rotations",
     ),
     (
         load_experiment("CubeToss-acrylic").scene,
@@ -558,7 +416,7 @@ DECLINED = [
             "/World/thrown.gauge:linear_velocity_m_per_s": (3.0, 0.0, 0.1),
             VELOCITY: (0.0, 0.0, 2.0),
         },
-        r"/thrown: its gauge: velocities give physics:velocity",
+        r"/thrown.gauge:linear_velocity_m_per_s: is .* but /World/thrown.physics:velocity is",
     ),
 ]
 

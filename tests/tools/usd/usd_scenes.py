@@ -8,29 +8,22 @@ from hypothesis import strategies as st
 from pxr import Sdf, Usd
 
 from gauge_envs.scene import (
-    Attachment,
     Box,
-    Cloth,
     Contact,
     ContactMode,
     ConvexUnion,
     Cylinder,
     Hinge,
-    Markers,
     Motion,
     Plane,
     Pose,
-    Region,
     RigidBody,
-    Rod,
-    Rope,
     Scene,
-    SoftBody,
     Sphere,
     Tether,
 )
 from gauge_envs.scene.drivers import Driver, DriverMotion
-from gauge_envs.scene.profiles import CosineProfile, SampledProfile, TrapezoidProfile
+from gauge_envs.scene.profiles import SampledProfile, TrapezoidProfile
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.usd.reader import from_usd
 from gauge_envs.tools.usd.writer import scene_stage
@@ -76,12 +69,6 @@ profiles = st.one_of(
         brake_s=st.floats(0.0, 0.5),
         amount=coordinates,
     ),
-    st.builds(
-        CosineProfile,
-        start_s=st.floats(0.0, 1.0),
-        duration_s=st.floats(0.1, 2.0),
-        amount=coordinates,
-    ),
     st.lists(st.tuples(st.floats(0.01, 1.0), coordinates), min_size=2).map(
         lambda steps: SampledProfile(
             times_s=tuple(np.cumsum([step for step, _ in steps]).tolist()),
@@ -98,38 +85,6 @@ movements = st.builds(
     profiles=st.lists(profiles, max_size=2).map(tuple),
 )
 hinge_terms = {"anchor_m": points, "axis": directions}
-
-
-def deformables(name):
-    body = {"name": st.just(name), "pose": poses, "mass_kg": positive}
-    line = {**body, "length_m": lengths, "radius_m": lengths}
-    elastic = {"young_modulus_pa": positive, "poisson_ratio": st.floats(-0.9, 0.499)}
-    cloth = {
-        "size_m": st.tuples(lengths, lengths),
-        "areal_density_kg_per_m2": lengths,
-        "thickness_m": st.floats(1e-4, 1e-2),
-        "stretch_stiffness_n_per_m": st.floats(10.0, 1e4),
-        "shear_stiffness_n_per_m": st.floats(1.0, 10.0),
-        "bend_stiffness_n_m_per_rad": st.floats(1e-9, 1e-3),
-    }
-    edges = st.tuples(*[st.floats(1e-3, 0.2)] * 3)
-    return st.one_of(
-        st.builds(Cloth, **body, **cloth),
-        st.builds(Rope, **line, young_modulus_pa=positive),
-        st.builds(Rod, **line, **elastic),
-        st.builds(SoftBody, **body, **elastic, shape=st.builds(Box, size_m=edges)),
-    )
-
-
-def of_different_pairs(contacts):
-    """Return the contacts that list no pair of an earlier one."""
-    kept, joined = [], set()
-    for contact in contacts:
-        pairs = {frozenset((a, b)) for a in contact.first for b in contact.second}
-        if not pairs & joined:
-            kept.append(contact)
-        joined = joined | pairs
-    return tuple(kept)
 
 
 @st.composite
@@ -167,15 +122,8 @@ def scenes(draw):
                 driver = Driver(body=name, motions=tuple(motions), provenance=source)
                 drivers.append(driver)
         bodies.append(body)
-    soft = [
-        draw(deformables(name))
-        for name in names[count : count + draw(st.integers(0, 2))]
-    ]
-    everybody = [body.name for body in (*bodies, *soft)]
-    group = st.lists(
-        st.sampled_from(everybody), min_size=1, max_size=4, unique=True
-    ).map(tuple)
-    contacts = st.builds(
+    group = st.lists(st.sampled_from(names[:count]), min_size=1, unique=True).map(tuple)
+    contact = st.builds(
         Contact,
         first=group,
         second=group,
@@ -185,38 +133,11 @@ def scenes(draw):
         torsion_m=maybe,
         rolling_m=maybe,
     )
-    # A deformable body starts at rest, and so does what it is attached to.
-    still = [body.name for body in bodies if body.starts_at_rest]
-    regions = st.builds(
-        Region,
-        axis=st.sampled_from("xyz"),
-        side=st.sampled_from(["low", "high"]),
-        depth_m=lengths,
-    )
-    attachments = [
-        Attachment(
-            deformable=body.name, region=draw(regions), to=draw(st.sampled_from(still))
-        )
-        for body in soft
-        if still
-    ]
-    markers = None
-    if soft:
-        markers = Markers(
-            bodies=tuple(body.name for body in soft),
-            positions_m=draw(st.lists(points, min_size=3, max_size=5).map(tuple)),
-            faces=((0, 1, 2),),
-            lines=((2, 0),),
-            corner=(1,),
-        )
     return Scene(
         bodies=tuple(bodies),
-        deformables=tuple(soft),
         joints=tuple(draw(st.permutations(joints))),
-        attachments=tuple(attachments),
-        contacts=of_different_pairs(draw(st.lists(contacts, max_size=4))),
+        contacts=(draw(contact),),
         drivers=tuple(draw(st.permutations(drivers))),
-        markers=markers,
         duration_s=draw(st.floats(0.1, 3.0)),
         gravity_m_per_s2=draw(st.floats(0.0, 30.0)),
     )
