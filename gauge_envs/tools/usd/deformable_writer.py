@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics, UsdShade
 
-from gauge_envs.scene import Attachment, Cloth, Deformable, Rod, Rope, SoftBody
+from gauge_envs.scene import Attachment, Cloth, Deformable, Rope, SoftBody
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import TOUCHING_M, grid, nodes_in, tetrahedra
@@ -40,13 +40,10 @@ REGION = "gauge:region_axis, gauge:region_side and gauge:region_depth_m"
 
 def write_deformable(target: Target, body: Deformable) -> None:
     """Write a body with its mesh, its constants and its material."""
-    path = target.paths[body.name]
-    if isinstance(body, Cloth):
-        geometry = _write_cloth(target, path, body)
-    elif isinstance(body, SoftBody):
-        geometry = _write_soft_body(target, path, body)
-    else:
-        geometry = _write_line(target, path, body)
+    nodes = deformable_nodes(body)
+    geometry = _define(target.stage, target.paths[body.name], body, nodes)
+    points = geometry.CreatePointsAttr(nodes)
+    write_extent(geometry)
     prim = geometry.GetPrim()
     target.place(geometry, body.name, body.pose)
     write(prim, "gauge:kind", KINDS[type(body)], "token")
@@ -57,15 +54,14 @@ def write_deformable(target: Target, body: Deformable) -> None:
     prim.AddAppliedSchema("OmniPhysicsDeformableBodyAPI")
     write(prim, "omniphysics:deformableBodyEnabled", True, "bool")
     _write_single(prim, "mass", prim, "mass_kg", body.mass_kg)
+    size = "gauge:length_m"
     if api := APIS.get(type(body)):
-        points = geometry.GetPointsAttr()
-        record_follower(points, "gauge:size_m")
-        _write_derived(
-            prim, "restShapePoints", "point3f[]", points.Get(), "gauge:size_m"
-        )
+        size = "gauge:size_m"
+        _write_derived(prim, "restShapePoints", "point3f[]", nodes, size)
         prim.AddAppliedSchema(api)
         collision = UsdPhysics.CollisionAPI.Apply(prim)
         collision.CreateCollisionEnabledAttr(body.name in target.collides)
+    record_follower(points, size)
     _write_material(target, body, prim)
     target.bind(body.name, target.material_path(body.name))
 
@@ -83,48 +79,46 @@ def deformable_nodes(body: Deformable) -> FloatArray:
     return nodes
 
 
-def _write_cloth(target: Target, path: str, cloth: Cloth) -> UsdGeom.Mesh:
-    nodes, shape = grid((*cloth.size_m, 0.0))
-    corner = np.arange(len(nodes)).reshape(shape[:2])
-    a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
-    triangles = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3).tolist()
-    mesh = target.mesh(path, nodes, triangles)
-    record_follower(mesh.GetFaceVertexIndicesAttr(), "gauge:size_m")
-    _write_derived(
-        mesh.GetPrim(), "restTriVtxIndices", "int3[]", triangles, "gauge:size_m"
-    )
-    write(mesh, "gauge:size_m", cloth.size_m, "double2")
-    return mesh
-
-
-def _write_soft_body(target: Target, path: str, body: SoftBody) -> UsdGeom.TetMesh:
-    nodes, shape = grid(body.shape.size_m)
-    indices = tetrahedra(shape).tolist()
-    mesh = UsdGeom.TetMesh.Define(target.stage, path)
-    mesh.CreatePointsAttr(nodes)
-    mesh.CreateTetVertexIndicesAttr(indices)
-    mesh.CreateSurfaceFaceVertexIndicesAttr(UsdGeom.TetMesh.ComputeSurfaceFaces(mesh))
-    write_extent(mesh)
-    record_follower(mesh.GetTetVertexIndicesAttr(), "gauge:size_m")
-    _write_derived(
-        mesh.GetPrim(), "restTetVtxIndices", "int4[]", indices, "gauge:size_m"
-    )
-    write(mesh, "gauge:size_m", body.shape.size_m, "double3")
-    return mesh
-
-
-def _write_line(target: Target, path: str, body: Rope | Rod) -> UsdGeom.BasisCurves:
-    nodes = deformable_nodes(body)
-    curves = UsdGeom.BasisCurves.Define(target.stage, path)
+def _define(
+    stage: Usd.Stage, path: str, body: Deformable, nodes: FloatArray
+) -> UsdGeom.PointBased:
+    """Write the mesh of a body without its points."""
+    if isinstance(body, Cloth):
+        corner = np.arange(len(nodes)).reshape(grid((*body.size_m, 0.0))[1][:2])
+        a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
+        triangles = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+        mesh = UsdGeom.Mesh.Define(stage, path)
+        mesh.CreateFaceVertexCountsAttr([3] * len(triangles))
+        mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+        faces = mesh.CreateFaceVertexIndicesAttr(triangles.ravel().tolist())
+        record_follower(faces, "gauge:size_m")
+        _write_derived(
+            mesh.GetPrim(),
+            "restTriVtxIndices",
+            "int3[]",
+            triangles.tolist(),
+            "gauge:size_m",
+        )
+        write(mesh, "gauge:size_m", body.size_m, "double2")
+        return mesh
+    if isinstance(body, SoftBody):
+        indices = tetrahedra(grid(body.shape.size_m)[1]).tolist()
+        solid = UsdGeom.TetMesh.Define(stage, path)
+        record_follower(solid.CreateTetVertexIndicesAttr(indices), "gauge:size_m")
+        faces = UsdGeom.TetMesh.ComputeSurfaceFaces(solid)
+        solid.CreateSurfaceFaceVertexIndicesAttr(faces)
+        _write_derived(
+            solid.GetPrim(), "restTetVtxIndices", "int4[]", indices, "gauge:size_m"
+        )
+        write(solid, "gauge:size_m", body.shape.size_m, "double3")
+        return solid
+    curves = UsdGeom.BasisCurves.Define(stage, path)
     curves.CreateTypeAttr(UsdGeom.Tokens.linear)
     curves.CreateWrapAttr(UsdGeom.Tokens.nonperiodic)
     curves.CreateCurveVertexCountsAttr([len(nodes)])
-    curves.CreatePointsAttr(nodes)
-    record_follower(curves.GetPointsAttr(), "gauge:length_m")
-    width = curves.CreateWidthsAttr([2.0 * body.radius_m]).Get()[0]
+    width_m = curves.CreateWidthsAttr([2.0 * body.radius_m]).Get()[0]
     curves.SetWidthsInterpolation(UsdGeom.Tokens.constant)
-    write(curves, "gauge:radius_m", body.radius_m, written=0.5 * width)
-    write_extent(curves)
+    write(curves, "gauge:radius_m", body.radius_m, written=0.5 * width_m)
     return curves
 
 

@@ -153,13 +153,10 @@ def read_attachments(source: Source, names: Names) -> Iterator[Attachment]:
 
 def read_markers(source: Source, names: Names) -> Markers | None:
     """Read the markers; return None if the stage has none."""
-    for prim in source.prims():
-        if prim.IsA(UsdGeom.Points) and prim.HasRelationship("gauge:bodies"):
-            return _markers(source, prim, names)
-    return None
-
-
-def _markers(source: Source, prim: Usd.Prim, names: Names) -> Markers:
+    points = (prim for prim in source.prims() if prim.IsA(UsdGeom.Points))
+    prim = next((one for one in points if one.HasRelationship("gauge:bodies")), None)
+    if prim is None:
+        return None
     stored = source.stored(
         UsdGeom.Points(prim).GetPointsAttr(), (-1, 3), partial(source.to_world, prim)
     )

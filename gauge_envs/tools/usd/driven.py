@@ -27,7 +27,7 @@ from gauge_envs.tools.usd.layer import (
 from gauge_envs.tools.usd.source import MAX_DURATION_S, Source
 
 SAME_POSE = 1e-6
-"""Largest difference between time samples and `gauge:driver` [m, rad] if both were edited."""
+"""Largest difference between equal start poses of time samples and `gauge:driver` [m, rad]."""
 
 Track = dict[float, Pose]
 """Poses by time code."""
@@ -39,8 +39,9 @@ def read_driven(
     """Return the start pose and the driver of a kinematic body.
 
     `gauge:driver` contains the exact motion; the time samples of the transform contain its poses at the frames. The
-    edited one of both counts. Edited samples, and samples without `gauge:driver`, become sampled motions with monotone
-    cubic interpolation. An edited motion was not measured, so its provenance is `nominal` and mentions the edit.
+    edited one of both counts, and the samples if both were edited. Edited samples, and samples without `gauge:driver`,
+    become sampled motions with monotone cubic interpolation. An edited motion was not measured, so its provenance is
+    `nominal` and mentions the edit.
 
     Args:
         source: The stage.
@@ -100,37 +101,23 @@ def _edited(
     if not samples:
         return start, changed if is_edited else driver
     track = _track(source, samples, pose_at)
-    distances = [
-        pose_distance(driver.pose(start, source.seconds(code)), pose)
-        for code, pose in track.items()
-    ]
+    is_moved = pose_distance(driver.pose(start, 0.0), track[source.start]) > SAME_POSE
     times_s = [source.seconds(code) for code in samples]
     poses = np.array(
         [[*pose.position_m, *pose.quaternion] for pose in samples.values()]
     )
-    if samples_digest(times_s, poses) == attribute.GetCustomDataByKey(WRITTEN):
-        if is_edited:
-            return start, changed
-        if distances[0] > SAME_POSE:
-            raise source.fault(
-                prim,
-                "its pose was edited, but not the time samples of its transform: edit both, or delete the samples, so "
-                "that gauge:driver moves it from the edited pose",
-            )
-        return start, driver
-    if is_edited:
-        if max(distances) > SAME_POSE:
-            raise source.fault(
-                attribute,
-                f"puts the body up to {max(distances):.3g} (m, rad) away from the time samples of its transform, and "
-                "both were edited: make them agree, or delete one",
-            )
-        return start, changed
-    # If the samples start elsewhere than the driver, the body starts there too: a jump would throw other bodies.
-    if distances[0] > SAME_POSE:
-        start = track[source.start]
-    motions = _sampled(source, prim, start, track, driver.motions)
-    return start, replace(changed, motions=motions)
+    if samples_digest(times_s, poses) != attribute.GetCustomDataByKey(WRITTEN):
+        # If the samples start elsewhere than the driver, the body starts there too: a jump would throw other bodies.
+        start = track[source.start] if is_moved else start
+        motions = _sampled(source, prim, start, track, driver.motions)
+        return start, replace(changed, motions=motions)
+    if is_moved and not is_edited:
+        raise source.fault(
+            prim,
+            "its pose was edited, but not the time samples of its transform: edit both, or delete the samples, so that "
+            "gauge:driver moves it from the edited pose",
+        )
+    return start, changed if is_edited else driver
 
 
 def _track(

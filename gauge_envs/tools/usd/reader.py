@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pxr import Sdf, Tf, Usd, UsdPhysics
@@ -26,6 +26,7 @@ from gauge_envs.scene import (
     Scene,
 )
 from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.geometry import length_of
 from gauge_envs.tools.usd.bodies import read_body
 from gauge_envs.tools.usd.contacts import (
     Collider,
@@ -77,9 +78,22 @@ def read_usd(
     contacts: Sequence[Contact] = (),
     unstated_duration_s: float | None = None,
 ) -> UsdScene:
-    """Read the whole content of a USD file; arguments and errors as in `from_usd`.
+    """Read the whole content of a USD file, written by `to_usd` or as plain UsdPhysics.
 
-    `unstated_duration_s` is the duration of a file that states none [s].
+    A scene that `to_usd` wrote is restored exactly. If a number was edited in such a file, in the `gauge:` double or in
+    the standard attribute, the edited value counts. The keywords are for files of other tools.
+
+    Args:
+        path: File of any format that USD reads.
+        duration_s: Duration of the experiment [s], for files without `gauge:duration_s`. It replaces the start and end
+            time codes of the file.
+        friction: The coefficient that counts if static and dynamic friction of a material differ.
+        mode: Mode of contacts without `gauge:mode`: one for all, or one per pair of names and sustained for others.
+        contacts: Contacts that replace those of the file for their pairs.
+        unstated_duration_s: Duration of a file that states none [s].
+
+    Raises:
+        AssetError: The file cannot be read, or holds what a scene does not have; the message names the prim.
     """
     options = ContactOptions(friction=friction, mode=mode, contacts=contacts)
     with _usd_errors(Path(path)):
@@ -96,30 +110,14 @@ def read_usd(
         )
 
 
-def from_usd(
-    path: str | Path,
-    *,
-    duration_s: float | None = None,
-    friction: Literal["dynamic", "static"] | None = None,
-    mode: ContactMode | Mapping[tuple[str, str], ContactMode] = ContactMode.SUSTAINED,
-    contacts: Sequence[Contact] = (),
-) -> Scene:
-    """Read a scene from a USD file, written by `to_usd` or as plain UsdPhysics.
-
-    A scene that `to_usd` wrote is restored exactly. If a number was edited in such a file, in the `gauge:` double or in
-    the standard attribute, the edited value counts. The keywords are for files of other tools.
+def from_usd(path: str | Path, **options: Any) -> Scene:
+    """Read a scene from a USD file.
 
     Args:
         path: File of any format that USD reads.
-        duration_s: Duration of the experiment [s], for files without `gauge:duration_s`. It replaces the start and end
-            time codes of the file.
-        friction: The coefficient that counts if static and dynamic friction of a material differ.
-        mode: Mode of contacts without `gauge:mode`: one for all, or one per pair of names and sustained for others.
-        contacts: Contacts that replace those of the file for their pairs.
+        **options: Keywords and errors as in `read_usd`.
     """
-    return read_usd(
-        path, duration_s=duration_s, friction=friction, mode=mode, contacts=contacts
-    ).scene
+    return read_usd(path, **options).scene
 
 
 @contextmanager
@@ -218,8 +216,8 @@ def _gravity_m_per_s2(source: Source, physics: UsdPhysics.Scene) -> float:
     direction = source.numbers(attribute, (3,))
     # Zeros, the fallback of the schema, stand for down.
     if direction is not None and direction.any():
-        down = source.up @ (direction / np.linalg.norm(direction))
-        if down[2] >= 0.0 or np.hypot(down[0], down[1]) > LEVEL:
+        down = source.up @ direction / length_of(direction)
+        if length_of(down - (0.0, 0.0, -1.0)) > LEVEL:
             raise source.fault(
                 attribute,
                 f"is {direction.tolist()}: gravity must point down, against the up axis",

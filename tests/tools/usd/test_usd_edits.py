@@ -14,7 +14,6 @@ from gauge_envs import load_experiment
 from gauge_envs.errors import AssetError
 from gauge_envs.scene import (
     Box,
-    Contact,
     ConvexUnion,
     Motion,
     Pose,
@@ -29,7 +28,7 @@ from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.usd.reader import read_usd
-from gauge_envs.tools.usd.writer import scene_stage, to_usd
+from gauge_envs.tools.usd.writer import to_usd
 
 SLIDER, TABLE, BALL, PENDULUM = (
     "SlopeSlider-2-wood",
@@ -183,19 +182,6 @@ def test_a_hinge_turned_in_the_joint_frame_turns(tmp_path):
     assert np.linalg.norm(hinge.axis) == pytest.approx(1.0, abs=1e-15)
 
 
-def test_a_world_that_is_moved_moves_its_bodies(tmp_path):
-    def edit(stage):
-        world = UsdGeom.Xformable(stage.GetPrimAtPath("/World"))
-        world.AddTranslateOp().Set((1.0, 0.0, 0.0))
-
-    scene, before = edited(SLIDER, tmp_path, edit), original(SLIDER)
-    places = [[body.pose.position_m for body in one.bodies] for one in (scene, before)]
-    np.testing.assert_allclose(
-        places[0], np.add(places[1], [1.0, 0.0, 0.0]), atol=1e-15
-    )
-    assert scene.contacts == before.contacts
-
-
 # --- velocities ------------------------------------------------------------------------------------------------------
 
 VELOCITY, SPIN = (
@@ -210,11 +196,6 @@ def test_an_edited_standard_velocity_counts(tmp_path):
     along = THROWN.pose.rotation.apply([0.0, 0.0, 2.0])
     assert body.linear_velocity_m_per_s == pytest.approx(along, abs=1e-12)
     assert body.angular_velocity_rad_per_s == (0.0, 0.0, 0.0)
-
-
-def test_a_scene_at_rest_writes_no_velocity():
-    stage = scene_stage(STRING)
-    assert "elocity" not in stage.GetRootLayer().ExportToString()
 
 
 def test_newton_reads_the_same_velocities(tmp_path):
@@ -325,15 +306,6 @@ def test_a_pair_that_is_filtered_is_taken_out_of_its_group(name, tmp_path):
     scene = edited(name, tmp_path, filtered(paths[one], paths[other]))
     assert pairs(scene) == pairs(before) - {frozenset((one, other))}
     assert scene.has_impact_chain == before.has_impact_chain == (name == CRADLE)
-
-
-def test_a_pair_of_groups_that_overlap_is_taken_out_once(tmp_path):
-    bodies = tuple(replace(BOB, name=name) for name in "abc")
-    groups = {"first": ("a", "b"), "second": ("a", "b", "c")}
-    contact = Contact(**groups, friction=0.5, restitution=0.1)
-    scene = Scene(bodies=bodies, contacts=(contact,), duration_s=1.0)
-    found = edited(scene, tmp_path, filtered("/World/a", "/World/c"))
-    assert pairs(found) == {frozenset("ab"), frozenset("bc")}
 
 
 def test_a_body_that_is_added_collides_by_its_material(tmp_path):

@@ -45,20 +45,15 @@ poses = st.builds(
 )
 
 
-def row_of_tetrahedra(corners):
-    pieces = []
-    for index, (edge, y, z) in enumerate(corners):
-        corner = np.array([4.0 * index, y, z])
-        piece = corner + (abs(edge) + 0.1) * np.vstack([np.zeros(3), np.eye(3)])
-        pieces.append(tuple(map(tuple, piece.tolist())))
-    return ConvexUnion(pieces_m=tuple(pieces))
-
-
 solids = st.one_of(
     st.builds(Box, size_m=st.tuples(lengths, lengths, lengths)),
     st.builds(Sphere, radius_m=lengths),
     st.builds(Cylinder, radius_m=lengths, length_m=lengths),
-    st.lists(points, min_size=1, max_size=3).map(row_of_tetrahedra),
+    st.just(
+        ConvexUnion(
+            pieces_m=(tuple(map(tuple, np.vstack([np.zeros(3), np.eye(3)]).tolist())),)
+        )
+    ),
 )
 profiles = st.one_of(
     st.builds(
@@ -69,11 +64,10 @@ profiles = st.one_of(
         brake_s=st.floats(0.0, 0.5),
         amount=coordinates,
     ),
-    st.lists(st.tuples(st.floats(0.01, 1.0), coordinates), min_size=2).map(
-        lambda steps: SampledProfile(
-            times_s=tuple(np.cumsum([step for step, _ in steps]).tolist()),
-            values=tuple(value for _, value in steps),
-        )
+    st.builds(
+        SampledProfile,
+        times_s=st.just((0.0, 0.1, 1 / 3)),
+        values=st.tuples(coordinates, coordinates, coordinates),
     ),
 )
 movements = st.builds(
