@@ -61,6 +61,14 @@ DISTANCE_NOTE = (
     f"*: not published, {MOTION_SHARE:.0%} of the motion."
 )
 
+PHYSICS = {
+    "": "",
+    "own defaults": "(its own defaults)",
+    "own options": "(its own options)",
+    "corrected": "(corrected by this package)",
+}
+"""Whose physics an engine shows, by `RunConfiguration.physics`."""
+
 CELL_NOTES = {
     "-": "-: not run, or not published",
     "no score": "no score: no reference scores it, or the measured event did not happen",
@@ -94,8 +102,8 @@ def comparison_document(
     Args:
         comparison: The comparison.
         metrics: Metrics to show. Of all metrics a terminal shows the primary one of each experiment.
-        is_wide: Whether a terminal shows what Markdown has: all metrics, published engines, ranks in each experiment
-            and a summary.
+        is_wide: Whether a terminal shows what Markdown has: all metrics, published engines, and ranks in each
+            experiment.
         with_rows: Whether the document has JSON rows, which need the distance between each two configurations.
     """
     if not comparison.experiments:
@@ -108,7 +116,6 @@ def comparison_document(
         *_rank_tables(comparison),
         *ranking,
         *distances,
-        _summary_table(comparison),
     ]
     rows: list[dict[str, Any]] = []
     if with_rows:
@@ -281,7 +288,7 @@ def _score_table(
         title="Scores, with 95 % intervals",
         columns=(*cells, *columns),
         rows=rows,
-        notes=tuple(_score_notes(comparison, used, is_full=is_full)),
+        notes=tuple(_score_notes(comparison, used)),
     )
 
 
@@ -336,9 +343,7 @@ def _label_columns(comparison: Comparison, key: str) -> list[Column]:
     ]
 
 
-def _score_notes(
-    comparison: Comparison, used: Iterable[str], *, is_full: bool
-) -> Iterator[str]:
+def _score_notes(comparison: Comparison, used: Iterable[str]) -> Iterator[str]:
     """Yield what one needs to read the table of scores: only what occurs in it is explained."""
     yield SCALE_NOTE
     yield INTERVAL_NOTE
@@ -349,13 +354,11 @@ def _score_notes(
     ]
     if meanings:
         yield f"{'; '.join(meanings)}."
-    yield from _configuration_notes(comparison.configurations, is_full=is_full)
+    yield from _configuration_notes(comparison.configurations)
     yield from (f"Note: {note}." for note in comparison.notes)
 
 
-def _configuration_notes(
-    configurations: Sequence[RunConfiguration], *, is_full: bool
-) -> Iterator[str]:
+def _configuration_notes(configurations: Sequence[RunConfiguration]) -> Iterator[str]:
     """Yield what all configurations share, and whose physics and which versions they are."""
     exact = [configuration_parts(one, digits=17) for one in configurations]
     if len(exact) > 1:
@@ -371,22 +374,13 @@ def _configuration_notes(
         if PLAIN[1] not in shared:
             yield "Parameters are calibrated unless given."
     engines = dict.fromkeys(
-        f"{one.backend or 'file'}: {versions_text(one) or '-'}"
+        f"{versions_text(one) or one.backend or 'file'} {PHYSICS[one.physics]}".strip()
         for one in configurations
     )
-    yield f"Versions: {'; '.join(engines)}."
-    physics = dict.fromkeys(
-        f"{one.backend} {one.settings_given.get('preset', '')} {one.physics}".replace(
-            "  ", " "
-        )
-        for one in configurations
-        if one.physics
-    )
-    if physics and is_full:
-        yield f"Physics: {', '.join(physics)}. Corrected: by this package."
+    yield f"Engines: {'; '.join(engines)}."
 
 
-# --- ranks, distances and counts -------------------------------------------------------------------------------------
+# --- ranks and distances ----------------------------------------------------------------------------------------------
 
 
 def _rank_tables(comparison: Comparison) -> list[Table]:
@@ -491,17 +485,3 @@ def _distance_texts(far: Distance) -> dict[str, str]:
         + ("" if far.threshold_is_scatter else " *"),
         "first exceeded": far.apart_text + (", diverged" if far.diverged else ""),
     }
-
-
-def _summary_table(comparison: Comparison) -> Table:
-    """Return how many episodes of each configuration ran and have a score."""
-    summaries = zip(comparison.labels, comparison.summaries(), strict=True)
-    keys = ("ran", "scored", "diverged", "not_run")
-    return Table(
-        title="Number of experiments",
-        columns=(
-            Column("label", "configuration"),
-            *(Column(key, key.replace("_", " "), is_number=True) for key in keys),
-        ),
-        rows=[{"label": label} | vars(one) for label, one in summaries],
-    )
