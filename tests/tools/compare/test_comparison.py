@@ -362,7 +362,9 @@ def test_overview_shows_published_engines_with_raw_trials_alone(real):
     score = real[SLIDER].score
     assert score.rmse_aligned_normalized in places_of(primary)
     assert score.rmse_normalized in places_of(raw)
-    assert real[TURNED].score.over_uncertainty in places_of(solved)
+    distance = real[TURNED].score.over_uncertainty
+    assert distance in places_of(solved)
+    assert distance not in places_of(primary)
     published = set(published_baselines(SLIDER)["rmse"].engines.values())
     assert published <= places_of(raw)
     assert not published & places_of(primary)
