@@ -241,7 +241,8 @@ def _draw_distances(axis: Axes, series: Sequence[Series], reference: Reference) 
     if is_between:
         _draw_gaps(axis, series)
     else:
-        _draw_spread(axis, reference, is_aligned(series[0].results[0]))
+        results = [result for one in series for result in one.results]
+        _draw_spread(axis, reference, any(map(is_aligned, results)))
         for one in series:
             for number, result in enumerate(one.results):
                 lengths = reference.lengths(reference.deviation(result))

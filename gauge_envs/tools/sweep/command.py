@@ -278,7 +278,7 @@ def _run(
 ) -> Counts:
     """Run tasks, and return how many episodes of each engine had which outcome."""
     from gauge_envs.runs.result import Outcome
-    from gauge_envs.tools.sweep.folder import result_files, run_sweep
+    from gauge_envs.tools.sweep.folder import run_sweep
 
     counts: Counts = Counter()
     total = plan.episode_count
@@ -297,8 +297,8 @@ def _run(
                     if form is Format.JSON:
                         print_json_lines([result.to_dict(trajectory=False)])
     except KeyboardInterrupt:
-        left = set(plan.file_names) - {file.name for file in result_files(out)}
-        message(f"interrupted: {len(left)} of {total} episodes left; continue with:")
+        left = total - done - counts.total()
+        message(f"interrupted: {left} of {total} episodes left; continue with:")
         message(shlex.join(["gauge", *sys.argv[1:]]))
         raise typer.Exit(EXIT_INTERRUPTED) from None
     lost.report()

@@ -113,13 +113,6 @@ def cells(*results, metric="rmse"):
 # --- configurations and repeats ---
 
 
-def test_results_that_differ_in_their_seed_alone_are_repeats():
-    results = [
-        made(rmse=value, seed=seed) for seed, value in enumerate([1.0, 2.0, 3.0])
-    ]
-    assert cells(*results) == ["2.00 +- 1.00 (3) 2 inside, 1 outside"]
-
-
 @pytest.mark.parametrize(
     ("changes", "label"),
     [
@@ -158,17 +151,6 @@ def test_results_that_do_not_belong_together_are_reported():
 
 
 # --- scores ---
-
-
-def test_cells_state_why_there_is_no_score():
-    assert cells(made(rmse=0.5), diverged(), made(backend="other")) == [
-        "0.50 inside",
-        "diverged",
-        "no score",
-    ]
-    other = made(PLASTIC, backend="newton", rmse=1.0)
-    assert cells(made(rmse=0.5), other) == ["0.50 inside", "-"]
-    assert cells(made(rmse=0.5), declined()) == ["0.50 inside", "declined"]
 
 
 def test_a_configuration_with_a_diverged_repeat_has_no_rank():
