@@ -1,4 +1,4 @@
-"""Find where the clock of a film is not that of the motion: frames are missing, or its speed changes."""
+"""Find where frames of a film are missing or repeated, or where its speed changes."""
 
 import numpy as np
 
@@ -9,20 +9,20 @@ from gauge_envs.tools.video.track import Track
 STRAIGHT, CURVED = (4, 2), (6, 3)
 """Frames on either side of a cut by which it is judged, and degree of the polynomial that a smooth motion follows."""
 
-MOST_MISSING = 8
-"""Most frames that are missing at a cut."""
+MAX_MISSING = 8
+"""Largest number of missing frames at a cut that is tried."""
 
 SPEEDS = (0.33, 0.4, 0.5, 0.6, 0.7, 1.4, 1.7, 2.0, 2.5, 3.0)
-"""Speeds after a cut that are tried, in that before it."""
+"""Speeds after a cut that are tried, relative to that before it."""
 
-BROKEN, WHOLE = 5.0, 2.0
-"""Residual across a cut, in the scatter of the track, from which a motion is broken there, and up to which another
-clock makes it whole."""
+MIN_BROKEN, MAX_WHOLE = 5.0, 2.0
+"""Residual across a cut, relative to the scatter of the track, from which a motion is broken there, and up to which
+another clock makes it whole."""
 
-UNEVEN = 0.2
-"""Difference of the steps between frames, in frames, from which the track itself has a gap."""
+MAX_UNEVEN_FRAMES = 0.2
+"""Difference of the steps between frames, in frames, from which the track has a gap that it knows of."""
 
-LEAST_PX = 0.2
+MIN_SCATTER_PX = 0.2
 """Smallest scatter that is assumed [px]."""
 
 
@@ -31,8 +31,8 @@ def clock_fault(
 ) -> str:
     """Return where frames are missing or the speed of a film changes; empty where its clock is that of the motion.
 
-    Across a cut, a smooth curve leaves a large residual, and a small one once the later frames are moved in time by
-    whole frames, or run at another speed. A body that jumps or brakes seldom does that.
+    Across a cut, a smooth curve leaves a large residual. The residual is small once the later frames are moved in time
+    by whole frames, or run at another speed. A body that jumps or brakes seldom does that.
 
     Args:
         track: The track.
@@ -43,43 +43,46 @@ def clock_fault(
     side, degree = CURVED if task.direction is None else STRAIGHT
     rows = np.arange(span[0], span[1] + 1)
     rows = rows[track.is_found[rows]]
-    window_count = len(rows) - 2 * side + 1
-    if window_count < 1:
+    if len(rows) < 2 * side:
         return ""
-    windows = np.arange(window_count)[:, None] + np.arange(2 * side)
-    places_px = track.points_px[rows[windows]]
-    steps_s = np.diff(track.times_s[rows[windows]], axis=1)
-    # A frame in which the object is not found is a gap that the track knows of.
-    is_even = np.ptp(steps_s, axis=1) < UNEVEN / track.fps
+    windows = np.lib.stride_tricks.sliding_window_view(rows, 2 * side)
+    places_px = track.points_px[windows]
+    steps_s = np.diff(track.times_s[windows], axis=1)
+    is_even = np.ptp(steps_s, axis=1) < MAX_UNEVEN_FRAMES / track.fps
     times = np.arange(2.0 * side) - side
     is_later = times >= 0.0
-    clocks = {"": times}
-    clocks["a frame seems to be shown again at frame"] = times - is_later
-    for missing in range(1, MOST_MISSING + 1):
-        text = f"frames seem to be missing, {missing} before frame"
-        clocks[text] = times + missing * is_later
-    for speed in SPEEDS:
-        text = f"the speed of the film seems to change by {speed:g} at frame"
-        clocks[text] = np.where(is_later, speed * times, times)
-    residuals = {
-        text: _residuals_px(places_px, one, degree) for text, one in clocks.items()
-    }
-    usual_px = max(LEAST_PX, noise_px)
-    broken_px = residuals.pop("")
-    best = {
-        text: np.where(is_even & (broken_px > BROKEN * usual_px), one, np.inf)
-        for text, one in residuals.items()
-    }
-    text = min(best, key=lambda one: float(best[one].min()))
-    cut = int(best[text].argmin())
-    if best[text][cut] > WHOLE * usual_px:
+    scatter_px = max(MIN_SCATTER_PX, noise_px)
+    residuals_px = _residuals_px(places_px, times, degree)
+    is_cut = is_even & (residuals_px > MIN_BROKEN * scatter_px)
+    if not is_cut.any():
         return ""
-    return f"{text} {track.frames[rows[cut + side]]}"
+    clocks = {
+        f"frames seem to be missing, {count} before frame": times + count * is_later
+        for count in range(1, MAX_MISSING + 1)
+    }
+    clocks["a frame seems to be shown again at frame"] = times - is_later
+    clocks |= {
+        f"the speed of the film seems to change by {speed:g} at frame": np.where(
+            is_later, speed * times, times
+        )
+        for speed in SPEEDS
+    }
+    best_px, text, window = min(
+        (residual_px, text, int(row))
+        for text, clock in clocks.items()
+        for row, residual_px in zip(
+            np.flatnonzero(is_cut),
+            _residuals_px(places_px[is_cut], clock, degree),
+            strict=True,
+        )
+    )
+    if best_px > MAX_WHOLE * scatter_px:
+        return ""
+    return f"{text} {track.frames[windows[window, side]]}"
 
 
 def _residuals_px(places_px: FloatArray, times: FloatArray, degree: int) -> FloatArray:
     """Return the residual of a polynomial in each window [px], of places of shape [window_count, frame_count, 2]."""
     basis = np.vander(times / len(times), degree + 1)
-    projected = np.eye(len(times)) - basis @ np.linalg.pinv(basis)
-    left = np.einsum("ij,wjk->wik", projected, places_px)
-    return np.asarray(np.sqrt((left**2).sum(axis=(1, 2)) / len(times)))
+    left_px = places_px - basis @ np.linalg.pinv(basis) @ places_px
+    return np.asarray(np.sqrt((left_px**2).sum(axis=(1, 2)) / len(times)))

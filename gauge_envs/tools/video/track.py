@@ -1,33 +1,29 @@
-"""The track of an object in a video: what every tracker writes, and all that the physics is judged by."""
+"""The track of an object in a video: what each tracker writes, and what the physics is judged by."""
 
 import csv
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
-from gauge_envs.errors import VideoError, first_fault
+from gauge_envs.errors import VideoError
 from gauge_envs.files import csv_text, os_errors, write_whole
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.video.frames import Registration, stretched
+from gauge_envs.tools.video.frames import Registration, laid_out
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
-MOST_NUMBER = 1e12
-"""Largest magnitude of a number; a clock may count seconds since 1970."""
-
-LAST_FRAME = 10**9
-"""Largest number of a frame."""
-
-LEAST_NOISE_PX = 0.1
-"""Smallest scatter of a tracker from frame to frame that is assumed [px]."""
+LIMITS = dict.fromkeys(
+    ["time", "x", "y", "x_grid", "y_grid", "x_mm", "y_mm"], (-1e12, 1e12)
+) | {"frame": (0.0, 1e9), "size": (1e-12, 1e12), "confidence": (0.0, 1.0)}
+"""Columns of a file with a track, and the range of their numbers."""
 
 GIVEN = "the track is as given: no picture was looked at"
-"""What is said of a track from a file."""
+"""Note on a track from a file."""
+
+MIN_NOISE_PX = 0.1
+"""Smallest scatter of a tracker from frame to frame that is assumed [px]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,11 +31,11 @@ class Event:
     """Something in a video that makes its track doubtful.
 
     Attributes:
-        kind: `given`, `camera`, `scene`, `registration`, `picture`, `cadence`, `time`, `file`.
-        first_frame: First frame of it.
-        last_frame: Last frame of it.
+        kind: `given`, `camera`, `scene`, `registration`, `picture`, `cadence`.
+        first_frame: Its first frame.
+        last_frame: Its last frame.
         text: Description with numbers.
-        is_note: Whether it is stated of a track that may be sound.
+        is_note: Whether the track may be sound all the same.
     """
 
     kind: str
@@ -47,20 +43,6 @@ class Event:
     last_frame: int
     text: str
     is_note: bool = False
-
-    @classmethod
-    def over(
-        cls, kind: str, frames: Sequence[int], text: str, *, is_note: bool = False
-    ) -> "Event":
-        """Return an event that was seen in some frames, in order, with the first and the last of them in its text."""
-        first, last = frames[0], frames[-1]
-        return cls(
-            kind=kind,
-            first_frame=first,
-            last_frame=last,
-            text=f"{text} (frames {first} to {last})",
-            is_note=is_note,
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,6 +84,11 @@ class Track:
         """Whether the object was found, shape [frame_count]."""
         return np.asarray(np.isfinite(self.points_px).all(axis=1))
 
+    @property
+    def times_s(self) -> FloatArray:
+        """Times of the frames [s], shape [frame_count]."""
+        return self.frames / self.fps if self.clock_s is None else self.clock_s
+
     def in_whole_px(self) -> "Track":
         """Return the track in whole pixels of the video, as the paper stores centroids, where its grid is known."""
         if self.registration is None:
@@ -113,53 +100,26 @@ class Track:
     def shown_px(self, row: int) -> FloatArray:
         """Return all places as the camera of a row sees them [px], shape [frame_count, 2]."""
         move = self.moves[row] if self.moves else None
-        return (
-            self.points_px
-            if move is None
-            else self.points_px @ move[:, :2].T + move[:, 2]
-        )
+        if move is None:
+            return self.points_px
+        return self.points_px @ move[:, :2].T + move[:, 2]
 
     def noise_px(self, span: tuple[int, int]) -> float:
-        """Return the scatter from frame to frame [px] in some rows, by third differences: smooth motions have none."""
+        """Return the scatter from frame to frame [px] in a range of rows.
+
+        Third differences of a smooth motion vanish; those of noise have 20 times its variance. The median deviation of
+        normal noise is 0.6745 of its standard deviation.
+        """
         points = self.points_px[span[0] : span[1] + 1]
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) < 8:
-            return LEAST_NOISE_PX
+            return MIN_NOISE_PX
         third = np.diff(points, n=3, axis=0)
         deviation = np.median(np.abs(third - np.median(third, axis=0)))
-        # The median deviation of normal noise is 0.6745 of its scatter; third differences have 20 times its variance.
-        return max(float(deviation) / 0.6745 / math.sqrt(20.0), LEAST_NOISE_PX)
-
-    @property
-    def times_s(self) -> FloatArray:
-        """Times of the frames [s], shape [frame_count]."""
-        return self.frames / self.fps if self.clock_s is None else self.clock_s
+        return max(float(deviation) / 0.6745 / math.sqrt(20.0), MIN_NOISE_PX)
 
 
-_or_none = BeforeValidator(lambda text: (text or "").strip() or None)
-Cell: TypeAlias = Annotated[
-    Annotated[float, Field(ge=-MOST_NUMBER, le=MOST_NUMBER)] | None, _or_none
-]
-"""Number of a cell; None for an empty one, to which no limit applies."""
-
-
-class _Row(BaseModel):
-    """Row of a track; other columns are ignored."""
-
-    time: Cell = None
-    frame: Annotated[
-        Annotated[float, Field(ge=0, le=LAST_FRAME, multiple_of=1)] | None, _or_none
-    ] = None
-    x: Cell = None
-    y: Cell = None
-    x_grid: Cell = None
-    y_grid: Cell = None
-    x_mm: Cell = None
-    y_mm: Cell = None
-    size: Annotated[Annotated[float, Field(gt=0, le=MOST_NUMBER)] | None, _or_none] = (
-        None
-    )
-    confidence: Annotated[Annotated[float, Field(ge=0, le=1)] | None, _or_none] = None
+# --- files ------------------------------------------------------------------------------------------------------------
 
 
 def read_track(
@@ -185,44 +145,19 @@ def read_track(
             is no finite number or a place outside of the video.
     """
     path = Path(path)
-    if fps is not None and not (math.isfinite(fps) and fps > 0.0):
-        raise VideoError(
-            f"fps is {fps}: state the frame rate of the video, as --fps 30"
-        )
-    rows = _rows(path)
-    names = rows[0].model_fields_set
-    unit = next((u for u in ("_mm", "_grid") if {f"x{u}", f"y{u}"} <= names), "")
-    missing = sorted({f"x{unit}", f"y{unit}"} - names)
-    if missing or not names & {"time", "frame"}:
+    values = _columns(path)
+    unit = next((u for u in ("_mm", "_grid") if {f"x{u}", f"y{u}"} <= {*values}), "")
+    missing = [name for name in (f"x{unit}", f"y{unit}") if name not in values]
+    if missing or not values.keys() & {"time", "frame"}:
         raise VideoError(
             f"{path}: there is no column {', '.join(missing) or 'time'}; the first line must name time or frame, then "
             "x and y, x_grid and y_grid, or x_mm and y_mm"
         )
-    # An empty cell is NaN.
-    values = {
-        name: np.array([getattr(row, name) for row in rows], dtype=float)
-        for name in _Row.model_fields
-    }
-    numbers = values["frame"] if "frame" in names else np.arange(len(rows))
-    if not np.isfinite(numbers).all() or not (np.diff(numbers) > 0.0).all():
-        raise VideoError(f"{path}: frame must increase from row to row")
-    frames = numbers.astype(np.int64)
-    clock_s = None
-    if {"time", "frame"} & names == {"time"} and fps is not None:
-        raise VideoError(f"{path}: its times state the rate: leave out --fps")
-    if "time" in names and fps is None:
-        clock_s = values["time"]
-        if len(rows) < 2 or not (np.diff(clock_s) > 0.0).all():
-            raise VideoError(f"{path}: time must increase from row to row [s]")
-        fps = 1.0 / float(np.median(np.diff(clock_s) / np.diff(frames)))
-        clock_s = clock_s - clock_s[0]
-    if fps is None:
-        raise VideoError(
-            f"{path}: it has no column time: give the frame rate, as --fps 30"
-        )
     places = np.column_stack([values[f"x{unit}"], values[f"y{unit}"]])
     is_found = np.isfinite(places).all(axis=1)
     places[~is_found] = np.nan
+    frames, clock_s, fps = _clock(path, values, fps)
+    registration = laid_out(REFERENCE_SIZE_PX if unit else size_px)
     if not unit:
         if ((places < 0.0) | (places > size_px)).any():
             width, height = size_px
@@ -230,73 +165,107 @@ def read_track(
                 f"{path}: x, y leave the picture of {width} x {height} pixels: put the video of another size beside "
                 "it, and leave cells empty where the object is not seen"
             )
-        places = places * np.array(REFERENCE_SIZE_PX) / np.array(size_px, dtype=float)
-    sizes = values["size"]
-    unknown = np.zeros(len(rows))
-    known = sizes[np.isfinite(sizes) & is_found]
+        places = places * registration.scale
+    unknown = np.full(len(places), np.nan)
+    sizes = values.get("size", unknown)
+    known_sizes = sizes[np.isfinite(sizes) & is_found]
+    confidence = np.nan_to_num(values.get("confidence", unknown), nan=1.0)
+    given = Event(
+        kind="given",
+        first_frame=0,
+        last_frame=int(frames[-1]),
+        text=GIVEN,
+        is_note=True,
+    )
+    zeros = np.zeros(len(places))
     return Track(
         frames=frames,
         fps=fps,
         points_px=places,
-        confidence=is_found * np.nan_to_num(values["confidence"], nan=1.0),
-        size_ratio=sizes / known[0] if len(known) else sizes,
-        misfit=unknown,
-        tint=unknown,
-        other_likeness=unknown,
-        events=(
-            Event(
-                kind="given",
-                first_frame=0,
-                last_frame=LAST_FRAME,
-                text=GIVEN,
-                is_note=True,
-            ),
-        ),
+        confidence=is_found * confidence,
+        size_ratio=sizes / known_sizes[0] if len(known_sizes) else unknown,
+        misfit=zeros,
+        tint=zeros,
+        other_likeness=zeros,
+        events=(given,),
         clock_s=clock_s,
         is_metric=unit == "_mm",
-        registration=None
-        if unit == "_mm"
-        else stretched(REFERENCE_SIZE_PX if unit else size_px),
+        registration=None if unit == "_mm" else registration,
     )
 
 
 def save_track(track: Track, path: Path) -> Path:
     """Write a track as the CSV that `read_track` reads, on the grid or in millimetres, and return its path."""
     unit = "mm" if track.is_metric else "grid"
-    lines = [f"frame,time,x_{unit},y_{unit},size,confidence"]
-    for frame, time_s, place, size, sure in zip(
-        track.frames,
-        track.times_s,
-        track.points_px,
-        track.size_ratio,
-        track.confidence,
-        strict=True,
-    ):
-        cells = [
-            "" if np.isnan(value) else f"{value:.4f}" for value in (*place, size, sure)
-        ]
-        lines.append(f"{frame},{time_s:.6f},{','.join(cells)}")
+    text = f"frame,time,x_{unit},y_{unit},size,confidence\n"
+    numbers = np.column_stack([track.points_px, track.size_ratio, track.confidence])
+    for frame, time_s, row in zip(track.frames, track.times_s, numbers, strict=True):
+        cells = ["" if np.isnan(value) else f"{value:.4f}" for value in row]
+        text += f"{frame},{time_s:.6f},{','.join(cells)}\n"
     with os_errors(lambda cause: VideoError(f"{path}: cannot be written: {cause}")):
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, ("\n".join(lines) + "\n").encode())
+        write_whole(path, text.encode())
     return path
 
 
-def _rows(path: Path) -> list[_Row]:
-    """Return the rows of a CSV file."""
+def _columns(path: Path) -> dict[str, FloatArray]:
+    """Return the known columns of a CSV file by name; empty cells are NaN."""
     with os_errors(lambda cause: VideoError(f"{path}: cannot be read: {cause}")):
         content = path.read_bytes()
-    rows: list[_Row] = []
     try:
-        for cells in csv.DictReader(csv_text(content)):
-            if None in cells:
-                raise ValueError(f"line {len(rows) + 2} has more cells than line 1")
-            rows.append(_Row.model_validate(cells))
-    except ValidationError as error:
-        name, cause = first_fault(error)
-        raise VideoError(f"{path}: line {len(rows) + 2}: {name}: {cause}") from None
+        rows = list(csv.DictReader(csv_text(content)))
     except (ValueError, csv.Error) as error:
         raise VideoError(f"{path}: it is no CSV: {error}") from error
     if not rows:
         raise VideoError(f"{path}: there is no row below the names of the columns")
-    return rows
+    return {
+        name: np.array(
+            [
+                _number(row[name], name, f"{path}: line {line}")
+                for line, row in enumerate(rows, start=2)
+            ]
+        )
+        for name in LIMITS.keys() & rows[0].keys()
+    }
+
+
+def _number(text: str | None, name: str, place: str) -> float:
+    """Return the number in a cell; NaN for an empty one."""
+    if not text or text.isspace():
+        return math.nan
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    low, high = LIMITS[name]
+    if not low <= number <= high:
+        raise VideoError(
+            f"{place}: {name} is {text[:40]!r}; it must be a number from {low:g} to {high:g}"
+        )
+    return number
+
+
+def _clock(
+    path: Path, values: dict[str, FloatArray], fps: float | None
+) -> tuple[NDArray[np.int64], FloatArray | None, float]:
+    """Return frame numbers, times [s] where the file has them and no rate is given, and the frame rate [1/s]."""
+    count = len(next(iter(values.values())))
+    numbers = values.get("frame", np.arange(float(count)))
+    if not (np.diff(numbers, prepend=-1.0) > 0.0).all() or (numbers % 1.0).any():
+        raise VideoError(f"{path}: frame must increase from row to row, by integers")
+    frames = numbers.astype(np.int64)
+    times_s = values.get("time")
+    if fps is not None:
+        if not (math.isfinite(fps) and fps > 0.0):
+            raise VideoError(f"fps is {fps}: give the frame rate, as --fps 30")
+        if "frame" not in values:
+            raise VideoError(f"{path}: its times state the rate: leave out --fps")
+        return frames, None, fps
+    if times_s is None:
+        raise VideoError(
+            f"{path}: it has no column time: give the frame rate, as --fps 30"
+        )
+    if count < 2 or not (np.diff(times_s) > 0.0).all():
+        raise VideoError(f"{path}: time must increase from row to row [s]")
+    rate = 1.0 / float(np.median(np.diff(times_s) / np.diff(frames)))
+    return frames, times_s - times_s[0], rate

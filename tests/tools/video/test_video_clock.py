@@ -12,14 +12,14 @@ from gauge_envs.tools.video import score_track, video_task
 FPS = 30.0
 
 
-def judged(name, clock, seed, fps=FPS):
+def judged(name, clock, seed):
     """Score the track of a known motion, whose frame numbers a clock changes to those that are shown."""
     rng = np.random.default_rng(seed)
-    place, truth, duration_s = motion_on_grid(video_task(name), rng)
+    place, _, duration_s = motion_on_grid(video_task(name), rng)
     numbers = clock(np.arange(int(duration_s * FPS)))
     places = np.array([place(number / FPS)[0] for number in numbers])
     places += rng.normal(0.0, 0.1, places.shape)
-    return score_track(track_of(places, fps), video_task(name)), truth
+    return score_track(track_of(places, FPS), video_task(name))
 
 
 CLOCKS = {
@@ -35,17 +35,6 @@ CLOCKS = {
     ("name", "seed"), [("SlopeSlider-2-wood", 4), ("Turntable-2-metal", 3)]
 )
 def test_a_clock_that_is_not_that_of_the_motion_is_named(name, seed, words):
-    result, _ = judged(name, CLOCKS[words], seed)
+    result = judged(name, CLOCKS[words], seed)
     assert result.is_sound is (words == ""), result.reasons
     assert words in " ".join(result.reasons)
-
-
-@pytest.mark.parametrize("name", ["BouncingBall-rubber", "Pendulum-metal"])
-def test_a_rate_that_needs_more_gravity_than_there_is_is_doubted(name):
-    for factor in (1.0, 2.0):
-        result, truth = judged(name, CLOCKS[""], 11, fps=factor * FPS)
-        doubted = [one for one in result.findings if "times gravity" in one]
-        needed = truth.get("acceleration_m_s2", 0.0) / 9.81
-        if name == "Pendulum-metal":
-            needed = (1.1 / truth["pd"]) ** 2
-        assert bool(doubted) is (needed * factor**2 > 1.2)
