@@ -228,15 +228,23 @@ def _response(
 
 
 def _background(first: Picture, last: Picture, task: VideoTask) -> Picture:
-    """Return the first frame without the object: the last frame shows what it hides, or its edges are continued."""
+    """Return the first frame without the object.
+
+    The part that it hides is that of the first or of the last frame, of which one differs more from the object. Where
+    both show it, the surroundings are continued.
+    """
     start_px, size_px = np.array(task.centre_px), task.size_px
     low, high = (start_px + HIDDEN * size_px * np.array([[-1.0], [1.0]])).astype(int)
     left, top = np.maximum(low, 0)
     hidden = np.s_[top : high[1], left : high[0]]
-    change = colour_at(first, start_px, size_px) - colour_at(last, start_px, size_px)
-    if np.abs(change).max() > CHANGED_LEVELS:
+    colour, later = (colour_at(one, start_px, size_px) for one in (first, last))
+    if np.abs(colour - later).max() > CHANGED_LEVELS:
         background = first.copy()
-        background[hidden] = last[hidden]
+        before, after = (
+            np.linalg.norm(one[hidden] - colour, axis=2) for one in (first, last)
+        )
+        is_before = (before > after)[..., None]
+        background[hidden] = np.where(is_before, first[hidden], last[hidden])
         return background
     mask = np.zeros(first.shape[:2], np.uint8)
     mask[hidden] = 255

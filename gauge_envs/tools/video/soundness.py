@@ -148,7 +148,7 @@ def _changes(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> Iterator[
             MAX_MISFIT,
         ),
         ("changes its colour by up to {:.0f} levels of 255", track.tint, MAX_TINT),
-        ("has another look, {:.0%} unlike it", unlikeness, 1.0 - MIN_CONFIDENCE),
+        ("has another look", unlikeness, 1.0 - MIN_CONFIDENCE),
     ):
         odd = found[np.abs(changes[found]) > limit]
         if len(odd) > max_odd:

@@ -178,6 +178,8 @@ def _scene(task, rng):
     elif task.motion is Motion.PENDULUM:
         cv2.rectangle(scene, (400, 50), (426, 440), (28, 28, 28), -1)
         cv2.rectangle(scene, (0, 330), (width, height), (35, 35, 35), -1)
+        # The camera is seen to stand by the holes of the table.
+        scene[350:480:20, 10:380:20] = scene[350:480:20, 450:820:20] = 90
     else:
         cv2.rectangle(scene, (0, 275), (width, height), (95, 95, 95), -1)
         for x in (367.0, 404.0, 440.5):
