@@ -41,7 +41,7 @@ from gauge_envs.tools.dataset.statistics import (
     mean_and_sigma,
     rms_over_frames,
 )
-from gauge_envs.tools.dataset.trial import Stated, Trial, parse_trial
+from gauge_envs.tools.dataset.trial import Stated, parse_trial
 
 FLAGGED_DIFFERENCE = 0.05
 """Relative difference between imported and published baselines above which they are flagged."""
@@ -205,7 +205,7 @@ def _read(
     if sha256 in file_of:
         problem = f"it is a copy of {file_of[sha256]}"
         raise TrialError("(file)", problem, "each trial counts once")
-    trial = parse_trial(content, path.suffix.lower(), stated)
+    trial = parse_trial(content, stated)
     trajectory = trial_trajectory(trial, experiment)
     quaternions = None
     if experiment.score.observable is Observable.POSITION:
@@ -224,16 +224,7 @@ def _read(
         tracks = driver_tracks(trial, experiment)
     except TrialError as error:
         notes.append(error)
-    notes += _unused_faults(trial, experiment)
     return _Sample(sha256, trajectory, quaternions, events, tracks, notes)
-
-
-def _unused_faults(trial: Trial, experiment: Experiment) -> Iterator[TrialError]:
-    """Yield the faults of assets that the experiment does not use, such as a board that never moves."""
-    driven = {driver.body for driver in experiment.scene.drivers}
-    for name, fault in trial.faults.items():
-        if name not in driven:
-            yield fault
 
 
 def _imported(

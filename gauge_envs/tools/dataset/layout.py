@@ -13,7 +13,6 @@ Its irregularities are read too:
 
 Folders are read by their names, in any order and depth: a task, a material, a subtask, and words that say nothing about
 a trial (`NEUTRAL`). Trials in a folder of any other name may not be the published ones: they are left out and reported.
-A trial that is there in two forms counts once, in the published form.
 """
 
 import json
@@ -31,7 +30,6 @@ from gauge_envs.experiments.task_format import Group
 from gauge_envs.experiments.variants import Variant, matching_variants, variants
 from gauge_envs.files import json_document, printable
 from gauge_envs.tools.dataset.findings import ImportFinding, TrialError
-from gauge_envs.tools.dataset.trial import READERS
 
 REVISION_FILE = "gauge-dataset.json"
 """File at the top of a downloaded dataset that states its revision."""
@@ -39,7 +37,7 @@ REVISION_FILE = "gauge-dataset.json"
 FOLDER_SPELLINGS = {"foamcompression": "foamcompressing"}
 """Letters of task folders whose spelling differs from the metadata's."""
 
-NEUTRAL = {*Group, "data", "json", "csv", "mocap", "trials", "trajectories"}
+NEUTRAL = {*Group, "data", "json", "mocap", "trials", "trajectories"}
 """Names of folders that say nothing about a trial."""
 
 SUBTASK_FOLDER = re.compile(r"task\W*_?(\w+)", re.IGNORECASE)
@@ -139,7 +137,7 @@ def _read_folders(
         files = [
             folder / file
             for file in (*names, *folders)
-            if Path(file).suffix.lower() in READERS
+            if Path(file).suffix.lower() == ".json"
             and not file.startswith(".")
             and file != REVISION_FILE
         ]
@@ -150,17 +148,6 @@ def _read_folders(
                 # Trials of the published form count, other files beside them may be anything.
                 is_published = "json" in map(_plain, folder.relative_to(root).parts)
                 report(folder, error, left_out=is_published)
-    for variant, files in found.items():
-        suffixes = [path.suffix.lower() for path in files]
-        first = next(suffix for suffix in READERS if suffix in suffixes)
-        found[variant] = [path for path in files if path.suffix.lower() == first]
-        others = [path for path in files if path not in found[variant]]
-        if others:
-            problem = (
-                f"{len(others)} files {others[0].suffix} of {variant.name} are not read"
-            )
-            fault = TrialError("(folder)", problem, f"those of {first} count")
-            report(others[0].parent, fault, left_out=False)
     return found, findings
 
 
@@ -171,57 +158,37 @@ def _variant(root: Path, folder: Path) -> Variant:
         TrialError: The folder is that of no variant.
     """
     families = _families()
-    parts = _parts_from_task(root, folder)
-    named = [part for part in parts if _plain(part) in families]
-    ignored = {*NEUTRAL, *map(_plain, named)}
-    family = families[_plain(named[0])]
-    spec = task_spec(family)
-    materials = {_plain(name): name for name in spec.materials}
-    for name, published in spec.metadata_materials.items():
-        materials[_plain(published)] = name
-    subtasks = ", ".join(f"task-{name}" for name in spec.subtasks) or "no task folder"
-    material: str | None = None
-    subtask: str | None = None
-    for part in parts:
-        match = SUBTASK_FOLDER.fullmatch(part)
-        if _plain(part) in ignored:
-            continue
-        if material is None and _plain(part) in materials:
-            material = materials[_plain(part)]
-        elif subtask is None and match:
-            subtask = match[1]
-        else:
-            problem = f"{part!r} is neither a material nor a subtask of {family}"
-            expected = (
-                f"materials are {', '.join(materials.values())}; subtasks: {subtasks}"
-            )
-            raise TrialError("(folder)", problem, expected)
-    if material is None and len(spec.materials) == 1:
-        material = spec.materials[0]
-    if material is None:
-        problem = f"it names no material of {family}"
-        expected = f"a folder of {', '.join(materials)} is expected"
-        raise TrialError("(folder)", problem, expected)
-    if subtask not in (spec.subtasks or (None, "1")):
-        problem = f"{family} has no subtask {subtask!r} in the data"
-        raise TrialError("(folder)", problem, f"{subtasks} is expected")
-    return Variant(family, subtask if spec.subtasks else None, material)
-
-
-def _parts_from_task(root: Path, folder: Path) -> tuple[str, ...]:
-    """Return the names of the folders of a trial, with one of a task among them."""
-    families = _families()
-    parts = folder.relative_to(root).parts
-    if any(_plain(part) in families for part in parts):
-        return parts
-    # The folder of a task, or one below it, was given as that of the dataset.
-    parts = folder.resolve().parts
+    below = folder.relative_to(root).parts
+    parts = (*root.resolve().parts, *below)
     tasks = [index for index, part in enumerate(parts) if _plain(part) in families]
     if not tasks:
         problem = "no folder above it is a known task"
         expected = f"that of a task below {', '.join(Group)} is expected"
         raise TrialError("(folder)", problem, expected)
-    return parts[tasks[-1] :]
+    family = families[_plain(parts[tasks[-1]])]
+    # Folders above the dataset have any name; the dataset may be the folder of a task, or below it.
+    parts = parts[min(tasks[-1], len(parts) - len(below)) :]
+    folders = [part for part in parts if _plain(part) not in {*NEUTRAL, *families}]
+    spec = task_spec(family)
+    materials = {_plain(name): name for name in spec.materials}
+    for name, published in spec.metadata_materials.items():
+        materials[_plain(published)] = name
+    material = spec.materials[0] if len(spec.materials) == 1 else None
+    subtask = None
+    is_known = True
+    for part in folders:
+        if _plain(part) in materials:
+            material = materials[_plain(part)]
+        elif match := SUBTASK_FOLDER.fullmatch(part):
+            subtask = match[1]
+        else:
+            is_known = False
+    if not is_known or not material or subtask not in (spec.subtasks or (None, "1")):
+        problem = f"{'/'.join(folders)!r} names no material and subtask of {family}"
+        subtasks = ", ".join(f"task-{name}" for name in spec.subtasks)
+        expected = f"materials: {', '.join(materials.values())}; subtasks: {subtasks or 'no task folder'}"
+        raise TrialError("(folder)", problem, expected)
+    return Variant(family, subtask if spec.subtasks else None, material)
 
 
 @cache

@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.errors import ShapeError
+from gauge_envs.errors import ShapeError, first_names
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import observe_markers
@@ -23,7 +23,7 @@ from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.bench.driver_fit import motion_coordinates
 from gauge_envs.tools.dataset.findings import TrialError
-from gauge_envs.tools.dataset.trial import PoseTrack, Trial
+from gauge_envs.tools.dataset.trial import PoseTrack, Trial, check_lengths
 
 MAX_START_DISTANCE_MM = 300.0
 """Largest distance of a start from the calibrated start; beyond it frame, unit or body is another one."""
@@ -74,7 +74,7 @@ def trial_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
     markers = experiment.scene.markers
     if experiment.score.observable is Observable.POSITION or markers is None:
         tracks = {name: _pose_track(trial, name) for name in experiment.recorded}
-        _check_lengths({name: track.positions_mm for name, track in tracks.items()})
+        check_lengths({name: track.positions_mm for name, track in tracks.items()})
         for name, track in tracks.items():
             _check_start(name, track, experiment.scene.body(name).pose)
         values = np.concatenate(
@@ -158,18 +158,7 @@ def _pose_track(trial: Trial, name: str) -> PoseTrack:
 
 
 def _contents(trial: Trial) -> str:
-    names = sorted([*trial.poses, *trial.markers])
-    more = f", ... {len(names)} in all" if len(names) > 8 else ""
-    return f"the file has {', '.join(names[:8]) or 'no asset'}{more}"
-
-
-def _check_lengths(arrays: Mapping[str, FloatArray]) -> None:
-    """Raise an error if arrays are not as long as the longest."""
-    longest = max(arrays, key=lambda name: len(arrays[name]))
-    for name, array in arrays.items():
-        if len(array) != len(arrays[longest]):
-            expected = f"{len(arrays[longest])} are expected, as {longest} has"
-            raise TrialError(name, f"it has {len(array)} frames", expected)
+    return f"the file has {first_names([*trial.poses, *trial.markers])}"
 
 
 def _check_start(name: str, track: PoseTrack, start: Pose) -> None:
@@ -222,7 +211,7 @@ def trial_markers_m(trial: Trial, experiment: Experiment) -> FloatArray:
     if len(positions) != count:
         problem = f"it has {len(positions)} markers"
         raise TrialError(", ".join(sets), problem, f"{count} are expected")
-    _check_lengths({name: next(iter(sets[name].values())) for name in sets})
+    check_lengths({name: next(iter(sets[name].values())) for name in sets})
     are_numbers = all(marker.isdecimal() for marker in positions)
     ids = sorted(positions, key=int if are_numbers else str)
     positions_mm = np.stack([positions[marker] for marker in ids], axis=1)

@@ -4,21 +4,16 @@ A trial is a JSON object with `FPS`, `translation unit` and one object per asset
 and usually `qx`, `qy`, `qz`, `qw`; `ex`, `ey`, `ez` are not used. A marker set has an object with `x`, `y`, `z` per
 marker id. Each list has one sample per frame; `null` or NaN is a sample that was not captured.
 
-A CSV file has a column for each of these lists, as `cube.x`, `cube.qw`, `foam.17.x`; comments `# fps: 30` and
-`# unit: mm` state rate and unit. Columns of other names are not read.
-
 Unit and rate are never inferred from the values. Where a file has none, the caller states them (`Stated`).
 """
 
-import csv
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from gauge_envs.files import csv_text, json_document
+from gauge_envs.files import json_document
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.dataset.findings import TrialError
@@ -42,9 +37,6 @@ NORM_TOLERANCE = 0.01
 
 MAX_COORDINATE_MM = 1e5
 """Largest coordinate; the capture volume is a few metres wide."""
-
-COMMENT = re.compile(r"^#\s*(fps|unit)\s*[:=]\s*(\S+)", re.MULTILINE | re.IGNORECASE)
-"""Comment of a CSV file that states rate or unit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,27 +80,23 @@ class Trial:
     faults: Mapping[str, TrialError]
 
 
-def parse_trial(
-    content: bytes, suffix: str = ".json", stated: Stated | None = None
-) -> Trial:
+def parse_trial(content: bytes, stated: Stated | None = None) -> Trial:
     """Read and check one trial file.
 
     Args:
         content: The file's bytes.
-        suffix: Suffix of the file, in lower case: one of `READERS`.
         stated: Unit and rate of files that do not state them.
 
     Raises:
         TrialError: The file is damaged, or of another rate or unit; errors of a single asset are its `faults`.
     """
     try:
-        document = READERS[suffix](content)
+        document = json_document(content)
         if not isinstance(document, dict):
             raise ValueError(f"it is a {type(document).__name__}")
-    except (ValueError, csv.Error) as error:
-        problem = f"it is not {suffix[1:].upper()}: {error}"
+    except ValueError as error:
         expected = "a complete file of objects and lists is expected"
-        raise TrialError("(file)", problem, expected) from None
+        raise TrialError("(file)", f"it is not JSON: {error}", expected) from None
     scale_mm = _scale_mm(document, stated or Stated())
     poses: dict[str, PoseTrack] = {}
     markers: dict[str, Mapping[str, FloatArray]] = {}
@@ -124,40 +112,9 @@ def parse_trial(
         except TrialError as error:
             faults[name] = error
     if not (poses or markers or faults):
-        expected = (
-            "an object such as 'cube', or columns as cube.x, foam.17.x, are expected"
-        )
+        expected = "an object such as 'cube' is expected"
         raise TrialError("(file)", "it holds no asset", expected)
     return Trial(poses=poses, markers=markers, faults=faults)
-
-
-def _csv_document(content: bytes) -> dict[str, Any]:
-    """Return the columns of a CSV file in the objects of a JSON file, with rate and unit from its comments."""
-    text = csv_text(content).getvalue()
-    lines = [line for line in text.splitlines() if line.strip() and line[0] != "#"]
-    rows = list(csv.reader(lines))
-    if len(rows) < 2 or len({len(row) for row in rows}) > 1:
-        raise ValueError("a header and rows of equal length are needed")
-    if len(set(rows[0])) < len(rows[0]):
-        raise ValueError("a column occurs twice")
-    document: dict[str, Any] = {}
-    for title, *texts in zip(*rows, strict=True):
-        *assets, key = title.strip().split(".")
-        if len(assets) in (1, 2) and key in POSITION_KEYS + QUATERNION_KEYS:
-            parent = document
-            for asset in assets:
-                parent = parent.setdefault(asset, {})
-            parent[key] = [text.strip() or None for text in texts]
-    for name, value in COMMENT.findall(text):
-        is_rate = name.lower() == "fps"
-        document["FPS" if is_rate else "translation unit"] = (
-            float(value) if is_rate else value
-        )
-    return document
-
-
-READERS = {".json": json_document, ".csv": _csv_document}
-"""Readers by suffix; the first form counts where a trial is there in both."""
 
 
 def _scale_mm(document: Mapping[str, Any], stated: Stated) -> float:
@@ -185,7 +142,7 @@ def _pose_track(name: str, asset: Mapping[str, Any], scale_mm: float) -> PoseTra
     if not any(key in asset for key in QUATERNION_KEYS):
         return PoseTrack(positions_mm, None)
     quaternions = _table(name, asset, QUATERNION_KEYS)
-    _check_lengths({f"{name}.x": positions_mm, f"{name}.qx": quaternions})
+    check_lengths({f"{name}.x": positions_mm, f"{name}.qx": quaternions})
     with np.errstate(over="ignore"):
         norms = np.linalg.norm(quaternions, axis=1)
     is_wrong = np.abs(norms - 1.0) > NORM_TOLERANCE
@@ -208,7 +165,7 @@ def _marker_set(
         markers[marker] = _positions_mm(key, entry, scale_mm)
         # A marker is captured in all three coordinates or not at all.
         markers[marker][np.isnan(markers[marker]).any(axis=1)] = np.nan
-    _check_lengths({f"{name}.{marker}": markers[marker] for marker in markers})
+    check_lengths({f"{name}.{marker}": markers[marker] for marker in markers})
     return markers
 
 
@@ -239,12 +196,12 @@ def _table(name: str, asset: Mapping[str, Any], keys: Sequence[str]) -> FloatArr
         if column.ndim != 1 or not column.size:
             raise TrialError(place, f"it is {asset[key]!r:.40}", expected)
         columns[place] = column
-    _check_lengths(columns)
+    check_lengths(columns)
     return np.column_stack([*columns.values()])
 
 
-def _check_lengths(columns: Mapping[str, FloatArray]) -> None:
-    """Raise an error if arrays of an asset differ in their number of samples."""
+def check_lengths(columns: Mapping[str, FloatArray]) -> None:
+    """Raise an error if arrays differ in their number of samples."""
     first, *others = columns
     for place in others:
         if len(columns[place]) != len(columns[first]):
