@@ -24,23 +24,35 @@ from gauge_envs.tools.dataset.schema import BaselineLine
 
 STATUS_NOTE = "Baselines: mean (standard deviation) of the real trials, imported and published in the paper (Table 5)."
 
+MAX_EXPERIMENTS = 8
+"""Largest number of experiments of which an import shows all baselines."""
+
 EXPERIMENT = Column("id", "experiment", short_id, place=Place.HEADING)
 
 
 def import_document(imports: Sequence[ImportedTrials]) -> Document:
-    """Return the imported and the published baselines, one row per metric, and the imported drivers."""
+    """Return the imported and the published baselines, one row per metric, and the imported drivers.
+
+    Of many experiments, only those with a flagged baseline or a trial that is left out have rows.
+    """
     baselines: list[dict[str, Any]] = []
     drivers: list[dict[str, Any]] = []
-    flagged = 0
+    flagged, hidden = 0, 0
     for trials in imports:
         row = {"id": trials.variant.id}
         row["trials"] = f"{counted(trials.used, 'trial')}, {trials.left_out} left out"
+        flags = sum(line["flagged"] for line in trials.baselines)
+        flagged += flags
+        if len(imports) > MAX_EXPERIMENTS and not (flags or trials.left_out):
+            hidden += 1
+            continue
         baselines += [row | {"line": line} for line in trials.baselines]
-        flagged += sum(line["flagged"] for line in trials.baselines)
         if trials.facts:
             drivers += [row | driver.model_dump() for driver in trials.facts.drivers]
     note = f"{flagged} baselines differ from the published ones by more than {100 * FLAGGED_DIFFERENCE:.0f} %"
-    tables = [_baselines_table(baselines)]
+    if hidden:
+        note += f"; {counted(hidden, 'other experiment')}: gauge list references"
+    tables = [_baselines_table(baselines)] if baselines else []
     if drivers:
         tables.append(_drivers_table(drivers))
     tone = Tone.WARNING if flagged else Tone.NOTE
@@ -48,8 +60,8 @@ def import_document(imports: Sequence[ImportedTrials]) -> Document:
 
 
 def _baselines_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    def style(difference: float) -> str:
-        return "yellow" if abs(difference) > FLAGGED_DIFFERENCE else ""
+    def style(difference: float | None) -> str:
+        return "yellow" if abs(difference or 0.0) > FLAGGED_DIFFERENCE else ""
 
     return Table(
         columns=(

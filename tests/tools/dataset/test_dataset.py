@@ -153,7 +153,7 @@ def test_events_of_the_pendulum_have_baselines(tmp_path):
 
 
 @pytest.mark.slow
-def test_all_75_experiments_are_found_in_their_folders(tmp_path):
+def test_all_75_experiments_are_found_in_their_folders(tmp_path, gauge):
     names = [variant.name for variant in gauge_envs.variants()]
     for number, name in enumerate(names):
         amount = 1.0 + 1e-3 * number
@@ -161,6 +161,15 @@ def test_all_75_experiments_are_found_in_their_folders(tmp_path):
     outcomes = imported(tmp_path)
     assert list(outcomes) == names
     assert all((one.used, one.left_out) == (2, 0) for one in outcomes.values())
+    # Many experiments: only those with a flagged baseline are shown.
+    text = gauge("data", "import", tmp_path).stdout
+    flagged = [
+        name
+        for name, outcome in outcomes.items()
+        if any(line["flagged"] for line in outcome.baselines)
+    ]
+    assert [name for name in names if name in text] == flagged
+    assert 10 < len(flagged) < 65
 
 
 def test_bundled_trials_come_out_of_the_importer(tmp_path):
