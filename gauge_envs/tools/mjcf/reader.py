@@ -87,6 +87,7 @@ class BackendMJCF(BackendMuJoCo):
             )
         spec, model = _compiled(path)
         _, built, parts = build_model(scene, settings_for(scene, None))
+        _check_contents(path, model, built, scene)
         placed = _placed_scene(path, model, built, scene)
         for body, placed_body in zip(scene.bodies, placed.bodies, strict=True):
             if placed_body != body:
