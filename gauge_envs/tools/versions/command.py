@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.output import Format, message, print_document
+from gauge_envs.cli.output import Format, Progress, message, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -121,24 +121,35 @@ def backend_versions(
         )
     used = [side.requirement for side in sides if side.requirement]
     try:
-        if policy is not None:
-            returns = compare_returns(
-                subject, *sides, policy=policy, seeds=repeats, seed=seed, say=message
-            )
-            verdict, document = returns.verdict, report.returns_document(returns)
-        elif compares_motions(subject, sides):
-            motions, scores = compare_motions(subject, *sides, seed=seed, say=message)
-            verdict = motions.verdict
-            document = report.motions_document(motions, scores)
-        else:
-            releases = releases_between(sides, message) if bisect else []
-            used += [side.requirement for side in releases]
-            with bench(subject, states, steps=steps, seed=seed, say=message) as model:
-                tried: list[Release] = []
-                if bisect:
-                    sides, tried = find_change(model, releases, message)
-                found = compare(model, *sides)
-            verdict, document = found.verdict, report.comparison_document(found, tried)
+        with Progress("comparing", None):
+            if policy is not None:
+                returns = compare_returns(
+                    subject,
+                    *sides,
+                    policy=policy,
+                    seeds=repeats,
+                    seed=seed,
+                    say=message,
+                )
+                verdict, document = returns.verdict, report.returns_document(returns)
+            elif compares_motions(subject, sides):
+                motions, scores = compare_motions(
+                    subject, *sides, seed=seed, say=message
+                )
+                verdict = motions.verdict
+                document = report.motions_document(motions, scores)
+            else:
+                releases = releases_between(sides, message) if bisect else []
+                used += [side.requirement for side in releases]
+                with bench(
+                    subject, states, steps=steps, seed=seed, say=message
+                ) as model:
+                    tried: list[Release] = []
+                    if bisect:
+                        sides, tried = find_change(model, releases, message)
+                    comparison = compare(model, *sides)
+                verdict = comparison.verdict
+                document = report.comparison_document(comparison, tried)
     finally:
         for requirement in () if keep else used:
             remove_environment(requirement)

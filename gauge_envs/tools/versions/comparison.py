@@ -45,7 +45,7 @@ def compare(bench: Bench, before: Side, after: Side) -> Comparison:
         name: np.concatenate([run.arrays[name] for run in runs])
         for name in runs[0].arrays
     }
-    first, second = (run.words for run in runs)
+    first, second = (run.description for run in runs)
     names = first["names"]
     ruled = tuple(rulings(bench, sides, gap, states, first["fields"]))
     rights = {ruling.right for ruling in ruled if ruling.right}
@@ -140,7 +140,7 @@ def find_change(
 def _runs(bench: Bench, sides: Sequence[Side]) -> list[Output]:
     """Move the model on both sides, and check that a state of one side is a state of the other."""
     runs = bench.work(sides, task="run")
-    before, after = (run.words["sizes"] for run in runs)
+    before, after = (run.description["sizes"] for run in runs)
     if before != after:
         raise VersionsError(
             f"{bench.title}: {sides[0].title} compiles {before}; {sides[1].title} compiles {after}. No state fits both."

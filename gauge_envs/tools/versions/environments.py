@@ -142,9 +142,8 @@ def released_versions(package: str, python: Path) -> list[str]:
         VersionsError: The index does not answer.
     """
     text = _run([python, *PIP, "index", "versions", package], package)
-    versions = re.findall(r"[^\s,]+", text.partition("Available versions:")[2])
-    numbers = itertools.takewhile(lambda each: each[0].isdigit(), versions)
-    return sorted(numbers, key=version_key)
+    versions = text.partition("Available versions: ")[2].splitlines()[0]
+    return sorted(versions.split(", "), key=version_key)
 
 
 def _run(command: Sequence[str | Path], requirement: str) -> str:
@@ -201,7 +200,7 @@ def run_process(
 class Output(NamedTuple):
     """What a worker wrote: a description of the model, arrays, and the file of the arrays."""
 
-    words: Mapping[str, Any]
+    description: Mapping[str, Any]
     arrays: Arrays
     file: str
 
@@ -241,9 +240,11 @@ class Bench:
         outputs = []
         # NumPy parses the headers of arrays with `ast`, which is not safe in threads of Python 3.11.
         for name in names:
-            words = json.loads(name.with_suffix(".json").read_text(encoding="utf-8"))
+            description = json.loads(
+                name.with_suffix(".json").read_text(encoding="utf-8")
+            )
             with np.load(f"{name}.npz") as arrays:
-                outputs.append(Output(words, dict(arrays), f"{name}.npz"))
+                outputs.append(Output(description, dict(arrays), f"{name}.npz"))
         return outputs
 
     def execute(self, side: Side, name: Path) -> None:

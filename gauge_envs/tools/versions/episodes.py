@@ -98,7 +98,7 @@ def compare_motions(
     largest = np.max(distances, axis=1)
     limit = np.maximum(NOISE_FACTOR * noise, MIN_LIMIT * moved)
     scores = compare(results)
-    found = MotionComparison(
+    comparison = MotionComparison(
         subject=subject,
         before=before.title,
         after=after.title,
@@ -113,8 +113,8 @@ def compare_motions(
     )
     for index in np.flatnonzero(largest[:count] > limit)[:1]:
         name = trajectory.coordinates[int(np.argmax(distances[index]))]
-        found = replace(
-            found,
+        comparison = replace(
+            comparison,
             verdict=Verdict.DIFFERENT,
             first_s=float(times_s[index]),
             coordinate=coordinate_words(name),
@@ -122,7 +122,7 @@ def compare_motions(
             noise=float(noise[index]),
             right=_closer(scores, results, sides),
         )
-    return found, scores
+    return comparison, scores
 
 
 def _result(subject: str, side: Side, seed: int, say: Say) -> tuple[Result, RunRequest]:
@@ -300,7 +300,7 @@ def compare_returns(
         before=before.title,
         after=after.title,
         verdict=verdict,
-        versions=(outputs[0].words["version"], outputs[1].words["version"]),
+        versions=(outputs[0].description["version"], outputs[1].description["version"]),
         seeds=seeds,
         returns=(_mean(first), _mean(second)),
         change=change,

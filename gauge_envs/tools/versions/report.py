@@ -25,37 +25,41 @@ MAX_PAIRS = 5
 """Pairs of geoms in the table of a terminal."""
 
 
-def comparison_document(found: Comparison, tried: Sequence[Release] = ()) -> Document:
+def comparison_document(
+    comparison: Comparison, tried: Sequence[Release] = ()
+) -> Document:
     """Return the answer, where the sides differ first and most, the tables of differences, and which side is right."""
-    sides = f"{found.before} and {found.after}"
-    states = counted(found.states, "state")
-    if found.verdict is Verdict.DIFFERENT:
+    sides = f"{comparison.before} and {comparison.after}"
+    states = counted(comparison.states, "state")
+    if comparison.verdict is Verdict.DIFFERENT:
         answer = (
-            f"{sides} differ on {found.subject}: in {found.differing} of {states} one step from the same state gives "
-            f"other accelerations, by up to {100.0 * found.largest:.3g} %."
+            f"{sides} differ on {comparison.subject}: in {comparison.differing} of {states} one step from the same "
+            f"state gives other accelerations, by up to {100.0 * comparison.largest:.3g} %."
         )
     else:
-        noise = f"within its noise: accelerations differ by {100.0 * found.largest:.1g} % or less"
-        is_identical = found.verdict is Verdict.IDENTICAL
+        noise = f"within its noise: accelerations differ by {100.0 * comparison.largest:.1g} % or less"
+        is_identical = comparison.verdict is Verdict.IDENTICAL
         how = "bit for bit" if is_identical else noise
-        answer = f"{sides} compute the same on {found.subject}, {how}, in {states}."
+        answer = (
+            f"{sides} compute the same on {comparison.subject}, {how}, in {states}."
+        )
     differences = [
         f"{name}: step {each.step} of {each.segment}, a state of {each.of}; {each.quantity}: {each.detail}; "
         f"{each.where}: {each.acceleration_before:.5g} and {each.acceleration_after:.5g} (m/s^2 or rad/s^2)"
-        for name, each in (("first", found.first), ("largest", found.worst))
-        if each and (name, each) != ("largest", found.first)
+        for name, each in (("first", comparison.first), ("largest", comparison.worst))
+        if each and (name, each) != ("largest", comparison.first)
     ]
     notes = [
         f"{side} does not know, and runs without: {', '.join(dropped)}."
         for side, dropped in zip(
-            (found.before, found.after), found.dropped, strict=True
+            (comparison.before, comparison.after), comparison.dropped, strict=True
         )
         if dropped
     ]
-    if found.verdict is Verdict.DIFFERENT:
+    if comparison.verdict is Verdict.DIFFERENT:
         notes.append(
-            f"{found.right} is right, by the laws above."
-            if found.right
+            f"{comparison.right} is right, by the laws above."
+            if comparison.right
             else "No law that was checked shows which side is right."
         )
     parts: list[Part] = [
@@ -66,51 +70,51 @@ def comparison_document(found: Comparison, tried: Sequence[Release] = ()) -> Doc
             if differences
             else []
         ),
-        _table("Compiled fields", found.fields, "field where count before after"),
+        _table("Compiled fields", comparison.fields, "field where count before after"),
         _table(
             "Contacts (the five pairs that differ most; --json has all)",
-            found.pairs[:MAX_PAIRS],
+            comparison.pairs[:MAX_PAIRS],
             "pair contacts_before contacts_after depth_before_m depth_after_m",
         ),
         _table(
             "Motions that end differently",
-            found.settled,
+            comparison.settled,
             "segment body end_before end_after moved_before_m moved_after_m",
         ),
         _table(
             "Laws: the largest miss of each side, as a fraction",
-            found.rulings,
+            comparison.rulings,
             "law before after states right",
         ),
         *(Paragraph(note, Tone.ANSWER) for note in notes),
     ]
     shown = [part for part in parts if not isinstance(part, Table) or part.rows]
-    row = asdict(found) | {"tried": [asdict(release) for release in tried]}
+    row = asdict(comparison) | {"tried": [asdict(release) for release in tried]}
     return Document(parts=shown, rows=[row])
 
 
-def motions_document(found: MotionComparison, scores: ScoreComparison) -> Document:
+def motions_document(comparison: MotionComparison, scores: ScoreComparison) -> Document:
     """Return where two motions differ first, and the scores of both."""
     from gauge_envs.tools.compare import short_tables
 
-    sides = f"{found.before} and {found.after}"
-    largest = f"{quantity_text(found.largest)} {found.unit}"
-    noise = f"{quantity_text(found.noise)} {found.unit}, from an initial position 1e-9 m apart"
+    sides = f"{comparison.before} and {comparison.after}"
+    largest = f"{quantity_text(comparison.largest)} {comparison.unit}"
+    noise = f"{quantity_text(comparison.noise)} {comparison.unit}, from an initial position 1e-9 m apart"
     parts: list[Part] = list(short_tables(scores))
-    if found.verdict is Verdict.DIFFERENT:
+    if comparison.verdict is Verdict.DIFFERENT:
         answer = (
-            f"{sides} give different motions of {found.subject}: {found.coordinate} differs first, after "
-            f"{found.first_s:.3g} s by {quantity_text(found.difference)} {found.unit} (noise: {noise}). The largest "
-            f"difference is {largest}."
+            f"{sides} give different motions of {comparison.subject}: {comparison.coordinate} differs first, after "
+            f"{comparison.first_s:.3g} s by {quantity_text(comparison.difference)} {comparison.unit} (noise: {noise}). "
+            f"The largest difference is {largest}."
         )
-        right = f"{found.right or 'Neither side'} is closer to the reference beyond its uncertainty."
+        right = f"{comparison.right or 'Neither side'} is closer to the reference beyond its uncertainty."
         parts.append(Paragraph(right, Tone.ANSWER))
     else:
         how = f"within its noise: they differ by {largest} or less (noise: {noise})"
-        is_identical = found.verdict is Verdict.IDENTICAL
-        answer = f"{sides} give the same motion of {found.subject}, {'bit for bit' if is_identical else how}."
+        is_identical = comparison.verdict is Verdict.IDENTICAL
+        answer = f"{sides} give the same motion of {comparison.subject}, {'bit for bit' if is_identical else how}."
     return Document(
-        parts=[Paragraph(answer, Tone.ANSWER), *parts], rows=[asdict(found)]
+        parts=[Paragraph(answer, Tone.ANSWER), *parts], rows=[asdict(comparison)]
     )
 
 
@@ -121,11 +125,11 @@ RETURNS = {
 }
 
 
-def returns_document(found: ReturnComparison) -> Document:
+def returns_document(comparison: ReturnComparison) -> Document:
     """Return what a policy reaches on both sides."""
     rows = {
-        "return": (*found.returns, found.change),
-        "success": (*found.success, found.success_change),
+        "return": (*comparison.returns, comparison.change),
+        "success": (*comparison.success, comparison.success_change),
     }
     table = _table(
         "Means with 95 % intervals; the change is seed by seed",
@@ -136,10 +140,12 @@ def returns_document(found: ReturnComparison) -> Document:
         "name before after change",
     )
     answer = (
-        f"{found.before} and {found.after} give {RETURNS[found.verdict]} in {found.subject}, over "
-        f"{counted(found.seeds, 'seed')}."
+        f"{comparison.before} and {comparison.after} give {RETURNS[comparison.verdict]} in {comparison.subject}, over "
+        f"{counted(comparison.seeds, 'seed')}."
     )
-    return Document(parts=[Paragraph(answer, Tone.ANSWER), table], rows=[asdict(found)])
+    return Document(
+        parts=[Paragraph(answer, Tone.ANSWER), table], rows=[asdict(comparison)]
+    )
 
 
 def _table(title: str, rows: Sequence[Any], names: str) -> Table:

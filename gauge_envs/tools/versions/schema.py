@@ -34,7 +34,7 @@ class Verdict(StrEnum):
 
 
 class Quantity(StrEnum):
-    """What parts first between two versions from the same state, in the order in which an engine computes it."""
+    """What differs first between two versions from the same state, in the order in which an engine computes it."""
 
     CONTACTS = "contact count"
     DEPTH = "contact depth"
@@ -66,15 +66,15 @@ class Side:
 
 @dataclass(frozen=True, kw_only=True)
 class Parting:
-    """Where two versions part from one state.
+    """Where two versions differ, from one state.
 
     Attributes:
         segment: Segment of the motion, as `push`.
         step: Step of the segment.
         of: Version whose motion visits the state.
-        quantity: What parts first in the order of computation.
+        quantity: What differs first in the order of computation.
         detail: That quantity in words, on both sides.
-        where: Body or joint whose acceleration parts most.
+        where: Body or joint whose acceleration differs most.
         acceleration: Difference of the accelerations over the larger one.
         limit: Difference above which it counts: ten times the noise at this state.
         acceleration_before, acceleration_after: Acceleration there [m/s^2 or rad/s^2].
@@ -143,14 +143,14 @@ class PairChange:
 
 @dataclass(frozen=True, kw_only=True)
 class Settled:
-    """What became of a start on both sides.
+    """What became of a motion on both sides.
 
     Attributes:
         segment: The segment of the motion.
         body: Body whose end differs most.
         difference_m: Distance between its two ends [m].
-        noise_m: Distance between two ends of the first version, from starts that differ by 1e-10 [m].
-        moved_before_m, moved_after_m: How far the body is from its start [m].
+        noise_m: Distance between two final positions of one version, from initial velocities that differ by 1e-10 [m].
+        moved_before_m, moved_after_m: How far the body is from its initial position [m].
         depth_before_m, depth_after_m: Deepest contact of the body [m].
         speed_before_m_per_s, speed_after_m_per_s: Speed of the body at the end [m/s].
         end_before, end_after: stands, moves, falls, penetrates or explodes.
@@ -198,17 +198,17 @@ class Comparison:
         versions: Version of the engine on each side.
         verdict: Whether they differ.
         states: States that were computed on both sides.
-        differing: Those in which the accelerations part by more than the limit.
+        differing: Those in which the accelerations differ by more than the limit.
         largest: Largest difference of accelerations over the larger one.
         noise: Median over the states of the noise: what a start that is 1e-10 apart, or a solver without its warm
             start, changes.
-        first: Where they part first; None if they do not.
-        worst: Where they part most; None if they do not.
+        first: Where they differ first; None if they do not.
+        worst: Where they differ most; None if they do not.
         fields: Compiled fields that differ.
         new_fields: Compiled fields and flags that one side alone has.
         dropped: Attributes of the model file that each side does not know.
         pairs: Contact pairs that differ.
-        settled: Starts that end differently.
+        settled: Motions that end differently.
         rulings: Laws that were applied.
         right: Title of the side that is right; empty if nothing here can tell.
     """
@@ -242,11 +242,11 @@ class MotionComparison:
         before, after: Titles of the sides.
         verdict: Whether they differ by more than ten times the noise.
         unit: Unit of the coordinates.
-        first_s: Time at which they part first [s]; None if they do not.
-        coordinate: Coordinate that parts first, as `x of the cube`.
-        difference: How far it is apart then.
+        first_s: Time at which they differ first [s]; None if they do not.
+        coordinate: Coordinate that differs first, as `x of the cube`.
+        difference: Difference of the coordinate then.
         largest: Largest difference of a coordinate in the whole motion.
-        noise: What a start that is 1e-9 m apart changes until then, on the noisier side.
+        noise: What an initial position 1e-9 m apart changes until then, on the noisier side.
         right: Title of the side that is closer to the reference by more than its uncertainty; empty if none is.
     """
 

@@ -259,7 +259,7 @@ def get_state(data: Any) -> Job:
     return {name: np.array(getattr(data, name)) for name in (*STATE, "time")}
 
 
-def own_segments(model: Any, steps: int, seed: int) -> Iterator[Segment]:
+def default_segments(model: Any, steps: int, seed: int) -> Iterator[Segment]:
     """Yield motions from the initial state and keyframes, with random controls, and after a push."""
     random = np.random.RandomState(seed)
     data = mujoco.MjData(model)
@@ -354,7 +354,7 @@ def run(job: Job) -> tuple[Job, Job]:
     """Move the model through its segments; return the model and the ends in words, and the states that it visits."""
     model, dropped = load_model(job)
     saved: Job = {"qpos": ()}
-    segments = own_segments(model, job["steps"], job["seed"])
+    segments = default_segments(model, job["steps"], job["seed"])
     if job["saved"]:
         saved = load_states(model, job["saved"])
         segments = saved_segments(model, saved, job["steps"])

@@ -1,10 +1,7 @@
 """What is compared, and on what: versions, environments of releases, models, saved states."""
 
-import os
-import signal
 import subprocess
 import sys
-import time
 
 import mujoco
 import numpy as np
@@ -127,46 +124,6 @@ def test_a_range_has_the_releases_of_the_index_between_its_ends(cache, monkeypat
     assert [each.title for each in releases] == ["mujoco==3.9.0", "mujoco==3.10.0"]
     with pytest.raises(ParameterError, match=r"newest are 3\.3\.0, 3\.9\.0, 3\.10\.0"):
         releases_between(read_sides("mujoco==3.3.1..3.8"), print)
-
-
-def started(folder, model):
-    """Start the command on a release that is not installed yet."""
-    words = ["backend", "versions", str(model), "mujoco==3.3.0", "mujoco", "--steps=3"]
-    return subprocess.Popen(
-        [sys.executable, "-c", "import gauge_command; gauge_command.main()", *words],
-        # With a cache it is installed before an interrupt comes.
-        env=os.environ
-        | {"GAUGE_CACHE_DIR": str(folder), "UV_NO_CACHE": "1", "PIP_NO_CACHE_DIR": "1"},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        # A shell in the background ignores interrupts, which its children inherit.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
-
-
-@pytest.mark.slow
-def test_an_interrupted_installation_is_not_used_and_two_commands_make_one(tmp_path):
-    """It needs a package index."""
-    model = tmp_path / "scene.xml"
-    model.write_text(SCENE)
-    folder = tmp_path / "versions"
-    interrupted = started(tmp_path, model)
-    assert "installed into" in interrupted.stderr.readline()
-    deadline_s = time.monotonic() + 60.0
-    while not list(folder.glob(".mujoco-*")):
-        assert time.monotonic() < deadline_s
-        time.sleep(0.05)
-    # A terminal interrupts the command with its children.
-    os.killpg(interrupted.pid, signal.SIGINT)
-    assert interrupted.wait(timeout=60.0) == 130
-    assert not list(folder.glob("mujoco-*"))
-    both = [started(tmp_path, model) for _ in range(2)]
-    said = [command.communicate()[1] for command in both]
-    assert [command.returncode for command in both] in ([0, 0], [1, 1])
-    assert sum("installed into" in text for text in said) == 1
-    assert [each.name[:6] for each in sorted(folder.iterdir())] == [".locks", "mujoco"]
 
 
 # --- models ----------------------------------------------------------------------------------------------------------
