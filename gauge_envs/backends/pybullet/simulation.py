@@ -1,7 +1,6 @@
 """A PyBullet simulation: driving, stepping and reading of its state."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -156,11 +155,7 @@ class SimulationPyBullet(PlacedSimulation):
     def moving_states(self, names: Sequence[str]) -> FloatArray:
         """Return poses and velocities of dynamic and driven bodies in Bullet, shape [1, len(names), 13]."""
         read = (self._read(*self._model.handles[name][0]) for name in names)
-        # A scene of foam alone has no such body.
-        states = np.array([[*chain.from_iterable(state)] for state in read])
-        places, turns, speeds, spins = np.split(
-            states.reshape(-1, 13), (3, 7, 10), axis=1
-        )
+        places, turns, speeds, spins = map(np.array, zip(*read, strict=True))
         frames = [self._model.frames[name] for name in names]
         axes = np.array([frame.quaternion for frame in frames])
         offsets_m = np.array([frame.centre_m for frame in frames])

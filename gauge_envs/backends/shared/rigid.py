@@ -103,7 +103,7 @@ class PlacedSimulation(Simulation):
 
     def body_states(self, names: Sequence[str]) -> FloatArray:
         """Return the states of bodies, shape [world_count, len(names), 13]; see `Simulation.body_states`."""
-        if self.placed.keys().isdisjoint(names):
+        if names and self.placed.keys().isdisjoint(names):
             return np.asarray(self.moving_states(names))
         states = np.empty((self.world_count, len(names), 13))
         moving = []
