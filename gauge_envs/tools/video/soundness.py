@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.tools.video.clock import clock_fault
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.tasks import Motion, VideoTask
 from gauge_envs.tools.video.track import Track
 
@@ -50,6 +50,26 @@ MIN_MOTION = 0.25
 """Smallest distance from its first place of an object that moves, in its sizes."""
 
 
+STRAIGHT, CURVED = (4, 2), (6, 3)
+"""Frames on either side of a cut by which it is judged, and degree of the polynomial that a smooth motion follows."""
+
+MAX_MISSING = 8
+"""Largest number of missing frames at a cut that is tried."""
+
+SPEEDS = (0.33, 0.4, 0.5, 0.6, 0.7, 1.4, 1.7, 2.0, 2.5, 3.0)
+"""Speeds after a cut that are tried, relative to that before it."""
+
+MIN_BROKEN, MAX_WHOLE = 5.0, 2.0
+"""Residual across a cut, relative to the scatter of the track, from which a motion is broken there, and up to which
+another clock makes it whole."""
+
+MAX_UNEVEN_FRAMES = 0.2
+"""Difference of the steps between frames, in frames, from which the track has a gap that it knows of."""
+
+MIN_SCATTER_PX = 0.2
+"""Smallest scatter that is assumed [px]."""
+
+
 def faults_of(track: Track, task: VideoTask, span: tuple[int, int] | None) -> list[str]:
     """Return why a track is not sound; the law of the motion plays no part.
 
@@ -67,12 +87,12 @@ def faults_of(track: Track, task: VideoTask, span: tuple[int, int] | None) -> li
         if not event.is_note and event.first_frame <= track.frames[watched[-1]]
     ]
     if span is None:
-        faults.append(short_motion(track, task))
+        faults.append(_short_motion(track, task))
     else:
-        faults.append(clock_fault(track, task, span, track.noise_px(span)))
+        faults.append(_clock_fault(track, task, span))
     is_twin = track.other_likeness >= MIN_TWIN_LIKENESS
     if is_twin.sum() >= MIN_TWIN_FRAMES:
-        where = runs_text(track.frames[is_twin])
+        where = _runs_text(track.frames[is_twin])
         faults.append(
             f"a second object of the same shape and colour is seen in frames {where}"
         )
@@ -90,7 +110,7 @@ def faults_of(track: Track, task: VideoTask, span: tuple[int, int] | None) -> li
     return [fault for fault in faults if fault]
 
 
-def short_motion(track: Track, task: VideoTask) -> str:
+def _short_motion(track: Track, task: VideoTask) -> str:
     """Return how far an object gets that slides or falls in too few frames to be judged; empty if it rests."""
     if task.direction is None or not track.is_found.any():
         return ""
@@ -102,7 +122,7 @@ def short_motion(track: Track, task: VideoTask) -> str:
     return f"the object moves by {away:.1f} of its size, in too few frames to be judged"
 
 
-def runs_text(frames: NDArray[np.int64]) -> str:
+def _runs_text(frames: NDArray[np.int64]) -> str:
     """Return frame numbers as runs: `3 to 9, 14`."""
     runs = np.split(frames, np.flatnonzero(np.diff(frames) != 1) + 1)
     texts = [f"{run[0]} to {run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs]
@@ -116,7 +136,7 @@ def _loss(track: Track, rows: NDArray[np.intp]) -> str:
     share = len(lost) / len(rows)
     if share <= MAX_ODD_SHARE:
         return ""
-    where = runs_text(track.frames[lost])
+    where = _runs_text(track.frames[lost])
     return f"the object is lost in {share:.0%} of the frames in frames {where}"
 
 
@@ -153,7 +173,7 @@ def _changes(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> Iterator[
         odd = found[np.abs(changes[found]) > limit]
         if len(odd) > max_odd:
             largest = text.format(max(changes[odd], key=abs))
-            yield f"the object {largest} in frames {runs_text(track.frames[odd])}"
+            yield f"the object {largest} in frames {_runs_text(track.frames[odd])}"
 
 
 def _first_place(track: Track, task: VideoTask) -> str:
@@ -217,3 +237,62 @@ def _appearances(track: Track, task: VideoTask) -> Iterator[str]:
             away = (away_px[row] - step_px) / task.size_px
             if 0 < row < len(track.frames) - 1 and away > MAX_BESIDE:
                 yield f"the ball appears or vanishes {away:.1f} of its size from its row in frame {track.frames[row]}"
+
+
+def _clock_fault(track: Track, task: VideoTask, span: tuple[int, int]) -> str:
+    """Return where frames are missing or the speed of a film changes; empty where its clock is that of the motion.
+
+    Across a cut, a smooth curve leaves a large residual. The residual is small once the later frames are moved in time
+    by whole frames, or run at another speed. A body that jumps or brakes seldom does that.
+
+    Args:
+        track: The track.
+        task: The task.
+        span: First and last retained row.
+    """
+    side, degree = CURVED if task.direction is None else STRAIGHT
+    rows = np.arange(span[0], span[1] + 1)
+    rows = rows[track.is_found[rows]]
+    if len(rows) < 2 * side:
+        return ""
+    windows = np.lib.stride_tricks.sliding_window_view(rows, 2 * side)
+    places_px = track.points_px[windows]
+    steps_s = np.diff(track.times_s[windows], axis=1)
+    is_even = np.ptp(steps_s, axis=1) < MAX_UNEVEN_FRAMES / track.fps
+    times = np.arange(2.0 * side) - side
+    is_later = times >= 0.0
+    scatter_px = max(MIN_SCATTER_PX, track.noise_px(span))
+    residuals_px = _residuals_px(places_px, times, degree)
+    is_cut = is_even & (residuals_px > MIN_BROKEN * scatter_px)
+    if not is_cut.any():
+        return ""
+    clocks = {
+        f"frames seem to be missing, {count} before frame": times + count * is_later
+        for count in range(1, MAX_MISSING + 1)
+    }
+    clocks["a frame seems to be shown again at frame"] = times - is_later
+    clocks |= {
+        f"the speed of the film seems to change by {speed:g} at frame": np.where(
+            is_later, speed * times, times
+        )
+        for speed in SPEEDS
+    }
+    best_px, text, window = min(
+        (residual_px, text, int(row))
+        for text, clock in clocks.items()
+        for row, residual_px in zip(
+            np.flatnonzero(is_cut),
+            _residuals_px(places_px[is_cut], clock, degree),
+            strict=True,
+        )
+    )
+    if best_px > MAX_WHOLE * scatter_px:
+        return ""
+    return f"{text} {track.frames[windows[window, side]]}"
+
+
+def _residuals_px(places_px: FloatArray, times: FloatArray, degree: int) -> FloatArray:
+    """Return the residual of a polynomial in each window [px], of places of shape [window_count, frame_count, 2]."""
+    basis = np.vander(times / len(times), degree + 1)
+    left_px = places_px - basis @ np.linalg.pinv(basis) @ places_px
+    return np.asarray(np.sqrt((left_px**2).sum(axis=(1, 2)) / len(times)))

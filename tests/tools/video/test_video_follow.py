@@ -8,9 +8,9 @@ import pytest
 
 cv2 = pytest.importorskip("cv2")
 
-from clips import clip  # noqa: E402
+from clips import clip, track_of  # noqa: E402
 
-from gauge_envs.tools.video import score, video_task  # noqa: E402
+from gauge_envs.tools.video import score, score_track, video_task  # noqa: E402
 from gauge_envs.tools.video.face import FaceDetector  # noqa: E402
 from gauge_envs.tools.video.shape import ShapeDetector  # noqa: E402
 from gauge_envs.tools.video.sight import Detection  # noqa: E402
@@ -285,3 +285,15 @@ def test_the_motion_of_a_camera_is_subtracted():
     place_px = result.track.points_px[-1]
     shown_px = result.track.shown_px(-1)[-1]
     assert shown_px == pytest.approx(place_px + shift[:, 2], abs=1.0)
+
+
+@pytest.mark.parametrize(("last", "is_sound"), [(11, True), (6, False)])
+def test_a_ball_of_a_cradle_that_fades_on_its_arc_is_named(last, is_sound):
+    length_px = math.dist(CRADLE.rest_px, CRADLE.pivot_px)
+    swing_rad = np.sin(np.pi * np.arange(1, 12) / 12.0)
+    swing_rad[last:] = np.nan
+    angles_rad = np.r_[np.full(12, np.nan), swing_rad, np.full(12, np.nan)]
+    arms_px = length_px * np.column_stack([np.sin(angles_rad), np.cos(angles_rad)])
+    result = score_track(track_of(CRADLE.pivot_px + arms_px, 24.0), CRADLE)
+    assert result.is_sound is is_sound
+    assert is_sound or "of its size from its row in frame 17" in result.reasons[0]
