@@ -32,16 +32,16 @@ class Event:
 
     Attributes:
         kind: `given`, `camera`, `scene`, `registration`, `picture`, `cadence`.
-        first_frame: Its first frame.
-        last_frame: Its last frame.
         text: Description with numbers.
+        first_frame: Its first frame.
+        last_frame: Its last frame; a number beyond all frames for the whole video.
         is_note: Whether the track may be sound all the same.
     """
 
     kind: str
-    first_frame: int
-    last_frame: int
     text: str
+    first_frame: int = 0
+    last_frame: int = 10**9
     is_note: bool = False
 
 
@@ -170,13 +170,6 @@ def read_track(
     sizes = values.get("size", unknown)
     known_sizes = sizes[np.isfinite(sizes) & is_found]
     confidence = np.nan_to_num(values.get("confidence", unknown), nan=1.0)
-    given = Event(
-        kind="given",
-        first_frame=0,
-        last_frame=int(frames[-1]),
-        text=GIVEN,
-        is_note=True,
-    )
     zeros = np.zeros(len(places))
     return Track(
         frames=frames,
@@ -187,7 +180,7 @@ def read_track(
         misfit=zeros,
         tint=zeros,
         other_likeness=zeros,
-        events=(given,),
+        events=(Event(kind="given", text=GIVEN, is_note=True),),
         clock_s=clock_s,
         is_metric=unit == "_mm",
         registration=None if unit == "_mm" else registration,

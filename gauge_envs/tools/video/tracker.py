@@ -75,21 +75,11 @@ def track_object(frames: Frames, task: VideoTask) -> Track:
         if cadence.is_new[number]
     ]
     path = followed(candidates, task, cadence.fps)
-    last_frame = int(numbers[-1])
-    events = [
-        Event(
-            kind=kind,
-            first_frame=0,
-            last_frame=last_frame,
-            text=text,
-            is_note=kind == "cadence",
-        )
-        for kind, text in (
-            ("registration", registration.problem),
-            ("cadence", cadence.text),
-        )
-        if text
-    ]
+    events = []
+    if registration.problem:
+        events.append(Event(kind="registration", text=registration.problem))
+    if cadence.text:
+        events.append(Event(kind="cadence", text=cadence.text, is_note=True))
     return Track(
         frames=numbers,
         fps=cadence.fps,
