@@ -19,6 +19,9 @@ from gauge_envs.tools.versions.sides import (
 )
 from gauge_envs.tools.versions.subject import check_states, read_subject
 
+OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+"""A tetrahedron."""
+
 # --- sides -----------------------------------------------------------------------------------------------------------
 
 
@@ -158,6 +161,17 @@ class Other(Made):
         mujoco.MjModel.from_xml_string("<mujoco/>")
 
 
+class Memory:
+    """An environment whose mesh is no file, so that the saved model does not load."""
+
+    def __init__(self):
+        xml = (
+            '<mujoco><asset><mesh name="m" file="m.obj"/></asset>'
+            '<worldbody><geom type="mesh" mesh="m"/></worldbody></mujoco>'
+        )
+        self.model = mujoco.MjModel.from_xml_string(xml, {"m.obj": OBJ.encode()})
+
+
 @pytest.mark.parametrize(
     ("name", "mass_kg"), [("made_model", 8.0), ("Made", 8.0), ("Changed", 16.0)]
 )
@@ -171,6 +185,7 @@ def test_a_function_that_makes_a_model_is_a_subject(tmp_path, name, mass_kg):
     ("text", "message"),
     [
         (f"{__name__}:Other", "incompatible models"),
+        (f"{__name__}:Memory", "saves another model"),
         (f"{__name__}:nothing", "nothing"),
         (f"{__name__}:leaves", "SystemExit: 3"),
         ("absent.xml", "no such file"),
@@ -298,9 +313,7 @@ def test_an_attribute_that_a_release_lacks_is_left_out_and_listed(
     ).replace("timestep", 'cone="round" timestep')
     model = tmp_path / "scene.xml"
     model.write_text(text)
-    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
-    faces = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
-    (tmp_path / "meshes" / "m.obj").write_text(corners + faces)
+    (tmp_path / "meshes" / "m.obj").write_text(OBJ)
     compiled, dropped = worker.load_model({"model": str(model), "settings": {}})
     assert set(dropped) == {
         'option newer="1"',
