@@ -73,6 +73,8 @@ PICTURES, PICTURE_SIZE_PX = 6, (416, 240)
 RETAINED, DROPPED, PRESENT = (80, 200, 80), (150, 150, 150), (60, 60, 230)
 """Colours in blue, green and red: of retained places, of dropped ones, and of the present place."""
 
+BLACK, WHITE = (0, 0, 0), (255, 255, 255)
+
 Clips: TypeAlias = Sequence[tuple[str, str, Path, VideoScore | None]]
 """Model, task, file and result of each clip; no result for a clip that cannot be scored."""
 
@@ -375,5 +377,6 @@ def drawn_frames(source: Frames, result: VideoScore) -> Iterator[Picture]:
             if past == row:
                 cv2.drawMarker(drawn, place_px, PRESENT, cv2.MARKER_CROSS, 22, 2)
         text = f"frame {number}, confidence {track.confidence[row]:.2f}"
-        cv2.putText(drawn, text, (10, 470), cv2.FONT_HERSHEY_SIMPLEX, 0.5, PRESENT)
+        cv2.rectangle(drawn, (0, 450), (220, 480), BLACK, -1)
+        cv2.putText(drawn, text, (10, 470), cv2.FONT_HERSHEY_SIMPLEX, 0.5, WHITE)
         yield drawn

@@ -184,7 +184,7 @@ def law_share(result: VideoScore, task: VideoTask) -> float:
     if not result.is_sound:
         return 0.0
     # A cube that stands still needs no force.
-    is_still = result.details.get("displacement", 1.0) < MIN_DISPLACEMENT
+    is_still = result.details.get("displacement_in_sizes", 1.0) < MIN_DISPLACEMENT
     shares = []
     for name in task.law.keys() - {"qfi"}:
         value = result.metrics[name]
@@ -222,7 +222,7 @@ def _findings(
         findings.append(
             f"the motion needs {gravity:.1f} times gravity: the frame rate may be wrong, give --fps"
         )
-    displacement = values.get("displacement", 1.0)
+    displacement = values.get("displacement_in_sizes", 1.0)
     if displacement < MIN_DISPLACEMENT:
         findings.append(
             f"the object moves by {displacement:.2f} of its size: a dynamic error of 0 says little"
@@ -275,7 +275,7 @@ def measure(
             "de": de_n,
             "largest_a_m_s2": float(accelerations_m_s2.max()),
             "exceeding_share": float((accelerations_m_s2 > limit_m_s2).mean()),
-            "displacement": float(away_m.max()) / task.size_m,
+            "displacement_in_sizes": float(away_m.max()) / task.size_m,
         }
     angles_rad = laws.swing_angles_rad(whole, task)[rows]
     if task.rest_px is None:

@@ -18,7 +18,7 @@ from pydantic import TypeAdapter
 
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.files import toml_document
+from gauge_envs.files import csv_text, toml_document
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.tables import scoring_folder
 from gauge_envs.scene import Scene
@@ -155,8 +155,7 @@ def _slide_trials() -> dict[str, dict[str, dict[str, float]]]:
 def _published_rows() -> tuple[dict[str, str], ...]:
     """Return the rows of Table 3 of GAUGE's paper."""
     file = scoring_folder("published") / "world_model_results.csv"
-    with file.open(newline="", encoding="utf-8") as stream:
-        return tuple(csv.DictReader(stream))
+    return tuple(csv.DictReader(csv_text(file.read_bytes())))
 
 
 @cache

@@ -134,3 +134,19 @@ def test_a_stop_ends_a_slide_and_a_halt_does_not(frames, last):
     along_px = displacement_px(driven(SLIDE.id, 2.5), SLIDE)[frames, None]
     track = track_of(SLIDE.centre_px + along_px * np.array(SLIDE.direction), 30.0)
     assert retained(track, SLIDE)[1] == pytest.approx(last, abs=1)
+
+
+def test_the_last_frame_of_a_ball_that_leaves_the_picture_does_not_count():
+    """It shows a part of the ball, whose centre is above that of the ball."""
+    ball = video_task("BouncingBall-rubber")
+    track = driven(ball.id, 9.81)
+    track.points_px[21:] = np.nan
+    assert retained(track, ball)[1] == 19
+
+
+def test_a_shadow_that_appears_after_the_first_frame_is_no_motion():
+    ball = video_task("BouncingBall-rubber")
+    still = driven(ball.id, 4.0, release_s=0.2)
+    shadowed = driven(ball.id, 4.0, release_s=0.2)
+    shadowed.points_px[1:, 1] += 1.0
+    assert retained(shadowed, ball) == retained(still, ball)
