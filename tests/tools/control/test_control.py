@@ -80,29 +80,6 @@ def test_what_is_shown_is_the_approved_text(gauge, approved, name, words):
     approved(f"control/{name}", approval.readable(gauge("show", *words.split())))
 
 
-def test_worlds_end_and_restart_alone_and_report_each_end():
-    """Many worlds are Gymnasium's vector environment of single ones."""
-    envs = gymnasium.make_vec(
-        "GAUGE/Carry-Limit-wood", num_envs=2, settings={"timestep_s": 1 / 1080}
-    )
-    observations, _ = envs.reset(seed=3)
-    # Each world draws its own goal.
-    assert not np.allclose(observations[0], observations[1])
-    endings = []
-    for _ in range(60):
-        actions = [
-            env.unwrapped.law_action(share)
-            for env, share in zip(envs.envs, (0.9, 1.3), strict=True)
-        ]
-        _, _, terminations, truncations, infos = envs.step(actions)
-        if "limit" in infos:
-            assert np.array_equal(infos["_limit"], terminations | truncations)
-            endings += [str(report.ending) for report in infos["limit"] if report]
-    assert endings == ["reached"] * len(endings)
-    assert len(endings) >= 2
-    envs.close()
-
-
 # --- limits and their uncertainty ---
 
 
@@ -136,6 +113,15 @@ def test_an_override_changes_the_limit_and_not_its_uncertainty():
     )
     assert other.value == 0.2
     assert other.sigma == nominal.sigma == friction_std(nominal.value, "plastic")
+
+
+def test_a_task_steps_as_chosen_unless_settings_are_given():
+    for settings, step_s in (
+        ({"preset": "training"}, 1 / 180),
+        ({"preset": "training", "timestep_s": 1 / 360}, 1 / 360),
+    ):
+        env = make("Throw-Limit-rubber", settings=settings)
+        assert env.simulation.settings["timestep_s"] == step_s
 
 
 def test_a_jittered_start_has_its_own_limit_and_the_next_start_the_nominal_one():

@@ -38,6 +38,16 @@ def test_pendulum_returns_at_most_one():
     assert paid == pytest.approx(1.0 / 1.02, abs=2e-3)
 
 
+def test_pendulum_braking_is_not_paid_back():
+    env = make("Pendulum-Limit-metal")
+    env.reset()
+    spent = env.step(np.ones(1))[0][3]
+    observation = env.step(np.array([-0.5]))[0]
+    # It still swings forward.
+    assert observation[1] > 0.0
+    assert observation[3] == spent > 0.0
+
+
 @both
 def test_applied_torque_swings_the_pendulum(engine):
     scene = PendulumLimit("metal").experiment.scene

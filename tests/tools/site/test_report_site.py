@@ -208,12 +208,15 @@ def test_a_new_site_replaces_the_old_one_and_an_interrupted_one_does_not(
 
 
 def test_poses_are_those_of_the_trajectory(slide):
-    made = replay(slide)
-    _, values = slide.trajectory.arrays()
-    # 180 samples a second in the result, 60 views a second in the replay, single precision.
-    assert made.rate_hz == 60.0
-    assert made.bodies == ("cube",)
-    np.testing.assert_allclose(1e3 * made.poses[:, 0, :3], values[::3], atol=1e-4)
+    coarse = run_episode(RunRequest(SLIDE, settings={"preset": "out_of_box"}))
+    for result in (slide, coarse):
+        made = replay(result)
+        _, values = result.trajectory.arrays()
+        # 180 samples a second in the result, 60 views a second in the replay, single precision.
+        assert made.rate_hz == 60.0
+        assert made.bodies == ("cube",)
+        places_mm = 1e3 * made.poses[:, 0, :3]
+        np.testing.assert_allclose(places_mm, values[::3], atol=1e-4)
 
 
 MODEL = {"file": "slide.xml", "kind": "model"}
@@ -243,9 +246,11 @@ def test_a_quantized_position_is_within_half_a_step():
     np.testing.assert_allclose(step[:2], np.ptp(positions, axis=(0, 1))[:2] / 65534)
 
 
-def test_the_ghost_has_the_real_values_along_the_measured_directions(slide):
-    band = reference_band(recorded_experiment(slide))
-    ghost = replay_data(slide, label="", color="")["ghost"]
+def test_data_have_the_slope_of_the_cube_and_the_real_values_as_ghost(slide):
+    data = replay_data(slide, label="", color="")
+    cosine = np.frombuffer(b64decode(data["turns"]), "<i2")[3] / 32767
+    assert np.degrees(2.0 * np.arccos(abs(cosine))) == pytest.approx(30.0, abs=0.1)
+    band, ghost = reference_band(recorded_experiment(slide)), data["ghost"]
     places_mm = 1e3 * np.array(ghost["places"])[:, 0]
     # Rounded to 10 micrometres.
     np.testing.assert_allclose(band.project(places_mm), band.mean, atol=0.02)
