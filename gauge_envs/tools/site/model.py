@@ -47,8 +47,8 @@ class Site:
     def names(self) -> tuple[Html, ...]:
         """Label of each configuration behind a piece of its line, with whose physics it is below."""
         return tuple(
-            join([self.swatch(index), self.labels[index], below(one.physics)])
-            for index, one in enumerate(self.comparison.configurations)
+            join([self.swatch(index), self.labels[index], below(configuration.physics)])
+            for index, configuration in enumerate(self.comparison.configurations)
         )
 
     @staticmethod
