@@ -131,17 +131,15 @@ def _motion(source: Source, prim: Usd.Prim, *, is_welded: bool) -> Motion:
         standard = Motion.KINEMATIC if is_driven else Motion.DYNAMIC
     attribute = prim.GetAttribute("gauge:motion")
     exact = source.text(attribute, tuple(Motion))
-    if exact is None:
+    written = attribute.GetCustomDataByKey(WRITTEN) if attribute else None
+    if exact in (None, standard, written):
         return standard
-    written = attribute.GetCustomDataByKey(WRITTEN)
-    if standard in (exact, written):
-        return Motion(exact)
-    if exact == written:
-        return standard
-    raise source.fault(
-        attribute,
-        f"is {exact}, but UsdPhysics makes the body {standard}: make them agree",
-    )
+    if standard != written:
+        raise source.fault(
+            attribute,
+            f"is {exact}, but UsdPhysics makes the body {standard}: make them agree",
+        )
+    return Motion(exact)
 
 
 # --- shapes ----------------------------------------------------------------------------------------------------------
@@ -176,7 +174,11 @@ def _polyhedron(pieces_m: Sequence[FloatArray]) -> ConvexUnion:
 def _solid(source: Source, body: Usd.Prim, frame: Frame, prim: Usd.Prim) -> Solid:
     """Return the shape of a collider in the unscaled frame of its body."""
     cache = UsdGeom.XformCache(source.start)
-    matrix = np.array(cache.ComputeRelativeTransform(prim, body)[0]).T
+    relative, is_reset = cache.ComputeRelativeTransform(prim, body)
+    is_animated = UsdGeom.Xformable(prim).TransformMightBeTimeVarying()
+    if prim != body and (is_reset or is_animated):
+        raise source.fault(prim, f"does not move with its body {body.GetPath()}")
+    matrix = np.array(relative).T
     linear = frame.scale[:, None] * matrix[:3, :3]
     offset_m = frame.scale * matrix[:3, 3]
     rotation, scale = source.decomposed(prim, linear)

@@ -277,13 +277,11 @@ def _material_contacts(
     options: ContactOptions,
 ) -> Iterator[Contact]:
     """Yield contacts for the pairs that only UsdPhysics defines; pairs with equal constants share a contact."""
-    names = [body.name for body in bodies]
+    by_name = {body.name: body for body in bodies}
     moving = {body.name for body in bodies if body.moves}
-    colliding = {name for pair in pairs for name in pair}
     constants = {
-        body.name: _body_constants(source, body, options)
-        for body in bodies
-        if body.name in colliding
+        name: _body_constants(source, by_name[name], options)
+        for name in sorted({name for pair in pairs for name in pair})
     }
     kinds: dict[tuple[float, float, ContactMode], set[Pair]] = {}
     for pair in sorted(pairs, key=sorted):
@@ -293,7 +291,7 @@ def _material_contacts(
         kind = (friction, restitution, options.mode_of(pair))
         kinds.setdefault(kind, set()).add(pair)
     for (friction, restitution, mode), alike in kinds.items():
-        for group in _groups(names, alike, moving):
+        for group in _groups([*by_name], alike, moving):
             yield Contact(
                 first=group,
                 second=group,

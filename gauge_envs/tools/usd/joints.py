@@ -58,9 +58,8 @@ class _End:
     def anchor_m(self) -> FloatArray:
         """Return the origin of the frame in world coordinates [m]; that of its space if none is authored."""
         stored = self.stored_anchor()
-        if stored is not None:
-            return stored.value
-        return self.source.to_world(self.space, np.zeros(3))
+        origin = np.zeros(3)
+        return stored.value if stored else self.source.to_world(self.space, origin)
 
     def axis(self, letter: str) -> FloatArray:
         """Return the direction of an axis of the frame in the world."""

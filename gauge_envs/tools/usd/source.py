@@ -107,14 +107,15 @@ class Source:
     def used_files(self) -> tuple[Path, ...]:
         """Return the other files of the stage, sorted by their path relative to the main file."""
         main = self.file.resolve()
-        layers = [layer for layer in self.stage.GetUsedLayers() if not layer.anonymous]
         # A layer in a package belongs to the package's file.
         files = {
             Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0]).resolve()
-            for layer in layers
+            for layer in self.stage.GetUsedLayers()
+            if not layer.anonymous
         }
+        others = files - {main}
         return tuple(
-            sorted(files - {main}, key=lambda file: os.path.relpath(file, main.parent))
+            sorted(others, key=lambda file: os.path.relpath(file, main.parent))
         )
 
     def prims(self) -> Iterator[Usd.Prim]:

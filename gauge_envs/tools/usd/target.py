@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-from numpy.typing import ArrayLike
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from gauge_envs.errors import ParameterError
@@ -73,18 +72,6 @@ class Target:
         xform.AddTranslateOp(precision).Set(pose.position_m)
         xform.AddOrientOp(precision).Set(Gf.Quatd(*pose.quaternion))
         write(xform, "gauge:name", name, "string")
-
-    def mesh(
-        self, path: str, points_m: ArrayLike, faces: Sequence[Sequence[int]]
-    ) -> UsdGeom.Mesh:
-        """Write a mesh of points [m], shape [point_count, 3], and faces of their indices."""
-        mesh = UsdGeom.Mesh.Define(self.stage, path)
-        mesh.CreatePointsAttr(points_m)
-        mesh.CreateFaceVertexCountsAttr([len(face) for face in faces])
-        mesh.CreateFaceVertexIndicesAttr([index for face in faces for index in face])
-        mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-        write_extent(mesh)
-        return mesh
 
     def relate(self, prim: Usd.Prim, name: str, bodies: Sequence[str]) -> None:
         """Write a relationship to bodies."""

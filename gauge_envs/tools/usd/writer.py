@@ -288,8 +288,13 @@ def _write_geometry(
 
 
 def _write_piece(target: Target, path: str, points_m: FloatArray) -> UsdGeom.Mesh:
-    mesh = target.mesh(path, points_m, hull_faces(points_m))
-    written = digest(mesh.GetPointsAttr().Get())
+    faces = hull_faces(points_m)
+    mesh = UsdGeom.Mesh.Define(target.stage, path)
+    written = digest(mesh.CreatePointsAttr(points_m).Get())
+    mesh.CreateFaceVertexCountsAttr([len(face) for face in faces])
+    mesh.CreateFaceVertexIndicesAttr([index for face in faces for index in face])
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    write_extent(mesh)
     write(mesh, "gauge:points_m", points_m, "double3[]", written=written)
     collision = UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim())
     collision.CreateApproximationAttr(UsdPhysics.Tokens.convexHull)

@@ -434,6 +434,7 @@ REFUSED = [
         BALL + joint("RevoluteJoint", TO_BALL),
         r"/joint: its two frames lie 1e\+03 mm apart",
     ),
+    (parent(collider("c", "Cube", MOVING)), r"/thing/c: does not move with its body"),
     (
         body(text=MOVING, apis=SOLID),
         r"/box: is a collider that moves without a rigid body",
