@@ -30,7 +30,7 @@ FIRST_SIZES, FIRST_SHAPES = 12, 3
 """Frames whose median is the size that an object has, and those whose median is the misfit of its shape."""
 
 MIN_TWIN_LIKENESS, MIN_CRADLE_TWIN_LIKENESS = 0.65, 0.7
-"""Likeness from which another place shows a second object. Other places of sound published clips stay below 0.56, and
+"""Likeness from which another place shows a second object. Other places of sound published clips stay below 0.60, and
 beside the ball of a cradle, which has neighbours, below 0.7."""
 
 MIN_TWIN_FRAMES = 3
