@@ -150,10 +150,15 @@ def test_a_track_in_other_axes_or_in_metres_is_an_error(task, along_mm):
         score_track(track, task)
 
 
-def test_the_paper_counts_whole_pixels_of_the_video(tmp_path):
-    (tmp_path / "a.csv").write_text("time,x,y\n0,100.7,50.2\n0.1,101.2,50.9\n")
-    track = read_track(tmp_path / "a.csv", size_px=(1664, 960)).in_whole_px()
-    assert track.points_px.tolist() == [[50.0, 25.0], [50.5, 25.0]]
+def test_the_paper_counts_whole_pixels_and_time_from_the_first_retained_frame(tmp_path):
+    track = read_track(save_track(driven(SLIDE.id, 1.7), tmp_path / "a.csv"))
+    result = score_track(track, SLIDE)
+    first, last = result.interval_frames
+    whole_px = np.floor(track.points_px[first : last + 1])
+    along_m = whole_px @ np.array(SLIDE.direction) * SLIDE.scale_m_per_px
+    since_s = (track.times_s - track.times_s[first])[first : last + 1]
+    slope = np.polyfit(since_s**2, along_m, 1)[0]
+    assert result.metrics["a"] == pytest.approx(2.0 * slope, rel=1e-9)
 
 
 @pytest.mark.parametrize("task", [SLIDE, BALL, PLATE, CRADLE, PENDULUM])
