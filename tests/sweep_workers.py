@@ -12,7 +12,7 @@ from gauge_envs.runs.episodes import run_request
 from gauge_envs.runs.pool import Limits, ProcessWorker
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import load_result
-from gauge_envs.tools.sweep.folder import earlier_episodes, run_sweep
+from gauge_envs.tools.sweep.folder import earlier_outcomes, run_sweep
 from gauge_envs.tools.sweep.plan import plan_sweep, remaining_tasks
 from gauge_envs.tools.sweep.spec import sweep_spec
 
@@ -69,8 +69,8 @@ def swept(plan, folder, *workers, retry_failed=False, notify=lambda text: None):
     """The results of what is left of a plan, as the command runs it."""
     done = {
         name
-        for name, one in earlier_episodes(folder, notify).items()
-        if not (retry_failed and one.outcome is Outcome.FAILED)
+        for name, outcome in earlier_outcomes(folder, notify).items()
+        if not (retry_failed and outcome is Outcome.FAILED)
     }
     tasks = list(remaining_tasks(plan, done))
     finished = run_sweep(tasks, workers or [HereWorker()], folder)
@@ -89,7 +89,7 @@ def contents(folder):
 
 def outcomes(folder):
     """The outcomes that the files of a folder state."""
-    return sorted(one.outcome.value for one in earlier_episodes(folder).values())
+    return sorted(earlier_outcomes(folder, pytest.fail).values())
 
 
 def children(pid):

@@ -120,7 +120,7 @@ BUNDLED = (
         "sweep.command:sweep",
         "Run engines, settings and experiments in all combinations; continue an earlier run.",
         line="sweep.schema:SweepLine",
-        version=6,
+        version=7,
     ),
     Command(
         "sanity",

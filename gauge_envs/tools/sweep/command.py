@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
-import shlex
-import sys
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -32,7 +30,7 @@ from gauge_envs.pages.text import counted, short_id
 if TYPE_CHECKING:
     from gauge_envs.runs.pool import Limits, RequestWorker
     from gauge_envs.runs.result import Outcome
-    from gauge_envs.tools.sweep.plan import SweepPlan, SweepTask
+    from gauge_envs.tools.sweep.plan import SweepRun
     from gauge_envs.tools.sweep.spec import SweepSpec
 
 Counts = Counter[tuple[str, "Outcome"]]
@@ -46,17 +44,7 @@ def sweep(
             metavar="FILE", help="Sweep file, TOML; options replace its keys."
         ),
     ] = None,
-    parameters: Annotated[
-        list[str] | None,
-        arguments.option(
-            arguments.SCENE,
-            "Parameter sets, as calibrated,effective; or overrides of one, as cube.friction=0.3.",
-            "--parameter",
-            "-p",
-            metavar=arguments.ASSIGNED,
-            show_default="calibrated",
-        ),
-    ] = None,
+    parameters: arguments.Parameters = None,
     jitter: arguments.JitterTexts = None,
     backend: Annotated[
         list[str] | None, arguments.backend("Engines.", show_default="mujoco")
@@ -142,9 +130,7 @@ def sweep(
     ] = False,
     dry_run: Annotated[
         bool,
-        arguments.option(
-            arguments.OUTPUT, "Show the plan and its cost; run nothing.", "--dry-run"
-        ),
+        arguments.option(arguments.OUTPUT, "Show the plan; run nothing.", "--dry-run"),
     ] = False,
     out: Annotated[Path, arguments.folder("Folder for the result files.")] = Path(
         "sweep"
@@ -157,122 +143,111 @@ def sweep(
     with --isolate each task has a process of its own. Exit code 1 when an episode failed or diverged, or when an
     experiment given by its id was declined.
     """
+    from gauge_envs.experiments.variants import is_glob
     from gauge_envs.runs.isolation import TIME_LIMIT_S
     from gauge_envs.runs.pool import Limits
     from gauge_envs.runs.result import Outcome
-    from gauge_envs.tools.sweep.folder import StepTimes, earlier_episodes
-    from gauge_envs.tools.sweep.plan import plan_sweep, remaining_tasks
-    from gauge_envs.tools.sweep.report import cost_text, outcome_table, plan_document
+    from gauge_envs.tools.sweep.folder import earlier_outcomes
+    from gauge_envs.tools.sweep.plan import (
+        episode_count,
+        part_of,
+        plan_sweep,
+        remaining_tasks,
+    )
+    from gauge_envs.tools.sweep.report import outcome_table, plan_document
 
     scatter = arguments.parsed_jitter(jitter)
-    options = {
-        "backends": backend,
-        "variants": only,
-        "presets": preset,
-        "parameters": _parameter_sets(parameters),
-        "repeats": repeats,
-        "seed": seed,
-        "jitter": scatter and scatter.to_dict(),
-    }
-    spec = _spec(file, options, changes)
-    limits = Limits(TIME_LIMIT_S if timeout is None else timeout, memory, isolate)
-    plan = plan_sweep(spec, isolate=isolate)
-    if shard is not None:
-        plan = _part(plan, shard)
-    earlier = earlier_episodes(out, note)
-    done = {
-        name: earlier[name].outcome
-        for name in plan.file_names
-        if name in earlier
-        and not (retry_failed and earlier[name].outcome is Outcome.FAILED)
-    }
-    tasks = list(remaining_tasks(plan, done))
+    parameter_sets: object = parameters
+    if any("=" in text for text in parameters or ()):
+        parameter_sets = [arguments.parsed_parameters(parameters)]
+    spec = _spec(
+        file,
+        changes,
+        backends=backend,
+        variants=only,
+        presets=preset,
+        parameters=parameter_sets,
+        repeats=repeats,
+        seed=seed,
+        jitter=scatter and scatter.to_dict(),
+    )
+    runs = part_of(plan_sweep(spec), shard or "0/1")
+    earlier = earlier_outcomes(out, note)
+    if retry_failed:
+        earlier = {
+            name: outcome
+            for name, outcome in earlier.items()
+            if outcome is not Outcome.FAILED
+        }
+    tasks = list(remaining_tasks(runs, earlier))
+    total, left = episode_count(runs), episode_count(tasks)
     if dry_run:
-        times = StepTimes(earlier.values())
-        print_document(plan_document(plan, tasks, times), form)
-        left = plan.episode_count - len(done)
-        message(
-            f"{plan.episode_count} episodes, {left} left; {counted(plan.duplicates, 'duplicate')} left out"
-        )
-        message(cost_text(times.cost_of(tasks), jobs or processors()))
+        print_document(plan_document(runs, earlier), form)
+        message(f"{counted(total, 'episode')}, {left} left")
         return False
-    counts = Counter((earlier[name].group[0], one) for name, one in done.items())
+    counts = Counter(
+        (run.backend, earlier[name])
+        for run in runs
+        for name in run.file_names
+        if name in earlier
+    )
     if tasks:
-        counts += _run(plan, tasks, _workers(ray, jobs, limits, len(tasks)), out, form)
+        progress = Progress(
+            "episodes", total, done=total - left, line_interval_s=LINE_INTERVAL_S
+        )
+        limits = Limits(timeout or TIME_LIMIT_S, memory, isolate)
+        counts += _run(tasks, _workers(ray, jobs, limits), progress, out, form)
     if form is not Format.JSON:
-        print_document(outcome_table(plan, counts), form)
-    message(f"{counted(counts.total(), 'episode')}; results in {out}")
+        print_document(outcome_table(runs, counts), form)
+    message(f"{counted(total, 'episode')}; results in {out}")
     if any(outcome is Outcome.FAILED for _, outcome in counts):
         message(
             "causes of failures are in the folder failed; --retry-failed runs them again"
         )
-    return _is_bad(plan, spec, counts)
-
-
-# --- what is asked for -----------------------------------------------------------------------------------------------
+    named = {short_id(name) for name in spec.variants if not is_glob(name)}
+    is_declined = any(run.declined and run.experiment in named for run in runs)
+    bad = {Outcome.FAILED, Outcome.DIVERGED}
+    return is_declined or any(outcome in bad for _, outcome in counts)
 
 
 def _spec(
-    file: Path | None, options: dict[str, Any], changes: Sequence[str] | None
+    file: Path | None, changes: Sequence[str] | None, **options: object
 ) -> SweepSpec:
-    """Return the sweep of a file, whose keys the options replace."""
+    """Return the sweep of a file, whose keys the options replace unless they are None."""
     from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
 
-    given = {key: value for key, value in options.items() if value is not None}
-    if file is None and not given and not changes:
+    values = {} if file is None else load_sweep_file(file)
+    values |= {key: value for key, value in options.items() if value is not None}
+    if "variants" not in values:
         raise ParameterError(
             "nothing to run: give a sweep file, or experiments, as --only 'SlopeSlider-2-*'"
         )
-    values = given if file is None else load_sweep_file(file) | given
-    settings = dict(values.get("settings", {}))
+    settings = values.setdefault("settings", {})
     # The name of a setting may begin with an engine and a dot.
-    for text in changes or ():
-        for name, listed in arguments.assigned("--set", [text]).items():
-            backend, dot, key = name.rpartition(".")
-            texts = arguments.split_values(listed)
-            table = {key: [arguments.value_of(one) for one in texts]}
-            settings |= {backend: settings.get(backend, {}) | table} if dot else table
-    return sweep_spec(values | {"settings": settings})
-
-
-def _parameter_sets(texts: Sequence[str] | None) -> list[Any] | None:
-    """Return names of parameter sets, or one set of overrides."""
-    if texts and any("=" in text for text in texts):
-        return [arguments.parsed_parameters(texts)]
-    return list(texts) if texts else None
-
-
-def _part(plan: SweepPlan, text: str) -> SweepPlan:
-    """Return the part of a plan that --shard names."""
-    from gauge_envs.tools.sweep.plan import shard
-
-    numbers = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
-    if numbers is None:
-        raise ParameterError(f"--shard {text!r}: expected NUMBER/COUNT, as 0/16")
-    return shard(plan, int(numbers[1]), int(numbers[2]))
-
-
-# --- runs ------------------------------------------------------------------------------------------------------------
+    for name, listed in arguments.assigned("--set", changes or ()).items():
+        engine, dot, key = name.rpartition(".")
+        table = settings.setdefault(engine, {}) if dot else settings
+        table[key] = list(map(arguments.value_of, arguments.split_values(listed)))
+    return sweep_spec(values)
 
 
 def _workers(
-    ray: str | None, count: int | None, limits: Limits, task_count: int
+    ray: str | None, count: int | None, limits: Limits
 ) -> Sequence[RequestWorker]:
-    """Return the workers, at most as many as there are tasks."""
+    """Return the workers, whose processes start with their first tasks."""
     if ray is not None:
         from gauge_envs.tools.sweep.machines import ray_workers
 
-        return ray_workers(ray, count and min(count, task_count), limits)[:task_count]
+        return ray_workers(ray, count, limits)
     from gauge_envs.runs.pool import ProcessWorker
 
-    count = min(count or processors(), task_count)
-    return [ProcessWorker(limits) for _ in range(count)]
+    return [ProcessWorker(limits) for _ in range(count or processors())]
 
 
 def _run(
-    plan: SweepPlan,
-    tasks: Sequence[SweepTask],
+    tasks: Sequence[SweepRun],
     workers: Sequence[RequestWorker],
+    progress: Progress,
     out: Path,
     form: Format,
 ) -> Counts:
@@ -281,13 +256,10 @@ def _run(
     from gauge_envs.tools.sweep.folder import run_sweep
 
     counts: Counts = Counter()
-    total = plan.episode_count
-    done = total - sum(len(task.seeds) for task in tasks)
-    progress = Progress("episodes", total, done=done, line_interval_s=LINE_INTERVAL_S)
     lost = LostOutput()
     try:
         with progress, closing(run_sweep(tasks, workers, out)) as finished:
-            for result in (one for results in finished for one in results):
+            for result in chain.from_iterable(finished):
                 counts[str(result.backend), result.outcome] += 1
                 name = f"{short_id(result.id)} on {result.backend}"
                 with lost.tolerated():
@@ -297,20 +269,9 @@ def _run(
                     if form is Format.JSON:
                         print_json_lines([result.to_dict(trajectory=False)])
     except KeyboardInterrupt:
-        left = total - done - counts.total()
-        message(f"interrupted: {left} of {total} episodes left; continue with:")
-        message(shlex.join(["gauge", *sys.argv[1:]]))
+        message(
+            f"interrupted: finished episodes are kept in {out}; the same command continues"
+        )
         raise typer.Exit(EXIT_INTERRUPTED) from None
     lost.report()
     return counts
-
-
-def _is_bad(plan: SweepPlan, spec: SweepSpec, counts: Counts) -> bool:
-    """Return whether an episode failed or diverged, or an experiment that was given by its id was declined."""
-    from gauge_envs.experiments.variants import is_glob
-    from gauge_envs.runs.result import Outcome
-
-    if any(outcome in (Outcome.FAILED, Outcome.DIVERGED) for _, outcome in counts):
-        return True
-    named = {short_id(name) for name in spec.variants if not is_glob(name)}
-    return any(run.declined and run.experiment in named for run in plan.runs)

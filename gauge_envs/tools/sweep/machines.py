@@ -43,14 +43,12 @@ class RayWorker:
             if self._actor is None:
                 self._actor = self._class.remote(self._limits)
             try:
-                results: list[Result] = self._ray.get(self._actor.run.remote(request))
+                return list(self._ray.get(self._actor.run.remote(request)))
             except self._ray.exceptions.RayTaskError as error:
                 raise GaugeError(f"a Ray actor raised an error: {error}") from error
             except self._ray.exceptions.RayError as error:
                 self._actor = None
                 cause = str(error).partition("\n")[0]
-            else:
-                return results
         reason = f"the Ray actor of the episode ended: {cause}, {MAX_LOSSES} times"
         return results_without_run(request, Outcome.FAILED, reason)
 
@@ -77,13 +75,15 @@ def ray_workers(address: str, count: int | None, limits: Limits) -> list[RayWork
     """
     with needs_extra("a sweep on many machines", "ray"):
         import ray
-    options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+    options: dict[str, Any] = {
+        "address": address,
+        "log_to_driver": False,
+        "logging_level": "ERROR",
+    }
     if address == "local":
         # Ray on this machine alone needs no token, and would write one into the home folder.
         os.environ.setdefault("RAY_AUTH_MODE", "disabled")
-        options |= {"address": "local", "include_dashboard": False, "num_cpus": count}
-    else:
-        options["address"] = address
+        options |= {"include_dashboard": False, "num_cpus": count}
     try:
         ray.init(**options)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
@@ -92,5 +92,5 @@ def ray_workers(address: str, count: int | None, limits: Limits) -> list[RayWork
         ) from error
     return [
         RayWorker(limits)
-        for _ in range(count or max(1, int(ray.cluster_resources().get("CPU", 1))))
+        for _ in range(count or int(ray.cluster_resources().get("CPU", 1)))
     ]

@@ -4,32 +4,34 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Container, Iterator, Mapping, Sequence
+import re
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import chain, product
+from math import prod
 from typing import Any
+
+import numpy as np
 
 from gauge_envs.backends import (
     Backend,
     backend_for,
-    backend_names,
     engine_call,
     support_of,
     versions_of,
 )
-from gauge_envs.errors import ParameterError, UnknownNameError, UnsupportedSceneError
+from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.variants import Variant, matching_variants
 from gauge_envs.files import json_ready, versions
 from gauge_envs.references.imported import dataset_record
 from gauge_envs.runs.isolation import call_engine
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.scene.jitter import JITTER_FORMAT
+from gauge_envs.scene.jitter import JITTER_FORMAT, Jitter
 from gauge_envs.tools.sweep.spec import SweepSpec
 
 MAX_EPISODES = 1_000_000
 """Largest number of episodes of a sweep."""
-
-MAX_PLAN_S = 600.0
-"""Time limit of the questions to an engine of another package [s]."""
 
 KEY_LENGTH = 16
 """Hexadecimal digits of a key in a file name: among a million episodes, two share them with a probability of 3e-8."""
@@ -37,16 +39,16 @@ KEY_LENGTH = 16
 
 @dataclass(frozen=True)
 class SweepRun:
-    """Repeats of one experiment on one engine, with one choice of parameters and settings.
+    """Episodes of one experiment on one engine, with one choice of parameters and settings and consecutive seeds.
 
     Attributes:
-        request: The request, with its first seed, its repeats and the jitter that applies.
+        request: The request, with the jitter that applies.
         experiment: Name of the experiment.
-        sha256: Hash of the content that its episodes share.
+        sha256: Hash of the content that the episodes share.
         versions: Versions of the engine's packages and of gauge-envs that the hash contains.
         shares_worlds: Whether the repeats run as worlds of one simulation.
-        declined: Why no episode of it can run; None if the plan knows no reason.
-        steps: Time steps of an episode; None where the engine does not tell.
+        declined: Why no episode can run; None if the plan knows no reason.
+        duration_s: Simulated time of an episode [s].
     """
 
     request: RunRequest
@@ -55,129 +57,85 @@ class SweepRun:
     versions: dict[str, str]
     shares_worlds: bool
     declined: str | None
-    steps: float | None
+    duration_s: float
 
     @property
-    def group(self) -> tuple[str, str]:
-        """Engine and experiment."""
-        return self.request.backend, self.experiment
-
-    def file_name(self, seed: int) -> str:
-        """Return the name of the result file of an episode."""
-        key = hashlib.sha256(f"{self.sha256}:{seed}".encode()).hexdigest()
-        return f"{self.experiment}.{self.request.backend}.{key[:KEY_LENGTH]}.json"
-
-
-@dataclass(frozen=True)
-class SweepTask:
-    """Episodes that one call runs: repeats of a run with consecutive seeds."""
-
-    run: SweepRun
-    seeds: range
-
-    @property
-    def request(self) -> RunRequest:
-        """The request of these episodes alone."""
-        return replace(self.run.request, seed=self.seeds[0], repeats=len(self.seeds))
+    def backend(self) -> str:
+        """Name of the engine."""
+        return self.request.backend
 
     @property
     def file_names(self) -> list[str]:
-        """Names of the result files."""
-        return [self.run.file_name(seed) for seed in self.seeds]
+        """Names of the result files, one an episode."""
+        keys = [
+            hashlib.sha256(f"{self.sha256}:{seed}".encode()).hexdigest()[:KEY_LENGTH]
+            for seed in self.request.seeds
+        ]
+        return [f"{self.experiment}.{self.backend}.{key}.json" for key in keys]
 
 
-@dataclass(frozen=True)
-class SweepPlan:
-    """The runs of a sweep, each content once.
-
-    Attributes:
-        runs: The runs, grouped by engine and experiment.
-        duplicates: Episodes that were left out, because others have the same content.
-    """
-
-    runs: tuple[SweepRun, ...]
-    duplicates: int = 0
-
-    @property
-    def episode_count(self) -> int:
-        """Number of episodes."""
-        return sum(run.request.repeats for run in self.runs)
-
-    @property
-    def file_names(self) -> list[str]:
-        """Names of the result files."""
-        return [run.file_name(seed) for run in self.runs for seed in run.request.seeds]
+def episode_count(runs: Iterable[SweepRun]) -> int:
+    """Return the number of episodes of runs."""
+    return sum(run.request.repeats for run in runs)
 
 
-def plan_sweep(spec: SweepSpec, *, isolate: bool = False) -> SweepPlan:
-    """Return the plan of a sweep. No simulation is built.
-
-    Args:
-        spec: What it covers.
-        isolate: Ask also the engines of this package in another process.
+def plan_sweep(spec: SweepSpec) -> list[SweepRun]:
+    """Return the runs of a sweep, each content once, grouped by engine and experiment. No simulation is built.
 
     Raises:
         ParameterError: The sweep is too large, or an engine or all experiments refuse a value.
+        UnknownNameError: An engine or experiment does not exist.
     """
-    count = spec.episode_count()
-    if count > MAX_EPISODES:
+    variants = dict.fromkeys(chain.from_iterable(map(matching_variants, spec.variants)))
+    lists_of = {backend: spec.setting_lists(backend) for backend in spec.backends}
+    choice_count = sum(prod(map(len, lists.values())) for lists in lists_of.values())
+    subjects = _subjects(spec, variants)
+    if choice_count * len(subjects) * spec.repeats > MAX_EPISODES:
         raise ParameterError(
             f"the sweep has more than {MAX_EPISODES:,} episodes: shorten its lists, or split it"
         )
-    subjects = _subjects(spec)
     runs: dict[str, SweepRun] = {}
-    for backend in dict.fromkeys(spec.backends):
-        if backend not in backend_names():
-            raise UnknownNameError("backend", backend, backend_names())
-        of_engine = call_engine(
-            backend,
-            _engine_runs,
-            backend,
-            subjects,
-            spec.setting_choices(backend),
-            time_limit_s=MAX_PLAN_S,
-            isolate=isolate or None,
-        )
-        for run in of_engine:
+    for backend, lists in lists_of.items():
+        choices = [
+            dict(zip(lists, values, strict=True)) for values in product(*lists.values())
+        ]
+        for run in call_engine(backend, _engine_runs, backend, subjects, choices):
             runs.setdefault(run.sha256, run)
-    plan = SweepPlan(tuple(runs.values()))
-    return replace(plan, duplicates=count - plan.episode_count)
+    return list(runs.values())
 
 
 Subject = tuple[RunRequest, Experiment, str | None]
 """A request; its experiment, or the calibrated one if it does not take the parameters; and why it does not."""
 
 
-def _subjects(spec: SweepSpec) -> list[Subject]:
-    """Return each experiment with each choice of parameters, in the order of the experiments."""
-    by_parameters = []
-    for parameters in spec.parameters:
-        subjects = [
-            _subject(
-                RunRequest(
-                    variant,
-                    parameters=parameters,
-                    seed=spec.seed,
-                    repeats=spec.repeats,
-                    jitter=spec.start_jitter,
-                )
-            )
-            for variant in spec.subjects()
-        ]
-        reason = subjects[0][-1]
-        if reason is not None and all(refused for *_, refused in subjects):
-            raise ParameterError(reason)
-        by_parameters.append(subjects)
-    return [one for group in zip(*by_parameters, strict=True) for one in group]
+def _subjects(spec: SweepSpec, variants: Iterable[Variant]) -> list[Subject]:
+    """Return each experiment with each choice of parameters.
 
-
-def _subject(request: RunRequest) -> Subject:
-    """Load the experiment of a request."""
-    request = replace(request, jitter=request.scatter)
-    try:
-        return request, request.experiment(), None
-    except ParameterError as error:
-        return request, request.calibrated_experiment(), str(error)
+    Raises:
+        ParameterError: No experiment takes a choice of parameters.
+    """
+    jitter = None if spec.jitter is None else Jitter(**spec.jitter)
+    subjects: list[Subject] = []
+    for variant, parameters in product(variants, spec.parameters):
+        request = RunRequest(
+            variant,
+            parameters=parameters,
+            seed=spec.seed,
+            repeats=spec.repeats,
+            jitter=jitter,
+        )
+        request = replace(request, jitter=request.scatter)
+        refusal = None
+        try:
+            experiment = request.experiment()
+        except ParameterError as error:
+            experiment, refusal = request.calibrated_experiment(), str(error)
+        subjects.append((request, experiment, refusal))
+    for index in range(len(spec.parameters)):
+        reasons = [reason for *_, reason in subjects[index :: len(spec.parameters)]]
+        if all(reasons):
+            raise ParameterError(reasons[0])
+    return subjects
 
 
 def _engine_runs(
@@ -208,10 +166,11 @@ def _engine_runs(
             "jitter": jitter and {**jitter.to_dict(), "format": JITTER_FORMAT},
         }
         for settings in choices:
-            effective: Mapping[str, Any] = settings
-            if support:
-                effective = _effective_settings(engine, experiment, settings)
-            timestep_s = effective.get("timestep_s")
+            effective = (
+                _effective_settings(engine, experiment, settings)
+                if support
+                else settings
+            )
             run = SweepRun(
                 request=replace(request, backend=backend, settings=settings or None),
                 experiment=experiment.name,
@@ -219,7 +178,7 @@ def _engine_runs(
                 versions=engine_versions,
                 shares_worlds=shares_worlds,
                 declined="; ".join(support.missing) or refusal,
-                steps=timestep_s and experiment.scene.duration_s / timestep_s,
+                duration_s=experiment.scene.duration_s,
             )
             runs.append(run)
     return runs
@@ -239,7 +198,7 @@ def _effective_settings(
     except UnsupportedSceneError:
         # The preset is one of other scenes: the episode will be declined.
         return settings
-    except (ParameterError, UnknownNameError) as error:
+    except GaugeError as error:
         raise ParameterError(
             f"{experiment.name} on {engine.name}: {error}. A setting or preset of one engine belongs in its own table, "
             f"[settings.{engine.name}]"
@@ -272,43 +231,43 @@ def _sha256(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def remaining_tasks(plan: SweepPlan, done: Container[str]) -> Iterator[SweepTask]:
-    """Yield the tasks whose episodes have no file yet.
+def remaining_tasks(
+    runs: Iterable[SweepRun], done: Container[str]
+) -> Iterator[SweepRun]:
+    """Yield the episodes without a file as tasks, which one call runs.
 
     Repeats on an engine that builds them as worlds of one simulation form one task; other episodes are tasks of their
     own.
 
     Args:
-        plan: The plan.
+        runs: The plan.
         done: Names of the files that exist.
     """
-    for run in plan.runs:
-        pending: list[range] = []
-        for seed in run.request.seeds:
-            if run.file_name(seed) in done:
-                continue
-            if run.shares_worlds and pending and pending[-1].stop == seed:
-                pending[-1] = range(pending[-1].start, seed + 1)
-            else:
-                pending.append(range(seed, seed + 1))
-        yield from (SweepTask(run, seeds) for seeds in pending)
+    for run in runs:
+        names = zip(run.request.seeds, run.file_names, strict=True)
+        seeds = np.array([seed for seed, name in names if name not in done])
+        max_step = 1 if run.shares_worlds else 0
+        starts = np.flatnonzero(np.diff(seeds) > max_step) + 1
+        for part in np.split(seeds, starts):
+            if part.size:
+                request = replace(run.request, seed=int(part[0]), repeats=len(part))
+                yield replace(run, request=request)
 
 
-def shard(plan: SweepPlan, number: int, count: int) -> SweepPlan:
+def part_of(runs: list[SweepRun], text: str) -> list[SweepRun]:
     """Return one of several parts of a plan. Neighbouring runs stay together, since they share engine and experiment.
 
     Args:
-        plan: The plan.
-        number: Number of the part, from 0.
-        count: Number of parts.
+        runs: The plan.
+        text: Number of the part, from 0, and number of parts, as `0/16`.
 
     Raises:
         ParameterError: There is no such part.
     """
-    if not 0 <= number < count:
+    match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
+    number, count = map(int, match.groups()) if match else (0, 0)
+    if number >= count:
         raise ParameterError(
-            f"shard {number}/{count}: expected a number from 0 to {count - 1}"
+            f"--shard {text!r}: expected NUMBER/COUNT with NUMBER from 0 to COUNT - 1, as 0/16"
         )
-    total = len(plan.runs)
-    part = slice(number * total // count, (number + 1) * total // count)
-    return replace(plan, runs=plan.runs[part])
+    return runs[number * len(runs) // count : (number + 1) * len(runs) // count]

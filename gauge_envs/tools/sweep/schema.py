@@ -16,8 +16,7 @@ class PlanLine(TypedDict):
         declined: Number of episodes that the engine cannot run.
         reason: Why it cannot.
         left: Number of episodes that are not done.
-        engine_s: Estimated time of the engine for them [s].
-        unknown: Number of episodes without an estimate.
+        simulated_s: Simulated time of those that are left and not declined [s].
     """
 
     backend: str
@@ -27,8 +26,7 @@ class PlanLine(TypedDict):
     declined: int
     reason: str | None
     left: int
-    engine_s: float | None
-    unknown: int
+    simulated_s: float
 
 
 SweepLine = RunLine | PlanLine

@@ -7,8 +7,7 @@ from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.errors import ParameterError, SweepFileError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.tools.sweep.folder import EarlierEpisode, StepTimes
-from gauge_envs.tools.sweep.plan import remaining_tasks, shard
+from gauge_envs.tools.sweep.plan import remaining_tasks
 from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
 
 WOOD = "SlopeSlider-2-wood"
@@ -29,7 +28,7 @@ iterations = [20, 50, 100]
 
 
 def names(plan):
-    return set(plan.file_names)
+    return {name for run in plan for name in run.file_names}
 
 
 # --- files ---
@@ -47,8 +46,6 @@ def test_a_table_of_an_engine_replaces_the_common_list(tmp_path):
     assert spec.setting_lists("rapier")["iterations"] == [10]
     # A task file is in the folder of the sweep file.
     assert spec.variants[1] == str(tmp_path / "crate.toml")
-    counted = sweep_spec(values | {"variants": ["SlopeSlider-2-*"], "repeats": 4})
-    assert counted.episode_count() == (2 * 2 * 3 + 2 * 2 * 1) * 3 * 2 * 4
 
 
 @pytest.mark.parametrize(
@@ -60,23 +57,13 @@ def test_a_table_of_an_engine_replaces_the_common_list(tmp_path):
             "backend: unknown key; keys: backends, variants",
         ),
         ("repeats = 2", "variants: missing key; keys: backends"),
-        (SLIDE + "repeats = true", "repeats: "),
-        (SLIDE + "seed = 100000000000000000000", "seed: "),
         (SLIDE + "[jitter]\nposition_mm = 1.0", "jitter.position_mm"),
-        (SLIDE + "[jitter]\nposition_m = nan", "jitter.position_m: "),
-        (
-            SLIDE + "[settings]\ntimestep_s = 0.1",
-            "settings.timestep_s: a list of one or more",
-        ),
-        (
-            SLIDE + "[settings]\ntimestep_s = [nan]",
-            "settings.timestep_s: finite numbers",
-        ),
+        (SLIDE + "[settings]\ntimestep_s = 0.1", "timestep_s: a list of one or more"),
+        (SLIDE + "[settings]\ntimestep_s = [nan]", "settings.timestep_s"),
         (
             SLIDE + "[settings.bullet]\niterations = [1]",
-            "settings.bullet: a table of",
+            "settings.bullet: a table belongs",
         ),
-        (SLIDE + "[settings]\nmujoco = [1]", "settings.mujoco: a table of"),
     ],
 )
 def test_a_wrong_file_is_named_with_key_and_reason(tmp_path, text, message):
@@ -119,13 +106,13 @@ def test_settings_that_resolve_to_the_same_run_once():
     default = settings_for(load_experiment(WOOD).scene)
     steps = [default.timestep_s, 1 / 3600, 1 / 3600]
     plan = planned(settings={"timestep_s": steps, "iterations": [default.iterations]})
-    assert (plan.episode_count, plan.duplicates) == (2, 1)
+    assert len(plan) == 2
     assert names(planned()) < names(plan)
 
 
 def test_every_experiment_has_a_name_of_its_own():
     plan = planned(variants=["*"])
-    assert len(plan.runs) == 75 == len({run.sha256 for run in plan.runs})
+    assert len(plan) == 75 == len(names(plan))
 
 
 # --- tasks ---
@@ -134,34 +121,13 @@ def test_every_experiment_has_a_name_of_its_own():
 def test_only_engines_that_advance_worlds_at_once_run_repeats_together():
     pytest.importorskip("newton")
     plan = planned(backends=["mujoco", "newton"], repeats=4)
-    seeds = [list(task.seeds) for task in remaining_tasks(plan, ())]
+    seeds = [list(task.request.seeds) for task in remaining_tasks(plan, ())]
     assert seeds == [[0], [1], [2], [3], [0, 1, 2, 3]]
-    mujoco, newton = plan.runs
-    done = {newton.file_name(2), *map(mujoco.file_name, range(4))}
+    mujoco, newton = plan
+    done = {newton.file_names[2], *mujoco.file_names}
     tasks = list(remaining_tasks(plan, done))
-    assert [list(task.seeds) for task in tasks] == [[0, 1], [3]]
-    assert tasks[0].file_names == [newton.file_name(0), newton.file_name(1)]
-    assert (tasks[1].request.seed, tasks[1].request.repeats) == (3, 1)
-
-
-def test_parts_are_the_whole():
-    plan = planned(variants=["SlopeSlider-*"])
-    parts = [shard(plan, number, 4) for number in range(4)]
-    assert [run for part in parts for run in part.runs] == list(plan.runs)
-
-
-def test_the_cost_of_a_step_is_the_median_of_earlier_ones():
-    group = "mujoco", WOOD
-    earlier = [
-        EarlierEpisode("finished", group, step_s) for step_s in (0.01, 0.02, 0.5, None)
-    ]
-    plan = planned(
-        variants=["SlopeSlider-2-metal", WOOD], settings={"timestep_s": [1 / 720]}
-    )
-    cost = StepTimes(earlier).cost_of(remaining_tasks(plan, ()))
-    assert (cost.known, cost.unknown) == (1, 1)
-    # 0.6 s of 720 steps a second.
-    assert cost.engine_s == pytest.approx(432 * 0.02)
+    assert [list(task.request.seeds) for task in tasks] == [[0, 1], [3]]
+    assert tasks[0].file_names == newton.file_names[:2]
 
 
 def test_too_many_combinations_are_refused():

@@ -17,7 +17,6 @@ from sweep_workers import (
 )
 
 from gauge_envs.runs.batch import run_many
-from gauge_envs.runs.pool import Limits, ProcessWorker
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.sweep import command
@@ -71,12 +70,11 @@ def test_nothing_runs_twice(tmp_path):
     assert len(swept(longer, tmp_path)) == 12 - 4
 
 
-def test_a_damaged_result_runs_again_and_what_is_no_file_takes_no_part(tmp_path):
+def test_a_damaged_result_runs_again(tmp_path):
     plan = planned(repeats=2, settings=QUICK)
     swept(plan, tmp_path)
     file = min(tmp_path.glob("*.json"))
     file.write_text(file.read_text()[:1000])
-    (tmp_path / "b.json").symlink_to("nowhere")
     notes = []
     assert len(swept(plan, tmp_path, notify=notes.append)) == 1
     (note,) = notes
@@ -99,17 +97,6 @@ def test_the_version_of_another_machine_is_a_failure(tmp_path):
 # --- failures ---
 
 
-def test_a_worker_that_dies_costs_its_episode(installed, tmp_path):
-    installed("crash")
-    plan = planned(backends=["crash"], variants=[WOOD, PLASTIC])
-    swept(plan, tmp_path, ProcessWorker(Limits()))
-    assert outcomes(tmp_path) == ["failed", "finished"]
-    (file,) = (tmp_path / "failed").glob("*.json")
-    failed = json.loads(file.read_text())
-    assert failed["id"] == f"GAUGE/{PLASTIC}"
-    assert "died with signal 11 (segmentation fault)" in failed["error"]
-
-
 def test_failures_run_again_on_request(tmp_path):
     plan = planned()
     (result,) = swept(plan, tmp_path, mortal_worker(0))
@@ -118,15 +105,6 @@ def test_failures_run_again_on_request(tmp_path):
     (result,) = swept(plan, tmp_path, retry_failed=True)
     assert result.outcome is Outcome.FINISHED
     assert outcomes(tmp_path) == ["finished"]
-
-
-def test_an_error_of_a_worker_ends_the_sweep(tmp_path):
-    class Broken(HereWorker):
-        def run(self, request):
-            raise ZeroDivisionError("a mistake in the program")
-
-    with pytest.raises(ZeroDivisionError, match="a mistake"):
-        swept(planned(repeats=2), tmp_path, Broken(), HereWorker())
 
 
 # --- the command ---
@@ -150,14 +128,13 @@ def test_plan_and_run(gauge, tmp_path):
     assert plan.exit_code == 0
     assert not (tmp_path / "out").exists()
     assert "4 episodes, 4 left" in plan.stderr
-    assert "cost unknown" in plan.stderr
     rows = lines(gauge(*words, "--json"))
     assert [row["outcome"] for row in rows] == ["finished"] * 4
     assert lines(gauge(*words, "--json")) == []
     (row,) = lines(gauge(*words, "--dry-run", "--json", "--repeats=3"))
     assert (row["experiment"], row["episodes"], row["left"]) == (WOOD, 6, 2)
-    assert row["unknown"] == 0
-    assert row["engine_s"] > 0.0
+    # Episodes of the slope slider take 0.6 s.
+    assert row["simulated_s"] == pytest.approx(2 * 0.6)
 
 
 @needs_rapier
@@ -190,7 +167,7 @@ def test_ctrl_c_keeps_what_is_complete(gauge, tmp_path, monkeypatch):
     monkeypatch.setattr(command, "_workers", lambda *arguments: [Interrupted()])
     stopped = gauge("sweep", "sweep.toml", "--out", "out")
     assert stopped.exit_code == 130
-    assert "interrupted: 2 of 4 episodes left; continue with:" in stopped.stderr
+    assert "the same command continues" in stopped.stderr
     assert len(contents(tmp_path / "out")) == 2
 
 
