@@ -144,6 +144,7 @@ BUNDLED = (
         "recipes.recipe_command:recipe",
         "Give contact settings of an engine for a measured behaviour, and what they reach.",
         line="recipes.schema:RecipeLine",
+        version=2,
     ),
     Command(
         "recipe fabrics",
@@ -155,6 +156,7 @@ BUNDLED = (
         "list materials",
         "recipes.recipe_command:list_materials",
         line="recipes.schema:MaterialLine",
+        version=2,
     ),
     Command(
         "backend check",

@@ -10,8 +10,10 @@ if TYPE_CHECKING:
         engine_names as engine_names,
         engine_settings as engine_settings,
     )
-    from gauge_envs.tools.recipes.measure import measured as measured
-    from gauge_envs.tools.recipes.probes import Probe as Probe
+    from gauge_envs.tools.recipes.probes import (
+        Probe as Probe,
+        measured as measured,
+    )
     from gauge_envs.tools.recipes.search import (
         Recipe as Recipe,
         find_recipe as find_recipe,
@@ -22,8 +24,7 @@ else:
         {
             ".aim": ["FREE_FRICTION", "Aim"],
             ".engines": ["engine_names", "engine_settings"],
-            ".measure": ["measured"],
-            ".probes": ["Probe"],
+            ".probes": ["Probe", "measured"],
             ".search": ["Recipe", "find_recipe"],
         },
     )

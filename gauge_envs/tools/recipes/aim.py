@@ -3,7 +3,10 @@
 import math
 from dataclasses import dataclass
 
-from gauge_envs.backends.shared.spring_damper import spring_damper_restitution
+from gauge_envs.backends.shared.spring_damper import (
+    damping_ratio_of,
+    spring_damper_restitution,
+)
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 
@@ -93,18 +96,11 @@ class Aim:
         """Coefficient of friction with which the contact is built and measured."""
         return FREE_FRICTION if self.friction is None else self.friction
 
-    @property
-    def depth_m(self) -> float | None:
-        """Depth at rest that is asked for [m]: the largest one allowed, or that of the stiffness."""
+    def depth_m(self, margin: float = 1.0) -> float | None:
+        """Return the depth at rest [m]: that of the stiffness, or a share of the largest allowed one."""
         if self.stiffness_n_per_m is not None:
             return self.mass_kg * GRAVITY_M_PER_S2 / self.stiffness_n_per_m
-        return self.penetration_m
-
-    def aimed_depth_m(self, margin: float) -> float | None:
-        """Return the depth at rest that settings aim at [m]: a share of an allowed one, or that of the stiffness."""
-        if self.penetration_m is not None:
-            return margin * self.penetration_m
-        return self.depth_m
+        return None if self.penetration_m is None else margin * self.penetration_m
 
     @property
     def rebound(self) -> float | None:
@@ -115,13 +111,18 @@ class Aim:
         return spring_damper_restitution(self.damping_n_s_per_m / critical_n_s_per_m)
 
     @property
+    def damping_ratio(self) -> float:
+        """Damping ratio of a spring and damper with the asked rebound; 1 without one."""
+        return 1.0 if self.rebound is None else damping_ratio_of(self.rebound)
+
+    @property
     def targets(self) -> dict[str, float | None]:
         """Values that the scenes measure against, by the names of measured values; None for what does not matter."""
         turning = {"torsion_m": self.torsion_m, "rolling_m": self.rolling_m}
         return {
             "friction": self.friction,
             "restitution": self.rebound,
-            "penetration_m": self.depth_m,
+            "penetration_m": self.depth_m(),
             "creep_m_s": self.creep_m_s,
             **{name: value for name, value in turning.items() if value is not None},
         }

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.backends.registry import backend, backend_class, backend_names
@@ -16,7 +16,6 @@ from gauge_envs.tools.conformance import (
     Lab,
     bending_stiffness,
     cantilever_strip,
-    checks,
     hanging_strip,
     stretch_stiffness,
 )
@@ -37,11 +36,8 @@ CELLS = 6
 STIFFNESSES = ("stretch_n_per_m", "shear_n_per_m", "bend_n_m", "bending_length_m")
 """Names of the measured constants that a simulation can give."""
 
-STRIPS = {
-    "stretch_n_per_m": (stretch_stiffness, "cloth-stretch"),
-    "bend_n_m": (bending_stiffness, "cloth-bending"),
-}
-"""Measure of each strip, and the conformance check whose tolerance it has, by the measured value."""
+TOLERANCES = {"stretch_n_per_m": 0.02, "bend_n_m": 0.2}
+"""Relative error of a strip that counts as none, as in the conformance checks."""
 
 
 def fabric_constants(fabric: Fabric) -> dict[str, FabricConstants]:
@@ -78,10 +74,10 @@ def fabric_recipe(
     mapped = known[key]
     start_s = time.perf_counter()
     targets = _measured_constants(fabric)
+    reached: dict[str, float | None] = dict.fromkeys(STIFFNESSES)
     texts = [f"A fall-back sets {text}." for text in mapped.fallbacks]
     texts += [f"The mapping loses {loss}." for loss in mapped.lost]
     versions: Mapping[str, str] = {}
-    strips: dict[str, Strip] = {}
     step_s = None
     if key == ISAAC:
         texts.append("This package does not simulate Isaac Sim.")
@@ -89,64 +85,69 @@ def fabric_recipe(
         versions = backend(key).versions()
         changes = {} if timestep_s is None else {"timestep_s": timestep_s}
         lab = Lab(backend(key), {**mapped.settings, **changes})
-        hung = hanging_strip(fabric)
-        strips["stretch_n_per_m"] = _strip(lab, hung, targets, "stretch_n_per_m")
+        strips, notes = _strips(lab, fabric, targets)
+        reached |= strips
+        texts += notes
         step_s = lab.settings_in_force.get("timestep_s")
-        free_m = BENT_SHARE * BENT_FREE_M
-        bent = cantilever_strip(fabric, free_m, height_m=0.0)
-        strips["bend_n_m"] = _strip(
-            lab, bent, targets, "bend_n_m", cell_m=free_m / CELLS
-        )
-    reached = dict.fromkeys(STIFFNESSES) | {
-        name: strip.stiffness for name, strip in strips.items()
+    error = {name: difference(reached[name], targets[name]) for name in reached}
+    assignments = (
+        f"{name} = {value:.6g}  # {mapped.units[name]}\n"
+        for name, value in mapped.constants.items()
+    )
+    law = {
+        "stretch_n_per_m": mapped.stretch_stiffness_n_per_m,
+        "shear_n_per_m": mapped.shear_stiffness_n_per_m,
     }
-    if reached["bend_n_m"] is not None:
-        weight_n_per_m2 = fabric.areal_density_kg_per_m2 * GRAVITY_M_PER_S2
-        length_m = math.cbrt(max(reached["bend_n_m"], 0.0) / weight_n_per_m2)
-        reached["bending_length_m"] = length_m
     return Recipe(
         engine=key,
         asked=targets,
         settings=mapped.constants,
-        snippet=fabric_snippet(mapped),
+        snippet=mapped.snippet or "".join(assignments),
         reached=reached,
-        error={name: difference(reached[name], targets[name]) for name in reached},
-        misses=[name for name, strip in strips.items() if strip.is_missed],
-        detail={"mapping_gives": law_of(mapped), "timestep_s": step_s},
+        error=error,
+        misses=[
+            name
+            for name, share in TOLERANCES.items()
+            if abs(error[name] or 0.0) > share * targets[name]
+        ],
+        detail={"mapping_gives": law, "timestep_s": step_s},
         wall_s=time.perf_counter() - start_s,
-        explanation=" ".join(
-            [*texts, *(strip.text for strip in strips.values())]
-        ).strip()
-        or NOTHING_LOST,
+        explanation=" ".join(texts) or NOTHING_LOST,
         versions=versions,
     )
 
 
-class Strip(NamedTuple):
-    """Stiffness of a simulated strip, None if it diverges or moves on, whether it is missed, and why."""
-
-    stiffness: float | None
-    is_missed: bool = False
-    text: str = ""
-
-
-def _strip(
-    lab: Lab, scene: Scene, targets: Mapping[str, float], name: str, **changes: Any
-) -> Strip:
-    """Return the stiffness of a simulated strip, with the tolerance of the conformance check."""
-    measure, check = STRIPS[name]
-    try:
-        measurement = measure(lab.rollout(scene, **changes))
-    except DivergedError as error:
-        return Strip(None, text=f"{name}: the simulation diverges: {error}.")
-    stiffness, target = measurement.measured, targets[name]
-    if not math.isfinite(stiffness):
-        return Strip(None, text=f"{name}: {measurement.hint}.")
-    if abs(stiffness - target) <= checks((check,))[0].tolerance.width(target):
-        return Strip(stiffness)
-    ratio = stiffness / target
-    text = f"{name}: the simulated strip has {stiffness:.4g}, {ratio:.3g} of what is asked."
-    return Strip(stiffness, True, text)
+def _strips(
+    lab: Lab, fabric: Fabric, targets: Mapping[str, float]
+) -> tuple[dict[str, float], list[str]]:
+    """Return the stiffness of simulated strips, without those that diverge or move on, and why one is missed."""
+    free_m = BENT_SHARE * BENT_FREE_M
+    bent = cantilever_strip(fabric, free_m, height_m=0.0)
+    strips: tuple[tuple[str, Scene, Any, dict[str, Any]], ...] = (
+        ("stretch_n_per_m", hanging_strip(fabric), stretch_stiffness, {}),
+        ("bend_n_m", bent, bending_stiffness, {"cell_m": free_m / CELLS}),
+    )
+    reached, texts = dict[str, float](), []
+    for name, scene, measure, changes in strips:
+        try:
+            measurement = measure(lab.rollout(scene, **changes))
+        except DivergedError as error:
+            texts.append(f"{name}: the simulation diverges: {error}.")
+            continue
+        stiffness, target = measurement.measured, targets[name]
+        if not math.isfinite(stiffness):
+            texts.append(f"{name}: {measurement.hint}.")
+            continue
+        reached[name] = stiffness
+        if abs(stiffness - target) > TOLERANCES[name] * target:
+            texts.append(
+                f"{name}: the simulated strip has {stiffness:.4g}, {stiffness / target:.3g} of what is asked."
+            )
+    if "bend_n_m" in reached:
+        weight_n_per_m2 = fabric.areal_density_kg_per_m2 * GRAVITY_M_PER_S2
+        length_m = math.cbrt(max(reached["bend_n_m"], 0.0) / weight_n_per_m2)
+        reached["bending_length_m"] = length_m
+    return reached, texts
 
 
 def _measured_constants(fabric: Fabric) -> dict[str, float]:
@@ -160,20 +161,3 @@ def _measured_constants(fabric: Fabric) -> dict[str, float]:
         "areal_density_kg_per_m2": fabric.areal_density_kg_per_m2,
         "thickness_m": fabric.thickness_m,
     }
-
-
-def law_of(mapped: FabricConstants) -> dict[str, float]:
-    """Return the stiffness of the engine's law at small strain, without a simulation, by name [N/m]."""
-    return {
-        "stretch_n_per_m": mapped.stretch_stiffness_n_per_m,
-        "shear_n_per_m": mapped.shear_stiffness_n_per_m,
-    }
-
-
-def fabric_snippet(mapped: FabricConstants) -> str:
-    """Return the constants of a fabric in the engine's own language."""
-    assignments = (
-        f"{name} = {value:.6g}  # {mapped.units[name]}\n"
-        for name, value in mapped.constants.items()
-    )
-    return mapped.snippet or "".join(assignments)

@@ -12,7 +12,6 @@ from pathlib import Path
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.references import uncertainties
-from gauge_envs.references.tables import read_content, scoring_folder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,18 +41,14 @@ class MaterialPair:
     uncertainty_sources: tuple[str, ...]
 
 
-def _rows(file: Path) -> list[dict[str, str]]:
-    return [*csv.DictReader(read_content(file).decode().splitlines())]
-
-
 @cache
 def _places() -> dict[str, dict[str, str]]:
     """Return the two bodies of each pair in words, the family of its task file, and the body in it, by name.
 
     The name begins with the material of the body.
     """
-    rows = _rows(Path(__file__).with_name("materials.csv"))
-    return {row["name"]: row for row in rows}
+    text = Path(__file__).with_name("materials.csv").read_text()
+    return {row["name"]: row for row in csv.DictReader(text.splitlines())}
 
 
 def material_pairs() -> tuple[MaterialPair, ...]:
@@ -110,11 +105,3 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
         source=f"{source} ({', '.join(publications)})",
         uncertainty_sources=tuple(sources),
     )
-
-
-def published_pairs() -> list[dict[str, str]]:
-    """Return friction of further pairs as tables in the literature state it: texts, of which some are ranges."""
-    return [
-        {key: value or "-" for key, value in row.items()}
-        for row in _rows(scoring_folder("facts") / "friction_tables.csv")
-    ]

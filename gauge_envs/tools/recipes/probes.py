@@ -5,24 +5,16 @@ without turning, others may tip, hop and spin. The scenes go through the contrac
 """
 
 import math
-from collections.abc import Sequence
-from contextlib import closing
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.base import scene_support
-from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
-    Contact,
-    ContactMode,
-    Motion,
-    Plane,
     Pose,
     RigidBody,
     Scene,
@@ -30,10 +22,11 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scoring.estimators import steady_speed_m_per_s
 from gauge_envs.tools.bench.drop import RADIUS_M, balls_above_ground, bounce_of, fall_s
-from gauge_envs.tools.bench.parts import body, thrown
+from gauge_envs.tools.bench.parts import ball, body, contact, ground, thrown
 from gauge_envs.tools.bench.recording import Recording, record
 from gauge_envs.tools.bench.slope import creep_m_per_s, friction_of_slide, moved_m
 from gauge_envs.tools.bench.turning import INERTIA_SHARES, ROLL, SPIN, turning_arm_m
+from gauge_envs.tools.conformance import Lab
 from gauge_envs.tools.recipes.engines.base import ContactSettings
 
 PLATE_M = (0.12, 0.12, 0.03)
@@ -82,21 +75,28 @@ SLIDE_FROM_S, CREEP_FROM_S, REST_FROM_S = 0.1, 0.5, 1.8
 SAMPLE_S = 1e-3
 """Desired time between samples [s]; a step that is longer is the time between samples."""
 
-MAX_MISFIT = 0.01
-"""Largest misfit of the approach to rest, over its size, with which its time constant is read."""
+NAMES = (
+    "friction",
+    "friction_hopping",
+    "restitution",
+    "penetration_m",
+    "creep_m_s",
+)
+"""Names of what is reported of all settings; `friction` is the friction of bodies that hold contact."""
+
+SCATTER = 0.02
+"""Range of restitutions, and relative range of frictions, that is worth a sentence."""
+
+SEEN_HOP_M = 0.01
+"""Hop of a fast plate that is worth a sentence [m]: MuJoCo's default hops by half of it."""
 
 LEVEL = Rotation.identity()
 
 
-def creep_slope_rad(friction: float) -> float:
-    """Return the slope of the creep [rad]."""
-    return math.atan(CREEP_SHARE * friction)
-
-
-def drop_heights_m(timestep_s: float) -> list[float]:
+def drop_heights_m(timestep_s: float) -> FloatArray:
     """Return the height of each drop [m]: each ball falls on for another part of a step."""
     step_m = G * fall_s(DROP_M, G) * timestep_s
-    return [DROP_M + step_m * index / BALL_COUNT for index in range(BALL_COUNT)]
+    return DROP_M + step_m * np.arange(BALL_COUNT) / BALL_COUNT
 
 
 def _lean(slope_rad: float, turn_deg: float = 0.0) -> Rotation:
@@ -120,16 +120,15 @@ class Probe:
     Attributes:
         settings: The settings.
         mass_kg: Mass of plate and balls [kg].
-        friction: Coefficient of friction for which slopes are chosen.
     """
 
     settings: ContactSettings
     mass_kg: float
-    friction: float
 
     @property
     def _slide_slope_rad(self) -> float:
-        return math.atan(self.friction) + math.radians(SLIDE_BEYOND_DEG)
+        friction = self.settings.sliding_friction
+        return math.atan(friction) + math.radians(SLIDE_BEYOND_DEG)
 
     def slide(self) -> dict[str, float]:
         """Return the friction of plates that cannot turn, which is the friction of their contacts."""
@@ -170,26 +169,22 @@ class Probe:
 
     def creep(self) -> dict[str, float]:
         """Return the speed [m/s] of a plate on a slope that friction holds."""
-        lean = _lean(creep_slope_rad(self.friction), TURN_DEG)
+        lean = _lean(math.atan(CREEP_SHARE * self.settings.sliding_friction), TURN_DEG)
         plate = self._plate(lean)
         rollout = self._rollout([plate], lean, CREEP_S)
         speed = creep_m_per_s(rollout, plate.name, "ground", start_s=CREEP_FROM_S)
         return {"creep_m_s": speed}
 
-    def rest(self) -> dict[str, Any]:
-        """Return depth [m], its drift [m/s] and time constant [s] of a plate let go just where it touches the ground.
-
-        The time constant is twice the inverse of the damping per mass of the approach; None where it is not resolved.
-        """
+    def rest(self) -> dict[str, float]:
+        """Return depth [m] and its drift [m/s] of a plate let go just where it touches the ground."""
         plate = self._plate(LEVEL)
         rollout = self._rollout([plate], LEVEL, REST_S)
-        times_s = rollout.times_s
-        depth_m = 0.5 * PLATE_M[2] - rollout.position(plate.name)[:, 2]
-        settled = times_s >= REST_FROM_S
+        settled = rollout.between(REST_FROM_S, math.inf)
+        times_s = rollout.times_s[settled]
+        depth_m = 0.5 * PLATE_M[2] - rollout.position(plate.name)[settled, 2]
         return {
-            "penetration_m": float(depth_m[settled].mean()),
-            "drift_m_s": steady_speed_m_per_s(times_s[settled], depth_m[settled]),
-            "time_constant_s": _time_constant_s(depth_m, rollout.interval_s),
+            "penetration_m": float(depth_m.mean()),
+            "drift_m_s": steady_speed_m_per_s(times_s, depth_m),
         }
 
     def drop(self) -> dict[str, float]:
@@ -220,12 +215,10 @@ class Probe:
             # Torque over the normal force, for a loss of spin of 1 rad/s^2.
             arm_m = INERTIA_SHARES[axis] * RADIUS_M**2 / G
             spin_rad_per_s = SLIDE_S * expected_m / arm_m * np.array(axis)
-            (ball,) = balls_above_ground(
-                {"ball": 0.0}, spacing_m=0.0, mass_kg=self.mass_kg
-            )
             velocity_m_per_s = (RADIUS_M * spin_rad_per_s[1], 0.0, 0.0)
-            ball = thrown(ball, velocity_m_per_s, spin_rad_per_s)
-            rollout = self._rollout([ball], LEVEL, 0.8 * SLIDE_S)
+            level_ball = ball("ball", (0.0, 0.0, RADIUS_M), mass_kg=self.mass_kg)
+            turning_ball = thrown(level_ball, velocity_m_per_s, spin_rad_per_s)
+            rollout = self._rollout([turning_ball], LEVEL, 0.8 * SLIDE_S)
             values[name] = turning_arm_m(rollout, axis, start_s=SLIDE_FROM_S)
         return values
 
@@ -257,58 +250,84 @@ class Probe:
 
         Raises:
             DivergedError: The engine failed, or a body left the scene.
-            UnsupportedSceneError: The engine cannot simulate the contact.
+            DeclinedError: The engine cannot simulate the contact.
         """
-        settings, backend = self.settings, self.settings.backend()
+        settings = self.settings
         # Engines without a coefficient of restitution rebound by their constants.
-        restitution = getattr(settings, "restitution", None)
-        pose = Pose.from_rotation((0.0, 0.0, 0.0), lean)
-        ground = body("ground", Plane(), pose, mass_kg=0.0, motion=Motion.FIXED)
-        contact = Contact(
-            first=tuple(body.name for body in bodies),
-            second=("ground",),
+        touch = contact(
+            tuple(body.name for body in bodies),
+            "ground",
             friction=settings.sliding_friction,
-            restitution=restitution or 0.0,
-            mode=ContactMode.SUSTAINED if restitution is None else ContactMode.IMPACT,
-            torsion_m=settings.torsion_m,
-            rolling_m=settings.rolling_m,
+            restitution=getattr(settings, "restitution", None),
         )
-        scene = Scene(bodies=(*bodies, ground), contacts=(contact,), duration_s=seconds)
-        if missing := scene_support(backend, scene).missing:
-            raise UnsupportedSceneError(
-                f"{backend.name} cannot simulate the recipe: {'; '.join(missing)}"
-            )
+        touch = replace(
+            touch, torsion_m=settings.torsion_m, rolling_m=settings.rolling_m
+        )
+        pose = Pose.from_rotation((0.0, 0.0, 0.0), lean)
+        plane = replace(ground(), pose=pose)
+        scene = Scene(bodies=(*bodies, plane), contacts=(touch,), duration_s=seconds)
         step_s = settings.timestep_s
         interval_s = step_s * max(1, round(SAMPLE_S / step_s))
-        given = {
-            **settings.backend_settings(self.mass_kg),
-            "timestep_s": step_s,
-            "drive_interval_s": interval_s,
-        }
-        with closing(backend.build(scene, given)) as simulation:
-            simulation.reset(None, 0)
-            limit_m_per_s = scene.speed_limit_m_per_s + G * seconds
+        lab = Lab(settings.backend(), settings.backend_settings(self.mass_kg))
+        with lab.running(
+            scene, timestep_s=step_s, drive_interval_s=interval_s
+        ) as simulation:
             return record(
                 simulation,
                 scene,
                 seconds,
                 interval_s=interval_s,
-                speed_limit_m_per_s=limit_m_per_s,
+                speed_limit_m_per_s=scene.speed_limit_m_per_s + G * seconds,
             )
 
 
-def _time_constant_s(depth_m: FloatArray, interval_s: float) -> float | None:
-    """Return the time constant of a damped approach to rest, fitted as a linear recurrence of second order."""
-    left_m = depth_m - depth_m[-1]
-    moving = np.flatnonzero(np.abs(left_m) > 0.02 * np.abs(left_m).max())
-    if len(moving) < 8 or moving[-1] > len(left_m) - 3:
-        return None
-    part_m = left_m[: moving[-1] + 2]
-    table = np.column_stack([part_m[1:-1], part_m[:-2]])
-    solution = np.linalg.lstsq(table, part_m[2:], rcond=None)[0]
-    misfit = np.abs(table @ solution - part_m[2:]).max() / np.abs(part_m).max()
-    # The product of the two roots is exp(-2 t / time constant).
-    product_of_roots = -float(solution[1])
-    if misfit > MAX_MISFIT or not 0.0 < product_of_roots < 1.0:
-        return None
-    return -2.0 * interval_s / math.log(product_of_roots)
+def measured(settings: ContactSettings, mass_kg: float) -> dict[str, float]:
+    """Simulate all scenes, and return their values by name, with those of `NAMES`.
+
+    Args:
+        settings: The settings.
+        mass_kg: Mass of the bodies [kg].
+
+    Raises:
+        DivergedError: The engine failed, or a body left the scene.
+        DeclinedError: The engine cannot simulate the contact.
+    """
+    probe = Probe(settings=settings, mass_kg=mass_kg)
+    return {
+        **probe.slide(),
+        **probe.hop(),
+        **probe.fast_hop(),
+        **probe.drop(),
+        **probe.rest(),
+        **probe.creep(),
+        **probe.turning(),
+    }
+
+
+def notes_on(values: Mapping[str, float]) -> list[str]:
+    """Return what one number for each quantity leaves out: direction, hops, scatter between drops."""
+    notes = []
+    friction, low, high = (values[f"friction{end}"] for end in ("", "_low", "_high"))
+    hop_low, hop_high = values["friction_hopping_low"], values["friction_hopping_high"]
+    drop_low, drop_high = values["restitution_low"], values["restitution_high"]
+    if high - low > SCATTER * abs(friction):
+        notes.append(
+            f"Friction depends on the direction: it is {low:.3g} to {high:.3g} for a plate with its edges along the "
+            "slope and one turned by 30 degrees."
+        )
+    if friction - hop_low > SCATTER * abs(friction):
+        notes.append(
+            f"Plates that can tip hop by up to {1e3 * values['hop_m']:.2g} mm and have friction {hop_low:.3g} to "
+            f"{hop_high:.3g}; higher bodies can lose more."
+        )
+    if values["fast_hop_m"] > SEEN_HOP_M:
+        notes.append(
+            f"Plates that slide at up to 4 m/s hop by {1e3 * values['fast_hop_m']:.2g} mm; a softer contact or a "
+            "shorter step hops less."
+        )
+    if drop_high - drop_low > SCATTER:
+        notes.append(
+            f"Single drops rebound with {drop_low:.3f} to {drop_high:.3f}, depending on where in a time step they "
+            "strike."
+        )
+    return notes

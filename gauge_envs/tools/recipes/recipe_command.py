@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,7 +12,7 @@ from gauge_envs.cli.output import Format, Progress, echo, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
-    from gauge_envs.pages.document import Shown
+    from gauge_envs.pages.document import Document
     from gauge_envs.pages.table import Table
     from gauge_envs.scene.fabrics import Fabric
 
@@ -124,24 +124,17 @@ def recipe(
     given = {name: value for name, value in wanted.items() if value is not None}
     with Progress("simulates", None):
         if explain is not None:
-            answer = _meaning(engine, explain, material, given)
+            document, has_failed = _meaning(engine, explain, material, given)
         elif material in known_fabrics():
-            answer = _fabric(engine, str(material), given)
+            document, has_failed = _fabric(engine, str(material), given)
         else:
-            answer = _contact(engine, material, given)
-    print_document(answer.shown, form)
+            document, has_failed = _contact(engine, material, given)
+    print_document(document, form)
     if form is not Format.JSON:
         # A terminal's width must not wrap or cut what is to be pasted.
-        echo(f"\npaste\n{answer.snippet}", nl=False)
-    return answer.has_failed
-
-
-class Answer(NamedTuple):
-    """What a request prints, the snippet to paste, and whether a simulation diverged."""
-
-    shown: Shown
-    snippet: str
-    has_failed: bool
+        (row,) = document.rows or ()
+        echo(f"\npaste\n{row['snippet']}", nl=False)
+    return has_failed
 
 
 def _timestep(changes: Sequence[str] | None) -> dict[str, float]:
@@ -155,31 +148,17 @@ def _timestep(changes: Sequence[str] | None) -> dict[str, float]:
     return settings
 
 
-def _check_names(
-    subject: str, given: Iterable[str], allowed: Mapping[str, str]
-) -> None:
-    """Raise an error for options that a subject does not take.
-
-    Args:
-        subject: What was asked for.
-        given: Names of the options.
-        allowed: Example of each option that the subject takes, by name.
-    """
-    if set(given) - set(allowed):
-        raise ParameterError(
-            f"{subject} goes with {' and '.join(allowed.values())} alone: leave the others out"
-        )
-
-
 def _check_body(given: Mapping[str, float]) -> None:
     """Raise an error if a request has no mass or no time step."""
-    for name, example in BODY.items():
-        if name not in given:
-            raise ParameterError(f"the request is incomplete: add {example}")
+    missing = [example for name, example in BODY.items() if name not in given]
+    if missing:
+        raise ParameterError(f"the request is incomplete: add {' '.join(missing)}")
 
 
-def _contact(engine: str, material: str | None, given: dict[str, float]) -> Answer:
-    """Return a recipe for a behaviour, or for a measured pair of materials."""
+def _contact(
+    engine: str, material: str | None, given: dict[str, float]
+) -> tuple[Document, bool]:
+    """Return a recipe for a behaviour, or for a measured pair of materials, and whether a simulation diverged."""
     from gauge_envs.tools.recipes import Aim, engine_settings, find_recipe
     from gauge_envs.tools.recipes.materials import find_material
     from gauge_envs.tools.recipes.report import recipe_document
@@ -187,46 +166,54 @@ def _contact(engine: str, material: str | None, given: dict[str, float]) -> Answ
     settings, pair = engine_settings(engine), None
     if material is not None:
         pair = find_material(material, also=known_fabrics())
-        given = {"mass_kg": pair.mass_kg, **given}
+        measured = {"mass_kg": pair.mass_kg}
         if pair.friction is not None:
-            given = {"friction": pair.friction, **given}
+            measured["friction"] = pair.friction
         if "damping_n_s_per_m" not in given:
-            given = {"restitution": pair.restitution, **given}
+            measured["restitution"] = pair.restitution
+        given = measured | given
     if not given.keys() - {"damping_n_s_per_m", *BODY}:
         raise ParameterError(
             "nothing is asked: add --friction 0.4, --restitution 0.6, --penetration or --stiffness"
         )
     _check_body(given)
     result = find_recipe(settings, Aim(**given))
-    return Answer(recipe_document(result, pair), result.snippet, not result.detail)
+    return recipe_document(result, pair), not result.detail
 
 
 def _meaning(
     engine: str, text: str, material: str | None, given: Mapping[str, float]
-) -> Answer:
-    """Return what settings give."""
+) -> tuple[Document, bool]:
+    """Return what settings give, and whether the simulation diverged."""
     from gauge_envs.tools.recipes import engine_settings
-    from gauge_envs.tools.recipes.explain import explain, parsed_contact
     from gauge_envs.tools.recipes.report import meaning_document
+    from gauge_envs.tools.recipes.search import explain
 
-    _check_names("--explain", [*given, *filter(None, [material])], BODY)
+    if material is not None or given.keys() - BODY:
+        raise ParameterError(
+            f"--explain goes with {' and '.join(BODY.values())} alone: leave the others out"
+        )
     _check_body(given)
-    contact = parsed_contact(engine_settings(engine), text, given["timestep_s"])
+    contact = engine_settings(engine).parsed(text, given["timestep_s"])
     meaning = explain(contact, given["mass_kg"])
-    has_failed = meaning.reached["friction"] is None
-    return Answer(meaning_document(meaning), meaning.snippet, has_failed)
+    return meaning_document(meaning), meaning.reached["friction"] is None
 
 
-def _fabric(engine: str, name: str, given: Mapping[str, float]) -> Answer:
-    """Return a fabric in the constants of an engine."""
+def _fabric(
+    engine: str, name: str, given: Mapping[str, float]
+) -> tuple[Document, bool]:
+    """Return a fabric in the constants of an engine, and whether a simulation diverged."""
     from gauge_envs.tools.recipes.fabrics import fabric_recipe
     from gauge_envs.tools.recipes.report import recipe_document
 
-    _check_names("a fabric", given, {"timestep_s": TIMESTEP})
+    if given.keys() - {"timestep_s"}:
+        raise ParameterError(
+            f"a fabric goes with {TIMESTEP} alone: leave the others out"
+        )
     result = fabric_recipe(name, known_fabrics()[name], engine, given.get("timestep_s"))
     strips = (result.reached["stretch_n_per_m"], result.reached["bend_n_m"])
     has_failed = bool(result.versions) and None in strips
-    return Answer(recipe_document(result, name), result.snippet, has_failed)
+    return recipe_document(result, name), has_failed
 
 
 def recipe_fabrics(form: arguments.Form = Format.TEXT) -> None:
@@ -241,16 +228,8 @@ def recipe_fabrics(form: arguments.Form = Format.TEXT) -> None:
 
 def list_materials(patterns: Sequence[str]) -> list[Table]:
     """Return the tables of the measured pairs and fabrics."""
-    from gauge_envs.tools.recipes.materials import material_pairs, published_pairs
-    from gauge_envs.tools.recipes.report import (
-        fabric_table,
-        material_table,
-        published_table,
-    )
+    from gauge_envs.tools.recipes.materials import material_pairs
+    from gauge_envs.tools.recipes.report import fabric_table, material_table
 
-    tables = [
-        material_table(material_pairs()),
-        published_table(published_pairs()),
-        fabric_table(known_fabrics()),
-    ]
+    tables = [material_table(material_pairs()), fabric_table(known_fabrics())]
     return arguments.matching(tables, patterns, kind="material")

@@ -7,10 +7,9 @@ from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.pages.document import Document, Part
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.scene.fabrics import Fabric, bending_length_m
-from gauge_envs.tools.recipes.explain import Meaning
 from gauge_envs.tools.recipes.fabrics import fabric_constants
 from gauge_envs.tools.recipes.materials import MaterialPair
-from gauge_envs.tools.recipes.search import Recipe
+from gauge_envs.tools.recipes.search import Meaning, Recipe
 
 TITLES = {
     "friction_hopping": "friction, hopping",
@@ -18,13 +17,16 @@ TITLES = {
     "creep_m_s": "creep [m/s]",
     "torsion_m": "torsion [m]",
     "rolling_m": "rolling [m]",
-    "time_constant_s": "time constant [s]",
     "stretch_n_per_m": "stretch [N/m]",
     "shear_n_per_m": "shear [N/m]",
     "bend_n_m": "bend [N m]",
     "bending_length_m": "bending length [m]",
 }
 """Titles of values whose names carry a unit."""
+
+
+SHEAR_SHARE = "shear over real"
+"""Row with the shear stiffness of a mapped fabric over the measured one."""
 
 
 def _number(key: str, title: str, *, unit: str = "") -> Column:
@@ -60,35 +62,30 @@ def recipe_document(
     elif material is not None:
         row = row | {"material": material}
         title = f"{material} in {recipe.engine}"
-    columns = [
-        _number("asked", "asked"),
-        _number("reached", "reached"),
-        Column("error", "error", _error_text, is_number=True),
-    ]
-    law = recipe.detail.get("mapping_gives", {})
-    if law:
-        columns.insert(1, _number("law", "law"))
+    law = recipe.detail.get("mapping_gives")
     rows = []
     for name, value in recipe.reached.items():
         target, error = recipe.asked.get(name), recipe.error.get(name)
         if value is not None and error is not None:
             # A stiffness asks for a depth, and a damping for a rebound.
             target = value - error
-        row_of_name = {"name": name, "asked": target, "law": law.get(name)}
-        rows.append(row_of_name | {"reached": value, "error": error})
+        row_of_name = {"name": name, "asked": target, "reached": value, "error": error}
+        rows.append(row_of_name | {"law": law and law.get(name)})
+    columns = [
+        _number("asked", "asked"),
+        *([_number("law", "law")] if law else []),
+        _number("reached", "reached"),
+        Column("error", "error", _error_text, is_number=True),
+    ]
     wall = f"{recipe.wall_s:.1f} s"
     parts.append(_values_table(title, columns, rows, recipe.explanation, wall))
     return Document(parts=parts, rows=[row])
 
 
 def meaning_document(meaning: Meaning) -> Document:
-    """Return what settings give by simulation and in closed form."""
-    closed_form = meaning.closed_form or {}
-    rows = [
-        {"name": name, "reached": value, "expected": closed_form.get(name)}
-        for name, value in meaning.reached.items()
-    ]
-    columns = [_number("reached", "simulated"), _number("expected", "closed form")]
+    """Return what settings give by simulation."""
+    rows = [{"name": name, "reached": value} for name, value in meaning.reached.items()]
+    columns = [_number("reached", "simulated")]
     table = _values_table(meaning.engine, columns, rows, meaning.explanation)
     return Document(parts=(table,), rows=[vars(meaning)])
 
@@ -112,29 +109,6 @@ def material_table(pairs: Sequence[MaterialPair]) -> Table:
         rows=pairs,
         notes=notes if is_list else (),
     )
-
-
-PUBLISHED = (
-    "",
-    "These values of tables are for clean and dry surfaces. Samples of one pair differ, steel by a factor of five: "
-    "measure yours.",
-    "CTU Code: IMO, ILO and UNECE, Code of Practice for Packing of Cargo Transport Units, annex 7, appendix 2; its "
-    "dynamic value is 75 % of the static one.",
-    "CDA3000: Lust, Engineering Guide CDA3000, appendix A. Surface Improvement: Handbook of Surface Improvement and "
-    "Modification, p. 167. SAE 2001-01-2755: Strauss, Carnahan, Inendino.",
-)
-
-
-def published_table(rows: Sequence[Mapping[str, str]]) -> Table:
-    """Return friction of further pairs with its sources."""
-    columns = (
-        Column("name", "pair"),
-        Column("static", "static"),
-        Column("dynamic", "dynamic"),
-        Column("rolling_mm", "rolling [mm]"),
-        Column("source", "source", wide_only=True),
-    )
-    return Table(columns=columns, rows=rows, notes=PUBLISHED)
 
 
 # --- fabrics ---------------------------------------------------------------------------------------------------------
@@ -173,16 +147,11 @@ def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
     known = {name: fabric_constants(fabric) for name, fabric in fabrics.items()}
     rows = []
     for engine, first in next(iter(known.values())).items():
-        mapped = {name: by_engine[engine] for name, by_engine in known.items()}
-        for constant, unit in first.units.items():
+        for constant, unit in [*first.units.items(), (SHEAR_SHARE, "1")]:
             row = {"engine": engine, "constant": constant, "unit": unit}
-            rows.append(
-                row | {name: _cell(fabric, constant) for name, fabric in mapped.items()}
-            )
-        row = {"engine": engine, "constant": "shear over real", "unit": "1"}
-        rows.append(
-            row | {name: _shear_share(fabric) for name, fabric in mapped.items()}
-        )
+            for name, by_engine in known.items():
+                row[name] = _cell(by_engine[engine], constant)
+            rows.append(row)
     table = Table(
         columns=(
             Column("engine", "engine", place=Place.HEADING),
@@ -206,12 +175,9 @@ def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
 
 def _cell(mapped: FabricConstants, constant: str) -> str:
     """Return a constant to three digits with a short exponent, and a mark if a fall-back sets it."""
+    if constant == SHEAR_SHARE:
+        measured_n_per_m = mapped.fabric.shear_stiffness_n_per_m
+        return f"{mapped.shear_stiffness_n_per_m / measured_n_per_m:.2g}"
     digits = f"{mapped.constants[constant]:.3g}"
     mark = "*" if constant in mapped.replaced else ""
     return digits.replace("e+0", "e").replace("e-0", "e-") + mark
-
-
-def _shear_share(mapped: FabricConstants) -> str:
-    """Return the shear stiffness of a mapped fabric over the measured one."""
-    measured_n_per_m = mapped.fabric.shear_stiffness_n_per_m
-    return f"{mapped.shear_stiffness_n_per_m / measured_n_per_m:.2g}"

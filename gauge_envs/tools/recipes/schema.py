@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from typing import Annotated, NotRequired, TypedDict
 
 from gauge_envs.cli.schemas import Form
-from gauge_envs.tools.recipes.explain import Meaning
 from gauge_envs.tools.recipes.materials import MaterialPair
-from gauge_envs.tools.recipes.search import Recipe
+from gauge_envs.tools.recipes.search import Meaning, Recipe
 
 
 class Subject(TypedDict):
@@ -24,16 +23,6 @@ RecipeLine = Annotated[Recipe, Form(more=Subject)] | Meaning
 
 FabricsLine = Mapping[str, Mapping[str, Mapping[str, float]]]
 """Constants by fabric, engine and name."""
-
-
-class PublishedPair(TypedDict):
-    """Friction of a pair of materials from a table, as it is printed there."""
-
-    name: str
-    static: str
-    dynamic: str
-    rolling_mm: str
-    source: str
 
 
 class FabricFacts(TypedDict):
@@ -56,5 +45,5 @@ class FabricFacts(TypedDict):
     length: float
 
 
-MaterialLine = MaterialPair | PublishedPair | FabricFacts
-"""A measured pair, a pair of a table, or a fabric."""
+MaterialLine = MaterialPair | FabricFacts
+"""A measured pair, or a fabric."""

@@ -16,51 +16,42 @@ RADIUS_M, DROP_M = 0.03, 0.2
 DURATION_S = 0.5
 PHASES = 4
 """Drops from heights that differ by less than the fall of a step."""
-PLATE = (0.12, 0.12, 0.03)
+HALF_PLATE_M = (0.06, 0.06, 0.015)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Foot:
-    """A box or, without a size, a ball above the plane z = 0, which starts at rest; gravity leans by the slope."""
+    """A box or, without a size, a ball above the plane z = 0, which starts at rest."""
 
     mass_kg: float
     step_s: float
     height_m: float
-    slope_rad: float = 0.0
-    size_m: tuple[float, float, float] | None = None
-    is_free: bool = True
-
-    @property
-    def gravity(self):
-        return G * math.sin(self.slope_rad), 0.0, -G * math.cos(self.slope_rad)
-
-    @property
-    def half_m(self):
-        return [0.5 * edge for edge in self.size_m or ()]
+    gravity: tuple[float, float, float] = (0.0, 0.0, -G)
+    half_m: tuple[float, ...] = ()
 
 
-def slide(loop, snippet, friction, mass_kg, step_s, *, is_free=True):
+def slide(loop, snippet, friction, mass_kg, step_s):
     """Return friction over normal force of a plate, from its mean accelerations along and off the slope after 0.1 s."""
     slope_rad = math.atan(friction) + math.radians(10.0)
+    down, into = G * math.sin(slope_rad), G * math.cos(slope_rad)
     foot = Foot(
         mass_kg=mass_kg,
         step_s=step_s,
-        height_m=0.5 * PLATE[2],
-        slope_rad=slope_rad,
-        size_m=PLATE,
-        is_free=is_free,
+        height_m=HALF_PLATE_M[2],
+        gravity=(down, 0.0, -into),
+        half_m=HALF_PLATE_M,
     )
     places = loop(snippet, foot)
     times = step_s * np.arange(len(places))
     seen = times >= 0.1
     along, _, off = 2.0 * np.polyfit(times[seen], places[seen], 2)[0]
-    return float((G * math.sin(slope_rad) - along) / (G * math.cos(slope_rad) + off))
+    return float((down - along) / (into + off))
 
 
-def rebound(loop, snippet, mass_kg, step_s, *, count=PHASES):
+def rebound(loop, snippet, mass_kg, step_s):
     """Return the mean restitution of drops: root of the second peak's height over the first one's."""
     restitutions = []
-    for phase in range(count):
+    for phase in range(PHASES):
         drop = DROP_M + math.sqrt(2.0 * G * DROP_M) * step_s * phase / PHASES
         foot = Foot(mass_kg=mass_kg, step_s=step_s, height_m=RADIUS_M + drop)
         heights = loop(snippet, foot)[:, 2] - RADIUS_M
@@ -86,18 +77,14 @@ def stepped_places(foot, step, place):
 
 
 def mujoco(snippet, foot):
-    """MuJoCo, from MJCF: a box that cannot turn has three sliding joints."""
+    """MuJoCo, from MJCF."""
     import mujoco as mj
 
-    joints = "<freejoint/>"
-    if not foot.is_free:
-        axes = ("1 0 0", "0 1 0", "0 0 1")
-        joints = "".join(f"<joint type='slide' axis='{axis}'/>" for axis in axes)
     half = " ".join(map(str, foot.half_m))
     shape = f"type='box' size='{half}'" if half else f"type='sphere' size='{RADIUS_M}'"
     model = mj.MjModel.from_xml_string(
         f"<mujoco>{snippet}<worldbody><geom name='floor' type='plane' size='9 9 1'/>"
-        f"<body pos='0 0 {foot.height_m}'>{joints}<geom name='foot' mass='{foot.mass_kg}' {shape}/></body>"
+        f"<body pos='0 0 {foot.height_m}'><freejoint/><geom name='foot' mass='{foot.mass_kg}' {shape}/></body>"
         "</worldbody></mujoco>"
     )
     model.opt.gravity[:] = foot.gravity
@@ -122,7 +109,7 @@ def rapier(snippet, foot):
     world.add_body(rp.RigidBody.fixed(), [names["with_contact"](ground)])
     builder = rp.RigidBody.dynamic().translation((0.0, 0.0, foot.height_m))
     shape = (
-        rp.Collider.cuboid(*foot.half_m) if foot.size_m else rp.Collider.ball(RADIUS_M)
+        rp.Collider.cuboid(*foot.half_m) if foot.half_m else rp.Collider.ball(RADIUS_M)
     )
     colliders = [names["with_contact"](shape.mass(foot.mass_kg))]
     body = world.rigid_bodies[world.add_body(builder.can_sleep(False), colliders)]
@@ -146,7 +133,7 @@ def physx(snippet, foot):
         scene.set_timestep(names["timestep"])
         scene.add_ground(0.0, render=False, material=names["material"])
         builder = scene.create_actor_builder()
-        if foot.size_m:
+        if foot.half_m:
             builder.add_box_collision(half_size=foot.half_m, material=names["material"])
         else:
             builder.add_sphere_collision(radius=RADIUS_M, material=names["material"])
@@ -172,7 +159,7 @@ def pybullet(snippet, foot):
         pb.GEOM_BOX, halfExtents=[8, 8, 8], collisionFramePosition=[0, 0, -8], **shaped
     )
     floor = pb.createMultiBody(0, ground, **names["COORDINATES"], **here)
-    if foot.size_m:
+    if foot.half_m:
         shape = pb.createCollisionShape(pb.GEOM_BOX, halfExtents=foot.half_m, **shaped)
     else:
         shape = pb.createCollisionShape(pb.GEOM_SPHERE, radius=RADIUS_M, **shaped)
@@ -190,43 +177,4 @@ def pybullet(snippet, foot):
     return places
 
 
-def newton(snippet, foot):
-    """Newton, from Python."""
-    import newton as nt
-    import warp as wp
-
-    names = names_of(snippet)
-    builder = nt.ModelBuilder(gravity=foot.gravity)
-    nt.solvers.SolverMuJoCo.register_custom_attributes(builder)
-    ground = nt.ModelBuilder.ShapeConfig(gap=0.002)
-    builder.add_shape_plane(body=-1, width=0.0, length=0.0, cfg=ground)
-    squares = np.square(foot.size_m or [RADIUS_M * math.sqrt(2.4)] * 3)
-    moments = foot.mass_kg * (squares.sum() - squares) / 12.0
-    body = builder.add_body(
-        xform=wp.transform(wp.vec3(0.0, 0.0, foot.height_m), wp.quat_identity()),
-        mass=foot.mass_kg,
-        inertia=wp.mat33(np.diag(moments)),
-        lock_inertia=True,
-    )
-    names["config"].density = 0.0
-    given = {"cfg": names["config"], "custom_attributes": names["attributes"]}
-    if foot.size_m:
-        hx, hy, hz = foot.half_m
-        builder.add_shape_box(body, hx=hx, hy=hy, hz=hz, **given)
-    else:
-        builder.add_shape_sphere(body, radius=RADIUS_M, **given)
-    model = builder.finalize(device="cpu")
-    solver = nt.solvers.SolverMuJoCo(model, **names["options"])
-    pipeline = nt.CollisionPipeline(model)
-    contacts, control = pipeline.contacts(), model.control()
-    states = [model.state(), model.state()]
-
-    def step():
-        pipeline.collide(states[0], contacts)
-        solver.step(*states, control, contacts, names["timestep"])
-        states.reverse()
-
-    return stepped_places(foot, step, lambda: states[0].body_q.numpy()[0, :3])
-
-
-LOOPS = {loop.__name__: loop for loop in (mujoco, rapier, physx, pybullet, newton)}
+LOOPS = {loop.__name__: loop for loop in (mujoco, rapier, physx, pybullet)}

@@ -1,14 +1,23 @@
 """What an engine adds to a recipe: its contact settings, their first proposal, and a snippet to paste."""
 
+import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from scipy.optimize import brentq
 
 from gauge_envs.backends.base import Backend
 from gauge_envs.backends.registry import backend
+from gauge_envs.errors import ParameterError, first_fault, nearest
 from gauge_envs.tools.recipes.aim import Aim
+
+NAME = re.compile(r"(\w+)\s*=")
+"""A name before an equals sign."""
+
+VALUE = re.compile(r"[^\s,\"'()\[\]]+")
+"""A value between blanks, commas, quotes and brackets."""
 
 NonNegative = Annotated[float, Field(ge=0.0)]
 
@@ -23,6 +32,15 @@ def rounded(value: Any) -> Any:
 def numbers(values: Iterable[float], separator: str = " ") -> str:
     """Return numbers as a snippet prints them."""
     return separator.join(f"{value:g}" for value in values)
+
+
+def root_or_end(excess: Callable[[float], float], low: float, high: float) -> float:
+    """Return the root of a function that falls, or the end of the range that is nearest to it."""
+    if excess(low) <= 0.0:
+        return low
+    if excess(high) >= 0.0:
+        return high
+    return float(brentq(excess, low, high, xtol=1e-6))
 
 
 class ContactSettings(BaseModel, ABC):
@@ -68,6 +86,39 @@ class ContactSettings(BaseModel, ABC):
         return backend(cls.engine)
 
     @classmethod
+    def parsed(cls, text: str, timestep_s: float) -> Self:
+        """Return the settings that a text gives, as `solref=0.02 1 solimp=0.9 0.95 0.001`; others are the engine's.
+
+        Args:
+            text: Names and values. Blanks or commas separate values, which may stand in quotes as in XML.
+            timestep_s: Time step [s].
+
+        Raises:
+            ParameterError: The text has another form, or the engine has no such setting.
+        """
+        start, *parts = NAME.split(text)
+        values: dict[str, Any] = {}
+        for name, part in zip(parts[::2], parts[1::2], strict=True):
+            found = VALUE.findall(part)
+            values[name] = tuple(found) if len(found) > 1 else "".join(found)
+        is_repeated = 2 * len(values) < len(parts)
+        if not parts or start.strip() or is_repeated or "timestep_s" in values:
+            raise ParameterError(
+                f"{cls.engine} contact {text!r}: expected names=values, each name once, as 'friction=0.5'"
+            )
+        try:
+            return cls.model_validate({**values, "timestep_s": timestep_s})
+        except ValidationError as error:
+            key, reason = first_fault(error, noun="setting")
+            place = f"{key!r}: " if key else ""
+            hint = ""
+            if reason == "unknown setting":
+                hint = f"; {nearest(key, cls.model_fields)}"
+            raise ParameterError(
+                f"{cls.engine} contact: {place}{reason}{hint}"
+            ) from None
+
+    @classmethod
     def aimed(cls, aim: Aim) -> Self:
         """Return the settings that are to give a behaviour, by a closed form."""
         return cls.model_validate(
@@ -89,10 +140,6 @@ class ContactSettings(BaseModel, ABC):
     def snippet(self) -> str:
         """Return the settings in the engine's own language."""
 
-    def comment(self, text: str) -> str:
-        """Return a comment in the engine's own language."""
-        return f"# {text}"
-
     @property
     def sliding_friction(self) -> float:
         """Coefficient of friction of the pair."""
@@ -102,7 +149,3 @@ class ContactSettings(BaseModel, ABC):
         """Return the settings of the backend, for a body of a mass [kg]."""
         given = {setting: getattr(self, name) for name, setting in self.natives.items()}
         return {"preset": self.preset, **given}
-
-    def closed_form(self) -> dict[str, float | None] | None:
-        """Return what the engine's contact equation gives, by name; None where the engine documents none."""
-        return None

@@ -1,17 +1,21 @@
 """Drake's point contact: stiffness and dissipation of geometries."""
 
 import math
-from typing import Any
+from functools import partial
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
-from scipy.optimize import brentq
 
 from gauge_envs.backends.drake.contacts import rebound
-from gauge_envs.backends.shared.spring_damper import damping_ratio_of
 from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.recipes.aim import Aim
-from gauge_envs.tools.recipes.engines.base import ContactSettings, NonNegative
+from gauge_envs.tools.recipes.engines.base import (
+    ContactSettings,
+    NonNegative,
+    root_or_end,
+)
 from gauge_envs.tools.recipes.probes import DROP_M
 
 RATES = np.geomspace(0.5, 0.01, 60)
@@ -30,16 +34,6 @@ MARGIN = 0.8
 """Share of the allowed depth that settings aim at."""
 
 
-LIMITS = {
-    "restitution": "Drake has no coefficient of restitution: a rebound is a spring, and Drake's implicit steps "
-    "dissipate the more, the stiffer the spring is for the step",
-    "penetration_m": "Drake's contact is a spring: its depth at rest is the weight over the stiffness, and a "
-    "rebound needs a soft spring",
-    "friction": "On a contact that is soft for the step, the plate has not settled within the slide",
-}
-"""What the engine itself limits, by the measured value."""
-
-
 class DrakeSettings(ContactSettings):
     """Contact properties of a body, on ground that is much stiffer. The contact approximation is SAP.
 
@@ -52,7 +46,13 @@ class DrakeSettings(ContactSettings):
     engine = "drake"
     is_soft = True
     preset = "point"
-    limits = LIMITS
+    limits: ClassVar = {
+        "restitution": "Drake has no coefficient of restitution: a rebound is a spring, and Drake's implicit steps "
+        "dissipate the more, the stiffer the spring is for the step",
+        "penetration_m": "Drake's contact is a spring: its depth at rest is the weight over the stiffness, and a "
+        "rebound needs a soft spring",
+        "friction": "On a contact that is soft for the step, the plate has not settled within the slide",
+    }
 
     friction: NonNegative = 0.0
     point_contact_stiffness: float = Field(default=1e6, gt=0.0)
@@ -106,36 +106,32 @@ def _rate_and_relaxation(aim: Aim) -> tuple[float, float]:
 
     The damping ratio is half the relaxation time times the natural frequency.
     """
-    depth_m = aim.aimed_depth_m(MARGIN)
-    depth_rate = 0.0
+    depth_m, depth_rate = aim.depth_m(MARGIN), 0.0
     if depth_m is not None:
         depth_rate = aim.timestep_s * math.sqrt(GRAVITY_M_PER_S2 / depth_m)
+    is_stiff = aim.stiffness_n_per_m is not None
+    if is_stiff and (aim.rebound is None or aim.damping_n_s_per_m is not None):
+        return depth_rate, 2.0 * aim.damping_ratio / depth_rate
     if aim.rebound is None:
-        if aim.stiffness_n_per_m is not None:
-            return depth_rate, 2.0 / depth_rate
         return max(RIGID_RATE, depth_rate), 1.0
-    if aim.damping_n_s_per_m is not None:
-        return depth_rate, 2.0 * damping_ratio_of(aim.rebound) / depth_rate
-    if aim.stiffness_n_per_m is not None:
-        return _rebounding(aim, [depth_rate])
+    if is_stiff:
+        return _rebounding(aim.rebound, aim.timestep_s, np.array([depth_rate]))
     min_rate = max(depth_rate, math.pi * aim.timestep_s / MAX_IMPACT_S)
-    return _rebounding(aim, np.maximum(RATES, min_rate))
+    return _rebounding(aim.rebound, aim.timestep_s, np.maximum(RATES, min_rate))
 
 
-def _rebounding(aim: Aim, rates: Any) -> tuple[float, float]:
+def _rebounding(
+    restitution: float, timestep_s: float, rates: FloatArray
+) -> tuple[float, float]:
     """Return the first rate that rebounds enough and its relaxation time [steps], by a repetition of Drake's scheme."""
     impact_m_per_s = math.sqrt(2.0 * GRAVITY_M_PER_S2 * DROP_M)
-    weight = GRAVITY_M_PER_S2 * aim.timestep_s / impact_m_per_s
+    weight = GRAVITY_M_PER_S2 * timestep_s / impact_m_per_s
 
-    def excess(relaxation_steps: float, rate: float) -> float:
+    def excess(rate: float, relaxation_steps: float = 0.0) -> float:
         restitutions = rebound("relaxation", rate, relaxation_steps, weight)
-        return float(restitutions.mean()) - (aim.rebound or 0.0)
+        return float(restitutions.mean()) - restitution
 
-    excesses = np.array([excess(0.0, rate) for rate in rates])
-    if excesses.max() < 0.0:
-        return float(rates[excesses.argmax()]), 0.0
-    rate = float(rates[np.argmax(excesses >= 0.0)])
-    if excess(MAX_RELAXATION_STEPS, rate) > 0.0:
-        return rate, MAX_RELAXATION_STEPS
-    relaxation = brentq(excess, 0.0, MAX_RELAXATION_STEPS, args=(rate,), xtol=1e-6)
-    return rate, float(relaxation)
+    shortfalls = np.minimum([excess(rate) for rate in rates], 0.0)
+    rate = float(rates[shortfalls.argmax()])
+    relaxation = root_or_end(partial(excess, rate), 0.0, MAX_RELAXATION_STEPS)
+    return rate, relaxation

@@ -1,20 +1,25 @@
 """Genesis's contact settings: the friction of materials, and the constants of the constraint solver."""
 
 import math
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
+import numpy as np
 from pydantic import Field, model_validator
-from scipy.optimize import brentq
 
-from gauge_envs.backends.shared.spring_damper import damping_ratio_of
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.recipes.aim import Aim
-from gauge_envs.tools.recipes.closed_forms import MuJoCoContact
-from gauge_envs.tools.recipes.engines.base import ContactSettings, numbers
+from gauge_envs.tools.recipes.engines.base import (
+    ContactSettings,
+    numbers,
+    root_or_end,
+)
 from gauge_envs.tools.recipes.engines.mujoco import (
-    LIMITS as MUJOCO_LIMITS,
+    ConstraintSettings,
     impedance_of,
     spring_frequency_per_s,
 )
+from gauge_envs.tools.recipes.probes import drop_heights_m
 
 IMPACT_STEPS = (4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 18, 20, 24, 28, 32, 40, 50, 60)
 """Steps that half a period of a contact's spring lasts, from hard to soft."""
@@ -40,6 +45,9 @@ without end, and creeps at 3.5 mm/s."""
 MIN_RATIO = 1e-4
 """Smallest damping ratio of an impact."""
 
+MAX_CONTACT_S = 0.3
+"""Time after which an impact counts as a rest [s]."""
+
 MIN_TIME_STEPS = 2.0
 """Time constant to which Genesis raises shorter ones [steps]."""
 
@@ -48,21 +56,6 @@ SolParams = tuple[float, float, float, float, float, float, float]
 
 SHAPE = (0.001, 0.5, 2.0)
 """Width [m], midpoint and power of an impedance that is constant in depth."""
-
-
-NATIVES = {
-    "friction_cone": "friction_cone",
-    "contact_resolution": "contact_resolution",
-    "impratio": "impratio",
-}
-"""Settings of the backend, by the field that states them."""
-
-LIMITS = {
-    "restitution": "Genesis has no coefficient of restitution, and raises the time constant of a contact to two "
-    "steps: a rebound is a damped spring that lasts several steps",
-    "penetration_m": MUJOCO_LIMITS["penetration_m"].replace("MuJoCo", "Genesis"),
-}
-"""What the engine itself limits, by the measured value."""
 
 
 class GenesisSettings(ContactSettings):
@@ -75,8 +68,18 @@ class GenesisSettings(ContactSettings):
 
     engine = "genesis"
     is_soft = True
-    natives = NATIVES
-    limits = LIMITS
+    natives: ClassVar = {
+        "friction_cone": "friction_cone",
+        "contact_resolution": "contact_resolution",
+        "impratio": "impratio",
+    }
+    limits: ClassVar = {
+        "restitution": "Genesis has no coefficient of restitution, and raises the time constant of a contact to two "
+        "steps: a rebound is a damped spring that lasts several steps",
+        "penetration_m": ConstraintSettings.limits["penetration_m"].replace(
+            "MuJoCo", "Genesis"
+        ),
+    }
 
     friction: float = Field(default=1.0, ge=0.01, le=5.0)
     sol_params: SolParams = (
@@ -115,13 +118,11 @@ class GenesisSettings(ContactSettings):
         """Return a spring that rebounds as hard as steps resolve it, or the spring and damper that is asked for."""
         frequency_per_s = spring_frequency_per_s(aim)
         if frequency_per_s is None:
-            return {"sol_params": _impact(aim), "friction_cone": "elliptic"}
-        ratio = 1.0
-        if aim.rebound is not None:
-            ratio = max(damping_ratio_of(aim.rebound), 1e-3)
-        ratio = min(ratio, _max_ratio(frequency_per_s, aim.timestep_s))
-        solref = (1.0 / (ratio * frequency_per_s), ratio)
-        sol_params = (*solref, SOFT_IMPEDANCE, SOFT_IMPEDANCE, *SHAPE)
+            sol_params = _impact(aim)
+        else:
+            ratio = max(aim.damping_ratio, 1e-3)
+            ratio = min(ratio, _max_ratio(aim, frequency_per_s))
+            sol_params = _constants(frequency_per_s, ratio, SOFT_IMPEDANCE)
         return {"sol_params": sol_params, "friction_cone": "elliptic"}
 
     def snippet(self) -> str:
@@ -163,46 +164,44 @@ def set_contact(scene):  # after scene.build()
             "sustained_impedance": tuple(impedance),
         }
 
-    def closed_form(self) -> dict[str, float | None]:
-        """Return what MuJoCo's documented equation gives, from which Genesis's solver descends."""
-        return MuJoCoContact(
-            solref=self.sol_params[:2],
-            solimp=self.sol_params[2:],
-            friction=self.friction,
-            impratio=self.impratio,
-            is_elliptic=self.friction_cone == "elliptic",
-            timestep_s=self.timestep_s,
-        ).form()
 
-
-def _max_ratio(frequency_per_s: float, timestep_s: float) -> float:
+def _max_ratio(aim: Aim, frequency_per_s: float) -> float:
     """Return the damping ratio with which a spring [1/s] has the shortest time constant, 1 / (ratio frequency)."""
-    return 1.0 / (MIN_TIME_STEPS * timestep_s * frequency_per_s)
+    return 1.0 / (MIN_TIME_STEPS * aim.timestep_s * frequency_per_s)
 
 
 def _impact(aim: Aim) -> SolParams:
     """Return the constants of the hardest spring whose rebound scatters little."""
     restitution = aim.rebound or 0.0
-    candidates: list[tuple[float, SolParams]] = []
+    max_steps = MAX_IMPACT_S / aim.timestep_s
+    candidates: dict[float, SolParams] = {}
     for steps in IMPACT_STEPS:
-        half_period_s = steps * aim.timestep_s
-        if candidates and half_period_s > MAX_IMPACT_S:
+        if candidates and steps > max_steps:
             break
-        contact = _rebounding(aim, restitution, math.pi / half_period_s)
-        rebounds = contact.rebounds()
-        miss = abs(sum(rebounds) / len(rebounds) - restitution)
-        scatter = max(rebounds) - min(rebounds)
+        frequency_per_s = math.pi / (steps * aim.timestep_s)
+        impedance, ratio = _rebounding(aim, restitution, frequency_per_s)
+        restitutions = rebounds(frequency_per_s, ratio, impedance, aim.timestep_s)
+        miss = abs(restitutions.mean() - restitution)
+        scatter = np.ptp(restitutions)
         fault = max(miss - NO_REBOUND, 0.0) + max(scatter - MAX_SCATTER, 0.0)
-        candidates.append((fault, (*contact.solref, *contact.solimp)))
+        candidates.setdefault(fault, _constants(frequency_per_s, ratio, impedance))
         if fault == 0.0:
             break
-    return min(candidates)[1]
+    return candidates[min(candidates)]
 
 
-def _rebounding(aim: Aim, restitution: float, frequency_per_s: float) -> MuJoCoContact:
-    """Return a spring [1/s] whose mean rebound is a restitution, or comes nearest to it.
+def _constants(frequency_per_s: float, ratio: float, impedance: float) -> SolParams:
+    """Return a spring [1/s] with a damping ratio, whose impedance is constant in depth."""
+    time_s = 1.0 / (ratio * frequency_per_s)
+    return time_s, ratio, impedance, impedance, *SHAPE
 
-    Its impedance bears the weight at a depth that steps do not leave.
+
+def _rebounding(
+    aim: Aim, restitution: float, frequency_per_s: float
+) -> tuple[float, float]:
+    """Return impedance and damping ratio of a spring [1/s] whose mean rebound is nearest to a restitution.
+
+    The impedance bears the weight at a depth that steps do not leave.
     """
     impedance = impedance_of(
         aim,
@@ -210,20 +209,48 @@ def _rebounding(aim: Aim, restitution: float, frequency_per_s: float) -> MuJoCoC
         lambda load_s2: 1.0 - load_s2 * frequency_per_s**2,
     )
 
-    def contact(ratio: float) -> MuJoCoContact:
-        return MuJoCoContact(
-            solref=(1.0 / (ratio * frequency_per_s), ratio),
-            solimp=(impedance, impedance, *SHAPE),
-            timestep_s=aim.timestep_s,
-        )
-
     def excess(ratio: float) -> float:
-        rebounds = contact(ratio).rebounds()
-        return sum(rebounds) / len(rebounds) - restitution
+        restitutions = rebounds(frequency_per_s, ratio, impedance, aim.timestep_s)
+        return float(restitutions.mean()) - restitution
 
-    max_ratio = _max_ratio(frequency_per_s, aim.timestep_s)
-    if excess(max_ratio) >= 0.0:
-        return contact(max_ratio)
-    if excess(MIN_RATIO) <= 0.0:
-        return contact(MIN_RATIO)
-    return contact(brentq(excess, MIN_RATIO, max_ratio, xtol=1e-5))
+    max_ratio = _max_ratio(aim, frequency_per_s)
+    return impedance, root_or_end(excess, MIN_RATIO, max_ratio)
+
+
+def rebounds(
+    frequency_per_s: float, ratio: float, impedance: float, timestep_s: float
+) -> FloatArray:
+    """Return the restitution of each drop of `probes` by MuJoCo's contact equation, from which Genesis's descends.
+
+    A contact that pushes gives the acceleration (1 - d) g - 2 z w v - w^2 r at a depth r and a speed v into the ground.
+    Steps change first the velocity, then the position.
+
+    Args:
+        frequency_per_s: Natural frequency w of the contact [1/s].
+        ratio: Damping ratio z.
+        impedance: Impedance d, constant in depth.
+        timestep_s: Time step [s].
+
+    Source: MuJoCo documentation, Computation, section Constraint model, and Modeling, section Solver parameters.
+    """
+    height_m = drop_heights_m(timestep_s)
+    # After n steps of the fall the speed is n g h, and the fallen height n (n + 1) g h^2 / 2.
+    fall_steps = 2.0 * height_m / (G * timestep_s**2)
+    count = np.floor(np.sqrt(0.25 + fall_steps) + 0.5)
+    speed_m_per_s = count * G * timestep_s
+    depth_m = 0.5 * (count + 1.0) * speed_m_per_s * timestep_s - height_m
+    load_m_per_s2 = (1.0 - impedance) * G
+    for _ in range(math.ceil(MAX_CONTACT_S / timestep_s)):
+        # Bodies that have left stay as they are.
+        step_s = timestep_s * (depth_m > 0.0)
+        if not step_s.any():
+            break
+        spring_m_per_s2 = frequency_per_s**2 * depth_m
+        damper_m_per_s2 = 2.0 * ratio * frequency_per_s * speed_m_per_s
+        push_m_per_s2 = spring_m_per_s2 + damper_m_per_s2 - load_m_per_s2
+        speed_m_per_s -= step_s * np.maximum(push_m_per_s2, -G)
+        depth_m += step_s * speed_m_per_s
+    # Positions without force lie on a parabola, whose slope is that between two steps.
+    rise_m_per_s = np.maximum(-speed_m_per_s - 0.5 * timestep_s * G, 0.0)
+    peak_m = np.where(depth_m <= 0.0, 0.5 * rise_m_per_s**2 / G - depth_m, 0.0)
+    return np.sqrt(np.maximum(peak_m, 0.0) / height_m)

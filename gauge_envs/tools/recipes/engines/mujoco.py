@@ -2,15 +2,13 @@
 
 import math
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field
 
-from gauge_envs.backends.mujoco.settings import SolRef
-from gauge_envs.backends.shared.spring_damper import damping_ratio_of
+from gauge_envs.backends.mujoco.settings import SolImp, SolRef
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.recipes.aim import Aim
-from gauge_envs.tools.recipes.closed_forms import MuJoCoContact, Solimp
 from gauge_envs.tools.recipes.engines.base import ContactSettings, numbers
 from gauge_envs.tools.recipes.probes import PLATE_CONTACTS
 
@@ -20,18 +18,21 @@ SETTLE_S = 0.2
 MAX_STIFFNESS = 0.02
 """Largest dimensionless stiffness of a one-step impact. It scatters the restitution by as much between phases."""
 
-MIN_IMPEDANCE, MAX_IMPEDANCE = 1e-4, 0.9999
-"""Range of the impedance, and of its midpoint: MuJoCo's own limits, mjMINIMP and mjMAXIMP."""
+MAX_IMPEDANCE = 0.9999
+"""MuJoCo's limit of the impedance, mjMAXIMP."""
 
-TANGENTIAL_SHARES = ((0.7, 0.2), (1.0, 0.3))
-"""Share of the sliding speed that friction of a one-step impact takes in a step, below Coulomb's limit, for
-restitutions up to a value.
+TANGENTIAL_SHARE, BOUNCY_TANGENTIAL_SHARE = 0.2, 0.3
+"""Share of the sliding speed that friction of a one-step impact takes in a step, below Coulomb's limit; and that of
+bouncy contacts.
 
 The elliptic cone solves friction and normal force together: the more of the speed friction is to take, the more it
 lifts a sliding body. With friction 0.4, restitution 0.6 and a step of 5 ms a plate hops by 14 mm at a share of 1, by
 0.8 mm at 0.2 and by 0.1 mm at 0.05, where friction is 5 % too low. A smaller share also creeps more, and takes less
 speed and spin in an oblique impact.
 """
+
+BOUNCY_RESTITUTION = 0.7
+"""Restitution above which a contact is bouncy."""
 
 SOFT_IMPEDANCE = 0.5
 """Impedance of a contact with a given stiffness. Slides are within 0.3 % of Coulomb's law; with 0.1 they are 5 to 10 %
@@ -57,34 +58,14 @@ MARGIN = 0.8
 
 
 def _with_shape(solimp: Any) -> Any:
-    """Return an impedance with MuJoCo's default midpoint and power, which MJCF may leave out."""
-    has_three = isinstance(solimp, list | tuple) and len(solimp) == 3
-    return (*solimp, 0.5, 2.0) if has_three else solimp
+    """Return an impedance with MuJoCo's default for what MJCF leaves out."""
+    is_single = isinstance(solimp, str)
+    return solimp if is_single else (*solimp, *DEFAULT_SOLIMP[len(solimp) :])
 
 
 def _first(coefficients: Any) -> Any:
-    """Return the coefficient of sliding, which is the first of up to five that MJCF states."""
-    is_list = isinstance(coefficients, list | tuple) and coefficients
-    return coefficients[0] if is_list else coefficients
-
-
-NATIVES = {
-    "integrator": "integrator",
-    "cone": "cone",
-    "impratio": "impratio",
-    "solref": "contact_solref",
-    "solimp": "contact_solimp",
-}
-"""Settings of the backend, by the field that states them."""
-
-LIMITS = {
-    "restitution": "MuJoCo has no coefficient of restitution: a contact equation that is evaluated once a step "
-    "determines the rebound by its damping",
-    "friction": "MuJoCo solves friction and normal force together as one soft constraint",
-    "penetration_m": "MuJoCo's contact is soft: its depth at rest is (1 - d) g / (d k) on one contact, and its "
-    "impedance d is at most 0.9999",
-}
-"""What the engine itself limits, by the measured value."""
+    """Return the coefficient of sliding, which is the first of up to five in MJCF."""
+    return coefficients[0] if isinstance(coefficients, tuple) else coefficients
 
 
 class ConstraintSettings(ContactSettings):
@@ -96,14 +77,26 @@ class ConstraintSettings(ContactSettings):
     """
 
     is_soft = True
-    natives = NATIVES
-    limits = LIMITS
+    natives: ClassVar = {
+        "integrator": "integrator",
+        "cone": "cone",
+        "impratio": "impratio",
+        "solref": "contact_solref",
+        "solimp": "contact_solimp",
+    }
+    limits: ClassVar = {
+        "restitution": "MuJoCo has no coefficient of restitution: a contact equation that is evaluated once a step "
+        "determines the rebound by its damping",
+        "friction": "MuJoCo solves friction and normal force together as one soft constraint",
+        "penetration_m": "MuJoCo's contact is soft: its depth at rest is (1 - d) g / (d k) on one contact, and its "
+        "impedance d is at most 0.9999",
+    }
 
     integrator: str
-    cone: str = "pyramidal"
+    cone: Literal["pyramidal", "elliptic"] = "pyramidal"
     impratio: float = Field(default=1.0, gt=0.0)
     solref: SolRef = (0.02, 1.0)
-    solimp: Annotated[Solimp, BeforeValidator(_with_shape)] = DEFAULT_SOLIMP
+    solimp: Annotated[SolImp, BeforeValidator(_with_shape)] = DEFAULT_SOLIMP
 
     @property
     def condim(self) -> int:
@@ -122,7 +115,9 @@ class MuJoCoSettings(ConstraintSettings):
     """
 
     engine = "mujoco"
-    natives = NATIVES | {"solreffriction": "contact_solreffriction"}
+    natives: ClassVar = ConstraintSettings.natives | {
+        "solreffriction": "contact_solreffriction"
+    }
 
     integrator: str = "Euler"
     friction: Annotated[float, BeforeValidator(_first)] = Field(default=1.0, gt=0.0)
@@ -149,45 +144,17 @@ class MuJoCoSettings(ConstraintSettings):
 </contact>
 """
 
-    def comment(self, text: str) -> str:
-        """Return a comment of XML."""
-        return f"<!-- {text} -->"
-
-    def closed_form(self) -> dict[str, float | None]:
-        """Return what MuJoCo's documented equation gives."""
-        return MuJoCoContact(
-            solref=self.solref,
-            solimp=_effective(self.solimp),
-            solreffriction=self.solreffriction,
-            friction=self.friction,
-            impratio=self.impratio,
-            is_elliptic=self.cone == "elliptic",
-            timestep_s=self.timestep_s,
-        ).form()
-
-
-def _effective(solimp: Solimp) -> Solimp:
-    """Return the impedance that MuJoCo makes of a stated one: function getsolparam in engine_core_constraint.c."""
-    d0, dwidth, width_m, midpoint, power = solimp
-    d0, dwidth, midpoint = (
-        min(max(value, MIN_IMPEDANCE), MAX_IMPEDANCE)
-        for value in (d0, dwidth, midpoint)
-    )
-    return d0, dwidth, max(width_m, 0.0), midpoint, max(power, 1.0)
-
 
 def contact_of(aim: Aim) -> dict[str, Any]:
     """Return integrator, cone, `solref`, `solreffriction`, `solimp` and `impratio` for an aim."""
-    return {"integrator": "implicitfast", "cone": "elliptic", **_constraint_of(aim)}
-
-
-def _constraint_of(aim: Aim) -> dict[str, Any]:
     frequency_per_s = spring_frequency_per_s(aim)
     if frequency_per_s is not None:
-        return _spring(aim, frequency_per_s)
-    if aim.rebound is None or aim.rebound <= 0.0:
-        return _hard(aim)
-    return _one_step(aim, aim.rebound)
+        contact = _spring(aim, frequency_per_s)
+    elif aim.rebound:
+        contact = _one_step(aim, aim.rebound)
+    else:
+        contact = _hard(aim)
+    return {"integrator": "implicitfast", "cone": "elliptic", **contact}
 
 
 def spring_frequency_per_s(aim: Aim) -> float | None:
@@ -208,7 +175,7 @@ def impedance_of(aim: Aim, usual: float, exact: Callable[[float], float]) -> flo
         usual: Impedance without a depth.
         exact: Impedance for the depth at rest times the number of contacts, over gravity [s^2].
     """
-    depth_m = aim.aimed_depth_m(MARGIN)
+    depth_m = aim.depth_m(MARGIN)
     if depth_m is None:
         return usual
     smallest = usual if aim.stiffness_n_per_m is None else SOFT_IMPEDANCE
@@ -247,7 +214,8 @@ def _one_step(aim: Aim, restitution: float) -> dict[str, Any]:
         aim, 0.99, lambda load_s2: 1.0 / (1.0 + load_s2 * stiffness_per_s2)
     )
     # The same damping would reverse the tangential velocity too.
-    share = next(share for limit, share in TANGENTIAL_SHARES if restitution <= limit)
+    is_bouncy = restitution > BOUNCY_RESTITUTION
+    share = BOUNCY_TANGENTIAL_SHARE if is_bouncy else TANGENTIAL_SHARE
     return {
         "solref": (-stiffness_per_s2, -(1.0 + restitution) / step_s),
         "solreffriction": (0.0, -share / step_s),
@@ -258,9 +226,8 @@ def _one_step(aim: Aim, restitution: float) -> dict[str, Any]:
 
 def _spring(aim: Aim, frequency_per_s: float) -> dict[str, Any]:
     """Return a spring and damper of a natural frequency [1/s], which many steps resolve."""
-    ratio = 1.0 if aim.rebound is None else damping_ratio_of(aim.rebound)
     # More damping than stops the body in a step turns into a rebound.
-    damping_per_s = min(2.0 * ratio * frequency_per_s, 1.0 / aim.timestep_s)
+    damping_per_s = min(2.0 * aim.damping_ratio * frequency_per_s, 1.0 / aim.timestep_s)
     return {
         "solref": (-(frequency_per_s**2), -damping_per_s),
         "solimp": (SOFT_IMPEDANCE, SOFT_IMPEDANCE, 0.001),

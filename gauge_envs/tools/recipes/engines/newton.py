@@ -1,38 +1,21 @@
 """Contact settings of Newton's MuJoCo solver."""
 
-import math
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import numbers
 from gauge_envs.tools.recipes.engines.mujoco import (
-    LIMITS as MUJOCO_LIMITS,
-    NATIVES as MUJOCO_NATIVES,
     ConstraintSettings,
     contact_of,
 )
-
-LIMITS = MUJOCO_LIMITS | {
-    "restitution": "Newton's restitution has no effect in its MuJoCo solver: a contact equation that is evaluated "
-    "once a step determines the rebound by its damping"
-}
-"""What the engine itself limits, by the measured value."""
-
-NATIVES = MUJOCO_NATIVES | {
-    "iterations": "iterations",
-    "ls_iterations": "line_search_iterations",
-    "kf": "contact_kf_n_s_per_m",
-}
-"""Settings of the backend, by the field that states them."""
 
 
 class NewtonSettings(ConstraintSettings):
     """Settings of SolverMuJoCo, and material of the shape that has priority.
 
-    `ke` and `kd` may stand for `solref`: Newton's solver turns them into the time constant 2 / kd and the damping ratio
-    kd / (2 sqrt(ke)).
+    Newton's solver turns `ke` and `kd` of shapes into the `solref` 2 / kd and kd / (2 sqrt(ke)).
 
     Attributes:
         mu: Coefficient of friction.
@@ -44,28 +27,21 @@ class NewtonSettings(ConstraintSettings):
     engine = "newton"
     friction_field = "mu"
     preset = "rigid"
-    natives = NATIVES
-    limits = LIMITS
+    natives: ClassVar = ConstraintSettings.natives | {
+        "iterations": "iterations",
+        "ls_iterations": "line_search_iterations",
+        "kf": "contact_kf_n_s_per_m",
+    }
+    limits: ClassVar = ConstraintSettings.limits | {
+        "restitution": "Newton's restitution has no effect in its MuJoCo solver: a contact equation that is evaluated "
+        "once a step determines the rebound by its damping"
+    }
 
     integrator: Literal["euler", "implicitfast"] = "euler"
     iterations: int = 100
     ls_iterations: int = 50
     mu: float = Field(default=1.0, gt=0.0)
     kf: float = 1000.0
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_material(cls, data: dict[str, Any]) -> dict[str, Any]:
-        if not {"ke", "kd"} & set(data):
-            return data
-        if "solref" in data or not {"ke", "kd"} <= set(data):
-            raise ValueError("ke and kd go together, and without solref")
-        values = dict(data)
-        stiffness, damping = float(values.pop("ke")), float(values.pop("kd"))
-        if stiffness <= 0.0 or damping <= 0.0:
-            raise ValueError("ke and kd must be positive")
-        damping_ratio = damping / (2.0 * math.sqrt(stiffness))
-        return {**values, "solref": (2.0 / damping, damping_ratio)}
 
     @classmethod
     def constants(cls, aim: Aim) -> dict[str, Any]:

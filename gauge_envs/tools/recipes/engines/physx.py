@@ -1,6 +1,6 @@
 """SAPIEN's PhysX: materials of shapes and the scene's contact options."""
 
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from pydantic import Field, model_validator
 
@@ -10,22 +10,6 @@ from gauge_envs.tools.recipes.engines.base import ContactSettings, NonNegative
 
 THRESHOLD_STEPS = 4.0
 """Bounce threshold over the speed that a resting body gains in a step."""
-
-
-NATIVES = {
-    "bounce_threshold": "bounce_threshold_m_per_s",
-    "contact_offset": "contact_offset_m",
-    "solver_position_iterations": "position_iterations",
-    "solver_velocity_iterations": "velocity_iterations",
-}
-"""Settings of the backend, by the field that states them."""
-
-LIMITS = {
-    "penetration_m": "Contacts in SAPIEN's PhysX are rigid: its materials have no stiffness",
-    "restitution": "PhysX rebounds from the speed of approach at the start of the step, and only above the bounce "
-    "threshold",
-}
-"""What the engine itself limits, by the measured value."""
 
 
 class PhysXSettings(ContactSettings):
@@ -40,8 +24,17 @@ class PhysXSettings(ContactSettings):
     engine = "physx"
     is_soft = False
     friction_field = "dynamic_friction"
-    natives = NATIVES
-    limits = LIMITS
+    natives: ClassVar = {
+        "bounce_threshold": "bounce_threshold_m_per_s",
+        "contact_offset": "contact_offset_m",
+        "solver_position_iterations": "position_iterations",
+        "solver_velocity_iterations": "velocity_iterations",
+    }
+    limits: ClassVar = {
+        "penetration_m": "Contacts in SAPIEN's PhysX are rigid: its materials have no stiffness",
+        "restitution": "PhysX rebounds from the speed of approach at the start of the step, and only above the bounce "
+        "threshold",
+    }
 
     static_friction: NonNegative = 0.3
     dynamic_friction: NonNegative = 0.3

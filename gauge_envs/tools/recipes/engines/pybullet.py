@@ -1,6 +1,6 @@
 """PyBullet's dynamics of two bodies, and parameters of its world."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -13,22 +13,6 @@ THRESHOLD_STEPS = 4.0
 
 
 Zero = Annotated[float, Field(ge=0.0, le=0.0)]
-
-
-NATIVES = {
-    "numSolverIterations": "solver_iterations",
-    "restitutionVelocityThreshold": "rebound_threshold",
-    "contactERP": "contact_erp",
-    "contactSlop": "contact_slop",
-}
-"""Settings of the backend, by the field that states them."""
-
-LIMITS = {
-    "penetration_m": "Contacts of this recipe are rigid: this package does not measure PyBullet's contactStiffness",
-    "restitution": "Bullet takes the speed of approach at the start of a step, and multiplies the coefficients "
-    "of the two bodies",
-}
-"""What the engine itself limits, by the measured value."""
 
 
 class PyBulletSettings(ContactSettings):
@@ -48,8 +32,17 @@ class PyBulletSettings(ContactSettings):
     restitution_range = (0.0, 1.2)
     friction_field = "lateralFriction"
     preset = "contact"
-    natives = NATIVES
-    limits = LIMITS
+    natives: ClassVar = {
+        "numSolverIterations": "solver_iterations",
+        "restitutionVelocityThreshold": "rebound_threshold",
+        "contactERP": "contact_erp",
+        "contactSlop": "contact_slop",
+    }
+    limits: ClassVar = {
+        "penetration_m": "Contacts of this recipe are rigid: this package does not measure PyBullet's contactStiffness",
+        "restitution": "Bullet takes the speed of approach at the start of a step, and multiplies the coefficients "
+        "of the two bodies",
+    }
 
     lateralFriction: NonNegative = 0.5  # noqa: N815
     restitution: NonNegative = 0.0

@@ -1,9 +1,8 @@
 """Rapier's collider coefficients and integration parameters."""
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
-from gauge_envs.backends.shared.spring_damper import damping_ratio_of
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings, NonNegative
@@ -13,21 +12,6 @@ MARGIN = 0.5
 
 DEFAULT_FREQUENCY_HZ = 60.0
 """Rapier's natural frequency of a contact with a fixed collider [Hz]."""
-
-
-NATIVES = {
-    "num_solver_iterations": "solver_iterations",
-    "natural_frequency": "static_contact_frequency_hz",
-    "damping_ratio": "static_contact_damping_ratio",
-    "allowed_linear_error": "allowed_linear_error_m",
-}
-"""Settings of the backend, by the field that states them."""
-
-LIMITS = {
-    "penetration_m": "Rapier's contact is a spring of a natural frequency, and its solver limits how hard it is",
-    "restitution": "Rapier rebounds from the speed of approach in a substep",
-}
-"""What the engine itself limits, by the measured value."""
 
 
 class RapierSettings(ContactSettings):
@@ -41,8 +25,16 @@ class RapierSettings(ContactSettings):
     engine = "rapier"
     is_soft = True
     restitution_range = (0.0, 1.2)
-    natives = NATIVES
-    limits = LIMITS
+    natives: ClassVar = {
+        "num_solver_iterations": "solver_iterations",
+        "natural_frequency": "static_contact_frequency_hz",
+        "damping_ratio": "static_contact_damping_ratio",
+        "allowed_linear_error": "allowed_linear_error_m",
+    }
+    limits: ClassVar = {
+        "penetration_m": "Rapier's contact is a spring of a natural frequency, and its solver limits how hard it is",
+        "restitution": "Rapier rebounds from the speed of approach in a substep",
+    }
 
     friction: NonNegative = 0.5
     restitution: NonNegative = 0.0
@@ -55,14 +47,14 @@ class RapierSettings(ContactSettings):
     def constants(cls, aim: Aim) -> dict[str, Any]:
         """Return the restitution itself, and a frequency of the contact for the depth: (2 pi f)^2 = g / depth."""
         contact = {"restitution": aim.rebound or 0.0}
-        depth_m = aim.aimed_depth_m(MARGIN)
+        depth_m = aim.depth_m(MARGIN)
         if depth_m is not None:
             frequency_hz = math.sqrt(GRAVITY_M_PER_S2 / depth_m) / (2.0 * math.pi)
             if aim.stiffness_n_per_m is None:
                 frequency_hz = max(frequency_hz, DEFAULT_FREQUENCY_HZ)
             contact |= {"natural_frequency": frequency_hz, "allowed_linear_error": 0.0}
-        if aim.damping_n_s_per_m is not None and aim.rebound is not None:
-            contact["damping_ratio"] = max(damping_ratio_of(aim.rebound), 1e-3)
+        if aim.damping_n_s_per_m is not None:
+            contact["damping_ratio"] = max(aim.damping_ratio, 1e-3)
         return contact
 
     def backend_settings(self, mass_kg: float) -> dict[str, Any]:
