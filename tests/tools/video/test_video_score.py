@@ -157,6 +157,8 @@ def test_the_paper_counts_whole_pixels_and_time_from_the_first_retained_frame(tm
     whole_px = np.floor(track.points_px[first : last + 1])
     along_m = whole_px @ np.array(SLIDE.direction) * SLIDE.scale_m_per_px
     since_s = (track.times_s - track.times_s[first])[first : last + 1]
+    # The cube of 50 mm is 60 pixels wide.
+    assert SLIDE.scale_m_per_px == 0.05 / 60.0
     slope = np.polyfit(since_s**2, along_m, 1)[0]
     assert result.metrics["a"] == pytest.approx(2.0 * slope, rel=1e-9)
 
@@ -281,6 +283,9 @@ def test_the_command_scores_a_file_and_draws_the_track(tmp_path, gauge):
         again = gauge("video", "score", file, "--id", film.task, "--json")
         value = json.loads(again.stdout)["metrics"]["acceleration_m_s2"]
         assert value == pytest.approx(line["metrics"]["acceleration_m_s2"], rel=1e-3)
+    # Another task begins at another place.
+    other = gauge("video", "score", saved, "--id", BALL.id)
+    assert other.exit_code == 1 and "the track is not sound" in other.stdout
     text = gauge("video", "score", "slide.mp4", "--id", film.task).stdout
     assert "the track is sound" in text and "about one in ten" in text
 
@@ -313,12 +318,12 @@ def test_the_report_shows_every_model_and_names_broken_files(tmp_path, gauge):
 
 
 def test_seeds_have_a_mean_with_its_interval_and_a_share_of_sound_tracks(tmp_path):
-    for name in ("a/Pendulum-metal/seed_3.mp4", "a/b/seed_1.mp4"):
-        (tmp_path / name).parent.mkdir(parents=True)
-        (tmp_path / name).touch()
+    for name in ("a/Pendulum-metal/seed_3", "a/Pendulum-metal/other", "a/b/seed_1"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / f"{name}.mp4").touch()
     videos, others = find_videos(tmp_path)
     assert [file.stem for *_, file in videos] == ["seed_3"]
-    assert [file.stem for file in others] == ["seed_1"]
+    assert [file.stem for file in others] == ["other", "seed_1"]
     result = score_track(driven(SLIDE.id, 1.7), SLIDE)
     values = np.array([1.0, 2.0, 3.0, 4.0])
     seeds = [
