@@ -218,6 +218,10 @@ def test_a_swing_that_is_shown_in_part_is_named():
         for one in (swing, hidden)
     )
     assert whole.is_sound and not whole.findings
+    arm_m = (CRADLE.rest_px[1] - CRADLE.pivot_px[1]) * CRADLE.scale_m_per_px
+    heights_m = arm_m * (1.0 - np.cos([1.0, 0.8]))
+    transfers = np.sqrt(heights_m / CRADLE.release_height_m)
+    assert whole.metrics["mte"] == pytest.approx(transfers.mean(), abs=0.02)
     assert "the apex of a swing of the ball is not seen" in half.findings[0]
     angles_rad = 0.25 * np.cos(2.0 * np.pi * np.arange(11) / 24.0)
     part = score_track(swung(PENDULUM, angles_rad), PENDULUM)
