@@ -90,6 +90,9 @@ SCATTER = 0.02
 SEEN_HOP_M = 0.01
 """Hop of a fast plate that is worth a sentence [m]: MuJoCo's default hops by half of it."""
 
+TURNING = {"torsion_m": SPIN, "rolling_m": ROLL}
+"""Axis about which a ball turns against each friction that settings may have."""
+
 LEVEL = Rotation.identity()
 
 
@@ -208,7 +211,7 @@ class Probe:
         The law stops the ball after 0.5 s.
         """
         values = {}
-        for name, axis in (("torsion_m", SPIN), ("rolling_m", ROLL)):
+        for name, axis in TURNING.items():
             expected_m = getattr(self.settings, name)
             if not expected_m:
                 continue

@@ -12,9 +12,10 @@ from gauge_envs.cli.output import Format, Progress, echo, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
-    from gauge_envs.pages.document import Document
     from gauge_envs.pages.table import Table
     from gauge_envs.scene.fabrics import Fabric
+    from gauge_envs.tools.recipes.materials import MaterialPair
+    from gauge_envs.tools.recipes.search import Recipe
 
 
 FABRICS_FAMILY = "TextileFlinging"
@@ -23,6 +24,10 @@ FABRICS_FAMILY = "TextileFlinging"
 TIMESTEP = "--set timestep_s=0.002"
 BODY = {"mass_kg": "--mass 0.5", "timestep_s": TIMESTEP}
 """Example of each option that all contacts need, by name."""
+
+
+SIMULATED = ("friction", "stretch_n_per_m", "bend_n_m")
+"""Values that every simulation of a contact or a fabric reaches, unless it diverges."""
 
 
 def known_fabrics() -> Mapping[str, Fabric]:
@@ -122,19 +127,22 @@ def recipe(
         **_timestep(changes),
     }
     given = {name: value for name, value in wanted.items() if value is not None}
+    pair: MaterialPair | str | None = None
     with Progress("simulates", None):
         if explain is not None:
-            document, has_failed = _meaning(engine, explain, material, given)
+            result = _explained(engine, explain, material, given)
         elif material in known_fabrics():
-            document, has_failed = _fabric(engine, str(material), given)
+            pair, result = material, _fabric(engine, str(material), given)
         else:
-            document, has_failed = _contact(engine, material, given)
-    print_document(document, form)
+            pair, result = _contact(engine, material, given)
+    from gauge_envs.tools.recipes.report import recipe_document
+
+    print_document(recipe_document(result, pair), form)
     if form is not Format.JSON:
         # A terminal's width must not wrap or cut what is to be pasted.
-        (row,) = document.rows or ()
-        echo(f"\npaste\n{row['snippet']}", nl=False)
-    return has_failed
+        echo(f"\npaste\n{result.snippet}", nl=False)
+    simulated = [result.reached.get(name, 0.0) for name in SIMULATED]
+    return bool(result.versions) and None in simulated
 
 
 def _timestep(changes: Sequence[str] | None) -> dict[str, float]:
@@ -157,11 +165,10 @@ def _check_body(given: Mapping[str, float]) -> None:
 
 def _contact(
     engine: str, material: str | None, given: dict[str, float]
-) -> tuple[Document, bool]:
-    """Return a recipe for a behaviour, or for a measured pair of materials, and whether a simulation diverged."""
+) -> tuple[MaterialPair | None, Recipe]:
+    """Return a measured pair of materials, if one is asked for, and a recipe for its behaviour or the given one."""
     from gauge_envs.tools.recipes import Aim, engine_settings, find_recipe
     from gauge_envs.tools.recipes.materials import find_material
-    from gauge_envs.tools.recipes.report import recipe_document
 
     settings, pair = engine_settings(engine), None
     if material is not None:
@@ -177,16 +184,14 @@ def _contact(
             "nothing is asked: add --friction 0.4, --restitution 0.6, --penetration or --stiffness"
         )
     _check_body(given)
-    result = find_recipe(settings, Aim(**given))
-    return recipe_document(result, pair), not result.detail
+    return pair, find_recipe(settings, Aim(**given))
 
 
-def _meaning(
+def _explained(
     engine: str, text: str, material: str | None, given: Mapping[str, float]
-) -> tuple[Document, bool]:
-    """Return what settings give, and whether the simulation diverged."""
+) -> Recipe:
+    """Return what settings give."""
     from gauge_envs.tools.recipes import engine_settings
-    from gauge_envs.tools.recipes.report import meaning_document
     from gauge_envs.tools.recipes.search import explain
 
     if material is not None or given.keys() - BODY:
@@ -195,25 +200,18 @@ def _meaning(
         )
     _check_body(given)
     contact = engine_settings(engine).parsed(text, given["timestep_s"])
-    meaning = explain(contact, given["mass_kg"])
-    return meaning_document(meaning), meaning.reached["friction"] is None
+    return explain(contact, given["mass_kg"])
 
 
-def _fabric(
-    engine: str, name: str, given: Mapping[str, float]
-) -> tuple[Document, bool]:
-    """Return a fabric in the constants of an engine, and whether a simulation diverged."""
+def _fabric(engine: str, name: str, given: Mapping[str, float]) -> Recipe:
+    """Return a fabric in the constants of an engine."""
     from gauge_envs.tools.recipes.fabrics import fabric_recipe
-    from gauge_envs.tools.recipes.report import recipe_document
 
     if given.keys() - {"timestep_s"}:
         raise ParameterError(
             f"a fabric goes with {TIMESTEP} alone: leave the others out"
         )
-    result = fabric_recipe(name, known_fabrics()[name], engine, given.get("timestep_s"))
-    strips = (result.reached["stretch_n_per_m"], result.reached["bend_n_m"])
-    has_failed = bool(result.versions) and None in strips
-    return recipe_document(result, name), has_failed
+    return fabric_recipe(name, known_fabrics()[name], engine, given.get("timestep_s"))
 
 
 def recipe_fabrics(form: arguments.Form = Format.TEXT) -> None:

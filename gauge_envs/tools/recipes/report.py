@@ -1,7 +1,6 @@
-"""Recipes, what contact settings mean, and measured materials and fabrics, as tables."""
+"""Recipes, and measured materials and fabrics, as tables."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.pages.document import Document, Part
@@ -9,7 +8,7 @@ from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.scene.fabrics import Fabric, bending_length_m
 from gauge_envs.tools.recipes.fabrics import fabric_constants
 from gauge_envs.tools.recipes.materials import MaterialPair
-from gauge_envs.tools.recipes.search import Meaning, Recipe
+from gauge_envs.tools.recipes.search import Recipe
 
 TITLES = {
     "friction_hopping": "friction, hopping",
@@ -38,14 +37,6 @@ def _error_text(error: float) -> str:
     return f"{error:+.2g}" if abs(error) > 1e-12 else "0"
 
 
-def _values_table(
-    title: str, columns: Sequence[Column], rows: Sequence[Any], *notes: str
-) -> Table:
-    """Return a table of values by name, with notes below."""
-    name = Column("name", title, lambda name: TITLES.get(name, name))
-    return Table(columns=(name, *columns), rows=rows, notes=("", *notes))
-
-
 def recipe_document(
     recipe: Recipe, material: MaterialPair | str | None = None
 ) -> Document:
@@ -62,32 +53,29 @@ def recipe_document(
     elif material is not None:
         row = row | {"material": material}
         title = f"{material} in {recipe.engine}"
-    law = recipe.detail.get("mapping_gives")
     rows = []
     for name, value in recipe.reached.items():
         target, error = recipe.asked.get(name), recipe.error.get(name)
         if value is not None and error is not None:
             # A stiffness asks for a depth, and a damping for a rebound.
             target = value - error
-        row_of_name = {"name": name, "asked": target, "reached": value, "error": error}
-        rows.append(row_of_name | {"law": law and law.get(name)})
-    columns = [
+        rows.append({"name": name, "asked": target, "reached": value, "error": error})
+        rows[-1]["law"] = recipe.detail.get("mapping_gives", {}).get(name)
+    columns = (
         _number("asked", "asked"),
-        *([_number("law", "law")] if law else []),
+        _number("law", "law"),
         _number("reached", "reached"),
         Column("error", "error", _error_text, is_number=True),
+    )
+    shown = [
+        column
+        for column in columns
+        if any(column.value(row) is not None for row in rows)
     ]
-    wall = f"{recipe.wall_s:.1f} s"
-    parts.append(_values_table(title, columns, rows, recipe.explanation, wall))
+    value_name = Column("name", title, lambda name: TITLES.get(name, name))
+    notes = ("", recipe.explanation, f"{recipe.wall_s:.1f} s")
+    parts.append(Table(columns=(value_name, *shown), rows=rows, notes=notes))
     return Document(parts=parts, rows=[row])
-
-
-def meaning_document(meaning: Meaning) -> Document:
-    """Return what settings give by simulation."""
-    rows = [{"name": name, "reached": value} for name, value in meaning.reached.items()]
-    columns = [_number("reached", "simulated")]
-    table = _values_table(meaning.engine, columns, rows, meaning.explanation)
-    return Document(parts=(table,), rows=[vars(meaning)])
 
 
 def material_table(pairs: Sequence[MaterialPair]) -> Table:

@@ -5,7 +5,7 @@ from typing import Annotated, NotRequired, TypedDict
 
 from gauge_envs.cli.schemas import Form
 from gauge_envs.tools.recipes.materials import MaterialPair
-from gauge_envs.tools.recipes.search import Meaning, Recipe
+from gauge_envs.tools.recipes.search import Recipe
 
 
 class Subject(TypedDict):
@@ -18,7 +18,7 @@ class Subject(TypedDict):
     material: NotRequired[MaterialPair | str]
 
 
-RecipeLine = Annotated[Recipe, Form(more=Subject)] | Meaning
+RecipeLine = Annotated[Recipe, Form(more=Subject)]
 """A line of `gauge recipe`."""
 
 FabricsLine = Mapping[str, Mapping[str, Mapping[str, float]]]

@@ -12,7 +12,13 @@ from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.bench.recording import DivergedError
 from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings, rounded
-from gauge_envs.tools.recipes.probes import NAMES, Probe, measured, notes_on
+from gauge_envs.tools.recipes.probes import (
+    NAMES,
+    TURNING,
+    Probe,
+    measured,
+    notes_on,
+)
 
 RESTITUTION_TOLERANCE = 0.01
 """Error of a restitution that counts as none, as in the conformance checks of rebounds."""
@@ -75,29 +81,6 @@ class Recipe:
     versions: Mapping[str, str]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Meaning:
-    """What given settings of a contact mean, with `--explain`.
-
-    Attributes:
-        engine: Name of the engine.
-        asked: Mass of the body [kg] and time step [s].
-        settings: Settings of the engine.
-        snippet: The same in the engine's own language.
-        reached: Measured values by name.
-        explanation: What limits the values.
-        versions: Versions of the engine's packages.
-    """
-
-    engine: str
-    asked: Numbers
-    settings: Mapping[str, Any]
-    snippet: str
-    reached: Numbers
-    explanation: str
-    versions: Mapping[str, str]
-
-
 def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
     """Return the settings of an engine that come nearest to a behaviour, with what they give.
 
@@ -113,36 +96,16 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
         ParameterError: The scenes cannot measure the behaviour.
     """
     aim.check()
-    versions = engine.backend().versions()
     start_s = time.perf_counter()
-    settings, values = engine.aimed(aim), dict[str, float]()
     try:
-        settings, values = _measured_settings(engine, aim)
-        misses = _misses(aim, values)
-        explanation = _explanation(settings, misses, values)
-    except DivergedError as error:
-        misses, explanation = [], divergence_text(error)
-    targets = aim.targets
-    reached = {name: values.get(name) for name in [*NAMES, *targets]}
-    return Recipe(
-        engine=engine.engine,
-        asked=asdict(aim),
-        settings=settings.model_dump(mode="json"),
-        snippet=settings.snippet(),
-        reached=reached,
-        error={
-            name: difference(reached[name], target) for name, target in targets.items()
-        },
-        misses=misses,
-        detail={name: value for name, value in values.items() if name not in reached},
-        wall_s=time.perf_counter() - start_s,
-        explanation=explanation,
-        versions=versions,
-    )
+        settings = _searched(engine, aim)
+    except DivergedError:
+        settings = engine.aimed(aim)
+    return _simulated(settings, aim, start_s)
 
 
-def explain(settings: ContactSettings, mass_kg: float) -> Meaning:
-    """Simulate contact settings.
+def explain(settings: ContactSettings, mass_kg: float) -> Recipe:
+    """Return what contact settings reach.
 
     Args:
         settings: The settings.
@@ -152,22 +115,35 @@ def explain(settings: ContactSettings, mass_kg: float) -> Meaning:
         MissingExtraError: The engine is not installed.
         ParameterError: The scenes cannot measure the settings.
     """
-    asked = {"mass_kg": mass_kg, "timestep_s": settings.timestep_s}
-    Aim(friction=settings.sliding_friction, **asked).check()
+    aim = Aim(mass_kg=mass_kg, timestep_s=settings.timestep_s)
+    replace(aim, friction=settings.sliding_friction).check()
+    return _simulated(settings, aim, time.perf_counter())
+
+
+def _simulated(settings: ContactSettings, aim: Aim, start_s: float) -> Recipe:
+    """Return what settings reach of an aim, by simulations since a time of the clock [s]."""
     versions = settings.backend().versions()
-    values = dict[str, float]()
+    values, misses = dict[str, float](), list[str]()
     try:
-        values = measured(settings, mass_kg)
-        explanation = " ".join([MEASURED_IN, *notes_on(values)])
+        values = measured(settings, aim.mass_kg)
+        misses = _misses(aim, values)
+        explanation = _explanation(settings, aim, misses, values)
     except DivergedError as error:
-        explanation = divergence_text(error)
-    turning = [name for name in ("torsion_m", "rolling_m") if name in values]
-    return Meaning(
+        explanation = f"The simulation diverges: {error}. Choose a shorter time step or a softer contact."
+    names = [*NAMES, *(name for name in TURNING if name in values)]
+    return Recipe(
         engine=settings.engine,
-        asked=asked,
+        asked=asdict(aim),
         settings=settings.model_dump(mode="json"),
         snippet=settings.snippet(),
-        reached={name: values.get(name) for name in [*NAMES, *turning]},
+        reached={name: values.get(name) for name in names},
+        error={
+            name: difference(values.get(name), target)
+            for name, target in aim.targets.items()
+        },
+        misses=misses,
+        detail={name: value for name, value in values.items() if name not in names},
+        wall_s=time.perf_counter() - start_s,
         explanation=explanation,
         versions=versions,
     )
@@ -176,31 +152,6 @@ def explain(settings: ContactSettings, mass_kg: float) -> Meaning:
 def difference(value: float | None, target: float | None) -> float | None:
     """Return a value less its target; None without one of them."""
     return None if value is None or target is None else value - target
-
-
-def divergence_text(error: DivergedError) -> str:
-    """Return why nothing was measured, and what to change."""
-    return f"The simulation diverges: {error}. Choose a shorter time step or a softer contact."
-
-
-def _measured_settings(
-    engine: type[ContactSettings], aim: Aim
-) -> tuple[ContactSettings, dict[str, float]]:
-    """Return the settings that come nearest to an aim, and what they give.
-
-    Creep is inversely proportional to MuJoCo's ratio of impedances, where an engine has one.
-
-    Raises:
-        DivergedError: A simulation diverged.
-    """
-    settings = engine.aimed(_rebounding(engine, _stiffened(engine, aim), aim.rebound))
-    values = measured(settings, aim.mass_kg)
-    impratio = getattr(settings, "impratio", None)
-    if impratio and aim.creep_m_s and values["creep_m_s"] > aim.creep_m_s:
-        impratio *= CREEP_MARGIN * values["creep_m_s"] / aim.creep_m_s
-        settings = settings.model_copy(update={"impratio": rounded(impratio)})
-        values = measured(settings, aim.mass_kg)
-    return settings, values
 
 
 def _misses(aim: Aim, values: Mapping[str, float]) -> list[str]:
@@ -224,14 +175,38 @@ def _misses(aim: Aim, values: Mapping[str, float]) -> list[str]:
 
 
 def _explanation(
-    settings: ContactSettings, misses: Sequence[str], values: Mapping[str, float]
+    settings: ContactSettings,
+    aim: Aim,
+    misses: Sequence[str],
+    values: Mapping[str, float],
 ) -> str:
-    """Return why values are missed."""
+    """Return why values are missed, and what single numbers leave out."""
     texts = [f"{name}: {settings.limits.get(name, 'not reached')}." for name in misses]
-    return " ".join([*(texts or ["All asked values are reached."]), *notes_on(values)])
+    if not misses:
+        is_asked = any(target is not None for target in aim.targets.values())
+        texts = ["All asked values are reached." if is_asked else MEASURED_IN]
+    return " ".join([*texts, *notes_on(values)])
 
 
 # --- search ----------------------------------------------------------------------------------------------------------
+
+
+def _searched(engine: type[ContactSettings], aim: Aim) -> ContactSettings:
+    """Return the settings that come nearest to an aim.
+
+    Creep is inversely proportional to MuJoCo's ratio of impedances, where an engine has one.
+
+    Raises:
+        DivergedError: A simulation diverged.
+    """
+    settings = engine.aimed(_rebounding(engine, _stiffened(engine, aim), aim.rebound))
+    impratio = getattr(settings, "impratio", None)
+    if impratio and aim.creep_m_s:
+        creep_m_s = Probe(settings=settings, mass_kg=aim.mass_kg).creep()["creep_m_s"]
+        if creep_m_s > aim.creep_m_s:
+            impratio *= CREEP_MARGIN * creep_m_s / aim.creep_m_s
+            settings = settings.model_copy(update={"impratio": rounded(impratio)})
+    return settings
 
 
 def _stiffened(engine: type[ContactSettings], aim: Aim) -> Aim:
@@ -264,7 +239,7 @@ def _rebounding(engine: type[ContactSettings], aim: Aim, asked: float | None) ->
         probe = Probe(settings=engine.aimed(candidate), mass_kg=aim.mass_kg)
         error = probe.drop()["restitution"] - asked
         trials[abs(error)] = candidate
-        if abs(error) < RESTITUTION_TOLERANCE:
+        if not abs(error) >= RESTITUTION_TOLERANCE:
             break
         low, high = engine.restitution_range
         restitution = min(max(restitution - error, low), high)

@@ -44,10 +44,6 @@ def searched(engine="mujoco", **asked):
 
 def test_a_recipe_is_one_json_object(values):
     found = values("--backend mujoco --restitution=0.6 --mass=0.5 --set=timestep_s=0.002")  # fmt: skip
-    assert list(found) == [
-        *("engine", "asked", "settings", "snippet", "reached", "error"),
-        *("misses", "detail", "wall_s", "explanation", "versions"),
-    ]
     # Friction, depth and creep are not asked.
     assert found["error"]["friction"] is found["asked"]["friction"] is None
     assert found["reached"]["friction"] == pytest.approx(0.5, rel=0.02)
@@ -147,17 +143,6 @@ def test_a_contact_without_stiffness_says_so():
     found = searched("physx", stiffness_n_per_m=5000.0, timestep_s=0.005)
     assert found.misses == ["penetration_m"]
     assert "no stiffness" in found.explanation
-
-
-def test_an_engine_with_half_the_friction_is_found(monkeypatch):
-    """A planted fault: the engine has at most a friction of 0.2, whatever the search tries."""
-    cls = engine_settings("mujoco")
-    kept = cls.sliding_friction.fget
-    halved = property(lambda self: min(0.5 * kept(self), 0.2))
-    monkeypatch.setattr(cls, "sliding_friction", halved)
-    found = searched(friction=0.6)
-    assert found.misses == ["friction"]
-    assert found.reached["friction"] == pytest.approx(0.2, rel=0.02)
 
 
 # --- materials -------------------------------------------------------------------------------------------------------
