@@ -88,6 +88,7 @@ def fabric_recipe(
         strips, notes = _strips(lab, fabric, targets)
         reached |= strips
         texts += notes
+        # That of the hanging strip, which is the last.
         step_s = lab.settings_in_force.get("timestep_s")
     error = {name: difference(reached[name], targets[name]) for name in reached}
     assignments = (
@@ -124,8 +125,8 @@ def _strips(
     free_m = BENT_SHARE * BENT_FREE_M
     bent = cantilever_strip(fabric, free_m, height_m=0.0)
     strips: tuple[tuple[str, Scene, Any, dict[str, Any]], ...] = (
-        ("stretch_n_per_m", hanging_strip(fabric), stretch_stiffness, {}),
         ("bend_n_m", bent, bending_stiffness, {"cell_m": free_m / CELLS}),
+        ("stretch_n_per_m", hanging_strip(fabric), stretch_stiffness, {}),
     )
     reached, texts = dict[str, float](), []
     for name, scene, measure, changes in strips:

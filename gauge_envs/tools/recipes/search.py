@@ -202,11 +202,16 @@ def _searched(engine: type[ContactSettings], aim: Aim) -> ContactSettings:
     settings = engine.aimed(_rebounding(engine, _stiffened(engine, aim), aim.rebound))
     impratio = getattr(settings, "impratio", None)
     if impratio and aim.creep_m_s:
-        creep_m_s = Probe(settings=settings, mass_kg=aim.mass_kg).creep()["creep_m_s"]
-        if creep_m_s > aim.creep_m_s:
-            impratio *= CREEP_MARGIN * creep_m_s / aim.creep_m_s
-            settings = settings.model_copy(update={"impratio": rounded(impratio)})
+        creep_m_s = _creep_m_s(settings, aim)
+        factor = CREEP_MARGIN * creep_m_s / aim.creep_m_s
+        scaled = settings.model_copy(update={"impratio": rounded(impratio * factor)})
+        if creep_m_s > aim.creep_m_s and _creep_m_s(scaled, aim) < creep_m_s:
+            settings = scaled
     return settings
+
+
+def _creep_m_s(settings: ContactSettings, aim: Aim) -> float:
+    return Probe(settings=settings, mass_kg=aim.mass_kg).creep()["creep_m_s"]
 
 
 def _stiffened(engine: type[ContactSettings], aim: Aim) -> Aim:
