@@ -114,7 +114,7 @@ def test_a_closed_pipe_ends_the_command_quietly(outcomes):
     assert outcomes["pipe"].returncode == 1
 
 
-def test_a_full_disk_shows_what_is_done_and_how_to_go_on(gauge, monkeypatch):
+def test_a_full_disk_shows_how_much_is_done_and_how_to_go_on(gauge, monkeypatch):
     write, count = batch.write_result, 0
 
     def full_after_one(*arguments):
@@ -133,7 +133,6 @@ def test_a_full_disk_shows_what_is_done_and_how_to_go_on(gauge, monkeypatch):
     assert "1 finished; results in results; --resume continues" in " ".join(
         result.stderr.split()
     )
-    assert "SlopeSlider-2-wood" in result.stderr
 
 
 def test_an_engine_that_exits_ends_no_command_without_a_word(gauge, monkeypatch):

@@ -69,7 +69,6 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     )
     from gauge_envs.pages.document import Document, Paragraph
     from gauge_envs.pages.text import counted
-    from gauge_envs.references.kind import Kind
     from gauge_envs.tools.catalog.listing import list_rows
     from gauge_envs.tools.catalog.report import list_table
 
@@ -84,7 +83,7 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     rows = [
         row
         for row in list_rows(variants, notify=note)
-        if not scored or row["kind"] != Kind.NONE
+        if not scored or row["kind"] != "none"
     ]
     families = len({row["family"] for row in rows})
     summary = f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}"

@@ -5,68 +5,84 @@ The terminal page of `gauge show` and the page of a family in the documentation 
 
 import csv
 import dataclasses
+import re
 from fnmatch import fnmatchcase
 from typing import Any
-
-from pydantic import Field
 
 from gauge_envs.envs.reward import is_reward_bounded, reward_text
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Substituted
-from gauge_envs.files import data_folder, json_ready
+from gauge_envs.files import data_folder, json_ready, toml_document
 from gauge_envs.references.band import band_file, recorded_events, stated_of
 from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.imported import load_imported
-from gauge_envs.references.tables import FileModel, read_toml
 from gauge_envs.references.user_data import DataSource
-from gauge_envs.scene import Deformable, Hinge, RigidBody
-from gauge_envs.scoring.reference import reference_band
-from gauge_envs.tools.catalog.listing import engine_rows, kind_of
+from gauge_envs.scene import Deformable, RigidBody
+from gauge_envs.scoring.reference import reference_band, reference_kind
+from gauge_envs.tools.catalog.listing import engine_rows
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
 
 
-class Limit(FileModel):
-    """What is known to be wrong or uncertain of some experiments.
+def all_limits() -> list[dict[str, Any]]:
+    """Return all known limits of experiments, as `scoring/limits.toml` states them.
 
-    Attributes:
-        variants: Patterns of variants.
-        text: One or two sentences.
-        study: Folder of `studies/`, or heading in its README, that has the numbers; or None.
+    `variants` are patterns of variants, and `text` is one or two sentences. `study` is the folder of `studies/`, or the
+    heading in its README, that has the numbers.
     """
-
-    variants: tuple[str, ...] = Field(min_length=1)
-    text: str
-    study: str | None = None
-
-
-class _Limits(FileModel):
-    limit: tuple[Limit, ...]
+    content = toml_document((data_folder("scoring") / "limits.toml").read_bytes())
+    limits: list[dict[str, Any]] = content["limit"]
+    return limits
 
 
-def all_limits() -> tuple[Limit, ...]:
-    """Return all known limits."""
-    return read_toml(data_folder("scoring") / "limits.toml", _Limits).limit
-
-
-def known_limits(variant: str) -> tuple[Limit, ...]:
-    """Return the known limits of a variant, as `SlopeSlider-2-wood`."""
-    return tuple(
-        one
-        for one in all_limits()
-        if any(fnmatchcase(variant, pattern) for pattern in one.variants)
-    )
+def known_limits(variant: str) -> list[dict[str, Any]]:
+    """Return what is known to be wrong or uncertain of a variant, as `SlopeSlider-2-wood`."""
+    return [
+        {"text": limit["text"], "study": limit.get("study")}
+        for limit in all_limits()
+        if any(fnmatchcase(variant, pattern) for pattern in limit["variants"])
+    ]
 
 
 def description(experiment: Experiment) -> dict[str, Any]:
     """Return all that defines one experiment, JSON-ready, with the source of each number."""
-    scene = experiment.scene
+    spec, variant, scene = experiment.spec, experiment.variant, experiment.scene
+    bodies = (*scene.bodies, *scene.deformables)
     return json_ready(
         {
             "id": experiment.id,
             "title": experiment.title,
-            **_of_task(experiment),
-            "asset": None if experiment.asset is None else experiment.asset.to_dict(),
+            "summary": spec.summary,
+            "group": spec.group.value,
+            "evaluates": spec.evaluates,
+            "source": spec.source.model_dump(exclude_none=True),
+            "constants": {
+                name: _constants(experiment, name)
+                for name in spec.constants
+                if any(
+                    re.fullmatch(rf"{re.escape(name)}(-\d+)?", body.name)
+                    for body in bodies
+                )
+            },
+            "parameter_sets": {
+                "calibrated": {
+                    "summary": "calibrated constants of the metadata",
+                    "values": {},
+                },
+                **{
+                    name: {
+                        "summary": chosen.summary,
+                        "values": dict(load_experiment(variant, name).overrides),
+                    }
+                    for name, chosen in spec.parameters.items()
+                },
+            },
+            "subtask": spec.subtasks[variant.subtask].title
+            if variant.subtask
+            else None,
+            "provenance": spec.provenance,
+            "decisions": spec.decisions,
+            "asset": experiment.asset and experiment.asset.to_dict(),
             "frames": experiment.frame_count,
             "duration_s": scene.duration_s,
             "observable": {
@@ -74,79 +90,27 @@ def description(experiment: Experiment) -> dict[str, Any]:
                 "unit": experiment.score.observable.unit,
                 "coordinates": experiment.coordinates,
             },
-            "bodies": [
-                _body(body, experiment) for body in (*scene.bodies, *scene.deformables)
-            ],
-            "contacts": [dataclasses.asdict(contact) for contact in scene.contacts],
+            "bodies": [_body(body, experiment) for body in bodies],
+            "contacts": list(map(dataclasses.asdict, scene.contacts)),
             "joints": [
-                {"kind": "hinge" if isinstance(joint, Hinge) else "tether"}
-                | dataclasses.asdict(joint)
+                {"kind": type(joint).__name__.lower(), **dataclasses.asdict(joint)}
                 for joint in scene.joints
             ],
-            "attachments": [
-                dataclasses.asdict(attachment) for attachment in scene.attachments
-            ],
-            "drivers": [
-                _driver(experiment, index) for index in range(len(scene.drivers))
-            ],
-            "air": None if scene.air is None else dataclasses.asdict(scene.air),
-            "markers": None
-            if scene.markers is None
-            else {"count": len(scene.markers.positions_m)},
+            "attachments": list(map(dataclasses.asdict, scene.attachments)),
+            "drivers": _drivers(experiment),
+            "air": scene.air and dataclasses.asdict(scene.air),
+            "markers": scene.markers and {"count": len(scene.markers.positions_m)},
             "action": action_rows(experiment),
             "observation": observation_rows(experiment),
             "reference": _reference(experiment),
-            "baselines": [
-                dataclasses.asdict(line) for line in experiment.baselines.values()
-            ],
+            "baselines": list(map(dataclasses.asdict, experiment.baselines.values())),
             "engines": [
                 row | {"convergence": convergence_rows(row["engine"], experiment.name)}
                 for row in engine_rows(experiment)
             ],
-            "limits": [
-                limit.model_dump(exclude={"variants"})
-                for limit in known_limits(experiment.name)
-            ],
+            "limits": known_limits(experiment.name),
         }
     )
-
-
-def _of_task(experiment: Experiment) -> dict[str, Any]:
-    """Return what a task file states beside the scene."""
-    spec, variant = experiment.spec, experiment.variant
-    scene = experiment.scene
-    # Bodies of one kind are numbered in the scene, as `cube-1`.
-    bodies = [body.name for body in (*scene.bodies, *scene.deformables)]
-    return {
-        "summary": spec.summary,
-        "group": spec.group.value,
-        "evaluates": spec.evaluates,
-        "source": spec.source.model_dump(exclude_none=True),
-        "constants": {
-            name: _constants(experiment, name)
-            for name in spec.constants
-            if any(
-                body == name or body.removeprefix(f"{name}-").isdecimal()
-                for body in bodies
-            )
-        },
-        "parameter_sets": {
-            "calibrated": {
-                "summary": "calibrated constants of the metadata",
-                "values": {},
-            },
-            **{
-                name: {
-                    "summary": chosen.summary,
-                    "values": dict(load_experiment(variant, name).overrides),
-                }
-                for name, chosen in spec.parameters.items()
-            },
-        },
-        "subtask": spec.subtasks[variant.subtask].title if variant.subtask else None,
-        "provenance": spec.provenance,
-        "decisions": spec.decisions,
-    }
 
 
 def _constants(experiment: Experiment, name: str) -> dict[str, dict[str, Any]]:
@@ -173,7 +137,7 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
     file = band_file(experiment.name, source)
     stated = None if file is None else stated_of(file)
     return {
-        "kind": kind_of(experiment).value,
+        "kind": reference_kind(experiment.name, source).value,
         "unit": band and band.compared.unit,
         "source": band.source if band is not None else stated and stated.source,
         "licence": band and band.licence,
@@ -214,38 +178,42 @@ def planted_errors(variant: str) -> list[dict[str, Any]]:
 
 def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any]:
     """Return the fields of a body, with its kind and pose; an inertia that follows from the shape is left out."""
-    kind = "rigid" if isinstance(body, RigidBody) else type(body).__name__.lower()
     values = {
         field.name: getattr(body, field.name) for field in dataclasses.fields(body)
     }
     if values.get("inertia_kg_m2", 0.0) is None:
         del values["inertia_kg_m2"]
-    shape = values.pop("shape", None)
-    if shape is not None:
+    if shape := values.pop("shape", None):
         values["shape"] = dataclasses.asdict(shape) | {"kind": type(shape).__name__}
-    pose = values.pop("pose")
+    del values["pose"]
     return {
-        "kind": kind,
+        "kind": type(body).__name__.lower().replace("rigidbody", "rigid"),
         "recorded": body.name in experiment.recorded,
         **values,
-        "position_m": pose.position_m,
-        "quaternion_wxyz": pose.quaternion,
+        "position_m": body.pose.position_m,
+        "quaternion_wxyz": body.pose.quaternion,
     }
 
 
-def _driver(experiment: Experiment, index: int) -> dict[str, Any]:
-    driver = experiment.scene.drivers[index]
-    note, imported = "as the asset states it", None
+def _drivers(experiment: Experiment) -> list[dict[str, Any]]:
+    """Return the driven bodies with their motions and the source of each."""
+    drivers = experiment.scene.drivers
+    notes = ["as the asset states it"] * len(drivers)
+    imported: set[str] = set()
     if experiment.asset is None:
-        note = experiment.spec.drivers_of(experiment.variant)[index].note
+        notes = [one.note for one in experiment.spec.drivers_of(experiment.variant)]
         if experiment.drivers is DataSource.IMPORTED:
-            imported = load_imported(experiment.name)
-    records = [] if imported is None else imported.facts.drivers
-    is_imported = any(one.body == driver.body for one in records)
-    return {
-        "body": driver.body,
-        "provenance": driver.provenance,
-        "imported": is_imported,
-        "note": "mean motion in the imported trials" if is_imported else note,
-        "motions": [dataclasses.asdict(motion) for motion in driver.motions],
-    }
+            trials = load_imported(experiment.name)
+            imported = {one.body for one in trials.facts.drivers} if trials else set()
+    return [
+        {
+            "body": driver.body,
+            "provenance": driver.provenance,
+            "imported": driver.body in imported,
+            "note": "mean motion in the imported trials"
+            if driver.body in imported
+            else note,
+            "motions": list(map(dataclasses.asdict, driver.motions)),
+        }
+        for driver, note in zip(drivers, notes, strict=True)
+    ]

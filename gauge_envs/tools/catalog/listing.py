@@ -10,7 +10,6 @@ from gauge_envs.errors import GaugeError, MissingExtraError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.references.kind import Kind
 from gauge_envs.references.user_data import has_import
 from gauge_envs.runs.isolation import call_engine
 from gauge_envs.scoring.reference import reference_kind
@@ -28,36 +27,23 @@ def list_rows(
         variants: The variants.
         notify: Receives one sentence for each backend that does not work.
     """
-    experiments = {variant: load_experiment(variant) for variant in variants}
+    experiments = [load_experiment(variant) for variant in variants]
     lacking = {
-        name: lacking_features(name, list(experiments.values()), notify)
-        for name in backend_names()
+        name: lacking_features(name, experiments, notify) for name in backend_names()
     }
     return [
-        facts_of(experiment)
-        | {
-            "imported": has_import(variant.name),
+        {
+            "id": experiment.id,
+            "family": experiment.variant.family,
+            "group": experiment.spec.group.value,
+            "observable": experiment.score.observable.value,
+            "frames": experiment.frame_count,
+            "kind": reference_kind(experiment.name, experiment.reference_source).value,
+            "imported": has_import(experiment.name),
             "backends": {name: lacks[index] for name, lacks in lacking.items()},
         }
-        for index, (variant, experiment) in enumerate(experiments.items())
+        for index, experiment in enumerate(experiments)
     ]
-
-
-def facts_of(experiment: Experiment) -> dict[str, Any]:
-    """Return what a row says of an experiment in any installation."""
-    return {
-        "id": experiment.variant.id,
-        "family": experiment.variant.family,
-        "group": experiment.spec.group.value,
-        "observable": experiment.score.observable.value,
-        "frames": experiment.frame_count,
-        "kind": kind_of(experiment).value,
-    }
-
-
-def kind_of(experiment: Experiment) -> Kind:
-    """Return the kind of the reference of an experiment."""
-    return reference_kind(experiment.name, experiment.reference_source)
 
 
 def engine_rows(experiment: Experiment) -> list[dict[str, Any]]:
@@ -68,26 +54,22 @@ def engine_rows(experiment: Experiment) -> list[dict[str, Any]]:
     """
     rows = []
     for name in backend_names():
-        row: dict[str, Any] = {
-            "engine": name,
-            "missing": [],
-            "fault": None,
-            "preset": None,
-            "timestep_s": None,
-        }
+        row: dict[str, Any] = dict.fromkeys(
+            ("missing", "fault", "preset", "timestep_s")
+        )
         if not is_bundled(name) or experiment.model_file is not None:
-            rows.append(row | {"missing": lacking_features(name, [experiment])[0]})
-            continue
-        engine = uninstalled_backend(name)
-        row["missing"] = list(scene_support(engine, experiment.scene).missing)
-        if not row["missing"]:
-            settings = engine.resolved_settings(experiment.scene) or {}
-            row |= {key: settings.get(key) for key in ("preset", "timestep_s")}
-        try:
-            backend(name)
-        except GaugeError as error:
-            row["fault"] = str(error)
-        rows.append(row)
+            row["missing"] = lacking_features(name, [experiment])[0]
+        else:
+            engine = uninstalled_backend(name)
+            row["missing"] = list(scene_support(engine, experiment.scene).missing)
+            if not row["missing"]:
+                settings = engine.resolved_settings(experiment.scene) or {}
+                row |= {key: settings.get(key) for key in ("preset", "timestep_s")}
+            try:
+                backend(name)
+            except GaugeError as error:
+                row["fault"] = str(error)
+        rows.append({"engine": name, **row})
     return rows
 
 
@@ -112,30 +94,17 @@ def lacking_features(
     except GaugeError as error:
         fault = f"backend {name!r}: {error}"
         lacks = [[fault]] * len(experiments)
-    if fault is not None:
+    if fault:
         notify(fault)
     return lacks
 
 
-def _lacks(
-    name: str, experiments: Sequence[Experiment]
-) -> tuple[list[list[str]], str | None]:
-    """Return what a backend lacks for each experiment, and the first error that it raised, or None."""
+def _lacks(name: str, experiments: Sequence[Experiment]) -> tuple[list[list[str]], str]:
+    """Return what a backend lacks for each experiment, or its error; and an error that is no missing extra, or ""."""
     try:
         backend(name)
+        supports = [support_of(name, one.scene, one.model_file) for one in experiments]
     except GaugeError as error:
-        # No scene changes that; to look for the engine again takes longer than its answer would.
-        return [[str(error)]] * len(experiments), None if isinstance(
-            error, MissingExtraError
-        ) else str(error)
-    lacks, fault = [], None
-    for experiment in experiments:
-        try:
-            lacks.append(
-                list(support_of(name, experiment.scene, experiment.model_file).missing)
-            )
-        except GaugeError as error:
-            lacks.append([str(error)])
-            if not isinstance(error, MissingExtraError):
-                fault = fault or str(error)
-    return lacks, fault
+        fault = "" if isinstance(error, MissingExtraError) else str(error)
+        return [[str(error)]] * len(experiments), fault
+    return [list(support.missing) for support in supports], ""

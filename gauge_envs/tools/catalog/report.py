@@ -1,7 +1,6 @@
 """The list of experiments, one screen for an experiment, and all that defines it."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from gauge_envs.envs.arguments import EnvArguments
@@ -52,11 +51,21 @@ UNDETECTABLE_SHARE = 0.1
 
 def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the rows of `list_rows` as a table."""
-    imported = [short_id(row["id"]) for row in rows if row["imported"]]
     # An engine that runs nothing is not installed or broken; it is no exception in each row.
     working = {
         name for row in rows for name, missing in row["backends"].items() if not missing
     }
+
+    def usable_text(backends: Mapping[str, Sequence[str]]) -> str:
+        usable = [name for name, missing in backends.items() if not missing]
+        unusable = working.difference(usable)
+        if len(usable) > 2 and len(unusable) < 2:
+            return (
+                " ".join(["all but", *unusable]) if unusable else f"all {len(usable)}"
+            )
+        return ", ".join(usable) or "none"
+
+    imported = [short_id(row["id"]) for row in rows if row["imported"]]
     return Table(
         columns=(
             Column("id", "id"),
@@ -70,22 +79,11 @@ def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
                 lambda is_imported: "yes" if is_imported else "no",
                 wide_only=True,
             ),
-            Column("backends", "runs on", partial(_usable_text, working=working)),
+            Column("backends", "runs on", usable_text),
         ),
         rows=rows,
         notes=(f"Real trials imported for {shortened(imported)}.",) if imported else (),
     )
-
-
-def _usable_text(
-    backends: Mapping[str, Sequence[str]], *, working: Collection[str]
-) -> str:
-    """Return the engines that run an experiment, of those that run any."""
-    usable = [name for name, missing in backends.items() if not missing]
-    unusable = [name for name in working if name not in usable]
-    if len(usable) > 2 and len(unusable) < 2:
-        return f"all but {unusable[0]}" if unusable else f"all {len(usable)}"
-    return ", ".join(usable) or "none"
 
 
 # --- one screen -------------------------------------------------------------------------------------------------------
@@ -100,15 +98,23 @@ def experiment_document(values: Mapping[str, Any]) -> Document:
     observable, reference = values["observable"], values["reference"]
     measured = f"{observable['kind'].replace('_', ' ')} [{observable['unit']}]"
     measured += f" of {shortened(observable['coordinates'])}"
+    exact = ", ".join(
+        f"{score:.2f} ({name})" for name, score in reference["exact"].items()
+    )
     facts = {
         "measured": f"{measured}; {values['frames']} frames at 30 Hz",
         "reference": reference_text(reference, frames=values["frames"]),
-        "exact solution": exact_text(reference["exact"]),
+        "exact solution": f"scores {exact} over real trials" if exact else "",
         "real events": events_text(reference["events"]),
         "planted errors": planted_errors_text(reference),
         "reward": reference["reward"],
-        "action": _space_text(values["action"]),
-        "observation": _space_text(values["observation"]),
+        "action": "; ".join(
+            f"{row['meaning']} ({row['unit']})"
+            for row in values["action"]
+            if row["unit"] != "1"
+        )
+        or "none",
+        "observation": ", ".join(_entries(values["observation"])),
         "engines": _engines_text(values["engines"]),
         "published": _published_text(values["baselines"]),
         "published wrongly": reference["impossible"],
@@ -145,12 +151,6 @@ def reference_text(reference: Mapping[str, Any], *, frames: int) -> str:
     if reference["known_frames"] < frames:
         text += f"; known at {reference['known_frames']} of {frames} frames"
     return text
-
-
-def exact_text(exact: Mapping[str, float]) -> str:
-    """Return the scores of exact solutions by parameter set; empty without any."""
-    scores = [f"{score:.2f} ({name})" for name, score in exact.items()]
-    return f"scores {', '.join(scores)} over real trials" if scores else ""
 
 
 def events_text(events: Sequence[Mapping[str, Any]]) -> str:
@@ -190,37 +190,17 @@ def planted_errors_text(reference: Mapping[str, Any]) -> str:
     return ". ".join(texts)
 
 
-def _space_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the entries of a space with their shapes, and the meaning of an action."""
-    texts = {
-        row["entry"]: f"{row['entry']} {shape_text(row['whole'])}".rstrip()
-        for row in rows
-    }
-    if rows[0]["name"].startswith("action"):
-        return (
-            "; ".join(
-                f"{row['meaning']} ({row['unit']})"
-                for row in rows
-                if row["unit"] != "1"
-            )
-            or "none"
-        )
-    return ", ".join(texts.values())
-
-
 def _engines_text(engines: Sequence[Mapping[str, Any]]) -> str:
     """Return the engines that run here, those that do not, and those that cannot build the scene."""
-    default = EnvArguments.backend
-    names = {
-        "": [row for row in engines if not row["missing"] and row["fault"] is None],
-        "not here: ": [row for row in engines if not row["missing"] and row["fault"]],
-        "cannot build it: ": [row for row in engines if row["missing"]],
-    }
+    groups: dict[str, list[str]] = {"": [], "not here: ": [], "cannot build it: ": []}
+    for row in engines:
+        is_default = row["engine"] == EnvArguments.backend
+        name = f"{row['engine']} (default)" if is_default else row["engine"]
+        title = "not here: " if row["fault"] else ""
+        groups["cannot build it: " if row["missing"] else title].append(name)
     return "; ".join(
-        title + ", ".join(row["engine"] for row in rows)
-        for title, rows in names.items()
-        if rows
-    ).replace(default, f"{default} (default)")
+        title + ", ".join(names) for title, names in groups.items() if names
+    )
 
 
 def _published_text(baselines: Sequence[Mapping[str, Any]]) -> str:
@@ -268,10 +248,11 @@ def _constants(
 
 def full_document(values: Mapping[str, Any]) -> Document:
     """Return the screen of an experiment, then its limits, engines, spaces, scene, decisions and sources."""
-    lists = {
-        "Known limits": [limit_text(limit) for limit in values["limits"]],
-        "Decisions": values["decisions"],
-    }
+    limits = [
+        limit["text"] + (f" (study: {limit['study']})" if limit["study"] else "")
+        for limit in values["limits"]
+    ]
+    lists = {"Known limits": limits, "Decisions": values["decisions"]}
     return Document(
         parts=(
             *experiment_document(values).parts[:-1],
@@ -280,11 +261,6 @@ def full_document(values: Mapping[str, Any]) -> Document:
         ),
         rows=[values],
     )
-
-
-def limit_text(limit: Mapping[str, Any]) -> str:
-    """Return a known limit, with the study that shows it."""
-    return limit["text"] + (f" (study: {limit['study']})" if limit["study"] else "")
 
 
 def step_text(step_s: float) -> str:

@@ -1,10 +1,11 @@
 """Action and observation spaces of an experiment as rows of tables."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 from gauge_envs.envs.spaces import action_space_of, observation_space_of
 from gauge_envs.experiments.experiment import Experiment
@@ -33,14 +34,14 @@ def action_rows(experiment: Experiment) -> list[dict[str, Any]]:
     """Return a row for each entry of the action: name, shape, range, unit, meaning."""
     space = action_space_of(experiment)
     if isinstance(space, spaces.Discrete):
-        return [_row("action", (), (0.0, 0.0), "1", "nothing is driven")]
+        return [_row("action", np.zeros(()), np.zeros(()), "1", "nothing is driven")]
     motions = [
         (driver.body, motion)
         for driver in experiment.scene.drivers
         for motion in driver.motions
     ]
     return [
-        _row(f"action[{index}]", (), (-1.0, 1.0), *_driven(body, motion))
+        _row(f"action[{index}]", -np.ones(()), np.ones(()), *_driven(body, motion))
         for index, (body, motion) in enumerate(motions)
     ]
 
@@ -76,55 +77,46 @@ def observation_rows(experiment: Experiment) -> list[dict[str, Any]]:
             continue
         box = space[key]
         assert isinstance(box, spaces.Box)
-        if key in ("bodies", "driver"):
-            rows += _state_rows(key, box, meaning)
-        else:
-            bounds = (box.low.min(), box.high.max())
-            rows.append(_row(key, box.shape, bounds, *meaning))
+        if key not in ("bodies", "driver"):
+            rows.append(_row(key, box.low, box.high, *meaning))
+            continue
+        for columns, unit, part in STATE:
+            name = f"{key}[:, {columns.start}:{columns.stop}]"
+            text = part if columns.start else f"{part} of {shortened(meaning)}"
+            row = _row(name, box.low[:, columns], box.high[:, columns], unit, text)
+            rows.append(row | {"entry": key, "whole": list(box.shape)})
     return rows
-
-
-def _state_rows(
-    key: str, box: spaces.Box, names: Sequence[str]
-) -> Iterator[dict[str, Any]]:
-    """Yield a row for each part of the states of bodies."""
-    for columns, unit, meaning in STATE:
-        low, high = box.low[:, columns], box.high[:, columns]
-        name = f"{key}[:, {columns.start}:{columns.stop}]"
-        owner = f" of {shortened(names)}" if columns.start == 0 else ""
-        row = _row(name, low.shape, (low.min(), high.max()), unit, meaning + owner)
-        yield row | {"entry": key, "whole": list(box.shape)}
 
 
 def _row(
     name: str,
-    shape: Sequence[int],
-    bounds: tuple[float, float],
+    low: NDArray[np.floating],
+    high: NDArray[np.floating],
     unit: str,
     meaning: str,
 ) -> dict[str, Any]:
+    shape = list(low.shape)
     return {
         "entry": name,
-        "whole": list(shape),
+        "whole": shape,
         "name": name,
-        "shape": list(shape),
-        "low": float(bounds[0]),
-        "high": float(bounds[1]),
+        "shape": shape,
+        "low": float(low.min()),
+        "high": float(high.max()),
         "unit": unit,
         "meaning": meaning,
     }
 
 
 def range_text(row: Mapping[str, Any]) -> str:
-    """Return the range of a row of a space, as `-1 to 1`; `any` without bounds."""
+    """Return the range of a JSON-ready row of a space, as `-1 to 1`; `any` without bounds."""
     low, high = row["low"], row["high"]
-    if low is None or high is None or not np.isfinite([low, high]).all():
+    if low is None or high is None:
         return "any"
-    return f"{_bound(low)} to {_bound(high)}" if low < high else _bound(low)
-
-
-def _bound(value: float) -> str:
-    return quantity_text(value) if abs(value) >= 1e-3 else "0"
+    bounds = [
+        quantity_text(bound) if abs(bound) >= 1e-3 else "0" for bound in (low, high)
+    ]
+    return " to ".join(bounds if low < high else bounds[:1])
 
 
 def shape_text(shape: Sequence[int]) -> str:

@@ -23,11 +23,10 @@ from gauge_envs.cli.output import (
     note,
     print_document,
     print_json_lines,
-    stderr_console,
 )
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.files import processors
-from gauge_envs.pages.text import counted
+from gauge_envs.pages.text import counted, short_id
 
 if TYPE_CHECKING:
     from gauge_envs.runs.request import RunRequest
@@ -87,7 +86,6 @@ def run(
     declined.
     """
     from gauge_envs.experiments.variants import is_glob, matching_variants
-    from gauge_envs.pages.terminal import Terminal
     from gauge_envs.runs.batch import check_requests, run_many
     from gauge_envs.runs.isolation import TIME_LIMIT_S
     from gauge_envs.runs.request import RunRequest
@@ -124,34 +122,29 @@ def run(
         for engine in dict.fromkeys(backend)
         for subject in dict.fromkeys(chain.from_iterable(variants_of.values()))
     ]
-    is_apart = isolate or timeout is not None or memory is not None
-    check_requests(requests, isolate=is_apart or None)
-    results: list[Result] = []
+    is_apart = True if isolate or timeout or memory else None
+    check_requests(requests, isolate=is_apart)
     episodes = run_many(
         requests,
         out=out,
         resume=resume,
-        isolate=is_apart or None,
-        time_limit_s=TIME_LIMIT_S if timeout is None else timeout,
+        isolate=is_apart,
+        time_limit_s=timeout or TIME_LIMIT_S,
         memory_limit_gb=memory,
         notify=note,
-        jobs=min(jobs or _default_jobs(requests), max(1, len(requests))),
+        jobs=min(jobs or _default_jobs(requests), len(requests)),
     )
+    total = sum(request.repeats for request in requests)
+    progress = Progress("episodes", total, line_interval_s=LINE_INTERVAL_S)
+    results: list[Result] = []
     lost = LostOutput()
     try:
-        with (
-            closing(episodes),
-            Progress(
-                "episodes",
-                sum(request.repeats for request in requests),
-                line_interval_s=LINE_INTERVAL_S,
-            ) as progress,
-        ):
+        with closing(episodes), progress:
             for result in episodes:
                 results.append(result)
                 with lost.tolerated():
                     progress.advance(
-                        f"{result.id.removeprefix('GAUGE/')} on {result.backend}: {result.outcome.value}"
+                        f"{short_id(result.id)} on {result.backend}: {result.outcome.value}"
                     )
                     if form is Format.JSON:
                         print_json_lines([result.to_dict(trajectory=False)])
@@ -161,32 +154,24 @@ def run(
         )
         raise typer.Exit(EXIT_INTERRUPTED) from None
     except ResultFileError:
-        stderr_console().print(Terminal(summary_document(results)))
         message(
             f"stopped: {_totals(results, out)}; --resume continues from there when the cause is gone"
         )
         raise
     lost.report()
-    document = summary_document(results, details=details or form is Format.WIDE)
-    if form is Format.JSON:
-        stderr_console().print(Terminal(document))
-    else:
-        print_document(document, form)
+    if form is not Format.JSON:
+        is_detailed = details or form is Format.WIDE
+        print_document(summary_document(results, details=is_detailed), form)
     message(_totals(results, out))
-    given = {
-        variant
+    named = {
+        variant.id
         for pattern, variants in variants_of.items()
         if not is_glob(pattern)
         for variant in variants
     }
-    must_run = {
-        request.calibrated_experiment().id
-        for request in requests
-        if request.variant in given
-    }
     return any(
         result.outcome in (Outcome.FAILED, Outcome.DIVERGED)
-        or (result.outcome is Outcome.DECLINED and result.id in must_run)
+        or (result.outcome is Outcome.DECLINED and result.id in named)
         for result in results
     )
 
@@ -228,9 +213,11 @@ def score(
     from gauge_envs.runs.score_file import score_file
     from gauge_envs.tools.run.report import summary_document
 
-    used = arguments.parsed_use(use, "reference")
     result, interpolated = score_file(
-        file, variant=name, parameters=arguments.parsed_parameters(parameters), **used
+        file,
+        variant=name,
+        parameters=arguments.parsed_parameters(parameters),
+        **arguments.parsed_use(use, "reference"),
     )
     if interpolated:
         note(f"{counted(interpolated, 'frame')} between samples: interpolated linearly")

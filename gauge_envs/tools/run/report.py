@@ -4,6 +4,8 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from gauge_envs.pages.document import Document, Heading, Paragraph, Part, Tone
 from gauge_envs.pages.results import configuration_parts
 from gauge_envs.pages.table import Column, Facts, Place, Table
@@ -61,9 +63,6 @@ PHRASES = {
     "el": "loses {} of the energy",
 }
 """What a motion does, by estimate or event."""
-
-TEXT_FIELDS = ("kind", "unit", "primary", "events", "estimates", "refused")
-"""Fields of a score that are not numbers."""
 
 TONES = {
     Outcome.DIVERGED: Tone.ERROR,
@@ -128,20 +127,14 @@ def _row(result: Result, *, is_explained: bool) -> dict[str, Any]:
         )
         row["scaled"] = with_unit(text, "u" if score.primary == OVER_U else "1")
     if is_explained:
-        texts = [motion_text(score), _frames_text(result)]
+        texts = [motion_text(score)]
+        if (count := score.compared_frames) is not None and count < result.frames:
+            texts.append(f"compared at {count} of {result.frames} frames")
         row["motion"] = "; ".join(filter(None, texts))
         row["cause"] = score.refused or cause_text(score)
         if result.is_edited and score.refused is None:
             row["cause"] = f"edited: {shortened(result.asset['changes'])}"
     return row
-
-
-def _frames_text(result: Result) -> str:
-    """Return how many frames the reference judges; empty for all."""
-    count = result.score.compared_frames
-    if count is None or count >= result.frames:
-        return ""
-    return f"compared at {count} of {result.frames} frames"
 
 
 def motion_text(score: Score) -> str | None:
@@ -214,11 +207,9 @@ def cause_text(score: Score) -> str | None:
 def _details(score: Score) -> dict[str, str]:
     """Return all numbers of a score, by their names there."""
     facts = {
-        key: ", ".join(
-            map(digits_text, value if isinstance(value, Sequence) else [value])
-        )
+        key: ", ".join(map(digits_text, np.atleast_1d(value)))
         for key, value in score.to_dict().items()
-        if key not in TEXT_FIELDS and value is not None
+        if isinstance(value, float | int | tuple | list)
     }
     for key, quantity in {**score.estimates, **score.events}.items():
         facts[key] = with_unit(digits_text(quantity.value), quantity.unit)

@@ -35,11 +35,12 @@ def earlier_outcomes(path: Path, notify: Callable[[str], None]) -> dict[str, Out
         notify: Receives a sentence for each damaged file, whose episode is left out.
     """
     outcomes = {}
-    for file in [file for one in _folders(path) for file in one.glob("[!.]*.json")]:
-        try:
-            outcomes[file.name] = Outcome(json.loads(file.read_bytes())["outcome"])
-        except (OSError, LookupError, TypeError, ValueError) as error:
-            notify(f"{file}: not a result file: {error}; run again")
+    for folder in _folders(path):
+        for file in folder.glob("[!.]*.json"):
+            try:
+                outcomes[file.name] = Outcome(json.loads(file.read_bytes())["outcome"])
+            except (OSError, LookupError, TypeError, ValueError) as error:
+                notify(f"{file}: not a result file: {error}; run again")
     return outcomes
 
 
@@ -73,7 +74,7 @@ def run_sweep(
             write_result(result, path / SUBFOLDERS.get(result.outcome, "") / name)
             if result.outcome is not Outcome.FAILED:
                 # An earlier attempt may have failed.
-                (path / SUBFOLDERS[Outcome.FAILED] / name).unlink(missing_ok=True)
+                (path / "failed" / name).unlink(missing_ok=True)
         return results
 
     return run_tasks(tasks, workers, perform)

@@ -1,8 +1,9 @@
 """What `gauge sweep` prints with `--json`, a line each."""
 
-from typing import TypedDict
+from typing import Annotated, TypedDict
 
-from gauge_envs.tools.run import RunLine
+from gauge_envs.cli.schemas import Form
+from gauge_envs.runs.result import Result
 
 
 class PlanLine(TypedDict):
@@ -29,5 +30,5 @@ class PlanLine(TypedDict):
     simulated_s: float
 
 
-SweepLine = RunLine | PlanLine
+SweepLine = Annotated[Result, Form(without=("trajectory",))] | PlanLine
 """A result, or a line of the plan."""
