@@ -73,7 +73,7 @@ def recipe_document(
         if any(column.value(row) is not None for row in rows)
     ]
     value_name = Column("name", title, lambda name: TITLES.get(name, name))
-    notes = ("", recipe.explanation, f"{recipe.wall_s:.1f} s")
+    notes = ("", recipe.explanation)
     parts.append(Table(columns=(value_name, *shown), rows=rows, notes=notes))
     return Document(parts=parts, rows=[row])
 
