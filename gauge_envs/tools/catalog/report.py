@@ -1,6 +1,7 @@
 """The list of experiments, one screen for an experiment, and all that defines it."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from fractions import Fraction
 from typing import Any
 
 from gauge_envs.envs.arguments import EnvArguments
@@ -265,10 +266,8 @@ def full_document(values: Mapping[str, Any]) -> Document:
 
 def step_text(step_s: float) -> str:
     """Return a time step as a fraction of a second, or in seconds if it is none."""
-    steps_per_second = 1.0 / step_s
-    whole = round(steps_per_second)
-    is_fraction = abs(steps_per_second - whole) < 1e-6 * steps_per_second
-    return f"1/{whole}" if is_fraction else f"{step_s:.4g}"
+    fraction = Fraction(step_s).limit_denominator(1_000_000)
+    return str(fraction) if fraction.numerator == 1 else f"{step_s:.4g}"
 
 
 def reasons_text(missing: Sequence[str]) -> str:

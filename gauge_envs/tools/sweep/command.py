@@ -200,14 +200,14 @@ def sweep(
     if form is not Format.JSON:
         print_document(outcome_table(runs, counts), form)
     message(f"{counted(total, 'episode')}; results in {out}")
-    if any(outcome is Outcome.FAILED for _, outcome in counts):
+    outcomes = {outcome for _, outcome in counts}
+    if Outcome.FAILED in outcomes:
         message(
             "causes of failures are in the folder failed; --retry-failed runs them again"
         )
     named = {short_id(name) for name in spec.variants if not is_glob(name)}
     is_declined = any(run.declined and run.experiment in named for run in runs)
-    bad = {Outcome.FAILED, Outcome.DIVERGED}
-    return is_declined or any(outcome in bad for _, outcome in counts)
+    return is_declined or bool(outcomes & {Outcome.FAILED, Outcome.DIVERGED})
 
 
 def _spec(
