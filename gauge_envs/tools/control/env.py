@@ -14,7 +14,6 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from gauge_envs.backends.registry import versions_of
 from gauge_envs.envs.arguments import EnvArguments, checked_action
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.initial_states import SEEDS, InitialStates, Scatter
@@ -33,14 +32,14 @@ from gauge_envs.errors import EpisodeError, ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
-from gauge_envs.references.uncertainties import friction_std
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter, perturbed_states
 from gauge_envs.scene.states import scene_at
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
-from gauge_envs.tools.control.limit import Ending, Limit, LimitReport
+from gauge_envs.tools.control.limit import FAILED, Ending, Limit, LimitReport
 from gauge_envs.tools.control.stage import Stage
+from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
 BOUNDS: Mapping[str, float] = {
     "_m_per_s": 2.0 * SPEED_LIMIT_M_PER_S,
@@ -83,7 +82,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         UNIT: Its unit; `1` for a ratio.
         LAW: The law, in words and symbols.
         SIGMA_SOURCE: Source of the limit's uncertainty.
-        STEPS: Steps of an episode, one for each frame after the first.
+        FAMILY: Name of the task without its material, in `EPISODE_STEPS`.
         MUJOCO_TIMESTEPS_S: Time steps of the task in MuJoCo [s] by preset, in place of those of the preset;
             studies/steps has the rule that chose them.
         CAMERA: Entries of the camera that show all places to which actions bring bodies; empty for the scene's.
@@ -98,7 +97,6 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         simulation: The simulation, of one world.
         moving: Names of the bodies that move.
         rest_nodes_m: Nodes of each deformable body at the nominal start [m], shape [node_count, 3], by name.
-        versions: Versions of the engine's packages.
     """
 
     metadata = GaugeEnv.metadata
@@ -108,7 +106,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
     UNIT: ClassVar[str] = "1"
     LAW: ClassVar[str]
     SIGMA_SOURCE: ClassVar[str]
-    STEPS: ClassVar[int]
+    FAMILY: ClassVar[str]
     MUJOCO_TIMESTEPS_S: ClassVar[Mapping[str, float]] = {}
     CAMERA: ClassVar[Mapping[str, Any]] = {}
     COMMANDED: ClassVar[tuple[str, ...]]
@@ -142,20 +140,20 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
             backend=backend,
             parameters=self._start_parameters(parameters),
             settings=settings or None,
+            # Driven bodies have no motion of their own.
+            drivers="action",
         )
         experiment = self.arguments.experiment()
         scene = replace(self._scene(experiment.scene), duration_s=self.duration_s)
-        self.experiment = replace(experiment, scene=scene, frame_count=self.STEPS + 1)
+        self.experiment = replace(experiment, scene=scene, frame_count=self.steps + 1)
         self.gravity_m_per_s2 = scene.gravity_m_per_s2
         self._initial_states = InitialStates(self.experiment, jitter)
         self.simulation = self.arguments.simulation([self.experiment])
-        self.versions = versions_of(backend)
         self._dynamic = [body.name for body in scene.dynamic_bodies]
         self.moving = (*self._dynamic, *(driver.body for driver in scene.drivers))
         self.rest_nodes_m = self.nodes_m()
         self._frame: int | None = None
         self._ending: Ending | None = None
-        self._is_closed = False
         self._observations: list[FloatArray] = []
         self._start_from(scene)
         bounds = np.array([_bound(name) for name in self.OBSERVED])
@@ -172,12 +170,9 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """Return the parameters, with the start of the task if it differs from that of the experiment."""
         return parameters
 
-    @abstractmethod
     def _scene(self, scene: Scene) -> Scene:
-        """Return the scene of the task, from that of the experiment.
-
-        Drivers have no motion of their own; their residual rates limit how fast actions may move them.
-        """
+        """Return the scene of the task, from that of the experiment, in which driven bodies rest without actions."""
+        return scene
 
     def _follow(self, states: FloatArray) -> None:
         """Move what the task adds along with bodies that start elsewhere; states have shape [body_count, 13]."""
@@ -217,7 +212,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
 
     @abstractmethod
     def _reached(self) -> float:
-        """Return what the policy has reached so far, in the unit of the limit."""
+        """Return what the policy reached in an episode that did not fail, in the unit of the limit."""
 
     @abstractmethod
     def _law_command(self, fraction: float) -> float | FloatArray:
@@ -236,9 +231,14 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
     # --- episode ---
 
     @property
+    def steps(self) -> int:
+        """Steps of an episode, one for each frame after the first."""
+        return EPISODE_STEPS[self.FAMILY]
+
+    @property
     def duration_s(self) -> float:
         """Length of an episode [s]."""
-        return self.STEPS / FRAME_RATE_HZ
+        return self.steps / FRAME_RATE_HZ
 
     @property
     def time_s(self) -> float:
@@ -256,15 +256,13 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
             options: `{"jitter": True}` adds noise to the start, as for `GaugeEnv`; it holds for autoreset too.
 
         Raises:
-            EpisodeError: The environment is closed.
             ParameterError: There is no such option, or no body of the scene can start elsewhere.
         """
-        self._check("reset")
         super().reset(seed=seed)
         draw = self._initial_states.of_reset(options, seeded=seed is not None)
         if isinstance(draw, int):
             raise ParameterError(
-                f"reset of {type(self).__name__} has no option 'trial': its episodes are no recorded trials"
+                f"reset of {self.FAMILY} has no option 'trial': its episodes are no recorded trials"
             )
         scene, states = self.experiment.scene, None
         if isinstance(draw, Jitter):
@@ -302,9 +300,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """
         self._check("step")
         if self.is_over:
-            raise EpisodeError(
-                f"{type(self).__name__}: the episode is over, call reset"
-            )
+            raise EpisodeError(f"{self.FAMILY}: the episode is over, call reset")
         self._ending = self._run_frame(checked_action(action, self.action_space))
         before, self._rewarded = self._rewarded, self._total_reward()
         reward = self._rewarded - before
@@ -314,7 +310,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         if reason is not None:
             info["diverged"], self._ending, reward = reason, Ending.DIVERGED, 0.0
         terminated = self.is_over
-        truncated = not terminated and self._frame == self.STEPS
+        truncated = not terminated and self._frame == self.steps
         if truncated:
             self._ending = self.TIME_LIMIT_ENDING
         return self._observe(), reward, terminated, truncated, info
@@ -367,49 +363,27 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
             EpisodeError: The episode is not over.
         """
         if self._ending is None:
-            raise EpisodeError(
-                f"{type(self).__name__}: an episode is reported when it is over"
-            )
-        reached = 0.0 if self._ending is Ending.DIVERGED else self._reached()
+            raise EpisodeError(f"{self.FAMILY}: an episode is reported when it is over")
+        reached = 0.0 if self._ending in FAILED else self._reached()
         return LimitReport(
             limit=self.limit, reached=reached, ending=self._ending, time_s=self.time_s
         )
 
     def _check(self, call: str) -> None:
         """Raise an error if a method cannot be called now."""
-        name = type(self).__name__
-        if self._is_closed:
-            raise EpisodeError(
-                f"{name}: {call} after close; make the environment again"
-            )
-        if self._frame is None and call != "reset":
-            raise EpisodeError(f"{name}: call reset before {call}")
+        if self._frame is None:
+            raise EpisodeError(f"{self.FAMILY}: call reset before {call}")
 
     def close(self) -> None:
         """Free the simulation and the renderer. A second call does nothing."""
-        if not self._is_closed:
-            self._is_closed = True
-            self._pictures.close()
-            self.simulation.close()
+        self._pictures.close()
+        self.simulation.close()
 
     # --- the world now, and its picture ---
 
     def _state(self, name: str) -> FloatArray:
         """Return the state of a rigid body, shape [13]."""
         return self.simulation.body_states((name,))[0, 0]
-
-    def _friction_limit(self, *pair: str) -> tuple[float, float]:
-        """Return the friction coefficient of two bodies that touch, and its standard uncertainty."""
-        # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
-        value, calibrated = (
-            next(
-                contact.friction
-                for contact in scene.contacts
-                if {*pair} <= {*contact.first, *contact.second}
-            )
-            for scene in (self.experiment.scene, self.calibrated)
-        )
-        return value, friction_std(calibrated, self._variant.material)
 
     def nodes_m(self) -> dict[str, FloatArray]:
         """Return the nodes of each deformable body now [m], shape [node_count, 3], by name."""

@@ -1,7 +1,6 @@
 """Swing a hanging cloth as high as a budget of the rod's speed allows."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -12,10 +11,7 @@ from gauge_envs.scene.profiles import CosineProfile
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending
-from gauge_envs.tools.control.stage import FRAME_S, Stage, stage_driver
-from gauge_envs.tools.control.tasks import EPISODE_STEPS
-
-ROD = "rod"
+from gauge_envs.tools.control.stage import FRAME_S, Stage
 
 SPEED_SIGMA = 0.05 / 0.67
 """Relative uncertainty of the rod's speed in the recording (0.67 +- 0.05 m/s, tasks/textile_flinging.toml)."""
@@ -60,7 +56,7 @@ class FlingLimit(ControlEnv):
     SIGMA_SOURCE = (
         "the rod's largest speed in the recording, half of U: 0.67 +- 0.05 m/s"
     )
-    STEPS = EPISODE_STEPS["Fling"]
+    FAMILY = "Fling"
     """Time of an episode; the law's policy takes 2.7 s."""
     COMMANDED = ("acceleration_y",)
     OBSERVED = (
@@ -76,13 +72,6 @@ class FlingLimit(ControlEnv):
 
     # --- scene and limit ---
 
-    def _scene(self, scene: Scene) -> Scene:
-        """Return the scene, in which actions translate the rod."""
-        (motion,) = scene.drivers[0].motions
-        max_speed_m_per_s = motion.profiles[0].largest_rate
-        driver = stage_driver(ROD, motion.axis, max_speed_m_per_s=max_speed_m_per_s)
-        return replace(scene, drivers=(driver,))
-
     def _prepare(self, scene: Scene) -> None:
         (recorded,) = self.calibrated.drivers[0].motions[0].profiles
         (cloth,) = scene.deformables
@@ -92,12 +81,12 @@ class FlingLimit(ControlEnv):
         )
         self._stroke_m = 0.5 * abs(recorded.amount)
         # The rod speeds up to its largest speed and brakes.
-        self._speed_m_per_s = 2.0 * scene.drivers[0].motions[0].residual_rate
+        self._speed_m_per_s = 2.0 * recorded.largest_rate
         self._stage = Stage(
-            scene.drivers[0],
-            scene.body(ROD).pose,
+            scene,
             self._acceleration_m_per_s2,
-            (self._stroke_m,),
+            max_rate=recorded.largest_rate,
+            strokes=(self._stroke_m,),
             speed_change=self._speed_m_per_s,
         )
         self._weights = place_weights(cloth, self.rest_nodes_m[cloth.name])
@@ -138,12 +127,12 @@ class FlingLimit(ControlEnv):
         return self._highest_m / self.limit.value
 
     def _observation(self) -> FloatArray:
-        return np.array(
+        return np.hstack(
             [
-                *self._places_m.ravel(),
-                *self._velocities.ravel(),
-                *self._stage.offset,
-                *self._stage.rate,
+                self._places_m.ravel(),
+                self._velocities.ravel(),
+                self._stage.offset,
+                self._stage.rate,
                 self._left_m_per_s,
                 self._highest_m / self.limit.value,
                 self.time_s,
@@ -151,7 +140,7 @@ class FlingLimit(ControlEnv):
         )
 
     def _reached(self) -> float:
-        return self._highest_m if self._ending is Ending.REACHED else 0.0
+        return self._highest_m
 
     # --- policy of the law ---
 

@@ -1,11 +1,11 @@
 """Turn a turntable or tilt a board as far as a cube that only friction holds allows."""
 
 import math
-from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
+from gauge_envs.references.uncertainties import friction_std
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import (
     FloatArray,
@@ -17,7 +17,6 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending
 from gauge_envs.tools.control.stage import Stage
-from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
 CUBE = "cube"
 
@@ -45,7 +44,30 @@ SLOPE_RAMP_S = 3.0
 """Time in which the law's policy tilts; its acceleration uses only 0.4 % of the friction."""
 
 
-class FrictionLimit(ControlEnv):
+class CubeLimit(ControlEnv):
+    """A cube on a level or tilted face, which only friction holds; the limit is the friction coefficient.
+
+    Attributes:
+        ACCELERATION: Acceleration of the driven body that an action of 1 commands [m/s^2 or rad/s^2].
+    """
+
+    ACCELERATION: ClassVar[float]
+    _stage: Stage
+
+    def _prepare(self, scene: Scene) -> None:
+        self._stage = Stage(scene, self.ACCELERATION)
+
+    def _limit(self) -> tuple[float, float]:
+        # The first contact of each scene is that of the cube with the face below it. The uncertainty is that of the
+        # calibrated coefficient, also if an override replaces the coefficient.
+        value, calibrated = (
+            scene.contacts[0].friction
+            for scene in (self.experiment.scene, self.calibrated)
+        )
+        return value, friction_std(calibrated, self._variant.material)
+
+
+class FrictionLimit(CubeLimit):
     """Use as much of the friction of a cube on a driven body as the law allows.
 
     **Law.** The force that carries the cube, over its mass, is f = a - g, where a is the acceleration of the carrier at
@@ -68,17 +90,13 @@ class FrictionLimit(ControlEnv):
     accelerates to and fro uses sqrt(mu^2 + (alpha r / g)^2) on average where friction holds the mean force, 1.0 to
     1.4 % more. A slip outward is also carried by the Coriolis force, 0.3 % at 20 mm/s.
 
-    **Action.** Angular acceleration of the carrier, in units of `ACCELERATION_RAD_PER_S2`.
+    **Action.** Angular acceleration of the carrier, in units of `ACCELERATION`.
 
     Args:
         material: Material of the cube: `wood`, `plastic` or `metal`.
         **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
-
-    Attributes:
-        ACCELERATION_RAD_PER_S2: Angular acceleration that an action of 1 commands.
     """
 
-    ACCELERATION_RAD_PER_S2: ClassVar[float]
     QUANTITY = "friction used"
     COMMANDED = ("angular_acceleration",)
     OBSERVED = (
@@ -89,26 +107,13 @@ class FrictionLimit(ControlEnv):
         "time_s",
     )
     TIME_LIMIT_ENDING = Ending.HELD
-    _stage: Stage
-
-    def _scene(self, scene: Scene) -> Scene:
-        """Return the scene, in which the carrier turns about the axis of the experiment by actions alone."""
-        driver = scene.drivers[0]
-        fastest = self.ACCELERATION_RAD_PER_S2 * self.duration_s
-        motion = replace(driver.motions[0], profiles=(), residual_rate=fastest)
-        turned = replace(driver, motions=(motion,), provenance="action")
-        return replace(scene, drivers=(turned,))
 
     def _prepare(self, scene: Scene) -> None:
-        driver = scene.drivers[0]
-        carrier = scene.body(driver.body).pose
-        self._stage = Stage(driver, carrier, self.ACCELERATION_RAD_PER_S2)
-        self._axis = np.array(driver.motions[0].axis)
-        self._point_m = np.array(driver.motions[0].point_m)
+        super()._prepare(scene)
+        (turn,) = scene.drivers[0].motions
+        self._axis = np.array(turn.axis)
+        self._point_m = np.array(turn.point_m)
         self._corners_m = scene.body(CUBE).shape.corners_m
-
-    def _limit(self) -> tuple[float, float]:
-        return self._friction_limit(CUBE, self._stage.body)
 
     # --- episode ---
 
@@ -165,9 +170,7 @@ class FrictionLimit(ControlEnv):
     def _observation(self) -> FloatArray:
         slip = self._slip_m_per_s / SLIP_SPEED_M_PER_S
         stage = self._stage
-        return np.array(
-            [stage.offset[0], stage.rate[0], self._used_now, slip, self.time_s]
-        )
+        return np.hstack([stage.offset, stage.rate, self._used_now, slip, self.time_s])
 
     def _reached(self) -> float:
         if len(self._used) < HOLD_FRAMES:
@@ -194,10 +197,10 @@ class TurntableLimit(FrictionLimit):
         "no trial shows where cubes slip on the turntable: the relative uncertainty of the same cube's friction on the "
         "slope, where calibrated coefficients and 19 or 20 trials are known, measured by the same method"
     )
-    STEPS = EPISODE_STEPS["Turntable"]
+    FAMILY = "Turntable"
     """Time of an episode: 1.2 s to the limit at full acceleration, and three times as long to hold it."""
     MUJOCO_TIMESTEPS_S: ClassVar = {"training": 1 / 180}
-    ACCELERATION_RAD_PER_S2 = 6.0
+    ACCELERATION = 6.0
     """This acceleration reaches the limit in 1.2 s. Its own friction used, 0.046, adds less than 1 % to the limit's."""
 
     def _law_command(self, fraction: float) -> float:
@@ -207,7 +210,7 @@ class TurntableLimit(FrictionLimit):
         limit_m_per_s2 = fraction * self.limit.value * self.gravity_m_per_s2
         wanted = math.sqrt(limit_m_per_s2 / radius_m)
         change = wanted - float(self._stage.rate[0])
-        return change / TURNTABLE_APPROACH_S / self.ACCELERATION_RAD_PER_S2
+        return change / TURNTABLE_APPROACH_S / self.ACCELERATION
 
 
 class SlopeSliderLimit(FrictionLimit):
@@ -224,17 +227,17 @@ class SlopeSliderLimit(FrictionLimit):
         "friction of the same cube on the same board in 19 or 20 real trials at 30 degrees: root mean square distance "
         "from the calibrated coefficient"
     )
-    STEPS = EPISODE_STEPS["SlopeSlider"]
+    FAMILY = "SlopeSlider"
     """Time of an episode: 1.0 s to the limit at full acceleration and braking, and 4 s to hold it."""
     MUJOCO_TIMESTEPS_S: ClassVar = {"default": 1 / 1800, "training": 1 / 180}
-    ACCELERATION_RAD_PER_S2 = 1.0
+    ACCELERATION = 1.0
     """This acceleration reaches the limit in 1.0 s; the real motor takes 1.2 s to 15 degrees."""
 
     def _law_command(self, fraction: float) -> float:
         """Return the action that tilts to tan theta = fraction mu along two parabolas, and stays there."""
         half_s = 0.5 * SLOPE_RAMP_S
         tilt_rad = math.atan(fraction * self.limit.value)
-        command = tilt_rad / half_s**2 / self.ACCELERATION_RAD_PER_S2
+        command = tilt_rad / half_s**2 / self.ACCELERATION
         if self.time_s < half_s:
             return command
         return -command if self.time_s < SLOPE_RAMP_S else 0.0

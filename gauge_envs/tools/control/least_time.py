@@ -8,7 +8,6 @@ from typing import ClassVar
 import numpy as np
 
 from gauge_envs.scene import Motion, Scene
-from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import (
     FloatArray,
     length_of,
@@ -17,21 +16,17 @@ from gauge_envs.scene.geometry import (
 )
 from gauge_envs.scene.states import row_of
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.friction import CUBE, CubeLimit
 from gauge_envs.tools.control.limit import Ending
 from gauge_envs.tools.control.stage import (
     FRAME_S,
     X_AXIS,
     Y_AXIS,
-    Stage,
     acceleration_to_rest,
     speed_to_rest,
     stage_driver,
     with_box,
 )
-from gauge_envs.tools.control.tasks import EPISODE_STEPS
-
-CUBE = "cube"
 
 TOLERANCE_M = 0.015
 """Largest distance of the cube's centre from the goal [m]."""
@@ -60,7 +55,7 @@ LIFTED_M = 0.003
 """Largest change of height of the cube's centre [m]; a fall from there gives mu 0.24 m/s more braking."""
 
 
-class LeastTimeLimit(ControlEnv):
+class LeastTimeLimit(CubeLimit):
     """Bring a cube to a goal, to rest and without turning it, in the least time.
 
     **Law.** Only friction holds the cube on the level face below it, so its horizontal acceleration is at most mu g.
@@ -79,7 +74,7 @@ class LeastTimeLimit(ControlEnv):
     ending 1/3 at most. Time costs nothing by itself and the loss of the cube takes nothing: with such costs, to leave
     the cube alone is better than most of what exploration does.
 
-    **Action.** Acceleration of the driven body along x and y, in units of `ACCELERATION_M_PER_S2`.
+    **Action.** Acceleration of the driven body along x and y, in units of `ACCELERATION`.
 
     Args:
         material: Material of the cube: `wood`, `plastic` or `metal`.
@@ -87,16 +82,12 @@ class LeastTimeLimit(ControlEnv):
 
     Attributes:
         DRIVEN: Name of the driven body.
-        FLOOR: Name of the body below the cube, whose friction limits the cube.
-        ACCELERATION_M_PER_S2: Acceleration along an axis that an action of 1 commands.
         DISTANCE_M: Distance of the goal.
         MAX_ANGLE_RAD: Largest angle between the goal and the x axis.
         goal_m: Displacement of the cube that is asked for [m], shape [2].
     """
 
     DRIVEN: ClassVar[str]
-    FLOOR: ClassVar[str]
-    ACCELERATION_M_PER_S2: ClassVar[float]
     DISTANCE_M: ClassVar[float]
     MAX_ANGLE_RAD: ClassVar[float]
     QUANTITY = "friction that the time needs"
@@ -113,7 +104,6 @@ class LeastTimeLimit(ControlEnv):
         "driven_from_cube_velocity_y_m_per_s",
         "time_s",
     )
-    _stage: Stage
 
     # --- what a subclass adds ---
 
@@ -140,22 +130,6 @@ class LeastTimeLimit(ControlEnv):
             risen_m: Displacement of the cube upwards [m].
         """
 
-    # --- scene and limit ---
-
-    def _driver(self) -> Driver:
-        """Return the driver of the driven body, which is never faster than full acceleration makes it."""
-        max_speed_m_per_s = self.ACCELERATION_M_PER_S2 * self.duration_s
-        return stage_driver(
-            self.DRIVEN, X_AXIS, Y_AXIS, max_speed_m_per_s=max_speed_m_per_s
-        )
-
-    def _prepare(self, scene: Scene) -> None:
-        driven = scene.body(self.DRIVEN).pose
-        self._stage = Stage(scene.drivers[0], driven, self.ACCELERATION_M_PER_S2)
-
-    def _limit(self) -> tuple[float, float]:
-        return self._friction_limit(CUBE, self.FLOOR)
-
     # --- episode ---
 
     def _begin(self) -> None:
@@ -163,7 +137,6 @@ class LeastTimeLimit(ControlEnv):
         self.goal_m = self.DISTANCE_M * np.array([math.cos(angle), math.sin(angle)])
         self._start = self._cube = self._state(CUBE)
         self._cube_velocity = np.zeros(2)
-        self._arrived_s = 0.0
         self._intervals = 0
 
     def _after_interval(self) -> Ending | None:
@@ -173,18 +146,17 @@ class LeastTimeLimit(ControlEnv):
         risen_m = float(self._cube[2] - self._start[2])
         if self._is_lost(self._driven_from_cube_m, risen_m):
             return Ending.LOST
-        if self._has_arrived:
-            self._arrived_s = self._intervals * SAMPLE_INTERVAL_S
-            return Ending.REACHED
-        return None
+        has_arrived = (
+            math.hypot(*self._to_goal_m) <= TOLERANCE_M
+            and abs(self._yaw_rad) <= TOLERANCE_RAD
+            and math.hypot(*self._cube_velocity) <= REST_M_PER_S
+        )
+        return Ending.REACHED if has_arrived else None
 
     @property
-    def _has_arrived(self) -> bool:
-        return (
-            math.hypot(*self._to_goal_m.tolist()) <= TOLERANCE_M
-            and abs(self._yaw_rad) <= TOLERANCE_RAD
-            and math.hypot(*self._cube_velocity.tolist()) <= REST_M_PER_S
-        )
+    def _time_s(self) -> float:
+        """Time since the start of the episode, whose last frame may be incomplete [s]."""
+        return self._intervals * SAMPLE_INTERVAL_S
 
     @property
     def _moved_m(self) -> FloatArray:
@@ -209,27 +181,27 @@ class LeastTimeLimit(ControlEnv):
         return (self._stage.state - self._cube)[:2]
 
     def _observation(self) -> FloatArray:
-        return np.concatenate(
+        return np.hstack(
             [
                 self._to_goal_m,
                 self._cube_velocity,
-                [self._yaw_rad],
+                self._yaw_rad,
                 self._driven_from_cube_m,
                 self._stage.rate - self._cube_velocity,
-                [self._intervals * SAMPLE_INTERVAL_S],
+                self._time_s,
             ]
         )
 
     def _total_reward(self) -> float:
-        to_go = 0.0 if self._ending is Ending.REACHED else self._time_to_go()
-        arrival = self._reached() / self.limit.value
-        return ARRIVAL_SHARE * arrival - (1.0 - ARRIVAL_SHARE) * to_go
+        if self._ending is Ending.REACHED:
+            return ARRIVAL_SHARE * (self._reached() / self.limit.value)
+        return -(1.0 - ARRIVAL_SHARE) * self._time_to_go()
 
     def _time_to_go(self) -> float:
         """Return the time to go, over that at the start. Speed across the line to the goal adds its braking time."""
         limit_m_per_s2 = self.limit.value * self.gravity_m_per_s2
         velocity, to_goal_m = self._cube_velocity, self._to_goal_m
-        left_m = math.hypot(*to_goal_m.tolist())
+        left_m = math.hypot(*to_goal_m)
         speed = float(velocity @ to_goal_m) / left_m if left_m > 0.0 else 0.0
         across = math.sqrt(max(float(velocity @ velocity) - speed**2, 0.0))
         at_start_s = self.time_to_go_s(self.DISTANCE_M, 0.0, limit_m_per_s2)
@@ -237,10 +209,8 @@ class LeastTimeLimit(ControlEnv):
         return (now_s + across / limit_m_per_s2) / at_start_s
 
     def _reached(self) -> float:
-        if self._arrived_s == 0.0:
-            return 0.0
         distance_m, speed = length_of(self._moved_m), length_of(self._cube_velocity)
-        needed = self.least_deceleration_m_per_s2(distance_m, self._arrived_s, speed)
+        needed = self.least_deceleration_m_per_s2(distance_m, self._time_s, speed)
         return needed / self.gravity_m_per_s2
 
 
@@ -253,16 +223,16 @@ class CarryLimit(LeastTimeLimit):
     """
 
     SCENE = "Turntable-1"
-    DRIVEN = FLOOR = "plate"
+    DRIVEN = "plate"
     LAW = "the cube's acceleration is at most mu g, so 4 D / T^2 <= mu g from rest to rest"
     SIGMA_SOURCE = (
         "the relative uncertainty of the same cube's friction on the slope, from 19 or 20 real trials; no trial shows "
         "where cubes slip on the plate"
     )
-    STEPS = EPISODE_STEPS["Carry"]
+    FAMILY = "Carry"
     """Time of an episode: four times the least time."""
     MUJOCO_TIMESTEPS_S: ClassVar = {"training": 1 / 180}
-    ACCELERATION_M_PER_S2 = 4.5
+    ACCELERATION = 4.5
     """1.2 to 1.4 times the 3.2 to 3.7 m/s^2 that friction holds, so that the actuator does not limit the task."""
     DISTANCE_M = 0.5
     MAX_ANGLE_RAD = math.pi
@@ -270,7 +240,7 @@ class CarryLimit(LeastTimeLimit):
 
     def _scene(self, scene: Scene) -> Scene:
         """Return the scene, in which actions translate the plate."""
-        return replace(scene, drivers=(self._driver(),))
+        return replace(scene, drivers=(stage_driver(self.DRIVEN, X_AXIS, Y_AXIS),))
 
     @staticmethod
     def time_to_go_s(
@@ -315,7 +285,7 @@ class CarryLimit(LeastTimeLimit):
             float(speed @ along),
             math.sqrt(limit_m_per_s2**2 - aside**2),
         )
-        return (ahead * along + aside * across) / self.ACCELERATION_M_PER_S2
+        return (ahead * along + aside * across) / self.ACCELERATION
 
 
 class PushLimit(LeastTimeLimit):
@@ -341,15 +311,14 @@ class PushLimit(LeastTimeLimit):
 
     SCENE = "SlopeSlider-3"
     DRIVEN = PUSHER
-    FLOOR = "board"
     LAW = "friction alone brakes the cube, so D <= mu g T^2 / 2 to rest"
     SIGMA_SOURCE = (
         "friction of the same cube on the same board in 19 or 20 real trials at 30 degrees: root mean square distance "
         "from the calibrated coefficient"
     )
-    STEPS = EPISODE_STEPS["Push"]
+    FAMILY = "Push"
     """Time of an episode: five times the least time."""
-    ACCELERATION_M_PER_S2 = 20.0
+    ACCELERATION = 20.0
     """Seven times what friction brakes with."""
     DISTANCE_M = 0.2
     MAX_ANGLE_RAD = math.radians(8.0)
@@ -358,20 +327,13 @@ class PushLimit(LeastTimeLimit):
     def _scene(self, scene: Scene) -> Scene:
         """Return the scene with the board at rest and the pusher behind the cube."""
         x, y, z = scene.body(CUBE).pose.position_m
-        board = scene.body(self.FLOOR)
-        at_rest = replace(board, motion=Motion.FIXED)
-        bodies = tuple(at_rest if body is board else body for body in scene.bodies)
-        (on_board,) = (
-            contact for contact in scene.contacts if self.FLOOR in contact.second
+        bodies = tuple(
+            replace(body, motion=Motion.FIXED) if body.name == "board" else body
+            for body in scene.bodies
         )
-        behind_m = self._touching_m(scene) + GAP_M
-        return with_box(
-            replace(scene, bodies=bodies),
-            PUSHER_SIZE_M,
-            (x - behind_m, y, z),
-            self._driver(),
-            on_board,
-        )
+        place_m = (x - self._touching_m(scene) - GAP_M, y, z)
+        driver = stage_driver(PUSHER, X_AXIS, Y_AXIS)
+        return with_box(replace(scene, bodies=bodies), PUSHER_SIZE_M, place_m, driver)
 
     @staticmethod
     def _touching_m(scene: Scene) -> float:
@@ -421,5 +383,5 @@ class PushLimit(LeastTimeLimit):
             wanted = (
                 max(speed_to_rest(left_m, pushed, braking_m_per_s2), 0.0) * direction
             )
-        change = (wanted - pusher) / FRAME_S / self.ACCELERATION_M_PER_S2
+        change = (wanted - pusher) / FRAME_S / self.ACCELERATION
         return change / max(1.0, float(np.abs(change).max()))

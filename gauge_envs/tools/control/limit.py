@@ -21,6 +21,10 @@ class Ending(StrEnum):
     """The simulation diverged."""
 
 
+FAILED = (Ending.MISSED, Ending.LOST, Ending.DIVERGED)
+"""Endings of episodes that reached nothing."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Limit:
     """The best that a law allows.

@@ -1,7 +1,6 @@
 """The page of a control task in `gauge show`."""
 
 import inspect
-from typing import Any
 
 import gymnasium
 
@@ -17,19 +16,19 @@ def control_document(task: ControlTask) -> Document:
     """Return what defines a control task, in words and as a JSON-ready object."""
     env = gymnasium.make(task.id).unwrapped
     assert isinstance(env, ControlEnv)
-    env.close()
+    limit = env.limit
     # The docstrings of the task and of the base that it shares with a similar task, without their arguments.
-    bases = type(env).mro()[: type(env).mro().index(ControlEnv)]
+    bases = [base for base in type(env).mro()[:2] if base is not ControlEnv]
     texts = [(inspect.getdoc(base) or "").partition("\n\nArgs:")[0] for base in bases]
-    row: dict[str, Any] = {
+    text = "\n\n".join(texts)
+    row = {
         "id": task.id,
         "scene": env.experiment.id,
         "duration_s": env.duration_s,
         "observed": env.OBSERVED,
-        "limit": vars(env.limit),
-        "task": "\n\n".join(texts),
+        "limit": vars(limit),
+        "task": text,
     }
-    limit = env.limit
     value = with_unit(f"{limit.value:.4g} +- {limit.sigma:.2g}", limit.unit)
     facts = {
         "scene": f"that of {env.experiment.id}, with the action instead of the driver",
@@ -41,9 +40,7 @@ def control_document(task: ControlTask) -> Document:
     }
     title = Paragraph(f"{task.id}  control task", Tone.ANSWER)
     # Docstrings are wrapped at the width of the code.
-    paragraphs = (
-        Paragraph(" ".join(part.split())) for part in row["task"].split("\n\n")
-    )
+    paragraphs = (Paragraph(" ".join(part.split())) for part in text.split("\n\n"))
     return Document(
         parts=(title, Facts(facts), Heading("Task"), *paragraphs),
         rows=[json_ready(row)],

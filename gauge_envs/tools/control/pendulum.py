@@ -1,7 +1,6 @@
 """Swing the pendulum to a height with the least work."""
 
 import math
-from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -13,7 +12,6 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending
 from gauge_envs.tools.control.stage import FRAME_S
-from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
 BALL = "ball"
 
@@ -58,7 +56,7 @@ class PendulumLimit(ControlEnv):
         "length from the recorded period, 0.270 +- 0.004 m, "
         "which gives the height at an angle; mass to 0.1 g"
     )
-    STEPS = EPISODE_STEPS["Pendulum"]
+    FAMILY = "Pendulum"
     """Time of five full swings; at full torque three are enough."""
     MUJOCO_TIMESTEPS_S: ClassVar = {"default": 1 / 180, "training": 1 / 180}
     CAMERA: ClassVar = {"target_m": (0.37, 0.49, 0.3), "distance_m": 1.97}
@@ -77,10 +75,6 @@ class PendulumLimit(ControlEnv):
         """Return the parameters, with the ball hanging straight down."""
         overrides = load_experiment(self._variant, parameters).overrides
         return {**overrides, f"{BALL}.euler_deg": (0.0, 0.0, 0.0)}
-
-    def _scene(self, scene: Scene) -> Scene:
-        """Return the scene without drivers: the motor is a torque."""
-        return replace(scene, drivers=())
 
     def _prepare(self, scene: Scene) -> None:
         hinge, ball = scene.joints[0], scene.body(BALL)
@@ -137,7 +131,7 @@ class PendulumLimit(ControlEnv):
         return 2.0 * self._highest_m / self._target_m - spent
 
     def _observation(self) -> FloatArray:
-        return np.array(
+        return np.hstack(
             [
                 self._angle,
                 self._rate,
@@ -148,8 +142,6 @@ class PendulumLimit(ControlEnv):
         )
 
     def _reached(self) -> float:
-        if self._highest_m < self._target_m:
-            return 0.0
         return self._target_m / self._work_j
 
     # --- policy of the law ---

@@ -61,12 +61,9 @@ def engine_limit(
         report = play(env, lambda _: env.law_action(share))
         return report.ending in (Ending.HELD, Ending.REACHED)
 
-    name = type(env).__name__
-    if not succeeds(low):
-        raise ParameterError(f"{name}: the law's policy fails with {low} of the limit")
-    if succeeds(high):
+    if not succeeds(low) or succeeds(high):
         raise ParameterError(
-            f"{name}: the law's policy succeeds with {high} of the limit"
+            f"{env.FAMILY}: the law's policy must succeed with {low} of the limit and fail with {high}"
         )
     while high - low > resolution:
         middle = 0.5 * (low + high)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.scene import Box, Contact, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene import Box, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import FloatArray, Vector
 from gauge_envs.scene.prescribed_motion import uniformly_accelerated
@@ -17,34 +17,27 @@ FRAME_S = 1.0 / FRAME_RATE_HZ
 """Time of a step, in which the acceleration is constant [s]."""
 
 
-def stage_driver(body: str, *axes: Vector, max_speed_m_per_s: float) -> Driver:
+def stage_driver(body: str, *axes: Vector) -> Driver:
     """Return a driver that translates a body by actions alone.
 
     Args:
         body: Name of the kinematic body.
         *axes: Unit vectors in the world, one for each entry of the action.
-        max_speed_m_per_s: Largest speed along each axis.
     """
     motions = tuple(
-        DriverMotion(
-            kind="translate", axis=axis, residual_rate=max_speed_m_per_s, profiles=()
-        )
-        for axis in axes
+        DriverMotion(kind="translate", axis=axis, profiles=()) for axis in axes
     )
     return Driver(body=body, motions=motions, provenance="action")
 
 
-def with_box(
-    scene: Scene, size_m: Vector, position_m: Vector, driver: Driver, touching: Contact
-) -> Scene:
-    """Return a scene with one more box, which actions move.
+def with_box(scene: Scene, size_m: Vector, position_m: Vector, driver: Driver) -> Scene:
+    """Return a scene with one more box, which actions move; it touches a body as the first contact states.
 
     Args:
         scene: The scene.
         size_m: Edges of the box [m].
         position_m: Its centre at the start [m].
         driver: Its driver, which names it.
-        touching: Contact of the body that it touches, in which the box takes the place of the second body.
     """
     box = RigidBody(
         name=driver.body,
@@ -56,7 +49,7 @@ def with_box(
     return replace(
         scene,
         bodies=(*scene.bodies, box),
-        contacts=(*scene.contacts, replace(touching, second=(box.name,))),
+        contacts=(*scene.contacts, replace(scene.contacts[0], second=(box.name,))),
         drivers=(driver,),
     )
 
@@ -67,10 +60,10 @@ class Stage:
     A coordinate is a displacement [m] or an angle [rad]. `gauge_envs.envs.rollout.intervals` drives the body.
 
     Args:
-        driver: Driver without a motion of its own; `residual_rate` is the largest rate of a coordinate.
-        start: Pose of the body at the start.
+        scene: Scene with the body at its start; its one driver has no motion of its own.
         acceleration: Acceleration of a coordinate that an action of 1 commands [m/s^2 or rad/s^2].
-        strokes: Largest absolute value of each coordinate, where the body stops at once; None is no end.
+        max_rate: Largest rate of a coordinate [m/s or rad/s].
+        strokes: Largest absolute value of each coordinate, where the body stops at once.
         speed_change: Sum of all changes of the rates in an episode [m/s or rad/s]; the body then keeps its rate.
 
     Attributes:
@@ -85,20 +78,23 @@ class Stage:
 
     def __init__(
         self,
-        driver: Driver,
-        start: Pose,
+        scene: Scene,
         acceleration: float,
-        strokes: tuple[float, ...] | None = None,
+        *,
+        max_rate: float = math.inf,
+        strokes: tuple[float, ...] = (math.inf,),
         speed_change: float = math.inf,
     ) -> None:
+        (driver,) = scene.drivers
+        start = scene.body(driver.body).pose
         self.body = driver.body
         self._driver = driver
         self._start = np.array([[*start.position_m, *start.quaternion]])
         self._scale = acceleration
-        self._max_rates = np.array([motion.residual_rate for motion in driver.motions])
-        self._strokes = np.array(strokes or np.inf)
+        self._max_rate = max_rate
+        self._strokes = np.array(strokes)
         self.sample = 0
-        self.offsets = self.rates = np.zeros((1, len(self._max_rates)))
+        self.offsets = self.rates = np.zeros((1, len(driver.motions)))
         self.speed_changes_left = [speed_change]
         self.states = driver.moved(self._start, self.offsets, self.rates)
 
@@ -134,13 +130,11 @@ class Stage:
         left = self.speed_changes_left[self.sample]
         offsets, rates, lefts = [offset], [rate], [left]
         for _ in range(count):
-            wanted_rate = rate + np.maximum(np.minimum(change, left), -left)
-            wanted_rate = np.maximum(
-                np.minimum(wanted_rate, self._max_rates), -self._max_rates
-            )
+            wanted_rate = rate + np.clip(change, -left, left)
+            wanted_rate = np.clip(wanted_rate, -self._max_rate, self._max_rate)
             left = max(left - float(np.abs(wanted_rate - rate).sum()), 0.0)
             wanted = offset + 0.5 * (rate + wanted_rate) * SAMPLE_INTERVAL_S
-            offset = np.maximum(np.minimum(wanted, self._strokes), -self._strokes)
+            offset = np.clip(wanted, -self._strokes, self._strokes)
             rate = np.where(offset == wanted, wanted_rate, 0.0)
             offsets.append(offset)
             rates.append(rate)

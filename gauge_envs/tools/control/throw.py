@@ -19,7 +19,6 @@ from gauge_envs.tools.control.stage import (
     stage_driver,
     with_box,
 )
-from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
 BALL, PLATE = "ball", "plate"
 
@@ -49,10 +48,8 @@ LOWEST_M = -STROKE_M + 0.005
 """Place of the plate from which the law's policy starts its stroke [m]."""
 
 
-def highest_m(
-    drop_m: float, restitution: float, gravity_m_per_s2: float, impacts: int = IMPACTS
-) -> float:
-    """Return the largest height that a ball can reach with some impacts on the plate [m].
+def highest_m(drop_m: float, restitution: float, gravity_m_per_s2: float) -> float:
+    """Return the largest height that a ball can reach with three impacts on the plate [m].
 
     A ball that comes from the height H to the place z of the plate has the speed v = sqrt(2 g (H - z)) there. It leaves
     with e v + (1 + e) V at most, V being the plate's largest speed. The next height is z + (e v + (1 + e) V)^2 / (2 g),
@@ -63,10 +60,9 @@ def highest_m(
             the ball's lowest point.
         restitution: Coefficient of restitution of ball and plate.
         gravity_m_per_s2: Gravity [m/s^2].
-        impacts: Number of impacts.
     """
     extra = (1.0 + restitution) * SPEED_M_PER_S
-    for _ in range(impacts):
+    for _ in range(IMPACTS):
         fastest, slowest = (
             math.sqrt(2.0 * gravity_m_per_s2 * max(drop_m - place_m, 0.0))
             for place_m in (-STROKE_M, STROKE_M)
@@ -114,10 +110,10 @@ class ThrowLimit(ControlEnv):
         "restitution: root mean square distance of 22 real drops from the calibrated coefficient; start height: their "
         "scatter"
     )
-    STEPS = EPISODE_STEPS["Throw"]
+    FAMILY = "Throw"
     """Time of an episode; three impacts and the last rise take 1.8 s."""
     MUJOCO_TIMESTEPS_S: ClassVar = {"training": 1 / 180}
-    ACCELERATION_M_PER_S2 = 30.0
+    ACCELERATION = 30.0
     """Full speed after one step."""
     CAMERA: ClassVar = {"target_m": (0.53, 0.44, 0.44), "distance_m": 2.22}
     COMMANDED = ("acceleration_x", "acceleration_z")
@@ -141,15 +137,17 @@ class ThrowLimit(ControlEnv):
         x, y, _ = scene.body(BALL).pose.position_m
         top_m = scene.body("ground").pose.position_m[2] + PLATE_TOP_M
         place_m = (x + ASIDE_M, y, top_m - 0.5 * PLATE_SIZE_M[2])
-        driver = stage_driver(PLATE, X_AXIS, Z_AXIS, max_speed_m_per_s=SPEED_M_PER_S)
-        (on_ground,) = scene.contacts
-        return with_box(scene, PLATE_SIZE_M, place_m, driver, on_ground)
+        driver = stage_driver(PLATE, X_AXIS, Z_AXIS)
+        return with_box(scene, PLATE_SIZE_M, place_m, driver)
 
     def _prepare(self, scene: Scene) -> None:
         ball, plate = scene.body(BALL), scene.body(PLATE).pose
         assert isinstance(ball.shape, Sphere)
         self._stage = Stage(
-            scene.drivers[0], plate, self.ACCELERATION_M_PER_S2, (math.inf, STROKE_M)
+            scene,
+            self.ACCELERATION,
+            max_rate=SPEED_M_PER_S,
+            strokes=(math.inf, STROKE_M),
         )
         # The height of the ball's centre in the world when it lies on the plate at the start.
         self._zero_m = plate.position_m[2] + 0.5 * PLATE_SIZE_M[2] + ball.shape.radius_m
@@ -157,7 +155,7 @@ class ThrowLimit(ControlEnv):
 
     def _limit(self) -> tuple[float, float]:
         scene = self.experiment.scene
-        (restitution,) = (c.restitution for c in scene.contacts if PLATE in c.second)
+        restitution = scene.contacts[0].restitution
         gravity = scene.gravity_m_per_s2
         value = highest_m(self._drop_m, restitution, gravity)
         # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
@@ -179,11 +177,8 @@ class ThrowLimit(ControlEnv):
         self._from_plate_m = float(state[0] - self._stage.state[0])
         self._height_m = float(state[2]) - self._zero_m
         self._ball_velocity = state[[7, 9]]
-
-    @property
-    def _is_inside(self) -> bool:
-        """Whether the ball is above the plate's top, and not near its edges."""
-        return abs(self._from_plate_m) <= 0.5 * PLATE_SIZE_M[0] - EDGE_M
+        # Whether the ball is above the plate's top, and not near its edges.
+        self._is_inside = abs(self._from_plate_m) <= 0.5 * PLATE_SIZE_M[0] - EDGE_M
 
     def _after_interval(self) -> Ending | None:
         fell, was_inside = self._ball_velocity[1] < 0.0, self._is_inside
@@ -203,27 +198,27 @@ class ThrowLimit(ControlEnv):
         return self._highest_m / (self.limit.value - self._drop_m)
 
     def _observation(self) -> FloatArray:
-        return np.array(
+        return np.hstack(
             [
                 self._from_plate_m,
                 self._height_m,
-                *self._ball_velocity,
+                self._ball_velocity,
                 self._stage.offset[1],
-                *self._stage.rate,
+                self._stage.rate,
                 self._impacts,
                 self.time_s,
             ]
         )
 
     def _reached(self) -> float:
-        return self._highest_m if self._ending is Ending.REACHED else 0.0
+        return self._highest_m
 
     # --- policy of the law ---
 
     def _law_command(self, fraction: float) -> FloatArray:
         """Return the action that meets the ball near the top of the stroke with the speed fraction V."""
         gravity = self.gravity_m_per_s2
-        braking_m_per_s2 = 0.5 * self.ACCELERATION_M_PER_S2
+        braking_m_per_s2 = 0.5 * self.ACCELERATION
         speed = fraction * SPEED_M_PER_S
         velocity_x, velocity_z = self._ball_velocity
         above_m = self._height_m - MEETING_M
@@ -238,4 +233,4 @@ class ThrowLimit(ControlEnv):
             up = (speed - rate_z) / FRAME_S
         else:
             up = acceleration_to_rest(LOWEST_M - height_m, rate_z, braking_m_per_s2)
-        return np.array([across, up]) / self.ACCELERATION_M_PER_S2
+        return np.array([across, up]) / self.ACCELERATION

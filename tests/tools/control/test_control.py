@@ -32,7 +32,7 @@ def test_each_id_has_its_own_limit_and_spaces(name):
     observation, info = env.reset(seed=0)
     assert observation in env.observation_space
     assert env.action_space.shape == (len(env.COMMANDED),)
-    assert gymnasium.spec(f"GAUGE/{name}").max_episode_steps == env.STEPS
+    assert gymnasium.spec(f"GAUGE/{name}").max_episode_steps == env.steps
     assert info == {"frame": 0, "time_s": 0.0}
     assert 0.0 < env.limit.sigma < env.limit.value
     env.close()

@@ -89,7 +89,7 @@ def test_reward_is_the_friction_used_and_slipping_takes_it_back(name):
     held, _ = by_law(env, 0.95)
     assert held == pytest.approx(env.trajectory()[1:, 2].sum())
     closer, _ = by_law(env, 0.99)
-    assert held < closer < env.limit.value * env.STEPS
+    assert held < closer < env.limit.value * env.steps
     slipped, report = by_law(env, 1.05)
     assert report.ending is Ending.SLIPPED
     used = env.trajectory()[1:-1, 2]

@@ -98,7 +98,7 @@ def test_push_at_the_law(material):
     paid, report = by_law(env)
     assert report.ending is Ending.REACHED
     # A pusher of 20 m/s^2 in contact needs sqrt(1 + mu g / A) times the least time.
-    share = env.limit.value * GRAVITY_M_PER_S2 / env.ACCELERATION_M_PER_S2
+    share = env.limit.value * GRAVITY_M_PER_S2 / env.ACCELERATION
     assert report.ratio == pytest.approx(1.0 / (1.0 + share), abs=0.06)
     assert 0.7 < paid <= 1.0
 
