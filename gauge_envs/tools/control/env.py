@@ -32,7 +32,7 @@ from gauge_envs.errors import EpisodeError, ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
-from gauge_envs.scene import Scene
+from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter, perturbed_states
 from gauge_envs.scene.states import scene_at
@@ -149,8 +149,9 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         self.gravity_m_per_s2 = scene.gravity_m_per_s2
         self._initial_states = InitialStates(self.experiment, jitter)
         self.simulation = self.arguments.simulation([self.experiment])
-        self._dynamic = [body.name for body in scene.dynamic_bodies]
-        self.moving = (*self._dynamic, *(driver.body for driver in scene.drivers))
+        self.moving = [
+            body.name for body in scene.bodies if body.motion is not Motion.FIXED
+        ]
         self.rest_nodes_m = self.nodes_m()
         self._frame: int | None = None
         self._ending: Ending | None = None
@@ -340,8 +341,8 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
 
     def _divergence(self) -> str | None:
         """Return why the simulation counts as diverged, the engine's reason first, or None."""
-        states = self.simulation.body_states(self._dynamic)
-        reasons = diverged_bodies(self._dynamic, states)
+        states = self.simulation.body_states(self.moving)
+        reasons = diverged_bodies(self.moving, states)
         for name, rest_m in self.rest_nodes_m.items():
             span_m = float(spans_m(rest_m[None])[0])
             reasons |= diverged_nodes(name, self.simulation.nodes(name), span_m)

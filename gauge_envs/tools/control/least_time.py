@@ -109,13 +109,6 @@ class LeastTimeLimit(CubeLimit):
 
     @staticmethod
     @abstractmethod
-    def least_deceleration_m_per_s2(
-        distance_m: float, time_s: float, speed_m_per_s: float
-    ) -> float:
-        """Return mu g of the smallest friction that allows a distance in a time with a speed left, at least 0."""
-
-    @staticmethod
-    @abstractmethod
     def time_to_go_s(
         distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float
     ) -> float:
@@ -208,11 +201,6 @@ class LeastTimeLimit(CubeLimit):
         now_s = self.time_to_go_s(left_m, speed, limit_m_per_s2)
         return (now_s + across / limit_m_per_s2) / at_start_s
 
-    def _reached(self) -> float:
-        distance_m, speed = length_of(self._moved_m), length_of(self._cube_velocity)
-        needed = self.least_deceleration_m_per_s2(distance_m, self._time_s, speed)
-        return needed / self.gravity_m_per_s2
-
 
 class CarryLimit(LeastTimeLimit):
     """Carry a cube that stands on a plate over half a metre, in the scene of Turntable-1.
@@ -257,14 +245,12 @@ class CarryLimit(LeastTimeLimit):
         left_m = abs(distance_m - braked_m)
         return braked_s + 2.0 * math.sqrt(left_m / deceleration_m_per_s2)
 
-    @staticmethod
-    def least_deceleration_m_per_s2(
-        distance_m: float, time_s: float, speed_m_per_s: float
-    ) -> float:
-        """Return the least acceleration a [m/s^2], with 4 a D = (a T + v)^2 - 2 v^2."""
-        twice = 4.0 * distance_m - 2.0 * time_s * speed_m_per_s
-        root = math.hypot(twice, 2.0 * time_s * speed_m_per_s)
-        return (twice + root) / (2.0 * time_s**2)
+    def _reached(self) -> float:
+        """Return a / g with the least acceleration a, which solves 4 a D = (a T + v)^2 - 2 v^2."""
+        time_s, speed = self._time_s, length_of(self._cube_velocity)
+        twice = 4.0 * length_of(self._moved_m) - 2.0 * time_s * speed
+        root = math.hypot(twice, 2.0 * time_s * speed)
+        return (twice + root) / (2.0 * time_s**2) / self.gravity_m_per_s2
 
     def _is_lost(self, driven_from_cube_m: FloatArray, risen_m: float) -> bool:
         plate = self.experiment.scene.body(self.DRIVEN).shape
@@ -358,12 +344,11 @@ class PushLimit(LeastTimeLimit):
             return math.sqrt(2.0 * distance_m / deceleration_m_per_s2)
         return braked_s + math.sqrt(2.0 * over_m / deceleration_m_per_s2)
 
-    @staticmethod
-    def least_deceleration_m_per_s2(
-        distance_m: float, time_s: float, speed_m_per_s: float
-    ) -> float:
-        """Return the least deceleration a [m/s^2], with D = v T + a T^2 / 2."""
-        return max(2.0 * (distance_m - speed_m_per_s * time_s) / time_s**2, 0.0)
+    def _reached(self) -> float:
+        """Return a / g with the least deceleration a, which solves D = v T + a T^2 / 2, at least 0."""
+        time_s, speed = self._time_s, length_of(self._cube_velocity)
+        braked_m = length_of(self._moved_m) - speed * time_s
+        return max(2.0 * braked_m / time_s**2, 0.0) / self.gravity_m_per_s2
 
     def _is_lost(self, driven_from_cube_m: FloatArray, risen_m: float) -> bool:
         past_m = float(driven_from_cube_m[0]) + self._touching_m(self.experiment.scene)
