@@ -75,7 +75,6 @@ class Pictures:
         rest_nodes_m: Mapping[str, FloatArray],
         *,
         band: Band | None = None,
-        reach_m: FloatArray | None = None,
         poses: Mapping[str, FloatArray],
         nodes_m: Mapping[str, FloatArray],
         overlay: Overlay | None = None,
@@ -86,8 +85,6 @@ class Pictures:
             experiment: The experiment; scene, materials and camera stay those of the first call until `close`.
             rest_nodes_m: Nodes of each deformable body at the start [m], shape [node_count, 3].
             band: Its reference, whose places the camera frames too, or None.
-            reach_m: Places that actions bring bodies to [m], shape [..., 3], which the camera frames in place of the
-                reference, or None.
             poses: Position [m] and quaternion w x y z of each rigid body that moves, shape [7].
             nodes_m: Nodes of each deformable body now [m], shape [node_count, 3].
             overlay: What is drawn on top of the scene, or None.
@@ -95,7 +92,7 @@ class Pictures:
         if self._window is not None and not self._window.is_open:
             return None
         if self._renderer is None:
-            self._renderer = self._started(experiment, rest_nodes_m, band, reach_m)
+            self._renderer = self._started(experiment, rest_nodes_m, band)
         if self._window is not None:
             self._renderer.show(self._window, poses, nodes_m, overlay)
             return None
@@ -111,21 +108,17 @@ class Pictures:
         experiment: Experiment,
         rest_nodes_m: Mapping[str, FloatArray],
         band: Band | None,
-        reach_m: FloatArray | None,
     ) -> SceneRenderer:
         """Return a new renderer, with a window if the render mode is `human`."""
-        from gauge_envs.rendering.camera import View, experiment_view, scene_view
+        from gauge_envs.rendering.camera import View, experiment_view
         from gauge_envs.rendering.reference_path import reference_path
         from gauge_envs.rendering.renderer import SceneRenderer
         from gauge_envs.rendering.window import Window
 
         width, height = self._size
-        if reach_m is None:
-            reference = reference_path(experiment, band)
-            places_m = None if reference is None else reference.places_m
-            view = experiment_view(experiment, aspect=width / height, places_m=places_m)
-        else:
-            view = scene_view(experiment.scene, reach_m)
+        reference = reference_path(experiment, band)
+        places_m = None if reference is None else reference.places_m
+        view = experiment_view(experiment, aspect=width / height, places_m=places_m)
         view = View(**{**view.model_dump(), **self._camera})
         if self.render_mode == "human" and self._window is None:
             self._window = Window(width, height, experiment.id, view)

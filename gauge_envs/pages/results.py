@@ -3,19 +3,15 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.text import (
     quantity_text,
     score_text,
-    short_id,
     value_text,
     with_unit,
 )
-from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import METRICS, Metric
 from gauge_envs.runs.configuration import RunConfiguration
-from gauge_envs.runs.result import Result
 from gauge_envs.scoring.score import OVER_U, Score
 
 # --- labels ---
@@ -230,19 +226,3 @@ def percent_text(share: float) -> str:
         if percent >= 99.5
         else f"{percent:.2g}"
     )
-
-
-def discretization_text(
-    result: Result, rows: Mapping[str, Mapping[str, Any]]
-) -> str | None:
-    """Return what half the step and half the cell change, or None for other settings or another scene.
-
-    Args:
-        result: The result.
-        rows: Rows of `references.convergence.convergence_rows` for its engine and its variant.
-    """
-    if result.backend is None or result.settings_given or result.is_edited:
-        return None
-    has_cells = bool(load_experiment(short_id(result.id)).scene.deformables)
-    is_verified = Kind(result.score.kind).is_solution
-    return convergence_text(rows, has_cells=has_cells, over_trials=not is_verified)

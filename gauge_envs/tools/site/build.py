@@ -1,35 +1,33 @@
 """Write a site: all pages into a new folder, which then takes the place of the old one."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
+from shutil import copytree
 from tempfile import TemporaryDirectory
 
 from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.files import os_errors
-from gauge_envs.pages.document import save_file
+from gauge_envs.pages.document import Paragraph, Part, Tone, save_file
 from gauge_envs.pages.figures import color_of
-from gauge_envs.pages.html import Html, element, join, script_value, slug
+from gauge_envs.pages.html import Html, element, script_value, slug
 from gauge_envs.pages.page import stylesheet
 from gauge_envs.runs.result import Result
 from gauge_envs.tools.compare import ExperimentComparison, compare
 from gauge_envs.tools.site.experiment_page import experiment_page
 from gauge_envs.tools.site.model import Site, first_results, page_file
 from gauge_envs.tools.site.overview import overview_page
-from gauge_envs.tools.site.replay import ghost_text, replay_data
+from gauge_envs.tools.site.replay import replay_data
 
 MARK = "gauge-report-site.txt"
 """File that marks a folder as a site, which a later one may replace."""
 
 MARK_TEXT = "A site of `gauge report`. The next one with this folder replaces everything in it.\n"
 
-ASSETS = files("gauge_envs.tools.site") / "assets"
-
-SCRIPTS = ("replay.js", "three.min.js", "three.LICENSE.txt")
+ASSETS = Path(__file__).parent / "assets"
 
 HELP = (
-    "Drag to turn, click and scroll to zoom. Keys in the picture: Space, left and right, Home, End, A, D. Poses of the "
+    "Drag to turn, click and scroll to zoom; arrow keys step the slider by a frame. Poses of the "
     "run, which was repeated with the same versions."
 )
 
@@ -75,7 +73,7 @@ def save_site(
         ResultFileError: There is no result, the folder holds something else, or it cannot be written.
     """
     if not results:
-        raise ResultFileError("there is no result to report")
+        raise ResultFileError("no result is left to report; gauge run writes them")
     check_replaceable(out)
     site = Site(
         comparison=compare(results.values()),
@@ -87,7 +85,9 @@ def save_site(
         out.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as folder:
             new = Path(folder) / "new"
-            _save_assets(new)
+            copytree(ASSETS, new / "assets")
+            save_file(new / "assets" / "site.css", stylesheet())
+            save_file(new / MARK, MARK_TEXT)
             for experiment in site.comparison.experiments:
                 progress(experiment.name)
                 notes += _save_experiment(site, experiment, new, replays=replays)
@@ -105,19 +105,11 @@ def check_replaceable(out: Path) -> None:
         ResultFileError: It holds something else than a site, or it cannot be read.
     """
     with os_errors(lambda cause: ResultFileError(f"{out}: cannot be read: {cause}")):
-        is_folder = out.is_dir() and not out.is_symlink()
-        is_free = not any(out.iterdir()) if is_folder else not out.exists()
-        if not (is_free or (is_folder and (out / MARK).is_file())):
+        is_new = not out.exists() or (out.is_dir() and not any(out.iterdir()))
+        if not is_new and not (out / MARK).is_file():
             raise ResultFileError(
                 f"{out}: holds something else than a site of gauge report; give another folder"
             )
-
-
-def _save_assets(out: Path) -> None:
-    for name in SCRIPTS:
-        save_file(out / "assets" / name, (ASSETS / name).read_bytes())
-    save_file(out / "assets" / "site.css", stylesheet())
-    save_file(out / MARK, MARK_TEXT)
 
 
 def _save_experiment(
@@ -129,31 +121,26 @@ def _save_experiment(
     for index, result in first_results(experiment).items() if replays else ():
         label, (color, _) = site.labels[index], color_of(index)
         try:
-            data = replay_data(result, label=label, color=color)
+            data = replay_data(result)
         except GaugeError as error:
-            note = ReplayNote(id=experiment.id, label=label, reason=str(error))
-            notes.append(note)
+            notes.append(ReplayNote(id=experiment.id, label=label, reason=str(error)))
             continue
-        if data["ghost"] is not None:
-            ghosts.append(data["ghost"])
+        ghosts += [data["ghost"]["text"]] if data["ghost"] else []
         key = f"{slug(experiment.name)}.{index}-{slug(label)}"
-        file = f"data/{key}.js"
         call = f"gaugeReplay({script_value(key)},{script_value(data)});\n"
-        save_file(out / file, call)
-        entries.append({"key": key, "file": file, "label": label, "color": color})
-    replay = _replay_html(entries, ghost_text(ghosts)) if entries else None
-    reasons = [
-        f"{note.label} has no replay: {note.reason}. Its curves are below."
+        save_file(out / "data" / f"{key}.js", call)
+        entries.append({"key": key, "label": label, "color": color})
+    parts: list[Part] = []
+    if entries:
+        # The script fills the element with pictures.
+        stage = Html((ASSETS / "stage.html").read_text(encoding="utf-8"))
+        data_replays = script_value(entries)
+        parts.append(element("div", stage, class_="replay", data_replays=data_replays))
+        parts.append(Paragraph(" ".join([HELP, *ghosts[:1]]), Tone.NOTE))
+    parts += [
+        Paragraph(f"{note.label} has no replay: {note.reason}.", Tone.WARNING)
         for note in notes
     ]
-    page = experiment_page(site, experiment, replay, reasons)
+    page = experiment_page(site, experiment, parts)
     save_file(out / page_file(experiment), page)
     return notes
-
-
-def _replay_html(entries: Sequence[Mapping[str, str]], ghost: str) -> Html:
-    """Return the element that the script fills with pictures."""
-    stage = Html((ASSETS / "stage.html").read_text(encoding="utf-8"))
-    data = script_value({"entries": entries, "ghost": bool(ghost)})
-    replay = element("div", stage, class_="replay", data_replays=data)
-    return join([replay, element("p", f"{HELP} {ghost}".strip(), class_="small")])

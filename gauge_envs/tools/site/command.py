@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import shlex
-from collections import defaultdict
+import sys
 from pathlib import Path
 from typing import Annotated
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Progress, echo, message
 from gauge_envs.cli.results import loaded_results
-from gauge_envs.errors import ResultFileError
-from gauge_envs.pages.text import counted, short_id, shortened
+from gauge_envs.pages.text import counted
 
 
 def report(
@@ -40,25 +39,17 @@ def report(
     # Before the runs, which may take minutes.
     check_replaceable(out)
     results, skipped = loaded_results(sources, with_scene=True, corrected=corrected)
-    if not results:
-        raise ResultFileError("no result is left to report; gauge run writes them")
-    words = ["gauge", "report", *(sources or ["results"]), "--out", str(out)]
-    words += [] if corrected else ["--no-corrected"]
-    words += [] if replay else ["--no-replay"]
     with Progress("pages", len({result.id for result in results.values()})) as progress:
         notes = save_site(
             results,
             out,
             replays=replay,
-            command=shlex.join(words),
+            command=shlex.join(["gauge", *sys.argv[1:]]),
             progress=progress.advance,
         )
-    names = defaultdict(list)
-    for note in notes:
-        names[note.label, note.reason].append(short_id(note.id))
-    for (label, reason), ids in names.items():
-        message(f"{label}, {shortened(ids)}: {reason}", "no replay")
-    size = sum(file.stat().st_size for file in out.rglob("*"))
-    message(f"{counted(len(results), 'result')}, {size / 1e6:.1f} MB")
+    if notes:
+        missing = counted(len(notes), "replay")
+        message(f"{missing} missing; the pages give the reasons", "warning")
+    message(counted(len(results), "result"))
     echo(out / "index.html")
     return bool(skipped)

@@ -1,18 +1,17 @@
 """The page of one experiment: picture, scores, replay, estimates, and the commands that made its results."""
 
-import hashlib
 import json
 import math
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.figures import embedded
 from gauge_envs.pages.html import Html, below, element, folded, join, listed
-from gauge_envs.pages.results import SCORE_METRICS, discretization_text
+from gauge_envs.pages.results import SCORE_METRICS
 from gauge_envs.pages.table import grid
 from gauge_envs.pages.text import (
     KIND_NOTES,
@@ -22,7 +21,6 @@ from gauge_envs.pages.text import (
     short_id,
     with_unit,
 )
-from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.references.user_data import DataSource
@@ -47,13 +45,6 @@ SCORES_NOTE = (
     "In brackets: 95 % interval."
 )
 
-CONVERGENCE_NOTE = (
-    "Half step, half cell: change of the whole trajectory when the time step or the cell of a mesh is halved, over the "
-    "scatter of real "
-    "trials; where the reference is a solution, in the unit of g(t). It was measured once for each engine with its "
-    "default settings (scoring/convergence)."
-)
-
 REPRODUCE_NOTE = (
     "A command makes the same numbers, bit for bit, with the same versions on the same kind of processor. Wall times "
     "differ."
@@ -63,13 +54,10 @@ REPRODUCE_NOTE = (
 def experiment_page(
     site: Site,
     experiment: ExperimentComparison,
-    replay: Html | None,
-    replay_notes: Sequence[str],
+    replays: Sequence[Part],
 ) -> str:
-    """Return the page of an experiment with its replay; the notes say why configurations have none."""
+    """Return the page of an experiment with its replays, or why it has none."""
     results = first_results(experiment)
-    replays: list[Part] = [] if replay is None else [replay]
-    replays += [Paragraph(note, Tone.WARNING) for note in replay_notes]
     parts: list[Part] = [
         *_head(experiment, results),
         *_picture(site, experiment),
@@ -82,7 +70,7 @@ def experiment_page(
         Paragraph(REPRODUCE_NOTE, Tone.NOTE),
         *_commands(site, experiment),
     ]
-    scripts = REPLAY_SCRIPTS if replay else ()
+    scripts = REPLAY_SCRIPTS if replays else ()
     return site_page(experiment.name, parts, scripts=scripts)
 
 
@@ -90,17 +78,15 @@ def _head(
     experiment: ExperimentComparison, results: Mapping[int, Result]
 ) -> Iterator[Part]:
     """Yield what the experiment is, and what its reference is."""
-    source = ""
-    for result in list(results.values())[:1]:
-        recorded: Experiment = recorded_experiment(result)
-        tests = f" {', '.join(recorded.spec.evaluates)}."
-        yield element("p", recorded.spec.summary, class_="lead")
-        yield element("p", element("b", "Tests:"), tests)
-        band = judging_band(recorded, results.values())
-        if band is not None:
-            source = f" {band.source[:1].upper()}{band.source[1:].rstrip('.')}."
+    spec = load_experiment(experiment.name).spec
+    yield element("p", spec.summary, class_="lead")
+    yield element("p", element("b", "Tests:"), f" {', '.join(spec.evaluates)}.")
     title = element("b", f"Reference, {experiment.kind}: ")
-    yield element("p", title, f"{KIND_NOTES[Kind(experiment.kind)]}.", source)
+    texts = [KIND_NOTES[Kind(experiment.kind)]]
+    for result in list(results.values())[:1]:
+        band = judging_band(recorded_experiment(result), results.values())
+        texts += [] if band is None else [band.source.rstrip(".")]
+    yield element("p", title, "; ".join(texts), ".")
 
 
 def _picture(site: Site, experiment: ExperimentComparison) -> list[Html]:
@@ -146,20 +132,16 @@ def _scores(site: Site, experiment: ExperimentComparison) -> list[Part]:
 
 
 def _sentences(site: Site, results: Mapping[int, Result]) -> list[Part]:
-    """Return the score of each configuration in words, what it estimates, and how far it has converged."""
+    """Return the score of each configuration in words, and what it estimates."""
     entries = []
     for index, result in results.items():
-        known = convergence_rows(result.backend, result.id)
-        convergence = discretization_text(result, known)
         texts = [
             f"{event_title(name)}: {_estimate_text(estimate)}"
             for name, estimate in result.score.estimates.items()
         ]
-        texts += [convergence] if convergence else []
         sentence = f"{site.labels[index]}: {result.score.summary()}"
         entries.append(join([site.swatch(index), sentence, *map(below, texts)]))
-    note = Paragraph(CONVERGENCE_NOTE, Tone.NOTE)
-    return [Heading("In words"), listed(entries), note] if entries else []
+    return [Heading("In words"), listed(entries)] if entries else []
 
 
 def _estimate_text(estimate: Measured) -> str:
@@ -218,19 +200,11 @@ def _commands(site: Site, experiment: ExperimentComparison) -> Iterator[Part]:
         versions = ", ".join(f"{name} {text}" for name, text in first.versions.items())
         yield Paragraph(f"Versions: {versions}.", Tone.NOTE)
         settings = element("code", "\n".join(_assignments(first.settings)))
-        origins = (_origin(site, result) for result in cell.results)
+        origins = (
+            f"{site.files[id(result)].name}, created {result.created}"
+            for result in cell.results
+        )
         yield folded("files, settings", listed(origins), element("pre", settings))
-
-
-def _origin(site: Site, result: Result) -> str:
-    """Return the file of a result with its hash, that of its task file, and the date."""
-    file = site.files[id(result)]
-    digest = "gone"
-    if file.is_file():
-        digest = hashlib.sha256(file.read_bytes()).hexdigest()[:16]
-    date = result.created.partition(".")[0].replace("T", " ")
-    task = result.task_sha256[:16]
-    return f"{file.name}, SHA-256 {digest}, task file {task}, created {date} UTC"
 
 
 def run_command(results: Sequence[Result]) -> str:
@@ -276,15 +250,14 @@ def _start_words(results: Sequence[Result]) -> list[str]:
         words += ["--repeats", str(last - first + 1)]
     jitter = results[0].jitter
     if "position_m" in jitter:
-        position_m, angle_rad = jitter["position_m"], jitter["angle_rad"]
-        millimetres = _exact(position_m, position_m / 1e-3, lambda mm: 1e-3 * mm)
-        degrees = _exact(angle_rad, math.degrees(angle_rad), math.radians)
+        millimetres = _exact(jitter["position_m"], 1e-3)
+        degrees = _exact(jitter["angle_rad"], math.radians(1.0))
         words += ["--jitter", f"{millimetres}mm,{degrees}deg"]
     return words
 
 
-def _exact(value: float, scaled: float, restored: Callable[[float], float]) -> str:
-    """Return the shortest number of which the command makes exactly this value."""
-    texts = (f"{scaled:.{digits}g}" for digits in range(1, 18))
-    exact = (text for text in texts if restored(float(text)) == value)
-    return next(exact, repr(scaled))
+def _exact(value: float, unit: float) -> str:
+    """Return the shortest number of units of which the command makes exactly this value."""
+    texts = [f"{value / unit:.{digits}g}" for digits in range(1, 18)]
+    exact = (text for text in texts if unit * float(text) == value)
+    return next(exact, texts[-1])

@@ -65,12 +65,6 @@ def page_file(experiment: ExperimentComparison) -> str:
     return f"experiment-{slug(experiment.name)}.html"
 
 
-def experiment_link(experiment: ExperimentComparison, *notes: str) -> Html:
-    """Return a link to the page of an experiment, with quiet lines below it."""
-    link = element("a", experiment.name, href=page_file(experiment))
-    return join([link, *map(below, notes)])
-
-
 def site_page(title: str, parts: Iterable[Part], scripts: Sequence[str] = ()) -> str:
     """Return a page of the site, whose scripts run in their order."""
     overview = element("nav", element("a", "Overview", href="index.html"))

@@ -1,6 +1,6 @@
 """The first page: which engine is how far from reality, or from the solution of its scene, in what, how certainly."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
@@ -17,7 +17,6 @@ from gauge_envs.tools.compare import (
 )
 from gauge_envs.tools.site.model import (
     Site,
-    experiment_link,
     losses,
     page_file,
     score_cell,
@@ -51,30 +50,17 @@ RANK_NOTE = (
     "intervals of scores overlap more: engines share errors, which cancel in a difference."
 )
 
-EVENTS_NOTE = (
-    "Metrics of events over the real value. LSD: longest rest of the last ball of the cradle. MTE: momentum that the "
-    "cradle hands on. PD: period of the pendulum. EL: energy loss of the pendulum."
-)
-
-PARTIAL_NOTE = "RMSE in its unit: no distance of real trials is published for what these references compare."
-
-UNSCORED_NOTE = (
-    "No real reference is published, so nothing says which engine is right. Distance and motion: root mean square "
-    "over the frames; the motion is the displacement from the start."
+UNRANKED_NOTE = (
+    "No real scatter or solution is known for these scenes, so nothing ranks engines. The page of an experiment has "
+    "all metrics, and the distances between engines."
 )
 
 
 def overview_page(site: Site) -> str:
     """Return the first page of a site."""
     comparison = site.comparison
-    kinds = [kind for kind in comparison.kinds if kind.ids]
-    references = [f"{len(kind.ids)} against {KIND_TITLES[kind.kind]}" for kind in kinds]
-    engines = {one.backend or "file" for one in comparison.configurations}
-    lead = (
-        f"{counted(len(comparison.experiments), 'experiment')}, "
-        f"{counted(len(comparison.configurations), 'configuration')} of {counted(len(engines), 'engine')}. "
-        f"Compared: {', '.join(references) or 'none'}."
-    )
+    experiments = counted(len(comparison.experiments), "experiment")
+    lead = f"{experiments}, {counted(len(site.names), 'configuration')}."
     parts: list[Part] = [
         element("p", lead, class_="lead"),
         *section(
@@ -83,12 +69,11 @@ def overview_page(site: Site) -> str:
             SCALE_NOTE,
             SOLUTION_NOTE,
         ),
-        *section("Mean ranks", _ranks(site, kinds), RANK_NOTE),
-        *section("Other metrics", _others(site), PARTIAL_NOTE, EVENTS_NOTE),
+        *section("Mean ranks", _ranks(site), RANK_NOTE),
         *section(
-            "Without a reference: how far engines are apart",
-            _farthest_apart(site),
-            UNSCORED_NOTE,
+            "Experiments without a rank",
+            grid(["experiment", *site.names], _unranked(site), look="matrix"),
+            UNRANKED_NOTE,
         ),
         *section("Engines", _engines(site)),
         *(Paragraph(f"Note: {note}.", Tone.WARNING) for note in comparison.notes),
@@ -107,10 +92,10 @@ def overview_page(site: Site) -> str:
 # --- ranks and phenomena ---
 
 
-def _ranks(site: Site, kinds: Iterable[KindComparison]) -> Table:
+def _ranks(site: Site) -> Table:
     """Return the mean rank of each configuration within each kind of reference."""
     rows = []
-    for kind in kinds:
+    for kind in site.comparison.kinds:
         ranks = {
             score.configuration: mean_rank_text(score.mean_rank)
             for score in kind.scores
@@ -136,13 +121,12 @@ def _phenomena(site: Site) -> Iterator[list[Html]]:
         for (name, title, tests), members in groups.items():
             ranks = site.comparison.compare_within(members) if name == kind else ()
             if ranks:
-                yield [
-                    _phenomenon(f"{title}, {KIND_TITLES[name]}", tests, members),
-                    *(
-                        _phenomenon_cell(index, members, ranks)
-                        for index in range(len(site.names))
-                    ),
-                ]
+                cells = (
+                    _phenomenon_cell(index, members, ranks)
+                    for index in range(len(site.names))
+                )
+                title = f"{title}, {KIND_TITLES[name]}"
+                yield [_phenomenon(title, tests, members), *cells]
 
 
 def _phenomenon(
@@ -182,8 +166,7 @@ def _phenomenon_cell(
             below(place_text(kind, score)),
         ]
         if len(kind.ids) < len(members):
-            count = f"over {len(kind.ids)} of {len(members)} experiments"
-            parts.append(below(count))
+            parts.append(below(f"over {counted(len(kind.ids), 'experiment')}"))
         return element("div", *parts, *lost, class_=color)
     text = "no score" if cells else "not run"
     return join([element("span", text, class_="quiet"), *lost])
@@ -199,54 +182,16 @@ def place_text(kind: KindComparison, score: KindScore) -> str:
 # --- the rest ---
 
 
-def _others(site: Site) -> Table:
-    """Return the scores that no ranking has: metrics of events, and the RMSE where real trials give no scale."""
-    rows = []
+def _unranked(site: Site) -> Iterator[list[Html]]:
+    """Yield a row for each experiment without a rank, with its primary metric."""
+    ranked = {name for kind in site.comparison.kinds for name in kind.ids}
     for experiment in site.comparison.experiments:
-        notes = {}
-        if _is_unscaled(experiment):
-            notes["rmse"] = f"RMSE, {experiment.kind}"
-        for name in experiment.metrics():
-            metric = SCORE_METRICS[name]
-            if metric.is_event and _has(experiment, name, normalized=False):
-                ideal = "0 is ideal" if name == "el" else "1 is the real value"
-                notes[name] = f"{metric.title}, {ideal}"
-        for name, note in notes.items():
+        if experiment.id not in ranked:
+            name = experiment.primary
+            note = f"{SCORE_METRICS[name].title}, reference: {experiment.kind}"
+            link = element("a", experiment.name, href=page_file(experiment))
             cells = (score_cell(experiment, cell, name) for cell in experiment.cells)
-            rows.append([experiment_link(experiment, note), *cells])
-    return grid(["experiment", *site.names], rows, look="matrix")
-
-
-def _is_unscaled(experiment: ExperimentComparison) -> bool:
-    """Return whether no distance of real trials is published for a real reference."""
-    return not (
-        experiment.is_solution
-        or any(cell and cell.deviations for cell in experiment.cells)
-        or _has(experiment, "rmse", normalized=True)
-    ) and _has(experiment, "rmse", normalized=False)
-
-
-def _has(experiment: ExperimentComparison, metric: str, *, normalized: bool) -> bool:
-    """Return whether a result of an experiment has a metric."""
-    return any(
-        cell and cell.spread(metric, normalized=normalized) for cell in experiment.cells
-    )
-
-
-def _farthest_apart(site: Site) -> Table:
-    """Return the largest distance between two configurations in each experiment without a reference."""
-    rows: list[list[str]] = []
-    for experiment in site.comparison.experiments:
-        if experiment.kind != Kind.NONE:
-            continue
-        cells = ["one configuration: nothing to compare", "", ""]
-        if experiment.distances:
-            far = max(experiment.distances, key=lambda distance: distance.rms.mean)
-            pair = f"{site.labels[far.first]} and {site.labels[far.second]}"
-            cells = [pair, far.text(far.rms.mean), far.text(far.motion_rms)]
-        rows.append([experiment_link(experiment), *cells])
-    titles = ("experiment", "furthest apart", "distance", "motion")
-    return grid(titles, rows, number_from=2)
+            yield [join([link, below(note)]), *cells]
 
 
 def _engines(site: Site) -> Table:

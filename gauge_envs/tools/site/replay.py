@@ -5,8 +5,8 @@ parameters, start and seed.
 """
 
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends import engine_call, versions_of
 from gauge_envs.envs.arguments import EnvArguments
-from gauge_envs.envs.initial_states import Draw, InitialStates
+from gauge_envs.envs.initial_states import InitialStates
 from gauge_envs.envs.rollout import Rollout
 from gauge_envs.errors import GaugeError
 from gauge_envs.experiments.experiment import AssetKind, Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.band import Band
-from gauge_envs.references.kind import Kind
 from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, experiment_view
 from gauge_envs.rendering.materials import LOOKS, STRING_RADIUS_M
 from gauge_envs.rendering.reference_path import reference_path, reference_words
@@ -28,21 +27,8 @@ from gauge_envs.rendering.skin import Skin
 from gauge_envs.runs.isolation import call_engine
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
-from gauge_envs.scene import (
-    Box,
-    Capsule,
-    Compound,
-    ConvexUnion,
-    Cylinder,
-    Deformable,
-    Ellipsoid,
-    Plane,
-    Rod,
-    Rope,
-    Sphere,
-)
-from gauge_envs.scene.geometry import Pose, Shape
-from gauge_envs.scene.jitter import Jitter
+from gauge_envs.scene import Compound, ConvexUnion, Deformable, Rod, Rope, Sphere
+from gauge_envs.scene.geometry import FloatArray, Pose
 from gauge_envs.scene.meshes import hull_triangles
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.tools.compare import judging_band
@@ -52,19 +38,6 @@ RIGID_VIEWS_PER_FRAME = 2
 
 MAX_COUNT = 32767
 """Largest stored number."""
-
-ROUND_M = 5
-"""Digits of lengths in metres that are written as text: 10 micrometres."""
-
-SOLIDS: Mapping[type, Mapping[str, str]] = {
-    Box: {"size": "size_m"},
-    Sphere: {"radius": "radius_m"},
-    Cylinder: {"radius": "radius_m", "length": "length_m"},
-    Capsule: {"radius": "radius_m", "length": "length_m"},
-    Ellipsoid: {"radii": "radii_m"},
-    Plane: {},
-}
-"""Attributes of each shape by their names in the data."""
 
 
 class ReplayError(GaugeError, RuntimeError):
@@ -89,9 +62,9 @@ class Replay:
 
     rate_hz: float
     bodies: tuple[str, ...]
-    poses: NDArray[np.float32]
-    nodes_m: Mapping[str, NDArray[np.float32]]
-    markers_m: NDArray[np.float32]
+    poses: FloatArray
+    nodes_m: Mapping[str, FloatArray]
+    markers_m: FloatArray
 
 
 def replay(result: Result) -> Replay:
@@ -126,25 +99,18 @@ def _run_again(result: Result, backend: str) -> Replay:
         settings=result.settings_given or None,
         marker_proxy=result.marker_proxy,
     )
-    with engine_call(backend, "build"):
-        rollout = arguments.rollout([experiment], [None])
-    try:
-        with engine_call(backend, "advance"):
-            start = InitialStates(experiment).sample(_draw(result), result.seed or 0)
-            rollout.reset([start], result.seed or 0)
-            return _recorded(rollout)
-    finally:
-        rollout.simulation.close()
-
-
-def _draw(result: Result) -> Draw:
-    """Return what drew the start of a result."""
-    if not result.jitter:
-        return None
+    seed, starts = result.seed or 0, InitialStates(experiment)
+    options: Mapping[str, Any] = {"jitter": result.jitter or None}
     if "trial" in result.jitter:
-        return int(result.jitter["trial"])
-    # A result leaves out the standard deviations of velocities that are zero, which are the defaults.
-    return Jitter(**result.jitter)
+        options = result.jitter
+    start = starts.sample(starts.of_reset(options, seeded=True), seed)
+    with engine_call(backend, "run"):
+        rollout = arguments.rollout([experiment], [None])
+        try:
+            rollout.reset([start], seed)
+            return _recorded(rollout)
+        finally:
+            rollout.simulation.close()
 
 
 def _recorded(rollout: Rollout) -> Replay:
@@ -160,23 +126,22 @@ def _recorded(rollout: Rollout) -> Replay:
             if (sample + 1) % samples_per_view == 0:
                 views.append((rollout.poses(), rollout.nodes_m()))
     bodies, softs = views[0]
-    poses = np.array([[*poses.values()] for poses, _ in views], dtype=np.float32)
+    poses = np.array([[*poses.values()] for poses, _ in views])
     return Replay(
         rate_hz=FRAME_RATE_HZ * views_per_frame,
         bodies=tuple(bodies),
         poses=poses.reshape(len(views), len(bodies), 7),
         nodes_m={
-            name: np.array([nodes_m[name] for _, nodes_m in views], dtype=np.float32)
-            for name in softs
+            name: np.array([nodes_m[name] for _, nodes_m in views]) for name in softs
         },
-        markers_m=rollout.trajectory().markers_m.astype(np.float32),
+        markers_m=rollout.trajectory().markers_m,
     )
 
 
 # --- its data, JSON-ready ---
 
 
-def replay_data(result: Result, *, label: str, color: str) -> dict[str, Any]:
+def replay_data(result: Result) -> dict[str, Any]:
     """Run the episode of a result again, and return its replay; a reference of positions becomes the ghost.
 
     Raises:
@@ -186,52 +151,31 @@ def replay_data(result: Result, *, label: str, color: str) -> dict[str, Any]:
     experiment = recorded_experiment(result)
     if "trial" in result.jitter:
         experiment = replace(experiment, trial=int(result.jitter["trial"]))
-    # Quaternions are stored x y z w, the order of three.js.
-    turns = np.rint(MAX_COUNT * np.nan_to_num(made.poses[..., [4, 5, 6, 3]]))
-    has_markers = made.markers_m.size > 0
     return {
-        "label": label,
-        "color": color,
         "rate": made.rate_hz,
         "views": len(made.poses),
         "scene": scene_data(experiment),
         "moving": list(made.bodies),
         "positions": quantized(made.poses[..., :3]),
-        "turns": _packed(turns, "<i2"),
+        # Quaternions are stored x y z w, the order of three.js.
+        "turns": quantized(made.poses[..., [4, 5, 6, 3]]),
         "soft": [
             _soft_data(body, made.nodes_m[body.name])
             for body in experiment.scene.deformables
         ],
-        "markers": {**quantized(made.markers_m), "count": made.markers_m.shape[1]}
-        if has_markers
-        else None,
+        "markers": {**quantized(made.markers_m), "count": made.markers_m.shape[1]},
         "ghost": _ghost(experiment, judging_band(experiment, [result])),
     }
 
 
-def quantized(positions_m: NDArray[np.floating]) -> dict[str, Any]:
-    """Return positions as numbers of 16 bits; a position that is not finite becomes the centre.
+def quantized(values: FloatArray) -> dict[str, Any]:
+    """Return values as base64 of integers of 16 bits, and the step between two of them; one that is not finite is 0.
 
-    Args:
-        positions_m: Positions [m], shape [..., 3].
-
-    Returns:
-        The numbers as base64, the position of number 0 [m], and the length of one count along each axis [m]; a position
-        is wrong by half of it at most.
+    A value is wrong by half a step at most; 32,767 steps are the largest absolute value.
     """
-    points = positions_m.reshape(-1, 3).astype(np.float64)
-    points = points[np.isfinite(points).all(axis=1)]
-    if not len(points):
-        points = np.zeros((1, 3))
-    low, high = points.min(axis=0), points.max(axis=0)
-    centre = 0.5 * (low + high)
-    step = np.maximum(0.5 * (high - low) / MAX_COUNT, 1e-12)
-    counts = np.rint((positions_m - centre) / step)
-    return {
-        "data": _packed(np.nan_to_num(counts, posinf=0.0, neginf=0.0), "<i2"),
-        "centre": centre.tolist(),
-        "step": step.tolist(),
-    }
+    finite = np.nan_to_num(values, posinf=0.0, neginf=0.0)
+    step = float(np.abs(finite).max(initial=1e-9)) / MAX_COUNT
+    return {"data": _packed(np.rint(finite / step), "<i2"), "step": step}
 
 
 def _packed(values: NDArray[Any], dtype: str) -> str:
@@ -245,7 +189,9 @@ def scene_data(experiment: Experiment) -> dict[str, Any]:
     view = experiment_view(experiment)
     shapes = list(dict.fromkeys(body.shape for body in scene.bodies))
     return {
-        "shapes": [_solids(shape) for shape in shapes],
+        "shapes": [
+            _solids(shape, Pose(position_m=(0.0, 0.0, 0.0))) for shape in shapes
+        ],
         "bodies": [
             {
                 "name": body.name,
@@ -260,13 +206,7 @@ def scene_data(experiment: Experiment) -> dict[str, Any]:
             for joint in scene.joints
         ],
         "string": {"radius": STRING_RADIUS_M},
-        "camera": {
-            "target": np.round(view.target_m, ROUND_M).tolist(),
-            "distance": view.distance_m,
-            "azimuth": view.azimuth_deg,
-            "elevation": view.elevation_deg,
-            "fov": FIELD_OF_VIEW_DEG,
-        },
+        "camera": {**view.model_dump(), "fov_deg": FIELD_OF_VIEW_DEG},
     }
 
 
@@ -282,25 +222,20 @@ def _pose(pose: Pose) -> list[float]:
     return [*pose.position_m, x, y, z, w]
 
 
-def _solids(shape: Shape) -> list[dict[str, Any]]:
-    """Return the solids of a shape, each with its place in the body frame."""
+def _solids(shape: Any, pose: Pose) -> list[dict[str, Any]]:
+    """Return the solids of a shape, each with its attributes and its place in the body frame."""
     if isinstance(shape, Compound):
-        return [
-            {**solid, "pose": _pose(part.pose)}
-            for part in shape.parts
-            for solid in _solids(part.shape)  # type: ignore[arg-type]
-        ]
+        parts = (_solids(part.shape, part.pose) for part in shape.parts)
+        return [solid for solids in parts for solid in solids]
+    sizes = asdict(shape)
     if isinstance(shape, ConvexUnion):
-        hulls = (hull_triangles(np.asarray(piece)) for piece in shape.pieces_m)
-        return [
-            {"kind": "mesh", "triangles": np.round(hull, ROUND_M + 1).ravel().tolist()}
-            for hull in hulls
-        ]
-    sizes = {name: getattr(shape, key) for name, key in SOLIDS[type(shape)].items()}
-    return [{"kind": type(shape).__name__.lower(), **sizes}]
+        hulls = [hull_triangles(np.asarray(piece)) for piece in shape.pieces_m]
+        sizes = {"triangles": np.concatenate(hulls).ravel().tolist()}
+    kind = type(shape).__name__.lower()
+    return [{**sizes, "kind": kind, "pose": _pose(pose)}]
 
 
-def _soft_data(body: Deformable, nodes_m: NDArray[np.float32]) -> dict[str, Any]:
+def _soft_data(body: Deformable, nodes_m: FloatArray) -> dict[str, Any]:
     data = {
         "count": nodes_m.shape[1],
         "nodes": quantized(nodes_m),
@@ -308,7 +243,7 @@ def _soft_data(body: Deformable, nodes_m: NDArray[np.float32]) -> dict[str, Any]
     }
     if isinstance(body, Rope | Rod):
         return {**data, "kind": "line", "radius": body.radius_m}
-    faces = Skin(body, nodes_m[0].astype(np.float64)).faces
+    faces = Skin(body, nodes_m[0]).faces
     return {**data, "kind": "surface", "faces": _packed(faces, "<u2")}
 
 
@@ -317,6 +252,11 @@ def _ghost(experiment: Experiment, band: Band | None) -> dict[str, Any] | None:
     path = reference_path(experiment, band)
     if band is None or path is None:
         return None
+    text = (
+        f"Ghost: {reference_words(band.kind, band.trial_count)}; not aligned in time."
+    )
+    if not path.is_full:
+        text += " Directions that were not measured keep the start of the simulation."
     radii: list[float | None] = [None] * len(path.names)
     if experiment.score.observable is Observable.POSITION:
         shapes = (experiment.scene.body(name).shape for name in path.names)
@@ -324,32 +264,9 @@ def _ghost(experiment: Experiment, band: Band | None) -> dict[str, Any] | None:
             shape.radius_m if isinstance(shape, Sphere) else None for shape in shapes
         ]
     return {
-        "kind": band.kind.value,
-        "trials": band.trial_count,
-        "full": path.is_full,
-        "names": list(path.names),
+        "text": text,
         "radii": radii,
         "places": [
-            np.round(row, ROUND_M).tolist() if np.isfinite(row).all() else None
-            for row in path.places_m
+            row.tolist() if np.isfinite(row).all() else None for row in path.places_m
         ],
     }
-
-
-def ghost_text(ghosts: Sequence[Mapping[str, Any]]) -> str:
-    """Return what the ghost of a page is, in words; an empty text without one."""
-    if not ghosts:
-        return ""
-    ghost = ghosts[0]
-    kind = Kind(ghost["kind"])
-    text = f"Ghost: {reference_words(kind, ghost['trials'])}"
-    if not kind.is_real:
-        text += ", no recorded motion"
-    text += "; not aligned in time."
-    if not ghost["full"]:
-        text += " Directions that were not measured keep the start of the simulation."
-    places = ghost["places"]
-    last = max((frame for frame, place in enumerate(places) if place), default=0)
-    if last < len(places) - 1:
-        text += f" It ends at {last / FRAME_RATE_HZ:.2f} s."
-    return text

@@ -1,13 +1,11 @@
 // 3D replays of recorded poses, side by side. It needs the global THREE of three.min.js.
 //
-// The pages open from a folder, where browsers load neither modules nor JSON. So this is a classic script, and each
-// replay is a script of its own, which hands its data to `gaugeReplay`.
+// Pages in a folder load neither modules nor JSON. So each replay is a script that hands its data to `gaugeReplay`.
 "use strict";
 
 (function () {
   const MAX_COUNT = 32767; // Largest stored number.
   const FRAME_S = 1 / 30;
-  const MAX_PIXELS = 2; // Largest number of drawn pixels for each pixel of the page.
   const up = new THREE.Vector3(0, 1, 0), start = new THREE.Vector3(), end = new THREE.Vector3();
   const rotation = new THREE.Quaternion();
   const waiting = {};
@@ -20,8 +18,8 @@
     return new Promise((resolve, reject) => {
       waiting[entry.key] = resolve;
       const script = document.createElement("script");
-      script.src = entry.file;
-      script.onerror = () => reject(new Error(entry.file + " is missing"));
+      script.src = `data/${entry.key}.js`;
+      script.onerror = () => reject(new Error(script.src + " is missing"));
       document.head.append(script);
     });
   }
@@ -30,8 +28,8 @@
     return new Type(Uint8Array.from(atob(text), (character) => character.charCodeAt(0)).buffer);
   }
 
-  function positions(packed) {
-    return Float32Array.from(integers(packed.data), (count, i) => packed.centre[i % 3] + count * packed.step[i % 3]);
+  function numbers(packed) {
+    return Float32Array.from(integers(packed.data), (count) => count * packed.step);
   }
 
   // Return a function that gives the `width` numbers of a view between view `index` and the next one.
@@ -53,12 +51,12 @@
 
   function geometryOf(solid) {
     switch (solid.kind) {
-      case "box": return new THREE.BoxGeometry(...solid.size);
-      case "sphere": return new THREE.SphereGeometry(solid.radius, 32, 20);
-      case "ellipsoid": return new THREE.SphereGeometry(1, 32, 20).scale(...solid.radii);
+      case "box": return new THREE.BoxGeometry(...solid.size_m);
+      case "sphere": return new THREE.SphereGeometry(solid.radius_m, 32, 20);
+      case "ellipsoid": return new THREE.SphereGeometry(1, 32, 20).scale(...solid.radii_m);
       // three.js has the axis along y, the scenes along z.
-      case "cylinder": return new THREE.CylinderGeometry(solid.radius, solid.radius, solid.length, 48).rotateX(Math.PI / 2);
-      case "capsule": return new THREE.CapsuleGeometry(solid.radius, solid.length).rotateX(Math.PI / 2);
+      case "cylinder": return new THREE.CylinderGeometry(solid.radius_m, solid.radius_m, solid.length_m, 48).rotateX(Math.PI / 2);
+      case "capsule": return new THREE.CapsuleGeometry(solid.radius_m, solid.length_m).rotateX(Math.PI / 2);
     }
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", new THREE.Float32BufferAttribute(solid.triangles, 3));
@@ -72,13 +70,13 @@
   }
 
   function ground(camera) {
-    const width = 400 * camera.distance; // Beyond the far plane, so that the horizon is level.
+    const width = 400 * camera.distance_m; // Beyond the far plane, so that the horizon is level.
     const material = new THREE.MeshBasicMaterial({ color: color("--floor") });
-    const step = camera.distance < 3 ? 0.1 : 0.5;
-    const count = 2 * Math.ceil((1.5 * camera.distance) / step);
+    const step = camera.distance_m < 3 ? 0.1 : 0.5;
+    const count = 2 * Math.ceil((1.5 * camera.distance_m) / step);
     const grid = new THREE.GridHelper(count * step, count, color("--head"), color("--head"));
     grid.rotation.x = Math.PI / 2;
-    grid.position.set(Math.round(camera.target[0]), Math.round(camera.target[1]), 5e-4 * camera.distance);
+    grid.position.set(Math.round(camera.target_m[0]), Math.round(camera.target_m[1]), 5e-4 * camera.distance_m);
     return new THREE.Group().add(new THREE.Mesh(new THREE.PlaneGeometry(width, width), material), grid);
   }
 
@@ -89,12 +87,12 @@
     const material = new THREE.MeshLambertMaterial({ color: body.color, ...deeper });
     for (const solid of solids) {
       const mesh = new THREE.Mesh(geometryOf(solid), material);
-      if (solid.kind === "box" || solid.kind === "mesh") {
+      if (solid.kind === "box" || solid.triangles) {
         // Edges show how a body turns, and where bricks touch.
         const edges = new THREE.EdgesGeometry(mesh.geometry, 20);
         mesh.add(new THREE.LineSegments(edges, new THREE.LineBasicMaterial({ color: 0x40362c })));
       }
-      if (solid.pose) place(mesh, solid.pose);
+      place(mesh, solid.pose);
       group.add(mesh);
     }
     return group;
@@ -103,8 +101,8 @@
   // --- moving parts: each function returns one that moves its parts to a view, as 2.5 between views 2 and 3 ---
 
   function movingBodies(data, bodies) {
-    const places = views(positions(data.positions), 3 * data.moving.length);
-    const turns = integers(data.turns), count = data.moving.length;
+    const places = views(numbers(data.positions), 3 * data.moving.length);
+    const turns = numbers(data.turns), count = data.moving.length;
     return (view) => {
       const now = places(view), index = Math.floor(view), next = Math.min(index + 1, data.views - 1);
       data.moving.forEach((name, body) => {
@@ -140,7 +138,7 @@
   }
 
   function softBody(soft, scene) {
-    const nodes = views(positions(soft.nodes), 3 * soft.count);
+    const nodes = views(numbers(soft.nodes), 3 * soft.count);
     if (soft.kind === "line") {
       const span = segments(scene, soft.count - 1, soft.radius, soft.color);
       return (view) => {
@@ -174,7 +172,7 @@
   }
 
   function markers(data, scene) {
-    const places = views(positions(data.markers), 3 * data.markers.count);
+    const places = views(numbers(data.markers), 3 * data.markers.count);
     const attribute = dots(scene, data.markers.count, 0x202020, 6);
     return (view) => {
       attribute.array.set(places(view / data.rate / FRAME_S));
@@ -189,11 +187,11 @@
     // Nearer than it is by 0.3 % of the distance, or it flickers where it coincides with the simulated ball.
     const nearer = { polygonOffset: true, polygonOffsetFactor: -1, polygonOffsetUnits: -1000 };
     const solid = new THREE.MeshLambertMaterial({ color: tint, transparent: true, opacity: 0.4, depthWrite: false, ...nearer });
-    const movers = real.names.map((_, point) => {
+    const movers = real.radii.map((radius, point) => {
       const path = real.places.filter(Boolean).map((places) => new THREE.Vector3(...places[point]));
       group.add(new THREE.Line(new THREE.BufferGeometry().setFromPoints(path), line));
-      if (real.radii[point]) {
-        const ball = new THREE.Mesh(new THREE.SphereGeometry(real.radii[point], 32, 20), solid);
+      if (radius) {
+        const ball = new THREE.Mesh(new THREE.SphereGeometry(radius, 32, 20), solid);
         group.add(ball);
         return (place) => ball.position.copy(place);
       }
@@ -223,7 +221,7 @@
     }
     const moves = [movingBodies(data, bodies), ...data.soft.map((soft) => softBody(soft, scene))];
     if (data.scene.strings.length) moves.push(strings(data, scene, bodies));
-    if (data.markers) moves.push(markers(data, scene));
+    if (data.markers.count) moves.push(markers(data, scene));
     if (data.ghost) moves.push(ghost(data, reference));
     const last = data.views - 1;
     return {
@@ -236,11 +234,10 @@
   // --- page ---
 
   function begin(root) {
-    const { entries, ghost } = JSON.parse(root.dataset.replays);
+    const entries = JSON.parse(root.dataset.replays);
     const stage = root.querySelector(".stage");
     const part = (name) => root.querySelector(`[name=${name}]`);
     const [button, slider, speed, output, reset, ghosts] = ["play", "time", "speed", "now", "view", "ghost"].map(part);
-    ghosts.parentElement.hidden = !ghost;
     const boxes = entries.map((entry) => {
       const label = document.createElement("label"), box = document.createElement("input");
       box.type = "checkbox";
@@ -266,8 +263,8 @@
     function draw() {
       pending = false;
       for (const entry of shown) {
-        const canvas = entry.canvas, pixels = Math.min(devicePixelRatio, MAX_PIXELS);
-        const width = canvas.clientWidth * pixels, height = canvas.clientHeight * pixels;
+        const canvas = entry.canvas;
+        const width = canvas.clientWidth * devicePixelRatio, height = canvas.clientHeight * devicePixelRatio;
         if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
         renderer.setSize(width, height, false);
         camera.aspect = width / height;
@@ -290,14 +287,14 @@
     }
 
     function look() {
-      const azimuth = (home.azimuth * Math.PI) / 180, elevation = (home.elevation * Math.PI) / 180;
+      const azimuth = (home.azimuth_deg * Math.PI) / 180, elevation = (home.elevation_deg * Math.PI) / 180;
       const flat = Math.cos(elevation), { clientWidth, clientHeight } = shown[0].canvas;
       // A narrow picture needs more distance to show the same width.
-      const distance = (0.9 * home.distance) / Math.min(1, clientWidth / clientHeight);
-      orbit.target.fromArray(home.target);
+      const distance = (0.9 * home.distance_m) / Math.min(1, clientWidth / clientHeight);
+      orbit.target.fromArray(home.target_m);
       start.set(flat * Math.cos(azimuth), flat * Math.sin(azimuth), Math.sin(elevation));
       camera.position.copy(orbit.target).addScaledVector(start, -distance);
-      Object.assign(camera, { fov: home.fov, near: 0.02 * distance, far: 80 * distance });
+      Object.assign(camera, { fov: home.fov_deg, near: 0.02 * distance, far: 80 * distance });
       orbit.update();
       redraw();
     }
@@ -322,24 +319,20 @@
       }
       shown = chosen;
       last = Math.max(0, ...shown.map((entry) => entry.built.end));
-      for (const entry of shown) {
-        const ended = entry.built.end < last - 0.02 ? `, ended at ${entry.built.end.toFixed(2)} s` : "";
-        entry.figure.firstChild.textContent = entry.label + ended;
-      }
       const isFirst = !stage.firstChild;
       stage.replaceChildren(...shown.map((entry) => entry.figure));
       slider.max = last;
       time = Math.min(time, last);
       if (isFirst && shown.length) look();
+      ghosts.parentElement.hidden = !shown.some((entry) => entry.built.reference.children.length);
       draw();
     }
 
     function tick(now) {
       if (!playing) return;
-      // A tab that was hidden for long continues where it was.
-      time += Math.min((now - before) / 1000, 0.25) * Number(speed.value);
+      time += ((now - before) / 1000) * Number(speed.value);
       before = now;
-      if (time > last) time = last > 0 ? time % last : 0;
+      if (time > last) time = 0;
       draw();
       requestAnimationFrame(tick);
     }
@@ -351,48 +344,23 @@
       if (playing) requestAnimationFrame(tick);
     }
 
-    function move(to) {
-      time = Math.min(Math.max(to, 0), last);
+    function seek() {
+      time = Number(slider.value);
       redraw();
-    }
-
-    function turn(angle) {
-      start.copy(camera.position).sub(orbit.target).applyAxisAngle(camera.up, angle);
-      camera.position.copy(orbit.target).add(start);
-      orbit.update();
     }
 
     const fail = (error) => root.replaceChildren("The replay cannot be shown: " + error.message + ".");
     for (const box of boxes) box.addEventListener("change", () => choose().catch(fail));
     ghosts.addEventListener("change", redraw);
     button.addEventListener("click", play);
-    slider.addEventListener("input", () => move(Number(slider.value)));
+    slider.addEventListener("input", seek);
     reset.addEventListener("click", look);
     orbit.addEventListener("change", redraw);
     stage.addEventListener("pointerdown", () => stage.focus({ preventScroll: true }));
     stage.addEventListener("focus", () => (orbit.enableZoom = true));
     stage.addEventListener("blur", () => (orbit.enableZoom = false));
-    stage.addEventListener("keydown", (event) => {
-      const step = event.shiftKey ? 5 * FRAME_S : FRAME_S;
-      const actions = {
-        " ": play,
-        ArrowLeft: () => move(time - step),
-        ArrowRight: () => move(time + step),
-        Home: () => move(0),
-        End: () => move(last),
-        a: () => turn(0.15),
-        d: () => turn(-0.15),
-      };
-      if (!(event.key in actions)) return;
-      actions[event.key]();
-      event.preventDefault();
-    });
     new ResizeObserver(redraw).observe(stage);
-    // The scenes have the colours of the page.
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => location.reload());
-    // A phone starts with two pictures.
-    const count = stage.clientWidth < 700 ? 2 : 6;
-    boxes.forEach((box, index) => (box.checked = index < count));
+    boxes.slice(0, 3).forEach((box) => (box.checked = true));
     choose().catch(fail);
   }
 
