@@ -27,7 +27,6 @@ from gauge_envs.envs.limits import (
 )
 from gauge_envs.envs.pictures import Pictures, Rendered
 from gauge_envs.envs.rollout import intervals
-from gauge_envs.envs.wrappers import EndWrapper
 from gauge_envs.errors import EpisodeError, ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
@@ -59,7 +58,8 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
     One step is 1/30 s, in six intervals of 1/180 s with a constant action. The action is a Box [-1, 1] with an entry
     for each of `COMMANDED`. The subclass documents what they command, the observation, and the reward with its proof.
 
-    `info`: `frame`, `time_s`, and `diverged` (the reason) if the simulation diverged.
+    `info`: `frame`, `time_s`, and `diverged` (the reason) if the simulation diverged. The last step of an episode adds
+    `limit`, a `LimitReport` of what the policy reached and what the law allows.
 
     Args:
         material: Material of the cube, the ball or the cloth.
@@ -97,6 +97,18 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         simulation: The simulation, of one world.
         moving: Names of the bodies that move.
         rest_nodes_m: Nodes of each deformable body at the nominal start [m], shape [node_count, 3], by name.
+
+    Example:
+        >>> import gymnasium as gym, gauge_envs
+        >>> env = gym.make("GAUGE/SlopeSlider-Limit-metal")
+        >>> _ = env.reset(seed=0)
+        >>> over = False
+        >>> while not over:
+        ...     *_, terminated, truncated, info = env.step(env.unwrapped.law_action(0.98))
+        ...     over = terminated or truncated
+        >>> report = info["limit"]
+        >>> print(report.ending, f"{report.reached:.3f} of {report.limit.value:.3f}, ratio {report.ratio:.2f}")
+        held 0.258 of 0.263, ratio 0.98
     """
 
     metadata = GaugeEnv.metadata
@@ -314,6 +326,8 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         truncated = not terminated and self._frame == self.steps
         if truncated:
             self._ending = self.TIME_LIMIT_ENDING
+        if self.is_over:
+            info["limit"] = self.report()
         return self._observe(), reward, terminated, truncated, info
 
     def _run_frame(self, command: FloatArray) -> Ending | None:
@@ -414,29 +428,3 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
 def _bound(name: str) -> float:
     """Return the bound on an entry of an observation."""
     return next(bound for end, bound in BOUNDS.items() if name.endswith(end))
-
-
-class ReportLimit(EndWrapper):
-    """Report what the policy reached and what the law allows when an episode ends.
-
-    `gymnasium.make` applies it to the ids of control tasks. It adds to `info` at the last step: `limit`, a
-    `gauge_envs.tools.control.limit.LimitReport`. An episode that another wrapper cuts short has no report.
-
-    Example:
-        >>> import gymnasium as gym, gauge_envs
-        >>> env = gym.make("GAUGE/SlopeSlider-Limit-metal")
-        >>> _ = env.reset(seed=0)
-        >>> over = False
-        >>> while not over:
-        ...     *_, terminated, truncated, info = env.step(env.unwrapped.law_action(0.98))
-        ...     over = terminated or truncated
-        >>> report = info["limit"]
-        >>> print(report.ending, f"{report.reached:.3f} of {report.limit.value:.3f}, ratio {report.ratio:.2f}")
-        held 0.258 of 0.263, ratio 0.98
-    """
-
-    def _add(self, info: dict[str, Any]) -> None:
-        env = self.unwrapped
-        assert isinstance(env, ControlEnv)
-        if env.is_over:
-            info["limit"] = env.report()

@@ -90,7 +90,7 @@ class FrictionLimit(CubeLimit):
     accelerates to and fro uses sqrt(mu^2 + (alpha r / g)^2) on average where friction holds the mean force, 1.0 to
     1.4 % more. A slip outward is also carried by the Coriolis force, 0.3 % at 20 mm/s.
 
-    **Action.** Angular acceleration of the carrier, in units of `ACCELERATION`.
+    **Action.** Angular acceleration of the carrier, in units of `ACCELERATION`, in rad/s^2.
 
     Args:
         material: Material of the cube: `wood`, `plastic` or `metal`.

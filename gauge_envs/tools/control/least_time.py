@@ -74,7 +74,7 @@ class LeastTimeLimit(CubeLimit):
     ending 1/3 at most. Time costs nothing by itself and the loss of the cube takes nothing: with such costs, to leave
     the cube alone is better than most of what exploration does.
 
-    **Action.** Acceleration of the driven body along x and y, in units of `ACCELERATION`.
+    **Action.** Acceleration of the driven body along x and y, in units of `ACCELERATION`, in m/s^2.
 
     Args:
         material: Material of the cube: `wood`, `plastic` or `metal`.

@@ -12,13 +12,6 @@ from gauge_envs.errors import UnknownNameError
 if TYPE_CHECKING:
     from gauge_envs.pages.document import Document
 
-REPORT = registration.WrapperSpec(
-    name="ReportLimit",
-    entry_point="gauge_envs.tools.control.env:ReportLimit",
-    kwargs={},
-)
-"""The wrapper of every control task."""
-
 CUBES = ("wood", "plastic", "metal")
 
 EPISODE_STEPS = {
@@ -104,7 +97,6 @@ def register() -> None:
                 id=task.id,
                 entry_point=task.entry_point,
                 max_episode_steps=task.episode_steps,
-                additional_wrappers=(REPORT,),
                 kwargs={"material": task.material},
             )
 

@@ -54,7 +54,7 @@ def test_engine_limit_of_soft_contacts():
     share = engine_limit(env, bounds=(0.2, 1.5), resolution=0.02)
     creeps = SLIP_SPEED_M_PER_S / (0.5 * 0.02) / (env.limit.value * GRAVITY_M_PER_S2)
     assert share == pytest.approx(creeps, rel=0.2)
-    with pytest.raises(ParameterError, match=r"fails with 0\.9"):
+    with pytest.raises(ParameterError, match=r"must succeed with 0\.9"):
         engine_limit(env, bounds=(0.9, 1.1))
 
 
@@ -109,25 +109,6 @@ def test_no_policy_earns_more_than_the_law(name):
     slip = SLIP_SPEED_M_PER_S / (math.cos(0.27) * GRAVITY_M_PER_S2 * HOLD_S)
     for _ in range(3):
         assert 0.0 < play(env, dither).reached <= env.limit.value + slip
-
-
-def test_a_slip_in_pybullet_is_driven_by_more_than_the_law():
-    """The ratio of Carry can exceed 1 there by as much, as docs/control.md says: friction is bounded axis by axis."""
-    pytest.importorskip("pybullet")
-    largest = {}
-    for engine in ("pybullet", "mujoco"):
-        env = make("Carry-Limit-wood", backend=engine)
-        law = env.limit.value * GRAVITY_M_PER_S2
-        shares = []
-        for angle in (0.0, math.pi / 6, math.pi / 4):
-            env.reset(seed=0)
-            # 4.5 m/s^2 is more than friction holds, so the cube slips.
-            action = np.array([math.cos(angle), math.sin(angle)], dtype=np.float32)
-            speeds = [np.linalg.norm(env.step(action)[0][2:4]) for _ in range(10)]
-            shares.append((speeds[-1] - speeds[2]) / (7 / 30) / law)
-        largest[engine] = max(shares)
-    assert largest["mujoco"] == pytest.approx(1.0, abs=0.001)
-    assert 1.02 < largest["pybullet"] < 1.05
 
 
 @pytest.mark.slow

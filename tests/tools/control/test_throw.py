@@ -26,15 +26,15 @@ def env():
 
 @pytest.mark.parametrize("restitution", [0.3, 0.576733, 0.9])
 def test_height_is_the_best_of_all_places(restitution):
-    """Against all combinations of 101 places at each of two impacts."""
+    """Against all combinations of 101 places at each of three impacts."""
     places = np.linspace(-STROKE_M, STROKE_M, 101)
     heights = np.array([0.26])
-    for _ in range(2):
+    for _ in range(3):
         drops_m = np.clip(heights[:, None] - places, 0.0, None)
         comes = np.sqrt(2.0 * GRAVITY_M_PER_S2 * drops_m)
         leaves = restitution * comes + (1.0 + restitution) * SPEED_M_PER_S
         heights = (places + leaves**2 / (2.0 * GRAVITY_M_PER_S2)).ravel()
-    highest = highest_m(0.26, restitution, GRAVITY_M_PER_S2, impacts=2)
+    highest = highest_m(0.26, restitution, GRAVITY_M_PER_S2)
     assert highest == pytest.approx(heights.max(), rel=1e-4)
 
 
@@ -76,16 +76,6 @@ def test_an_impact_at_an_edge_loses_the_ball(env, aside_m):
         return action
 
     assert (play(env, aside).ending is Ending.LOST) is (aside_m > 0.09)
-
-
-def test_chance_stays_below_what_the_training_must_reach():
-    env = make(THROW, settings={"timestep_s": 1 / 1080})
-    random = np.random.default_rng(0)
-    reports = [play(env, lambda _: random.uniform(-1, 1, 2)) for _ in range(50)]
-    ratios = [report.ratio for report in reports]
-    assert max(ratios) < TRAINED_RATIO
-    assert np.mean(ratios) < 0.2
-    assert Ending.LOST in [report.ending for report in reports]
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.site import save_site
 from gauge_envs.tools.site.experiment_page import run_command
-from gauge_envs.tools.site.replay import quantized, replay, replay_data
+from gauge_envs.tools.site.replay import replay, replay_data
 
 SLIDE = "SlopeSlider-2-wood"
 SETTINGS = {"timestep_s": 1 / 900}
@@ -141,27 +141,15 @@ def test_hostile_texts_are_escaped(slide, tmp_path):
     assert EVIL in Page(out / "index.html").text
 
 
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        (lambda text: text[:-40], "not a result file"),
-        (
-            lambda text: re.sub(r'"revision": \d+', '"revision": 99', text),
-            "it has revision 99, and the installed package",
-        ),
-    ],
-    ids=["damaged", "other revision"],
-)
-def test_a_wrong_file_is_named_and_left_out(change, reason, results, tmp_path, gauge):
+def test_a_damaged_file_is_named_and_left_out(results, tmp_path, gauge):
     source = tmp_path / "results"
     source.mkdir()
     good = next(file for file in results if file.name.startswith(SLIDE))
     (source / good.name).write_bytes(good.read_bytes())
-    (source / "wrong.json").write_text(change(good.read_text()))
+    (source / "wrong.json").write_text(good.read_text()[:-40])
     run = gauge("report", source, "--out", tmp_path / "site", "--no-replay")
     assert run.exit_code == 1
-    shown = " ".join(run.stderr.split()).replace(f"GAUGE/{SLIDE}: ", "")
-    assert f"wrong.json: {reason}" in shown
+    assert "wrong.json: not a result file" in " ".join(run.stderr.split())
     page = Page(tmp_path / "site" / f"experiment-{SLIDE}.html")
     assert "wrong.json" not in page.text
 
@@ -212,11 +200,10 @@ def test_poses_are_those_of_the_trajectory(slide):
     for result in (slide, coarse):
         made = replay(result)
         _, values = result.trajectory.arrays()
-        # 180 samples a second in the result, 60 views a second in the replay, single precision.
+        # 180 samples a second in the result, 60 views a second in the replay.
         assert made.rate_hz == 60.0
-        assert made.bodies == ("cube",)
         places_mm = 1e3 * made.poses[:, 0, :3]
-        np.testing.assert_allclose(places_mm, values[::3], atol=1e-4)
+        np.testing.assert_allclose(places_mm, values[::3], atol=1e-9)
 
 
 MODEL = {"file": "slide.xml", "kind": "model"}
@@ -236,27 +223,23 @@ def test_what_cannot_run_again_has_no_replay(changes, message, slide):
         replay(replace(slide, **changes))
 
 
-def test_a_quantized_position_is_within_half_a_step():
-    positions = np.random.default_rng(0).normal(size=(50, 3, 3)) * (1.0, 0.01, 0.0)
-    packed = quantized(positions)
-    counts = np.frombuffer(b64decode(packed["data"]), "<i2").reshape(positions.shape)
-    step = np.array(packed["step"])
-    errors = np.abs(packed["centre"] + counts * step - positions)
-    assert (errors <= 0.5000001 * step + 1e-12).all()
-    np.testing.assert_allclose(step[:2], np.ptp(positions, axis=(0, 1))[:2] / 65534)
+def unpacked(packed):
+    return np.frombuffer(b64decode(packed["data"]), "<i2") * packed["step"]
 
 
 def test_data_have_the_slope_of_the_cube_and_the_real_values_as_ghost(slide):
-    data = replay_data(slide, label="", color="")
-    cosine = np.frombuffer(b64decode(data["turns"]), "<i2")[3] / 32767
+    data = replay_data(slide)
+    cosine = unpacked(data["turns"])[3]
     assert np.degrees(2.0 * np.arccos(abs(cosine))) == pytest.approx(30.0, abs=0.1)
+    places_mm = 1e3 * unpacked(data["positions"]).reshape(-1, 3)
+    _, values = slide.trajectory.arrays()
+    np.testing.assert_allclose(places_mm, values[::3], atol=0.02)
     band, ghost = reference_band(recorded_experiment(slide)), data["ghost"]
     places_mm = 1e3 * np.array(ghost["places"])[:, 0]
-    # Rounded to 10 micrometres.
-    np.testing.assert_allclose(band.project(places_mm), band.mean, atol=0.02)
+    np.testing.assert_allclose(band.project(places_mm), band.mean, atol=1e-6)
     # Across the slope nothing was measured, so that the ghost stays in the plane of the start.
     across = np.linalg.svd(band.projection)[2][1:]
-    np.testing.assert_allclose((places_mm - places_mm[0]) @ across.T, 0.0, atol=0.02)
+    np.testing.assert_allclose((places_mm - places_mm[0]) @ across.T, 0.0, atol=1e-6)
 
 
 # --- how to reproduce ---
