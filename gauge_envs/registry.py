@@ -67,7 +67,7 @@ def id_modules() -> tuple[Any, ...]:
     """
     if not (PACKAGE / "tools" / "control").is_dir():
         return ()
-    return (import_module("gauge_envs.tools.control.tasks"),)
+    return (import_module("gauge_envs.tools.control.ids"),)
 
 
 def scene_files(suffix: str) -> Any:
