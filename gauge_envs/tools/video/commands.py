@@ -18,7 +18,7 @@ from gauge_envs.cli.output import (
     message,
     print_document,
 )
-from gauge_envs.errors import ParameterError, VideoError
+from gauge_envs.errors import VideoError
 from gauge_envs.pages.document import save_file
 from gauge_envs.pages.table import Table
 from gauge_envs.tools.video import prompts, report
@@ -102,19 +102,16 @@ def video_score(
 
     They have intervals. Exit code 1 when a track is not sound.
     """
-    if out is not None and any(file.suffix.lower() == ".csv" for file in files):
-        raise ParameterError(
-            "--out needs the video, and a track has none: leave out one of them"
-        )
     chosen = video_task(task)
     has_failed = False
     for file in files:
         result = _scored(file, chosen, fps)
+        print_document(report.score_document(result, chosen), form)
         if out is not None:
+            message(save_track(result.track, out / f"{file.stem}.track.csv"))
+        if out is not None and file.suffix.lower() != ".csv":
             overlay = out / f"{file.stem}.overlay.mp4"
             message(report.save_overlay(FileFrames(file, fps=fps), result, overlay))
-            message(save_track(result.track, out / f"{file.stem}.track.csv"))
-        print_document(report.score_document(result, chosen), form)
         has_failed = has_failed or not result.is_sound
     return has_failed
 

@@ -102,8 +102,8 @@ def fit_constant_acceleration(
 
 def dynamic_error(
     times_s: FloatArray, positions_m: FloatArray, *, mass_kg: float, friction: float
-) -> tuple[float, FloatArray]:
-    """Return by how much the needed force exceeds the available friction, on average [N], and the accelerations.
+) -> float:
+    """Return by how much the needed force exceeds the available friction, on average [N].
 
     Equations "c4-acceleration", "c4-unequal", "c4-friction" and "c4-de" of the paper's appendix: three-point
     accelerations of unsmoothed positions.
@@ -113,17 +113,13 @@ def dynamic_error(
         positions_m: Positions in the plane [m], shape [sample_count, 2].
         mass_kg: Mass of the body [kg].
         friction: Coefficient of friction, 1.
-
-    Returns:
-        The dynamic error [N], and the magnitudes of the accelerations at inner samples [m/s^2], shape
-        [sample_count - 2].
     """
     steps_s = np.diff(times_s)[:, None]
     velocities = np.diff(positions_m, axis=0) / steps_s
     accelerations = 2.0 * np.diff(velocities, axis=0) / (steps_s[1:] + steps_s[:-1])
     magnitudes = np.linalg.norm(accelerations, axis=1)
     exceedance_n = mass_kg * (magnitudes - friction * GRAVITY_M_PER_S2)
-    return float(np.maximum(0.0, exceedance_n).mean()), magnitudes
+    return float(np.maximum(0.0, exceedance_n).mean())
 
 
 def fit_damped_oscillation(
@@ -198,14 +194,14 @@ IMPACT = 0.25
 APEX_SEPARATION_S = 0.35
 """Shortest time between two apices [s]: about half a period of the cradle's balls."""
 
-LEAST_APEX_RAD = 0.08
+MIN_APEX_RAD = 0.08
 """Smallest angle of an apex [rad]; hanging balls have none."""
 
 APEX_FALL, APEX_FALL_RAD = 0.1, 0.04
 """Fall of the angle on both sides of an apex: relative to the apex, and at most [rad], a quarter of a ball. Balls that
 tremble fall less."""
 
-MAX_APEX_STEPS = 2.5
+MAX_APEX_STEP = 2
 """Largest number of frames from an apex to its neighbours."""
 
 
@@ -235,7 +231,7 @@ def retained(track: Track, task: VideoTask) -> tuple[int, int] | None:
     """
     rows = np.flatnonzero(track.is_found)
     if task.motion is Motion.CRADLE:
-        is_swinging = swing_angles_rad(track, task)[rows] >= LEAST_APEX_RAD
+        is_swinging = swing_angles_rad(track, task)[rows] >= MIN_APEX_RAD
         return (int(rows[0]), int(rows[-1])) if is_swinging.any() else None
     if len(rows) <= WINDOW:
         return None
@@ -299,20 +295,17 @@ def _straight(
 
 
 def _stops(along_px: FloatArray, rows: NDArray[np.intp], index: int) -> bool:
-    """Return whether a body rests from here on, or loses most of its speed at once, as in an impact with a rebound."""
-    ahead_px = along_px[index + 1 : index + WINDOW + 1] - along_px[index]
-    if len(ahead_px) == WINDOW and ahead_px.max() < MOVING_PX:
-        return True
+    """Return whether a body loses most of its speed at once, by coming to rest or by an impact with a rebound."""
     earlier = np.arange(max(0, index - 2), index + 1)
     before_px = (np.diff(along_px[earlier]) / np.diff(rows[earlier])).max()
     # The speed does not come back within the window.
     later = np.minimum([index + 2, index + WINDOW], len(rows) - 1)
     after_px = (along_px[later] - along_px[index]) / (rows[later] - rows[index])
-    return bool(after_px.max() <= min(IMPACT * before_px, before_px - MOVING_PX))
+    return bool(after_px.max() <= IMPACT * before_px)
 
 
 def apices(
-    times_s: FloatArray, angles_rad: FloatArray, step_s: float
+    frames: NDArray[np.int64], angles_rad: FloatArray, fps: float
 ) -> NDArray[np.intp]:
     """Return the rows of the apices of a ball that swings out, in order.
 
@@ -320,29 +313,26 @@ def apices(
     rises from below and falls again: balls that hang and tremble do not.
 
     Args:
-        times_s: Times of the frames in which the ball was found [s], shape [frame_count].
+        frames: Numbers of the frames in which the ball was found, shape [frame_count].
         angles_rad: Its angles from the vertical [rad], shape [frame_count].
-        step_s: Time from frame to frame of the video [s].
+        fps: Frames per second.
     """
-    separation = max(1, int(APEX_SEPARATION_S / step_s))
-    gaps_s = np.diff(times_s)
-    # A longer gap separates swings as well as this one.
-    gaps = np.minimum(np.rint(gaps_s / step_s), 2 * separation + 1)
-    frames = np.append(0, gaps.cumsum()).astype(int)
-    swing_rad = np.interp(np.arange(frames[-1] + 1), frames, angles_rad)
+    separation = max(1, int(APEX_SEPARATION_S * fps))
+    every_frame = np.arange(frames[0], frames[-1] + 1)
+    swing_rad = np.interp(every_frame, frames, angles_rad)
     peaks, shape = find_peaks(
         swing_rad,
-        height=LEAST_APEX_RAD,
+        height=MIN_APEX_RAD,
         distance=separation + 1,
         prominence=0.0,
         wlen=2 * separation + 1,
     )
     fall_rad = np.minimum(APEX_FALL * swing_rad[peaks], APEX_FALL_RAD)
     is_swing = shape["prominences"] >= fall_rad
-    rows = np.searchsorted(frames, peaks[is_swing])
+    rows = np.searchsorted(frames, every_frame[peaks[is_swing]])
     # A peak is neither the first nor the last row.
-    is_seen = np.maximum(gaps_s[rows - 1], gaps_s[rows]) <= MAX_APEX_STEPS * step_s
-    return rows[is_seen]
+    steps = np.diff(frames)
+    return rows[np.maximum(steps[rows - 1], steps[rows]) <= MAX_APEX_STEP]
 
 
 def peak(times_s: FloatArray, heights_m: FloatArray) -> float:

@@ -13,8 +13,8 @@ from pathlib import Path
 from urllib.parse import quote
 from urllib.request import urlopen
 
-from gauge_envs.errors import DatasetError, ParameterError
-from gauge_envs.files import os_errors, write_whole
+from gauge_envs.errors import DatasetError
+from gauge_envs.pages.document import save_file
 from gauge_envs.references.tables import FileModel, read_rows, scoring_folder
 
 REPOSITORY = "https://github.com/InternRobotics/GAUGE"
@@ -76,27 +76,22 @@ def fetch_inputs(
     source: str = SOURCE,
     advance: Callable[[str], None] = lambda file: None,
 ) -> list[str]:
-    """Write the first frames, the prompts and a note to a folder, once all are fetched and have their hashes.
+    """Write the first frames, the prompts and a note to a folder, and return the names of the files.
+
+    Nothing is written unless all files are fetched and have their hashes.
 
     Args:
         folder: Folder to write to; it is created if it is missing.
         source: Address or folder that contains the repository's folder `input`.
         advance: Called with the name of each file that is fetched.
 
-    Returns:
-        Names of the files.
-
     Raises:
-        ParameterError: The source is neither an address nor a folder.
         DatasetError: A file cannot be read, has another hash, or would replace another file.
+        ResultFileError: A file cannot be written.
     """
     if not source.lower().startswith(("https://", "http://")):
-        if not Path(source).is_dir():
-            raise ParameterError(
-                f"source {source!r} is no folder, and no address with https:// or http://: {BY_HAND}"
-            )
         source = Path(source).resolve().as_uri()
-    contents: dict[str, bytes] = {}
+    contents = {NOTE: (files("gauge_envs.tools.video") / NOTE).read_bytes()}
     for file in input_files():
         if file.source is None:
             address, text = file.file, contents[WOOD_PROMPT].decode()
@@ -113,15 +108,11 @@ def fetch_inputs(
             )
         contents[file.file] = content
         advance(file.file)
-    contents[NOTE] = (files("gauge_envs.tools.video") / NOTE).read_bytes()
-    with os_errors(lambda cause: DatasetError(f"{folder}: cannot be written: {cause}")):
-        for name, content in contents.items():
-            path = folder / name
-            if path.exists() and path.read_bytes() != content:
-                raise DatasetError(f"{path} is another file: move it away")
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, content in contents.items():
-            write_whole(folder / name, content)
+    for name, content in contents.items():
+        path = folder / name
+        if path.is_file() and path.read_bytes() != content:
+            raise DatasetError(f"{path} is another file: move it away")
+        save_file(path, content)
     return list(contents)
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from importlib.resources import files
+from typing import NamedTuple
 
 from pydantic import TypeAdapter
 
@@ -31,9 +32,6 @@ PLATE_RADIUS_PX = 225.5
 
 SLOPE_DIRECTION = (-math.cos(math.radians(31.6)), math.sin(math.radians(31.6)))
 """Direction down the board in the first frames of the slope slider: its long edges lie at 31.4 to 31.8 degrees."""
-
-TABLE_COLUMNS = ("variant", "metric", "unit", "real_baseline")
-"""Columns of the published table that are not models."""
 
 
 class Motion(StrEnum):
@@ -55,8 +53,7 @@ DIRECTIONS = {Motion.SLIDE: SLOPE_DIRECTION, Motion.FALL: (0.0, 1.0)}
 """Directions of straight motions in the first frames."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Measured:
+class Measured(NamedTuple):
     """A metric of real trials: its mean and standard deviation, in the unit of the metric."""
 
     mean: float
@@ -99,22 +96,18 @@ class VideoTask:
     @property
     def law(self) -> dict[str, float]:
         """Values of the law by metric: the column "real baseline" of the published table."""
-        return {
-            row["metric"]: float(row["real_baseline"])
-            for row in _published_rows()
-            if row["variant"] == self.id
-        }
+        return published_results()["real_baseline"][self.id]
 
     @property
     def real(self) -> dict[str, Measured]:
         """Measurements of real trials by metric; metrics without trials are absent."""
         if self.motion is Motion.SLIDE:
             material = self.id.rpartition("-")[2]
-            acceleration = _slide_trials()[material]["acceleration_m_s2"]
-            mean, std = acceleration["mean"], acceleration["std"]
-            return {"a": Measured(mean=mean, std=std)}
+            file = scoring_folder("facts") / "slope_slider_30deg_summary.toml"
+            trials = toml_document(file.read_bytes())[material]["acceleration_m_s2"]
+            return {"a": Measured(trials["mean"], trials["std"])}
         return {
-            metric: Measured(mean=baseline.mean, std=baseline.std)
+            metric: Measured(baseline.mean, baseline.std)
             for metric, baseline in published_baselines(self.id).items()
             if metric in self.law and baseline.std is not None
         }
@@ -145,17 +138,20 @@ def _scene(task: str) -> Scene:
 
 
 @cache
-def _slide_trials() -> dict[str, dict[str, dict[str, float]]]:
-    """Return the accelerations of the real slides by material."""
-    file = scoring_folder("facts") / "slope_slider_30deg_summary.toml"
-    return toml_document(file.read_bytes())
+def published_results() -> dict[str, dict[str, dict[str, float]]]:
+    """Return Table 3 of GAUGE's paper by column, task and metric; a value that is printed as a dash is absent.
 
-
-@cache
-def _published_rows() -> tuple[dict[str, str], ...]:
-    """Return the rows of Table 3 of GAUGE's paper."""
+    The columns are `real_baseline`, which is the law, and ten configurations of six models.
+    """
     file = scoring_folder("published") / "world_model_results.csv"
-    return tuple(csv.DictReader(csv_text(file.read_bytes())))
+    columns: dict[str, dict[str, dict[str, float]]] = {}
+    for row in csv.DictReader(csv_text(file.read_bytes())):
+        task, metric, _ = (row.pop(key) for key in ("variant", "metric", "unit"))
+        for column, value in row.items():
+            values = columns.setdefault(column, {}).setdefault(task, {})
+            if value:
+                values[metric] = float(value)
+    return columns
 
 
 @cache
@@ -178,18 +174,3 @@ def video_task(name: str) -> VideoTask:
     if name not in tasks:
         raise UnknownNameError("video task", name, list(tasks))
     return tasks[name]
-
-
-@cache
-def published_results() -> dict[str, dict[str, dict[str, float]]]:
-    """Return the published values by model, task and metric; a value that the paper prints as a dash is absent.
-
-    They are Table 3 of GAUGE's paper: ten configurations of six models.
-    """
-    results: dict[str, dict[str, dict[str, float]]] = {}
-    for row in _published_rows():
-        for model, value in row.items():
-            if value and model not in TABLE_COLUMNS:
-                values = results.setdefault(model, {}).setdefault(row["variant"], {})
-                values[row["metric"]] = float(value)
-    return results

@@ -64,20 +64,19 @@ def test_the_command_writes_all_files_and_the_corrected_prompt_twice(
     assert REPOSITORY in note and COMMIT in note and "MIT licence" in note
 
 
-@pytest.mark.parametrize("change", ["missing", "damaged", "longer", "prompt"])
+@pytest.mark.parametrize("change", ["missing", "damaged", "prompt"])
 def test_a_wrong_file_is_named_and_no_file_is_written(
     source, tmp_path, gauge, monkeypatch, change
 ):
     file = source / "input/first frames/832x480/slope slider/frame(metal).png"
     named = "/slope%20slider/frame%28metal%29.png"
-    whole = file.read_bytes()
     if change == "missing":
         file.unlink()
     elif change == "prompt":
         monkeypatch.setattr(prompts, "PLASTIC_CHANGES", prompts.PLASTIC_CHANGES[:2])
         named = "SlopeSlider-2-plastic.txt"
     else:
-        file.write_bytes(whole[:-1] + b"!" if change == "damaged" else whole * 100)
+        file.write_bytes(file.read_bytes() * 100)
     result = gauge("video", "prompts", source, "--out", tmp_path / "out")
     shown = " ".join(result.stderr.split())
     cause = "cannot be read" if change == "missing" else "has the SHA-256 hash"
@@ -86,26 +85,17 @@ def test_a_wrong_file_is_named_and_no_file_is_written(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("address", "cause"),
-    [
-        ("http://[::1", "cannot be read"),
-        ("http://127.0.0.1:{silent}", "timed out"),
-        ("ftp://host/x", "https://"),
-        ("nowhere", "is no folder"),
-    ],
-)
-def test_an_impossible_source_is_named_with_what_to_do(
-    gauge, monkeypatch, address, cause
-):
+def test_a_silent_source_is_named_with_what_to_do(gauge, monkeypatch):
     monkeypatch.setattr(prompts, "TIMEOUT_S", 0.2)
     monkeypatch.setenv("no_proxy", "127.0.0.1")
     with socket.create_server(("127.0.0.1", 0)) as silent:
-        address = address.format(silent=silent.getsockname()[1])
+        address = f"http://127.0.0.1:{silent.getsockname()[1]}"
         result = gauge("video", "prompts", address, "--out", "inputs")
     shown = " ".join(result.stderr.split())
     assert result.exit_code == 2
-    assert all(text in shown for text in (address, cause, f"git clone {REPOSITORY}"))
+    assert all(
+        text in shown for text in (address, "timed out", f"git clone {REPOSITORY}")
+    )
 
 
 def test_a_file_of_the_user_is_never_replaced(source, tmp_path, gauge):
@@ -113,4 +103,3 @@ def test_a_file_of_the_user_is_never_replaced(source, tmp_path, gauge):
     result = gauge("video", "prompts", source, "--out", tmp_path)
     assert result.exit_code == 2 and "is another file: move it" in result.stderr
     assert (tmp_path / "Pendulum-metal.txt").read_text() == "mine"
-    assert not (tmp_path / "Pendulum-metal.png").exists()

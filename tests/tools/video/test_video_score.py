@@ -25,7 +25,6 @@ from gauge_envs.tools.video import (  # noqa: E402
 )
 from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
 from gauge_envs.tools.video.report import (  # noqa: E402
-    agreement,
     find_videos,
     results_table,
     summary_table,
@@ -51,13 +50,6 @@ def check_metrics(metrics, truth):
     """Check all metrics whose truth is known."""
     for name, value in truth.items():
         assert metrics[name] == pytest.approx(value, **TOLERANCE[name]), name
-
-
-def swung(task, angles_rad):
-    """A track of a swing at 24 frames per second; angles from the vertical, NaN where the ball is not seen."""
-    arm_px = np.subtract(task.rest_px or task.centre_px, task.pivot_px)
-    directions = np.column_stack([np.sin(angles_rad), np.cos(angles_rad)])
-    return track_of(task.pivot_px + np.hypot(*arm_px) * directions, 24.0)
 
 
 # --- films -----------------------------------------------------------------------------------------------------------
@@ -103,22 +95,6 @@ def test_intervals_contain_the_truth(task):
             low, high = result.uncertainty[name]
             contained.append(low - 1e-12 <= film.truth[name] <= high + 1e-12)
     assert np.mean(contained) >= 0.9
-
-
-def test_the_motion_of_a_camera_is_subtracted():
-    film, rng = clip(SLIDE.id, np.random.default_rng(7)), np.random.default_rng(2)
-    frames = [film.frames[0]]
-    for frame in film.frames[1:]:
-        move = np.column_stack([np.eye(2), rng.normal(0.0, 3.0, 2)])
-        edges = {"borderMode": cv2.BORDER_REPLICATE}
-        frames.append(cv2.warpAffine(frame, move, frame.shape[1::-1], **edges))
-    result = score(frames, film.fps, film.task)
-    assert result.is_sound, result.reasons
-    assert "camera" in result.findings[0] and "is subtracted" in result.findings[0]
-    # The overlay lies where the picture shows the object.
-    shown_px = result.track.points_px[-1] + move[:, 2]
-    assert result.track.shown_px(-1)[-1] == pytest.approx(shown_px, abs=1.0)
-    check_metrics(result.metrics, film.truth)
 
 
 # --- tracks ----------------------------------------------------------------------------------------------------------
@@ -210,22 +186,17 @@ def test_a_cube_that_breaks_the_law_has_a_sound_track_until_it_may_be_another_cu
     assert "says little" in still.findings[-1] and law_share(still, PLATE) == 0.0
 
 
-def test_a_swing_that_is_shown_in_part_is_named():
+def test_momentum_transfer_follows_from_the_heights_of_the_swings():
     swing, rest = np.sin(np.pi * np.arange(1, 12) / 12.0), np.full(12, np.nan)
-    hidden = np.where(abs(np.arange(11) - 5.5) > 3, swing, np.nan)
-    whole, half = (
-        score_track(swung(CRADLE, np.r_[rest, one, rest, 0.8 * swing, rest]), CRADLE)
-        for one in (swing, hidden)
-    )
-    assert whole.is_sound and not whole.findings
-    arm_m = (CRADLE.rest_px[1] - CRADLE.pivot_px[1]) * CRADLE.scale_m_per_px
-    heights_m = arm_m * (1.0 - np.cos([1.0, 0.8]))
+    angles_rad = np.r_[rest, swing, rest, 0.8 * swing, rest]
+    arm_px = np.subtract(CRADLE.rest_px, CRADLE.pivot_px)[1]
+    directions = np.column_stack([np.sin(angles_rad), np.cos(angles_rad)])
+    track = track_of(CRADLE.pivot_px + arm_px * directions, 24.0)
+    result = score_track(track, CRADLE)
+    heights_m = arm_px * CRADLE.scale_m_per_px * (1.0 - np.cos([1.0, 0.8]))
     transfers = np.sqrt(heights_m / CRADLE.release_height_m)
-    assert whole.metrics["mte"] == pytest.approx(transfers.mean(), abs=0.02)
-    assert "the apex of a swing of the ball is not seen" in half.findings[0]
-    angles_rad = 0.25 * np.cos(2.0 * np.pi * np.arange(11) / 24.0)
-    part = score_track(swung(PENDULUM, angles_rad), PENDULUM)
-    assert any("less than half a period is shown" in one for one in part.findings)
+    assert result.is_sound
+    assert result.metrics["mte"] == pytest.approx(transfers.mean(), abs=0.02)
 
 
 def test_the_law_share_of_a_fall_is_the_smaller_ratio():
@@ -242,22 +213,10 @@ def test_the_law_share_of_a_fall_is_the_smaller_ratio():
 
 def test_published_values_are_those_of_the_table():
     published = published_results()
-    assert len(published) == 10
     assert published["seedance2"]["Pendulum-metal"]["pd"] == 3.13
-    assert "NewtonsCradle-metal" not in published["wan22"]
-    for task in video_tasks():
-        named = {key for model in published.values() for key in model.get(task.id, {})}
-        assert named == set(task.law)
-
-
-def test_agreement_with_a_published_value():
-    result = score_track(driven(SLIDE.id, 1.7), SLIDE)
-    a = result.metrics["a"]
-    assert agreement(result, "a", 1.09 * a) == "agrees"
-    assert agreement(result, "a", 1.12 * a) == "differs"
-    wide = replace(result, uncertainty={"a": (a, 1.2 * a)})
-    assert agreement(wide, "a", 1.12 * a) == "within the interval"
-    assert agreement(replace(result, is_sound=False), "a", a) == "track not sound"
+    assert published["wan22"]["NewtonsCradle-metal"] == {}
+    assert SLIDE.law == {"a": 2.58, "qfi": 0.0}
+    assert SLIDE.real["a"] == pytest.approx((2.719, 0.038), abs=5e-4)
 
 
 # --- commands --------------------------------------------------------------------------------------------------------
@@ -316,18 +275,17 @@ def test_the_report_shows_every_model_and_names_broken_files(tmp_path, gauge):
     published = {
         row["model"]: row["published"] for row in rows if "QFI" in row["metric"]
     }
-    assert float(published["seedance2"]) == 730.22
-    assert float(published["genie3"]) == 70.37 and published["slow"] == ""
+    assert published == {"seedance2": "730.22", "slow": ""}
     assert len(outcome.stdout.splitlines()) <= 25
 
 
 def test_seeds_have_a_mean_with_its_interval_and_a_share_of_sound_tracks(tmp_path):
-    for name in ("a/Pendulum-metal/seed_3", "a/Pendulum-metal/other", "a/b/seed_1"):
+    for name in ("a/Pendulum-metal/seed_3", "a/b/seed_1"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / f"{name}.mp4").touch()
     videos, others = find_videos(tmp_path)
     assert [file.stem for *_, file in videos] == ["seed_3"]
-    assert [file.stem for file in others] == ["other", "seed_1"]
+    assert [file.stem for file in others] == ["seed_1"]
     result = score_track(driven(SLIDE.id, 1.7), SLIDE)
     values = np.array([1.0, 2.0, 3.0, 4.0])
     seeds = [
@@ -335,7 +293,7 @@ def test_seeds_have_a_mean_with_its_interval_and_a_share_of_sound_tracks(tmp_pat
         for a in (*values, 90.0)
     ]
     seeds[-1] = replace(seeds[-1], is_sound=False)
-    clips = [("mine", SLIDE.id, Path(), seed) for seed in (*seeds, None)]
+    clips = [("wan22", SLIDE.id, Path(), seed) for seed in (*seeds, None)]
     table = results_table(clips)
     rows = csv.DictReader(table_csv(table).splitlines())
     row = next(row for row in rows if row["metric"] == "acceleration [m/s^2]")
@@ -349,4 +307,4 @@ def test_seeds_have_a_mean_with_its_interval_and_a_share_of_sound_tracks(tmp_pat
     assert first.startswith(r"\begin{tabular}") and last == r"\end{tabular}"
     assert line.count(" & ") == len(table.columns) - 1 and line.endswith(r" \\")
     assert r"95 \% from" in first_row
-    assert summary_table(table).rows[0]["mine"] == pytest.approx(result.metrics["a"])
+    assert summary_table(table).rows[0]["wan22"] == pytest.approx(result.metrics["a"])
