@@ -35,8 +35,8 @@ from gauge_envs.tools.video.track import read_track, save_track
 
 def list_video_tasks(patterns: Sequence[str]) -> list[Table]:
     """Return the table of the tasks: what moves, how large it is, and the results of real trials."""
-    tables = [report.task_table(video_tasks())]
-    return arguments.matching(tables, patterns, kind="video task")
+    table = report.task_table(video_tasks())
+    return arguments.matching([table], patterns, kind="video task")
 
 
 def video_prompts(

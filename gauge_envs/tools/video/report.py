@@ -47,8 +47,8 @@ TITLES = {
 """Titles of metrics and columns by name."""
 
 VERDICT_NOTE = (
-    "On renderers that the rules had not met, about one in ten tracks that were followed and called sound was wrong "
-    "(77 of 665): look at what was followed."
+    "On renderers that the rules had not met, about one in ten sound tracks was wrong (77 of 665): look at what was "
+    "followed."
 )
 """Reliability of the verdict of a track."""
 
@@ -102,16 +102,15 @@ def task_table(tasks: Iterable[VideoTask]) -> Table:
     for task in tasks:
         law = [f"{TITLES[name]} {value:g}" for name, value in task.law.items()]
         real = [f"{TITLES[name]} {_real_text(task, name)}" for name in task.real]
-        rows.append(
-            {
-                "task": task.id,
-                "motion": task.motion.value,
-                "size_mm": 1000.0 * task.size_m,
-                "size_px": task.size_px,
-                "law": ", ".join(law),
-                "real": ", ".join(real),
-            }
-        )
+        row = {
+            "task": task.id,
+            "motion": task.motion.value,
+            "size_mm": 1000.0 * task.size_m,
+            "size_px": task.size_px,
+            "law": ", ".join(law),
+            "real": ", ".join(real),
+        }
+        rows.append(row)
     return _table(rows)
 
 
@@ -131,19 +130,19 @@ def score_document(result: VideoScore, task: VideoTask) -> Document:
     """
     rows = []
     for name, value in result.metrics.items():
-        interval = result.uncertainty[name]
         if value is not None:
-            rows.append(
-                {
-                    "metric": TITLES[name],
-                    "video": value,
-                    "interval": interval and "{:.4g} to {:.4g}".format(*interval),
-                    "law": task.law.get(name),
-                    "real": _real_text(task, name),
-                }
-            )
+            interval = result.uncertainty[name]
+            row = {
+                "metric": TITLES[name],
+                "video": value,
+                "interval": interval and "{:.4g} to {:.4g}".format(*interval),
+                "law": task.law.get(name),
+                "real": _real_text(task, name),
+            }
+            rows.append(row)
     scale = f"{1000.0 * result.scale_m_per_px:.3f} mm a pixel"
-    notes = [VERDICT_NOTE] if result.is_sound else []
+    is_given = any(event.kind == "given" for event in result.track.events)
+    notes = [VERDICT_NOTE] if result.is_sound and not is_given else []
     parts: list[Part] = [
         Paragraph(f"{result.video}, {result.task}: {verdict(result)}; {scale}")
     ]

@@ -246,11 +246,11 @@ def measure(
         raise ParameterError(
             f"{len(rows)} frames are too few: the fit needs {min_count}"
         )
+    if task.direction is not None:
+        return _straight_metrics(track, task, rows)
     whole = track.in_whole_px()
     times_s = track.times_s[rows]
     places_m = whole.points_px[rows] * task.scale_m_per_px
-    if task.direction is not None:
-        return _straight_metrics(track, task, rows)
     if task.motion is Motion.TURN:
         away_m = np.linalg.norm(places_m - places_m[0], axis=1)
         de_n = laws.dynamic_error(

@@ -8,7 +8,6 @@ calibrated friction, and g. This package calls it the `law` of a task. Real tria
 """
 
 import csv
-import math
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
@@ -30,9 +29,6 @@ REFERENCE_SIZE_PX = (832, 480)
 PLATE_RADIUS_PX = 225.5
 """Radius of the turntable in the first frames, with its rim [px]."""
 
-SLOPE_DIRECTION = (-math.cos(math.radians(31.6)), math.sin(math.radians(31.6)))
-"""Direction down the board in the first frames of the slope slider: its long edges lie at 31.4 to 31.8 degrees."""
-
 
 class Motion(StrEnum):
     """Kind of motion of a task, which decides the law and how the object is followed."""
@@ -47,10 +43,6 @@ class Motion(StrEnum):
     """A row of hanging balls transfers the momentum of the first ball to the last."""
     PENDULUM = "pendulum"
     """A ball on a rod swings, damped."""
-
-
-DIRECTIONS = {Motion.SLIDE: SLOPE_DIRECTION, Motion.FALL: (0.0, 1.0)}
-"""Directions of straight motions in the first frames."""
 
 
 class Measured(NamedTuple):
@@ -159,8 +151,6 @@ def video_tasks() -> tuple[VideoTask, ...]:
     """Return all tasks, in the order of the published table."""
     file = files("gauge_envs.tools.video") / "tasks.toml"
     entries = toml_document(file.read_bytes())["task"]
-    for entry in entries:
-        entry["direction"] = DIRECTIONS.get(entry["motion"])
     return TypeAdapter(tuple[VideoTask, ...]).validate_python(entries)
 
 

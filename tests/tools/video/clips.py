@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -34,13 +34,10 @@ class Clip:
     truth: dict[str, float]
 
 
-def clip(
-    name, rng, *, fps=30.0, noise=3.0, quality=80, calibration_sigma=0.0, growth=0.0
-):
+def clip(name, rng, *, fps=30.0, noise=3.0, quality=80, calibration_sigma=0.0):
     """Return a clip of a task with random constants, a release between two frames, and the truth.
 
-    With `calibration_sigma`, the true size of a pixel differs from the stated one by a random share of that size. With
-    `growth`, the object is larger by that share at the end.
+    With `calibration_sigma`, the true size of a pixel differs from the stated one by a random share of that size.
     """
     task = video_task(name)
     place, truth, duration_s = motion_on_grid(task, rng)
@@ -58,9 +55,7 @@ def clip(
         for part in range(EXPOSURES):
             time_s = (number + (part - 0.5 * (EXPOSURES - 1)) / EXPOSURES * 0.5) / fps
             picture = scene.copy()
-            grown = 1.0 + growth * max(time_s, 0.0) / duration_s
-            larger = replace(task, size_px=grown * task.size_px)
-            _draw(larger, picture, *place(time_s))
+            _draw(task, picture, *place(time_s))
             exposed += picture
         # One sheet of grain is shifted from frame to frame, which is cheaper than a new one.
         grain = np.roll(sheet, rng.integers(0, 400, 2), axis=(0, 1))

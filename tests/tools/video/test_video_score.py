@@ -63,7 +63,7 @@ def check_metrics(metrics, truth):
         (PENDULUM.id, "pd", -1.0, 104),
     ],
 )
-def test_the_interval_of_a_film_contains_the_truth_and_planted_faults_are_named(
+def test_the_interval_of_a_film_contains_the_truth_and_a_wrong_rate_is_named(
     task, metric, power, seed
 ):
     film = clip(task, np.random.default_rng(seed), fps=20.0)
@@ -75,9 +75,6 @@ def test_the_interval_of_a_film_contains_the_truth_and_planted_faults_are_named(
     fast = score(film.frames, 2.0 * film.fps, task)
     assert fast.metrics[metric] == pytest.approx(2.0**power * truth, rel=0.02)
     assert any("the frame rate may be wrong" in text for text in fast.findings)
-    grown = clip(task, np.random.default_rng(seed), fps=20.0, growth=0.4)
-    reasons = score(grown.frames, grown.fps, task).reasons
-    assert any("changes its shape" in reason for reason in reasons)
 
 
 @pytest.mark.slow
@@ -154,9 +151,6 @@ def test_an_object_that_rests_has_a_track_and_no_physics(task):
     ("field", "later", "words"),
     [
         ("size_ratio", 1.4, "its size by up to +40% in frames 15 to"),
-        ("misfit", 0.5, "its shape by up to 50% in frames 15 to"),
-        ("tint", 14.0, "its colour by up to 14 levels of 255 in frames 15 to"),
-        ("confidence", 0.25, "another look in frames 15 to"),
         ("other_likeness", 0.9, "a second object of the same shape and colour"),
     ],
 )
