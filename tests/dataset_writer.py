@@ -81,9 +81,6 @@ def body_asset(positions_mm, rotations=None):
     rotations = rotations or Rotation.identity(len(positions_mm))
     columns = [*zip("xyz", np.asarray(positions_mm).T, strict=True)]
     columns += zip(("qx", "qy", "qz", "qw"), rotations.as_quat().T, strict=True)
-    columns += zip(
-        ("ex", "ey", "ez"), rotations.as_rotvec(degrees=True).T, strict=True
-    )  # never read
     return {key: values.tolist() for key, values in columns}
 
 

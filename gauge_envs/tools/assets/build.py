@@ -5,7 +5,7 @@ copy of a USD layer or of an MJCF file can be the scene of an experiment (`exper
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,21 +13,22 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
-from gauge_envs.files import data_folder, os_errors, write_texts
+from gauge_envs.files import data_folder
+from gauge_envs.pages.document import save_file
 from gauge_envs.scene import (
     Box,
-    Compound,
+    Cloth,
     ConvexUnion,
     Cylinder,
+    Deformable,
     Plane,
+    RigidBody,
     Rod,
     Rope,
-    Scene,
     Shape,
-    SoftBody,
     Sphere,
 )
 from gauge_envs.scene.geometry import FloatArray
@@ -55,15 +56,22 @@ def assets_folder() -> Path:
     return data_folder("tasks").parent / "assets"
 
 
-def asset_texts() -> Iterator[tuple[str, str]]:
-    """Yield the path below the assets folder and the text of every generated file, by folder in alphabetical order."""
-    experiments = [load_experiment(variant) for variant in variants()]
-    for experiment in experiments:
+def asset_texts(
+    advance: Callable[[str], None] = lambda name: None,
+) -> Iterator[tuple[str, str]]:
+    """Yield the path below the assets folder and the text of every generated file.
+
+    Args:
+        advance: Function that is called with the name of each experiment and solid after its files.
+    """
+    for variant in variants():
+        experiment = load_experiment(variant)
         yield f"mjcf/{experiment.name}.xml", mjcf_text(experiment)
+        yield f"usd/{experiment.name}.usda", usd_layer_text(experiment)
+        advance(experiment.name)
     for name, (shape, _) in solid_shapes().items():
         yield f"obj/{name}.obj", shape_to_obj(shape, name)
-    for experiment in experiments:
-        yield f"usd/{experiment.name}.usda", usd_layer_text(experiment)
+        advance(name)
 
 
 def build_assets(
@@ -81,14 +89,9 @@ def build_assets(
     Raises:
         ResultFileError: The folder cannot be written.
     """
-    with os_errors(
-        lambda cause: ResultFileError(
-            f"{folder}: assets cannot be written there: {cause}"
-        )
-    ):
-        written = write_texts(folder, texts or asset_texts())
-        for path in set(_generated(folder)) - set(written):
-            path.unlink()
+    written = [save_file(folder / name, text) for name, text in texts or asset_texts()]
+    for path in set(_generated(folder)) - set(written):
+        path.unlink()
     return written
 
 
@@ -163,30 +166,30 @@ def solid_shapes() -> dict[str, tuple[Shape, list[str]]]:
     bodies_of: dict[Shape, list[str]] = {}
     for variant in variants():
         experiment = load_experiment(variant)
-        for name, shape in _solids(experiment.scene):
-            # Counted bodies share one entry of the task file.
-            is_counted = name not in experiment.spec.names
-            label = name.rpartition("-")[0] if is_counted else name
-            bodies_of.setdefault(shape, []).append(f"{variant.family}/{label}")
-    solids: dict[str, tuple[Shape, list[str]]] = {}
-    for shape, bodies in bodies_of.items():
-        title = _shape_name(shape) or bodies[0].partition("/")[2]
-        if title in solids:
-            title = bodies[0].replace("/", "-")
-        solids[title] = shape, [*dict.fromkeys(bodies)]
+        scene = experiment.scene
+        for body in (*scene.bodies, *scene.deformables):
+            if (shape := _solid(body)) is not None:
+                # Counted bodies share one entry of the task file.
+                is_counted = body.name not in experiment.spec.names
+                label = body.name.rpartition("-")[0] if is_counted else body.name
+                bodies_of.setdefault(shape, []).append(f"{variant.family}/{label}")
+    solids = {
+        _shape_name(shape) or bodies[0].partition("/")[2]: (
+            shape,
+            [*dict.fromkeys(bodies)],
+        )
+        for shape, bodies in bodies_of.items()
+    }
     return dict(sorted(solids.items()))
 
 
-def _solids(scene: Scene) -> Iterator[tuple[str, Shape]]:
-    """Yield the name and the shape of each body that is a solid, ropes and rods as cylinders."""
-    for rigid in scene.bodies:
-        if not isinstance(rigid.shape, Plane):
-            yield rigid.name, rigid.shape
-    for body in scene.deformables:
-        if isinstance(body, SoftBody):
-            yield body.name, body.shape
-        elif isinstance(body, Rope | Rod):
-            yield body.name, Cylinder(radius_m=body.radius_m, length_m=body.length_m)
+def _solid(body: RigidBody | Deformable) -> Shape | None:
+    """Return the shape of a solid, ropes and rods as cylinders; None for a plane and for cloth."""
+    if isinstance(body, Rope | Rod):
+        return Cylinder(radius_m=body.radius_m, length_m=body.length_m)
+    if isinstance(body, Cloth) or isinstance(body.shape, Plane):
+        return None
+    return body.shape
 
 
 def _shape_name(shape: Shape) -> str:
@@ -242,25 +245,24 @@ def _pieces(shape: Shape) -> tuple[list[Polyhedron], str]:
             radius_m = (shape.volume_m3 / sphere.volume) ** (1.0 / 3.0)
             points_m = np.asarray(sphere.vertices) * radius_m
             faces = [tuple(face) for face in sphere.faces.tolist()]
-            return [(points_m, faces)], _note("sphere", shape.radius_m, radius_m)
         case Cylinder():
             # A regular n-gon has the area (n / 2) r^2 sin(2 pi / n).
             angle = 2.0 * np.pi / CYLINDER_SIDES
             radius_m = shape.radius_m * math.sqrt(angle / math.sin(angle))
             angles = angle * np.arange(CYLINDER_SIDES)
             circle_m = radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
-            ends = [
-                np.insert(circle_m, 2, sign * shape.length_m, axis=1)
-                for sign in (-0.5, 0.5)
+            ends_m = [
+                np.insert(circle_m, 2, z_m, axis=1)
+                for z_m in (-0.5 * shape.length_m, 0.5 * shape.length_m)
             ]
-            points_m = np.concatenate(ends)
-            note = _note("cylinder", shape.radius_m, radius_m)
-            return [(points_m, hull_faces(points_m))], note
-        case Compound():
-            raise ParameterError("a compound of solids has no OBJ file")
-    raise ParameterError("a plane, which is not a solid, has no OBJ file")
-
-
-def _note(kind: str, radius_m: float, vertex_radius_m: float) -> str:
-    share = vertex_radius_m / radius_m
-    return f"; {kind} of radius {radius_m!r} m, vertices at {share:.5f} of it"
+            points_m = np.concatenate(ends_m)
+            faces = hull_faces(points_m)
+        case _:
+            kind = type(shape).__name__.lower()
+            raise ParameterError(
+                f"a {kind} is not one closed solid and has no OBJ file"
+            )
+    kind = type(shape).__name__.lower()
+    share = radius_m / shape.radius_m
+    note = f"; {kind} of radius {shape.radius_m!r} m, vertices at {share:.5f} of it"
+    return [(points_m, faces)], note

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypedDict
 
@@ -13,7 +13,7 @@ from gauge_envs.cli.output import Progress, echo, message
 from gauge_envs.errors import first_names
 
 if TYPE_CHECKING:
-    from gauge_envs.pages.table import Table
+    from gauge_envs.pages.document import Part
 
 
 class SceneLine(TypedDict):
@@ -50,26 +50,29 @@ def data_scenes(
 
     folder = out or build.assets_folder()
     with Progress("files", None) as progress:
-
-        def texts() -> Iterator[tuple[str, str]]:
-            for name, text in build.asset_texts():
-                progress.advance(name)
-                yield name, text
-
-        stale = build.stale_asset(folder, texts()) if check else None
-        written = [] if check else build.build_assets(folder, texts())
+        texts = build.asset_texts(progress.advance)
+        if check:
+            stale = build.stale_asset(folder, texts)
+        else:
+            written = build.build_assets(folder, texts)
+    if not check:
+        echo(f"{counted(len(written), 'file')} in {folder}")
+        return False
     if stale:
         message(f"{stale}; gauge data scenes renews it", "stale")
-    elif check:
-        echo(f"{folder} is current")
     else:
-        echo(f"{counted(len(written), 'file')} in {folder}")
+        echo(f"{folder} is current")
     return stale is not None
 
 
-def list_scenes(patterns: Sequence[str]) -> list[Table]:
-    """Return the table of the built files and the experiments that they show."""
-    from gauge_envs.pages.table import Column, Table
+def list_scenes(patterns: Sequence[str]) -> list[Part]:
+    """Return the table of the built files and the experiments that they show.
+
+    Without patterns, a terminal shows the number and size of the files of each family instead.
+    """
+    from gauge_envs.pages.document import Paragraph
+    from gauge_envs.pages.table import Column, Facts, Table
+    from gauge_envs.pages.text import counted
     from gauge_envs.tools.assets.build import asset_rows, assets_folder
 
     columns = (
@@ -77,8 +80,21 @@ def list_scenes(patterns: Sequence[str]) -> list[Table]:
         Column("bytes", "KiB", lambda size: f"{size / 1024:.1f}", is_number=True),
         Column("of", "of", lambda names: first_names(names.split(", "), 1)),
     )
-    table = Table(columns=columns, rows=asset_rows(assets_folder()))
-    return arguments.matching([table], patterns, kind="scene")
+    folder = assets_folder()
+    table = Table(columns=columns, rows=asset_rows(folder), wide_only=not patterns)
+    if patterns:
+        return [*arguments.matching([table], patterns, kind="scene")]
+    sizes: dict[str, list[int]] = {}
+    for row in table.rows:
+        kind, _, name = row["file"].partition("/")
+        family = "obj" if kind == "obj" else name.partition("-")[0]
+        sizes.setdefault(family, []).append(row["bytes"])
+    totals = {
+        family: f"{len(files):3} files {sum(files) / 1024:8.1f} KiB"
+        for family, files in sizes.items()
+    }
+    note = f"{counted(len(table.rows), 'file')} in {folder}; a pattern as 'usd/Funnel*' lists them"
+    return [Facts(totals), Paragraph(note), table]
 
 
 def data_isaac_sim(
@@ -93,21 +109,22 @@ def data_isaac_sim(
 
     examples/isaac_sim/run_layer.py runs them.
     """
+    from gauge_envs.errors import ParameterError
     from gauge_envs.experiments.resolve import load_experiment
     from gauge_envs.experiments.variants import matching_variants
-    from gauge_envs.tools.assets.isaac_sim import (
-        unsupported_reason,
-        write_isaac_sim_layer,
-    )
+    from gauge_envs.tools.assets.isaac_sim import write_isaac_sim_layer
 
-    experiments = [load_experiment(variant) for variant in matching_variants(pattern)]
-    reasons = {one.id: unsupported_reason(one.scene) for one in experiments}
-    supported = [one for one in experiments if reasons[one.id] is None]
-    # If all are unsupported, the first one raises its reason.
-    for experiment in supported or experiments[:1]:
-        path = out / f"{experiment.name}.usda"
-        write_isaac_sim_layer(experiment, path)
-        echo(path)
-    for name, reason in reasons.items():
-        if reason is not None:
-            message(f"{name} is left out: {reason}")
+    unsupported = []
+    variants = matching_variants(pattern)
+    for variant in variants:
+        path = out / f"{variant.name}.usda"
+        try:
+            write_isaac_sim_layer(load_experiment(variant), path)
+        except ParameterError as error:
+            unsupported.append(error)
+        else:
+            echo(path)
+    if len(unsupported) == len(variants):
+        raise unsupported[0]
+    for reason in unsupported:
+        message(reason, "left out")

@@ -5,11 +5,10 @@ from pathlib import Path
 
 from pxr import Usd
 
-from gauge_envs.errors import ResultFileError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import task_path
-from gauge_envs.files import os_errors
+from gauge_envs.pages.document import save_file
 from gauge_envs.tools.mjcf import scene_mjcf_text
 from gauge_envs.tools.usd import scene_stage
 
@@ -63,13 +62,7 @@ def write_mjcf(experiment: Experiment, path: Path) -> None:
     Custom numbers `<table>/<body>/...` hold the compiled tables of deformable bodies that MuJoCo cannot derive from
     XML. A comment at the top explains their use.
     """
-    text = mjcf_text(experiment)
-    with os_errors(
-        lambda cause: ResultFileError(
-            f"{path}: cannot be written: {cause}: choose another path"
-        )
-    ):
-        path.write_text(text, encoding="utf-8", newline="\n")
+    save_file(path, mjcf_text(experiment))
 
 
 def mjcf_text(experiment: Experiment) -> str:

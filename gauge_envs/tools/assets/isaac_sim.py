@@ -10,53 +10,38 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdPhysics, UsdShade, Vt
+from pxr import Sdf, Usd, UsdPhysics, UsdShade, Vt
 
 from gauge_envs.backends.shared.pair_values import (
     Combination,
-    Pair,
     body_values,
     pair_values,
 )
-from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.envs.rollout import LATER_FRAMES
+from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.files import os_errors
 from gauge_envs.observables.observer import material_points
+from gauge_envs.pages.document import save_file
 from gauge_envs.scene import Cloth, Deformable, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets.export import experiment_stage
-from gauge_envs.tools.usd import export_stage, record_follower
+from gauge_envs.tools.usd import record_follower
 
-RIGID_AND_CLOTH_HZ = 180
-"""Steps per second of rigid bodies and cloth (paper, section on physics engines)."""
-
-VOLUME_HZ = 900
-"""Steps per second of scenes with volumetric deformable bodies (paper, section on physics engines)."""
-
-LATER_FRAMES = 10
-"""Frames that are recorded after the last one; the release alignment of scores uses them."""
+CONSTANTS: tuple[Literal["friction"], Literal["restitution"]] = (
+    "friction",
+    "restitution",
+)
 
 Prims = Mapping[str, Usd.Prim]
 """Prims of the bodies, by the name of the body."""
 
 
 def steps_per_second(scene: Scene) -> int:
-    """Return the rate at which the paper steps a scene in Isaac Sim [1/s]."""
-    return VOLUME_HZ if scene.has(SoftBody) else RIGID_AND_CLOTH_HZ
-
-
-def unsupported_reason(scene: Scene) -> str | None:
-    """Return why Isaac Sim cannot simulate a scene, or None if it can."""
-    if scene.air is not None:
-        return "it has air, which Isaac Sim does not apply to cloth"
-    for body in scene.deformables:
-        if isinstance(body, Rope | Rod):
-            kind = type(body).__name__.lower()
-            return f"body {body.name!r} is a {kind}, and PhysX does not simulate deformable curves"
-    return None
+    """Return the rate at which the paper steps a scene in Isaac Sim [1/s] (section on physics engines)."""
+    return 900 if scene.has(SoftBody) else 180
 
 
 def write_isaac_sim_layer(experiment: Experiment, path: Path) -> None:
@@ -64,18 +49,15 @@ def write_isaac_sim_layer(experiment: Experiment, path: Path) -> None:
 
     Args:
         experiment: Variant with its parameters.
-        path: File to write; the suffix selects text (`.usda`) or binary (`.usdc`, `.usd`). Its folder is created.
+        path: File to write, in USD's text format. Its folder is created.
 
     Raises:
         ParameterError: Isaac Sim cannot simulate the scene.
         ResultFileError: The file cannot be written.
     """
+    # A layer exists as long as its stage.
     stage = isaac_sim_stage(experiment)
-    with os_errors(
-        lambda cause: ResultFileError(f"{path.parent}: cannot be created: {cause}")
-    ):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    export_stage(stage, path)
+    save_file(path, stage.GetRootLayer().ExportToString())
 
 
 def isaac_sim_stage(experiment: Experiment) -> Usd.Stage:
@@ -85,10 +67,14 @@ def isaac_sim_stage(experiment: Experiment) -> Usd.Stage:
         ParameterError: Isaac Sim cannot simulate the scene.
     """
     scene = experiment.scene
-    if (reason := unsupported_reason(scene)) is not None:
-        raise ParameterError(
-            f"{experiment.id}: {reason}. Choose an experiment without it, or another engine: gauge list backends"
-        )
+    if scene.air is not None:
+        reason = "it has air, which Isaac Sim does not apply to cloth"
+        raise ParameterError(f"{experiment.id}: {reason}: choose another engine")
+    for body in scene.deformables:
+        if isinstance(body, Rope | Rod):
+            kind = type(body).__name__.lower()
+            reason = f"body {body.name!r} is a {kind}, and PhysX does not simulate deformable curves"
+            raise ParameterError(f"{experiment.id}: {reason}: choose another engine")
     rate_hz = steps_per_second(scene)
     stage = experiment_stage(
         experiment,
@@ -125,9 +111,10 @@ def _write(prim: Usd.Prim, name: str, kind: str, value: Any) -> None:
     """Write an attribute of a type of USD, as `uint`; those of this package are custom."""
     type_name = Sdf.ValueTypeNames.Find(kind)
     is_custom = name.startswith("gauge:")
-    is_uniform = kind == "token"
-    variability = Sdf.VariabilityUniform if is_uniform else Sdf.VariabilityVarying
-    prim.CreateAttribute(name, type_name, is_custom, variability).Set(value)
+    attribute = prim.CreateAttribute(name, type_name, is_custom)
+    if kind == "token":
+        attribute.SetVariability(Sdf.VariabilityUniform)
+    attribute.Set(value)
 
 
 def _write_solver(stage: Usd.Stage, rate_hz: int, *, has_deformables: bool) -> None:
@@ -171,26 +158,26 @@ def _write_body_constants(stage: Usd.Stage, scene: Scene, prims: Prims) -> None:
 
     A layer binds each body to the material of its first contact. PhysX averages the materials of two bodies.
     """
-    friction = pair_values(scene, "friction")
-    restitution = pair_values(scene, "restitution")
     first = {
         name: contact
         for contact in reversed(scene.contacts)
         for name in (*contact.first, *contact.second)
     }
-    layer_friction = {name: contact.friction for name, contact in first.items()}
-    layer_restitution = {name: contact.restitution for name, contact in first.items()}
-    if _are_averages(friction, layer_friction) and _are_averages(
-        restitution, layer_restitution
+    pairs = [pair_values(scene, constant) for constant in CONSTANTS]
+    if all(
+        math.isclose(0.5 * sum(getattr(first[name], constant) for name in pair), value)
+        for constant, values in zip(CONSTANTS, pairs, strict=True)
+        for pair, value in values.items()
     ):
         return
-    friction_of = body_values(friction, Combination.MEAN)
-    restitution_of = body_values(restitution, Combination.MEAN)
+    friction_of, restitution_of = (
+        body_values(values, Combination.MEAN) for values in pairs
+    )
     deformables = [body.name for body in scene.deformables]
     materials: dict[tuple[float, float], str] = {}
-    for body in friction_of:
+    for body, friction in friction_of.items():
         # Differences in the last digits are those of the solution.
-        values = round(friction_of[body], 9), round(restitution_of[body], 9)
+        values = round(friction, 9), round(restitution_of[body], 9)
         binding = UsdShade.MaterialBindingAPI(prims[body])
         if body in deformables:
             material = binding.ComputeBoundMaterial("physics")[0]
@@ -211,28 +198,21 @@ def _write_body_constants(stage: Usd.Stage, scene: Scene, prims: Prims) -> None:
                 derived.AddTarget(material.GetPath())
 
 
-def _are_averages(pairs: Mapping[Pair, float], bodies: Mapping[str, float]) -> bool:
-    return all(
-        math.isclose(0.5 * (bodies[first] + bodies[second]), value)
-        for (first, second), value in pairs.items()
-    )
-
-
 def _write_coefficients(prim: Usd.Prim, friction: float, restitution: float) -> None:
     """Write contact constants of a body, which follow from those of its pairs."""
     physics = UsdPhysics.MaterialAPI.Apply(prim)
-    frictions = [
-        physics.CreateStaticFrictionAttr(),
-        physics.CreateDynamicFrictionAttr(),
+    values = [
+        (physics.CreateRestitutionAttr(), restitution),
+        (physics.CreateStaticFrictionAttr(), friction),
+        (physics.CreateDynamicFrictionAttr(), friction),
         # Materials of deformable bodies have them.
-        prim.GetAttribute("omniphysics:staticFriction"),
-        prim.GetAttribute("omniphysics:dynamicFriction"),
+        (prim.GetAttribute("omniphysics:staticFriction"), friction),
+        (prim.GetAttribute("omniphysics:dynamicFriction"), friction),
     ]
-    values = {physics.CreateRestitutionAttr(): restitution}
-    values |= {attribute: friction for attribute in frictions if attribute}
-    for attribute, value in values.items():
-        attribute.Set(value)
-        record_follower(attribute, "the constants in /World/Contacts")
+    for attribute, value in values:
+        if attribute:
+            attribute.Set(value)
+            record_follower(attribute, "the constants in /World/Contacts")
 
 
 def _write_material_points(stage: Usd.Stage, scene: Scene, prims: Prims) -> None:
@@ -249,7 +229,7 @@ def _write_material_points(stage: Usd.Stage, scene: Scene, prims: Prims) -> None
     positions_m = np.asarray(scene.markers.positions_m)
     indices, weights = material_points(positions_m, nodes_m, bodies)
     prim = stage.GetPrimAtPath("/World/Markers")
-    vertices = [Gf.Vec4i(*row) for row in indices.tolist()]
+    vertices = Vt.Vec4iArray.FromNumpy(indices.astype(np.int32))
     _write(prim, "gauge:isaac:nodes", "int4[]", vertices)
-    shares = [Gf.Vec4d(*row) for row in weights.tolist()]
+    shares = Vt.Vec4dArray.FromNumpy(weights)
     _write(prim, "gauge:isaac:weights", "double4[]", shares)

@@ -2,13 +2,12 @@
 
 - `download`: download the dataset.
 - `layout`: find the trial files of a dataset folder and the variant of each.
-- `forms`: bring a trial file of another form into that of the published ones.
 - `trial`: read and check one trial file.
 - `findings`: what is wrong with a file or folder.
 - `observation`: compute g(t) and the driver's coordinates of a trial, by the observers of simulations.
 - `statistics`: compute mean, scatter and distances of trials.
 - `importer`: import a dataset folder, one variant after another.
-- `words`: print imports, and the reference and drivers of each variant.
+- `report`: tables of imports, and of the reference and drivers of each variant.
 
 `gauge_envs.references.imported` stores and reads the imported bands and drivers.
 """

@@ -53,7 +53,8 @@ def data_download(
     revision = revision or download.PINNED_REVISION
     commit = download.resolved_revision(revision)
     message(f"{download.DATASET}, revision {revision} is {commit}")
-    folder = download.download_dataset(commit, out, patterns or [download.TRIAL_FILES])
+    patterns = patterns or [download.TRIAL_FILES]
+    folder = download.download_dataset(commit, out, patterns)
     echo(folder)
     message(f"gauge data import '{folder}' makes bands and drivers from it")
 
@@ -98,13 +99,13 @@ def data_import(
     from gauge_envs.tools.dataset.importer import import_trials
     from gauge_envs.tools.dataset.layout import find_trials
     from gauge_envs.tools.dataset.report import import_document
-    from gauge_envs.tools.dataset.trial import Stated
 
     layout = find_trials(folder, only=patterns or ["*"])
-    stated = Stated(unit=unit, rate_hz=rate_hz)
+    stated = {"translation unit": unit, "FPS": rate_hz}
     imports, findings = [], [*layout.findings]
-    with Progress("trials", layout.count) as progress:
-        for trials in import_trials(layout, stated=stated, advance=progress.advance):
+    with Progress("experiments", len(layout.files)) as progress:
+        for trials in import_trials(layout, stated=stated):
+            progress.advance(trials.variant.name)
             imports.append(trials)
             findings += trials.findings
             if form is Format.JSON:

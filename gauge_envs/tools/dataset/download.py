@@ -22,9 +22,7 @@ TRIAL_FILES = "data/*/json/*.json"
 SHORT_HASH = re.compile(r"[0-9a-f]{4,39}")
 
 
-def download_dataset(
-    commit: str, folder: Path | None = None, patterns: Sequence[str] = (TRIAL_FILES,)
-) -> Path:
+def download_dataset(commit: str, folder: Path | None, patterns: Sequence[str]) -> Path:
     """Download the dataset, or continue an interrupted download.
 
     Args:

@@ -42,10 +42,4 @@ class TrialError(Exception):
 
     def finding(self, file: str, *, left_out: bool) -> ImportFinding:
         """Return the problem as one of a file."""
-        return ImportFinding(
-            file=printable(file),
-            key=self.key,
-            problem=self.problem,
-            expected=self.expected,
-            left_out=left_out,
-        )
+        return ImportFinding(file=printable(file), left_out=left_out, **vars(self))

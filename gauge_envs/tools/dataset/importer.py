@@ -1,7 +1,7 @@
 """Import a dataset folder, one variant after another."""
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,7 @@ import numpy as np
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.files import json_ready, os_errors
-from gauge_envs.observables.kinds import Observable
+from gauge_envs.files import json_ready, os_errors, printable
 from gauge_envs.references.band import Band
 from gauge_envs.references.imported import (
     DriverRecord,
@@ -41,7 +40,7 @@ from gauge_envs.tools.dataset.statistics import (
     mean_and_sigma,
     rms_over_frames,
 )
-from gauge_envs.tools.dataset.trial import Stated, parse_trial
+from gauge_envs.tools.dataset.trial import parse_trial
 
 FLAGGED_DIFFERENCE = 0.05
 """Relative difference between imported and published baselines above which they are flagged."""
@@ -119,15 +118,13 @@ def baseline_lines(
 def import_trials(
     layout: Layout,
     *,
-    stated: Stated | None = None,
-    advance: Callable[[Path], None] | None = None,
+    stated: Mapping[str, Any] | None = None,
 ) -> Iterator[ImportedTrials]:
     """Import the trials of a dataset into the user's data folder; each variant is stored before it is yielded.
 
     Args:
         layout: Result of `find_trials`.
-        stated: Unit and rate of files that do not state them.
-        advance: Function that is called with each file after it was read.
+        stated: `translation unit` and `FPS` of files that do not state them.
 
     Returns:
         Iterator that imports one variant per step. Damaged trials are left out and listed in the findings.
@@ -142,7 +139,7 @@ def import_trials(
         trials: dict[str, _Sample] = {}
         findings: list[ImportFinding] = []
         for path in paths:
-            file = layout.relative(path)
+            file = printable(path.relative_to(layout.root).as_posix())
             try:
                 sample = _read(path, experiment, stated, file_of)
             except TrialError as error:
@@ -152,8 +149,6 @@ def import_trials(
                 trials[file] = sample
                 notes = (note.finding(file, left_out=False) for note in sample.notes)
                 findings += notes
-            if advance is not None:
-                advance(path)
         yield _imported(experiment, layout.revision, trials, findings)
 
 
@@ -164,7 +159,7 @@ class _Sample:
     Attributes:
         sha256: Hash of the file.
         trajectory: g(t), shape [frame_count, coordinate_count].
-        start_quaternions: Orientations in the first frames; None where markers are recorded.
+        start_quaternions: Orientations in the first frames; empty where markers are recorded.
         events: Values of event metrics; empty if a sample is missing.
         tracks: Motion of driven bodies.
         notes: Problems that leave the trial in the band.
@@ -172,7 +167,7 @@ class _Sample:
 
     sha256: str
     trajectory: FloatArray
-    start_quaternions: FloatArray | None
+    start_quaternions: FloatArray
     events: Mapping[str, float]
     tracks: Sequence[DriverTrack]
     notes: Sequence[TrialError]
@@ -181,7 +176,7 @@ class _Sample:
 def _read(
     path: Path,
     experiment: Experiment,
-    stated: Stated | None,
+    stated: Mapping[str, Any] | None,
     file_of: Mapping[str, str],
 ) -> _Sample:
     """Return what an import uses of a trial file.
@@ -189,7 +184,7 @@ def _read(
     Args:
         path: The file.
         experiment: Experiment of the trial.
-        stated: Unit and rate of files that do not state them.
+        stated: `translation unit` and `FPS` of files that do not state them.
         file_of: Files that were read before, by the hash of their content.
 
     Raises:
@@ -207,19 +202,14 @@ def _read(
         raise TrialError("(file)", problem, "each trial counts once")
     trial = parse_trial(content, stated)
     trajectory = trial_trajectory(trial, experiment)
-    quaternions = None
-    if experiment.score.observable is Observable.POSITION:
+    quaternions = np.empty(0)
+    if experiment.recorded:
         quaternions = start_quaternions(trial, experiment)
-    notes: list[TrialError] = []
     events: Mapping[str, float] = {}
-    is_missing = np.isnan(trajectory).any(axis=1)
-    if not is_missing.any():
+    if np.isfinite(trajectory).all():
         events = event_values(experiment, trajectory)
-    elif any(METRICS[metric].is_event for metric in experiment.score.metrics):
-        expected = "period and pauses need all samples; the band does not"
-        place = f"[{is_missing.argmax()}]"
-        notes.append(TrialError(place, "a sample is missing", expected))
     tracks: Sequence[DriverTrack] = []
+    notes = []
     try:
         tracks = driver_tracks(trial, experiment)
     except TrialError as error:
@@ -256,10 +246,11 @@ def _imported(
             )
             source = facts.origin(len(trials))
             band = _band(experiment, trajectories, mean, sigma, source)
-            quaternions = [sample.start_quaternions for sample in trials.values()]
-            known = [starts for starts in quaternions if starts is not None]
-            starts = np.stack(known) if known else None
-            write_imported(band, driver_values, facts, starts)
+            quaternions = None
+            if experiment.recorded:
+                starts = [sample.start_quaternions for sample in trials.values()]
+                quaternions = np.stack(starts)
+            write_imported(band, driver_values, facts, quaternions)
     if facts is None:
         problem = f"{len(trials)} of its trials can be used"
         expected = f"{MIN_TRIALS} or more with common frames are needed"
@@ -290,12 +281,11 @@ def _spreads(
     for metric in events[0] if events else ():
         values[metric] = np.array([event[metric] for event in events])
     unit = experiment.score.observable.unit
-    spreads = {}
-    for metric, numbers in values.items():
-        spread = SpreadRecord.of(numbers, METRICS[metric].unit_of(unit))
-        if spread is not None:
-            spreads[metric] = spread
-    return spreads
+    spreads = {
+        metric: SpreadRecord.of(numbers, METRICS[metric].unit_of(unit))
+        for metric, numbers in values.items()
+    }
+    return {metric: spread for metric, spread in spreads.items() if spread is not None}
 
 
 def _band(
@@ -354,24 +344,20 @@ def _driver_record(
 ) -> DriverRecord:
     scatter = np.nan_to_num(sigma).max(axis=0)
     is_length = np.array([motion.kind == "translate" for motion in driver.motions])
+    lengths_mm, angles_deg = 1e3 * scatter[is_length], np.degrees(scatter[~is_length])
     residual_mm = np.concatenate([track.residual_mm for track in tracks])
     residual_rad = np.concatenate([track.residual_rad for track in tracks])
+    residual_deg = np.degrees(residual_rad)
     return DriverRecord(
         body=driver.body,
         trial_count=len(tracks),
-        residual_mm=_rms(residual_mm) or 0.0,
-        residual_deg=_rms(np.degrees(residual_rad)),
+        residual_mm=_rms(residual_mm),
+        residual_deg=_rms(residual_deg) if residual_deg.size else None,
         start_offset_mm=float(np.mean([track.start_offset_mm for track in tracks])),
-        scatter_mm=_largest(1e3 * scatter[is_length]),
-        scatter_deg=_largest(np.degrees(scatter[~is_length])),
+        scatter_mm=lengths_mm.max() if lengths_mm.size else None,
+        scatter_deg=angles_deg.max() if angles_deg.size else None,
     )
 
 
-def _rms(values: FloatArray) -> float | None:
-    """Return the root mean square of known values; None without any."""
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.square(known).mean())) if known.size else None
-
-
-def _largest(values: FloatArray) -> float | None:
-    return float(values.max()) if values.size else None
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.square(values).mean()))

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.errors import ShapeError, first_names
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import observe_markers
 from gauge_envs.references.imported import START_FRAMES
 from gauge_envs.references.published import published_baselines
-from gauge_envs.scene import Pose
+from gauge_envs.scene import Markers, Pose
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.bench.driver_fit import motion_coordinates
@@ -32,9 +28,6 @@ AXES_TOLERANCE_MM = 30.0
 """Distance from the calibrated start above which axes may be exchanged; exchanged back, it must be a quarter of it.
 Real starts are within 20 mm."""
 
-SWAPPED_MARKERS_MM = 10.0
-"""Distance from their places at which markers may be swapped; exchanged places must be half as far."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DriverTrack:
@@ -44,9 +37,9 @@ class DriverTrack:
         body: Name of the body.
         coordinates: Coordinates relative to the trial's own start [m or rad], shape [frame_count, motion_count]; NaN
             where the body was not captured.
-        residual_mm: Distance between the recorded origin and that of the coordinates [mm], shape [frame_count].
-        residual_rad: Angle of the recorded rotation that the coordinates do not cover [rad], shape [frame_count]; NaN
-            for a file without orientation.
+        residual_mm: Distance between the recorded origin and that of the coordinates [mm], shape [captured_count].
+        residual_rad: Angle of the recorded rotation that the coordinates do not cover [rad], shape [captured_count];
+            empty for a file without orientation.
         start_offset_mm: Distance of the trial's start from the calibrated start [mm].
     """
 
@@ -72,28 +65,23 @@ def trial_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
         TrialError: What is recorded is missing, damaged, or starts elsewhere; or the trial is too short.
     """
     markers = experiment.scene.markers
-    if experiment.score.observable is Observable.POSITION or markers is None:
-        tracks = {name: _pose_track(trial, name) for name in experiment.recorded}
+    if experiment.recorded or markers is None:
+        tracks = {name: trial.pose_track(name) for name in experiment.recorded}
         check_lengths({name: track.positions_mm for name, track in tracks.items()})
         for name, track in tracks.items():
             _check_start(name, track, experiment.scene.body(name).pose)
-        values = np.concatenate(
-            [track.positions_mm for track in tracks.values()], axis=1
-        )
+        values = np.hstack([track.positions_mm for track in tracks.values()])
     else:
-        markers_m = trial_markers_m(trial, experiment)
-        try:
-            values = observe_markers(markers_m, markers, experiment.score.observable)
-        except ShapeError as error:
-            expected = "markers as in the metadata are expected"
-            raise TrialError("markers", str(error), expected) from None
-    needed = experiment.frame_count if published_baselines(experiment.name) else 2
+        markers_m = trial_markers_m(trial, markers)
+        values = observe_markers(markers_m, markers, experiment.score.observable)
+    needed = START_FRAMES
+    if published_baselines(experiment.name):
+        needed = experiment.frame_count
     if len(values) < needed:
         problem = f"it has {len(values)} frames"
         raise TrialError("(file)", problem, f"{needed} or more are needed")
     frames = np.full((experiment.frame_count, values.shape[1]), np.nan)
-    count = min(len(values), experiment.frame_count)
-    frames[:count] = values[:count]
+    frames[: len(values)] = values[: experiment.frame_count]
     if np.isnan(frames).all():
         problem = "no frame of what is recorded was captured"
         raise TrialError("(file)", problem, "samples are expected")
@@ -106,13 +94,8 @@ def start_quaternions(trial: Trial, experiment: Experiment) -> FloatArray:
     Returns:
         Unit quaternions x y z w, body to world, shape [START_FRAMES, body_count, 4]; NaN where a trial has none.
     """
-    tracks = [_pose_track(trial, name) for name in experiment.recorded]
-    quaternions = np.full((START_FRAMES, len(tracks), 4), np.nan)
-    for index, track in enumerate(tracks):
-        if track.quaternions_xyzw is not None:
-            first = track.quaternions_xyzw[:START_FRAMES]
-            quaternions[: len(first), index] = first
-    return quaternions
+    tracks = [trial.pose_track(name) for name in experiment.recorded]
+    return np.stack([track.quaternions_xyzw[:START_FRAMES] for track in tracks], axis=1)
 
 
 def driver_tracks(trial: Trial, experiment: Experiment) -> tuple[DriverTrack, ...]:
@@ -122,50 +105,15 @@ def driver_tracks(trial: Trial, experiment: Experiment) -> tuple[DriverTrack, ..
         TrialError: A driven body is missing or damaged, starts elsewhere, or was not captured at first.
     """
     return tuple(
-        _driver_track(
-            driver,
-            _pose_track(trial, driver.body),
-            experiment.scene.body(driver.body).pose,
-            experiment.frame_count,
-        )
-        for driver in experiment.scene.drivers
+        _driver_track(driver, trial, experiment) for driver in experiment.scene.drivers
     )
 
 
-Asset = TypeVar("Asset")
-
-
-def _assets(
-    trial: Trial, assets: Mapping[str, Asset], names: Iterable[str]
-) -> dict[str, Asset]:
-    """Return the assets of some names, in any spelling, or raise the fault of one of them."""
-    plain = {_plain(name) for name in names}
-    for name, fault in trial.faults.items():
-        if _plain(name) in plain:
-            raise fault
-    return {name: asset for name, asset in assets.items() if _plain(name) in plain}
-
-
-def _plain(name: str) -> str:
-    return "".join(character for character in name.lower() if character.isalnum())
-
-
-def _pose_track(trial: Trial, name: str) -> PoseTrack:
-    tracks = _assets(trial, trial.poses, [name])
-    if not tracks:
-        raise TrialError(name, "the rigid body is missing", _contents(trial))
-    return next(iter(tracks.values()))
-
-
-def _contents(trial: Trial) -> str:
-    return f"the file has {first_names([*trial.poses, *trial.markers])}"
-
-
 def _check_start(name: str, track: PoseTrack, start: Pose) -> None:
-    positions_mm = track.positions_mm[~np.isnan(track.positions_mm).any(axis=1)]
-    if not len(positions_mm):
-        raise TrialError(name, "it was never captured", "samples are expected")
-    _check_place(name, positions_mm[0], 1e3 * np.asarray(start.position_m))
+    captured = np.flatnonzero(~np.isnan(track.positions_mm).any(axis=1))
+    if captured.size:
+        place_mm = track.positions_mm[captured[0]]
+        _check_place(name, place_mm, 1e3 * np.asarray(start.position_m))
 
 
 def _check_place(name: str, place_mm: FloatArray, start_mm: FloatArray) -> None:
@@ -186,7 +134,7 @@ def _check_place(name: str, place_mm: FloatArray, start_mm: FloatArray) -> None:
 # --- markers ---------------------------------------------------------------------------------------------------------
 
 
-def trial_markers_m(trial: Trial, experiment: Experiment) -> FloatArray:
+def trial_markers_m(trial: Trial, markers: Markers) -> FloatArray:
     """Return the marker positions of a trial in the order of the task file.
 
     Returns:
@@ -195,26 +143,16 @@ def trial_markers_m(trial: Trial, experiment: Experiment) -> FloatArray:
     Raises:
         TrialError: Markers are missing, damaged, or in another order.
     """
-    markers = experiment.scene.markers
-    if markers is None:
-        problem = "the experiment has no markers"
-        raise TrialError("(file)", problem, "its task file lists them")
-    sets = _assets(trial, trial.markers, [*markers.bodies, "markers"]) or trial.markers
-    if not sets:
-        raise TrialError("markers", "the marker set is missing", _contents(trial))
-    positions = {
-        marker: positions_mm
-        for marker_set in sets.values()
-        for marker, positions_mm in marker_set.items()
-    }
+    positions = trial.markers_mm(markers.bodies)
     count = len(markers.positions_m)
     if len(positions) != count:
         problem = f"it has {len(positions)} markers"
-        raise TrialError(", ".join(sets), problem, f"{count} are expected")
-    check_lengths({name: next(iter(sets[name].values())) for name in sets})
+        raise TrialError("markers", problem, f"{count} are expected")
     are_numbers = all(marker.isdecimal() for marker in positions)
     ids = sorted(positions, key=int if are_numbers else str)
     positions_mm = np.stack([positions[marker] for marker in ids], axis=1)
+    # A marker is captured in all three coordinates or not at all.
+    positions_mm[np.isnan(positions_mm).any(axis=2)] = np.nan
     _check_order(ids, positions_mm, 1e3 * np.asarray(markers.positions_m))
     return 1e-3 * positions_mm
 
@@ -222,7 +160,7 @@ def trial_markers_m(trial: Trial, experiment: Experiment) -> FloatArray:
 def _check_order(
     ids: Sequence[str], positions_mm: FloatArray, rest_mm: FloatArray
 ) -> None:
-    """Raise an error if the markers start elsewhere, or in a clearly permuted order.
+    """Raise an error if the markers start elsewhere, or each at the place of one marker, but in another order.
 
     Args:
         ids: Marker ids in the order of the metadata.
@@ -232,20 +170,16 @@ def _check_order(
     captured = np.asarray(~np.isnan(positions_mm).any(axis=2))
     seen = np.flatnonzero(captured.any(axis=0))
     if not seen.size:
-        raise TrialError(
-            "markers", "no marker was ever captured", "samples are expected"
-        )
+        return
     starts_mm = positions_mm[captured[:, seen].argmax(axis=0), seen]
     _check_place("markers", starts_mm.mean(axis=0), rest_mm[seen].mean(axis=0))
-    squares = cdist(starts_mm, rest_mm[seen], "sqeuclidean")
-    rows, places = linear_sum_assignment(squares)
-    given_mm = np.sqrt(np.diag(squares).mean())
-    best_mm = np.sqrt(squares[rows, places].mean())
-    if given_mm > SWAPPED_MARKERS_MM and best_mm < 0.5 * given_mm:
-        wrong = int(np.argmax(rows != places))
+    nearest = cdist(starts_mm, rest_mm[seen]).argmin(axis=1)
+    places = np.arange(seen.size)
+    if np.array_equal(np.sort(nearest), places) and (nearest != places).any():
+        wrong = int(np.argmax(nearest != places))
         raise TrialError(
             f"markers.{ids[seen[wrong]]}",
-            f"it starts where marker {seen[places[wrong]]} of the metadata is, not {seen[wrong]}",
+            f"it starts where marker {seen[nearest[wrong]]} of the metadata is, not {seen[wrong]}",
             "sorted ids are expected in the order of the metadata's markers",
         )
 
@@ -253,29 +187,26 @@ def _check_order(
 # --- drivers ---------------------------------------------------------------------------------------------------------
 
 
-def _driver_track(
-    driver: Driver, track: PoseTrack, start: Pose, frame_count: int
-) -> DriverTrack:
+def _driver_track(driver: Driver, trial: Trial, experiment: Experiment) -> DriverTrack:
     """Return the coordinates whose poses are nearest to the recorded ones, frame by frame."""
+    track = trial.pose_track(driver.body)
+    start = experiment.scene.body(driver.body).pose
+    frame_count = experiment.frame_count
     _check_start(driver.body, track, start)
     positions_m = 1e-3 * track.positions_mm[:frame_count]
-    is_known = np.asarray(~np.isnan(positions_m).any(axis=1))
-    has_rotation = track.quaternions_xyzw is not None
-    if track.quaternions_xyzw is not None:
-        quaternions = track.quaternions_xyzw[:frame_count]
-        is_known &= ~np.isnan(quaternions).any(axis=1)
-    elif any(motion.kind == "rotate" for motion in driver.motions):
+    quaternions = track.quaternions_xyzw[:frame_count]
+    has_rotation = bool(np.isfinite(quaternions).any())
+    if not has_rotation and any(motion.kind == "rotate" for motion in driver.motions):
         expected = "a driver that rotates needs qx, qy, qz and qw"
         raise TrialError(f"{driver.body}.qx", "it is missing", expected)
-    if not is_known[0]:
+    samples = np.hstack([positions_m, quaternions]) if has_rotation else positions_m
+    known = np.flatnonzero(np.isfinite(samples).all(axis=1))
+    if 0 not in known:
         expected = "the motion of a driver is measured from frame 0"
         raise TrialError(f"{driver.body}[0]", "frame 0 was not captured", expected)
-    known = np.flatnonzero(is_known)
-    rotations = (
-        Rotation.from_quat(quaternions[known])
-        if has_rotation
-        else Rotation.identity(len(known))
-    )
+    rotations = Rotation.identity(len(known))
+    if has_rotation:
+        rotations = Rotation.from_quat(quaternions[known])
     # The axis of a motion belongs to the body, so it is shifted by the offset of the trial's start.
     offset_m = positions_m[0] - start.position_m
     motions = [
@@ -286,16 +217,11 @@ def _driver_track(
         motions, positions_m[0], positions_m[known], rotations * rotations[0].inv()
     )
     coordinates = np.full((frame_count, len(motions)), np.nan)
-    residual_mm = np.full(frame_count, np.nan)
-    residual_rad = np.full(frame_count, np.nan)
     coordinates[known] = values
-    residual_mm[known] = 1e3 * missed_m
-    if has_rotation:
-        residual_rad[known] = missed_rad
     return DriverTrack(
         body=driver.body,
         coordinates=coordinates,
-        residual_mm=residual_mm,
-        residual_rad=residual_rad,
+        residual_mm=1e3 * missed_m,
+        residual_rad=missed_rad if has_rotation else np.empty(0),
         start_offset_mm=1e3 * length_of(offset_m),
     )

@@ -9,7 +9,13 @@ from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Place, Table
-from gauge_envs.pages.text import METRIC_TITLES, counted, short_id, with_unit
+from gauge_envs.pages.text import (
+    METRIC_TITLES,
+    counted,
+    digits_text,
+    short_id,
+    with_unit,
+)
 from gauge_envs.references.band import load_band
 from gauge_envs.references.imported import load_imported
 from gauge_envs.references.published import published_baselines
@@ -26,6 +32,15 @@ STATUS_NOTE = "Baselines: mean (standard deviation) of the real trials, imported
 
 MAX_EXPERIMENTS = 8
 """Largest number of experiments of which an import shows all baselines."""
+
+DRIVER_QUALITY = (
+    ("residual", "mm"),
+    ("residual", "deg"),
+    ("start_offset", "mm"),
+    ("scatter", "mm"),
+    ("scatter", "deg"),
+)
+"""Quantities of imported drivers, and their units."""
 
 EXPERIMENT = Column("id", "experiment", short_id, place=Place.HEADING)
 
@@ -83,40 +98,32 @@ def _baselines_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def _drivers_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    def amount(driver: Mapping[str, Any], name: str) -> str:
-        values = {unit: driver.get(f"{name}_{unit}") for unit in ("mm", "deg")}
-        texts = [
-            f"{values[unit]:.2g} {unit}" for unit in values if values[unit] is not None
-        ]
-        return ", ".join(texts)
-
-    return Table(
-        title="Drivers",
-        columns=(
-            EXPERIMENT,
-            Column("body", "body"),
-            Column("trial_count", "trials", is_number=True),
-            Column("", "residual", lambda driver: amount(driver, "residual")),
-            Column("", "start offset", lambda driver: amount(driver, "start_offset")),
-            Column("", "scatter", lambda driver: amount(driver, "scatter")),
-        ),
-        rows=rows,
+    quality = (
+        Column(
+            f"{name}_{unit}",
+            name.replace("_", " "),
+            digits_text,
+            unit=unit,
+            is_number=True,
+        )
+        for name, unit in DRIVER_QUALITY
     )
+    columns = EXPERIMENT, Column("body", "body"), *quality
+    return Table(title="Drivers", columns=columns, rows=rows)
 
 
 def _imported_text(line: BaselineLine) -> str:
-    text = _spread(line["own_mean"], line["own_std"])
-    return text if text == "-" else with_unit(text, line["unit"])
+    return _spread(line["own_mean"], line["own_std"], line["unit"])
 
 
 def _published_text(line: BaselineLine) -> str:
-    return _spread(line["published_mean"], line["published_std"])
+    return _spread(line["published_mean"], line["published_std"], line["unit"])
 
 
-def _spread(mean: float | None, std: float | None) -> str:
+def _spread(mean: float | None, std: float | None, unit: str) -> str:
     if mean is None:
         return "-"
-    return f"{mean:.4g}" if std is None else f"{mean:.4g} ({std:.3g})"
+    return with_unit(f"{mean:.4g}" if std is None else f"{mean:.4g} ({std:.3g})", unit)
 
 
 def status_table(rows: Sequence[dict[str, Any]]) -> Table:
@@ -130,8 +137,7 @@ def status_table(rows: Sequence[dict[str, Any]]) -> Table:
 
     def baselines(lines: Sequence[BaselineLine]) -> str:
         return "; ".join(
-            f"{METRIC_TITLES[line['metric']]} imported {_spread(line['own_mean'], line['own_std'])}, "
-            f"published {_published_text(line)}"
+            f"{METRIC_TITLES[line['metric']]} imported {_imported_text(line)}, published {_published_text(line)}"
             for line in lines
         )
 

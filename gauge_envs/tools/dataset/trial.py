@@ -4,15 +4,16 @@ A trial is a JSON object with `FPS`, `translation unit` and one object per asset
 and usually `qx`, `qy`, `qz`, `qw`; `ex`, `ey`, `ez` are not used. A marker set has an object with `x`, `y`, `z` per
 marker id. Each list has one sample per frame; `null` or NaN is a sample that was not captured.
 
-Unit and rate are never inferred from the values. Where a file has none, the caller states them (`Stated`).
+Unit and rate are never inferred from the values. Where a file has none, the caller states them.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from gauge_envs.errors import first_names
 from gauge_envs.files import json_document
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -39,56 +40,94 @@ MAX_COORDINATE_MM = 1e5
 """Largest coordinate; the capture volume is a few metres wide."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Stated:
-    """What a user states for files that do not.
-
-    Attributes:
-        unit: `mm`, `cm` or `m`.
-        rate_hz: Frames in a second.
-    """
-
-    unit: str | None = None
-    rate_hz: float | None = None
-
-
 @dataclass(frozen=True, eq=False)
 class PoseTrack:
     """Motion of one rigid body.
 
     Attributes:
         positions_mm: Positions of the origin in the motion-capture frame [mm], shape [frame_count, 3]; NaN is missing.
-        quaternions_xyzw: Unit quaternions, body to world, shape [frame_count, 4]; None for a file without them.
+        quaternions_xyzw: Unit quaternions, body to world, shape [frame_count, 4]; NaN for a file without them.
     """
 
     positions_mm: FloatArray
-    quaternions_xyzw: FloatArray | None
+    quaternions_xyzw: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One trial file, checked. Assets may differ in their number of frames.
+    """One trial file; its assets are checked when they are read, and may differ in their number of frames.
 
     Attributes:
-        poses: Rigid bodies by name in the file.
-        markers: Marker sets by name in the file: marker id to positions [mm], shape [frame_count, 3].
-        faults: Errors of assets by name; the experiment decides whether an asset is needed.
+        assets: Objects of the file by name.
+        scale_mm: Millimetres in the file's unit of length.
     """
 
-    poses: Mapping[str, PoseTrack]
-    markers: Mapping[str, Mapping[str, FloatArray]]
-    faults: Mapping[str, TrialError]
+    assets: Mapping[str, Mapping[str, Any]]
+    scale_mm: float
+
+    def pose_track(self, body: str) -> PoseTrack:
+        """Return the motion of a rigid body.
+
+        Raises:
+            TrialError: The body is missing or damaged.
+        """
+        for name in self._named([body]):
+            asset = self.assets[name]
+            positions_mm = _positions_mm(name, asset, self.scale_mm)
+            if not any(key in asset for key in QUATERNION_KEYS):
+                unknown = np.full((len(positions_mm), 4), np.nan)
+                return PoseTrack(positions_mm, unknown)
+            quaternions = _table(name, asset, QUATERNION_KEYS)
+            check_lengths({f"{name}.x": positions_mm, f"{name}.qx": quaternions})
+            return PoseTrack(positions_mm, _unit_quaternions(name, quaternions))
+        raise TrialError(body, "the rigid body is missing", self._contents())
+
+    def markers_mm(self, bodies: Iterable[str]) -> dict[str, FloatArray]:
+        """Return the positions of markers [mm], shape [frame_count, 3] each, by their ids.
+
+        Args:
+            bodies: Names of bodies with markers; of a file without these sets, all sets count.
+
+        Raises:
+            TrialError: Markers are missing or damaged.
+        """
+        sets = [
+            name
+            for name, asset in self.assets.items()
+            if any(isinstance(entry, dict) for entry in asset.values())
+        ]
+        positions_mm = {}
+        for name in self._named([*bodies, "markers"]) or sets:
+            for marker, entry in self.assets[name].items():
+                place = f"{name}.{marker}"
+                positions_mm[marker] = _positions_mm(place, entry, self.scale_mm)
+        if not positions_mm:
+            raise TrialError("markers", "the marker set is missing", self._contents())
+        check_lengths(positions_mm)
+        return positions_mm
+
+    def _named(self, names: Iterable[str]) -> list[str]:
+        """Return the assets of some names, in any spelling."""
+        wanted = {_plain(name) for name in names}
+        return [name for name in self.assets if _plain(name) in wanted]
+
+    def _contents(self) -> str:
+        return f"the file has {first_names([*self.assets])}"
 
 
-def parse_trial(content: bytes, stated: Stated | None = None) -> Trial:
-    """Read and check one trial file.
+def _plain(name: str) -> str:
+    return "".join(character for character in name.lower() if character.isalnum())
+
+
+def parse_trial(content: bytes, stated: Mapping[str, Any] | None = None) -> Trial:
+    """Read one trial file, and check its rate and unit.
 
     Args:
         content: The file's bytes.
-        stated: Unit and rate of files that do not state them.
+        stated: `translation unit` and `FPS` of files that do not state them.
 
     Raises:
-        TrialError: The file is damaged, or of another rate or unit; errors of a single asset are its `faults`.
+        TrialError: The file is damaged, or of another rate or unit.
     """
     try:
         document = json_document(content)
@@ -97,76 +136,39 @@ def parse_trial(content: bytes, stated: Stated | None = None) -> Trial:
     except ValueError as error:
         expected = "a complete file of objects and lists is expected"
         raise TrialError("(file)", f"it is not JSON: {error}", expected) from None
-    scale_mm = _scale_mm(document, stated or Stated())
-    poses: dict[str, PoseTrack] = {}
-    markers: dict[str, Mapping[str, FloatArray]] = {}
-    faults: dict[str, TrialError] = {}
-    for name, asset in document.items():
-        if not isinstance(asset, dict):
-            continue
-        try:
-            if any(isinstance(entry, dict) for entry in asset.values()):
-                markers[name] = _marker_set(name, asset, scale_mm)
-            else:
-                poses[name] = _pose_track(name, asset, scale_mm)
-        except TrialError as error:
-            faults[name] = error
-    if not (poses or markers or faults):
-        expected = "an object such as 'cube' is expected"
-        raise TrialError("(file)", "it holds no asset", expected)
-    return Trial(poses=poses, markers=markers, faults=faults)
+    scale_mm = _scale_mm({**(stated or {}), **document})
+    assets = {
+        name: asset for name, asset in document.items() if isinstance(asset, dict)
+    }
+    return Trial(assets, scale_mm)
 
 
-def _scale_mm(document: Mapping[str, Any], stated: Stated) -> float:
+def _scale_mm(document: Mapping[str, Any]) -> float:
     """Check the rate of a file, and return the millimetres in its unit of length."""
-    rate_hz = document.get("FPS", stated.rate_hz)
-    unit = document.get("translation unit", stated.unit)
+    rate_hz, unit = document.get("FPS"), document.get("translation unit")
     if rate_hz != FRAME_RATE_HZ:
-        problem, expected = f"it is {rate_hz!r}", f"{FRAME_RATE_HZ:g} is expected"
-        if rate_hz is None:
-            problem = "it is missing"
-            expected += "; --rate 30 states that of files without one"
+        problem = f"it is {'missing' if rate_hz is None else repr(rate_hz)}"
+        expected = "30 is expected; --rate 30 states that of files without one"
         raise TrialError("FPS", problem, expected)
     scale_mm = MILLIMETRES.get(str(unit).lower().rstrip("s"))
     if scale_mm is None:
-        problem, expected = f"it is {unit!r}", "'mm' is expected, or 'cm' or 'm'"
-        if unit is None:
-            problem = "it is missing"
-            expected += "; --unit mm states that of files without one"
+        problem = f"it is {'missing' if unit is None else repr(unit)}"
+        expected = (
+            "'mm', 'cm' or 'm' is expected; --unit mm states that of files without one"
+        )
         raise TrialError("translation unit", problem, expected)
     return scale_mm
 
 
-def _pose_track(name: str, asset: Mapping[str, Any], scale_mm: float) -> PoseTrack:
-    positions_mm = _positions_mm(name, asset, scale_mm)
-    if not any(key in asset for key in QUATERNION_KEYS):
-        return PoseTrack(positions_mm, None)
-    quaternions = _table(name, asset, QUATERNION_KEYS)
-    check_lengths({f"{name}.x": positions_mm, f"{name}.qx": quaternions})
-    with np.errstate(over="ignore"):
-        norms = np.linalg.norm(quaternions, axis=1)
+def _unit_quaternions(name: str, quaternions: FloatArray) -> FloatArray:
+    """Return quaternions of norm 1; an error of a file's digits is removed."""
+    norms = np.linalg.norm(quaternions, axis=1)
     is_wrong = np.abs(norms - 1.0) > NORM_TOLERANCE
     if is_wrong.any():
         frame = int(is_wrong.argmax())
         problem = f"the quaternion's norm is {norms[frame]:.4g}"
         raise TrialError(f"{name}.q[{frame}]", problem, "1 is expected")
-    return PoseTrack(positions_mm, quaternions / norms[:, None])
-
-
-def _marker_set(
-    name: str, asset: Mapping[str, Any], scale_mm: float
-) -> dict[str, FloatArray]:
-    markers = {}
-    for marker, entry in asset.items():
-        key = f"{name}.{marker}"
-        if not isinstance(entry, dict):
-            problem = f"it is {entry!r:.40}"
-            raise TrialError(key, problem, "a marker is an object with x, y, z")
-        markers[marker] = _positions_mm(key, entry, scale_mm)
-        # A marker is captured in all three coordinates or not at all.
-        markers[marker][np.isnan(markers[marker]).any(axis=1)] = np.nan
-    check_lengths({f"{name}.{marker}": markers[marker] for marker in markers})
-    return markers
+    return quaternions / norms[:, None]
 
 
 def _positions_mm(key: str, asset: Mapping[str, Any], scale_mm: float) -> FloatArray:
@@ -186,7 +188,7 @@ def _table(name: str, asset: Mapping[str, Any], keys: Sequence[str]) -> FloatArr
     columns = {}
     for key in keys:
         place = f"{name}.{key}"
-        if key not in asset:
+        if not isinstance(asset, dict) or key not in asset:
             raise TrialError(place, "it is missing", f"an asset has {', '.join(keys)}")
         expected = "a list of numbers or null, one a frame, is expected"
         try:

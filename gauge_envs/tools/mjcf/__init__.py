@@ -1,6 +1,11 @@
 """MJCF files of scenes: read in place of a scene, and written for other tools."""
 
-from gauge_envs.tools.mjcf.drivers import DRIVER_COLUMNS, DRIVER_PREFIX
-from gauge_envs.tools.mjcf.writer import NUMBER, expanded, scene_mjcf_text
+from gauge_envs.tools.mjcf.writer import (
+    DRIVER_COLUMNS,
+    DRIVER_PREFIX,
+    NUMBER,
+    expanded,
+    scene_mjcf_text,
+)
 
 __all__ = ["DRIVER_COLUMNS", "DRIVER_PREFIX", "NUMBER", "expanded", "scene_mjcf_text"]

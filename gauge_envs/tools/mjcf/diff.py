@@ -5,7 +5,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 DOUBLE_TOLERANCE = 1e-9
 """Relative difference below which double-precision numbers are equal: machines differ in their last digits."""
@@ -16,17 +15,8 @@ SINGLE_TOLERANCE = 3e-7
 MAX_LISTED = 4
 """Largest number of changed objects that are listed individually."""
 
-OBJECT_TYPES = {
-    "body": mujoco.mjtObj.mjOBJ_BODY,
-    "jnt": mujoco.mjtObj.mjOBJ_JOINT,
-    "geom": mujoco.mjtObj.mjOBJ_GEOM,
-    "site": mujoco.mjtObj.mjOBJ_SITE,
-    "tendon": mujoco.mjtObj.mjOBJ_TENDON,
-    "eq": mujoco.mjtObj.mjOBJ_EQUALITY,
-    "flex": mujoco.mjtObj.mjOBJ_FLEX,
-    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
-}
-"""MuJoCo's type of the named objects, by the prefix of their arrays."""
+OBJECT_TYPES = {"jnt": "joint", "eq": "equality"}
+"""MuJoCo's type of the named objects, by the prefix of their arrays where it is another one."""
 
 FIELDS: Mapping[str, str] = {
     "body": "mass inertia ipos iquat pos quat gravcomp",
@@ -54,14 +44,9 @@ WITHOUT_EFFECT_ENDS = "_rgba _matid _group _user _castshadow"
 """Suffixes of the names of arrays that do not affect the motion."""
 
 
-def equal_numbers(values: Any, expected: Any) -> NDArray[np.bool_]:
-    """Return which numbers equal the expected ones up to rounding, with the shape of the numbers."""
-    return np.isclose(values, expected, rtol=DOUBLE_TOLERANCE, atol=1e-12)
-
-
 def is_same(values: Any, expected: Any) -> bool:
     """Return whether all numbers equal the expected ones up to rounding."""
-    return bool(equal_numbers(values, expected).all())
+    return np.allclose(values, expected, rtol=DOUBLE_TOLERANCE, atol=1e-12)
 
 
 def format_value(value: Any) -> str:
@@ -97,17 +82,17 @@ def _object_changes(
     shared = [name for name in built_rows if name in rows]
     for field in FIELDS[kind].split():
         array = f"{kind}_{field}"
-        values = getattr(model, array)[[rows[name] for name in shared]]
-        expected = getattr(built, array)[[built_rows[name] for name in shared]]
-        equal = equal_numbers(values, expected)
-        is_equal = equal.all(axis=tuple(range(1, equal.ndim)))
-        changed = np.flatnonzero(~is_equal)
+        values, expected = getattr(model, array), getattr(built, array)
+        changed = [
+            (name, expected[built_rows[name]], values[rows[name]])
+            for name in shared
+            if not is_same(values[rows[name]], expected[built_rows[name]])
+        ]
         listed = changed if len(changed) <= MAX_LISTED else changed[:1]
-        for index in listed:
-            more = f" and {len(changed) - 1} more" if len(listed) < len(changed) else ""
-            change = f"{format_value(expected[index])} -> {format_value(values[index])}"
-            ellipsis = ", ..." if more else ""
-            yield f"{shared[index]}{more}: {array} {change}{ellipsis}"
+        rest = f" and {len(changed) - 1} more" if len(listed) < len(changed) else ""
+        for name, old, new in listed:
+            change = f"{format_value(old)} -> {format_value(new)}"
+            yield f"{name}{rest}: {array} {change}{', ...' if rest else ''}"
 
 
 def rows_by_name(model: mujoco.MjModel, kind: str) -> dict[str, int]:
@@ -120,8 +105,9 @@ def rows_by_name(model: mujoco.MjModel, kind: str) -> dict[str, int]:
         ]
     else:
         count = len(getattr(model, f"{kind}_{FIELDS[kind].split()[0]}"))
+        number = mujoco.mju_str2Type(OBJECT_TYPES.get(kind, kind))
         names = [
-            mujoco.mj_id2name(model, OBJECT_TYPES[kind], index) or f"{kind} {index}"
+            mujoco.mj_id2name(model, number, index) or f"{kind} {index}"
             for index in range(count)
         ]
     return {name: index for index, name in enumerate(names)}

@@ -1,12 +1,12 @@
 """Reader of MJCF files that replace a scene.
 
-The file determines the time step, solver, masses, friction, poses, compiled tables and driven motion. It must contain
-the rigid bodies of the scene under their names, and a free joint of the same name for each driven body. The nodes of
-deformable bodies must be where the backend places them. `writer` writes such files. Custom numbers hold the data
-for which MJCF has no element:
+The file determines the time step, solver, masses, friction, poses and compiled tables. It must contain the rigid
+bodies of the scene under their names, and a free joint of the same name for each driven body. The nodes of deformable
+bodies must be where the backend places them. `writer` writes such files. Custom numbers hold the data for which MJCF
+has no element:
 
-- `driver/<body>`: rows of qpos (7), qvel (6) and xfrc_applied (6) to write before every 1/180 s. If the rows equal
-  those of the scene's driver, the driver stays; otherwise a sampled driver goes through their poses.
+- `driver/<body>`: rows of qpos (7), qvel (6) and xfrc_applied (6) to write before every 1/180 s. They must be those of
+  the scene's driver.
 - `flex_stiffness/<body>/kinds` and `/kind`: distinct rows of the table, and the index of the distinct row for each row.
 - `flex_bending/<body>/weight`: a factor on each row of the table.
 
@@ -31,8 +31,9 @@ from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import AssetError, ParameterError, first_names
-from gauge_envs.scene import Hinge, Motion, RigidBody, Scene
+from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
+from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.bench.model_settings import option_settings
 from gauge_envs.tools.mjcf.diff import (
@@ -41,7 +42,7 @@ from gauge_envs.tools.mjcf.diff import (
     model_changes,
     rows_by_name,
 )
-from gauge_envs.tools.mjcf.drivers import numerics, pose_of, read_driver
+from gauge_envs.tools.mjcf.writer import DRIVER_COLUMNS, DRIVER_PREFIX, driver_rows
 
 RECORDED_SETTINGS = (
     "timestep_s",
@@ -55,6 +56,12 @@ RECORDED_SETTINGS = (
 """Settings of a file that a result records."""
 
 MIN_TIMESTEP_S = 1e-7
+
+ROW_TOLERANCE = 1e-6
+"""Relative difference below which rows of driven motion are equal; accelerations are second differences of poses."""
+
+JOINT_TERMS = ("frictionloss", "damping", "armature", "stiffness", "limited")
+"""Terms of MuJoCo's joints that joints of a scene lack."""
 
 HINGE, FREE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_FREE
 
@@ -87,7 +94,6 @@ class BackendMJCF(BackendMuJoCo):
             )
         spec, model = _compiled(path)
         _, built, parts = build_model(scene, settings_for(scene, None))
-        _check_contents(path, model, built, scene)
         placed = _placed_scene(path, model, built, scene)
         for body, placed_body in zip(scene.bodies, placed.bodies, strict=True):
             if placed_body != body:
@@ -105,15 +111,15 @@ class BackendMJCF(BackendMuJoCo):
 
 
 def read_model(path: Path, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
-    """Read the start poses, masses, hinges, gravity and driven motion of a file, and its differences.
+    """Read the start poses, masses, hinges and gravity of a file, and its differences.
 
     Args:
         path: The file.
         scene: The scene whose bodies the file must contain.
 
     Returns:
-        The scene, with the start poses, masses and driven motion of the file; and the differences between the file and
-        the model that the backend builds from the scene, one line each.
+        The scene, with the start poses and masses of the file; and the differences between the file and the model that
+        the backend builds from the scene, one line each.
 
     Raises:
         AssetError: The file cannot be read, or does not fit the scene.
@@ -121,20 +127,15 @@ def read_model(path: Path, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
     simulation = BackendMuJoCo().build(scene)
     _, model = _compiled(path)
     _settings(path, model)
-    _check_contents(path, model, simulation.model, scene)
     placed = _placed_scene(path, model, simulation.model, scene)
-    changes = [
-        *model_changes(model, simulation.model),
-        *_velocity_changes(scene, placed),
-    ]
-    drivers = []
-    for driver in placed.drivers:
-        drivers.append(read_driver(path, model, placed, driver, simulation))
-        if drivers[-1] != driver:
-            changes.append(
-                f"driver of {driver.body}: its motion is sampled from other rows"
-            )
-    return replace(placed, drivers=tuple(drivers)), tuple(changes)
+    intervals = round(placed.duration_s / DRIVE_INTERVAL_S)
+    for motion in prescribed_motions(placed, placed.duration_s):
+        masses_kg = [one.body(motion.body).mass for one in (model, simulation.model)]
+        rows = driver_rows(simulation, motion, intervals)
+        rows[:, 13:] *= masses_kg[0] / masses_kg[1]
+        _check_rows(path, model, f"{DRIVER_PREFIX}{motion.body}", rows)
+    changes = model_changes(model, simulation.model)
+    return placed, (*changes, *_velocity_changes(scene, placed))
 
 
 # --- compiled model --------------------------------------------------------------------------------------------------
@@ -160,13 +161,10 @@ def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
 def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:
     """Return the numerical settings of a file, under the names of `SettingsMuJoCo`."""
     timestep_s = model.opt.timestep
-    steps = DRIVE_INTERVAL_S / max(timestep_s, MIN_TIMESTEP_S)
-    reason = ""
-    if timestep_s < MIN_TIMESTEP_S:
-        reason = f"is {timestep_s:g} s: {MIN_TIMESTEP_S:g} s or more is expected"
-    elif round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
-        reason = f"1/180 s is {steps:.6g} steps of {timestep_s:g} s, not a whole number: choose a step that divides it"
-    if reason:
+    # NaN is no step either.
+    steps = DRIVE_INTERVAL_S / timestep_s if timestep_s >= MIN_TIMESTEP_S else 0.0
+    if abs(steps - max(round(steps), 1)) > 1e-6:
+        reason = f"is {timestep_s:g} s: choose a step of {MIN_TIMESTEP_S:g} s or more that divides 1/180 s"
         raise AssetError(path, "option timestep", reason)
     options = option_settings(model)
     return {"model_file": path.name} | {
@@ -174,22 +172,23 @@ def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:
     }
 
 
+def _numerics(model: mujoco.MjModel) -> dict[str, FloatArray]:
+    """Return the custom numbers of a model, by name."""
+    listed = [model.numeric(index) for index in range(model.nnumeric)]
+    return {numeric.name: numeric.data for numeric in listed}
+
+
 def _apply_tables(path: Path, model: mujoco.MjModel) -> None:
     """Write the file's custom numbers to the compiled flex tables."""
-    numbers = numerics(model)
+    numbers = _numerics(model)
     for name, values in numbers.items():
         place, _, part = name.rpartition("/")
         table, _, body = place.partition("/")
         if table not in ("flex_stiffness", "flex_bending") or part == "kind":
             continue
-        flex = rows_by_name(model, "flex").get(body)
-        if flex is None:
-            reason = (
-                "the file has no flex of this name: correct the name of the numeric"
-            )
-            raise AssetError(path, place, reason)
-        entries = flex_table(model, table, flex)
         try:
+            flex = rows_by_name(model, "flex")[body]
+            entries = flex_table(model, table, flex)
             if part == "weight":
                 rows = entries.reshape(len(values), -1)
                 rows *= values[:, None]
@@ -197,13 +196,8 @@ def _apply_tables(path: Path, model: mujoco.MjModel) -> None:
                 kind = numbers[f"{place}/kind"].astype(int)
                 rows = entries.reshape(len(kind), -1)
                 rows[:] = values.reshape(-1, rows.shape[1])[kind]
-        except KeyError:
-            reason = f"custom numeric '{place}/kind', the index of each row, is missing: add it"
-            raise AssetError(path, name, reason) from None
-        except (ValueError, IndexError):
-            reason = (
-                f"its rows do not fit a table of {entries.size} numbers: write all rows"
-            )
+        except (KeyError, ValueError, IndexError):
+            reason = "does not fit the flexes of the file: restore the numerics of the export"
             raise AssetError(path, name, reason) from None
 
 
@@ -214,23 +208,22 @@ def _check_contents(
     path: Path, model: mujoco.MjModel, built: mujoco.MjModel, scene: Scene
 ) -> None:
     """Check that a file has the rigid bodies with their joints, and the nodes of deformable bodies at their places."""
-    names = rows_by_name(model, "body")
+    for kind in ("body", "flex"):
+        names = rows_by_name(model, kind)
+        for name in rows_by_name(built, kind):
+            if name not in names:
+                others = [other for other in names if other != "world"]
+                reason = f"no {kind} of that name: the file has {first_names(others)}"
+                raise AssetError(path, name, reason)
     rigid = {body.name: body for body in scene.bodies}
-    for index in range(1, built.nbody):
-        name = built.body(index).name
+    for name, index in rows_by_name(built, "body").items():
         reason = ""
-        if name not in names:
-            reason = f"no body of that name: the file has {first_names([*names][1:])}"
-        elif name in rigid:
+        if name in rigid:
             is_hinged = name in scene.hinges
             reason = _joint_fault(model, rigid[name], is_hinged=is_hinged)
-        elif not is_same(model.body_pos[names[name]], built.body_pos[index]):
+        elif not is_same(model.body(name).pos, built.body_pos[index]):
             reason = "nodes of a deformable body cannot be moved in MJCF: move the body in USD"
         if reason:
-            raise AssetError(path, name, reason)
-    for name in rows_by_name(built, "flex"):
-        if name not in rows_by_name(model, "flex"):
-            reason = "the file lacks the flex of this deformable body: restore it"
             raise AssetError(path, name, reason)
 
 
@@ -239,29 +232,40 @@ def _joint_fault(model: mujoco.MjModel, body: RigidBody, *, is_hinged: bool) -> 
     if body.motion is Motion.FIXED:
         return ""
     number = model.body(body.name).id
-    joint = rows_by_name(model, "jnt").get(body.name)
+    index = rows_by_name(model, "jnt").get(body.name)
     name, kind = ("hinge", HINGE) if is_hinged else ("free", FREE)
-    if joint != model.body_jntadr[number] or model.jnt_type[joint] != kind:
+    if index != model.body_jntadr[number] or model.jnt_type[index] != kind:
         return f"it is {body.motion.value} and needs a {name} joint with its name"
-    dof = model.jnt_dofadr[joint]
-    unsupported = {
-        "a moving parent": model.body_parentid[number] > 0,
-        "a second joint": model.body_jntnum[number] > 1,
-        "friction": model.dof_frictionloss[dof] or model.dof_damping[dof],
-        "armature": model.dof_armature[dof],
-        "stiffness": model.jnt_stiffness[joint],
-        "limits": model.jnt_limited[joint],
-        "a motor": joint in model.actuator_trnid[:, 0],
-    }
-    for term, is_present in unsupported.items():
-        if is_present:
-            return f"unsupported joint: it has {term}, and joints of a scene move freely to the world"
+    joint = model.joint(index)
+    unsupported = [term for term in JOINT_TERMS if getattr(joint, term).any()]
+    if index in model.actuator_trnid[:, 0]:
+        unsupported.append("its motor")
+    if model.body_parentid[number] or model.body_jntnum[number] > 1:
+        unsupported.append("its parent or second joint")
+    if unsupported:
+        return f"unsupported joint: remove {', '.join(unsupported)}: joints of a scene move freely to the world"
     is_driven = body.motion is Motion.KINEMATIC
     if is_driven and not np.all(model.body_inertia[number] == model.body_mass[number]):
         return (
             "its mass and its moments of inertia must be the same number: it is driven"
         )
     return ""
+
+
+def _check_rows(
+    path: Path, model: mujoco.MjModel, name: str, expected: FloatArray
+) -> None:
+    """Check that a custom numeric holds the expected rows of driven motion; the last row holds until the end."""
+    tolerance = ROW_TOLERANCE * np.maximum(np.abs(expected).max(axis=0), 1e-3)
+    try:
+        rows = _numerics(model)[name].reshape(-1, DRIVER_COLUMNS)
+        rows = rows[np.minimum(np.arange(len(expected)), len(rows) - 1)]
+        is_expected = (np.abs(rows - expected) <= tolerance).all()
+    except (KeyError, ValueError):
+        is_expected = False
+    if not is_expected:
+        reason = "its rows are not the motion of the scene: restore those of the export, and edit motion in USD"
+        raise AssetError(path, name, reason)
 
 
 # --- scene of a file -------------------------------------------------------------------------------------------------
@@ -295,7 +299,11 @@ def _placed_scene(
     """Return a scene with the masses, starts, hinges and gravity of a file.
 
     Values that equal those of the model that the backend builds stay those of the scene, bit for bit.
+
+    Raises:
+        AssetError: The file lacks a body, or has what a scene has not.
     """
+    _check_contents(path, model, built, scene)
     data, expected = (_start_data(path, one, scene) for one in (model, built))
     joints = []
     for joint in scene.joints:
@@ -333,7 +341,7 @@ def _placed_body(
     if body.motion is Motion.DYNAMIC and not is_same(mass_kg, built[0]):
         body = replace(body, mass_kg=mass_kg)
     if not is_same(pose, built[1]):
-        body = replace(body, pose=pose_of(pose[:3], pose[3:]))
+        body = replace(body, pose=Pose.of_state(pose))
     if not is_same(velocity, built[2]):
         body = replace(
             body,

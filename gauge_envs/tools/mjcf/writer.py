@@ -20,9 +20,14 @@ from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.prescribed_motion import prescribed_motions
+from gauge_envs.scene.prescribed_motion import PrescribedMotion, prescribed_motions
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.mjcf.drivers import DRIVER_PREFIX, driver_rows
+
+DRIVER_PREFIX = "driver/"
+"""Prefix of the custom numeric with the motion of a driven body; the name of the body follows."""
+
+DRIVER_COLUMNS = 19
+"""Number of columns of driven motion: qpos 7, qvel 6, xfrc_applied 6."""
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 
@@ -97,6 +102,29 @@ def _add_numeric(
 
 
 # --- driven bodies ---------------------------------------------------------------------------------------------------
+
+
+def driver_rows(
+    simulation: SimulationMuJoCo, motion: PrescribedMotion, count: int
+) -> FloatArray:
+    """Return the numbers that the backend writes to drive a body, interval by interval.
+
+    Args:
+        simulation: A simulation of the scene; its driven body moves.
+        motion: Motion of the driven body.
+        count: Number of intervals.
+
+    Returns:
+        qpos (7), qvel (6) and xfrc_applied (6) before each interval, shape [count, 19].
+    """
+    data = simulation.data
+    joint, body = data.joint(motion.body), data.body(motion.body)
+    zero_action = np.zeros((1, motion.motion_count))
+    rows = np.empty((count, DRIVER_COLUMNS))
+    for interval in range(count):
+        simulation.drive(motion.body, motion.targets(interval, zero_action)[0])
+        rows[interval] = np.concatenate([joint.qpos, joint.qvel, body.xfrc_applied])
+    return rows
 
 
 def _add_drivers(simulation: SimulationMuJoCo, scene: Scene) -> Iterator[str]:

@@ -10,12 +10,10 @@ from gauge_envs.tools.dataset.layout import find_trials
 IMPORTED = {"drivers": "imported", "reference": "imported"}
 
 
-def imported(root, *only, stated=None):
+def imported(root, *only):
     """Import a dataset, and return the outcomes by variant."""
     layout = find_trials(root, only=only or ("*",))
-    return {
-        trials.variant.name: trials for trials in import_trials(layout, stated=stated)
-    }
+    return {trials.variant.name: trials for trials in import_trials(layout)}
 
 
 def import_contents(root, name, contents):
