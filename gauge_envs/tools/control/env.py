@@ -311,13 +311,12 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
             ActionError: The action has the wrong shape, is out of range or is not a number.
             EpisodeError: The environment was not reset, or the episode is over.
         """
-        self._check("step")
-        if self.is_over:
-            raise EpisodeError(f"{self.FAMILY}: the episode is over, call reset")
+        if self._frame is None or self.is_over:
+            raise EpisodeError(f"{self.FAMILY}: call reset before step")
         self._ending = self._run_frame(checked_action(action, self.action_space))
         before, self._rewarded = self._rewarded, self._total_reward()
         reward = self._rewarded - before
-        self._frame = (self._frame or 0) + 1
+        self._frame += 1
         info = self._info()
         reason = self._divergence()
         if reason is not None:
@@ -384,11 +383,6 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
             limit=self.limit, reached=reached, ending=self._ending, time_s=self.time_s
         )
 
-    def _check(self, call: str) -> None:
-        """Raise an error if a method cannot be called now."""
-        if self._frame is None:
-            raise EpisodeError(f"{self.FAMILY}: call reset before {call}")
-
     def close(self) -> None:
         """Free the simulation and the renderer. A second call does nothing."""
         self._pictures.close()
@@ -416,7 +410,6 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """Return a picture of the scene in the form of the render mode; None without one, and with a window."""
         if self.render_mode is None:
             return None
-        self._check("render")
         return self._pictures.draw(
             self.experiment,
             self.rest_nodes_m,

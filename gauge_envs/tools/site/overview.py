@@ -51,7 +51,7 @@ RANK_NOTE = (
 )
 
 UNRANKED_NOTE = (
-    "No real scatter or solution is known for these scenes, so nothing ranks engines. The page of an experiment has "
+    "No real scatter and no solution is known for these scenes, or no result has a score. The page of an experiment has "
     "all metrics, and the distances between engines."
 )
 

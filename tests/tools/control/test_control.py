@@ -1,6 +1,5 @@
 """Control tasks: their ids, reports, pages, and the uncertainty of their limits."""
 
-import csv
 import math
 
 import approval
@@ -12,9 +11,7 @@ from opengl import needs_opengl
 
 from gauge_envs import load_experiment, variants
 from gauge_envs.errors import GaugeError
-from gauge_envs.files import data_folder
 from gauge_envs.references.uncertainties import friction_std
-from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.control import control_tasks, find_control_task
 
 NAMES = tuple(task.name for task in control_tasks())
@@ -81,27 +78,6 @@ def test_what_is_shown_is_the_approved_text(gauge, approved, name, words):
 
 
 # --- limits and their uncertainty ---
-
-
-@pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
-def test_uncertainty_of_friction_is_its_distance_from_single_trials(material):
-    path = data_folder("scoring") / "facts" / "slope_slider_30deg.csv"
-    lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
-    trials = {}
-    for row in csv.DictReader(lines):
-        if row["material"] == material:
-            point = int(row["frame"]) / 30.0, 1e-3 * float(row["downhill_mm"])
-            trials.setdefault(row["trial"], []).append(point)
-    angle = math.radians(30.0)
-    accelerations = [
-        2.0 * np.polyfit(*zip(*trial, strict=True), 2)[0] for trial in trials.values()
-    ]
-    friction = math.tan(angle) - np.array(accelerations) / (
-        GRAVITY_M_PER_S2 * math.cos(angle)
-    )
-    calibrated = load_experiment(f"SlopeSlider-2-{material}").scene.contacts[0].friction
-    expected = float(np.sqrt(np.mean((friction - calibrated) ** 2))) / calibrated
-    assert friction_std(1.0, material) == pytest.approx(expected, rel=0.02)
 
 
 def test_an_override_changes_the_limit_and_not_its_uncertainty():
