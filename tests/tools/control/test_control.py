@@ -9,18 +9,12 @@ import pytest
 from control_episodes import by_law, make
 from opengl import needs_opengl
 
-from gauge_envs import load_experiment, variants
+from gauge_envs import load_experiment
 from gauge_envs.errors import GaugeError
 from gauge_envs.references.uncertainties import friction_std
 from gauge_envs.tools.control import control_tasks, find_control_task
 
 NAMES = tuple(task.name for task in control_tasks())
-
-
-def test_ids_are_extra_to_the_experiments():
-    assert len(NAMES) == 15
-    assert {f"GAUGE/{name}" for name in NAMES} <= set(gymnasium.registry)
-    assert not {variant.name for variant in variants()} & set(NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)

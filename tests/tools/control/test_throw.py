@@ -65,6 +65,16 @@ def test_a_higher_restitution_than_the_law_knows_is_seen():
     assert by_law(with_limit_of(bouncy, make(THROW)))[1].ratio > 1.1
 
 
+def test_the_plate_is_no_faster_than_the_law_assumes(env):
+    env.reset(seed=0)
+    for _ in range(2):
+        observation = env.step(np.ones(2))[0]
+    speeds = observation[
+        [env.OBSERVED.index(f"plate_velocity_{x}_m_per_s") for x in "xz"]
+    ]
+    assert speeds == pytest.approx(SPEED_M_PER_S)
+
+
 @pytest.mark.parametrize("aside_m", [0.0, 0.08, 0.103])
 def test_an_impact_at_an_edge_loses_the_ball(env, aside_m):
     """The law's policy, with the ball beside the middle of the plate by a distance."""
