@@ -51,8 +51,8 @@ RANK_NOTE = (
 )
 
 UNRANKED_NOTE = (
-    "No real scatter and no solution is known for these scenes, or no result has a score. The page of an experiment has "
-    "all metrics, and the distances between engines."
+    "No real scatter and no solution is known for these scenes, or no result has a score. The page of an experiment "
+    "has all metrics, and the distances between engines."
 )
 
 
