@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations, product
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
+import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
 
 from gauge_envs.scene import Contact, ContactMode
-from gauge_envs.tools.usd.layer import ARMS, names_digest
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.usd.layer import ARMS
 from gauge_envs.tools.usd.source import Source
 
 Pair = frozenset[str]
-
-COMBINATIONS = ("average", "min", "multiply", "max")
-"""Combine modes of PhysX in increasing priority; the mode with higher priority counts if two materials differ."""
 
 COEFFICIENT_ATTRIBUTES = {
     "friction": (
@@ -30,8 +30,7 @@ COEFFICIENT_ATTRIBUTES = {
 """Attributes of a material that hold each constant of a contact."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Collider:
+class Collider(NamedTuple):
     """A body with the prims of its geometry, which are none for ropes and rods: UsdPhysics does not support them.
 
     Attributes:
@@ -47,53 +46,52 @@ class Collider:
     moves: bool
 
 
-@dataclass(frozen=True, kw_only=True)
-class ContactOptions:
-    """Properties of contacts that a USD file does not define; see `from_usd`."""
+class ContactOptions(NamedTuple):
+    """Properties of contacts that a USD file does not define; see `read_usd`."""
 
     friction: Literal["dynamic", "static"] | None
     mode: ContactMode | Mapping[tuple[str, str], ContactMode]
     contacts: Sequence[Contact]
 
-    def mode_of(self, pair: Pair) -> ContactMode:
-        """Return the contact mode of a pair of bodies."""
-        if isinstance(self.mode, ContactMode):
-            return self.mode
-        modes = {frozenset(names): mode for names, mode in self.mode.items()}
-        return modes.get(pair, ContactMode.SUSTAINED)
-
 
 def read_contacts(
     source: Source,
-    physics: Usd.Prim,
     bodies: Sequence[Collider],
     options: ContactOptions,
 ) -> tuple[Contact, ...]:
-    """Return the contacts of a stage with the given PhysicsScene prim.
+    """Return the contacts of a stage.
 
-    `gauge:first` and `gauge:second` define the pairs, unless the pairs of UsdPhysics were edited: then those count. A
-    file without `gauge:first` has the pairs of UsdPhysics: all enabled colliders except filtered pairs.
+    Args:
+        source: The stage.
+        bodies: All bodies.
+        options: Properties of contacts that the file does not define.
+
+    `gauge:first` and `gauge:second` define the pairs of the bodies of this package's layers; UsdPhysics defines all
+    others: all enabled colliders except filtered pairs.
+
+    Raises:
+        AssetError: A constant is missing, or UsdPhysics filters a pair of `gauge:first` and `gauge:second`.
     """
     prims = [prim for prim in source.prims() if prim.HasRelationship("gauge:first")]
-    contacts = [_exact_contact(source, prim, bodies) for prim in prims]
+    names = {body.prim.GetPath(): body.name for body in bodies}
+    contacts = source.read_each(prims, lambda prim: _exact_contact(source, prim, names))
     _check_bindings(source, prims, contacts, bodies)
     colliding = _colliding_pairs(source, bodies)
     moving = {body.name for body in bodies if body.moves}
     solid = {body.name for body in bodies if body.shapes}
-    exact = {
-        pair
-        for contact in contacts
-        for pair in _pairs(contact)
-        if pair & moving and pair <= solid
+    for prim, contact in zip(prims, contacts, strict=True):
+        for pair in _pairs(contact) - colliding:
+            if pair & moving and pair <= solid:
+                raise source.fault(
+                    prim,
+                    f"{' and '.join(sorted(pair))} have a contact, but their colliders are filtered or disabled: edit "
+                    "gauge:first and gauge:second",
+                )
+    known = {
+        pair for contact in (*contacts, *options.contacts) for pair in _pairs(contact)
     }
-    replaced = {pair for contact in options.contacts for pair in _pairs(contact)}
-    written = source.text(physics.GetAttribute("gauge:colliding_pairs"))
-    if prims and names_digest(colliding) == written:
-        colliding = exact
-    removed = (exact - colliding) | replaced
-    kept = [part for contact in contacts for part in _without(contact, removed)]
-    added = _material_contacts(source, bodies, colliding - exact - replaced, options)
-    return (*kept, *added, *options.contacts)
+    added = _material_contacts(source, bodies, colliding - known, options)
+    return (*contacts, *added, *options.contacts)
 
 
 def _pairs(contact: Contact) -> set[Pair]:
@@ -104,36 +102,26 @@ def _pairs(contact: Contact) -> set[Pair]:
 
 
 def _exact_contact(
-    source: Source, prim: Usd.Prim, bodies: Sequence[Collider]
+    source: Source, prim: Usd.Prim, names: Mapping[Sdf.Path, str]
 ) -> Contact:
-    names = {body.prim.GetPath(): body.name for body in bodies}
     values: dict[str, Any] = {
         side: source.targets(prim, f"gauge:{side}", names)
         for side in ("first", "second")
     }
+    paths = prim.GetRelationship("gauge:materials").GetTargets()
+    materials = [*filter(None, map(source.stage.GetPrimAtPath, paths))]
     for name, attributes in COEFFICIENT_ATTRIBUTES.items():
         stored = [
-            source.stored(source.stage.GetAttributeAtPath(f"{path}.{attribute}"))
-            for path in _materials(prim, "gauge:materials")
-            for attribute in attributes
+            source.stored(material.GetAttribute(attribute))
+            for material, attribute in product(materials, attributes)
         ]
         value = source.edited(prim.GetAttribute(f"gauge:{name}"), stored)
-        values[name] = _coefficient(
-            source, prim, name, None if value is None else float(value)
-        )
+        values[name] = _coefficient(source, prim, name, value)
     for name in ARMS:
         arm_m = source.number(prim.GetAttribute(f"gauge:{name}"))
         values[name] = _coefficient(source, prim, name, arm_m or 0.0)
-    mode = source.text(prim.GetAttribute("gauge:mode"), tuple(ContactMode))
-    if mode is None:
-        raise source.fault(prim, f"gauge:mode is missing: {' or '.join(ContactMode)}")
-    return Contact(mode=ContactMode(mode), **values)
-
-
-def _materials(prim: Usd.Prim, name: str) -> list[Sdf.Path]:
-    """Return the paths of the materials of a contact."""
-    relationship = prim.GetRelationship(name)
-    return relationship.GetTargets() if relationship else []
+    mode = ContactMode(prim.GetAttribute("gauge:mode").Get())
+    return Contact(mode=mode, **values)
 
 
 def _check_bindings(
@@ -149,7 +137,7 @@ def _check_bindings(
             for prim, contact in zip(prims, contacts, strict=True)
             if body.name in (*contact.first, *contact.second)
             for kind in ("gauge:materials", "gauge:derived_materials")
-            for path in _materials(prim, kind)
+            for path in prim.GetRelationship(kind).GetTargets()
         }
         for material in map(source.material, body.shapes):
             if known and material and material.GetPath() not in known:
@@ -160,51 +148,13 @@ def _check_bindings(
                 )
 
 
-def _coefficient(
-    source: Source, prim: Usd.Prim, name: str, value: float | None
-) -> float:
-    highest = 1.0 if name == "restitution" else float("inf")
+def _coefficient(source: Source, prim: Usd.Prim, name: str, value: Any) -> float:
+    highest = 1.0 if name == "restitution" else math.inf
     if value is None or not 0.0 <= value <= highest:
-        expected = "0 to 1" if name == "restitution" else "0 or more"
-        raise source.fault(prim, f"{name} is {value}: {expected} is expected")
-    return value
-
-
-def _without(contact: Contact, removed: set[Pair]) -> list[Contact]:
-    """Return a contact without some of its pairs, as few contacts as possible."""
-    left = _pairs(contact) - removed
-    if left == _pairs(contact):
-        return [contact]
-    if set(contact.first) == set(contact.second):
-        groups = _groups(contact.first, left, {*contact.first})
-        return [replace(contact, first=group, second=group) for group in groups]
-    parts = []
-    for first in contact.first:
-        second = tuple(
-            name for name in contact.second if frozenset((first, name)) in left
+        raise source.fault(
+            prim, f"{name} is {value}: a number from 0 to {highest:g} is expected"
         )
-        left -= {frozenset((first, name)) for name in second}
-        if second:
-            parts.append(replace(contact, first=(first,), second=second))
-    return parts
-
-
-def _groups(
-    names: Sequence[str], pairs: set[Pair], moving: set[str]
-) -> Iterator[tuple[str, ...]]:
-    """Yield groups of bodies that cover each pair once and contain no other pair with a moving body.
-
-    One contact of many bodies tells an engine that impacts travel through them.
-    """
-    left = set(pairs)
-    while left:
-        group = set(min(left, key=lambda pair: sorted(map(names.index, pair))))
-        for name in names:
-            others = {frozenset((name, member)) for member in group - {name}}
-            if all(pair in left or not pair & moving for pair in others):
-                group.add(name)
-        left -= {frozenset(pair) for pair in combinations(group, 2)}
-        yield tuple(sorted(group, key=names.index))
+    return float(value)
 
 
 # --- contacts of UsdPhysics ------------------------------------------------------------------------------------------
@@ -213,16 +163,10 @@ def _groups(
 def _colliding_pairs(source: Source, bodies: Sequence[Collider]) -> set[Pair]:
     """Return the pairs of bodies that UsdPhysics lets collide; a filter of a part of a body counts for the body."""
     solid = [body for body in bodies if any(map(is_enabled, body.shapes))]
-    groups = _collision_groups(source, solid)
-    table = UsdPhysics.CollisionGroup.ComputeCollisionGroupTable(source.stage)
     pairs = {
         frozenset((first.name, second.name))
         for first, second in combinations(solid, 2)
-        if (first.moves or second.moves)
-        and all(
-            table.IsCollisionEnabled(*both)
-            for both in product(groups[first.name], groups[second.name])
-        )
+        if first.moves or second.moves
     }
     for paths in _filtered_paths(source):
         sides = [[body.name for body in solid if _has(body, path)] for path in paths]
@@ -232,8 +176,8 @@ def _colliding_pairs(source: Source, bodies: Sequence[Collider]) -> set[Pair]:
 
 def is_enabled(shape: Usd.Prim) -> bool:
     """Return whether a collider is enabled."""
-    attribute = UsdPhysics.CollisionAPI(shape).GetCollisionEnabledAttr()
-    return not attribute or attribute.Get() is not False
+    api = UsdPhysics.CollisionAPI(shape)
+    return api.GetCollisionEnabledAttr().Get() is not False
 
 
 def _has(body: Collider, path: Sdf.Path) -> bool:
@@ -243,31 +187,33 @@ def _has(body: Collider, path: Sdf.Path) -> bool:
 
 
 def _filtered_paths(source: Source) -> Iterator[tuple[Sdf.Path, Sdf.Path]]:
-    """Yield the filtered pairs, and those of joints, whose bodies do not collide unless they say so."""
+    """Yield the filtered pairs of prims, of groups and of joints, whose bodies do not collide by default."""
     for prim in source.prims():
-        if filters := UsdPhysics.FilteredPairsAPI(prim):
-            targets = filters.GetFilteredPairsRel().GetTargets()
-            yield from product([prim.GetPath()], targets)
+        filters = UsdPhysics.FilteredPairsAPI(prim).GetFilteredPairsRel()
+        yield from product([prim.GetPath()], filters.GetTargets())
         joint = UsdPhysics.Joint(prim)
         if joint and not joint.GetCollisionEnabledAttr().Get():
             bodies = joint.GetBody0Rel(), joint.GetBody1Rel()
             yield from product(*(body.GetTargets() for body in bodies))
+        if group := UsdPhysics.CollisionGroup(prim):
+            for path in group.GetFilteredGroupsRel().GetTargets():
+                other = UsdPhysics.CollisionGroup.Get(source.stage, path)
+                yield from product(_members(source, group), _members(source, other))
 
 
-def _collision_groups(
-    source: Source, bodies: Sequence[Collider]
-) -> dict[str, list[Sdf.Path]]:
-    """Return the paths of the collision groups of each body, by its name."""
-    groups: dict[str, list[Sdf.Path]] = {body.name: [] for body in bodies}
-    for prim in source.prims():
-        if not prim.IsA(UsdPhysics.CollisionGroup):
-            continue
-        collection = UsdPhysics.CollisionGroup(prim).GetCollidersCollectionAPI()
-        query = collection.ComputeMembershipQuery()
-        for body in bodies:
-            if any(query.IsPathIncluded(shape.GetPath()) for shape in body.shapes):
-                groups[body.name].append(prim.GetPath())
-    return groups
+def _members(source: Source, group: UsdPhysics.CollisionGroup) -> list[Sdf.Path]:
+    """Return the paths that a collision group includes."""
+    collection = group.GetCollidersCollectionAPI()
+    if (
+        group.GetInvertFilteredGroupsAttr().Get()
+        or group.GetMergeGroupNameAttr().Get()
+        or collection.GetExcludesRel().GetTargets()
+    ):
+        raise source.fault(
+            group.GetPrim(),
+            "inverts, merges or excludes: collision groups with included colliders and filtered groups are read",
+        )
+    return collection.GetIncludesRel().GetTargets()
 
 
 def _material_contacts(
@@ -277,81 +223,86 @@ def _material_contacts(
     options: ContactOptions,
 ) -> Iterator[Contact]:
     """Yield contacts for the pairs that only UsdPhysics defines; pairs with equal constants share a contact."""
-    by_name = {body.name: body for body in bodies}
     moving = {body.name for body in bodies if body.moves}
+    touching = {name for pair in pairs for name in pair}
     constants = {
-        name: _body_constants(source, by_name[name], options)
-        for name in sorted({name for pair in pairs for name in pair})
+        body.name: _body_constants(source, body, options)
+        for body in bodies
+        if body.name in touching
     }
-    kinds: dict[tuple[float, float, ContactMode], set[Pair]] = {}
+    modes: dict[Pair, ContactMode] = {}
+    default = options.mode
+    if not isinstance(default, ContactMode):
+        modes = {frozenset(names): mode for names, mode in default.items()}
+        default = ContactMode.SUSTAINED
+    kinds: dict[Contact, set[Pair]] = {}
     for pair in sorted(pairs, key=sorted):
         first, second = (constants[name] for name in pair)
-        friction = _combined(first["friction"], second["friction"])
-        restitution = _combined(first["restitution"], second["restitution"])
-        kind = (friction, restitution, options.mode_of(pair))
+        friction, restitution = (0.5 * (first + second)).tolist()
+        kind = Contact(
+            first=(),
+            second=(),
+            friction=friction,
+            restitution=restitution,
+            mode=modes.get(pair, default),
+        )
         kinds.setdefault(kind, set()).add(pair)
-    for (friction, restitution, mode), alike in kinds.items():
-        for group in _groups([*by_name], alike, moving):
-            yield Contact(
-                first=group,
-                second=group,
-                friction=friction,
-                restitution=restitution,
-                mode=mode,
-            )
+    for kind, alike in kinds.items():
+        for group in _groups([body.name for body in bodies], alike, moving):
+            yield replace(kind, first=group, second=group)
 
 
-def _combined(first: tuple[float, str], second: tuple[float, str]) -> float:
-    """Return the coefficient of a pair, combined as in PhysX; the default is the average."""
-    a, b = first[0], second[0]
-    values = {
-        "average": a if a == b else 0.5 * (a + b),
-        "min": min(a, b),
-        "multiply": a * b,
-        "max": max(a, b),
-    }
-    return values[max(first[1], second[1], key=COMBINATIONS.index)]
+def _groups(
+    names: Sequence[str], pairs: set[Pair], moving: set[str]
+) -> list[tuple[str, ...]]:
+    """Return one group of all bodies if the pairs are all that it has with a moving body, else a group for each pair.
+
+    One contact of many bodies tells an engine that impacts travel through them.
+    """
+    group = [name for name in names if any(name in pair for pair in pairs)]
+    listed = list(combinations(group, 2))
+    if all({*pair} in pairs or not moving.intersection(pair) for pair in listed):
+        return [tuple(group)]
+    return [pair for pair in listed if {*pair} in pairs]
 
 
 def _body_constants(
     source: Source, body: Collider, options: ContactOptions
-) -> dict[str, tuple[float, str]]:
-    """Return friction and restitution of a body, each with its combine mode."""
-    materials = {
-        material.GetPath(): material
-        for material in map(source.material, body.shapes)
-        if material is not None
-    }
+) -> FloatArray:
+    """Return friction and restitution of a body. PhysX takes their averages over two bodies."""
+    materials = {*map(source.material, body.shapes)} - {None}
     if len(materials) != 1:
         raise source.fault(
             body.prim,
             f"has {len(materials) or 'no'} physics material, so its friction is unknown: bind one",
         )
-    (material,) = materials.values()
-    api = UsdPhysics.MaterialAPI(material)
-    stored = {
-        "dynamic": source.stored(api.GetDynamicFrictionAttr()),
-        "static": source.stored(api.GetStaticFrictionAttr()),
-        "restitution": source.stored(api.GetRestitutionAttr()),
+    (material,) = materials
+    assert material is not None
+    values = {
+        name: float(stored.value)
+        for name in ("dynamicFriction", "staticFriction", "restitution")
+        if (stored := source.stored(material.GetAttribute(f"physics:{name}")))
     }
-    values = {kind: float(one.value) for kind, one in stored.items() if one is not None}
     restitution = values.pop("restitution", 0.0)
     if not values:
         raise source.fault(
             material,
             "has neither physics:dynamicFriction nor physics:staticFriction: set one",
         )
-    if len(set(values.values())) == 2 and options.friction is None:
+    if len({*values.values()}) == 2 and options.friction is None:
         raise source.fault(
             material,
-            f"static friction is {values['static']:.6g} and dynamic {values['dynamic']:.6g}, but a scene has one "
-            'coefficient: make them equal, or choose friction="dynamic" or "static"',
+            f"has different frictions, {values}, but a scene has one coefficient: make them equal, or choose "
+            'friction="dynamic" or "static"',
         )
-    friction = values.get(options.friction or "dynamic", max(values.values()))
-    constants = {}
-    for name, value in (("friction", friction), ("restitution", restitution)):
+    kind = f"{options.friction or 'dynamic'}Friction"
+    friction = values.get(kind, max(values.values()))
+    for name in ("friction", "restitution"):
         attribute = material.GetAttribute(f"physxMaterial:{name}CombineMode")
-        combine_mode = source.text(attribute, COMBINATIONS) or COMBINATIONS[0]
-        value = _coefficient(source, material, name, value)
-        constants[name] = (value, combine_mode)
-    return constants
+        source.text(attribute, ("average",))
+    return np.array(
+        [
+            _coefficient(source, material, "friction", friction),
+            _coefficient(source, material, "restitution", restitution),
+        ]
+    )

@@ -1,15 +1,14 @@
 """Reader of deformable bodies, attachments, markers and air of USD layers that this package wrote."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from functools import partial
 from typing import Any
 
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
-from gauge_envs.errors import ParameterError, first_fault
 from gauge_envs.scene import (
     Air,
     Attachment,
@@ -22,6 +21,7 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.usd.layer import (
+    AIR_KINDS,
     KINDS,
     MARKER_INDICES,
     OMNI_MATERIAL,
@@ -43,142 +43,109 @@ def is_deformable(prim: Usd.Prim) -> bool:
 
 def read_deformable(source: Source, prim: Usd.Prim, name: str) -> Deformable:
     """Read a deformable body."""
-    enabled = prim.GetAttribute("omniphysics:deformableBodyEnabled")
-    if enabled and enabled.Get() is False:
-        raise source.fault(
-            prim, "its deformable body is disabled: enable it or remove the prim"
-        )
     models = {kind: model for model, kind in KINDS.items()}
-    kind = source.text(prim.GetAttribute("gauge:kind"), tuple(models))
-    if kind is None:
+    kind = source.text(prim.GetAttribute("gauge:kind"))
+    if kind not in models:
         raise source.fault(
             prim,
             f"is a deformable body without gauge:kind: set one of {', '.join(models)}",
         )
     model = models[kind]
-    frame = source.frame(prim, Usd.TimeCode(source.start))
-    if not np.array_equal(np.abs(frame.scale), np.ones(3)):
+    pose, scale = source.frame(prim, Usd.TimeCode(source.start))
+    if (scale != 1.0).any():
         raise source.fault(
             prim, "is a scaled deformable body: remove the scale and edit its size"
         )
-    values: dict[str, Any] = {"name": name, "pose": frame.pose}
+    values: dict[str, Any] = {"name": name, "pose": pose}
     for field in fields(model):
         if field.type == "float":
             values[field.name] = _constant(source, prim, field.name)
-    if model is Cloth:
-        values["size_m"] = _size_m(source, prim, 2)
-    elif model is SoftBody:
-        values["shape"] = Box(size_m=_size_m(source, prim, 3))
+    if model in (Cloth, SoftBody):
+        size_m = tuple(prim.GetAttribute("gauge:size_m").Get())
+        if min(size_m) <= 0.0:
+            raise source.fault(
+                prim, f"gauge:size_m is {size_m}: positive lengths are expected"
+            )
+        values |= (
+            {"size_m": size_m} if model is Cloth else {"shape": Box(size_m=size_m)}
+        )
     return model(**values)
 
 
 def _constant(source: Source, prim: Usd.Prim, name: str) -> float:
     """Read a constant of a body from its `gauge:` double and from the standard attribute, if it has one."""
     exact = prim.GetAttribute(f"gauge:{name}")
+    # The material of a body without contacts has no friction, so `Source.material` would not find it.
+    binding = UsdShade.MaterialBindingAPI(prim)
+    material, _ = binding.ComputeBoundMaterial("physics")
+    holders = [prim, material.GetPrim()] if material else [prim]
+    standard = {"mass_kg": "mass", **OMNI_MATERIAL}.get(name)
+    stored = [
+        source.stored(holder.GetAttribute(f"omniphysics:{standard}"))
+        for holder in holders
+    ]
     if name == "radius_m":
         widths = prim.GetAttribute("widths")
-        stored = source.stored(widths, (1,), lambda width_m: 0.5 * width_m[0])
-        value = source.edited(exact, [stored])
-    else:
-        # The material of a body without contacts has no friction, so `Source.material` would not find it.
-        binding = UsdShade.MaterialBindingAPI(prim)
-        material = binding.ComputeBoundMaterial("physics")[0].GetPrim()
-        holder, standard = material, OMNI_MATERIAL.get(name)
-        if name == "mass_kg":
-            holder, standard = prim, "mass"
-        attribute = holder.GetAttribute(f"omniphysics:{standard}") if holder else None
-        value = source.edited(exact, [source.stored(attribute)])
+        stored = [source.stored(widths, (1,), lambda width_m: 0.5 * width_m[0])]
+    value = source.edited(exact, stored)
     low, high = (-1.0, 0.5) if name == "poisson_ratio" else (0.0, np.inf)
     if value is None or not low < value < high:
-        state = "missing" if value is None else float(value)
         raise source.fault(
             prim,
-            f"gauge:{name} is {state}: a number above {low:g} and below {high:g} is expected",
+            f"gauge:{name} is {value}: a number above {low:g} and below {high:g} is expected",
         )
     return float(value)
 
 
-def _size_m(source: Source, prim: Usd.Prim, count: int) -> tuple[Any, ...]:
-    size_m = source.numbers(prim.GetAttribute("gauge:size_m"), (count,))
-    if size_m is None or not (size_m > 0.0).all():
-        raise source.fault(
-            prim,
-            f"gauge:size_m is missing or not positive: {count} lengths are expected",
-        )
-    return tuple(size_m.tolist())
-
-
-def read_air(source: Source, prim: Usd.Prim) -> Air | None:
+def read_air(prim: Usd.Prim) -> Air | None:
     """Return the air of a PhysicsScene prim, which UsdPhysics has not; None without `gauge:air:` attributes."""
-    known = [field.name for field in fields(Air)]
     values: dict[str, Any] = {}
     for attribute in prim.GetAuthoredPropertiesInNamespace(AIR_PREFIX):
-        name = attribute.GetName().removeprefix(AIR_PREFIX)
-        if name not in known:
-            raise source.fault(
-                attribute, f"is no property of air; known are {', '.join(known)}"
-            )
-        value = attribute.Get()
-        values[name] = value if isinstance(value, float) else vector(value)
-    for name in known[:2] if values else ():
-        if name not in values:
-            raise source.fault(prim, f"states air without {AIR_PREFIX}{name}: add it")
-    try:
-        return Air(**values) if values else None
-    except ParameterError as error:
-        raise source.fault(prim, str(error)) from None
+        name, value = attribute.GetName().removeprefix(AIR_PREFIX), attribute.Get()
+        values[name] = vector(value) if name in AIR_KINDS else value
+    return Air(**values) if values else None
 
 
-def read_attachments(source: Source, names: Names) -> Iterator[Attachment]:
-    """Yield the enabled attachments in the stage's order."""
-    for prim in source.prims():
-        enabled = prim.GetAttribute("omniphysics:attachmentEnabled")
-        if not prim.HasAttribute("gauge:region_axis") or enabled.Get() is False:
-            continue
-        values = {
-            field.name: prim.GetAttribute(f"gauge:region_{field.name}").Get()
-            for field in fields(Region)
-        }
-        try:
-            region = TypeAdapter(Region).validate_python(values)
-        except ValidationError as error:
-            place, reason = first_fault(error)
-            raise source.fault(prim, f"gauge:region_{place}: {reason}") from None
-        yield Attachment(
-            deformable=source.targets(prim, "omniphysics:src0", names)[0],
-            region=region,
-            to=source.targets(prim, "omniphysics:src1", names)[0],
-        )
+def read_attachment(source: Source, prim: Usd.Prim, names: Names) -> Attachment | None:
+    """Return the attachment of a prim; None if it has none or is disabled."""
+    is_enabled = prim.GetAttribute("omniphysics:attachmentEnabled").Get()
+    if not prim.HasAttribute("gauge:region_axis") or is_enabled is False:
+        return None
+    values = {
+        field.name: prim.GetAttribute(f"gauge:region_{field.name}").Get()
+        for field in fields(Region)
+    }
+    return Attachment(
+        deformable=source.targets(prim, "omniphysics:src0", names)[0],
+        region=TypeAdapter(Region).validate_python(values),
+        to=source.targets(prim, "omniphysics:src1", names)[0],
+    )
 
 
 def read_markers(source: Source, names: Names) -> Markers | None:
     """Read the markers; return None if the stage has none."""
-    points = (prim for prim in source.prims() if prim.IsA(UsdGeom.Points))
-    prim = next((one for one in points if one.HasRelationship("gauge:bodies")), None)
+    carriers = (prim for prim in source.prims() if prim.HasRelationship("gauge:bodies"))
+    prim = next(carriers, None)
     if prim is None:
         return None
-    stored = source.stored(
-        UsdGeom.Points(prim).GetPointsAttr(), (-1, 3), partial(source.to_world, prim)
-    )
-    exact = prim.GetAttribute("gauge:positions_m")
-    positions_m = source.edited(exact, [stored], (-1, 3))
-    if positions_m is None:
-        raise source.fault(prim, "has no points")
-    indices: dict[str, Any] = {}
-    for name, shape in MARKER_INDICES.items():
-        attribute = prim.GetAttribute(f"gauge:{name}")
-        rows = source.numbers(attribute, shape)
-        if rows is None:
-            continue
-        if not np.isin(rows, np.arange(len(positions_m))).all():
-            raise source.fault(
-                attribute,
-                f"names markers that do not exist: there are {len(positions_m)}",
-            )
-        listed = rows.astype(int).tolist()
-        indices[name] = tuple(listed if rows.ndim == 1 else map(tuple, listed))
-    return Markers(
-        bodies=source.targets(prim, "gauge:bodies", names),
-        positions_m=tuple(map(vector, positions_m)),
-        **indices,
-    )
+    with source.errors_at(prim):
+        stored = source.stored(
+            UsdGeom.Points(prim).GetPointsAttr(),
+            (-1, 3),
+            partial(source.to_world, prim),
+        )
+        exact = prim.GetAttribute("gauge:positions_m")
+        positions_m = source.edited(exact, [stored], (-1, 3))
+        if positions_m is None:
+            raise source.fault(prim, "has no points")
+        indices: dict[str, Any] = {}
+        for name, shape in MARKER_INDICES.items():
+            attribute = prim.GetAttribute(f"gauge:{name}")
+            rows = np.array(attribute.Get(), dtype=int).reshape(shape)
+            listed = rows.tolist()
+            indices[name] = tuple(listed if rows.ndim == 1 else map(tuple, listed))
+        return Markers(
+            bodies=source.targets(prim, "gauge:bodies", names),
+            positions_m=tuple(map(vector, positions_m)),
+            **indices,
+        )

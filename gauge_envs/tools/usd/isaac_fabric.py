@@ -31,13 +31,12 @@ def surface_constants(fabric: Fabric) -> FabricConstants:
         fabric.stretch_stiffness_n_per_m / (2.0 * fabric.shear_stiffness_n_per_m) - 1.0
     )
     poissons_ratio = measured
-    fallbacks: tuple[str, ...] = ()
-    if not 0.0 <= measured < 0.5:
-        poissons_ratio = POISSON_BELOW if measured < 0.0 else POISSON_ABOVE
-        bound = "negative" if measured < 0.0 else "0.5 or more"
-        fallbacks = (
-            f"poissons_ratio {poissons_ratio:.2f}, as K_s/(2 K_sh) - 1 = {measured:.3g} is {bound}",
-        )
+    bound = ""
+    if measured < 0.0:
+        poissons_ratio, bound = POISSON_BELOW, "negative"
+    elif measured >= 0.5:
+        poissons_ratio, bound = POISSON_ABOVE, "0.5 or more"
+    fallback = f"poissons_ratio {poissons_ratio:.2f}, as K_s/(2 K_sh) - 1 = {measured:.3g} is {bound}"
     stretch_stiffness = youngs_modulus * thickness
     return FabricConstants(
         engine="isaac",
@@ -55,6 +54,6 @@ def surface_constants(fabric: Fabric) -> FabricConstants:
         },
         stretch_stiffness_n_per_m=stretch_stiffness,
         shear_stiffness_n_per_m=stretch_stiffness / (2.0 * (1.0 + poissons_ratio)),
-        replaced=("poissons_ratio",) if fallbacks else (),
-        fallbacks=fallbacks,
+        replaced=("poissons_ratio",) if bound else (),
+        fallbacks=(fallback,) if bound else (),
     )

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
 
 from gauge_envs.scene import Hinge, Motion, RigidBody, Tether
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
-from gauge_envs.tools.usd.layer import WRITTEN, as_array, hinge_axis, hinge_frame
-from gauge_envs.tools.usd.source import Source, StoredValue
+from gauge_envs.tools.usd.layer import WRITTEN, as_array, hinge_axis
+from gauge_envs.tools.usd.source import Source, is_written
 
 MAX_GAP = 1e-4
 """Largest distance between the two ends of a joint at the start [m], and largest angle between its axes [rad]."""
-
-UNIT = 1e-6
-"""Largest deviation of an axis from unit length."""
 
 LIMITS = (
     "physics:lowerLimit",
@@ -40,44 +37,22 @@ RESISTANCES = (
 """Attributes that resist the motion of a joint where they are above 0."""
 
 
-@dataclass(frozen=True)
-class _End:
+class _End(NamedTuple):
     """One end of a joint: its frame in the space of a prim or of the stage, and the path of its moving body."""
 
-    source: Source
     space: Usd.Prim | None
     body: Sdf.Path | None
     position: Usd.Attribute
     rotation: Usd.Attribute
 
-    def stored_anchor(self) -> StoredValue | None:
-        """Return the authored origin of the frame in world coordinates [m]."""
-        to_world = partial(self.source.to_world, self.space)
-        return self.source.stored(self.position, (3,), to_world)
-
-    def anchor_m(self) -> FloatArray:
-        """Return the origin of the frame in world coordinates [m]; that of its space if none is authored."""
-        stored = self.stored_anchor()
-        origin = np.zeros(3)
-        return stored.value if stored else self.source.to_world(self.space, origin)
-
-    def axis(self, letter: str) -> FloatArray:
-        """Return the direction of an axis of the frame in the world."""
-        quaternion = self.source.numbers(self.rotation, (4,))
-        if quaternion is None or not quaternion.any():
-            quaternion = np.array([1.0, 0.0, 0.0, 0.0])
-        ends = np.array([np.zeros(3), hinge_axis(quaternion, letter)])
-        start, end = self.source.to_world(self.space, ends)
-        return _unit(end - start)
-
 
 def joint_prims(source: Source) -> list[Usd.Prim]:
     """Return the enabled joints in the stage's order."""
-    joints = [UsdPhysics.Joint(prim) for prim in source.prims()]
     return [
-        joint.GetPrim()
-        for joint in joints
-        if joint and joint.GetJointEnabledAttr().Get() is not False
+        prim
+        for prim in source.prims()
+        if prim.IsA(UsdPhysics.Joint)
+        and UsdPhysics.Joint(prim).GetJointEnabledAttr().Get()
     ]
 
 
@@ -105,16 +80,15 @@ def _ends(
         owner, path = source.body_of(space), None
         if owner and source.is_rigid(owner) and owner.GetPath() not in fixed:
             space, path = owner, owner.GetPath()
-        ends.append(_End(source, space, path, position, rotation))
-    ends.sort(key=lambda end: end.body is not None)
-    moving = [str(end.body) for end in ends if end.body is not None]
-    if len(moving) != 1:
+        ends.append(_End(space, path, position, rotation))
+    world, moving = sorted(ends, key=lambda end: end.body is not None)
+    if world.body is not None or moving.body is None:
         raise source.fault(
             prim,
-            f"unsupported joint: a {prim.GetTypeName()} of {', '.join(moving) or 'no moving body'}; this joint must be "
-            "of one body and the world",
+            f"unsupported joint: a {prim.GetTypeName()} of {world.body} and {moving.body}; this joint must be of one "
+            "moving body and the world",
         )
-    return ends[0], ends[1]
+    return world, moving
 
 
 def read_joint(
@@ -137,31 +111,32 @@ def read_joint(
         return None
     fixed = [path for path, body in bodies.items() if body.motion is Motion.FIXED]
     world, moving = _ends(source, prim, fixed)
-    hinge, tether = UsdPhysics.RevoluteJoint(prim), UsdPhysics.DistanceJoint(prim)
-    if not hinge and not tether:
-        raise source.fault(
-            prim,
-            f"unsupported joint: {prim.GetTypeName()}; revolute, distance and fixed joints to the world are read",
-        )
     assert moving.body is not None
     body = bodies[moving.body]
-    if body.motion is not Motion.DYNAMIC:
+    hinge, tether = UsdPhysics.RevoluteJoint(prim), UsdPhysics.DistanceJoint(prim)
+    if not (hinge or tether) or body.motion is not Motion.DYNAMIC:
         raise source.fault(
-            prim, f"unsupported joint: a {prim.GetTypeName()} of a {body.motion} body"
+            prim,
+            f"unsupported joint: {prim.GetTypeName()} of a {body.motion} body; revolute and distance joints of dynamic "
+            "bodies, and fixed joints, are read",
         )
     _check_free(source, prim)
     exact = prim.GetAttribute("gauge:anchor_m")
-    anchor_m = source.edited(exact, [world.stored_anchor()], (3,))
+    to_world = partial(source.to_world, world.space)
+    stored = source.stored(world.position, (3,), to_world)
+    anchor_m = source.edited(exact, [stored], (3,))
     if anchor_m is None:
-        anchor_m = world.anchor_m()
+        anchor_m = to_world(np.zeros(3))
+    end_m = source.to_world(moving.space, np.array(moving.position.Get()))
     if tether:
-        return _read_tether(source, tether, body, anchor_m, moving)
-    axis = _read_axis(source, hinge, world)
+        return _read_tether(source, tether, body, anchor_m, end_m)
+    letter = hinge.GetAxisAttr().Get()
+    axis = _read_axis(source, prim, world, letter)
     # If only the body of a layer of this package was moved, the anchor stays.
     ends = (moving.position, moving.rotation)
     if not exact or any(end.Get() != end.GetCustomDataByKey(WRITTEN) for end in ends):
-        gap = length_of(moving.anchor_m() - anchor_m)
-        angle = length_of(moving.axis(_letter(source, hinge)) - axis)
+        gap = length_of(end_m - anchor_m)
+        angle = length_of(_axis(source, moving, letter) - axis)
         if max(gap, angle) > MAX_GAP:
             raise source.fault(
                 prim,
@@ -172,21 +147,22 @@ def read_joint(
 
 def _check_free(source: Source, prim: Usd.Prim) -> None:
     """Check that a joint has no drive, friction, armature, limit and breaking strength."""
-    for name in prim.GetAppliedSchemas():
-        if name.startswith(("PhysicsDriveAPI", "PhysicsLimitAPI")):
-            raise source.fault(
-                prim,
-                f"unsupported joint: it has {name}, and joints of a scene move freely",
-            )
+    obstacles = [
+        name
+        for name in prim.GetAppliedSchemas()
+        if name.startswith(("PhysicsDriveAPI", "PhysicsLimitAPI"))
+    ]
     for attribute in prim.GetAuthoredAttributes():
         name, value = attribute.GetName(), attribute.Get()
         if (name in LIMITS and np.isfinite(value)) or (
             name in RESISTANCES and value > 0.0
         ):
-            raise source.fault(
-                attribute,
-                f"unsupported joint: it is {value}, and joints of a scene move freely",
-            )
+            obstacles.append(f"{name} = {value}")
+    if obstacles:
+        raise source.fault(
+            prim,
+            f"unsupported joint: it has {obstacles[0]}, and joints of a scene move freely",
+        )
 
 
 def _read_tether(
@@ -194,49 +170,41 @@ def _read_tether(
     joint: UsdPhysics.DistanceJoint,
     body: RigidBody,
     anchor_m: FloatArray,
-    moving: _End,
+    end_m: FloatArray,
 ) -> Tether:
-    end_m = moving.anchor_m()
+    prim = joint.GetPrim()
     if length_of(end_m - body.pose.position_m) > MAX_GAP:
         raise source.fault(
-            joint.GetPrim(),
+            prim,
             f"ends at {end_m.tolist()} m, not at the origin of {body.name!r}, where strings end",
         )
     longest = source.stored(
         joint.GetMaxDistanceAttr(), (), lambda length: length * source.metres
     )
-    length_m = source.edited(joint.GetPrim().GetAttribute("gauge:length_m"), [longest])
+    length_m = source.edited(prim.GetAttribute("gauge:length_m"), [longest])
     if length_m is None or length_m <= 0.0:
         raise source.fault(
-            joint.GetPrim(),
+            prim,
             "physics:maxDistance, the length of the string, is missing or not positive",
         )
     return Tether(body=body.name, anchor_m=vector(anchor_m), length_m=float(length_m))
 
 
-def _read_axis(
-    source: Source, joint: UsdPhysics.RevoluteJoint, world: _End
-) -> FloatArray:
-    """Return the axis of a hinge in the world, a unit vector, shape [3]."""
-    standard = world.axis(_letter(source, joint))
-    stored = StoredValue(world.rotation.GetPath(), standard, standard)
-    axis = source.edited(
-        joint.GetPrim().GetAttribute("gauge:axis"),
-        [stored],
-        (3,),
-        rounded=lambda axis: hinge_axis(as_array(hinge_frame(vector(axis)))),
-    )
-    assert axis is not None
-    if abs(length_of(axis) - 1.0) > UNIT:
-        raise source.fault(
-            joint.GetPrim(),
-            f"its axis {axis.tolist()} is not a unit vector: normalize it",
-        )
+def _axis(source: Source, end: _End, letter: str) -> FloatArray:
+    """Return the direction of an axis of a frame in the world, a unit vector, shape [3]."""
+    direction = hinge_axis(as_array(end.rotation.Get()), letter)
+    tail, tip = source.to_world(end.space, np.array([np.zeros(3), direction]))
+    return _unit(tip - tail)
+
+
+def _read_axis(source: Source, prim: Usd.Prim, world: _End, letter: str) -> FloatArray:
+    """Return the axis of a hinge in the world: that of the joint's frame if it was edited, else `gauge:axis`."""
+    axis = _axis(source, world, letter)
+    double = prim.GetAttribute("gauge:axis")
+    exact = source.numbers(double, (3,))
+    if exact is not None and is_written(axis, double.GetCustomDataByKey(WRITTEN)):
+        axis = exact
     return _unit(axis)
-
-
-def _letter(source: Source, joint: UsdPhysics.RevoluteJoint) -> str:
-    return source.text(joint.GetAxisAttr(), ("X", "Y", "Z")) or "X"
 
 
 def _unit(axis: FloatArray) -> FloatArray:

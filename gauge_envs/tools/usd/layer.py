@@ -10,7 +10,17 @@ from pxr import Gf, Usd
 from pydantic import BaseModel, ConfigDict, NonNegativeInt
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.scene import Cloth, Deformable, Rod, Rope, SoftBody, Vector
+from gauge_envs.scene import (
+    Cloth,
+    Deformable,
+    Pose,
+    Rod,
+    Rope,
+    Shape,
+    SoftBody,
+    Vector,
+    mass_properties,
+)
 from gauge_envs.scene.drivers import DriverMotion
 from gauge_envs.scene.geometry import FloatArray
 
@@ -119,6 +129,30 @@ def record_follower(attribute: Usd.Attribute, source: str) -> None:
     attribute.SetCustomDataByKey(FOLLOWS, source)
 
 
+# --- velocities ------------------------------------------------------------------------------------------------------
+
+
+def body_velocities(pose: Pose, shape: Shape, velocities: FloatArray) -> FloatArray:
+    """Return the velocities of UsdPhysics for those of a scene.
+
+    UsdPhysics states the velocities of a rigid body "in the same space as the node's xform", in distance/second and
+    degrees/second (schema of `PhysicsRigidBodyAPI`), which its overview calls local space. It does not state the point
+    of the body. Newton's importer takes the axes of the body's own frame and the velocity of the centre of mass, and
+    so does this package. The `gauge:` doubles are those of the scene: of the body origin, in the world frame.
+
+    Args:
+        pose: Pose of the body.
+        shape: Its shape, of uniform density.
+        velocities: Velocity of the body origin [m/s] and angular velocity [rad/s] in the world frame, shape [2, 3].
+
+    Returns:
+        Velocity of the centre of mass [m/s] and angular velocity [deg/s] in the body frame, shape [2, 3].
+    """
+    centre_m, _ = mass_properties(shape, 1.0)
+    linear, angular = pose.rotation.apply(velocities, inverse=True)
+    return np.array([linear + np.cross(angular, centre_m), np.degrees(angular)])
+
+
 # --- hinges ----------------------------------------------------------------------------------------------------------
 
 
@@ -144,9 +178,7 @@ class DriverRecord(BaseModel):
         motions: Motions in the order in which they apply.
     """
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, revalidate_instances="always"
-    )
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     index: NonNegativeInt
     motions: tuple[DriverMotion, ...]

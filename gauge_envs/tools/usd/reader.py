@@ -1,31 +1,27 @@
 """Reader of scenes from USD layers, written by this package or as plain UsdPhysics by other tools.
 
 A layer of this package stores many numbers twice: as a `gauge:` double and in single precision in a standard attribute.
-The edited one of both counts, see `Source.counted`. Without a `gauge:` attribute, the standard attribute counts.
+The edited one of both counts, see `Source.edited`. Without a `gauge:` attribute, the standard attribute counts.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pxr import Sdf, Tf, Usd, UsdPhysics
+from pxr import Sdf, Usd, UsdPhysics
 
-from gauge_envs.errors import AssetError, ParameterError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Contact,
     ContactMode,
     Motion,
-    RigidBody,
     Scene,
 )
-from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import length_of
 from gauge_envs.tools.usd.bodies import read_body
 from gauge_envs.tools.usd.contacts import (
@@ -37,16 +33,16 @@ from gauge_envs.tools.usd.contacts import (
 from gauge_envs.tools.usd.deformables import (
     is_deformable,
     read_air,
-    read_attachments,
+    read_attachment,
     read_deformable,
     read_markers,
 )
 from gauge_envs.tools.usd.joints import joint_prims, read_joint, welded_body
-from gauge_envs.tools.usd.source import (
-    MAX_DURATION_S,
-    Source,
-    StoredValue,
-)
+from gauge_envs.tools.usd.layer import WRITTEN
+from gauge_envs.tools.usd.source import Source
+
+MAX_DURATION_S = 3600.0
+"""Longest duration of a scene [s]."""
 
 LEVEL = 1e-6
 """Largest angle between gravity and the vertical [rad]."""
@@ -96,11 +92,14 @@ def read_usd(
         AssetError: The file cannot be read, or holds what a scene does not have; the message names the prim.
     """
     options = ContactOptions(friction=friction, mode=mode, contacts=contacts)
-    with _usd_errors(Path(path)):
-        source = Source(Path(path))
-        physics = _physics(source)
-        length_s = _duration_s(source, physics, duration_s, unstated_duration_s)
-        names, scene = _read_scene(source, physics, length_s, options)
+    source = Source(Path(path))
+    with source.errors_at(""):
+        names, scene = _read_scene(
+            source,
+            options,
+            duration_s=duration_s,
+            unstated_duration_s=unstated_duration_s,
+        )
         notes = source.stage.GetRootLayer().customLayerData.get("gauge", {})
         return UsdScene(
             scene=scene,
@@ -120,108 +119,89 @@ def from_usd(path: str | Path, **options: Any) -> Scene:
     return read_usd(path, **options).scene
 
 
-@contextmanager
-def _usd_errors(file: Path) -> Iterator[None]:
-    """Convert errors of USD and of the scene to AssetError while a stage is read."""
-    try:
-        yield
-    except Tf.ErrorException as error:
-        # USD detects some faults only when values are read, such as an attribute of another type than in its schema.
-        raise AssetError(file, "", f"USD cannot read it: {_reason(error)}") from None
-    except ParameterError as error:
-        # A scene refuses parts that contradict each other, such as a start velocity across a hinge.
-        raise AssetError(file, "", str(error)) from None
-
-
-def _reason(error: Tf.ErrorException) -> str:
-    """Return the message of an error of USD, first cause first."""
-    try:
-        return str(error.args[0].commentary).strip()
-    except UnicodeDecodeError:
-        # The message quotes the file.
-        return "it holds bytes that are not UTF-8 text"
-
-
 def _physics(source: Source) -> UsdPhysics.Scene:
     """Return the only PhysicsScene of a stage."""
-    scenes = [
-        UsdPhysics.Scene(prim) for prim in source.prims() if prim.IsA(UsdPhysics.Scene)
-    ]
+    scenes = [prim for prim in source.prims() if prim.IsA(UsdPhysics.Scene)]
     if len(scenes) != 1:
         raise source.fault(
             "",
             f"{len(scenes)} PhysicsScene prims: exactly one is expected, for gravity",
         )
-    return scenes[0]
+    return UsdPhysics.Scene(scenes[0])
 
 
 def _read_scene(
-    source: Source,
-    physics: UsdPhysics.Scene,
-    duration_s: float,
-    options: ContactOptions,
+    source: Source, options: ContactOptions, **durations_s: float | None
 ) -> tuple[dict[Sdf.Path, str], Scene]:
     """Return the names of all bodies by path, and the scene."""
-    for prim in source.prims():
-        source.check_derived(prim)
+    physics = _physics(source)
+    with source.errors_at(physics.GetPrim()):
+        duration_s = _duration_s(source, physics, **durations_s)
+        gravity_m_per_s2 = _gravity_m_per_s2(source, physics)
+        air = read_air(physics.GetPrim())
+    source.read_each(source.prims(), source.check_derived)
     rigid = _rigid_bodies(source)
-    soft = [
-        (prim, [prim] if prim.HasAPI(UsdPhysics.CollisionAPI) else [])
+    soft = {
+        prim: [prim] if prim.HasAPI(UsdPhysics.CollisionAPI) else []
         for prim in source.prims()
         if is_deformable(prim)
-    ]
-    names = _names(source, [prim for prim, _ in (*rigid, *soft)])
+    }
+    names = _names(source, [*rigid, *soft])
     joints = joint_prims(source)
     welded = {welded_body(source, joint) for joint in joints}
-    bodies: dict[Sdf.Path, RigidBody] = {}
-    drivers: list[tuple[int, Driver]] = []
-    for prim, shapes in rigid:
-        path = prim.GetPath()
-        body, driver, index = read_body(source, prim, shapes, names[path], welded)
-        bodies[path] = body
-        if driver is not None:
-            # Drivers without an index in the file come last, in the stage's order.
-            drivers.append((len(rigid) if index is None else index, driver))
-    drivers.sort(key=lambda pair: pair[0])
-    still = {path for path, body in bodies.items() if body.motion is not Motion.DYNAMIC}
+    results = source.read_each(
+        rigid,
+        lambda prim: read_body(
+            source, prim, rigid[prim], names[prim.GetPath()], welded
+        ),
+    )
+    bodies = {
+        prim.GetPath(): body for prim, (body, _, _) in zip(rigid, results, strict=True)
+    }
+    # Drivers without an index in the file come last, in the stage's order.
+    results.sort(key=lambda result: result[2])
     colliders = [
         Collider(
             name=names[prim.GetPath()],
             prim=prim,
             shapes=shapes,
-            moves=prim.GetPath() not in still,
+            moves=prim in soft or bodies[prim.GetPath()].motion is Motion.DYNAMIC,
         )
-        for prim, shapes in (*rigid, *soft)
+        for prim, shapes in (rigid | soft).items()
     ]
-    read_joints = [read_joint(source, joint, bodies) for joint in joints]
+    read_joints = source.read_each(
+        joints, lambda joint: read_joint(source, joint, bodies)
+    )
+    attachments = source.read_each(
+        source.prims(), lambda prim: read_attachment(source, prim, names)
+    )
     scene = Scene(
         bodies=tuple(bodies.values()),
         deformables=tuple(
-            read_deformable(source, prim, names[prim.GetPath()]) for prim, _ in soft
+            source.read_each(
+                soft, lambda prim: read_deformable(source, prim, names[prim.GetPath()])
+            )
         ),
-        joints=tuple(joint for joint in read_joints if joint is not None),
-        attachments=tuple(read_attachments(source, names)),
-        contacts=read_contacts(source, physics.GetPrim(), colliders, options),
-        drivers=tuple(driver for _, driver in drivers),
+        joints=tuple(joint for joint in read_joints if joint),
+        attachments=tuple(attachment for attachment in attachments if attachment),
+        contacts=read_contacts(source, colliders, options),
+        drivers=tuple(driver for _, driver, _ in results if driver),
         markers=read_markers(source, names),
         duration_s=duration_s,
-        gravity_m_per_s2=_gravity_m_per_s2(source, physics),
-        air=read_air(source, physics.GetPrim()),
+        gravity_m_per_s2=gravity_m_per_s2,
+        air=air,
     )
     return names, scene
 
 
 def _gravity_m_per_s2(source: Source, physics: UsdPhysics.Scene) -> float:
-    attribute = physics.GetGravityDirectionAttr()
-    direction = source.numbers(attribute, (3,))
+    down = source.up @ np.array(physics.GetGravityDirectionAttr().Get())
     # Zeros, the fallback of the schema, stand for down.
-    if direction is not None and direction.any():
-        down = source.up @ direction / length_of(direction)
-        if length_of(down - (0.0, 0.0, -1.0)) > LEVEL:
-            raise source.fault(
-                attribute,
-                f"is {direction.tolist()}: gravity must point down, against the up axis",
-            )
+    if down.any() and length_of(down / length_of(down) - (0.0, 0.0, -1.0)) > LEVEL:
+        raise source.fault(
+            physics.GetGravityDirectionAttr(),
+            "gravity must point down, against the up axis",
+        )
     magnitude = physics.GetGravityMagnitudeAttr()
     # Minus infinity, the fallback of the schema, stands for standard gravity.
     stored = None
@@ -232,58 +212,48 @@ def _gravity_m_per_s2(source: Source, physics: UsdPhysics.Scene) -> float:
     if gravity is None:
         return GRAVITY_M_PER_S2
     if gravity < 0.0:
-        raise source.fault(
-            magnitude, f"is {float(gravity)} m/s^2: 0 or more is expected"
-        )
+        raise source.fault(magnitude, f"is {gravity} m/s^2: 0 or more is expected")
     return float(gravity)
 
 
 def _duration_s(
     source: Source,
     physics: UsdPhysics.Scene,
-    given_s: float | None,
-    unstated_s: float | None,
+    duration_s: float | None,
+    unstated_duration_s: float | None,
 ) -> float:
     """Return `gauge:duration_s`, else the given duration, else that of the time codes, else that for unstated ones."""
-    exact = physics.GetPrim().GetAttribute("gauge:duration_s")
-    stored = None
-    if source.stage.HasAuthoredTimeCodeRange() and (exact or given_s is None):
-        length_s = np.array(source.seconds(source.stage.GetEndTimeCode()))
-        stored = StoredValue("endTimeCode", length_s, length_s)
-    value = source.edited(
-        exact,
-        [stored],
-        rounded=lambda length_s: np.round(length_s * source.rate_hz) / source.rate_hz,
-    )
-    durations = [given_s if value is None else float(value), unstated_s]
-    duration_s = next((length for length in durations if length is not None), None)
-    if duration_s is None:
+    double = physics.GetPrim().GetAttribute("gauge:duration_s")
+    exact_s = source.number(double)
+    stated_s = None
+    if source.stage.HasAuthoredTimeCodeRange():
+        stated_s = source.seconds(source.stage.GetEndTimeCode())
+        if stated_s != (double.GetCustomDataByKey(WRITTEN) or stated_s):
+            exact_s = None
+    choices = (exact_s, duration_s, stated_s, unstated_duration_s)
+    chosen_s = next((choice for choice in choices if choice is not None), None)
+    if chosen_s is None or not 0.0 < chosen_s <= MAX_DURATION_S:
         raise source.fault(
             "",
-            "its duration is not known: give duration_s, or author startTimeCode and endTimeCode",
+            f"its duration is {chosen_s} s: set startTimeCode and endTimeCode, or duration_s, to a duration above 0 "
+            f"and of at most {MAX_DURATION_S:g} s",
         )
-    if not 0.0 < duration_s <= MAX_DURATION_S:
-        raise source.fault(
-            "endTimeCode" if stored else "",
-            f"its duration is {duration_s} s: above 0 and at most {MAX_DURATION_S:g} s are expected",
-        )
-    return duration_s
+    return chosen_s
 
 
-def _rigid_bodies(source: Source) -> list[tuple[Usd.Prim, list[Usd.Prim]]]:
+def _rigid_bodies(source: Source) -> dict[Usd.Prim, list[Usd.Prim]]:
     """Return rigid bodies in the stage's order with their colliders; one without a rigid body is a fixed body."""
-    found: dict[Sdf.Path, list[Usd.Prim]] = {}
+    found: dict[Usd.Prim, list[Usd.Prim]] = {}
     for prim in source.prims():
         owner = source.body_of(prim)
-        if is_deformable(prim) or (owner is not None and is_deformable(owner)):
+        if is_deformable(owner or prim):
             continue
         if owner == prim:
-            found.setdefault(prim.GetPath(), [])
+            found.setdefault(prim, [])
         if prim.HasAPI(UsdPhysics.CollisionAPI):
-            found.setdefault((owner or prim).GetPath(), []).append(prim)
-    bodies = []
-    for path, shapes in found.items():
-        prim = source.stage.GetPrimAtPath(path)
+            found.setdefault(owner or prim, []).append(prim)
+    bodies = {}
+    for prim, shapes in found.items():
         if not shapes:
             raise source.fault(
                 prim,
@@ -291,7 +261,7 @@ def _rigid_bodies(source: Source) -> list[tuple[Usd.Prim, list[Usd.Prim]]]:
             )
         enabled = [shape for shape in shapes if is_enabled(shape)]
         if enabled or source.body_of(prim):
-            bodies.append((prim, enabled or shapes))
+            bodies[prim] = enabled or shapes
     return bodies
 
 

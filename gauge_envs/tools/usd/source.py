@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from pxr import Ar, Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
+from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.errors import AssetError
+from gauge_envs.errors import AssetError, first_fault
 from gauge_envs.scene import Pose
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.tools.usd.layer import FOLLOWS, WRITTEN, as_array, digest
+
+Value = TypeVar("Value")
 
 SINGLE_RELATIVE = 3e-7
 """Largest difference of numbers that are equal in single precision, relative to the largest number."""
@@ -26,9 +28,6 @@ MAX_SKEW = 1e-6
 MAX_NUMBER = 1e30
 """Largest valid number; products of several such numbers are finite."""
 
-MAX_DURATION_S = 3600.0
-"""Longest duration of a stage and of time samples [s]."""
-
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Rotation of a stage with y up: y becomes z, z becomes -y."""
 
@@ -36,27 +35,21 @@ EXACT_OPERATIONS = ["xformOp:translate", "xformOp:orient"]
 """Transform of a body as this package writes it."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Frame:
-    """A prim's frame in the world in SI units; the scale [m per unit], shape [3], is along the prim's axes."""
-
-    pose: Pose
-    scale: FloatArray
-
-
-@dataclass(frozen=True)
-class StoredValue:
+class StoredValue(NamedTuple):
     """Value of a standard attribute in SI units.
 
     Attributes:
-        place: Path of the attribute, or name of the metadata.
         raw: The stored value, for comparison with the written value.
         value: The value to use. A single-precision number becomes the shortest decimal that rounds to it.
     """
 
-    place: Sdf.Path | str
     raw: FloatArray
     value: FloatArray
+
+
+def single(values: FloatArray) -> FloatArray:
+    """Return numbers rounded to single precision."""
+    return np.asarray(values).astype(np.float32).astype(np.float64)
 
 
 class Source:
@@ -68,20 +61,14 @@ class Source:
 
     def __init__(self, path: Path) -> None:
         self.file = path
-        self.stage = self._open()
+        with self.errors_at(""):
+            self.stage = self._open()
         for key in (UsdGeom.Tokens.metersPerUnit, UsdGeom.Tokens.upAxis):
             if not self.stage.HasAuthoredMetadata(key):
                 raise self.fault("", f"{key} is not given: set it")
         self.metres = UsdGeom.GetStageMetersPerUnit(self.stage)
         self.kilograms = UsdPhysics.GetStageKilogramsPerUnit(self.stage)
         self.rate_hz = self.stage.GetTimeCodesPerSecond()
-        for key, value in (
-            ("metersPerUnit", self.metres),
-            ("kilogramsPerUnit", self.kilograms),
-            ("timeCodesPerSecond", self.rate_hz),
-        ):
-            if not 1.0 / MAX_NUMBER <= value <= MAX_NUMBER:
-                raise self.fault("", f"{key} is {value}: a positive number is expected")
         is_z_up = UsdGeom.GetStageUpAxis(self.stage) == UsdGeom.Tokens.z
         self.up: FloatArray = np.eye(3) if is_z_up else Y_UP
         self.is_si = is_z_up and self.metres == 1.0
@@ -104,19 +91,42 @@ class Source:
         path = place.GetPath() if isinstance(place, Usd.Object) else place
         return AssetError(self.file, str(path), reason)
 
+    @contextmanager
+    def errors_at(self, place: Usd.Object | str) -> Iterator[None]:
+        """Convert errors at a prim or attribute to AssetError.
+
+        Such errors come from USD, from NumPy if an attribute has another type than the reader expects, and from a
+        scene whose parts contradict each other.
+        """
+        try:
+            yield
+        except AssetError:
+            raise
+        except (
+            ArithmeticError,
+            LookupError,
+            RuntimeError,
+            TypeError,
+            ValueError,
+        ) as error:
+            raise self.fault(place, _reason(error)) from None
+
+    def read_each(
+        self, prims: Iterable[Usd.Prim], read: Callable[[Usd.Prim], Value]
+    ) -> list[Value]:
+        """Return what a function reads from each prim; errors name the prim."""
+        values = []
+        for prim in prims:
+            with self.errors_at(prim):
+                values.append(read(prim))
+        return values
+
     def used_files(self) -> tuple[Path, ...]:
-        """Return the other files of the stage, sorted by their path relative to the main file."""
-        main = self.file.resolve()
-        # A layer in a package belongs to the package's file.
-        files = {
-            Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0]).resolve()
-            for layer in self.stage.GetUsedLayers()
-            if not layer.anonymous
-        }
-        others = files - {main}
-        return tuple(
-            sorted(others, key=lambda file: os.path.relpath(file, main.parent))
-        )
+        """Return the other files of the stage, sorted."""
+        # A layer in a package belongs to the package's file, which is listed itself.
+        paths = {Path(layer.realPath) for layer in self.stage.GetUsedLayers()}
+        files = {path.resolve() for path in paths if path.is_file()}
+        return tuple(sorted(files - {self.file.resolve()}))
 
     def prims(self) -> Iterator[Usd.Prim]:
         """Return an iterator over all active, defined prims in the stage's order, including prims in instances."""
@@ -133,16 +143,11 @@ class Source:
             attribute: The attribute; it need not exist.
             shape: Expected shape; -1 stands for any length.
         """
-        value = attribute.Get(self.start) if attribute else None
+        value = attribute.Get(self.start)
         if value is None:
             return None
-        try:
+        with self.errors_at(attribute):
             array = as_array(value).reshape(shape)
-        except (TypeError, ValueError):
-            wanted = " x ".join("any" if count < 0 else str(count) for count in shape)
-            raise self.fault(
-                attribute, f"holds {value!r}: {wanted or 1} numbers are expected"
-            ) from None
         if not (np.abs(array) <= MAX_NUMBER).all():
             raise self.fault(attribute, f"holds {value}: finite numbers are expected")
         return array
@@ -154,13 +159,11 @@ class Source:
 
     def text(self, attribute: Usd.Attribute, known: Sequence[str] = ()) -> str | None:
         """Return the string or token of an attribute, one of the known ones, or None if it has no value."""
-        value = attribute.Get() if attribute else None
-        if value is not None and (
-            not isinstance(value, str) or (known and value not in known)
-        ):
-            expected = f"one of {', '.join(known)}" if known else "a text"
-            raise self.fault(attribute, f"holds {value!r}: {expected} is expected")
-        return value
+        value = attribute.Get()
+        if value is None or (isinstance(value, str) and (not known or value in known)):
+            return value
+        expected = f"one of {', '.join(known)}" if known else "a text"
+        raise self.fault(attribute, f"holds {value!r}: {expected} is expected")
 
     def stored(
         self,
@@ -175,23 +178,18 @@ class Source:
             shape: Expected shape as in `numbers`.
             convert: Conversion from the stage's units to SI units.
         """
-        if not attribute or not attribute.HasAuthoredValue():
-            return None
         raw = self.numbers(attribute, shape)
-        if raw is None:
+        if raw is None or not attribute.HasAuthoredValue():
             return None
         is_single = np.array_equal(raw, single(raw))
         decimals = raw.astype(np.float32).astype(str).astype(np.float64)
-        return StoredValue(
-            attribute.GetPath(), convert(raw), convert(decimals if is_single else raw)
-        )
+        return StoredValue(convert(raw), convert(decimals if is_single else raw))
 
     def edited(
         self,
         exact: Usd.Attribute,
         stored: Sequence[StoredValue | None],
         shape: tuple[int, ...] = (),
-        rounded: Callable[[FloatArray], FloatArray] = lambda values: single(values),
     ) -> FloatArray | None:
         """Return a quantity that is stored as a `gauge:` double and in standard attributes: the edited value counts.
 
@@ -202,7 +200,6 @@ class Source:
             exact: The double; it need not exist.
             stored: Standard values of the same quantity.
             shape: Expected shape as in `numbers`.
-            rounded: Conversion of the double to the standard attribute, as in the writer.
 
         Returns:
             The value, or None if there is none.
@@ -211,31 +208,23 @@ class Source:
             AssetError: Two edited values differ.
         """
         double = self.numbers(exact, shape)
-        standards = [standard for standard in stored if standard is not None]
-        if double is None:
-            return self._common(standards).value if standards else None
+        values = [value for value in stored if value is not None]
+        if double is not None:
+            values.insert(0, StoredValue(single(double), double))
         written = exact.GetCustomDataByKey(WRITTEN)
-        changed = [one for one in standards if not is_written(one.raw, written)]
+        changed = [value for value in values if not is_written(value.raw, written)]
         if not changed:
             return double
-        standard, as_single = self._common(changed), rounded(double)
-        if not is_written(as_single, written):
-            exact_value = StoredValue(exact.GetPath(), as_single, double)
-            return self._common([exact_value, standard]).value
-        if standard.raw.shape != double.shape:
-            return standard.value
-        return np.where(as_single == standard.raw, double, standard.value)
-
-    def _common(self, values: Sequence[StoredValue]) -> StoredValue:
-        """Return the first of several values, which must be equal."""
-        first = values[0]
-        for other in values[1:]:
+        first = changed[0]
+        for other in changed[1:]:
             if not is_written(first.raw, other.raw):
                 raise self.fault(
-                    first.place,
-                    f"is {first.value} but {other.place} is {other.value}: make them agree",
+                    exact,
+                    f"was edited to {first.value}, and to {other.value} in a standard attribute: make them agree",
                 )
-        return first
+        if double is None or first.raw.shape != double.shape:
+            return first.value
+        return np.where(single(double) == first.raw, double, first.value)
 
     def check_derived(self, prim: Usd.Prim) -> None:
         """Check that no derived attribute of a prim was edited."""
@@ -255,12 +244,12 @@ class Source:
         self, prim: Usd.Prim, relationship: str, names: Mapping[Sdf.Path, str]
     ) -> tuple[str, ...]:
         """Return the names of the bodies that a relationship targets, of the given names by path."""
-        found = prim.GetRelationship(relationship)
-        paths = found.GetTargets() if found else []
-        unknown = [path for path in paths if path not in names]
-        if unknown or not paths:
-            wrong = unknown[0] if unknown else "nothing"
-            raise self.fault(prim, f"{relationship} names {wrong}: bodies are expected")
+        paths = prim.GetRelationship(relationship).GetTargets()
+        if not paths or not names.keys() >= set(paths):
+            listed = ", ".join(map(str, paths)) or "nothing"
+            raise self.fault(
+                prim, f"{relationship} names {listed}: bodies are expected"
+            )
         return tuple(names[path] for path in paths)
 
     def material(self, prim: Usd.Prim) -> Usd.Prim | None:
@@ -299,25 +288,25 @@ class Source:
             prim = prim.GetParent()
         return sorted(codes)
 
-    def frame(self, prim: Usd.Prim, time: Usd.TimeCode) -> Frame:
-        """Return the frame of a prim in the world at a time."""
-        cache = UsdGeom.XformCache(time)
-        matrix = np.array(cache.GetLocalToWorldTransform(prim)).T
+    def frame(self, prim: Usd.Prim, time: Usd.TimeCode) -> tuple[Pose, FloatArray]:
+        """Return the pose of a prim in the world at a time, and the scale along its axes [m per unit], shape [3]."""
+        xform = UsdGeom.Xformable(prim)
+        matrix = np.array(xform.ComputeLocalToWorldTransform(time)).T
         if not (np.abs(matrix) <= MAX_NUMBER).all():
             raise self.fault(prim, "its transform is not finite")
         rotation, scale = self.decomposed(prim, self.up @ matrix[:3, :3])
-        if np.allclose(np.abs(scale), 1.0, rtol=0.0, atol=MAX_SKEW):
-            scale = np.sign(scale)
+        if np.allclose(scale, 1.0, rtol=0.0, atol=MAX_SKEW):
+            scale = np.ones(3)
         position_m = self.metres * (self.up @ matrix[:3, 3])
         quaternion = Rotation.from_matrix(rotation).as_quat(
             canonical=True, scalar_first=True
         )
-        operations = UsdGeom.Xformable(prim).GetOrderedXformOps()
         values = {
-            operation.GetOpName(): operation.Get(time) for operation in operations
+            operation.GetOpName(): operation.Get(time)
+            for operation in xform.GetOrderedXformOps()
         }
         is_placed = list(values) == EXACT_OPERATIONS and None not in values.values()
-        above = cache.GetParentToWorldTransform(prim)
+        above = xform.ComputeParentToWorldTransform(time)
         if is_placed and self.is_si and above == Gf.Matrix4d(1.0):
             # A conversion through matrices would lose the last digits of the written values.
             position_m, quaternion = map(as_array, values.values())
@@ -326,20 +315,18 @@ class Source:
                 quaternion = quaternion / length
         w, x, y, z = quaternion.tolist()
         pose = Pose(position_m=vector(position_m), quaternion=(w, x, y, z))
-        return Frame(pose=pose, scale=self.metres * scale)
+        return pose, self.metres * scale
 
     def decomposed(
         self, prim: Usd.Prim, matrix: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the rotation [3, 3] and the scale [3] of a linear map that scales along the axes and then rotates."""
         scale = np.linalg.norm(matrix, axis=0)
-        if not (scale > 0.0).all():
+        if np.linalg.det(matrix) <= 0.0:
             raise self.fault(
                 prim,
-                f"its transform scales by {scale}: positive numbers are expected",
+                f"its transform scales by {scale} or mirrors: scale by positive numbers",
             )
-        if np.linalg.det(matrix) < 0.0:
-            scale = scale * [-1.0, 1.0, 1.0]
         rotation = matrix / scale
         if np.abs(rotation.T @ rotation - np.eye(3)).max() > MAX_SKEW:
             raise self.fault(
@@ -350,15 +337,10 @@ class Source:
     def to_world(self, prim: Usd.Prim | None, points: FloatArray) -> FloatArray:
         """Return points in a prim's space, or in that of the stage, in world coordinates [m], shape [..., 3]."""
         if prim is not None:
-            cache = UsdGeom.XformCache(self.start)
-            matrix = np.array(cache.GetLocalToWorldTransform(prim))
+            xform = UsdGeom.Imageable(prim)
+            matrix = np.array(xform.ComputeLocalToWorldTransform(self.start))
             points = points @ matrix[:3, :3] + matrix[3, :3]
         return points if self.is_si else self.metres * points @ self.up.T
-
-
-def single(values: FloatArray) -> FloatArray:
-    """Return numbers rounded to single precision."""
-    return np.asarray(values).astype(np.float32).astype(np.float64)
 
 
 def is_written(values: FloatArray, written: Any) -> bool:
@@ -372,3 +354,16 @@ def is_written(values: FloatArray, written: Any) -> bool:
         return False
     largest = np.abs(expected).max(initial=0.0)
     return bool(np.abs(values - expected).max(initial=0.0) <= SINGLE_RELATIVE * largest)
+
+
+def _reason(error: Exception) -> str:
+    """Return the message of an error."""
+    if isinstance(error, ValidationError):
+        return " ".join(first_fault(error)).strip()
+    if not isinstance(error, Tf.ErrorException):
+        return str(error)
+    try:
+        return f"USD cannot read it: {error.args[0].commentary}"
+    except UnicodeDecodeError:
+        # The message quotes the file.
+        return "it holds bytes that are not UTF-8 text"

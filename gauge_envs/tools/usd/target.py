@@ -31,10 +31,11 @@ class Target:
         self.scene = scene
         names = [body.name for body in (*scene.bodies, *scene.deformables)]
         driven = [driver.body for driver in scene.drivers]
-        for kind, listed in (("name", names), ("driver", driven)):
-            for name in listed:
-                if listed.count(name) > 1:
-                    raise ParameterError(f"body {name!r} has more than one {kind}")
+        for listed in (names, driven):
+            if repeated := [name for name in listed if listed.count(name) > 1]:
+                raise ParameterError(
+                    f"body {repeated[0]!r} has more than one name or driver"
+                )
         self.paths = _paths(names)
         self.collides = {
             name

@@ -11,7 +11,6 @@ as the mesh of a cloth, contains its written value and the names of the attribut
 """
 
 from dataclasses import asdict
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +48,7 @@ from gauge_envs.tools.usd.layer import (
     WRITTEN,
     DriverRecord,
     as_array,
+    body_velocities,
     digest,
     hinge_axis,
     hinge_frame,
@@ -57,7 +57,6 @@ from gauge_envs.tools.usd.layer import (
     samples_digest,
 )
 from gauge_envs.tools.usd.target import Target, write, write_extent, write_friction
-from gauge_envs.tools.usd.velocities import body_velocities
 
 SUFFIXES = (".usda", ".usdc", ".usd")
 
@@ -185,29 +184,25 @@ def _write_pairs(target: Target, physics: UsdPhysics.Scene) -> None:
     """Filter all pairs without a contact, since UsdPhysics lets all collide, and write a hash of the other pairs."""
     scene = target.scene
     allowed = {
-        frozenset((a, b))
+        frozenset(pair)
         for contact in scene.contacts
-        for a in contact.first
-        for b in contact.second
+        for pair in scene.colliding_pairs(contact)
     }
     moving = {body.name for body in (*scene.dynamic_bodies, *scene.deformables)}
-    filtered: dict[str, list[str]] = {}
-    for pair in combinations(
-        [name for name in target.paths if name in target.collides], 2
-    ):
-        if frozenset(pair) not in allowed and not moving.isdisjoint(pair):
-            filtered.setdefault(pair[0], []).append(pair[1])
-    for name, others in filtered.items():
-        prim = target.stage.GetPrimAtPath(target.paths[name])
-        relationship = UsdPhysics.FilteredPairsAPI.Apply(prim).CreateFilteredPairsRel()
-        relationship.SetTargets([target.paths[other] for other in others])
+    colliding = [name for name in target.paths if name in target.collides]
+    for index, name in enumerate(colliding):
+        filtered = [
+            target.paths[other]
+            for other in colliding[index + 1 :]
+            if moving & {name, other} and frozenset((name, other)) not in allowed
+        ]
+        if filtered:
+            prim = target.stage.GetPrimAtPath(target.paths[name])
+            api = UsdPhysics.FilteredPairsAPI.Apply(prim)
+            api.CreateFilteredPairsRel().SetTargets(filtered)
     # UsdPhysics does not know the colliders of ropes and rods.
     lines = {body.name for body in scene.deformables if isinstance(body, Rope | Rod)}
-    known = {
-        pair
-        for pair in allowed
-        if len(pair) == 2 and pair & moving and not pair & lines
-    }
+    known = {pair for pair in allowed if not pair & lines}
     write(physics, "gauge:colliding_pairs", names_digest(known), "string")
 
 

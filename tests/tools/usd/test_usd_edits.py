@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pxr import Gf, UsdGeom, UsdPhysics, UsdShade
+from pxr import Gf, Sdf, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
 from usd_scenes import changed, edited, pairs
 
@@ -26,8 +26,6 @@ from gauge_envs.scene.geometry import pose_distance
 from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.assets.build import assets_folder
-from gauge_envs.tools.usd.reader import read_usd
 from gauge_envs.tools.usd.writer import to_usd
 
 SLIDER, TABLE, BALL, PENDULUM = (
@@ -287,25 +285,9 @@ def test_the_exact_motion_counts_with_its_edits_and_without_samples(tmp_path):
 # --- contacts --------------------------------------------------------------------------------------------------------
 
 
-def filtered(one, other):
-    def edit(stage):
-        api = UsdPhysics.FilteredPairsAPI.Apply(stage.GetPrimAtPath(one))
-        api.CreateFilteredPairsRel().AddTarget(other)
-
-    return edit
-
-
-@pytest.mark.parametrize("name", ["NonsmoothContact-1-wood", CRADLE])
-def test_a_pair_that_is_filtered_is_taken_out_of_its_group(name, tmp_path):
-    """Of the first and the last ball of a cradle, one chain of impacts is left."""
-    before = original(name)
-    one, other = next(iter(before.colliding_pairs(before.contacts[0])))
-    if name == CRADLE:
-        one, *_, other = [body.name for body in before.dynamic_bodies]
-    paths = read_usd(assets_folder() / "usd" / f"{name}.usda").paths
-    scene = edited(name, tmp_path, filtered(paths[one], paths[other]))
-    assert pairs(scene) == pairs(before) - {frozenset((one, other))}
-    assert scene.has_impact_chain == before.has_impact_chain == (name == CRADLE)
+def filtered(stage):
+    api = UsdPhysics.FilteredPairsAPI.Apply(stage.GetPrimAtPath(CUBE))
+    api.CreateFilteredPairsRel().AddTarget("/World/board")
 
 
 def test_a_body_that_is_added_collides_by_its_material(tmp_path):
@@ -344,18 +326,27 @@ def on_ice(stage):
     bind(stage, CUBE, "/World/ice")
 
 
+def retype(stage, path):
+    """Turns a number into a text."""
+    prim = stage.GetPrimAtPath(path.split(".")[0])
+    prim.RemoveProperty(path.split(".")[1])
+    attribute = prim.CreateAttribute(path.split(".")[1], Sdf.ValueTypeNames.String)
+    attribute.Set("much")
+
+
 # The layer, its edits, and the place and the fault in the words of the error.
 DECLINED = [
     (
         SLIDER,
         {f"{CUBE}.gauge:mass_kg": 0.3, f"{CUBE}.physics:mass": 0.2},
-        r"/cube.gauge:mass_kg: is 0.3 but /World/cube.physics:mass is 0.2",
+        r"/cube.gauge:mass_kg: was edited to 0.3, and to 0.2",
     ),
     (SLIDER, on_ice, r"/cube: is bound to /World/ice"),
+    (SLIDER, filtered, r"/contact_0: board and cube have a contact, but"),
     (
-        FLING,
-        {"/World/rod.xformOp:translate": (0.0, 0.0, 0.5)},
-        r"/rod: its pose was edited, but not the time samples",
+        SLIDER,
+        lambda stage: retype(stage, f"{CUBE}.gauge:mass_kg"),
+        r"/cube.gauge:mass_kg: could not convert string to float",
     ),
     (
         CLOTH,
@@ -375,20 +366,12 @@ DECLINED = [
     (
         TABLE,
         {f"{PLATE}.gauge:driver": "{"},
-        r"/plate.gauge:driver: is not as the writer writes it",
+        r"/plate.gauge:driver: Invalid JSON",
     ),
     (
         load_experiment("CubeToss-acrylic").scene,
         {f"{CUBE}.physics:diagonalInertia": (6.8e-4,) * 3},
-        "contradicts gauge:inertia_kg_m2",
-    ),
-    (
-        THROW,
-        {
-            "/World/thrown.gauge:linear_velocity_m_per_s": (3.0, 0.0, 0.1),
-            VELOCITY: (0.0, 0.0, 2.0),
-        },
-        r"/thrown.gauge:linear_velocity_m_per_s: is .* but /World/thrown.physics:velocity is",
+        "contradict gauge:inertia_kg_m2",
     ),
 ]
 

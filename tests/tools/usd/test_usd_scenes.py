@@ -67,8 +67,8 @@ def test_what_is_named_or_driven_twice_is_not_written(tmp_path):
     driven = replace(scene, drivers=scene.drivers * 2)
     (tmp_path / "file").touch()
     for wrong, name, words in (
-        (twice, "a.usda", "'cube' has more than one name"),
-        (driven, "a.usda", "'plate' has more than one driver"),
+        (twice, "a.usda", "'cube' has more than one name or driver"),
+        (driven, "a.usda", "'plate' has more than one name or driver"),
         (scene, "a.obj", r"ends in \.usda"),
         (scene, "file/a.usda", "cannot be written"),
     ):
