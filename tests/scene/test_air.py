@@ -203,7 +203,7 @@ def test_a_usd_layer_restores_the_air(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
-        ("gauge:air:lift_coefficient", "gauge:air:lift", "is no property of air"),
+        ("gauge:air:lift_coefficient", "gauge:air:lift", "argument 'lift'"),
         (
             "gauge:air:density_kg_per_m3 = 1.204",
             "gauge:air:density_kg_per_m3 = -1",
@@ -212,7 +212,7 @@ def test_a_usd_layer_restores_the_air(tmp_path):
         (
             "custom double gauge:air:normal_coefficient = 1.17",
             "",
-            "without gauge:air:normal_coefficient",
+            "argument: 'normal_coefficient'",
         ),
     ],
 )

@@ -1,8 +1,8 @@
 """Reader of rigid bodies of a USD stage: motion, shape, mass and start."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics
@@ -20,7 +20,6 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
     body_mass_properties,
-    mass_properties,
 )
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, length_of, pose_distance, vector
@@ -51,10 +50,10 @@ APPROXIMATIONS = ("convexHull", "none", "meshSimplification", "convexDecompositi
 """Approximations of meshes; all but the first keep the mesh's own shape, which must be convex."""
 
 
-@dataclass(frozen=True)
-class Solid:
-    """A shape, and the pose of its frame in the unscaled frame of the body's prim."""
+class Solid(NamedTuple):
+    """A shape with its collider, and the pose of its frame in the unscaled frame of the body's prim."""
 
+    prim: Usd.Prim
     shape: Shape
     pose: Pose = IDENTITY
 
@@ -85,10 +84,10 @@ def read_body(
     motion = _motion(source, prim, is_welded=prim.GetPath() in welded)
     prim_pose, scale = source.frame(prim, Usd.TimeCode(source.start))
     solids = [_solid(source, prim, scale, collider) for collider in colliders]
-    solid = _joined(source, colliders, solids)
+    solid = _joined(source, solids)
     if isinstance(solid.shape, Plane) and motion is not Motion.FIXED:
         raise source.fault(
-            colliders[0], f"is a plane of a {motion} body: planes are fixed"
+            solid.prim, f"is a plane of a {motion} body: planes are fixed"
         )
     pose, driver, index = solid.moved(prim_pose), None, np.inf
     if motion is Motion.KINEMATIC:
@@ -100,22 +99,21 @@ def read_body(
             prim,
             "is a collider that moves without a rigid body: make it a kinematic body",
         )
+    velocities = np.zeros((2, 3))
+    if motion is Motion.DYNAMIC:
+        velocities = _velocities(source, prim)
     body = RigidBody(
         name=name,
         shape=solid.shape,
         motion=motion,
         pose=pose,
-        mass_kg=_mass_kg(source, prim, colliders, solids, motion),
+        mass_kg=_mass_kg(source, prim, solids, motion),
+        linear_velocity_m_per_s=vector(velocities[0]),
+        angular_velocity_rad_per_s=vector(velocities[1]),
         inertia_kg_m2=source.number(prim.GetAttribute("gauge:inertia_kg_m2")),
     )
     if motion is Motion.DYNAMIC:
         _check_mass_distribution(source, prim, body, solid.pose, scale)
-        linear, angular = _velocities(source, prim, prim_pose, body)
-        body = replace(
-            body,
-            linear_velocity_m_per_s=vector(linear),
-            angular_velocity_rad_per_s=vector(angular),
-        )
     return body, driver, index
 
 
@@ -135,39 +133,35 @@ def _motion(source: Source, prim: Usd.Prim, *, is_welded: bool) -> Motion:
     return standard
 
 
-def _velocities(
-    source: Source, prim: Usd.Prim, axes: Pose, body: RigidBody
-) -> FloatArray:
-    """Return the start velocities of a dynamic body: of standard attributes if they were edited, else of doubles.
+def _velocities(source: Source, prim: Usd.Prim) -> FloatArray:
+    """Return the start velocities of a dynamic body.
 
-    Args:
-        source: The stage.
-        prim: Prim of the body.
-        axes: Pose of the prim at the start.
-        body: The body, whose frame may differ from that of the prim.
+    The frame and the point of the velocities of UsdPhysics differ between tools, so only doubles are read.
 
     Returns:
         Velocity of the body origin [m/s] and angular velocity [rad/s] in the world frame, shape [2, 3].
     """
-    api = UsdPhysics.RigidBodyAPI(prim)
-    attributes = [api.GetVelocityAttr(), api.GetAngularVelocityAttr()]
     doubles = [prim.GetAttribute(f"gauge:{name}") for name in VELOCITIES]
-    standard = np.array([source.numbers(attribute, (3,)) for attribute in attributes])
+    api = UsdPhysics.RigidBodyAPI(prim)
+    standard = np.array(
+        [api.GetVelocityAttr().Get(), api.GetAngularVelocityAttr().Get()]
+    )
     written = doubles[0].GetCustomDataByKey(WRITTEN)
-    if doubles[0] and (written is None or is_written(standard, written)):
-        return np.array([source.numbers(double, (3,)) for double in doubles])
-    linear = axes.rotation.apply(standard[0]) * source.metres
-    spin = axes.rotation.apply(np.radians(standard[1]))
-    arm_m = body.pose.rotation.apply(mass_properties(body.shape, 1.0)[0])
-    return np.array([linear - np.cross(spin, arm_m), spin])
+    if standard.any() and not is_written(standard, written):
+        raise source.fault(
+            prim,
+            "has physics:velocity or physics:angularVelocity, whose frame differs between tools: set them to 0, and "
+            f"gauge:{VELOCITIES[0]} and gauge:{VELOCITIES[1]} of the body origin in the world",
+        )
+    if not doubles[0]:
+        return np.zeros((2, 3))
+    return np.array([source.numbers(double, (3,)) for double in doubles])
 
 
 # --- shapes ----------------------------------------------------------------------------------------------------------
 
 
-def _joined(
-    source: Source, colliders: Sequence[Usd.Prim], solids: Sequence[Solid]
-) -> Solid:
+def _joined(source: Source, solids: Sequence[Solid]) -> Solid:
     """Return the shape of a body.
 
     A single sphere, cylinder or plane defines the body frame. Boxes elsewhere, meshes, and several colliders become
@@ -177,13 +171,13 @@ def _joined(
     if len(solids) == 1 and (not is_polyhedron[0] or solids[0].pose == IDENTITY):
         return solids[0]
     if not all(is_polyhedron):
-        collider = colliders[is_polyhedron.index(False)]
+        collider = solids[is_polyhedron.index(False)].prim
         raise source.fault(
             collider,
             f"is a {collider.GetTypeName()} among other colliders of a body: boxes and meshes are expected",
         )
     pieces_m = [solid.pose.to_world(solid.shape.corners_m) for solid in solids]
-    return Solid(_polyhedron(pieces_m))
+    return Solid(solids[0].prim, _polyhedron(pieces_m))
 
 
 def _polyhedron(pieces_m: Sequence[FloatArray]) -> ConvexUnion:
@@ -206,7 +200,8 @@ def _solid(
     kind = prim.GetTypeName()
     shape: Shape
     if kind == "Mesh":
-        return Solid(_polyhedron([_vertices(source, prim, linear, offset_m)]))
+        vertices_m = _vertices(source, prim, linear, offset_m)
+        return Solid(prim, _polyhedron([vertices_m]))
     if kind == "Cube":
         edge_m = UsdGeom.Cube(prim).GetSizeAttr().Get() * scale
         shape = Box(size_m=vector(edge_m))
@@ -231,9 +226,9 @@ def _solid(
     if kind != "Plane" and shape.volume_m3 <= 0.0:
         raise source.fault(prim, f"has a size that is not positive: {shape}")
     pose = Pose.from_rotation(vector(offset_m), Rotation.from_matrix(rotation))
-    return Solid(
-        shape, IDENTITY if pose_distance(pose, IDENTITY) < SAME_FRAME else pose
-    )
+    if pose_distance(pose, IDENTITY) < SAME_FRAME:
+        pose = IDENTITY
+    return Solid(prim, shape, pose)
 
 
 def _radius_m(
@@ -293,38 +288,31 @@ def _volume_m3(mesh: UsdGeom.Mesh, points_m: FloatArray) -> float:
 
 
 def _mass_kg(
-    source: Source,
-    body: Usd.Prim,
-    colliders: Sequence[Usd.Prim],
-    solids: Sequence[Solid],
-    motion: Motion,
+    source: Source, body: Usd.Prim, solids: Sequence[Solid], motion: Motion
 ) -> float:
     """Return the given mass of a body, or the sum over its colliders [kg]; fixed and driven bodies may have none."""
     given = _authored(source, UsdPhysics.MassAPI(body).GetMassAttr(), source.kilograms)
     value = source.edited(body.GetAttribute("gauge:mass_kg"), [given])
     if value is None:
         is_dynamic = motion is Motion.DYNAMIC
-        return _colliders_kg(source, body, colliders, solids) if is_dynamic else 0.0
+        return _colliders_kg(source, body, solids) if is_dynamic else 0.0
     if motion is Motion.DYNAMIC and value <= 0.0:
         raise source.fault(body, f"its mass is {value} kg: a positive one is expected")
     return float(value)
 
 
-def _colliders_kg(
-    source: Source,
-    body: Usd.Prim,
-    colliders: Sequence[Usd.Prim],
-    solids: Sequence[Solid],
-) -> float:
+def _colliders_kg(source: Source, body: Usd.Prim, solids: Sequence[Solid]) -> float:
     """Return the sum of the masses of colliders [kg], given or from densities in the precedence of UsdPhysics."""
     unit = source.kilograms / source.metres**3
     volumes_m3 = np.array([solid.shape.volume_m3 for solid in solids])
     densities = []
-    for collider, volume_m3 in zip(colliders, volumes_m3.tolist(), strict=True):
-        api, material = UsdPhysics.MassAPI(collider), source.material(collider)
+    for solid in solids:
+        api, material = UsdPhysics.MassAPI(solid.prim), source.material(solid.prim)
         holders = [api, UsdPhysics.MassAPI(body), UsdPhysics.MaterialAPI(material)]
         given = [
-            _authored(source, api.GetMassAttr(), source.kilograms / volume_m3),
+            _authored(
+                source, api.GetMassAttr(), source.kilograms / solid.shape.volume_m3
+            ),
             *(_authored(source, one.GetDensityAttr(), unit) for one in holders if one),
         ]
         densities += [float(one.value) for one in given if one is not None][:1]

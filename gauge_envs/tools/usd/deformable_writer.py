@@ -93,7 +93,7 @@ def _define(
         faces = mesh.CreateFaceVertexIndicesAttr(triangles.ravel().tolist())
         record_follower(faces, "gauge:size_m")
         _write_derived(
-            mesh.GetPrim(),
+            mesh,
             "restTriVtxIndices",
             "int3[]",
             triangles.tolist(),
@@ -107,9 +107,7 @@ def _define(
         record_follower(solid.CreateTetVertexIndicesAttr(indices), "gauge:size_m")
         faces = UsdGeom.TetMesh.ComputeSurfaceFaces(solid)
         solid.CreateSurfaceFaceVertexIndicesAttr(faces)
-        _write_derived(
-            solid.GetPrim(), "restTetVtxIndices", "int4[]", indices, "gauge:size_m"
-        )
+        _write_derived(solid, "restTetVtxIndices", "int4[]", indices, "gauge:size_m")
         write(solid, "gauge:size_m", body.shape.size_m, "double3")
         return solid
     curves = UsdGeom.BasisCurves.Define(stage, path)
@@ -160,7 +158,11 @@ def _write_single(
 
 
 def _write_derived(
-    prim: Usd.Prim, attribute: str, kind: str, value: object, source: str
+    prim: Usd.Prim | UsdGeom.PointBased,
+    attribute: str,
+    kind: str,
+    value: object,
+    source: str,
 ) -> None:
     """Write an attribute of the deformable schema that is computed from `gauge:` attributes."""
     record_follower(write(prim, f"omniphysics:{attribute}", value, kind), source)

@@ -67,19 +67,17 @@ def _ends(
     source: Source, prim: Usd.Prim, fixed: Collection[Sdf.Path]
 ) -> tuple[_End, _End]:
     """Return the ends of a joint in the world, or in one of the fixed bodies, and in its moving body."""
-    joint = UsdPhysics.Joint(prim)
     ends = []
-    for body, position, rotation in (
-        (joint.GetBody0Rel(), joint.GetLocalPos0Attr(), joint.GetLocalRot0Attr()),
-        (joint.GetBody1Rel(), joint.GetLocalPos1Attr(), joint.GetLocalRot1Attr()),
-    ):
-        paths = body.GetTargets()
+    for side in (0, 1):
+        paths = prim.GetRelationship(f"physics:body{side}").GetTargets()
         space = source.stage.GetPrimAtPath(paths[0]) if paths else None
         if paths and not space:
             raise source.fault(prim, f"joins {paths[0]}, which does not exist")
         owner, path = source.body_of(space), None
         if owner and source.is_rigid(owner) and owner.GetPath() not in fixed:
             space, path = owner, owner.GetPath()
+        position = prim.GetAttribute(f"physics:localPos{side}")
+        rotation = prim.GetAttribute(f"physics:localRot{side}")
         ends.append(_End(space, path, position, rotation))
     world, moving = sorted(ends, key=lambda end: end.body is not None)
     if world.body is not None or moving.body is None:

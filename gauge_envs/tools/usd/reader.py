@@ -204,9 +204,12 @@ def _gravity_m_per_s2(source: Source, physics: UsdPhysics.Scene) -> float:
         )
     magnitude = physics.GetGravityMagnitudeAttr()
     # Minus infinity, the fallback of the schema, stands for standard gravity.
-    stored = None
-    if magnitude.Get() != -np.inf:
-        stored = source.stored(magnitude, (), lambda value: value * source.metres)
+    is_stated = magnitude.Get() != -np.inf
+    stored = (
+        source.stored(magnitude, (), lambda value: value * source.metres)
+        if is_stated
+        else None
+    )
     exact = physics.GetPrim().GetAttribute("gauge:gravity_m_per_s2")
     gravity = source.edited(exact, [stored])
     if gravity is None:

@@ -182,19 +182,6 @@ def test_a_hinge_turned_in_the_joint_frame_turns(tmp_path):
 
 # --- velocities ------------------------------------------------------------------------------------------------------
 
-VELOCITY, SPIN = (
-    "/World/thrown.physics:velocity",
-    "/World/thrown.physics:angularVelocity",
-)
-
-
-def test_an_edited_standard_velocity_counts(tmp_path):
-    edit = {VELOCITY: (0.0, 0.0, 2.0), SPIN: (0.0, 0.0, 0.0)}
-    body = edited(THROW, tmp_path, edit).body("thrown")
-    along = THROWN.pose.rotation.apply([0.0, 0.0, 2.0])
-    assert body.linear_velocity_m_per_s == pytest.approx(along, abs=1e-12)
-    assert body.angular_velocity_rad_per_s == (0.0, 0.0, 0.0)
-
 
 def test_newton_reads_the_same_velocities(tmp_path):
     newton = pytest.importorskip("newton")
@@ -342,6 +329,11 @@ DECLINED = [
         r"/cube.gauge:mass_kg: was edited to 0.3, and to 0.2",
     ),
     (SLIDER, on_ice, r"/cube: is bound to /World/ice"),
+    (
+        THROW,
+        {"/World/thrown.physics:velocity": (0.0, 0.0, 2.0)},
+        r"/thrown: has physics:velocity",
+    ),
     (SLIDER, filtered, r"/contact_0: board and cube have a contact, but"),
     (
         SLIDER,

@@ -1,6 +1,5 @@
 """Plain UsdPhysics that somebody else wrote becomes a scene, or an error that names the prim."""
 
-import math
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from gauge_envs.scene import (
 from gauge_envs.tools.usd.reader import from_usd
 
 HEAD = '#usda 1.0\n(\n metersPerUnit = 1\n upAxis = "Z"\n)\n'
-Y_UP = '#usda 1.0\n(\n metersPerUnit = 0.01\n upAxis = "Y"\n)\n'
 PHYSICS = 'def PhysicsScene "Physics" {}\n'
 RUBBER = """
 def Material "Rubber" (prepend apiSchemas = ["PhysicsMaterialAPI"])
@@ -215,14 +213,6 @@ def test_a_cylinder_along_another_axis_turns_its_body(axis, tmp_path):
     assert drum.shape == Cylinder(radius_m=0.2, length_m=1.0)
     along = np.abs(drum.pose.rotation.apply([0.0, 0.0, 1.0]))
     np.testing.assert_allclose(along, np.eye(3)["XYZ".index(axis)], atol=1e-12)
-
-
-def test_a_velocity_of_another_tool_is_in_its_units_and_axes(tmp_path):
-    spin = "vector3f physics:velocity = (100, 0, 0)\nvector3f physics:angularVelocity = (0, 0, 180)\n"
-    (ball,) = read(tmp_path, body("ball", "Sphere", spin), head=Y_UP).bodies
-    # Centimetres, degrees, and y up: z of the stage is -y of the world.
-    assert ball.linear_velocity_m_per_s == pytest.approx((1.0, 0.0, 0.0))
-    assert ball.angular_velocity_rad_per_s == pytest.approx((0.0, -math.pi, 0.0))
 
 
 def test_boxes_and_meshes_of_one_body_are_its_pieces(tmp_path):
