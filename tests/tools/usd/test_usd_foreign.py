@@ -1,6 +1,5 @@
 """Plain UsdPhysics that somebody else wrote becomes a scene, or an error that names the prim."""
 
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
