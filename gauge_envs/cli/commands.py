@@ -180,7 +180,7 @@ BUNDLED = (
         "versions.command:backend_versions",
         "Compare releases of MuJoCo on your model, settings or engines: what changed, and which side is right.",
         line="versions.schema:VersionsLine",
-        version=3,
+        version=4,
     ),
     Command(
         "data download",

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.output import Format, Progress, message, print_document
+from gauge_envs.cli.output import Format, Progress, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -119,7 +120,7 @@ def backend_versions(
         raise ParameterError(
             "--bisect needs a range of releases, as mujoco==3.1.0..4.0.0"
         )
-    used = [side.requirement for side in sides if side.requirement]
+    used = [*sides]
     try:
         with Progress("comparing", None):
             if policy is not None:
@@ -129,29 +130,27 @@ def backend_versions(
                     policy=policy,
                     seeds=repeats,
                     seed=seed,
-                    say=message,
                 )
                 verdict, document = returns.verdict, report.returns_document(returns)
             elif compares_motions(subject, sides):
-                motions, scores = compare_motions(
-                    subject, *sides, seed=seed, say=message
-                )
+                motions, scores = compare_motions(subject, *sides, seed=seed)
                 verdict = motions.verdict
                 document = report.motions_document(motions, scores)
             else:
-                releases = releases_between(sides, message) if bisect else []
-                used += [side.requirement for side in releases]
-                with bench(
-                    subject, states, steps=steps, seed=seed, say=message
-                ) as model:
-                    tried: list[Release] = []
+                tried: list[Release] = []
+                with bench(subject, states, steps=steps, seed=seed) as model:
                     if bisect:
-                        sides, tried = find_change(model, releases, message)
+                        releases = releases_between(sides)
+                        used += releases
+                        sides, tried = find_change(model, releases)
                     comparison = compare(model, *sides)
                 verdict = comparison.verdict
-                document = report.comparison_document(comparison, tried)
+                document = report.comparison_document(
+                    replace(comparison, tried=tuple(tried))
+                )
     finally:
-        for requirement in () if keep else used:
-            remove_environment(requirement)
+        for side in () if keep else used:
+            if side.requirement:
+                remove_environment(side.requirement)
     print_document(document, form, files=files)
     return verdict is Verdict.DIFFERENT

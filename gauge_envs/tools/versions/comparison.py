@@ -2,34 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from gauge_envs.tools.versions.differences import (
-    Gap,
-    field_changes,
-    pair_changes,
-    parting,
-    settled,
-)
+from gauge_envs.cli.output import message
+from gauge_envs.tools.versions.differences import Gap, parting
 from gauge_envs.tools.versions.environments import (
     Arrays,
     Bench,
     Output,
-    Say,
     VersionsError,
 )
 from gauge_envs.tools.versions.laws import rulings
 from gauge_envs.tools.versions.schema import (
     Comparison,
+    FieldChange,
     Release,
     Side,
     Verdict,
 )
 
-BITS = ("qacc", "step_acc", "constraint", "contact_dist", "contact_pair")
+BITS = ("qacc", "step_acc", "touching")
 """Results whose bits are compared."""
+
+FIELD_TOLERANCE = 1e-9
+"""Relative difference of a compiled number that counts."""
 
 
 def compare(bench: Bench, before: Side, after: Side) -> Comparison:
@@ -39,36 +38,16 @@ def compare(bench: Bench, before: Side, after: Side) -> Comparison:
         VersionsError: An environment cannot be made, or a version cannot run the model.
     """
     sides = (before, after)
-    runs = _runs(bench, sides)
-    gap = Gap(*_probes(bench, sides, runs))
-    states = {
-        name: np.concatenate([run.arrays[name] for run in runs])
-        for name in runs[0].arrays
-    }
+    runs, states = _runs(bench, sides)
+    gap = Gap(*_probes(bench, sides, states))
     first, second = (run.description for run in runs)
-    names = first["names"]
+    is_different = bool(np.any(gap.differs))
+    is_identical = all(np.array_equal(*gap.pair(name)) for name in BITS)
+    verdict = Verdict.IDENTICAL if is_identical else Verdict.SAME
+    indices = [*np.flatnonzero(gap.differs)[:1], *gap.worst(1)]
+    partings = [parting(gap, index, states, first["names"]) for index in indices]
     ruled = tuple(rulings(bench, sides, gap, states, first["fields"]))
     rights = {ruling.right for ruling in ruled if ruling.right}
-    is_different = bool(np.any(gap.differs))
-    is_identical = all(
-        np.array_equal(gap.sides[0][name], gap.sides[1][name]) for name in BITS
-    )
-    verdict = Verdict.IDENTICAL if is_identical else Verdict.SAME
-    segments = [*(end["segment"] for end in first["ends"]), "saved states"]
-    first_count = len(runs[0].arrays["step"])
-    partings = [
-        parting(
-            gap,
-            index,
-            int(states["step"][index]),
-            names,
-            segment=segments[int(states["segment"][index])],
-            of=(before if index < first_count else after).title,
-        )
-        for index in [*np.flatnonzero(gap.differs)[:1], *gap.worst(1)]
-    ]
-    # Where no step differs, chaos alone changes final positions.
-    ends = settled(first["ends"], second["ends"], names["body"])
     return Comparison(
         subject=bench.title,
         before=before.title,
@@ -81,18 +60,50 @@ def compare(bench: Bench, before: Side, after: Side) -> Comparison:
         noise=float(np.median(gap.noise)),
         first=partings[0] if is_different else None,
         worst=partings[1] if is_different else None,
-        fields=tuple(field_changes(first["fields"], second["fields"], names)),
+        fields=tuple(field_changes(first["fields"], second["fields"], first["names"])),
         new_fields=tuple(sorted({*first["fields"]} ^ {*second["fields"]})),
-        dropped=(tuple(first["dropped"]), tuple(second["dropped"])),
-        pairs=pair_changes(gap, names["geom"]),
-        settled=tuple(ends) if is_different else (),
         rulings=ruled,
         right=rights.pop() if is_different and len(rights) == 1 else "",
     )
 
 
+def field_changes(
+    before: Mapping[str, Any], after: Mapping[str, Any], names: Mapping[str, list[str]]
+) -> Iterator[FieldChange]:
+    """Yield the compiled fields of two sides that differ: the row that differs most, and how many differ.
+
+    Args:
+        before: Fields of the first side.
+        after: Fields of the second side.
+        names: Names of objects by the prefix of their fields.
+    """
+    for name, value in before.items():
+        first, second = np.array(value), np.array(after.get(name, value))
+        is_option = name.startswith("opt.")
+        if is_option:
+            first, second = first[None], second[None]
+        size = first != second
+        if first.dtype.kind == "f":
+            is_close = np.isclose(
+                first, second, rtol=FIELD_TOLERANCE, atol=1e-12, equal_nan=True
+            )
+            size = np.where(is_close, 0.0, np.abs(first - second))
+        if np.any(size):
+            sizes = size.reshape(len(size), -1).max(axis=1)
+            row = int(np.argmax(sizes))
+            owners = names.get(name.partition("_")[0], [])
+            where = owners[row] if len(owners) == len(sizes) else f"row {row}"
+            yield FieldChange(
+                field=name,
+                where="" if is_option else where,
+                count=int(np.count_nonzero(sizes)),
+                before=first[row].tolist(),
+                after=second[row].tolist(),
+            )
+
+
 def find_change(
-    bench: Bench, releases: Sequence[Side], say: Say = print
+    bench: Bench, releases: Sequence[Side]
 ) -> tuple[list[Side], list[Release]]:
     """Return two neighboring releases between which the difference of the ends of a range came.
 
@@ -102,56 +113,54 @@ def find_change(
     Args:
         bench: The bench.
         releases: The releases, the oldest first.
-        say: Prints what was tried.
 
     Returns:
         The two releases, which are the ends if these do not differ; and the releases that were tried, in their order.
     """
     low, high = 0, len(releases) - 1
     ends = (releases[low], releases[high])
-    runs = _runs(bench, ends)
-    first, last = _probes(bench, ends, runs)
-    whole = Gap(first, last).distance
-    tried = {
-        low: Release(
-            release=ends[0].title, from_first=0.0, from_last=whole, like="first"
-        ),
-        high: Release(
-            release=ends[1].title, from_first=whole, from_last=0.0, like="last"
-        ),
-    }
-    while whole and high - low > 1:
+    _, states = _runs(bench, ends)
+    first, last = _probes(bench, ends, states)
+
+    def attempt(side: Side, probe: Arrays) -> Release:
+        """Return how far a release is from both ends."""
+        from_first, from_last = Gap(first, probe).distance, Gap(probe, last).distance
+        return Release(
+            release=side.title,
+            from_first=from_first,
+            from_last=from_last,
+            like="first" if from_first <= from_last else "last",
+        )
+
+    tried = {low: attempt(ends[0], first), high: attempt(ends[1], last)}
+    while tried[high].from_first and high - low > 1:
         middle = (low + high) // 2
         side = releases[middle]
-        (probe,) = _probes(bench, [side], runs)
-        distances = Gap(first, probe).distance, Gap(probe, last).distance
-        like = "first" if distances[0] <= distances[1] else "last"
-        tried[middle] = Release(
-            release=side.title,
-            from_first=distances[0],
-            from_last=distances[1],
-            like=like,
-        )
-        say(f"{side.title} is like the {like} release")
-        low, high = (middle, high) if like == "first" else (low, middle)
+        (probe,) = _probes(bench, [side], states)
+        tried[middle] = attempt(side, probe)
+        message(f"{side.title} is like the {tried[middle].like} release")
+        if tried[middle].like == "first":
+            low = middle
+        else:
+            high = middle
     return [releases[low], releases[high]], [tried[index] for index in sorted(tried)]
 
 
-def _runs(bench: Bench, sides: Sequence[Side]) -> list[Output]:
-    """Move the model on both sides, and check that a state of one side is a state of the other."""
-    runs = bench.work(sides, task="run")
+def _runs(bench: Bench, sides: Sequence[Side]) -> tuple[list[Output], Arrays]:
+    """Move the model on both sides, and return the states of both, which must fit both."""
+    runs = bench.work("run", sides)
     before, after = (run.description["sizes"] for run in runs)
     if before != after:
         raise VersionsError(
             f"{bench.title}: {sides[0].title} compiles {before}; {sides[1].title} compiles {after}. No state fits both."
         )
-    return runs
+    first, second = (run.arrays for run in runs)
+    states = {name: np.concatenate([first[name], second[name]]) for name in first}
+    titles = [side.title for side in sides]
+    states["of"] = np.repeat(titles, [len(first["step"]), len(second["step"])])
+    return runs, states
 
 
-def _probes(
-    bench: Bench, sides: Sequence[Side], runs: Sequence[Output]
-) -> list[Arrays]:
-    """Compute one step from each state of runs, on each side."""
-    files = [run.file for run in runs]
-    outputs = bench.work(sides, task="probe", states=files)
-    return [output.arrays for output in outputs]
+def _probes(bench: Bench, sides: Sequence[Side], states: Arrays) -> list[Arrays]:
+    """Compute one step from each state, on each side."""
+    return [output.arrays for output in bench.work("probe", sides, states)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 import re
@@ -10,11 +9,12 @@ import shutil
 import signal
 import subprocess
 import sys
+import sysconfig
 import venv
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, TypeAlias
@@ -22,18 +22,23 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from platformdirs import user_cache_path
 
+from gauge_envs.cli.output import message
 from gauge_envs.errors import GaugeError
-from gauge_envs.files import locked
+from gauge_envs.files import locked, os_errors
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.versions.schema import Side
 
-TAG = f"-{sys.implementation.cache_tag}-{sys.platform}-{os.uname().machine if hasattr(os, 'uname') else 'any'}"
+TAG = f"-{sys.implementation.cache_tag}-{sysconfig.get_platform()}"
 """End of the name of an environment: a cache in a shared home folder serves several machines."""
+
+PYTHON = "Scripts/python.exe" if sys.platform == "win32" else "bin/python"
+"""Place of the interpreter in an environment."""
 
 NUMPY_2_SINCE = (3, 2)
 """First release of MuJoCo whose wheels were built for NumPy 2. Older ones crash with it."""
 
-PIP = ("-m", "pip", "--no-input", "--disable-pip-version-check", "--retries", "2")
+# With -I, paths of the user's environment do not belong to the new one.
+PIP = ("-I", "-m", "pip", "--no-input", "--disable-pip-version-check", "--retries", "2")
 
 UNREACHED = "connection broken|Failed to fetch|network was disabled|Could not fetch URL"
 """Messages of pip and uv on an index that does not answer."""
@@ -41,8 +46,6 @@ UNREACHED = "connection broken|Failed to fetch|network was disabled|Could not fe
 WORKER = Path(__file__).with_name("worker.py")
 
 Arrays: TypeAlias = Mapping[str, FloatArray]
-Say: TypeAlias = Callable[[str], object]
-"""Prints a message."""
 
 
 class VersionsError(GaugeError, RuntimeError):
@@ -67,30 +70,28 @@ def version_key(version: str) -> tuple[int, ...]:
     return tuple(map(int, re.findall(r"\d+", version)))
 
 
-def make_environment(requirement: str, say: Say = print) -> Path:
+def make_environment(requirement: str) -> Path:
     """Return the interpreter of the environment of a requirement, and install it if it is not in the cache.
 
-    It is installed into a folder next to its final place, and renamed. A second command waits.
+    A second command waits.
 
     Args:
         requirement: Package with an exact version, as `mujoco==3.3.0`.
-        say: Prints what is installed.
 
     Raises:
         VersionsError: There is no such version, no network, or no space.
     """
-    place = "Scripts/python.exe" if sys.platform == "win32" else "bin/python"
-    python = environment_folder(requirement) / place
-    try:
-        # Another command may make it while this one waits.
+    python = environment_folder(requirement) / PYTHON
+    with (
+        os_errors(
+            lambda cause: VersionsError(
+                f"{requirement}: {cause}; set GAUGE_CACHE_DIR to a folder with space"
+            )
+        ),
+        _locked_folder(requirement) as folder,
+    ):
         if not python.exists():
-            with _locked_folder(requirement) as folder:
-                if not python.exists():
-                    _install(requirement, folder, place, say)
-    except OSError as error:
-        raise VersionsError(
-            f"{requirement}: {error}; free space, or set GAUGE_CACHE_DIR to another folder"
-        ) from error
+            _install(requirement, folder)
     return python
 
 
@@ -110,29 +111,29 @@ def _locked_folder(requirement: str) -> Iterator[Path]:
         yield folder
 
 
-def _install(requirement: str, folder: Path, place: str, say: Say) -> None:
-    """Install a requirement into a folder, with its interpreter at a place; the caller has the lock."""
+def _install(requirement: str, folder: Path) -> None:
+    """Install a requirement next to a folder, and move it there; the caller has the lock."""
     packages = [requirement]
     package, _, version = requirement.partition("==")
     if package == "mujoco" and version_key(version) < NUMPY_2_SINCE:
         packages.append("numpy<2")
-    say(f"{' and '.join(packages)}: installed into {folder}")
-    # Folders of killed commands, and an environment whose Python is gone.
-    for leftover in (folder, *folder.parent.glob(f".{folder.name}.*")):
+    message(f"{' and '.join(packages)}: installed into {folder}")
+    part = folder.with_name(f".{folder.name}")
+    # What a killed command left, and an environment whose Python is gone.
+    for leftover in (folder, part):
         shutil.rmtree(leftover, ignore_errors=True)
-    with TemporaryDirectory(
-        prefix=f".{folder.name}.", dir=folder.parent, ignore_cleanup_errors=True
-    ) as name:
-        part = Path(name) / "environment"
+    try:
+        install: list[str | Path] = [part / PYTHON, *PIP, "install"]
         if uv := shutil.which("uv"):
             # The seed has pip, which lists the releases of a range.
             _run([uv, "venv", "--seed", "--python", sys.executable, part], requirement)
-            install = [uv, "pip", "install", "--python", str(part / place)]
+            install = [uv, "pip", "install", "--python", part / PYTHON]
         else:
             venv.create(part, with_pip=True)
-            install = [str(part / place), *PIP, "install"]
         _run([*install, "--only-binary", ":all:", *packages], requirement)
         part.rename(folder)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
 
 
 def released_versions(package: str, python: Path) -> list[str]:
@@ -148,10 +149,7 @@ def released_versions(package: str, python: Path) -> list[str]:
 
 def _run(command: Sequence[str | Path], requirement: str) -> str:
     """Return what pip or uv prints; a failure raises its cause."""
-    # Paths of the user's environment do not belong to the new one.
-    foreign = ("PYTHONPATH", "PYTHONHOME", "PIP_TARGET", "PIP_USER")
-    variables = {name: os.environ[name] for name in os.environ if name not in foreign}
-    done = subprocess.run(command, capture_output=True, text=True, env=variables)
+    done = subprocess.run(command, capture_output=True, text=True)
     text = done.stdout + done.stderr
     if re.search(UNREACHED, text):
         raise VersionsError(
@@ -170,7 +168,7 @@ def _run(command: Sequence[str | Path], requirement: str) -> str:
 
 
 def run_process(
-    command: Sequence[str | Path], title: str, variables: dict[str, str]
+    command: Sequence[str | Path], title: str, variables: Mapping[str, str]
 ) -> None:
     """Run a command, and wait for it.
 
@@ -183,78 +181,78 @@ def run_process(
         VersionsError: It failed; the message has the last line of its error.
     """
     fixed = {"OMP_NUM_THREADS": "1", "MUJOCO_GL": "disable"}
-    variables = os.environ | fixed | variables
+    variables = {**os.environ, **fixed, **variables}
     try:
         done = subprocess.run(command, capture_output=True, text=True, env=variables)
     except OSError as error:
         raise VersionsError(f"{title}: it cannot be started: {error}") from error
     # A traceback ends with the exception, whose message may have several lines.
-    message = re.split(r"^(?=\w[\w.]*: )", done.stderr, flags=re.M)[-1]
+    cause = re.split(r"^(?=\w[\w.]*: )", done.stderr, flags=re.M)[-1]
     if done.returncode < 0:
         signal_name = signal.Signals(-done.returncode).name
-        message = f"this release crashes on it ({signal_name})"
+        cause = f"this release crashes on it ({signal_name})"
     if done.returncode:
-        raise VersionsError(f"{title}: {' '.join(message.split())}")
+        raise VersionsError(f"{title}: {' '.join(cause.split())}")
 
 
 class Output(NamedTuple):
-    """What a worker wrote: a description of the model, arrays, and the file of the arrays."""
+    """What a worker wrote: a description of the model, and arrays."""
 
     description: Mapping[str, Any]
     arrays: Arrays
-    file: str
 
 
 @dataclass(kw_only=True)
 class Bench:
-    """A model, and the folder of the files of its workers.
+    """A model that is compared.
 
     Attributes:
         title: The model as the user named it.
-        folder: Folder of the files of the workers.
         job: Entries of every job.
-        say: Prints what is installed.
     """
 
     title: str
-    folder: Path
     job: Mapping[str, Any]
-    say: Say = print
-    _numbers: Iterator[int] = field(default_factory=itertools.count)
 
-    def work(self, sides: Sequence[Side], **job: Any) -> list[Output]:
-        """Do a job on each side, two sides at a time.
+    def work(
+        self, task: str, sides: Sequence[Side], states: Arrays | None = None
+    ) -> list[Output]:
+        """Do a task on each side, two sides at a time.
+
+        Args:
+            task: Task of the worker.
+            sides: The sides.
+            states: States of a probe.
 
         Raises:
             VersionsError: An environment cannot be made, or a version cannot run the model.
         """
         for side in sides:
             if side.requirement:
-                make_environment(side.requirement, self.say)
-        names = [self.folder / f"job{next(self._numbers)}" for _ in sides]
-        for side, name in zip(sides, names, strict=True):
-            job |= {"settings": dict(side.settings), "out": str(name)}
-            name.with_suffix(".job").write_text(json.dumps({**self.job, **job}))
-        with ThreadPoolExecutor(2) as pool:
-            list(pool.map(self.execute, sides, names))
-        outputs = []
-        # NumPy parses the headers of arrays with `ast`, which is not safe in threads of Python 3.11.
-        for name in names:
-            description = json.loads(
-                name.with_suffix(".json").read_text(encoding="utf-8")
-            )
-            with np.load(f"{name}.npz") as arrays:
-                outputs.append(Output(description, dict(arrays), f"{name}.npz"))
-        return outputs
+                make_environment(side.requirement)
+        with TemporaryDirectory(prefix="gauge-versions-") as folder:
+            files = [Path(folder) / f"{index}.job" for index in range(len(sides))]
+            job = {**self.job, "task": task, "states": f"{folder}/states.npz"}
+            if states is not None:
+                np.savez(job["states"], allow_pickle=False, **states)
+            for side, file in zip(sides, files, strict=True):
+                job |= {"settings": side.settings, "out": str(file.with_suffix(""))}
+                file.write_text(json.dumps(job))
+            with ThreadPoolExecutor(2) as pool:
+                list(pool.map(self.execute, sides, files))
+            # NumPy parses the headers of arrays with `ast`, which is not safe in threads of Python 3.11.
+            return list(map(_output, files))
 
-    def execute(self, side: Side, name: Path) -> None:
+    def execute(self, side: Side, file: Path) -> None:
         """Run the worker on a job in the environment of a side."""
-        # With -I, neither the user's paths nor modules next to the worker count.
         python = side.python or make_environment(side.requirement)
-        command = [python, "-I", "-B", WORKER, name.with_suffix(".job")]
-        title = f"{side.title} cannot run {self.title}"
-        run_process(command, title, {})
-        if not name.with_suffix(".npz").is_file():
-            raise VersionsError(
-                f"{title}: it ends without a result, as it is no Python"
-            )
+        # With -I, neither the user's paths nor modules next to the worker count.
+        command = [python, "-I", "-B", WORKER, file]
+        run_process(command, f"{side.title} cannot run {self.title}", {})
+
+
+def _output(file: Path) -> Output:
+    """Return what a worker wrote for the job of a file."""
+    text = file.with_suffix(".json").read_text(encoding="utf-8")
+    with np.load(file.with_suffix(".npz")) as arrays:
+        return Output(json.loads(text), dict(arrays))

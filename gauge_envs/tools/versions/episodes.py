@@ -29,7 +29,6 @@ from gauge_envs.tools.versions.environments import (
     NUMPY_2_SINCE,
     WORKER,
     Bench,
-    Say,
     make_environment,
     run_process,
     version_key,
@@ -60,7 +59,6 @@ def compare_motions(
     after: Side,
     *,
     seed: int,
-    say: Say = print,
 ) -> tuple[MotionComparison, ScoreComparison]:
     """Return where two motions of an experiment differ first, and the scores of both.
 
@@ -69,7 +67,6 @@ def compare_motions(
         before: First side: an engine with settings, a release of an engine, or a result file.
         after: Second side.
         seed: Seed of the runs.
-        say: Prints what is installed.
 
     Raises:
         ParameterError: A result file belongs to another experiment, or has no trajectory.
@@ -80,23 +77,19 @@ def compare_motions(
     sides = (before, after)
     results, noises = [], []
     for side in sides:
-        result, request = _result(subject, side, seed, say)
-        # The noise of a result file is that of the same run here.
-        plain = _run(request, side, say) if side.file else result
-        jitter = Jitter(position_m=PERTURBATION_M, angle_rad=0.0)
-        perturbed = _run(replace(request, jitter=jitter), side, say)
+        result, noise = _motion(subject, side, seed)
         results.append(result)
-        noises.append(_distances(plain, perturbed))
+        noises.append(noise)
     distances = _distances(*results)
     count = min(map(len, (distances, *noises)))
-    noise = np.max([each[:count] for each in noises], axis=(0, 2))
     # Chaos that grew stays in what follows.
+    noise = np.max([each[:count] for each in noises], axis=(0, 2))
     noise = np.maximum.accumulate(noise)
     trajectory = _trajectory(results[0])
     times_s, positions = trajectory.arrays()
     moved = float(np.nanmax(np.abs(positions - positions[0]), initial=0.0))
-    largest = np.max(distances, axis=1)
     limit = np.maximum(NOISE_FACTOR * noise, MIN_LIMIT * moved)
+    parted = np.flatnonzero(np.max(distances[:count], axis=1) > limit)
     scores = compare(results)
     comparison = MotionComparison(
         subject=subject,
@@ -104,74 +97,63 @@ def compare_motions(
         after=after.title,
         verdict=Verdict.SAME if np.any(distances) else Verdict.IDENTICAL,
         unit=trajectory.unit,
-        first_s=None,
-        coordinate="",
-        difference=0.0,
         largest=float(np.max(distances)),
         noise=float(noise[-1]),
-        right="",
     )
-    for index in np.flatnonzero(largest[:count] > limit)[:1]:
-        name = trajectory.coordinates[int(np.argmax(distances[index]))]
+    for index in parted[:1]:
+        coordinate = int(np.argmax(distances[index]))
         comparison = replace(
             comparison,
             verdict=Verdict.DIFFERENT,
             first_s=float(times_s[index]),
-            coordinate=coordinate_words(name),
-            difference=float(largest[index]),
+            coordinate=coordinate_words(trajectory.coordinates[coordinate]),
+            difference=float(distances[index, coordinate]),
             noise=float(noise[index]),
             right=_closer(scores, results, sides),
         )
     return comparison, scores
 
 
-def _result(subject: str, side: Side, seed: int, say: Say) -> tuple[Result, RunRequest]:
-    """Return the motion of a side, and the request that makes it."""
+def _motion(subject: str, side: Side, seed: int) -> tuple[Result, FloatArray]:
+    """Return the motion of a side, and by how much each coordinate of a perturbed motion differs from it."""
     request = RunRequest(
         subject, backend=side.engine or "mujoco", settings=side.settings, seed=seed
     )
-    if side.file is None:
-        return _run(request, side, say), request
-    result = load_result(Path(side.file))
-    if result.id != request.calibrated_experiment().id:
-        raise ParameterError(f"{side.file} is a result of {result.id}, not {subject}")
-    if result.trajectory is None or result.backend is None:
-        raise ParameterError(f"{side.file} is no result of a run with a trajectory")
-    return result, replace(
-        request,
-        backend=result.backend,
-        settings=result.settings_given,
-        parameters=result.parameters,
-        seed=seed if result.seed is None else result.seed,
-    )
+    stored = None
+    if side.file is not None:
+        stored = load_result(Path(side.file))
+        if stored.id != request.calibrated_experiment().id:
+            raise ParameterError(
+                f"{side.file} is a result of {stored.id}, not {subject}"
+            )
+        request = replace(
+            request,
+            backend=stored.backend or "mujoco",
+            settings=stored.settings_given,
+            parameters=stored.parameters,
+            seed=seed if stored.seed is None else stored.seed,
+        )
+    plain = _run(request, side)
+    jitter = Jitter(position_m=PERTURBATION_M, angle_rad=0.0)
+    perturbed = _run(replace(request, jitter=jitter), side)
+    return stored or plain, _distances(plain, perturbed)
 
 
-def _run(request: RunRequest, side: Side, say: Say) -> Result:
+def _run(request: RunRequest, side: Side) -> Result:
     """Run an experiment; with a release of an engine, by `gauge run` in a process that imports it."""
     if not side.requirement:
         return run_episodes(request)[0]
-    python = make_environment(side.requirement, say)
-    options = [f"--set={name}={value}" for name, value in side.settings.items()]
-    if request.jitter is not None:
-        options.append(f"--jitter={1e3 * request.jitter.position_m}mm")
+    python = make_environment(side.requirement)
     experiment_id = request.calibrated_experiment().id
     with TemporaryDirectory(prefix="gauge-versions-") as folder:
-        options += ["--backend", side.engine, "--seed", str(request.seed)]
         code = "from gauge_envs.cli.app import main; main()"
-        run_process(
-            [
-                sys.executable,
-                "-c",
-                code,
-                "run",
-                experiment_id,
-                "--out",
-                folder,
-                *options,
-            ],
-            f"{side.title} cannot run {experiment_id}",
-            {"PYTHONPATH": _packages_folder(python)},
-        )
+        command = [sys.executable, "-c", code, "run", experiment_id, "--out", folder]
+        command += ["--backend", side.engine, "--seed", str(request.seed)]
+        command += [f"--set={name}={value}" for name, value in side.settings.items()]
+        if request.jitter is not None:
+            command.append(f"--jitter={1e3 * PERTURBATION_M}mm")
+        variables = {"PYTHONPATH": _packages_folder(python)}
+        run_process(command, f"{side.title} cannot run {experiment_id}", variables)
         (file,) = Path(folder).rglob("*.json")
         return load_result(file)
 
@@ -202,12 +184,12 @@ def _closer(
 ) -> str:
     """Return the title of the side that is closer to the reference, if the scores are resolved; empty without one."""
     configurations = [RunConfiguration.of(result) for result in results]
-    for kind in scores.kinds:
-        for experiment in kind.experiments:
-            for index, rank in experiment.ranks.items():
-                if len(experiment.ranks) > 1 and rank.interval_95[1] == 1.0:
-                    configuration = scores.configurations[index]
-                    return sides[configurations.index(configuration)].title
+    experiments = [each for kind in scores.kinds for each in kind.experiments]
+    for experiment in experiments:
+        for index, rank in experiment.ranks.items():
+            if len(experiment.ranks) > 1 and rank.interval_95[1] == 1.0:
+                configuration = scores.configurations[index]
+                return sides[configurations.index(configuration)].title
     return ""
 
 
@@ -217,16 +199,15 @@ def _closer(
 class PolicyBench(Bench):
     """A bench whose worker runs in the user's Python, where the environment and the policy are."""
 
-    def execute(self, side: Side, name: Path) -> None:
+    def execute(self, side: Side, file: Path) -> None:
         """Run the worker with MuJoCo of the release, and all else from where the user has it."""
         variables = {}
         if side.requirement:
-            links = name.with_suffix(".packages")
+            links = file.with_suffix(".packages")
             _link_release(side.requirement, links)
-            paths = [str(links), os.environ.get("PYTHONPATH", "")]
-            variables["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
-        python = side.python or sys.executable
-        command: list[str | Path] = [python, "-B", WORKER, name.with_suffix(".job")]
+            paths = os.environ.get("PYTHONPATH", "")
+            variables["PYTHONPATH"] = f"{links}{os.pathsep}{paths}"
+        command = [side.python or sys.executable, "-B", str(WORKER), str(file)]
         run_process(command, f"{side.title} cannot run {self.title}", variables)
 
 
@@ -249,7 +230,6 @@ def compare_returns(
     policy: str,
     seeds: int,
     seed: int,
-    say: Say,
 ) -> ReturnComparison:
     """Return what a policy reaches on two sides, from the same seeds.
 
@@ -260,7 +240,6 @@ def compare_returns(
         policy: `module:function` that returns a policy, or a file .npy of actions, a row each.
         seeds: Number of episodes.
         seed: Seed of the first.
-        say: Prints what is installed.
 
     Raises:
         ParameterError: The policy is neither.
@@ -278,22 +257,21 @@ def compare_returns(
     env_id = (
         f"gauge_envs:{find_variant(subject).id}" if is_suite_id(subject) else subject
     )
-    with TemporaryDirectory(prefix="gauge-versions-") as folder:
-        job = {"subject": env_id, "policy": policy, "episodes": seeds, "seed": seed}
-        bench = PolicyBench(title=subject, folder=Path(folder), job=job, say=say)
-        outputs = bench.work((before, after), task="play")
+    job = {"subject": env_id, "policy": policy, "episodes": seeds, "seed": seed}
+    bench = PolicyBench(title=subject, job=job)
+    outputs = bench.work("play", (before, after))
     first, second = (output.arrays["returns"] for output in outputs)
-    successes = [output.arrays["successes"] for output in outputs]
     change = _mean(second - first)
     shares: list[Estimate | None] = [None, None]
     success_change = None
+    successes = [output.arrays["successes"] for output in outputs]
     if not np.isnan(successes).any():
         shares = [_share(values) for values in successes]
         success_change = _mean(successes[1] - successes[0])
     verdict = Verdict.SAME
     if np.array_equal(first, second):
         verdict = Verdict.IDENTICAL
-    elif any(map(_excludes_zero, (change, success_change))):
+    elif _excludes_zero(change) or _excludes_zero(success_change):
         verdict = Verdict.DIFFERENT
     return ReturnComparison(
         subject=subject,
@@ -329,4 +307,4 @@ def _excludes_zero(change: Estimate | None) -> bool:
     """Return whether an interval is without 0."""
     if change is None or change.low is None or change.high is None:
         return False
-    return change.low > 0.0 or change.high < 0.0
+    return change.low * change.high > 0.0

@@ -4,26 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from itertools import product
+from typing import Any
 
+import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import ConvexHull
 
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.versions.differences import Gap, depths_m
+from gauge_envs.tools.versions.differences import Gap, distances_m
 from gauge_envs.tools.versions.environments import Arrays, Bench
 from gauge_envs.tools.versions.schema import Ruling, Side
-
-SPIN_LAW = "the angular momentum of a free body stays, in one step"
-SPIN_LIMIT = 1e-6
-"""Change of the angular momentum that counts, over it."""
 
 SOLVER_LAW = "the solver reaches the solution of the engine's own equations (dense Newton, 1000 iterations)"
 SOLVER_LIMIT = 1e-3
 """Distance from that solution that counts, over the acceleration."""
 
-DEPTH_LAW = (
-    "boxes and balls are as deep in each other as their geometry says (separating axes)"
-)
+DEPTH_LAW = "boxes are as deep in each other as their geometry says"
 DEPTH_LIMIT = 0.1
 """Miss of a depth that counts, over the depth: of nearly equal depths an engine may take the second."""
 
@@ -35,6 +33,8 @@ LAW_RATIO = 10.0
 
 MAX_SOLVED = 24
 """States in which both sides also solve their equations exactly."""
+
+BOX = float(mujoco.mjtGeom.mjGEOM_BOX)
 
 EXACT = {
     "jacobian": "dense",
@@ -63,108 +63,77 @@ def rulings(
         states: The states. Those that differ most are solved again.
         fields: Compiled fields of the first side.
     """
-    spins = np.array([side["spin"] for side in gap.sides])
-    spins = spins[:, np.all(np.isfinite(spins), axis=0)]
-    if np.max(spins, initial=0.0) > SPIN_LIMIT:
-        yield _ruling(SPIN_LAW, spins, SPIN_LIMIT, sides)
     worst = gap.worst(MAX_SOLVED)
-    if not len(worst):
+    if not worst:
         return
-    file = bench.folder / "worst.npz"
-    np.savez(file, allow_pickle=False, **{name: states[name][worst] for name in states})
     exact = [replace(side, settings={**side.settings, **EXACT}) for side in sides]
-    outputs = bench.work([*sides, *exact], task="probe", states=[str(file)])
-    given = [output.arrays for output in outputs[:2]]
-    solved = [output.arrays for output in outputs[2:]]
-    misses = [Gap(*pair).relative for pair in zip(given, solved, strict=True)]
-    yield _ruling(SOLVER_LAW, np.array(misses), SOLVER_LIMIT, sides)
-    # A release may leave out pairs on purpose.
-    touching = [set(map(tuple, side["contact_pair"].tolist())) for side in gap.sides]
-    depths = list(_depth_misses(fields, given, touching[0] & touching[1]))
+    differing = {name: states[name][worst] for name in states}
+    misses = []
+    outputs = bench.work("probe", exact, differing)
+    for side, output in zip(gap.sides, outputs, strict=True):
+        given = {name: side[name][worst] for name in side if name != "touching"}
+        misses.append(Gap(given, output.arrays).relative)
+    yield _ruling(SOLVER_LAW, misses, SOLVER_LIMIT, sides)
+    depths = list(_depth_misses(fields, gap.sides, worst))
     if depths:
         yield _ruling(DEPTH_LAW, np.transpose(depths), DEPTH_LIMIT, sides)
 
 
-def _ruling(
-    law: str, misses: FloatArray, limit: float, sides: Sequence[Side]
-) -> Ruling:
+def _ruling(law: str, misses: ArrayLike, limit: float, sides: Sequence[Side]) -> Ruling:
     """Return which side keeps a law, from misses of shape [2, states]."""
-    before, after = (float(miss) for miss in np.max(misses, axis=1))
+    both = np.array(misses)
+    before, after = np.max(both, axis=1).tolist()
     right = ""
     if after > max(limit, LAW_RATIO * before):
         right = sides[0].title
     elif before > max(limit, LAW_RATIO * after):
         right = sides[1].title
     return Ruling(
-        law=law, before=before, after=after, states=misses.shape[1], right=right
+        law=law, before=before, after=after, states=both.shape[1], right=right
     )
 
 
-# --- depth by geometry -----------------------------------------------------------------------------------------------
+def depth_m(first: FloatArray, second: FloatArray) -> float:
+    """Return how far two convex bodies must move apart to touch no more [m]; negative if they do not touch.
 
+    The Minkowski difference of two bodies that touch contains the origin. The depth is the distance of the origin from
+    its nearest face (Cameron 1997).
 
-class Solid(NamedTuple):
-    """A box or a ball at a pose.
-
-    Attributes:
-        half_sizes_m: Half sizes of a box, shape [3]; 0 for a ball.
-        radius_m: Radius of a ball; 0 for a box.
-        position_m: Center, shape [3].
-        rotation: Axes of a box as columns, shape [3, 3].
+    Args:
+        first: Corners of the first body [m], shape [n, 3].
+        second: Corners of the second body [m], shape [m, 3].
     """
-
-    half_sizes_m: FloatArray
-    radius_m: float
-    position_m: FloatArray
-    rotation: FloatArray
-
-
-def depth_m(first: Solid, second: Solid) -> float:
-    """Return how far two solids must move apart to touch no more [m]; negative for a gap between them."""
-    if first.radius_m:
-        first, second = second, first
-    between_m = second.position_m - first.position_m
-    if second.radius_m:
-        outside_m = np.abs(first.rotation.T @ between_m) - first.half_sizes_m
-        # A center inside leaves by the nearest face.
-        distance_m = np.linalg.norm(np.maximum(outside_m, 0.0))
-        distance_m += min(float(np.max(outside_m)), 0.0)
-        return first.radius_m + second.radius_m - float(distance_m)
-    # Two boxes are apart along one of 15 axes, or nowhere (Gottschalk et al. 1996).
-    crosses = np.cross(first.rotation.T[:, None], second.rotation.T[None])
-    crosses = crosses.reshape(-1, 3)
-    lengths = np.linalg.norm(crosses, axis=1)
-    is_axis = lengths > 1e-9
-    crosses = crosses[is_axis] / lengths[is_axis, None]
-    axes = np.concatenate([first.rotation.T, second.rotation.T, crosses])
-    extents_m = np.abs(axes @ first.rotation) @ first.half_sizes_m
-    extents_m += np.abs(axes @ second.rotation) @ second.half_sizes_m
-    return float(np.min(extents_m - np.abs(axes @ between_m)))
+    differences_m = (first[:, None] - second[None]).reshape(-1, 3)
+    return -float(np.max(ConvexHull(differences_m).equations[:, 3]))
 
 
 def _depth_misses(
-    fields: Mapping[str, Any], sides: Sequence[Arrays], pairs: set[tuple[Any, ...]]
+    fields: Mapping[str, Any], sides: Sequence[Arrays], states: Sequence[int]
 ) -> Iterator[FloatArray]:
-    """Yield by how much each side misses the depth of a pair of boxes and balls, over it."""
-    for index in range(len(sides[0]["qacc"])):
-        contacts = [depths_m(side, index) for side in sides]
-        for pair in sorted({*contacts[0], *contacts[1]} & pairs):
-            kinds = {fields["geom_type"][geom] for geom in pair}
-            if kinds <= {"mjGEOM_SPHERE", "mjGEOM_BOX"}:
-                first, second = (_solid(fields, sides[0], index, geom) for geom in pair)
-                true_m = depth_m(first, second)
+    """Yield by how much each side misses the depth of a pair of boxes, over it."""
+    for index in states:
+        contacts = [distances_m(side, index) for side in sides]
+        for pair in sorted({*contacts[0], *contacts[1]}):
+            if any(fields["geom_type"][geom] != BOX for geom in pair):
+                continue
+            true_m = depth_m(
+                *(
+                    corners_m(
+                        fields["geom_size"][geom],
+                        sides[0]["geom_xpos"][index, geom],
+                        sides[0]["geom_xmat"][index, geom].reshape(3, 3),
+                    )
+                    for geom in pair
+                )
+            )
+            if true_m > MIN_DEPTH_M:
                 given_m = np.array([-min(each.get(pair, [0.0])) for each in contacts])
-                if true_m > MIN_DEPTH_M:
-                    yield np.abs(given_m - true_m) / true_m
+                yield np.abs(given_m - true_m) / true_m
 
 
-def _solid(fields: Mapping[str, Any], side: Arrays, index: int, geom: int) -> Solid:
-    """Return the box or ball that a geom is in a state."""
-    is_ball = fields["geom_type"][geom] == "mjGEOM_SPHERE"
-    size_m = np.array(fields["geom_size"][geom])
-    return Solid(
-        half_sizes_m=size_m * (not is_ball),
-        radius_m=float(size_m[0] * is_ball),
-        position_m=side["geom_xpos"][index, geom],
-        rotation=side["geom_xmat"][index, geom].reshape(3, 3),
-    )
+def corners_m(
+    half_sizes_m: FloatArray, center_m: FloatArray, rotation: FloatArray
+) -> FloatArray:
+    """Return the corners of a box [m], shape [8, 3]; the columns of the rotation are its axes."""
+    corners = half_sizes_m * np.array([*product((-1.0, 1.0), repeat=3)])
+    return center_m + corners @ rotation.T

@@ -13,7 +13,6 @@ from gauge_envs.tools.versions.schema import (
     Comparison,
     Estimate,
     MotionComparison,
-    Release,
     ReturnComparison,
     Verdict,
 )
@@ -21,17 +20,13 @@ from gauge_envs.tools.versions.schema import (
 if TYPE_CHECKING:
     from gauge_envs.tools.compare import Comparison as ScoreComparison
 
-MAX_PAIRS = 5
-"""Pairs of geoms in the table of a terminal."""
 
-
-def comparison_document(
-    comparison: Comparison, tried: Sequence[Release] = ()
-) -> Document:
+def comparison_document(comparison: Comparison) -> Document:
     """Return the answer, where the sides differ first and most, the tables of differences, and which side is right."""
     sides = f"{comparison.before} and {comparison.after}"
     states = counted(comparison.states, "state")
-    if comparison.verdict is Verdict.DIFFERENT:
+    is_different = comparison.verdict is Verdict.DIFFERENT
+    if is_different:
         answer = (
             f"{sides} differ on {comparison.subject}: in {comparison.differing} of {states} one step from the same "
             f"state gives other accelerations, by up to {100.0 * comparison.largest:.3g} %."
@@ -43,54 +38,42 @@ def comparison_document(
         answer = (
             f"{sides} compute the same on {comparison.subject}, {how}, in {states}."
         )
-    differences = [
-        f"{name}: step {each.step} of {each.segment}, a state of {each.of}; {each.quantity}: {each.detail}; "
-        f"{each.where}: {each.acceleration_before:.5g} and {each.acceleration_after:.5g} (m/s^2 or rad/s^2)"
-        for name, each in (("first", comparison.first), ("largest", comparison.worst))
-        if each and (name, each) != ("largest", comparison.first)
-    ]
-    notes = [
-        f"{side} does not know, and runs without: {', '.join(dropped)}."
-        for side, dropped in zip(
-            (comparison.before, comparison.after), comparison.dropped, strict=True
-        )
-        if dropped
-    ]
-    if comparison.verdict is Verdict.DIFFERENT:
-        notes.append(
-            f"{comparison.right} is right, by the laws above."
-            if comparison.right
-            else "No law that was checked shows which side is right."
-        )
     parts: list[Part] = [
-        _table("Releases that were tried", tried, "release from_first from_last like"),
+        _table(
+            "Releases that were tried",
+            comparison.tried,
+            "release from_first from_last like",
+        ),
         Paragraph(answer, Tone.ANSWER),
-        *(
-            [Bullets(differences, "One step from the same state")]
-            if differences
-            else []
-        ),
         _table("Compiled fields", comparison.fields, "field where count before after"),
-        _table(
-            "Contacts (the five pairs that differ most; --json has all)",
-            comparison.pairs[:MAX_PAIRS],
-            "pair contacts_before contacts_after depth_before_m depth_after_m",
-        ),
-        _table(
-            "Motions that end differently",
-            comparison.settled,
-            "segment body end_before end_after moved_before_m moved_after_m",
-        ),
         _table(
             "Laws: the largest miss of each side, as a fraction",
             comparison.rulings,
             "law before after states right",
         ),
-        *(Paragraph(note, Tone.ANSWER) for note in notes),
     ]
-    shown = [part for part in parts if not isinstance(part, Table) or part.rows]
-    row = asdict(comparison) | {"tried": [asdict(release) for release in tried]}
-    return Document(parts=shown, rows=[row])
+    if is_different:
+        right = "No law that was checked shows which side is right."
+        if comparison.right:
+            right = f"{comparison.right} is right, by the laws above."
+        parts.append(Paragraph(right, Tone.ANSWER))
+        parts.insert(
+            2, Bullets(_differences(comparison), "One step from the same state")
+        )
+    shown = [part for part in parts if getattr(part, "rows", True)]
+    return Document(parts=shown, rows=[asdict(comparison)])
+
+
+def _differences(comparison: Comparison) -> list[str]:
+    """Return where the sides differ first and most."""
+    # Where the first difference is the largest one, the second name is overwritten.
+    partings = {comparison.worst: "largest", comparison.first: "first"}
+    return [
+        f"{name}: step {each.step} of {each.segment}, a state of {each.of}; {each.quantity}: {each.detail}; "
+        f"{each.where}: {each.acceleration_before:.5g} and {each.acceleration_after:.5g} (m/s^2 or rad/s^2)"
+        for each, name in reversed(partings.items())
+        if each
+    ]
 
 
 def motions_document(comparison: MotionComparison, scores: ScoreComparison) -> Document:
@@ -149,16 +132,8 @@ def returns_document(comparison: ReturnComparison) -> Document:
 
 
 def _table(title: str, rows: Sequence[Any], names: str) -> Table:
-    """Return a table of values by their names; `_m` at the end is the unit."""
-    columns = [
-        Column(
-            name,
-            name.removesuffix("_m").replace("_", " "),
-            _text,
-            unit="m" * name.endswith("_m"),
-        )
-        for name in names.split()
-    ]
+    """Return a table of values by their names."""
+    columns = [Column(name, name.replace("_", " "), _text) for name in names.split()]
     return Table(title=title, columns=tuple(columns), rows=rows)
 
 

@@ -120,57 +120,6 @@ class FieldChange:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PairChange:
-    """A pair of geoms that touches in more states on one side.
-
-    Attributes:
-        pair: The geoms.
-        states: States that were compared.
-        states_before, states_after: States in which the pair touches.
-        contacts_before, contacts_after: Contacts of the pair in all states.
-        depth_before_m, depth_after_m: Largest depth [m].
-    """
-
-    pair: tuple[str, str]
-    states: int
-    states_before: int
-    states_after: int
-    contacts_before: int
-    contacts_after: int
-    depth_before_m: float
-    depth_after_m: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Settled:
-    """What became of a motion on both sides.
-
-    Attributes:
-        segment: The segment of the motion.
-        body: Body whose end differs most.
-        difference_m: Distance between its two ends [m].
-        noise_m: Distance between two final positions of one version, from initial velocities that differ by 1e-10 [m].
-        moved_before_m, moved_after_m: How far the body is from its initial position [m].
-        depth_before_m, depth_after_m: Deepest contact of the body [m].
-        speed_before_m_per_s, speed_after_m_per_s: Speed of the body at the end [m/s].
-        end_before, end_after: stands, moves, falls, penetrates or explodes.
-    """
-
-    segment: str
-    body: str
-    difference_m: float
-    noise_m: float
-    moved_before_m: float
-    moved_after_m: float
-    depth_before_m: float
-    depth_after_m: float
-    speed_before_m_per_s: float
-    speed_after_m_per_s: float
-    end_before: str
-    end_after: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class Ruling:
     """A law that says which side is right.
 
@@ -186,6 +135,22 @@ class Ruling:
     after: float
     states: int
     right: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Release:
+    """A release that a bisection tried.
+
+    Attributes:
+        release: The requirement, as `mujoco==3.4.0`.
+        from_first, from_last: Largest difference of accelerations from each end of the range.
+        like: `first` or `last`: the end that it is nearer to.
+    """
+
+    release: str
+    from_first: float
+    from_last: float
+    like: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,11 +171,9 @@ class Comparison:
         worst: Where they differ most; None if they do not.
         fields: Compiled fields that differ.
         new_fields: Compiled fields and flags that one side alone has.
-        dropped: Attributes of the model file that each side does not know.
-        pairs: Contact pairs that differ.
-        settled: Motions that end differently.
         rulings: Laws that were applied.
         right: Title of the side that is right; empty if nothing here can tell.
+        tried: Releases that a bisection tried, in their order; empty without one.
     """
 
     subject: str
@@ -226,11 +189,9 @@ class Comparison:
     worst: Parting | None
     fields: tuple[FieldChange, ...]
     new_fields: tuple[str, ...]
-    dropped: tuple[tuple[str, ...], tuple[str, ...]]
-    pairs: tuple[PairChange, ...]
-    settled: tuple[Settled, ...]
     rulings: tuple[Ruling, ...]
     right: str
+    tried: tuple[Release, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,12 +216,12 @@ class MotionComparison:
     after: str
     verdict: Verdict
     unit: str
-    first_s: float | None
-    coordinate: str
-    difference: float
+    first_s: float | None = None
+    coordinate: str = ""
+    difference: float = 0.0
     largest: float
     noise: float
-    right: str
+    right: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -291,32 +252,5 @@ class ReturnComparison:
     success_change: Estimate | None
 
 
-@dataclass(frozen=True, kw_only=True)
-class Release:
-    """A release that a bisection tried.
-
-    Attributes:
-        release: The requirement, as `mujoco==3.4.0`.
-        from_first, from_last: Largest difference of accelerations from each end of the range.
-        like: `first` or `last`: the end that it is nearer to.
-    """
-
-    release: str
-    from_first: float
-    from_last: float
-    like: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class StepComparison(Comparison):
-    """What two versions make of a model.
-
-    Attributes:
-        tried: Releases that a bisection tried, in their order; empty without one.
-    """
-
-    tried: tuple[Release, ...]
-
-
-VersionsLine: TypeAlias = StepComparison | MotionComparison | ReturnComparison
+VersionsLine: TypeAlias = Comparison | MotionComparison | ReturnComparison
 """Steps of a model, motions of an experiment, or returns of a policy."""

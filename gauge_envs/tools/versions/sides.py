@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -15,7 +14,6 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.registry import engine_points
 from gauge_envs.tools.versions.environments import (
-    Say,
     make_environment,
     released_versions,
     version_key,
@@ -59,10 +57,7 @@ def read_sides(text: str) -> list[Side]:
         # Settings alone belong to what is installed here.
         head, changes = "mujoco", text
     values = arguments.split_values(changes) if changes else []
-    settings = {
-        key: arguments.value_of(value)
-        for key, value in arguments.assigned(text, values).items()
-    }
+    settings = arguments.parsed_settings(values) or {}
     if head in engines:
         python = sys.executable
         return [Side(title=text, engine=head, python=python, settings=settings)]
@@ -85,8 +80,6 @@ def read_sides(text: str) -> list[Side]:
 
 def interpreter_side(python: Path) -> Side:
     """Return the version that an interpreter of the user has."""
-    if not python.is_file():
-        raise ParameterError(f"--python {python}: there is no such file")
     # The interpreter of a virtual environment is a link, which must not be resolved.
     return Side(title=str(python), python=str(python.absolute()), settings={})
 
@@ -119,7 +112,9 @@ def compares_motions(subject: str, sides: Sequence[Side]) -> bool:
         from gauge_envs.experiments.resolve import load_experiment
 
         scene = load_experiment(find_variant(subject).id).scene
-        return bool(needs_motion or (scene.deformables and not releases))
+        return bool(
+            needs_motion or ((scene.deformables or scene.drivers) and not releases)
+        )
     if needs_motion:
         raise ParameterError(
             f"{subject} and {needs_motion[0]}: on a model, settings are options of MuJoCo, as iterations=4; other "
@@ -128,7 +123,7 @@ def compares_motions(subject: str, sides: Sequence[Side]) -> bool:
     return False
 
 
-def releases_between(sides: Sequence[Side], say: Say) -> list[Side]:
+def releases_between(sides: Sequence[Side]) -> list[Side]:
     """Return the releases from one version to another, both included, as the package index lists them.
 
     Raises:
@@ -138,16 +133,13 @@ def releases_between(sides: Sequence[Side], say: Say) -> list[Side]:
     first, last = sides
     package, _, lowest = first.requirement.partition("==")
     highest = last.requirement.partition("==")[2]
-    python = make_environment(first.requirement, say)
+    python = make_environment(first.requirement)
     versions = released_versions(package, python)
     settings = first.title[len(first.requirement) :]
     releases = [
-        replace(
-            first,
-            title=f"{package}=={version}{settings}",
-            requirement=f"{package}=={version}",
-        )
+        side
         for version in versions
+        for side in read_sides(f"{package}=={version}{settings}")
         if version_key(lowest) <= version_key(version) <= version_key(highest)
     ]
     if len(releases) < 2:

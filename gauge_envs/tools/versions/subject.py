@@ -10,7 +10,6 @@ from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-from xml.etree import ElementTree
 
 import gymnasium
 import mujoco
@@ -18,7 +17,7 @@ import numpy as np
 
 from gauge_envs.errors import ParameterError, needs_extra
 from gauge_envs.files import npz_arrays, os_errors
-from gauge_envs.tools.versions.environments import Bench, Say
+from gauge_envs.tools.versions.environments import Bench
 from gauge_envs.tools.versions.sides import is_suite_id
 
 MODEL_FILES = (".xml", ".mjcf", ".urdf")
@@ -27,7 +26,7 @@ USD_FILES = (".usd", ".usda", ".usdc", ".usdz")
 MODEL_ATTRIBUTES = ("model", "sim.model._model", "physics.model._model", "mj_model")
 """Attributes of an environment that hold its compiled model."""
 
-COMPARED = ("body_mass", "body_inertia", "geom_size", "geom_friction", "dof_damping")
+COMPARED = ("body_mass", "geom_size", "geom_friction", "dof_damping")
 """Fields by which a file is the model of an environment."""
 
 
@@ -38,7 +37,6 @@ def bench(
     *,
     steps: int = 500,
     seed: int = 0,
-    say: Say = print,
 ) -> Iterator[Bench]:
     """Open a bench for a model, whose files are removed at the end.
 
@@ -47,31 +45,23 @@ def bench(
         states: NPZ of saved states, which replace the motions; or None.
         steps: Steps of each motion.
         seed: Seed of controls and pushes.
-        say: Prints what is installed.
     """
     saved = ""
     if states is not None:
         check_states(states)
         saved = str(states.resolve())
-    with TemporaryDirectory(prefix="gauge-versions-") as name:
-        folder = Path(name)
-        model, motions = read_subject(subject, folder)
-        job = {
-            "model": str(model.resolve()),
-            "motions": motions,
-            "saved": saved,
-            "steps": steps,
-            "seed": seed,
-        }
-        yield Bench(title=subject, folder=folder, job=job, say=say)
+    with TemporaryDirectory(prefix="gauge-versions-") as folder:
+        model = read_subject(subject, Path(folder)).resolve()
+        job = {"model": str(model), "saved": saved, "steps": steps, "seed": seed}
+        yield Bench(title=subject, job=job)
 
 
-def read_subject(text: str, folder: Path) -> tuple[Path, dict[str, Any]]:
-    """Return the model file of a subject, and the motion of its driven bodies by name, rows of 19 numbers.
+def read_subject(text: str, folder: Path) -> Path:
+    """Return the model file of a subject.
 
     Args:
         text: Model file, USD layer, id of this suite or of Gymnasium, or `module:function` of a function that returns
-            an environment, a model, or the path of one.
+            an environment or a model.
         folder: Folder of files that are written.
 
     Raises:
@@ -81,48 +71,33 @@ def read_subject(text: str, folder: Path) -> tuple[Path, dict[str, Any]]:
     if suffix in (*MODEL_FILES, *USD_FILES) and not Path(text).is_file():
         raise ParameterError(f"{text}: there is no such file")
     if suffix in MODEL_FILES:
-        return Path(text), {}
+        return Path(text)
+    file = folder / "subject.xml"
     if suffix in USD_FILES or is_suite_id(text):
-        return _scene_file(text, folder, is_usd=suffix in USD_FILES)
-    return _model_file(text, _made(text), folder), {}
+        file.write_text(_scene_text(text))
+        return file
+    return _model_file(text, _made(text), file)
 
 
-def _scene_file(
-    text: str, folder: Path, *, is_usd: bool
-) -> tuple[Path, dict[str, Any]]:
-    """Write a scene as MJCF without the motion of its driven bodies, and return both.
-
-    MuJoCo 3.9 and earlier crash on custom numbers of that size.
-    """
+def _scene_text(text: str) -> str:
+    """Return a scene as MJCF."""
     from gauge_envs.experiments.resolve import load_experiment
-    from gauge_envs.scene.timing import FRAME_RATE_HZ
-    from gauge_envs.tools.mjcf import DRIVER_COLUMNS, DRIVER_PREFIX, scene_mjcf_text
+    from gauge_envs.tools.mjcf import scene_mjcf_text
 
-    if is_usd:
+    if is_suite_id(text):
+        scene = load_experiment(text).scene
+    else:
         with needs_extra("a USD layer", "usd"):
             from gauge_envs.tools.usd import read_usd
 
-            # The duration only bounds the motion of driven bodies.
+            # Only the motion of driven bodies, which is refused below, has a duration.
             scene = read_usd(text, unstated_duration_s=1.0).scene
-    else:
-        scene = load_experiment(text).scene
-    if scene.deformables:
+    if scene.deformables or scene.drivers:
         raise ParameterError(
-            f"{text}: scenes with deformable bodies are not compared, as their custom numbers belong to MuJoCo "
-            f"{mujoco.__version__}"
+            f"{text}: releases of MuJoCo are not compared on deformable or driven bodies: "
+            "give engines, settings of mujoco, or result files"
         )
-    frames = 1 + round(scene.duration_s * FRAME_RATE_HZ)
-    root = ElementTree.fromstring(scene_mjcf_text(scene, text, frames))
-    motions = {}
-    for custom in root.findall("custom"):
-        for number in custom.findall("numeric"):
-            body = number.get("name", "").removeprefix(DRIVER_PREFIX)
-            values = np.array(number.get("data", "").split(), dtype=float)
-            motions[body] = values.reshape(-1, DRIVER_COLUMNS).tolist()
-        root.remove(custom)
-    file = folder / "subject.xml"
-    ElementTree.ElementTree(root).write(file)
-    return file, motions
+    return scene_mjcf_text(scene, text, frame_count=1)
 
 
 def _made(text: str) -> Any:
@@ -143,34 +118,26 @@ def _made(text: str) -> Any:
         ) from error
 
 
-def _model_file(title: str, made: Any, folder: Path) -> Path:
-    """Return the model file of what a function made."""
-    file = folder / "subject.xml"
+def _model_file(title: str, made: Any, file: Path) -> Path:
+    """Return the model file of what a function made: that of the environment, or `file`, which is written."""
     if isinstance(made, mujoco.MjSpec):
-        made = made.to_xml()
-    if isinstance(made, str | Path):
-        if str(made).lstrip().startswith("<"):
-            file.write_text(str(made), encoding="utf-8")
-            return file
-        if not Path(made).is_file():
-            raise ParameterError(f"{title} returns {str(made)!r}, which is no file")
-        return Path(made)
+        file.write_text(made.to_xml(), encoding="utf-8")
+        return file
     env = getattr(made, "unwrapped", made)
     model = _compiled_model(env)
     if model is None:
         raise ParameterError(
             f"{title} is {type(env).__qualname__}, which has no MuJoCo model: give its model file"
         )
-    path = getattr(env, "fullpath", None)
-    if path and _is_same(Path(path), model):
-        return Path(path)
-    try:
+    path = Path(getattr(env, "fullpath", file))
+    if _is_same(path, model):
+        return path
+    # MuJoCo cannot save each model, and saves the one that it compiled last.
+    with suppress(mujoco.FatalError):
         mujoco.mj_saveLastXML(str(file), model)
-    except mujoco.FatalError as error:
-        raise ParameterError(f"{title}: {error}: give its model file") from error
     if not _is_same(file, model):
         raise ParameterError(
-            f"{title}: MuJoCo saves another model than the environment has: give its model file"
+            f"{title}: MuJoCo cannot save the model of the environment: give its model file"
         )
     return file
 
@@ -211,7 +178,7 @@ def check_states(path: Path) -> None:
         raise ParameterError(f"{path}: not an NPZ of states: {error}") from None
     shape = rows["qpos"].shape if "qpos" in rows else ()
     for name, values in rows.items():
-        is_row_each = values.shape[:1] == shape[:1] and len(shape) == 2 and shape[0]
+        is_row_each = len(shape) == 2 and len(values) == shape[0] > 0
         if not is_row_each or not np.isfinite(values).all():
             raise ParameterError(
                 f"{path}: {name} has the shape {values.shape}; expected qpos with a row for each state, as many rows "
