@@ -41,11 +41,14 @@ def compare(bench: Bench, before: Side, after: Side) -> Comparison:
     runs, states = _runs(bench, sides)
     gap = Gap(*_probes(bench, sides, states))
     first, second = (run.description for run in runs)
-    is_different = bool(np.any(gap.differs))
-    is_identical = all(np.array_equal(*gap.pair(name)) for name in BITS)
-    verdict = Verdict.IDENTICAL if is_identical else Verdict.SAME
+    verdict = Verdict.SAME
+    if np.any(gap.differs):
+        verdict = Verdict.DIFFERENT
+    elif all(np.array_equal(*gap.pair(name)) for name in BITS):
+        verdict = Verdict.IDENTICAL
     indices = [*np.flatnonzero(gap.differs)[:1], *gap.worst(1)]
     partings = [parting(gap, index, states, first["names"]) for index in indices]
+    first_parting, worst_parting = partings or (None, None)
     ruled = tuple(rulings(bench, sides, gap, states, first["fields"]))
     rights = {ruling.right for ruling in ruled if ruling.right}
     return Comparison(
@@ -53,17 +56,17 @@ def compare(bench: Bench, before: Side, after: Side) -> Comparison:
         before=before.title,
         after=after.title,
         versions=(first["version"], second["version"]),
-        verdict=Verdict.DIFFERENT if is_different else verdict,
+        verdict=verdict,
         states=len(gap.relative),
         differing=int(np.sum(gap.differs)),
         largest=float(np.max(gap.relative)),
         noise=float(np.median(gap.noise)),
-        first=partings[0] if is_different else None,
-        worst=partings[1] if is_different else None,
+        first=first_parting,
+        worst=worst_parting,
         fields=tuple(field_changes(first["fields"], second["fields"], first["names"])),
         new_fields=tuple(sorted({*first["fields"]} ^ {*second["fields"]})),
         rulings=ruled,
-        right=rights.pop() if is_different and len(rights) == 1 else "",
+        right=rights.pop() if len(rights) == 1 else "",
     )
 
 
@@ -78,27 +81,28 @@ def field_changes(
         names: Names of objects by the prefix of their fields.
     """
     for name, value in before.items():
-        first, second = np.array(value), np.array(after.get(name, value))
-        is_option = name.startswith("opt.")
-        if is_option:
-            first, second = first[None], second[None]
-        size = first != second
-        if first.dtype.kind == "f":
-            is_close = np.isclose(
-                first, second, rtol=FIELD_TOLERANCE, atol=1e-12, equal_nan=True
-            )
-            size = np.where(is_close, 0.0, np.abs(first - second))
+        other = after.get(name, value)
+        first, second = np.array(value), np.array(other)
+        if name.startswith("opt.") or first.shape != second.shape:
+            if value != other:
+                yield FieldChange(
+                    field=name, where="", count=1, before=value, after=other
+                )
+            continue
+        is_close = np.isclose(
+            first, second, rtol=FIELD_TOLERANCE, atol=1e-12, equal_nan=True
+        )
+        size = np.where(is_close, 0.0, np.abs(first - second))
         if np.any(size):
             sizes = size.reshape(len(size), -1).max(axis=1)
             row = int(np.argmax(sizes))
             owners = names.get(name.partition("_")[0], [])
-            where = owners[row] if len(owners) == len(sizes) else f"row {row}"
             yield FieldChange(
                 field=name,
-                where="" if is_option else where,
+                where=owners[row] if len(owners) == len(sizes) else f"row {row}",
                 count=int(np.count_nonzero(sizes)),
-                before=first[row].tolist(),
-                after=second[row].tolist(),
+                before=value[row],
+                after=other[row],
             )
 
 

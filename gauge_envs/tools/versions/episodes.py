@@ -299,8 +299,8 @@ def _mean(values: FloatArray) -> Estimate:
 def _share(values: FloatArray) -> Estimate:
     """Return the share of successes with the exact interval of Clopper and Pearson."""
     interval = binomtest(int(np.sum(values)), len(values)).proportion_ci()
-    low, high = float(interval.low), float(interval.high)
-    return Estimate(value=float(np.mean(values)), low=low, high=high)
+    mean = float(np.mean(values))
+    return Estimate(value=mean, low=float(interval.low), high=float(interval.high))
 
 
 def _excludes_zero(change: Estimate | None) -> bool:

@@ -11,7 +11,7 @@ import mujoco
 
 from gauge_envs.cli import arguments
 from gauge_envs.errors import ParameterError
-from gauge_envs.experiments.variants import find_variant, variants
+from gauge_envs.experiments.variants import variants
 from gauge_envs.registry import engine_points
 from gauge_envs.tools.versions.environments import (
     make_environment,
@@ -103,24 +103,19 @@ def compares_motions(subject: str, sides: Sequence[Side]) -> bool:
         or not all(hasattr(mujoco.MjOption, name) for name in side.settings)
     ]
     releases = [side.title for side in sides if not side.engine and not side.file]
-    if needs_motion and releases:
+    is_suite = is_suite_id(subject)
+    if needs_motion and (releases or not is_suite):
         raise ParameterError(
-            f"{releases[0]} and {needs_motion[0]}: releases of MuJoCo are compared with each other and with mujoco, "
-            "on its own options"
+            f"{subject} and {needs_motion[0]}: other engines, their settings and result files are compared with each "
+            "other on an id of this suite; releases of MuJoCo are compared with each other and with mujoco, on its own "
+            "options, as iterations=4"
         )
-    if is_suite_id(subject):
-        from gauge_envs.experiments.resolve import load_experiment
+    if needs_motion or releases or not is_suite:
+        return bool(needs_motion)
+    from gauge_envs.experiments.resolve import load_experiment
 
-        scene = load_experiment(find_variant(subject).id).scene
-        return bool(
-            needs_motion or ((scene.deformables or scene.drivers) and not releases)
-        )
-    if needs_motion:
-        raise ParameterError(
-            f"{subject} and {needs_motion[0]}: on a model, settings are options of MuJoCo, as iterations=4; other "
-            "engines, their settings and result files are compared on an id of this suite"
-        )
-    return False
+    scene = load_experiment(subject).scene
+    return bool(scene.deformables or scene.drivers)
 
 
 def releases_between(sides: Sequence[Side]) -> list[Side]:

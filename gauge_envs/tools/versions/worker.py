@@ -113,7 +113,7 @@ def compiled_fields(model: Any) -> Job:
         value = getattr(model.opt, name)
         if name in ENUMS:
             fields["opt." + name] = enum_names(name, value)
-        elif not name.startswith("_") and not callable(value):
+        elif not name.startswith("_"):
             fields["opt." + name] = np.ravel(value).tolist()
     for name in filter(PHYSICS.match, dir(model)):
         fields[name] = np.asarray(getattr(model, name), dtype=float).tolist()
@@ -320,16 +320,6 @@ def call(text: str) -> Any:
     return getattr(importlib.import_module(module), function)()
 
 
-def make_environment(job: Job) -> Any:
-    """Return the environment of a job, with its settings."""
-    subject = job["subject"]
-    is_id = ":" not in subject or "/" in subject
-    env = importlib.import_module("gymnasium").make(subject) if is_id else call(subject)
-    if job["settings"]:
-        set_options(env.unwrapped.model, job["settings"])
-    return env
-
-
 def make_policy(text: str) -> Callable[[Any, int], Any]:
     """Return the action of an observation and a step, by a policy `module:function` or a file of actions."""
     if text.endswith(".npy"):
@@ -350,7 +340,12 @@ def play(job: Job) -> tuple[Job, Job]:
     """Return return and success of an episode from each seed; NaN where the environment states no success."""
     # The user's modules are in the working folder; the folder of this file has modules with common names.
     sys.path[0] = ""
-    env, act = make_environment(job), make_policy(job["policy"])
+    subject, act = job["subject"], make_policy(job["policy"])
+    is_function = ":" in subject and "/" not in subject
+    make = importlib.import_module("gymnasium").make
+    env = call(subject) if is_function else make(subject)
+    if job["settings"]:
+        set_options(env.unwrapped.model, job["settings"])
     returns, successes = [], []
     for seed in range(job["seed"], job["seed"] + job["episodes"]):
         observation, _ = env.reset(seed=seed)

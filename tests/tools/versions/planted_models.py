@@ -39,24 +39,24 @@ class Planted(Bench):
     def __init__(self, folder, plant=None, new="", *, model=SCENE, steps=20, saved=""):
         for name, text in (("old", model), ("new", new or model)):
             (folder / f"{name}.xml").write_text(text)
-        job = {"motions": {}, "saved": str(saved), "steps": steps, "seed": 0}
-        super().__init__(title="scene", folder=folder, job=job)
+        job = {"saved": str(saved), "steps": steps, "seed": 0}
+        super().__init__(title="scene", job=job)
+        self.folder = folder
         self.plant = plant
 
     def plant_of(self, side):
         return None if side.title == "old" else self.plant
 
-    def execute(self, side, name):
-        file = name.with_suffix(".job")
+    def execute(self, side, file):
         job = json.loads(file.read_text())
         job["model"] = str(self.folder / f"{side.title[:3]}.xml")
         file.write_text(json.dumps(job))
         with LOCK:
             worker.main(file)
-        is_exact = EXACT.items() <= job["settings"].items()
         plant = self.plant_of(side)
-        if plant and "states" in job and not is_exact:
-            with np.load(f"{name}.npz") as stored:
+        is_exact = EXACT.items() <= job["settings"].items()
+        if plant and job["task"] == "probe" and not is_exact:
+            with np.load(file.with_suffix(".npz")) as stored:
                 arrays = dict(stored)
             plant(arrays)
-            np.savez(f"{name}.npz", **arrays)
+            np.savez(file.with_suffix(".npz"), **arrays)

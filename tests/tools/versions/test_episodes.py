@@ -112,7 +112,7 @@ def test_returns_of_a_policy_are_compared_seed_by_seed(
     monkeypatch.chdir(tmp_path)
     sides = [side("old"), side("new", timestep=0.003)]
     options = {"policy": "actions.npy" if is_scripted else "played:policy"}
-    options |= {"seed": 5, "say": print}
+    options |= {"seed": 5}
     found = compare_returns("played:Counter", *sides, seeds=3, **options)
     # The policy adds 2 to an observation of -1, then to its own actions.
     actions = 1.0 if is_scripted else 1.0 + 3.0 + 5.0
@@ -136,7 +136,7 @@ def test_returns_of_a_policy_are_compared_seed_by_seed(
     ],
 )
 def test_what_cannot_be_played(policy, texts, message):
-    options = {"policy": policy, "seeds": 1, "seed": 0, "say": print}
+    options = {"policy": policy, "seeds": 1, "seed": 0}
     with pytest.raises(ParameterError, match=message):
         compare_returns("Hopper-v5", *pair(*texts), **options)
 

@@ -13,14 +13,10 @@ from gauge_envs.tools.versions import environments, worker
 from gauge_envs.tools.versions.environments import Bench, VersionsError
 from gauge_envs.tools.versions.sides import (
     compares_motions,
-    interpreter_side,
     read_sides,
     releases_between,
 )
 from gauge_envs.tools.versions.subject import check_states, read_subject
-
-OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
-"""A tetrahedron."""
 
 # --- sides -----------------------------------------------------------------------------------------------------------
 
@@ -93,40 +89,40 @@ LACKS = "ERROR: Could not find a version that satisfies the requirement mujoco==
         (f"{LACKS} (from versions: 3.3.0, 3.9.0)\nERROR: No match", "No match.*3.9.0"),
         ("WARNING: after connection broken by 'E'\nERROR: No", "does not answer"),
         ("error: Failed to fetch: `i/`", "does not answer"),
-        ("OSError: [Errno 28] No space left on device", "No space left"),
     ],
 )
 def test_why_an_installation_failed(cache, monkeypatch, output, message):
     pip(monkeypatch, output)
     with pytest.raises(VersionsError, match=message):
-        environments.make_environment("mujoco==9.9.0", lambda text: None)
+        environments.make_environment(
+            "mujoco==9.9.0",
+        )
     assert [folder.name for folder in cache.iterdir()] == [".locks"]
 
 
-def test_an_environment_is_made_once_and_leftovers_go(cache, monkeypatch):
+def test_an_environment_is_made_once_and_leftovers_go(cache, monkeypatch, capsys):
     pip(monkeypatch, "", 0)
     folder = environments.environment_folder("mujoco==3.1.0")
-    folder.with_name(f".{folder.name}.killed").mkdir(parents=True)
-    said = []
-    python = environments.make_environment("mujoco==3.1.0", said.append)
+    folder.with_name(f".{folder.name}").mkdir(parents=True)
+    python = environments.make_environment("mujoco==3.1.0")
     # Wheels of this release need an older NumPy.
-    assert said == [f"mujoco==3.1.0 and numpy<2: installed into {folder}"]
+    assert "mujoco==3.1.0 and numpy<2: installed" in capsys.readouterr().err
     assert {each.name for each in cache.iterdir()} == {".locks", folder.name}
-    environments.make_environment("mujoco==3.1.0", said.append)
+    environments.make_environment("mujoco==3.1.0")
+    assert not capsys.readouterr().err
     # The Python of an environment may have been removed.
     python.unlink()
-    assert environments.make_environment("mujoco==3.1.0", said.append) == python
-    assert (python.exists(), len(said)) == (True, 2)
+    assert environments.make_environment("mujoco==3.1.0").exists()
     environments.remove_environment("mujoco==3.1.0")
     assert not folder.exists()
 
 
 def test_a_range_has_the_releases_of_the_index_between_its_ends(cache, monkeypatch):
     pip(monkeypatch, "mujoco (4.0.0)\nAvailable versions: 3.10.0, 3.9.0, 3.3.0\n", 0)
-    releases = releases_between(read_sides("mujoco==3.9..3.10.0"), print)
+    releases = releases_between(read_sides("mujoco==3.9..3.10.0"))
     assert [each.title for each in releases] == ["mujoco==3.9.0", "mujoco==3.10.0"]
     with pytest.raises(ParameterError, match=r"newest are 3\.3\.0, 3\.9\.0, 3\.10\.0"):
-        releases_between(read_sides("mujoco==3.3.1..3.8"), print)
+        releases_between(read_sides("mujoco==3.3.1..3.8"))
 
 
 # --- models ----------------------------------------------------------------------------------------------------------
@@ -161,22 +157,11 @@ class Other(Made):
         mujoco.MjModel.from_xml_string("<mujoco/>")
 
 
-class Memory:
-    """An environment whose mesh is no file, so that the saved model does not load."""
-
-    def __init__(self):
-        xml = (
-            '<mujoco><asset><mesh name="m" file="m.obj"/></asset>'
-            '<worldbody><geom type="mesh" mesh="m"/></worldbody></mujoco>'
-        )
-        self.model = mujoco.MjModel.from_xml_string(xml, {"m.obj": OBJ.encode()})
-
-
 @pytest.mark.parametrize(
     ("name", "mass_kg"), [("made_model", 8.0), ("Made", 8.0), ("Changed", 16.0)]
 )
 def test_a_function_that_makes_a_model_is_a_subject(tmp_path, name, mass_kg):
-    file, _ = read_subject(f"{__name__}:{name}", tmp_path)
+    file = read_subject(f"{__name__}:{name}", tmp_path)
     model = mujoco.MjModel.from_xml_path(str(file))
     assert (model.body_mass[1], model.nv) == (pytest.approx(mass_kg), 7)
 
@@ -184,13 +169,13 @@ def test_a_function_that_makes_a_model_is_a_subject(tmp_path, name, mass_kg):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (f"{__name__}:Other", "incompatible models"),
-        (f"{__name__}:Memory", "saves another model"),
+        (f"{__name__}:Other", "cannot save the model"),
         (f"{__name__}:nothing", "nothing"),
         (f"{__name__}:leaves", "SystemExit: 3"),
         ("absent.xml", "no such file"),
         ("Absent-v0", "no environment of Gymnasium"),
         ("FoamShearing-soft", "are not compared"),
+        ("Turntable-1-wood", "are not compared"),
     ],
 )
 def test_what_is_no_subject(tmp_path, text, message):
@@ -221,30 +206,14 @@ def Material "wood" (prepend apiSchemas = ["PhysicsMaterialAPI"])
 def test_a_usd_layer_is_a_subject(tmp_path):
     layer = tmp_path / "block.usda"
     layer.write_text(LAYER)
-    file, _ = read_subject(str(layer), tmp_path)
+    file = read_subject(str(layer), tmp_path)
     assert mujoco.MjModel.from_xml_path(str(file)).body_mass[-1] == 3.0
-
-
-def test_a_driven_body_of_an_id_moves_as_prescribed(tmp_path):
-    """The plate of a turntable has the poses of its motion, one every 1/180 s."""
-    file, motions = read_subject("Turntable-1-wood", tmp_path)
-    bench = Planted(tmp_path, model=file.read_text(), steps=300)
-    bench.job |= {"motions": motions}
-    states = bench.work([side("old")], task="run")[0].arrays
-    is_start = states["segment"] == 0
-    plate = np.array(motions["plate"])
-    assert states["qvel"][is_start][250, 6:] == pytest.approx(plate[5, 7:13])
-    poses = states["qpos"][is_start][250, 7:], plate[5, :7]
-    angles = [2.0 * np.arctan2(pose[6], pose[3]) for pose in poses]
-    assert angles[0] == pytest.approx(angles[1], rel=1e-3)
-    assert angles[1] > 1e-6
 
 
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
         ({"qvel": np.zeros((2, 6))}, "expected qpos"),
-        ({"qpos": np.zeros((0, 7))}, r"shape \(0, 7\)"),
         ({"qpos": np.zeros((2, 7)), "qvel": np.zeros((3, 6))}, "as many rows"),
         ({"qpos": np.full((2, 7), np.nan)}, "finite"),
     ],
@@ -259,22 +228,10 @@ def test_states_of_another_model_are_refused(tmp_path):
     saved = tmp_path / "states.npz"
     np.savez(saved, qpos=np.zeros((1, 9)))
     with pytest.raises(SystemExit, match=r"9 numbers of qpos; the model has 8"):
-        Planted(tmp_path, saved=saved).work([side("old")], task="run")
+        Planted(tmp_path, saved=saved).work("run", [side("old")])
 
 
 # --- processes -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("text", "message"), [("", "cannot be started"), ("#!/bin/sh\n", "is no Python")]
-)
-def test_a_file_that_is_no_python_is_named(tmp_path, text, message):
-    file = tmp_path / "python"
-    file.write_text(text)
-    file.chmod(0o755 if text else 0o644)
-    bench = Bench(title="scene.xml", folder=tmp_path, job={})
-    with pytest.raises(VersionsError, match=message):
-        bench.work([interpreter_side(file)], task="run")
 
 
 @pytest.mark.parametrize(
@@ -293,44 +250,7 @@ def test_a_wrong_setting_says_what_is_expected(settings, message):
 
 def test_a_worker_that_fails_says_why(tmp_path):
     model = tmp_path / "newer.xml"
-    model.write_text(SCENE.replace("<body", "<newer/><body"))
-    bench = Bench(title="newer.xml", folder=tmp_path, job={"model": str(model)})
+    model.write_text(SCENE.replace("<option", '<option newer="1"'))
+    bench = Bench(title="newer.xml", job={"model": str(model)})
     with pytest.raises(VersionsError, match=r"old cannot run newer.xml: .*newer"):
-        bench.work([side("old")], task="run")
-
-
-def test_an_attribute_that_a_release_lacks_is_left_out_and_listed(
-    tmp_path, monkeypatch
-):
-    """Meshes are found from the folder of the model."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "meshes").mkdir()
-    mesh = '<asset><mesh name="m" file="m.obj"/></asset><worldbody>'
-    text = (
-        SCENE.replace("<option", '<compiler meshdir="meshes"/><option newer="1"')
-        .replace("<worldbody>", mesh)
-        .replace('<geom name="box"', '<geom type="mesh" mesh="m" newest="a b"/><geom')
-    ).replace("timestep", 'cone="round" timestep')
-    model = tmp_path / "scene.xml"
-    model.write_text(text)
-    (tmp_path / "meshes" / "m.obj").write_text(OBJ)
-    compiled, dropped = worker.load_model({"model": str(model), "settings": {}})
-    assert set(dropped) == {
-        'option newer="1"',
-        'geom newest="a b"',
-        'option cone="round"',
-    }
-    assert (compiled.opt.timestep, compiled.nmesh) == (0.004, 1)
-    assert model.read_text() == text
-
-
-def test_an_attribute_that_a_release_has_for_other_actuators_is_left_out():
-    """MuJoCo 4 writes `input` for all actuators; MuJoCo 3.12 knows it for some."""
-    text = '<mujoco><general name="a" input="pos"/><general name="b" input="pos"/></mujoco>'
-    root = worker.ElementTree.fromstring(text)
-    message = (
-        "Error: input is only available for so3, pid and dcmotor actuators, actuator 'a' (id = 0)\n"
-        "Element name 'a', id 0, line 2"
-    )
-    assert worker.remove_unknown(root, message) == ['general input="pos"']
-    assert [element.get("input") for element in root] == [None, "pos"]
+        bench.work("run", [side("old")])
