@@ -253,6 +253,6 @@ class Bench:
 
 def _output(file: Path) -> Output:
     """Return what a worker wrote for the job of a file."""
-    text = file.with_suffix(".json").read_text(encoding="utf-8")
+    description = json.loads(file.with_suffix(".json").read_text())
     with np.load(file.with_suffix(".npz")) as arrays:
-        return Output(json.loads(text), dict(arrays))
+        return Output(description, dict(arrays))

@@ -262,12 +262,12 @@ def compare_returns(
     outputs = bench.work("play", (before, after))
     first, second = (output.arrays["returns"] for output in outputs)
     change = _mean(second - first)
-    shares: list[Estimate | None] = [None, None]
+    success: tuple[Estimate | None, Estimate | None] = (None, None)
     success_change = None
-    successes = [output.arrays["successes"] for output in outputs]
-    if not np.isnan(successes).any():
-        shares = [_share(values) for values in successes]
-        success_change = _mean(successes[1] - successes[0])
+    successes, others = (output.arrays["successes"] for output in outputs)
+    if not np.isnan([successes, others]).any():
+        success = (_share(successes), _share(others))
+        success_change = _mean(others - successes)
     verdict = Verdict.SAME
     if np.array_equal(first, second):
         verdict = Verdict.IDENTICAL
@@ -282,7 +282,7 @@ def compare_returns(
         seeds=seeds,
         returns=(_mean(first), _mean(second)),
         change=change,
-        success=(shares[0], shares[1]),
+        success=success,
         success_change=success_change,
     )
 

@@ -32,9 +32,9 @@ def comparison_document(comparison: Comparison) -> Document:
             f"state gives other accelerations, by up to {100.0 * comparison.largest:.3g} %."
         )
     else:
-        noise = f"within its noise: accelerations differ by {100.0 * comparison.largest:.1g} % or less"
-        is_identical = comparison.verdict is Verdict.IDENTICAL
-        how = "bit for bit" if is_identical else noise
+        how = f"within its noise: accelerations differ by {100.0 * comparison.largest:.1g} % or less"
+        if comparison.verdict is Verdict.IDENTICAL:
+            how = "bit for bit"
         answer = (
             f"{sides} compute the same on {comparison.subject}, {how}, in {states}."
         )
@@ -94,8 +94,9 @@ def motions_document(comparison: MotionComparison, scores: ScoreComparison) -> D
         parts.append(Paragraph(right, Tone.ANSWER))
     else:
         how = f"within its noise: they differ by {largest} or less (noise: {noise})"
-        is_identical = comparison.verdict is Verdict.IDENTICAL
-        answer = f"{sides} give the same motion of {comparison.subject}, {'bit for bit' if is_identical else how}."
+        if comparison.verdict is Verdict.IDENTICAL:
+            how = "bit for bit"
+        answer = f"{sides} give the same motion of {comparison.subject}, {how}."
     return Document(
         parts=[Paragraph(answer, Tone.ANSWER), *parts], rows=[asdict(comparison)]
     )
@@ -110,16 +111,14 @@ RETURNS = {
 
 def returns_document(comparison: ReturnComparison) -> Document:
     """Return what a policy reaches on both sides."""
-    rows = {
-        "return": (*comparison.returns, comparison.change),
-        "success": (*comparison.success, comparison.success_change),
-    }
+    rows = [
+        ("return", *comparison.returns, comparison.change),
+        ("success", *comparison.success, comparison.success_change),
+    ]
+    names = ("name", "before", "after", "change")
     table = _table(
         "Means with 95 % intervals; the change is seed by seed",
-        [
-            {"name": name, "before": before, "after": after, "change": change}
-            for name, (before, after, change) in rows.items()
-        ],
+        [dict(zip(names, row, strict=True)) for row in rows],
         "name before after change",
     )
     answer = (

@@ -17,11 +17,11 @@ import numpy as np
 
 from gauge_envs.errors import ParameterError, needs_extra
 from gauge_envs.files import npz_arrays, os_errors
+from gauge_envs.registry import SCENE_SUFFIXES
 from gauge_envs.tools.versions.environments import Bench
 from gauge_envs.tools.versions.sides import is_suite_id
 
 MODEL_FILES = (".xml", ".mjcf", ".urdf")
-USD_FILES = (".usd", ".usda", ".usdc", ".usdz")
 
 MODEL_ATTRIBUTES = ("model", "sim.model._model", "physics.model._model", "mj_model")
 """Attributes of an environment that hold its compiled model."""
@@ -68,12 +68,12 @@ def read_subject(text: str, folder: Path) -> Path:
         ParameterError: The text names no model.
     """
     suffix = Path(text).suffix.lower()
-    if suffix in (*MODEL_FILES, *USD_FILES) and not Path(text).is_file():
+    if suffix in (*MODEL_FILES, *SCENE_SUFFIXES) and not Path(text).is_file():
         raise ParameterError(f"{text}: there is no such file")
     if suffix in MODEL_FILES:
         return Path(text)
     file = folder / "subject.xml"
-    if suffix in USD_FILES or is_suite_id(text):
+    if suffix in SCENE_SUFFIXES or is_suite_id(text):
         file.write_text(_scene_text(text))
         return file
     return _model_file(text, _made(text), file)
@@ -103,8 +103,7 @@ def _scene_text(text: str) -> str:
 def _made(text: str) -> Any:
     """Return what a function makes, or the environment of an id of Gymnasium."""
     module, _, function = text.partition(":")
-    if "" not in sys.path:
-        sys.path.insert(0, "")
+    sys.path.insert(0, "")
     try:
         # What it prints is no output of the command.
         with redirect_stdout(sys.stderr):

@@ -368,10 +368,10 @@ TASKS = {"run": run, "probe": probe, "play": play}
 
 def main(file: Path) -> None:
     """Do the job of a file."""
-    job = json.loads(file.read_text(encoding="utf-8"))
+    job = json.loads(file.read_text())
     description, arrays = TASKS[job["task"]](job)
     np.savez(job["out"] + ".npz", **arrays)
-    Path(job["out"] + ".json").write_text(json.dumps(description), encoding="utf-8")
+    Path(job["out"] + ".json").write_text(json.dumps(description))
 
 
 if __name__ == "__main__":
