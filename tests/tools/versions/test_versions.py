@@ -114,7 +114,7 @@ def test_the_side_whose_boxes_are_as_deep_as_their_geometry_is_right(tmp_path):
 
 
 def test_another_default_is_a_changed_field_and_no_law_decides(tmp_path):
-    new = SCENE.replace('name="box" type', 'name="box" solref="0.005 1" type').replace(
+    new = SCENE.replace('name="box" type', 'name="box" solref="0.021 1" type').replace(
         "<option", '<option><flag gravity="disable"/></option><option'
     )
     found = compared(tmp_path, None, new)
@@ -122,7 +122,7 @@ def test_another_default_is_a_changed_field_and_no_law_decides(tmp_path):
     assert changes["opt.disableflags"].after == ["mjDSBL_GRAVITY"]
     change = changes["geom_solref"]
     assert (change.where, change.count) == ("box", 1)
-    assert (change.before, change.after) == ([0.02, 1.0], [0.005, 1.0])
+    assert (change.before, change.after) == ([0.02, 1.0], [0.021, 1.0])
     assert (found.verdict, found.right) == (Verdict.DIFFERENT, "")
     last = comparison_document(found).parts[-1]
     assert "No law that was checked" in last.text
