@@ -245,7 +245,6 @@ NOISE = Jitter(position_m=0.0015, angle_rad=0.01)
 REQUESTS = {
     "settings": RunRequest(SLIDE, settings=SETTINGS, seed=3),
     "overrides": RunRequest(SLIDE, parameters={"cube.friction": 0.21}),
-    "set": RunRequest("BouncingBall-rubber", parameters="effective"),
     "repeats": RunRequest(SLIDE, repeats=2, seed=1, jitter=NOISE),
 }
 

@@ -184,7 +184,7 @@
   function ghost(data, group) {
     const real = data.ghost, tint = color("--real");
     const line = new THREE.LineBasicMaterial({ color: tint, transparent: true, opacity: 0.8, depthTest: false });
-    // Nearer than it is by 0.3 % of the distance, or it flickers where it coincides with the simulated ball.
+    // Nearer by 0.3 % of the distance, or it flickers on the simulated ball.
     const nearer = { polygonOffset: true, polygonOffsetFactor: -1, polygonOffsetUnits: -1000 };
     const solid = new THREE.MeshLambertMaterial({ color: tint, transparent: true, opacity: 0.4, depthWrite: false, ...nearer });
     const movers = real.radii.map((radius, point) => {
@@ -259,7 +259,7 @@
     orbit.enableZoom = false; // Until the pictures have the focus, the wheel scrolls the page.
     let shown = [], time = 0, last = 0, playing = false, before = 0, home = null, pending = false;
 
-    // All pictures come from one renderer: a browser allows few WebGL contexts.
+    // One renderer draws all pictures: a browser allows few.
     function draw() {
       pending = false;
       for (const entry of shown) {
