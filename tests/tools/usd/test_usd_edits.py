@@ -315,9 +315,10 @@ def on_ice(stage):
 
 def retype(stage, path):
     """Turns a number into a text."""
-    prim = stage.GetPrimAtPath(path.split(".")[0])
-    prim.RemoveProperty(path.split(".")[1])
-    attribute = prim.CreateAttribute(path.split(".")[1], Sdf.ValueTypeNames.String)
+    place, name = path.split(".")
+    prim = stage.GetPrimAtPath(place)
+    prim.RemoveProperty(name)
+    attribute = prim.CreateAttribute(name, Sdf.ValueTypeNames.String)
     attribute.Set("much")
 
 

@@ -350,7 +350,6 @@ MOVING = op(
 LIMIT = "point3f physics:localPos1 = (0, 0, 1)\nfloat physics:lowerLimit = -10\n"
 TWO = "rel physics:body0 = </box>\nrel physics:body1 = </ball>\n"
 HINGED = TO_BALL + "point3f physics:localPos1 = (0, 0, 1)\ndouble "
-DRIVE = '"PhysicsDriveAPI:{}"'
 
 # Prims, and the place and the fault in the words of the error.
 REFUSED = [
@@ -399,7 +398,7 @@ REFUSED = [
         r"/joint: unsupported joint: it has physics:lowerLimit",
     ),
     (
-        BALL + joint("RevoluteJoint", TO_BALL, DRIVE.format("angular")),
+        BALL + joint("RevoluteJoint", TO_BALL, '"PhysicsDriveAPI:angular"'),
         r"/joint: unsupported joint: it has PhysicsDriveAPI:angular",
     ),
     (
