@@ -91,9 +91,9 @@ def fit_constant_acceleration(
     # Residuals of rounding size do not describe the form of the relation.
     is_exact = linear <= 1e-24 * _squared(displacement_m)
     freedom = len(times_s) - 3
-    squared_times = np.maximum(times_s - release - shift_s, 0.0) ** 2
+    since_s = np.maximum(times_s - release - shift_s, 0.0)
     return AccelerationFit(
-        a_m_per_s2=2.0 * float(np.polyfit(squared_times, displacement_m, 1)[0]),
+        a_m_per_s2=2.0 * float(np.polyfit(since_s**2, displacement_m, 1)[0]),
         release_s=float(release + shift_s),
         qfi=0.0 if is_exact else (linear / quadratic - 1.0) * freedom,
         form=float(np.sqrt(linear / len(times_s)) / np.ptp(displacement_m)),
