@@ -186,8 +186,8 @@ def _metric_row(
             is_near = abs(mean - published) <= CLOSE * abs(published)
             agrees = "agrees" if is_near else "differs"
     if len(values) > 1:
-        error = stats.sem(values)
-        low, high = stats.t.interval(0.95, len(values) - 1, mean, error)
+        half = stats.t.ppf(0.975, len(values) - 1) * stats.sem(values)
+        low, high = mean - half, mean + half
         spread = np.std(values, ddof=1)
     return {
         "metric": TITLES[name],
