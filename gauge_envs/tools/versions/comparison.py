@@ -65,6 +65,7 @@ def compare(bench: Bench, before: Side, after: Side) -> Comparison:
         worst=worst_parting,
         fields=tuple(field_changes(first["fields"], second["fields"], first["names"])),
         new_fields=tuple(sorted({*first["fields"]} ^ {*second["fields"]})),
+        dropped=(first["dropped"], second["dropped"]),
         rulings=ruled,
         right=rights.pop() if len(rights) == 1 else "",
     )

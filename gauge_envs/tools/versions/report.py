@@ -52,6 +52,11 @@ def comparison_document(comparison: Comparison) -> Document:
             "law before after states right",
         ),
     ]
+    titles = (comparison.before, comparison.after)
+    for title, dropped in zip(titles, comparison.dropped, strict=True):
+        if dropped:
+            text = f"{title} does not know, and runs without: {', '.join(dropped)}."
+            parts.append(Paragraph(text, Tone.WARNING))
     if is_different:
         right = "No law that was checked shows which side is right."
         if comparison.right:

@@ -171,6 +171,7 @@ class Comparison:
         worst: Where they differ most; None if they do not.
         fields: Compiled fields that differ.
         new_fields: Compiled fields and flags that one side alone has.
+        dropped: Attributes of the model file that each side does not know, and runs without.
         rulings: Laws that were applied.
         right: Title of the side that is right; empty if nothing here can tell.
         tried: Releases that a bisection tried, in their order; empty without one.
@@ -189,6 +190,7 @@ class Comparison:
     worst: Parting | None
     fields: tuple[FieldChange, ...]
     new_fields: tuple[str, ...]
+    dropped: tuple[tuple[str, ...], tuple[str, ...]]
     rulings: tuple[Ruling, ...]
     right: str
     tried: tuple[Release, ...] = ()

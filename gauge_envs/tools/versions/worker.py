@@ -12,11 +12,13 @@ The worker writes a description to `OUT.json`, and arrays to `OUT.npz`.
 
 import importlib
 import json
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -55,6 +57,13 @@ PHYSICS = re.compile(
 )
 """Compiled fields that the physics reads, without those that only say where something is stored."""
 
+UNKNOWN = re.compile(
+    r"unrecognized attribute: '(?P<attribute>\w+)'\s+Element '(?P<tag>\w+)'"
+    r"|invalid keyword: '(?P<keyword>\w+)'\s+Element '(?P<keyword_tag>\w+)'"
+    r"|(?P<misplaced>\w+) is only available for .*\s+Element name '(?P<name>.*)', id"
+)
+"""Messages of MuJoCo on an attribute, or on a value of one, that the release does not know for this element."""
+
 PERTURBATION = 1e-10
 """Change of velocities that no release would make on purpose [m/s, rad/s]."""
 
@@ -74,11 +83,48 @@ MAX_STARTS = 4
 # --- the model -------------------------------------------------------------------------------------------------------
 
 
-def load_model(job: Job) -> Any:
-    """Compile the model of a job with its settings."""
-    model = mujoco.MjModel.from_xml_path(job["model"])
+def load_model(job: Job) -> tuple[Any, list[str]]:
+    """Compile the model of a job with its settings, without the attributes that the release does not know.
+
+    Returns:
+        The compiled model, and the attributes that were left out, as `option apirate="100"`.
+    """
+    path = Path(job["model"])
+    root = ElementTree.parse(path).getroot()
+    dropped: list[str] = []
+    while True:
+        try:
+            if dropped:
+                text = ElementTree.tostring(root, encoding="unicode")
+                model = mujoco.MjModel.from_xml_string(text)
+            else:
+                model = mujoco.MjModel.from_xml_path(str(path))
+            break
+        except ValueError as error:
+            unknown = remove_unknown(root, str(error))
+            if not unknown:
+                raise
+            dropped += unknown
+            # The names of meshes are relative to the folder of the model.
+            os.chdir(path.parent)
     set_options(model, job["settings"])
-    return model
+    return model, dropped
+
+
+def remove_unknown(root: Any, message: str) -> list[str]:
+    """Remove the attributes from an XML tree that a message of MuJoCo rejects, and return them."""
+    rejected = UNKNOWN.search(message)
+    removed: list[str] = []
+    if rejected is None:
+        return removed
+    for element in root.iter(rejected["tag"] or rejected["keyword_tag"]):
+        is_named = element.get("name", "") == rejected["name"]
+        for name, value in list(element.items()):
+            is_rejected = name == rejected["attribute"] or value == rejected["keyword"]
+            if is_rejected or (is_named and name == rejected["misplaced"]):
+                removed.append(f'{element.tag} {name}="{value}"')
+                del element.attrib[name]
+    return removed
 
 
 def set_options(model: Any, settings: Job) -> None:
@@ -216,7 +262,7 @@ def move(model: Any, job: Job, segment: Segment) -> Iterator[Job]:
 
 def run(job: Job) -> tuple[Job, Job]:
     """Move the model through its segments; return a description of the model, and the states that it visits."""
-    model = load_model(job)
+    model, dropped = load_model(job)
     saved: list[Job] = []
     segments = default_segments(model, job["steps"], job["seed"])
     if job["saved"]:
@@ -231,6 +277,7 @@ def run(job: Job) -> tuple[Job, Job]:
         "sizes": f"nq {model.nq}, nv {model.nv}, nu {model.nu}",
         "fields": compiled_fields(model),
         "names": object_names(model),
+        "dropped": dropped,
     }
     return description, stacked(states)
 
@@ -296,7 +343,7 @@ def probe_state(model: Any, data: Any, state: Job, change: Any) -> Job:
 
 def probe(job: Job) -> tuple[Job, Job]:
     """Compute one step from each state of a file; contacts are rows of a state, two geoms and a distance [m]."""
-    model = load_model(job)
+    model, _ = load_model(job)
     data = mujoco.MjData(model)
     noise = np.random.RandomState(0)
     probed: list[Job] = []

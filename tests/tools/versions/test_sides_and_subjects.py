@@ -250,7 +250,28 @@ def test_a_wrong_setting_says_what_is_expected(settings, message):
 
 def test_a_worker_that_fails_says_why(tmp_path):
     model = tmp_path / "newer.xml"
-    model.write_text(SCENE.replace("<option", '<option newer="1"'))
+    model.write_text(SCENE.replace("<body", "<newer/><body"))
     bench = Bench(title="newer.xml", job={"model": str(model)})
     with pytest.raises(VersionsError, match=r"old cannot run newer.xml: .*newer"):
         bench.work("run", [side("old")])
+
+
+def test_an_attribute_that_a_release_lacks_is_left_out_and_listed(tmp_path):
+    text = SCENE.replace("<option", '<option newer="1"')
+    model = tmp_path / "scene.xml"
+    model.write_text(text.replace("timestep", 'cone="round" timestep'))
+    compiled, dropped = worker.load_model({"model": str(model), "settings": {}})
+    assert set(dropped) == {'option newer="1"', 'option cone="round"'}
+    assert compiled.opt.timestep == 0.004
+
+
+def test_an_attribute_that_a_release_has_for_other_actuators_is_left_out():
+    """MuJoCo 4 writes `input` for all actuators; MuJoCo 3.12 knows it for some."""
+    text = '<mujoco><general name="a" input="pos"/><general name="b" input="pos"/></mujoco>'
+    root = worker.ElementTree.fromstring(text)
+    message = (
+        "Error: input is only available for so3, pid and dcmotor actuators, actuator 'a' (id = 0)\n"
+        "Element name 'a', id 0, line 2"
+    )
+    assert worker.remove_unknown(root, message) == ['general input="pos"']
+    assert [element.get("input") for element in root] == [None, "pos"]
