@@ -117,11 +117,9 @@ def data_import(
         print_document(import_document(imports), form)
     stored = sum(trials.facts is not None for trials in imports)
     used = sum(trials.used for trials in imports)
-    message(f"{counted(used, 'trial')} of {counted(stored, 'experiment')} imported")
-    if stored:
-        message(
-            "Use them with `gauge run ID --use imported`; the default stays bundled."
-        )
+    message(
+        f"{counted(used, 'trial')} of {counted(stored, 'experiment')} imported; gauge run ID --use imported uses them"
+    )
     return any(finding.left_out for finding in findings)
 
 

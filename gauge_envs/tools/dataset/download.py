@@ -1,6 +1,5 @@
 """Download the GAUGE dataset; only this module needs a network and the extra `data`."""
 
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,8 +17,6 @@ PINNED_REVISION = "9e0acb7"
 
 TRIAL_FILES = "data/*/json/*.json"
 """Files that an import reads; a star also matches slashes."""
-
-SHORT_HASH = re.compile(r"[0-9a-f]{4,39}")
 
 
 def download_dataset(commit: str, folder: Path | None, patterns: Sequence[str]) -> Path:
@@ -56,7 +53,7 @@ def download_dataset(commit: str, folder: Path | None, patterns: Sequence[str]) 
 def resolved_revision(revision: str) -> str:
     """Return the full commit hash of a revision.
 
-    The host resolves branches, tags and full hashes. A short hash is looked up among the commits of the main branch.
+    A hash, short or in full, is looked up among the commits of the main branch. The host resolves branches and tags.
     Full hashes are resolved too, since without the host the client takes an unfinished folder for a whole download.
 
     Args:
@@ -68,12 +65,11 @@ def resolved_revision(revision: str) -> str:
     """
     api = _client().HfApi()
     with _errors(f"revision {revision!r} cannot be resolved", "check name and network"):
-        if SHORT_HASH.fullmatch(revision):
-            commits = api.list_repo_commits(DATASET, repo_type="dataset")
-            hashes = [str(commit.commit_id) for commit in commits]
-            matching = [name for name in hashes if name.startswith(revision)]
-            if len(matching) == 1:
-                return matching[0]
+        commits = api.list_repo_commits(DATASET, repo_type="dataset")
+        hashes = [str(commit.commit_id) for commit in commits]
+        matching = [name for name in hashes if name.startswith(revision)]
+        if len(matching) == 1:
+            return matching[0]
         return str(api.dataset_info(DATASET, revision=revision).sha)
 
 

@@ -21,7 +21,7 @@ class ImportFinding:
     key: str
     problem: str
     expected: str
-    left_out: bool = True
+    left_out: bool
 
     def __str__(self) -> str:
         return f"{self.file}: {self.key}: {self.problem}; {self.expected}"
@@ -40,6 +40,6 @@ class TrialError(Exception):
         self.key, self.problem, self.expected = map(printable, (key, problem, expected))
         super().__init__(f"{self.key}: {self.problem}; {self.expected}")
 
-    def finding(self, file: str, *, left_out: bool) -> ImportFinding:
+    def finding(self, file: str, *, left_out: bool = True) -> ImportFinding:
         """Return the problem as one of a file."""
         return ImportFinding(file=printable(file), left_out=left_out, **vars(self))

@@ -11,7 +11,7 @@ import numpy as np
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.files import json_ready, os_errors, printable
+from gauge_envs.files import json_ready, printable
 from gauge_envs.references.band import Band
 from gauge_envs.references.imported import (
     DriverRecord,
@@ -29,7 +29,7 @@ from gauge_envs.tools.dataset.findings import ImportFinding, TrialError
 from gauge_envs.tools.dataset.layout import Layout
 from gauge_envs.tools.dataset.observation import (
     DriverTrack,
-    driver_tracks,
+    driver_track,
     start_quaternions,
     trial_trajectory,
 )
@@ -44,9 +44,6 @@ from gauge_envs.tools.dataset.trial import parse_trial
 
 FLAGGED_DIFFERENCE = 0.05
 """Relative difference between imported and published baselines above which they are flagged."""
-
-MIN_TRIALS = 2
-"""Number of trials that scatter needs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,9 +80,7 @@ class ImportedTrials:
             "revision": facts and facts.revision,
             "sha256": facts and facts.files_sha256,
             "baselines": json_ready(self.baselines),
-            "drivers": [driver.model_dump() for driver in facts.drivers]
-            if facts
-            else [],
+            "drivers": facts.model_dump()["drivers"] if facts else [],
         }
 
 
@@ -99,19 +94,18 @@ def baseline_lines(
         difference = None
         if mine and theirs and theirs.mean:
             difference = mine.mean / theirs.mean - 1.0
-        lines.append(
-            {
-                "metric": metric,
-                "unit": mine.unit if mine else published[metric].unit,
-                "own_mean": mine.mean if mine else None,
-                "own_std": mine.std if mine else None,
-                "own_trial_count": mine.trial_count if mine else 0,
-                "published_mean": theirs.mean if theirs else None,
-                "published_std": theirs.std if theirs else None,
-                "difference": difference,
-                "flagged": abs(difference or 0.0) > FLAGGED_DIFFERENCE,
-            }
+        line = BaselineLine(
+            metric=metric,
+            unit=mine.unit if mine else published[metric].unit,
+            own_mean=mine.mean if mine else None,
+            own_std=mine.std if mine else None,
+            own_trial_count=mine.trial_count if mine else 0,
+            published_mean=theirs.mean if theirs else None,
+            published_std=theirs.std if theirs else None,
+            difference=difference,
+            flagged=abs(difference or 0.0) > FLAGGED_DIFFERENCE,
         )
+        lines.append(line)
     return lines
 
 
@@ -143,12 +137,12 @@ def import_trials(
             try:
                 sample = _read(path, experiment, stated, file_of)
             except TrialError as error:
-                findings.append(error.finding(file, left_out=True))
+                findings.append(error.finding(file))
             else:
                 file_of[sample.sha256] = file
                 trials[file] = sample
-                notes = (note.finding(file, left_out=False) for note in sample.notes)
-                findings += notes
+                if sample.fault is not None:
+                    findings.append(sample.fault.finding(file, left_out=False))
         yield _imported(experiment, layout.revision, trials, findings)
 
 
@@ -162,7 +156,7 @@ class _Sample:
         start_quaternions: Orientations in the first frames; empty where markers are recorded.
         events: Values of event metrics; empty if a sample is missing.
         tracks: Motion of driven bodies.
-        notes: Problems that leave the trial in the band.
+        fault: Problem of a driven body, which leaves the trial in the band.
     """
 
     sha256: str
@@ -170,7 +164,7 @@ class _Sample:
     start_quaternions: FloatArray
     events: Mapping[str, float]
     tracks: Sequence[DriverTrack]
-    notes: Sequence[TrialError]
+    fault: TrialError | None
 
 
 def _read(
@@ -190,12 +184,11 @@ def _read(
     Raises:
         TrialError: The trial cannot be used.
     """
-    with os_errors(
-        lambda cause: TrialError(
-            "(file)", f"it cannot be read: {cause}", "a file is expected"
-        )
-    ):
+    try:
         content = path.read_bytes()
+    except OSError as error:
+        problem = f"it cannot be read: {error.strerror}"
+        raise TrialError("(file)", problem, "a file is expected") from None
     sha256 = hashlib.sha256(content).hexdigest()
     if sha256 in file_of:
         problem = f"it is a copy of {file_of[sha256]}"
@@ -209,12 +202,13 @@ def _read(
     if np.isfinite(trajectory).all():
         events = event_values(experiment, trajectory)
     tracks: Sequence[DriverTrack] = []
-    notes = []
+    fault = None
     try:
-        tracks = driver_tracks(trial, experiment)
+        drivers = experiment.scene.drivers
+        tracks = [driver_track(driver, trial, experiment) for driver in drivers]
     except TrialError as error:
-        notes.append(error)
-    return _Sample(sha256, trajectory, quaternions, events, tracks, notes)
+        fault = error
+    return _Sample(sha256, trajectory, quaternions, events, tracks, fault)
 
 
 def _imported(
@@ -244,18 +238,14 @@ def _imported(
                 metrics=spreads,
                 drivers=tuple(records),
             )
-            source = facts.origin(len(trials))
-            band = _band(experiment, trajectories, mean, sigma, source)
-            quaternions = None
-            if experiment.recorded:
-                starts = [sample.start_quaternions for sample in trials.values()]
-                quaternions = np.stack(starts)
-            write_imported(band, driver_values, facts, quaternions)
+            band = _band(experiment, trajectories, facts.origin(len(trials)))
+            starts = np.stack([sample.start_quaternions for sample in trials.values()])
+            write_imported(band, driver_values, facts, starts if starts.size else None)
     if facts is None:
         problem = f"{len(trials)} of its trials can be used"
-        expected = f"{MIN_TRIALS} or more with common frames are needed"
+        expected = "2 or more with common frames are needed"
         error = TrialError("(folder)", problem, expected)
-        findings.append(error.finding(experiment.name, left_out=True))
+        findings.append(error.finding(experiment.name))
     return ImportedTrials(
         variant=experiment.variant,
         facts=facts,
@@ -288,16 +278,11 @@ def _spreads(
     return {metric: spread for metric, spread in spreads.items() if spread is not None}
 
 
-def _band(
-    experiment: Experiment,
-    trajectories: FloatArray,
-    mean: FloatArray,
-    sigma: FloatArray,
-    source: str,
-) -> Band:
+def _band(experiment: Experiment, trajectories: FloatArray, source: str) -> Band:
     """Return the band of some trials, shape [trial_count, frame_count, coordinate_count]."""
     count = len(trajectories)
-    is_seen = np.isfinite(trajectories)
+    mean, sigma = mean_and_sigma(trajectories)
+    seen_counts = np.isfinite(trajectories).sum(axis=0)
     trial_rmse, trial_rmse_aligned = distances_to_others(trajectories)
     return Band(
         kind=Kind.TRIALS,
@@ -306,7 +291,7 @@ def _band(
         projection=np.eye(len(experiment.coordinates)),
         mean=mean,
         sigma=sigma,
-        measured=(2 * is_seen.sum(axis=0) >= count).any(axis=1),
+        measured=(2 * seen_counts >= count).any(axis=1),
         source=source,
         trial_count=count,
         trials=trajectories,
@@ -321,13 +306,8 @@ def _mean_drivers(
 ) -> tuple[dict[str, FloatArray], list[DriverRecord]]:
     """Return the mean coordinates of the driven bodies that trials show, and their quality."""
     values, records = {}, []
-    for driver in experiment.scene.drivers:
-        tracks = [
-            track
-            for sample in trials.values()
-            for track in sample.tracks
-            if track.body == driver.body
-        ]
+    for index, driver in enumerate(experiment.scene.drivers):
+        tracks = [sample.tracks[index] for sample in trials.values() if sample.tracks]
         if tracks:
             mean, sigma = mean_and_sigma(
                 np.stack([track.coordinates for track in tracks])

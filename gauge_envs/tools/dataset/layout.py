@@ -98,10 +98,9 @@ def find_trials(root: Path, *, only: Sequence[str] = ("*",)) -> Layout:
         if variant in wanted and variant in found
     }
     if not files:
-        of = "" if set(variants()) <= wanted else f" of {', '.join(only)}"
         reasons = "".join(f"\n  {finding}" for finding in findings[:5])
         raise DatasetError(
-            f"{root}: contains no trial{of}; {LAYOUT} is expected{reasons}"
+            f"{root}: contains no trial of {', '.join(only)}; {LAYOUT} is expected{reasons}"
         )
     return Layout(root=root, revision=_revision(root), files=files, findings=findings)
 
@@ -138,7 +137,7 @@ def _variant(root: Path, folder: Path) -> Variant | None:
     Folders above the dataset have any name; the dataset may be the folder of a task, or below it.
     """
     parts = (*root.resolve().parts, *folder.relative_to(root).parts)
-    names = [_plain(part) for part in parts]
+    names = [plain_name(part) for part in parts]
     for first in range(len(names)):
         variant = _folder_names().get(frozenset(names[first:]) - NEUTRAL)
         if variant is not None:
@@ -153,7 +152,7 @@ def _folder_names() -> dict[frozenset[str], Variant]:
     for variant in variants():
         spec = task_spec(variant.family)
         metadata = Path(spec.source.metadata.partition(".json")[0])
-        names = {_plain(metadata.name)}
+        names = {plain_name(metadata.name)}
         if variant.subtask:
             names.add(f"task{variant.subtask}")
         if len(spec.materials) == 1:
@@ -166,7 +165,7 @@ def _folder_names() -> dict[frozenset[str], Variant]:
     return found
 
 
-def _plain(name: str) -> str:
+def plain_name(name: str) -> str:
     """Return the letters and digits of a name in lower case."""
     plain = re.sub(r"[^a-z0-9]", "", name.lower())
     return FOLDER_SPELLINGS.get(plain, plain)

@@ -74,9 +74,8 @@ def trial_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
     else:
         markers_m = trial_markers_m(trial, markers)
         values = observe_markers(markers_m, markers, experiment.score.observable)
-    needed = START_FRAMES
-    if published_baselines(experiment.name):
-        needed = experiment.frame_count
+    has_length = bool(published_baselines(experiment.name))
+    needed = experiment.frame_count if has_length else START_FRAMES
     if len(values) < needed:
         problem = f"it has {len(values)} frames"
         raise TrialError("(file)", problem, f"{needed} or more are needed")
@@ -96,17 +95,6 @@ def start_quaternions(trial: Trial, experiment: Experiment) -> FloatArray:
     """
     tracks = [trial.pose_track(name) for name in experiment.recorded]
     return np.stack([track.quaternions_xyzw[:START_FRAMES] for track in tracks], axis=1)
-
-
-def driver_tracks(trial: Trial, experiment: Experiment) -> tuple[DriverTrack, ...]:
-    """Return the recorded motion of the driven bodies, in the order of the scene's drivers.
-
-    Raises:
-        TrialError: A driven body is missing or damaged, starts elsewhere, or was not captured at first.
-    """
-    return tuple(
-        _driver_track(driver, trial, experiment) for driver in experiment.scene.drivers
-    )
 
 
 def _check_start(name: str, track: PoseTrack, start: Pose) -> None:
@@ -187,8 +175,12 @@ def _check_order(
 # --- drivers ---------------------------------------------------------------------------------------------------------
 
 
-def _driver_track(driver: Driver, trial: Trial, experiment: Experiment) -> DriverTrack:
-    """Return the coordinates whose poses are nearest to the recorded ones, frame by frame."""
+def driver_track(driver: Driver, trial: Trial, experiment: Experiment) -> DriverTrack:
+    """Return the coordinates whose poses are nearest to the recorded ones, frame by frame.
+
+    Raises:
+        TrialError: The driven body is missing or damaged, starts elsewhere, or was not captured at first.
+    """
     track = trial.pose_track(driver.body)
     start = experiment.scene.body(driver.body).pose
     frame_count = experiment.frame_count

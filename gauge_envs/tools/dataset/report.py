@@ -12,7 +12,6 @@ from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import (
     METRIC_TITLES,
     counted,
-    digits_text,
     short_id,
     with_unit,
 )
@@ -33,51 +32,34 @@ STATUS_NOTE = "Baselines: mean (standard deviation) of the real trials, imported
 MAX_EXPERIMENTS = 8
 """Largest number of experiments of which an import shows all baselines."""
 
-DRIVER_QUALITY = (
-    ("residual", "mm"),
-    ("residual", "deg"),
-    ("start_offset", "mm"),
-    ("scatter", "mm"),
-    ("scatter", "deg"),
-)
-"""Quantities of imported drivers, and their units."""
-
 EXPERIMENT = Column("id", "experiment", short_id, place=Place.HEADING)
 
 
 def import_document(imports: Sequence[ImportedTrials]) -> Document:
-    """Return the imported and the published baselines, one row per metric, and the imported drivers.
+    """Return the imported and the published baselines, one row per metric.
 
     Of many experiments, only those with a flagged baseline or a trial that is left out have rows.
     """
-    baselines: list[dict[str, Any]] = []
-    drivers: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
     flagged, hidden = 0, 0
     for trials in imports:
-        row = {"id": trials.variant.id}
-        row["trials"] = f"{counted(trials.used, 'trial')}, {trials.left_out} left out"
         flags = sum(line["flagged"] for line in trials.baselines)
         flagged += flags
         if len(imports) > MAX_EXPERIMENTS and not (flags or trials.left_out):
             hidden += 1
             continue
-        baselines += [row | {"line": line} for line in trials.baselines]
-        if trials.facts:
-            drivers += [row | driver.model_dump() for driver in trials.facts.drivers]
+        counts = f"{counted(trials.used, 'trial')}, {trials.left_out} left out"
+        row = {"id": trials.variant.id, "trials": counts}
+        rows += [row | {"line": line} for line in trials.baselines]
     note = f"{flagged} baselines differ from the published ones by more than {100 * FLAGGED_DIFFERENCE:.0f} %"
     if hidden:
         note += f"; {counted(hidden, 'other experiment')}: gauge list references"
-    tables = [_baselines_table(baselines)] if baselines else []
-    if drivers:
-        tables.append(_drivers_table(drivers))
     tone = Tone.WARNING if flagged else Tone.NOTE
+    tables = [_baselines_table(rows)] if rows else []
     return Document(parts=[*tables, Paragraph(""), Paragraph(note, tone)])
 
 
 def _baselines_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    def style(difference: float | None) -> str:
-        return "yellow" if abs(difference or 0.0) > FLAGGED_DIFFERENCE else ""
-
     return Table(
         columns=(
             EXPERIMENT,
@@ -90,26 +72,13 @@ def _baselines_table(rows: Sequence[Mapping[str, Any]]) -> Table:
                 "difference",
                 lambda difference: f"{100 * difference:+.1f} %",
                 is_number=True,
-                style=style,
+                style=lambda difference: (
+                    "yellow" if abs(difference or 0.0) > FLAGGED_DIFFERENCE else ""
+                ),
             ),
         ),
         rows=rows,
     )
-
-
-def _drivers_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    quality = (
-        Column(
-            f"{name}_{unit}",
-            name.replace("_", " "),
-            digits_text,
-            unit=unit,
-            is_number=True,
-        )
-        for name, unit in DRIVER_QUALITY
-    )
-    columns = EXPERIMENT, Column("body", "body"), *quality
-    return Table(title="Drivers", columns=columns, rows=rows)
 
 
 def _imported_text(line: BaselineLine) -> str:
@@ -165,14 +134,13 @@ def status_row(variant: Variant) -> dict[str, Any]:
     source = DataSource.IMPORTED if imported else DataSource.BUNDLED
     band = load_band(variant.name, source)
     scene = load_experiment(variant, drivers=source).scene
-    records = (
-        {driver.body: driver.model_dump() for driver in facts.drivers} if facts else {}
-    )
+    records = facts.model_dump()["drivers"] if facts else []
+    recorded = {record["body"]: record for record in records}
     drivers = [
         {
             "body": driver.body,
             "provenance": driver.provenance,
-            "recorded": records.get(driver.body),
+            "recorded": recorded.get(driver.body),
         }
         for driver in scene.drivers
     ]

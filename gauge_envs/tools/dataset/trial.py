@@ -18,6 +18,7 @@ from gauge_envs.files import json_document
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.dataset.findings import TrialError
+from gauge_envs.tools.dataset.layout import plain_name
 
 POSITION_KEYS = ("x", "y", "z")
 QUATERNION_KEYS = ("qx", "qy", "qz", "qw")
@@ -108,15 +109,11 @@ class Trial:
 
     def _named(self, names: Iterable[str]) -> list[str]:
         """Return the assets of some names, in any spelling."""
-        wanted = {_plain(name) for name in names}
-        return [name for name in self.assets if _plain(name) in wanted]
+        wanted = {plain_name(name) for name in names}
+        return [name for name in self.assets if plain_name(name) in wanted]
 
     def _contents(self) -> str:
         return f"the file has {first_names([*self.assets])}"
-
-
-def _plain(name: str) -> str:
-    return "".join(character for character in name.lower() if character.isalnum())
 
 
 def parse_trial(content: bytes, stated: Mapping[str, Any] | None = None) -> Trial:
@@ -174,11 +171,10 @@ def _unit_quaternions(name: str, quaternions: FloatArray) -> FloatArray:
 def _positions_mm(key: str, asset: Mapping[str, Any], scale_mm: float) -> FloatArray:
     """Return the positions of a body or a marker [mm], shape [frame_count, 3]."""
     positions_mm = scale_mm * _table(key, asset, POSITION_KEYS)
-    is_far = np.abs(positions_mm) > MAX_COORDINATE_MM
+    is_far = (np.abs(positions_mm) > MAX_COORDINATE_MM).any(axis=1)
     if is_far.any():
-        frame, axis = np.argwhere(is_far)[0]
-        place = f"{key}.{POSITION_KEYS[axis]}[{frame}]"
-        problem = f"it is {positions_mm[frame, axis]:.4g} mm"
+        problem = f"it is more than {1e-3 * MAX_COORDINATE_MM:g} m away"
+        place = f"{key}[{is_far.argmax()}]"
         raise TrialError(place, problem, "the capture volume is a few metres wide")
     return positions_mm
 

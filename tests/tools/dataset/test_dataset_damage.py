@@ -81,7 +81,7 @@ DAMAGES = [
     (SLIDER, put("cube.y", 1.0), "cube.y: it is 1.0; a list of numbers"),
     (SLIDER, put("cube.qy", [0.0] * 3), "cube.qy: it has 3 samples; .*as in cube.qx"),
     (SLIDER, put("cube.x.4", "east"), "cube.x: .*'east'; a list of numbers"),
-    (SLIDER, put("cube.x.4", float("inf")), r"cube.x\[4\]: it is inf mm; .*a few metres"),
+    (SLIDER, put("cube.x.4", float("inf")), r"cube\[4\]: it is more than 100 m away; .*a few metres"),
     (SLIDER, put("cube.qw.3", 0.9), r"cube.q\[3\]: .*norm is 0.9; 1 is expected"),
     (SLIDER, cube(lambda values: values[:5], "x y z qx qy qz qw"), r"\(file\): it has 5 frames; 9 or more"),
     (SLIDER, cube(lambda values: [None] * len(values)), r"\(file\): no frame .* was captured"),
