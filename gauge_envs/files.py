@@ -170,17 +170,6 @@ def write_whole(file: Path, content: bytes) -> None:
         part.write_bytes(content)
 
 
-def write_texts(folder: Path, texts: Iterable[tuple[str, str]]) -> list[Path]:
-    """Write texts by their paths below a folder, and return the paths of the files."""
-    written = []
-    for name, text in texts:
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8", newline="\n")
-        written.append(path)
-    return written
-
-
 @contextmanager
 def replaced_whole(file: Path) -> Iterator[Path]:
     """Yield a path beside a file for its new content, which takes the place of the file at the end.

@@ -105,8 +105,9 @@ def test_missing_samples_are_left_out_of_mean_and_scatter(tmp_path):
     contents[0]["cube"]["y"][3] = None  # one of five
     for content in contents[:3]:
         content["cube"]["z"][5] = float("nan")  # three of five
-    for content in contents:
-        for key in "xyz":
+    for key in "xyz":
+        contents[4]["cube"][key][8] = None  # one of five, whole
+        for content in contents:
             content["cube"][key][7] = None  # all
     import_contents(tmp_path, SLIDER, contents)
     band = band_of(SLIDER)
