@@ -20,12 +20,13 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
     body_mass_properties,
+    mass_properties,
 )
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, length_of, pose_distance, vector
 from gauge_envs.tools.usd.driven import read_driven
-from gauge_envs.tools.usd.layer import VELOCITIES, WRITTEN
-from gauge_envs.tools.usd.source import Source, StoredValue, is_written
+from gauge_envs.tools.usd.layer import VELOCITIES, WRITTEN, body_velocities
+from gauge_envs.tools.usd.source import Source, StoredValue, is_written, single
 
 SAME_FRAME = 1e-9
 """Largest distance [m] and angle [rad] at which a collider's frame is that of its body."""
@@ -101,7 +102,7 @@ def read_body(
         )
     velocities = np.zeros((2, 3))
     if motion is Motion.DYNAMIC:
-        velocities = _velocities(source, prim)
+        velocities = _velocities(source, prim, prim_pose, pose, solid.shape)
     body = RigidBody(
         name=name,
         shape=solid.shape,
@@ -133,29 +134,51 @@ def _motion(source: Source, prim: Usd.Prim, *, is_welded: bool) -> Motion:
     return standard
 
 
-def _velocities(source: Source, prim: Usd.Prim) -> FloatArray:
-    """Return the start velocities of a dynamic body.
+def _velocities(
+    source: Source, prim: Usd.Prim, axes: Pose, pose: Pose, shape: Shape
+) -> FloatArray:
+    """Return the start velocities of a dynamic body: the doubles, or the standard attributes if those were edited.
 
-    The frame and the point of the velocities of UsdPhysics differ between tools, so only doubles are read.
+    Args:
+        source: The stage.
+        prim: Prim of the body.
+        axes: Pose of the prim; UsdPhysics states velocities along its axes, see `body_velocities`.
+        pose: Pose of the body, which may differ from that of the prim.
+        shape: Shape of the body.
 
     Returns:
         Velocity of the body origin [m/s] and angular velocity [rad/s] in the world frame, shape [2, 3].
+
+    Raises:
+        AssetError: Doubles and standard attributes were both edited, and differ.
     """
-    doubles = [prim.GetAttribute(f"gauge:{name}") for name in VELOCITIES]
     api = UsdPhysics.RigidBodyAPI(prim)
-    standard = np.array(
-        [api.GetVelocityAttr().Get(), api.GetAngularVelocityAttr().Get()]
+    attributes = [api.GetVelocityAttr(), api.GetAngularVelocityAttr()]
+    standard = np.array([source.numbers(one, (3,)) for one in attributes])
+    centre_m_per_s, spin_rad_per_s = axes.rotation.apply(
+        [source.metres * standard[0], np.radians(standard[1])]
     )
+    arm_m = pose.rotation.apply(mass_properties(shape, 1.0)[0])
+    world = np.array([centre_m_per_s - np.cross(spin_rad_per_s, arm_m), spin_rad_per_s])
+    exact = world.copy()
+    doubles = [prim.GetAttribute(f"gauge:{name}") for name in VELOCITIES]
+    for row, double in enumerate(doubles):
+        if (value := source.numbers(double, (3,))) is not None:
+            exact[row] = value
     written = doubles[0].GetCustomDataByKey(WRITTEN)
-    if standard.any() and not is_written(standard, written):
+    is_authored = any(one.HasAuthoredValue() for one in attributes)
+    if not is_authored or is_written(standard, written):
+        return exact
+    as_standard = single(body_velocities(pose, shape, exact))
+    if is_written(as_standard, written):
+        return world
+    if not is_written(exact, world):
         raise source.fault(
             prim,
-            "has physics:velocity or physics:angularVelocity, whose frame differs between tools: set them to 0, and "
-            f"gauge:{VELOCITIES[0]} and gauge:{VELOCITIES[1]} of the body origin in the world",
+            f"its gauge: doubles say {exact.tolist()} (m/s, rad/s), and physics:velocity and physics:angularVelocity "
+            f"{world.tolist()}: make them agree",
         )
-    if not doubles[0]:
-        return np.zeros((2, 3))
-    return np.array([source.numbers(double, (3,)) for double in doubles])
+    return exact
 
 
 # --- shapes ----------------------------------------------------------------------------------------------------------

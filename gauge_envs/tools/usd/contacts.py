@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import operator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, product
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
 
 from gauge_envs.scene import Contact, ContactMode
-from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.usd.layer import ARMS
 from gauge_envs.tools.usd.source import Source
 
 Pair = frozenset[str]
+Coefficient = tuple[float, str]
+"""Friction or restitution of a material, and its combine mode."""
+
+COMBINE_MODES: dict[str, Callable[[float, float], float]] = {
+    "average": lambda first, second: 0.5 * (first + second),
+    "min": min,
+    "multiply": operator.mul,
+    "max": max,
+}
+"""Combine modes of PhysX in increasing priority: the last one counts where two materials differ."""
 
 COEFFICIENT_ATTRIBUTES = {
     "friction": (
@@ -238,7 +247,7 @@ def _material_contacts(
     kinds: dict[Contact, set[Pair]] = {}
     for pair in sorted(pairs, key=sorted):
         first, second = (constants[name] for name in pair)
-        friction, restitution = (0.5 * (first + second)).tolist()
+        friction, restitution = map(_combined, first, second)
         kind = Contact(
             first=(),
             second=(),
@@ -250,6 +259,12 @@ def _material_contacts(
     for kind, alike in kinds.items():
         for group in _groups([body.name for body in bodies], alike, moving):
             yield replace(kind, first=group, second=group)
+
+
+def _combined(first: Coefficient, second: Coefficient) -> float:
+    """Return the coefficient of a pair of materials, as PhysX combines it."""
+    mode = max(first[1], second[1], key=[*COMBINE_MODES].index)
+    return COMBINE_MODES[mode](first[0], second[0])
 
 
 def _groups(
@@ -268,8 +283,8 @@ def _groups(
 
 def _body_constants(
     source: Source, body: Collider, options: ContactOptions
-) -> FloatArray:
-    """Return friction and restitution of a body. PhysX takes their averages over two bodies."""
+) -> list[Coefficient]:
+    """Return friction and restitution of a body."""
     materials = {*map(source.material, body.shapes)} - {None}
     if len(materials) != 1:
         raise source.fault(
@@ -297,12 +312,9 @@ def _body_constants(
         )
     kind = f"{options.friction or 'dynamic'}Friction"
     friction = values.get(kind, max(values.values()))
-    for name in ("friction", "restitution"):
+    coefficients = []
+    for name, value in (("friction", friction), ("restitution", restitution)):
         attribute = material.GetAttribute(f"physxMaterial:{name}CombineMode")
-        source.text(attribute, ("average",))
-    return np.array(
-        [
-            _coefficient(source, material, "friction", friction),
-            _coefficient(source, material, "restitution", restitution),
-        ]
-    )
+        mode = source.text(attribute, [*COMBINE_MODES]) or "average"
+        coefficients.append((_coefficient(source, material, name, value), mode))
+    return coefficients

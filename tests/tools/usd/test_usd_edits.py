@@ -183,6 +183,21 @@ def test_a_hinge_turned_in_the_joint_frame_turns(tmp_path):
 # --- velocities ------------------------------------------------------------------------------------------------------
 
 
+def test_an_edited_standard_velocity_counts(tmp_path):
+    velocity, spin_deg_per_s = (0.0, 0.0, 2.0), (0.0, 90.0, 0.0)
+    edit = {
+        "/World/thrown.physics:velocity": velocity,
+        "/World/thrown.physics:angularVelocity": spin_deg_per_s,
+    }
+    body = edited(THROW, tmp_path, edit).body("thrown")
+    # The centre of mass is at (0.05, 0.03, 0.015) in the body's axes, along which UsdPhysics states its velocity.
+    linear = (-0.015 * np.pi / 2, 0.0, 2.0 + 0.05 * np.pi / 2)
+    rotation = THROWN.pose.rotation
+    assert body.linear_velocity_m_per_s == pytest.approx(rotation.apply(linear))
+    spin = rotation.apply((0.0, np.pi / 2, 0.0))
+    assert body.angular_velocity_rad_per_s == pytest.approx(spin)
+
+
 def test_newton_reads_the_same_velocities(tmp_path):
     newton = pytest.importorskip("newton")
     to_usd(THROW, tmp_path / "a.usda")
@@ -332,8 +347,11 @@ DECLINED = [
     (SLIDER, on_ice, r"/cube: is bound to /World/ice"),
     (
         THROW,
-        {"/World/thrown.physics:velocity": (0.0, 0.0, 2.0)},
-        r"/thrown: has physics:velocity",
+        {
+            "/World/thrown.physics:velocity": (0.0, 0.0, 2.0),
+            "/World/thrown.gauge:linear_velocity_m_per_s": (0.0, 0.0, 2.0),
+        },
+        r"/thrown: its gauge: doubles say",
     ),
     (SLIDER, filtered, r"/contact_0: board and cube have a contact, but"),
     (

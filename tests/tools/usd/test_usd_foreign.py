@@ -214,6 +214,20 @@ def test_a_cylinder_along_another_axis_turns_its_body(axis, tmp_path):
     np.testing.assert_allclose(along, np.eye(3)["XYZ".index(axis)], atol=1e-12)
 
 
+def test_a_velocity_of_another_tool_is_in_its_units_and_axes(tmp_path):
+    head = '#usda 1.0\n(\n metersPerUnit = 0.01\n upAxis = "Y"\n)\n'
+    turned = "double xformOp:rotateZ"
+    text = (
+        "vector3f physics:velocity = (100, 0, 0)\n"
+        "vector3f physics:angularVelocity = (180, 0, 90)\n" + op(turned, 90)
+    )
+    (box,) = read(tmp_path, body(text=text), head=head).bodies
+    # The body's x axis is y of the stage, which is z of the world; z of the stage is -y of the world.
+    assert box.linear_velocity_m_per_s == pytest.approx((0.0, 0.0, 1.0))
+    spin_rad_per_s = (0.0, -np.pi / 2, np.pi)
+    assert box.angular_velocity_rad_per_s == pytest.approx(spin_rad_per_s)
+
+
 def test_boxes_and_meshes_of_one_body_are_its_pieces(tmp_path):
     approximation = 'uniform token physics:approximation = "convexHull"\n'
     hull = collider("m", "Mesh", MESH + approximation, HULL)
@@ -316,6 +330,27 @@ def test_pairs_that_are_filtered_or_disabled_do_not_collide(tmp_path):
     assert pairs(scene) == {frozenset("ab")}
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "friction"),
+    [
+        ("average", "min", 0.25),
+        ("multiply", "min", 0.125),
+        ("multiply", "max", 0.5),
+        ("", "average", 0.375),
+    ],
+)
+def test_friction_combines_as_the_materials_say(first, second, friction, tmp_path):
+    def material(text, mode):
+        line = f'{{ token physxMaterial:frictionCombineMode = "{mode}"\n'
+        return text.replace("{", line, 1) if mode else text
+
+    ice = RUBBER.replace("Rubber", "Ice").replace("0.5", "0.25")
+    on_ice = BALL.replace("</Rubber>", "</Ice>")
+    physics = PHYSICS + material(RUBBER, first) + material(ice, second)
+    (contact,) = read(tmp_path, BOX, on_ice, physics=physics).contacts
+    assert (contact.friction, contact.restitution) == (friction, 0.1)
+
+
 def test_what_usd_cannot_say_comes_from_keywords(tmp_path):
     physics = PHYSICS + RUBBER.replace("staticFriction = 0.5", "staticFriction = 0.7")
 
@@ -336,9 +371,6 @@ def test_what_usd_cannot_say_comes_from_keywords(tmp_path):
 
 SLIPPERY = RUBBER.replace("Rubber", "Two").replace(
     "staticFriction = 0.5", "staticFriction = 0.7"
-)
-MIN = RUBBER.replace("Rubber", "Min").replace(
-    "{", '{ token physxMaterial:frictionCombineMode = "min"', 1
 )
 SHEAR = (
     "double3 xformOp:scale = (1, 2, 1)\ndouble xformOp:rotateZ = 30\n"
@@ -380,10 +412,6 @@ REFUSED = [
     (
         BOX + BALL + joint("RevoluteJoint", TWO),
         r"/joint: unsupported joint: a PhysicsRevoluteJoint of /box and /ball",
-    ),
-    (
-        BOX + BALL.replace("</Rubber>", "</Min>") + MIN,
-        r"/Min.physxMaterial:frictionCombineMode: holds 'min'",
     ),
     (
         BOX + joint("RevoluteJoint", "rel physics:body0 = </gone>\n"),
