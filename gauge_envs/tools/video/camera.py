@@ -7,15 +7,12 @@ from numpy.typing import NDArray
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import Picture, cv2
-from gauge_envs.tools.video.sight import shrunk
+from gauge_envs.tools.video.sight import BLACK_LEVEL, shrunk
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 from gauge_envs.tools.video.track import Event
 
 CHANGED_LEVELS = 30.0
 """Difference of the brightness with which a place has changed since the first frame."""
-
-BLACK_LEVEL = 16.0
-"""Largest brightness of black bars beside the picture, which a model may fill."""
 
 MAX_CHANGED_SHARE = 0.2
 """Share of the picture that must change for the scene to be another one."""

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import Picture, cv2
 from gauge_envs.tools.video.sight import (
+    BLACK_LEVEL,
     COARSE,
     Detection,
     aligned,
@@ -75,6 +76,11 @@ class ShapeDetector:
         is_cradle = task.motion is Motion.CRADLE
         background = first if is_cradle else _background(first, last, task)
         self._background = background.astype(np.float32)
+        # Black bars beside the picture hide parts of the object, as its edge does, and so the centre of the rest is
+        # not that of the object.
+        rows, columns = np.nonzero(first.max(axis=2) > BLACK_LEVEL)
+        self._low_px = np.array([columns.min(), rows.min()]) + 0.5 * task.size_px
+        self._high_px = np.array([columns.max(), rows.max()]) - 0.5 * task.size_px
         contrast = self._background - self._colour.astype(np.float32)
         square = (contrast**2).sum(axis=2)
         self._known = (square > MIN_CONTRAST**2).astype(np.float32)
@@ -133,7 +139,8 @@ class ShapeDetector:
         place_px = middle_px + warp[:, 2] - REACH_PX
         cut, known = self._cuts(covered, place_px, side)
         value = float(_response(cut, known, self._outline, self._around)[0, 0])
-        if value < MIN_RESPONSE:
+        is_whole = (self._low_px <= place_px) & (place_px <= self._high_px)
+        if value < MIN_RESPONSE or not is_whole.all():
             return Detection()
         profile_px, is_known = self._profile(covered, place_px)
         moved_px = (place_px - self._start_px) @ self._direction

@@ -16,6 +16,9 @@ from gauge_envs.tools.video.frames import cv2
 COARSE = 0.25
 """Scale at which the whole picture is searched and compared."""
 
+BLACK_LEVEL = 16.0
+"""Largest brightness of black bars beside the picture, which a model may fill."""
+
 TINT, TINT_RANGE = 10.0, 20.0
 """Difference of a colour, at any brightness, that is still the object's, and that at which likeness falls to 1/e."""
 

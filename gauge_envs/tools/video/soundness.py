@@ -277,12 +277,14 @@ def _clock_fault(track: Track, task: VideoTask, span: tuple[int, int]) -> str:
         for count in range(1, MAX_MISSING + 1)
     }
     clocks["a frame seems to be shown again at frame"] = times - is_later
-    clocks |= {
-        f"the speed of the film seems to change by {speed:g} at frame": np.where(
-            is_later, speed * times, times
-        )
-        for speed in SPEEDS
-    }
+    if is_cut.sum() < 2 * side:
+        # One change of speed breaks no more windows than those that contain it; a jerky motion breaks more.
+        clocks |= {
+            f"the speed of the film seems to change by {speed:g} at frame": np.where(
+                is_later, speed * times, times
+            )
+            for speed in SPEEDS
+        }
     best_px, text, window = min(
         (residual_px, text, int(row))
         for text, clock in clocks.items()

@@ -255,7 +255,7 @@ FAULTS = {
     replaced: "changes its colour",
     vanished: "vanishes on its way",
     panned: "the camera moves",
-    mirrored: "is first seen 7.0 of its size from its place",
+    mirrored: "of its size from its place in the known first frame",
     cut: "the scene is recomposed",
     missing: "frames seem to be missing, 2 before frame 18",
 }
