@@ -96,24 +96,42 @@ class SceneWatch:
         moves = [np.eye(2, 3) if move is None else move for move in self.moves]
         shifts_px = np.array([_shift_px(move) for move in moves])
         zooms = np.array([np.hypot(*move[:, 0]) - 1.0 for move in moves])
-        is_moved = shifts_px > 0.0
         is_far = (shifts_px > MAX_SHIFT_PX) | (np.abs(zooms) > MAX_ZOOM)
-        zoom = max(zooms, key=abs)
+        shift_px, zoom = shifts_px.max(), max(zooms, key=abs)
+        outcome = "this is subtracted"
+        if is_far.any():
+            outcome = "more than a flat scene allows to subtract"
+        is_unknown = np.array(self._is_unknown)
+        is_unknown &= is_unknown.mean() > MAX_UNKNOWN_SHARE
         events = []
-        if (changed > MAX_CHANGED_SHARE).any():
-            text = f"the scene is recomposed: up to {changed.max():.0%} of the picture differs from the first frame"
-            events.append(_event("scene", changed > MAX_CHANGED_SHARE, text))
-        if np.mean(self._is_unknown) > MAX_UNKNOWN_SHARE:
-            text = "the camera moves, or the background shows too little to tell that it stands"
-            events.append(_event("camera", np.array(self._is_unknown), text))
-        if is_moved.any():
-            outcome = (
-                "more than a flat scene allows to subtract"
-                if is_far.any()
-                else "this is subtracted"
-            )
-            text = f"the camera moves by up to {shifts_px.max():.1f} px and zooms by up to {zoom:+.1%}; {outcome}"
-            events.append(_event("camera", is_moved, text, is_note=not is_far.any()))
+        for kind, is_seen, text in (
+            (
+                "scene",
+                changed > MAX_CHANGED_SHARE,
+                f"the scene is recomposed: up to {changed.max():.0%} of the picture differs from the first frame",
+            ),
+            (
+                "camera",
+                is_unknown,
+                "the camera moves, or the background shows too little to tell that it stands",
+            ),
+            (
+                "motion",
+                shifts_px > 0.0,
+                f"the camera moves by up to {shift_px:.1f} px and zooms by up to {zoom:+.1%}; {outcome}",
+            ),
+        ):
+            if is_seen.any():
+                first, last = np.flatnonzero(is_seen)[[0, -1]].tolist()
+                events.append(
+                    Event(
+                        kind=kind,
+                        first_frame=first,
+                        last_frame=last,
+                        text=f"{text} (frames {first} to {last})",
+                        is_note=kind == "motion" and not is_far.any(),
+                    )
+                )
         return events
 
     def _camera(self, grey: NDArray[np.uint8]) -> FloatArray | None:
@@ -131,17 +149,6 @@ class SceneWatch:
         )
         min_count = max(MIN_POINTS, MIN_AGREEING_SHARE * is_found.sum())
         return None if is_inlier.sum() < min_count else np.asarray(matrix)
-
-
-def _event(
-    kind: str, is_seen: NDArray[np.bool_], text: str, *, is_note: bool = False
-) -> Event:
-    """Return an event with the first and the last frame in which it was seen in its text."""
-    first, last = np.flatnonzero(is_seen)[[0, -1]].tolist()
-    text = f"{text} (frames {first} to {last})"
-    return Event(
-        kind=kind, first_frame=first, last_frame=last, text=text, is_note=is_note
-    )
 
 
 def _shift_px(move: FloatArray) -> float:

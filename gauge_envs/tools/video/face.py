@@ -67,14 +67,14 @@ class FaceDetector:
         self._half = int(FACE * task.size_px)
         # Angle [rad] and place [px].
         self._pose, self._step = np.array([0.0, *task.centre_px]), np.zeros(3)
-        self._drift_px = np.zeros(2)
         self._template = turned_square(_grey(first), self._pose, self._half)
         self._face = _normed(self._template)
         self._colour = colour_at(first, self._pose[1:], task.size_px)
         small = self._colours(first)
-        rows, columns = np.indices(small.shape[:2]) / COARSE
-        away_px = np.hypot(columns - task.pivot_px[0], rows - task.pivot_px[1])
-        self._is_plate = away_px < RIM * PLATE_RADIUS_PX
+        disk = np.zeros(first.shape[:2], np.uint8)
+        pivot_px = self._pivot_px.astype(int).tolist()
+        cv2.circle(disk, pivot_px, int(RIM * PLATE_RADIUS_PX), 1, -1)
+        self._is_plate = shrunk(disk) > 0.5
         plate = np.median(small[self._is_plate], axis=0)
         place = COARSE * self._pose[1:]
         cube = colour_at(small, place, COARSE * task.size_px)
@@ -89,12 +89,11 @@ class FaceDetector:
         starts = [self._pose + self._step]
         starts += [self._swung(angle_rad) for angle_rad in SEARCHED_RAD]
         matches = (self._matched(picture, grey, start) for start in starts)
-        pose, value = next(
-            (match for match in matches if match[1] >= MIN_CORRELATION), (None, 0.0)
-        )
-        if pose is None:
+        match = next((one for one in matches if one[1] >= MIN_CORRELATION), None)
+        if match is None:
             self._step = np.zeros(3)
             return []
+        pose, value = match
         self._step, self._pose = pose - self._pose, pose
         face = turned_square(grey, pose, self._half)
         self._template = (1.0 - RENEWAL) * self._template + RENEWAL * face
@@ -114,12 +113,6 @@ class FaceDetector:
         covered = self._covered(picture)
         cut = self._cut(covered)
         area = float(self._first_cut.sum())
-        if self._is_shiny and cut.any():
-            # Reflections make the template drift, and tints do not.
-            drift = _middle(cut) - _middle(self._first_cut)
-            drift_px = rotation_of(self._pose[0]) @ drift / COARSE
-            self._drift_px += RENEWAL * (drift_px - self._drift_px)
-            found.place_px = self._pose[1:] + self._drift_px
         found.size_ratio = math.sqrt(float(cut.sum()) / area)
         if not self._is_shiny:
             # Reflections take parts from the area of metal.
@@ -175,12 +168,6 @@ class FaceDetector:
         arm_px = self._pose[1:] - self._pivot_px
         place_px = self._pivot_px + rotation_of(angle_rad) @ arm_px
         return np.array([self._pose[0] + angle_rad, *place_px])
-
-
-def _middle(cut: NDArray[np.float32]) -> FloatArray:
-    """Return the middle of an area, horizontally and vertically, shape [2]."""
-    moments = cv2.moments(cut)
-    return np.array([moments["m10"], moments["m01"]]) / moments["m00"]
 
 
 def _grey(picture: Picture) -> NDArray[np.float32]:

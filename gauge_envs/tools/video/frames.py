@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_closing, maximum_filter1d
 
 from gauge_envs.errors import VideoError, needs_extra
 from gauge_envs.scene.geometry import FloatArray
@@ -283,17 +284,16 @@ def cadence_of(
     is_repeat = _rhythm(np.r_[0.0, differences[1:]])
     if is_repeat is None:
         clock_s = np.arange(count) / fps
-        if times_s is not None and (np.diff(times_s) > 0.0).all():
+        if times_s is not None and (np.diff(times_s) > 0.0).all() and count > 1:
             clock_s = times_s - times_s[0]
-        rate = (count - 1) / float(clock_s[-1]) if count > 1 else fps
-        return Cadence(is_new=is_new, times_s=clock_s, fps=rate)
-    period = len(is_repeat)
+            fps = (count - 1) / float(clock_s[-1])
+        return Cadence(is_new=is_new, times_s=clock_s, fps=fps)
     is_new = ~np.resize(is_repeat, count)
     is_new[0] = True
     new_count = int(is_new.sum())
     rate = fps * float((~is_repeat).mean())
     text = (
-        f"{is_repeat.sum()} of every {period} frames show the picture before again: "
+        f"{is_repeat.sum()} of every {len(is_repeat)} frames show the picture before again: "
         f"the {new_count} new pictures count, at {rate:.4g} per second"
     )
     return Cadence(
@@ -305,14 +305,10 @@ def _rhythm(values: FloatArray) -> NDArray[np.bool_] | None:
     """Return which frames of one period repeat the one before, shape [period]; None without a rhythm."""
     # The grain of a body at rest is far below its motion.
     moves = values > max(MIN_MOTION, MAX_REPEAT_SHARE * float(values.max()))
-    rows = np.arange(len(values))
-    near = np.array([values[max(0, row - 2) : row + 3].max() for row in rows])
-    repeats = values < MAX_REPEAT_SHARE * near
-    moves_before = [moves[max(0, row - MOTION_REACH) : row].any() for row in rows]
-    moves_after = [moves[row + 1 : row + 1 + MOTION_REACH].any() for row in rows]
-    is_amid_motion = np.logical_and(moves_before, moves_after)
+    repeats = values < MAX_REPEAT_SHARE * maximum_filter1d(values, 5)
+    is_amid_motion = binary_closing(moves, np.ones(2 * MOTION_REACH))
     for period in range(2, MAX_PERIOD + 1):
-        phases = rows % period
+        phases = np.arange(len(values)) % period
         seen = np.bincount(phases, is_amid_motion, period)
         repeated = np.bincount(phases, is_amid_motion & repeats, period)
         if seen.min() < 2:

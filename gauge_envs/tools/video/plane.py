@@ -9,21 +9,13 @@ from gauge_envs.errors import VideoError
 from gauge_envs.tools.video.tasks import Motion, VideoTask
 from gauge_envs.tools.video.track import Track
 
-LEAST_SLOPE = 0.1
+MIN_SLOPE = 0.1
 """Smallest sine of a slope."""
 
-METRIC_AXES = "x_mm and y_mm are in millimetres, to the right and up"
+AXES = "x_mm and y_mm are in millimetres, to the right and up"
 
-MOST_ARM_ERROR = 0.3
+MAX_ARM_ERROR = 0.3
 """Largest relative error of the length of a swing in a track in millimetres; another unit is off by more."""
-
-
-def _main_direction(track: Track) -> tuple[float, float]:
-    """Return the direction in the picture in which a track spreads most, away from its first place."""
-    places = track.points_px[track.is_found]
-    x, y = np.linalg.svd(places - places.mean(axis=0), full_matrices=False)[2][0]
-    sign = float(np.sign((places[-1] - places[0]) @ [x, y]) or 1.0)
-    return sign * float(x), sign * float(y)
 
 
 def metric_on_grid(track: Track, task: VideoTask) -> tuple[Track, VideoTask]:
@@ -37,19 +29,21 @@ def metric_on_grid(track: Track, task: VideoTask) -> tuple[Track, VideoTask]:
     origin_px = np.array(task.pivot_px or task.centre_px)
     places_px = 1e-3 * track.points_px * [1.0, -1.0] / task.scale_m_per_px + origin_px
     track = replace(track, points_px=places_px, is_metric=False)
+    found_px = places_px[track.is_found]
     if task.motion is Motion.SLIDE:
-        task = replace(task, direction=_main_direction(track))
-        found_px = places_px[track.is_found]
-        away, down = found_px[-1] - found_px[0]
-        if math.hypot(away, down) > max(task.size_px, down / LEAST_SLOPE):
-            raise VideoError(f"the object does not go down: {METRIC_AXES}")
+        right_px, down_px = found_px[-1] - found_px[0]
+        way_px = math.hypot(right_px, down_px)
+        if way_px > task.size_px:
+            if down_px < MIN_SLOPE * way_px:
+                raise VideoError(f"the object does not go down: {AXES}")
+            task = replace(task, direction=(right_px / way_px, down_px / way_px))
     if task.motion in (Motion.CRADLE, Motion.PENDULUM):
-        arms_px = places_px[track.is_found] - origin_px
-        hanging_px = np.subtract(task.rest_px or task.centre_px, origin_px)
-        share = np.median(np.hypot(*arms_px.T)) / math.hypot(*hanging_px)
-        if abs(share - 1.0) > MOST_ARM_ERROR or np.median(arms_px[:, 1]) < 0.0:
+        arms_px = found_px - origin_px
+        length_px = math.dist(task.rest_px or task.centre_px, origin_px)
+        share = np.median(np.hypot(*arms_px.T)) / length_px
+        if abs(share - 1.0) > MAX_ARM_ERROR or np.median(arms_px[:, 1]) < 0.0:
+            length_mm = 1e3 * task.scale_m_per_px * length_px
             raise VideoError(
-                f"the object is not {1e3 * task.scale_m_per_px * math.hypot(*hanging_px):.0f} mm below the pivot of "
-                f"its swing: {METRIC_AXES}, from the pivot"
+                f"the object is not {length_mm:.0f} mm below the pivot of its swing: {AXES}, from the pivot"
             )
     return track, replace(task, pivot_sigma_px=0.0)

@@ -92,21 +92,18 @@ def _outline(task: VideoTask) -> NDArray[np.bool_]:
     """Return which pixels of the grid are on the outlines that a task knows, shape [480, 832]."""
     width, height = REFERENCE_SIZE_PX
     drawn = np.zeros((height, width), np.uint8)
-    circles = []
-    if task.motion in (Motion.SLIDE, Motion.TURN):
-        x, y = task.direction or (1.0, 0.0)
-        angle_deg = math.degrees(math.atan2(y, x))
-        corners = cv2.boxPoints((task.centre_px, (task.size_px,) * 2, angle_deg))
-        cv2.polylines(drawn, [np.rint(corners).astype(int)], True, 1)
-    else:
-        circles.append((*task.centre_px, 0.5 * task.size_px))
+    size_px, circles = task.size_px, [(*task.centre_px, 0.5 * task.size_px)]
     if task.motion is Motion.TURN and task.pivot_px is not None:
-        circles.append((*task.pivot_px, PLATE_RADIUS_PX))
+        circles = [(*task.pivot_px, PLATE_RADIUS_PX)]
     if task.rest_px is not None:
         # The hanging balls of the cradle touch each other.
         x, y = task.rest_px
-        size_px = task.size_px
         circles += [(x - ball * size_px, y, 0.5 * size_px) for ball in range(4)]
+    if task.direction is not None and task.motion is Motion.SLIDE:
+        angle_deg = math.degrees(math.atan2(*task.direction[::-1]))
+        corners = cv2.boxPoints((task.centre_px, (size_px, size_px), angle_deg))
+        cv2.polylines(drawn, [np.rint(corners).astype(int)], True, 1)
+        circles = []
     for x, y, radius in circles:
         cv2.circle(drawn, (round(x), round(y)), round(radius), 1)
     return drawn > 0

@@ -1,12 +1,13 @@
 """Say why a track does not follow the object, or does not follow it all the time."""
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_closing
 
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.video.laws import displacement_px
 from gauge_envs.tools.video.tasks import Motion, VideoTask
 from gauge_envs.tools.video.track import Track
 
@@ -25,9 +26,6 @@ MAX_TINT = 7.0
 
 MIN_CONFIDENCE = 0.5
 """Smallest likeness of a frame that shows the object."""
-
-FIRST_SIZES, FIRST_SHAPES = 12, 3
-"""Frames whose median is the size that an object has, and those whose median is the misfit of its shape."""
 
 MIN_TWIN_LIKENESS, MIN_CRADLE_TWIN_LIKENESS = 0.65, 0.7
 """Likeness from which another place shows a second object. Other places of sound published clips stay below 0.60, and
@@ -52,7 +50,6 @@ the picture does not end."""
 
 MIN_MOTION = 0.25
 """Smallest distance from its first place of an object that moves, in its sizes."""
-
 
 STRAIGHT, CURVED = (4, 2), (6, 3)
 """Frames on either side of a cut by which it is judged, and degree of the polynomial that a smooth motion follows."""
@@ -90,10 +87,8 @@ def faults_of(track: Track, task: VideoTask, span: tuple[int, int] | None) -> li
         for event in track.events
         if not event.is_note and event.first_frame <= track.frames[watched[-1]]
     ]
-    if span is None:
-        faults.append(_short_motion(track, task))
-    else:
-        faults.append(_clock_fault(track, task, span))
+    if span is not None:
+        faults += _clock_fault(track, task, span)
     is_cradle = task.motion is Motion.CRADLE
     min_likeness = MIN_CRADLE_TWIN_LIKENESS if is_cradle else MIN_TWIN_LIKENESS
     is_twin = track.other_likeness >= min_likeness
@@ -105,27 +100,27 @@ def faults_of(track: Track, task: VideoTask, span: tuple[int, int] | None) -> li
     else:
         # Two alike objects that meet are seen as one, of another size and shape.
         faults += _changes(track, task, rows)
-    if is_cradle:
-        # The outgoing ball is looked for only where it swings out.
-        faults += _appearances(track, task)
-    else:
-        faults.append(_loss(track, rows))
-        faults.append(_first_place(track, task))
-        faults.append(_last_place(track, task, last))
-        faults.append(_jump(track, task, watched[track.is_found[watched]]))
-    return [fault for fault in faults if fault]
-
-
-def _short_motion(track: Track, task: VideoTask) -> str:
-    """Return how far an object gets that slides or falls in too few frames to be judged; empty if it rests."""
-    if task.direction is None or not track.is_found.any():
-        return ""
-    places_px = track.points_px[track.is_found]
-    along_px = (places_px - places_px[0]) @ np.array(task.direction)
-    away = float(along_px.max()) / task.size_px
-    if away <= MIN_MOTION:
-        return ""
-    return f"the object moves by {away:.1f} of its size, in too few frames to be judged"
+    if task.rest_px is not None:
+        # The outgoing ball is looked for only where it swings out; a post may hide it for some frames.
+        is_swinging = binary_closing(track.is_found, np.ones(MAX_HIDDEN + 1))
+        places_px = np.where(is_swinging[:, None], track.points_px, task.rest_px)
+        return [*faults, *_jump(track, task, places_px, MAX_BESIDE)]
+    lost = rows[~track.is_found[rows]]
+    if len(lost) > MAX_ODD_SHARE * len(rows):
+        share, where = len(lost) / len(rows), _runs_text(track.frames[lost])
+        faults.append(
+            f"the object is lost in {share:.0%} of the frames in frames {where}"
+        )
+    if track.is_found.any():
+        faults += _ends(track, task, last)
+        faults += _jump(track, task, track.points_px[: watched[-1] + 1], MAX_JUMP)
+        if span is None and task.direction is not None:
+            away = float(np.nanmax(displacement_px(track, task))) / task.size_px
+            if away > MIN_MOTION:
+                faults.append(
+                    f"the object moves by {away:.1f} of its size, in too few frames to be judged"
+                )
+    return faults
 
 
 def _runs_text(frames: NDArray[np.int64]) -> str:
@@ -136,82 +131,55 @@ def _runs_text(frames: NDArray[np.int64]) -> str:
     return ", ".join(texts[:4]) + more
 
 
-def _loss(track: Track, rows: NDArray[np.intp]) -> str:
-    """Return in which frames the object is lost; empty where these are few."""
-    lost = rows[~track.is_found[rows]]
-    share = len(lost) / len(rows)
-    if share <= MAX_ODD_SHARE:
-        return ""
-    where = _runs_text(track.frames[lost])
-    return f"the object is lost in {share:.0%} of the frames in frames {where}"
-
-
 def _changes(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> Iterator[str]:
     """Yield by how much the object changes its size, shape, colour and look, in more frames than a few."""
-    is_cradle = task.motion is Motion.CRADLE
     found = rows[track.is_found[rows]]
-    max_odd = MAX_ODD_SHARE * len(found if is_cradle else rows)
-    sizes = track.size_ratio[np.isfinite(track.size_ratio)][:FIRST_SIZES]
     # A cradle's ball is first seen when it has swung out.
-    first_size = float(np.median(sizes)) if len(sizes) and not is_cradle else 1.0
-    # A background that is never seen is estimated, and so is what differs from it.
-    first = track.misfit[track.is_found][:FIRST_SHAPES]
-    first_misfit = min(float(np.median(first)), MAX_MISFIT) if len(first) else 0.0
-    misfits = np.where(track.is_found, track.misfit - first_misfit, 0.0)
-    if (misfits > MAX_MISFIT).mean() <= MAX_ODD_SHARE:
-        # Blur alone changes a shape for some frames, and the retained ones may be few.
-        misfits[:] = 0.0
-    unlikeness = 1.0 - track.confidence
+    counted = found if task.motion is Motion.CRADLE else rows
+    # Blur alone changes a shape for some frames, and the retained ones may be few.
+    is_reshaped = (track.misfit > MAX_MISFIT).mean() > MAX_ODD_SHARE
     for text, changes, limit in (
-        (
-            "changes its size by up to {:+.0%}",
-            track.size_ratio / first_size - 1.0,
-            MAX_SIZE_CHANGE,
-        ),
-        (
-            "changes its shape by up to {:.0%}",
-            misfits,
-            MAX_MISFIT,
-        ),
+        ("changes its size by up to {:+.0%}", track.size_ratio - 1.0, MAX_SIZE_CHANGE),
+        ("changes its shape by up to {:.0%}", track.misfit * is_reshaped, MAX_MISFIT),
         ("changes its colour by up to {:.0f} levels of 255", track.tint, MAX_TINT),
-        ("has another look", unlikeness, 1.0 - MIN_CONFIDENCE),
+        ("has another look", 1.0 - track.confidence, 1.0 - MIN_CONFIDENCE),
     ):
         odd = found[np.abs(changes[found]) > limit]
-        if len(odd) > max_odd:
+        if len(odd) > MAX_ODD_SHARE * len(counted):
             largest = text.format(max(changes[odd], key=abs))
             yield f"the object {largest} in frames {_runs_text(track.frames[odd])}"
 
 
-def _first_place(track: Track, task: VideoTask) -> str:
-    """Return how far from its known place an object is first seen; empty where it is near."""
-    if track.registration is None or not track.is_found.any():
-        return ""
-    place = track.points_px[track.is_found][0]
-    away = math.dist(place, task.centre_px) / task.size_px
-    if away <= MAX_JUMP:
-        return ""
-    return f"the object is first seen {away:.1f} of its size from its place in the known first frame"
-
-
-def _last_place(track: Track, task: VideoTask, last: int) -> str:
-    """Return where an object is seen for the last time, while it slides or falls, though nothing hides it there."""
-    if task.direction is None or not track.is_found.any():
-        return ""
-    row = int(np.flatnonzero(track.is_found)[-1])
-    away = math.dist(track.points_px[row], task.centre_px) / task.size_px
-    is_at_end = len(track.frames) - 1 - row <= MAX_HIDDEN
+def _ends(track: Track, task: VideoTask, last: int) -> Iterator[str]:
+    """Yield how far from its known place an object is first seen, and where it vanishes while it slides or falls."""
+    rows = np.flatnonzero(track.is_found)[[0, -1]]
+    away_px = np.linalg.norm(track.points_px[rows] - task.centre_px, axis=1)
+    first_away, last_away = (away_px / task.size_px).tolist()
+    if track.registration is not None and first_away > MAX_JUMP:
+        yield f"the object is first seen {first_away:.1f} of its size from its place in the known first frame"
+    is_at_end = len(track.frames) - 1 - rows[1] <= MAX_HIDDEN
     # A fall is retained up to the last frame but one.
-    if is_at_end or row > last + 1 or away > CLEAR_WAY:
-        return ""
-    return f"the object vanishes on its way: frame {track.frames[row]} is the last that shows it"
+    is_retained = rows[1] <= last + 1
+    is_clear = task.direction is not None and last_away <= CLEAR_WAY
+    if is_clear and is_retained and not is_at_end:
+        yield f"the object vanishes on its way: frame {track.frames[rows[1]]} is the last that shows it"
 
 
-def _jump(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> str:
-    """Return where the object jumps: farther than the speeds before and after explain; empty where it does not.
+def _jump(
+    track: Track, task: VideoTask, places_px: FloatArray, max_jump: float
+) -> Iterator[str]:
+    """Yield where the object jumps: farther than the speeds before and after explain.
 
     A blend of two pictures spreads a jump over two steps, so pairs of steps are checked too.
+
+    Args:
+        track: The track.
+        task: The task.
+        places_px: Places by row, shape [row_count, 2]; NaN where the object is lost.
+        max_jump: Largest distance that the speeds do not explain, in sizes.
     """
-    places_px = track.points_px[rows]
+    rows = np.flatnonzero(np.isfinite(places_px).all(axis=1))
+    places_px = places_px[rows]
     steps_px = np.linalg.norm(np.diff(places_px, axis=0), axis=1)
     # The object rests before its first step and after its last one.
     speeds_px = np.pad(steps_px / np.diff(rows), 1)
@@ -222,31 +190,15 @@ def _jump(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> str:
         way_px = np.linalg.norm(places_px[end] - places_px[start], axis=1)
         fastest_px = np.maximum(speeds_px[start], speeds_px[end + 1])
         excess = (way_px - (rows[end] - rows[start]) * fastest_px) / task.size_px
-        if excess.max(initial=0.0) > MAX_JUMP:
+        if excess.max(initial=0.0) > max_jump:
             worst = int(excess.argmax())
             first, last = track.frames[rows[[start[worst], end[worst]]]]
-            return (
-                f"the object jumps by {excess[worst]:.1f} of its size "
-                f"between frames {first} and {last}"
-            )
-    return ""
+            yield f"the object jumps by {excess[worst]:.1f} of its size between frames {first} and {last}"
+            return
 
 
-def _appearances(track: Track, task: VideoTask) -> Iterator[str]:
-    """Yield where the ball of a cradle is first or last seen farther from its row than it moves in a frame."""
-    assert task.rest_px is not None
-    rows = np.flatnonzero(track.is_found)
-    away_px = np.linalg.norm(track.points_px - task.rest_px, axis=1)
-    for swing in np.split(rows, np.flatnonzero(np.diff(rows) > MAX_HIDDEN + 1) + 1):
-        for row, next_row in (swing[:2], swing[:-3:-1]) if len(swing) > 1 else ():
-            step_px = math.dist(track.points_px[row], track.points_px[next_row])
-            away = (away_px[row] - step_px) / task.size_px
-            if 0 < row < len(track.frames) - 1 and away > MAX_BESIDE:
-                yield f"the ball appears or vanishes {away:.1f} of its size from its row in frame {track.frames[row]}"
-
-
-def _clock_fault(track: Track, task: VideoTask, span: tuple[int, int]) -> str:
-    """Return where frames are missing or the speed of a film changes; empty where its clock is that of the motion.
+def _clock_fault(track: Track, task: VideoTask, span: tuple[int, int]) -> Iterator[str]:
+    """Yield where frames are missing or the speed of a film changes.
 
     Across a cut, a smooth curve leaves a large residual. The residual is small once the later frames are moved in time
     by whole frames, or run at another speed. A body that jumps or brakes seldom does that.
@@ -260,7 +212,7 @@ def _clock_fault(track: Track, task: VideoTask, span: tuple[int, int]) -> str:
     rows = np.arange(span[0], span[1] + 1)
     rows = rows[track.is_found[rows]]
     if len(rows) < 2 * side:
-        return ""
+        return
     windows = np.lib.stride_tricks.sliding_window_view(rows, 2 * side)
     places_px = track.points_px[windows]
     steps_s = np.diff(track.times_s[windows], axis=1)
@@ -271,7 +223,7 @@ def _clock_fault(track: Track, task: VideoTask, span: tuple[int, int]) -> str:
     residuals_px = _residuals_px(places_px, times, degree)
     is_cut = is_even & (residuals_px > MIN_BROKEN * scatter_px)
     if not is_cut.any():
-        return ""
+        return
     clocks = {
         f"frames seem to be missing, {count} before frame": times + count * is_later
         for count in range(1, MAX_MISSING + 1)
@@ -294,9 +246,8 @@ def _clock_fault(track: Track, task: VideoTask, span: tuple[int, int]) -> str:
             strict=True,
         )
     )
-    if best_px > MAX_WHOLE * scatter_px:
-        return ""
-    return f"{text} {track.frames[windows[window, side]]}"
+    if best_px <= MAX_WHOLE * scatter_px:
+        yield f"{text} {track.frames[windows[window, side]]}"
 
 
 def _residuals_px(places_px: FloatArray, times: FloatArray, degree: int) -> FloatArray:

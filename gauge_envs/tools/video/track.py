@@ -31,7 +31,8 @@ class Event:
     """Something in a video that makes its track doubtful.
 
     Attributes:
-        kind: `given`, `camera`, `scene`, `registration`, `picture`, `cadence`.
+        kind: `given`, `registration`, `cadence`, `scene`, `camera`, and `motion` of a
+            camera that is known.
         text: Description with numbers.
         first_frame: Its first frame.
         last_frame: Its last frame; a number beyond all frames for the whole video.
@@ -242,23 +243,23 @@ def _clock(
     path: Path, values: dict[str, FloatArray], fps: float | None
 ) -> tuple[NDArray[np.int64], FloatArray | None, float]:
     """Return frame numbers, times [s] where the file has them and no rate is given, and the frame rate [1/s]."""
-    count = len(next(iter(values.values())))
-    numbers = values.get("frame", np.arange(float(count)))
+    times_s = values.get("time")
+    numbers = values.get("frame")
+    if numbers is None:
+        numbers = np.arange(float(len(next(iter(values.values())))))
+        if fps is not None:
+            raise VideoError(f"{path}: its times state the rate: leave out --fps")
     if not (np.diff(numbers, prepend=-1.0) > 0.0).all() or (numbers % 1.0).any():
         raise VideoError(f"{path}: frame must increase from row to row, by integers")
     frames = numbers.astype(np.int64)
-    times_s = values.get("time")
     if fps is not None:
-        if not (math.isfinite(fps) and fps > 0.0):
-            raise VideoError(f"fps is {fps}: give the frame rate, as --fps 30")
-        if "frame" not in values:
-            raise VideoError(f"{path}: its times state the rate: leave out --fps")
         return frames, None, fps
     if times_s is None:
         raise VideoError(
             f"{path}: it has no column time: give the frame rate, as --fps 30"
         )
-    if count < 2 or not (np.diff(times_s) > 0.0).all():
+    steps_s = np.diff(times_s)
+    if not (steps_s > 0.0).all() or not len(steps_s):
         raise VideoError(f"{path}: time must increase from row to row [s]")
-    rate = 1.0 / float(np.median(np.diff(times_s) / np.diff(frames)))
+    rate = 1.0 / float(np.median(steps_s / np.diff(frames)))
     return frames, times_s - times_s[0], rate

@@ -75,11 +75,12 @@ def track_object(frames: Frames, task: VideoTask) -> Track:
         if cadence.is_new[number]
     ]
     path = followed(candidates, task, cadence.fps)
-    events = []
-    if registration.problem:
-        events.append(Event(kind="registration", text=registration.problem))
-    if cadence.text:
-        events.append(Event(kind="cadence", text=cadence.text, is_note=True))
+    texts = {"registration": registration.problem, "cadence": cadence.text}
+    events = [
+        Event(kind=kind, text=text, is_note=kind == "cadence")
+        for kind, text in texts.items()
+        if text
+    ]
     return Track(
         frames=numbers,
         fps=cadence.fps,
@@ -117,19 +118,16 @@ def followed(
     path = []
     for found in candidates:
         bend_px = gap * max(BEND * task.size_px, gravity_px)
-        if task.motion is Motion.FALL:
-            # An impact turns the velocity.
-            bend_px = max(bend_px, gap * float(np.linalg.norm(step_px)))
-        expected_px = [place_px + gap * step_px]
         if task.direction is not None:
-            # An impact stops a body at an unknown time between two frames.
-            expected_px.append(place_px)
+            # An impact stops a body or turns its velocity.
+            bend_px = max(bend_px, gap * float(np.linalg.norm(step_px)))
+        expected_px = place_px + gap * step_px
         if is_cradle and seen < 2:
             # The time of the strike between two frames is unknown, and so is the velocity of the first step.
             bend_px = MAX_STRUCK_STEP * max(task.size_px, gravity_px)
         best, best_value = Detection(), 0.0
         for one in found:
-            away_px = min(math.dist(one.place_px, place) for place in expected_px)
+            away_px = math.dist(one.place_px, expected_px)
             value = one.likeness - BEND_COST * (away_px / bend_px) ** 2
             if value > best_value and _is_allowed(one, task):
                 best, best_value = one, value
@@ -145,14 +143,23 @@ def followed(
     return path
 
 
+def _arm_px(places_px: FloatArray, task: VideoTask) -> FloatArray:
+    """Return the distances of places, shape [..., 2], from the pivot, or from the row of pivots of a cradle [px]."""
+    arms_px = places_px - np.array(task.pivot_px)
+    row_px = (CRADLE_BALLS - 1) * task.size_px if task.rest_px else 0.0
+    arms_px[..., 0] -= np.clip(arms_px[..., 0], -row_px, 0.0)
+    return np.asarray(np.linalg.norm(arms_px, axis=-1))
+
+
 def _arc_error(detection: Detection, task: VideoTask) -> float:
     """Return the relative difference of the distance from the pivot, or from the row of pivots of a cradle."""
+    return abs(float(_arm_px(detection.place_px, task)) / _length_px(task) - 1.0)
+
+
+def _length_px(task: VideoTask) -> float:
+    """Return the length of the string or rod of a swing [px]."""
     assert task.pivot_px is not None
-    x_px, y_px = detection.place_px - task.pivot_px
-    row_px = (CRADLE_BALLS - 1) * task.size_px if task.rest_px else 0.0
-    length_px = math.dist(task.rest_px or task.centre_px, task.pivot_px)
-    beside_px = x_px - min(max(x_px, -row_px), 0.0)
-    return abs(math.hypot(beside_px, y_px) / length_px - 1.0)
+    return math.dist(task.rest_px or task.centre_px, task.pivot_px)
 
 
 def _is_allowed(detection: Detection, task: VideoTask) -> bool:
@@ -169,18 +176,13 @@ def _moving_part(task: VideoTask) -> NDArray[np.bool_]:
 
     That is around the object's first place, on the plate of a turntable, and where the balls of a cradle swing.
     """
-    width, height = REFERENCE_SIZE_PX
-    rows, columns = np.mgrid[0:height, 0:width]
-    (x_px, y_px), radius_px = task.centre_px, 1.2 * task.size_px
-    if task.motion is Motion.TURN and task.pivot_px is not None:
-        (x_px, y_px), radius_px = task.pivot_px, PLATE_RADIUS_PX
-    row_px = 0.0
-    if task.motion is Motion.CRADLE and task.pivot_px and task.rest_px:
-        x_px, y_px = task.pivot_px
-        radius_px = task.rest_px[1] - y_px + task.size_px
-        row_px = (CRADLE_BALLS - 1) * task.size_px
-    beside_px = columns - np.clip(columns, x_px - row_px, x_px)
-    return np.hypot(beside_px, rows - y_px) < radius_px
+    places_px = np.indices(REFERENCE_SIZE_PX).T.astype(float)
+    if task.motion is Motion.TURN:
+        return _arm_px(places_px, task) < PLATE_RADIUS_PX
+    if task.rest_px is not None:
+        return _arm_px(places_px, task) < _length_px(task) + task.size_px
+    away_px = np.linalg.norm(places_px - task.centre_px, axis=-1)
+    return np.asarray(away_px < 1.2 * task.size_px)
 
 
 def _other_likeness(

@@ -10,6 +10,7 @@ from clips import motion_on_grid, track_of
 from gauge_envs.tools.video import score_track, video_task
 
 FPS = 30.0
+BALL = video_task("BouncingBall-rubber")
 
 
 def judged(name, clock, seed):
@@ -38,3 +39,13 @@ def test_a_clock_that_is_not_that_of_the_motion_is_named(name, seed, words):
     result = judged(name, CLOCKS[words], seed)
     assert result.is_sound is (words == ""), result.reasons
     assert words in " ".join(result.reasons)
+
+
+def test_a_jerky_motion_is_no_change_of_speed():
+    """By chance, some of its windows fit a film that is slower from there on."""
+    rng = np.random.default_rng(21)
+    place, *_ = motion_on_grid(BALL, np.random.default_rng(1))
+    numbers = np.arange(51) + rng.uniform(-0.4, 0.4, 51)
+    places_px = np.array([place(number / 60.0)[0] for number in numbers])
+    result = score_track(track_of(places_px, 60.0), BALL)
+    assert result.is_sound, result.reasons

@@ -11,7 +11,6 @@ cv2 = pytest.importorskip("cv2")
 from clips import clip, track_of  # noqa: E402
 
 from gauge_envs.tools.video import score, score_track, video_task  # noqa: E402
-from gauge_envs.tools.video.face import FaceDetector  # noqa: E402
 from gauge_envs.tools.video.shape import ShapeDetector  # noqa: E402
 from gauge_envs.tools.video.sight import Detection  # noqa: E402
 from gauge_envs.tools.video.soundness import MAX_MISFIT  # noqa: E402
@@ -39,17 +38,6 @@ def test_a_likelier_place_far_away_is_left_out_and_a_gap_is_bridged():
     path = followed(frames, BALL, 30.0)
     found_px = [one.place_px[0] - BALL.centre_px[0] for one in path]
     assert found_px == pytest.approx(places_px, nan_ok=True)
-
-
-def test_a_ball_is_followed_through_its_impact():
-    times_s = np.arange(20) / 30.0 - 0.31
-    gravity_px_s2 = 9.81 / BALL.scale_m_per_px
-    falls_px = 0.5 * gravity_px_s2 * (0.31**2 - (times_s + 0.31) ** 2)
-    rises_px = gravity_px_s2 * times_s * (0.31 * 0.8 - 0.5 * times_s)
-    heights_px = np.where(times_s < 0.0, falls_px, rises_px)
-    frames = [[seen(0.0, heights_px[0] - height)] for height in heights_px]
-    lost = [one.likeness == 0.0 for one in followed(frames, BALL, 30.0)]
-    assert sum(lost) <= 2, lost
 
 
 @pytest.mark.parametrize(("share", "is_on_arc"), [(1.0, True), (0.5, False)])
@@ -151,64 +139,24 @@ def test_a_black_cube_has_its_face_where_its_dark_sides_are_seen_too(depth):
     assert np.abs(along_px).max() < 0.6
 
 
-@pytest.mark.parametrize(
-    ("change", "is_same"),
-    [("none", True), ("second", True), ("darkens", True), ("grows", False)],
-)
-def test_a_cube_on_a_turntable_keeps_its_area(change, is_same):
-    """Correlation alone follows a cube that grows, and sees no second one. The tint of metal ignores the lamp."""
-    task = video_task(f"Turntable-2-{'metal' if change == 'darkens' else 'plastic'}")
-    colour = (240, 240, 240) if task.is_shiny else (45, 40, 35)
-    pictures = []
-    for is_later in (False, True):
-        picture = np.full((480, 832, 3), 40, np.uint8)
-        pivot = np.rint(task.pivot_px).astype(int).tolist()
-        cv2.circle(picture, pivot, 225, (140, 165, 185), -1)
-        places_px = [np.array(task.centre_px)]
-        if is_later and change == "second":
-            places_px.append(places_px[0] + [200.0, 90.0])
-        half_px = 0.5 * task.size_px * (1.4 if is_later and change == "grows" else 1.0)
-        shown = (195,) * 3 if is_later and task.is_shiny else colour
-        for place in places_px:
-            corners = np.rint(place + half_px * np.array([[-1.0], [1.0]])).astype(int)
-            cv2.rectangle(picture, *corners.tolist(), shown, -1)
-        for aside in ((-20, -8), (14, 18), (16, -16)):
-            spot = np.rint(np.add(task.centre_px, aside)).astype(int).tolist()
-            cv2.circle(picture, spot, 9, (90, 90, 90), -1)
-        pictures.append(picture)
-    detector = FaceDetector(pictures[0], task)
-    found, *areas = detector.candidates(pictures[1]) or [Detection()]
-    assert len(areas) == (2 if change == "second" else 1)
-    is_close = abs(found.size_ratio - 1.0) < 0.3 and found.misfit < MAX_MISFIT
-    assert (found.likeness > 0.5 and is_close) is is_same
-
-
-def test_metal_with_a_moving_reflection_does_not_drift():
-    task = video_task("Turntable-2-metal")
-    pivot_px, start_px = np.array(task.pivot_px), np.array(task.centre_px)
-    scene = np.full((480, 832, 3), 40, np.uint8)
-    cv2.circle(scene, np.rint(pivot_px).astype(int).tolist(), 225, (140, 165, 185), -1)
-    detector = None
-    for frame in range(50):
-        turn = cv2.getRotationMatrix2D(pivot_px.tolist(), 1.5 * frame, 1.0)
-        centre_px = turn @ [*start_px, 1.0]
-        away_px = COLUMNS - centre_px[0] + 30.0 - 0.5 * frame
-        metal = 190.0 + 60.0 * np.exp(-((away_px / 12.0) ** 2))[..., None]
-        covered = np.zeros(scene.shape[:2], np.uint8)
-        box = (centre_px.tolist(), (task.size_px,) * 2, -1.5 * frame)
-        cv2.fillPoly(covered, [np.rint(cv2.boxPoints(box)).astype(int)], 1)
-        picture = np.where(covered[..., None] > 0, metal, scene).astype(np.uint8)
-        detector = detector or FaceDetector(picture, task)
-        (found, *_) = detector.candidates(picture)
-        assert math.dist(found.place_px, centre_px) < 0.1 * task.size_px
+def test_a_cube_that_a_black_bar_cuts_has_no_place():
+    task = video_task("SlopeSlider-2-wood")
+    places_px = task.centre_px + np.outer([0.0, 200.0, 540.0], task.direction)
+    pictures = boxes(task, places_px, (105, 150, 195), background=40)
+    for picture in pictures:
+        picture[:, :150] = 0
+    detector = ShapeDetector(pictures[0], pictures[-1], task)
+    found = [detector.candidates(picture) for picture in pictures]
+    is_found = [any(one.likeness > 0.0 for one in places) for places in found]
+    assert is_found == [True, True, False]
 
 
 # --- planted faults ---------------------------------------------------------------------------------------------------
 
 
 @cache
-def slide():
-    return clip("SlopeSlider-2-wood", np.random.default_rng(0))
+def film(task):
+    return clip(task, np.random.default_rng(0))
 
 
 def empty(frames):
@@ -220,6 +168,13 @@ def second(frames):
     patch = frames[0][3:103, 557:657]
     for frame in frames[14:]:
         frame[100:200, 100:200] = patch
+    return frames
+
+
+def second_on_plate(frames):
+    face = frames[0][190:290, 207:307]
+    for frame in frames[14:]:
+        frame[320:420, 400:500] = face
     return frames
 
 
@@ -250,36 +205,45 @@ def missing(frames):
     return [*frames[:18], *frames[20:]]
 
 
-FAULTS = {
-    second: "a second object of the same shape and colour is seen in frames 14 to",
-    replaced: "changes its colour",
-    vanished: "vanishes on its way",
-    panned: "the camera moves",
-    mirrored: "of its size from its place in the known first frame",
-    cut: "the scene is recomposed",
-    missing: "frames seem to be missing, 2 before frame 18",
-}
+SLIDE, PLASTIC, METAL = (
+    "SlopeSlider-2-wood",
+    "Turntable-2-plastic",
+    "Turntable-2-metal",
+)
+SECOND = "a second object of the same shape and colour is seen in frames"
+FAULTS = [
+    (SLIDE, second, SECOND),
+    (SLIDE, replaced, "changes its colour"),
+    (SLIDE, vanished, "vanishes on its way"),
+    (SLIDE, panned, "the camera moves"),
+    (SLIDE, mirrored, "of its size from its place in the known first frame"),
+    (SLIDE, cut, "the scene is recomposed"),
+    (SLIDE, missing, "frames seem to be missing, 2 before frame 18"),
+    (PLASTIC, second_on_plate, SECOND),
+    (METAL, second_on_plate, SECOND),
+]
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-def test_a_planted_fault_is_named(fault):
-    frames = fault([frame.copy() for frame in slide().frames])
-    result = score(frames, slide().fps, slide().task)
+@pytest.mark.parametrize(("task", "fault", "words"), FAULTS)
+def test_a_planted_fault_is_named(task, fault, words):
+    frames = fault([frame.copy() for frame in film(task).frames])
+    result = score(frames, film(task).fps, task)
     assert not result.is_sound
-    assert any(FAULTS[fault] in reason for reason in result.reasons), result.reasons
+    assert any(words in reason for reason in result.reasons), result.reasons
 
 
 def test_the_motion_of_a_camera_is_subtracted():
     rng = np.random.default_rng(2)
-    frames = slide().frames[:1]
-    for frame in slide().frames[1:]:
+    first, *others = film(SLIDE).frames
+    frames = [first]
+    for frame in others:
         shift = np.column_stack([np.eye(2), rng.normal(0.0, 3.0, 2)])
         edge = cv2.BORDER_REPLICATE
         frames.append(cv2.warpAffine(frame, shift, (832, 480), borderMode=edge))
-    result = score(frames, slide().fps, slide().task)
+    result = score(frames, film(SLIDE).fps, SLIDE)
     assert result.is_sound, result.reasons
     assert "camera" in result.findings[0] and "is subtracted" in result.findings[0]
-    truth = slide().truth["acceleration_m_s2"]
+    truth = film(SLIDE).truth["acceleration_m_s2"]
     assert result.metrics["acceleration_m_s2"] == pytest.approx(truth, rel=0.02)
     # The place that is drawn is where the picture shows it.
     place_px = result.track.points_px[-1]
@@ -296,4 +260,4 @@ def test_a_ball_of_a_cradle_that_fades_on_its_arc_is_named(last, is_sound):
     arms_px = length_px * np.column_stack([np.sin(angles_rad), np.cos(angles_rad)])
     result = score_track(track_of(CRADLE.pivot_px + arms_px, 24.0), CRADLE)
     assert result.is_sound is is_sound
-    assert is_sound or "of its size from its row in frame 17" in result.reasons[0]
+    assert is_sound or "jumps by 6.4 of its size" in result.reasons[0]
