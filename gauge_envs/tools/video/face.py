@@ -67,6 +67,7 @@ class FaceDetector:
         self._half = int(FACE * task.size_px)
         # Angle [rad] and place [px].
         self._pose, self._step = np.array([0.0, *task.centre_px]), np.zeros(3)
+        self._drift_px = np.zeros(2)
         self._template = turned_square(_grey(first), self._pose, self._half)
         self._face = _normed(self._template)
         self._colour = colour_at(first, self._pose[1:], task.size_px)
@@ -113,6 +114,12 @@ class FaceDetector:
         covered = self._covered(picture)
         cut = self._cut(covered)
         area = float(self._first_cut.sum())
+        if self._is_shiny and cut.any():
+            # Reflections make the template drift, and tints do not.
+            drift = _middle(cut) - _middle(self._first_cut)
+            drift_px = rotation_of(self._pose[0]) @ drift / COARSE
+            self._drift_px += RENEWAL * (drift_px - self._drift_px)
+            found.place_px = self._pose[1:] + self._drift_px
         found.size_ratio = math.sqrt(float(cut.sum()) / area)
         if not self._is_shiny:
             # Reflections take parts from the area of metal.
@@ -168,6 +175,12 @@ class FaceDetector:
         arm_px = self._pose[1:] - self._pivot_px
         place_px = self._pivot_px + rotation_of(angle_rad) @ arm_px
         return np.array([self._pose[0] + angle_rad, *place_px])
+
+
+def _middle(cut: NDArray[np.float32]) -> FloatArray:
+    """Return the middle of an area, horizontally and vertically, shape [2]."""
+    moments = cv2.moments(cut)
+    return np.array([moments["m10"], moments["m01"]]) / moments["m00"]
 
 
 def _grey(picture: Picture) -> NDArray[np.float32]:

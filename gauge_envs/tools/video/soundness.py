@@ -104,7 +104,7 @@ def faults_of(track: Track, task: VideoTask, span: tuple[int, int] | None) -> li
         # The outgoing ball is looked for only where it swings out; a post may hide it for some frames.
         is_swinging = binary_closing(track.is_found, np.ones(MAX_HIDDEN + 1))
         places_px = np.where(is_swinging[:, None], track.points_px, task.rest_px)
-        return [*faults, *_jump(track, task, places_px, MAX_BESIDE)]
+        return [*faults, *_jump(track, task, places_px, MAX_BESIDE, (1,))]
     lost = rows[~track.is_found[rows]]
     if len(lost) > MAX_ODD_SHARE * len(rows):
         share, where = len(lost) / len(rows), _runs_text(track.frames[lost])
@@ -166,24 +166,29 @@ def _ends(track: Track, task: VideoTask, last: int) -> Iterator[str]:
 
 
 def _jump(
-    track: Track, task: VideoTask, places_px: FloatArray, max_jump: float
+    track: Track,
+    task: VideoTask,
+    places_px: FloatArray,
+    max_jump: float,
+    strides: tuple[int, ...] = (1, 2),
 ) -> Iterator[str]:
     """Yield where the object jumps: farther than the speeds before and after explain.
 
-    A blend of two pictures spreads a jump over two steps, so pairs of steps are checked too.
+    A blend of two pictures spreads a jump over two steps, so that pairs of steps are checked too.
 
     Args:
         track: The track.
         task: The task.
         places_px: Places by row, shape [row_count, 2]; NaN where the object is lost.
         max_jump: Largest distance that the speeds do not explain, in sizes.
+        strides: Numbers of steps over which a jump is looked for.
     """
     rows = np.flatnonzero(np.isfinite(places_px).all(axis=1))
     places_px = places_px[rows]
     steps_px = np.linalg.norm(np.diff(places_px, axis=0), axis=1)
     # The object rests before its first step and after its last one.
     speeds_px = np.pad(steps_px / np.diff(rows), 1)
-    for steps in (1, 2):
+    for steps in strides:
         # Within two steps a motion may begin or end too.
         start = np.arange(steps - 1, len(rows) - 2 * steps + 1)
         end = start + steps

@@ -118,16 +118,19 @@ def followed(
     path = []
     for found in candidates:
         bend_px = gap * max(BEND * task.size_px, gravity_px)
-        if task.direction is not None:
-            # An impact stops a body or turns its velocity.
+        if task.motion is Motion.FALL:
+            # An impact turns the velocity.
             bend_px = max(bend_px, gap * float(np.linalg.norm(step_px)))
-        expected_px = place_px + gap * step_px
+        expected_px = [place_px + gap * step_px]
+        if task.direction is not None:
+            # An impact stops a body at an unknown time between two frames.
+            expected_px.append(place_px)
         if is_cradle and seen < 2:
             # The time of the strike between two frames is unknown, and so is the velocity of the first step.
             bend_px = MAX_STRUCK_STEP * max(task.size_px, gravity_px)
         best, best_value = Detection(), 0.0
         for one in found:
-            away_px = math.dist(one.place_px, expected_px)
+            away_px = min(math.dist(one.place_px, place) for place in expected_px)
             value = one.likeness - BEND_COST * (away_px / bend_px) ** 2
             if value > best_value and _is_allowed(one, task):
                 best, best_value = one, value

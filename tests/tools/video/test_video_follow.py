@@ -11,6 +11,7 @@ cv2 = pytest.importorskip("cv2")
 from clips import clip, track_of  # noqa: E402
 
 from gauge_envs.tools.video import score, score_track, video_task  # noqa: E402
+from gauge_envs.tools.video.face import FaceDetector  # noqa: E402
 from gauge_envs.tools.video.shape import ShapeDetector  # noqa: E402
 from gauge_envs.tools.video.sight import Detection  # noqa: E402
 from gauge_envs.tools.video.soundness import MAX_MISFIT  # noqa: E402
@@ -18,6 +19,8 @@ from gauge_envs.tools.video.tracker import followed  # noqa: E402
 
 BALL = video_task("BouncingBall-rubber")
 CRADLE = video_task("NewtonsCradle-metal")
+SLIDE, METAL = "SlopeSlider-2-wood", "Turntable-2-metal"
+PLASTIC = "Turntable-2-plastic"
 ROWS, COLUMNS = np.mgrid[:480, :832]
 
 
@@ -38,6 +41,17 @@ def test_a_likelier_place_far_away_is_left_out_and_a_gap_is_bridged():
     path = followed(frames, BALL, 30.0)
     found_px = [one.place_px[0] - BALL.centre_px[0] for one in path]
     assert found_px == pytest.approx(places_px, nan_ok=True)
+
+
+def test_a_ball_is_followed_through_its_impact():
+    times_s = np.arange(20) / 30.0 - 0.31
+    gravity_px_s2 = 9.81 / BALL.scale_m_per_px
+    falls_px = 0.5 * gravity_px_s2 * (0.31**2 - (times_s + 0.31) ** 2)
+    rises_px = gravity_px_s2 * times_s * (0.31 * 0.8 - 0.5 * times_s)
+    heights_px = np.where(times_s < 0.0, falls_px, rises_px)
+    frames = [[seen(0.0, heights_px[0] - height)] for height in heights_px]
+    lost = [one.likeness == 0.0 for one in followed(frames, BALL, 30.0)]
+    assert sum(lost) <= 2, lost
 
 
 @pytest.mark.parametrize(("share", "is_on_arc"), [(1.0, True), (0.5, False)])
@@ -109,7 +123,7 @@ def boxes(task, places_px, colour, *, background, size=(1.0, 1.0), aside=0.0):
 
 def test_a_cube_is_placed_without_its_shadow_on_the_board():
     """The shadow has the colour of the cube, so that both are as high as 1.3 cubes."""
-    task = video_task("SlopeSlider-2-wood")
+    task = video_task(SLIDE)
     places_px = task.centre_px + np.outer([0.0, 90.0, 200.0], task.direction)
     shadowed = {"size": (1.0, 1.3), "aside": -0.15}
     pictures = boxes(task, places_px, (105, 150, 195), background=40, **shadowed)
@@ -140,7 +154,7 @@ def test_a_black_cube_has_its_face_where_its_dark_sides_are_seen_too(depth):
 
 
 def test_a_cube_that_a_black_bar_cuts_has_no_place():
-    task = video_task("SlopeSlider-2-wood")
+    task = video_task(SLIDE)
     places_px = task.centre_px + np.outer([0.0, 200.0, 540.0], task.direction)
     pictures = boxes(task, places_px, (105, 150, 195), background=40)
     for picture in pictures:
@@ -149,6 +163,26 @@ def test_a_cube_that_a_black_bar_cuts_has_no_place():
     found = [detector.candidates(picture) for picture in pictures]
     is_found = [any(one.likeness > 0.0 for one in places) for places in found]
     assert is_found == [True, True, False]
+
+
+def test_metal_with_a_moving_reflection_does_not_drift():
+    task = video_task(METAL)
+    pivot_px, start_px = np.array(task.pivot_px), np.array(task.centre_px)
+    scene = np.full((480, 832, 3), 40, np.uint8)
+    cv2.circle(scene, np.rint(pivot_px).astype(int).tolist(), 225, (140, 165, 185), -1)
+    detector = None
+    for frame in range(50):
+        turn = cv2.getRotationMatrix2D(pivot_px.tolist(), 1.5 * frame, 1.0)
+        centre_px = turn @ [*start_px, 1.0]
+        away_px = COLUMNS - centre_px[0] + 30.0 - 0.5 * frame
+        metal = 190.0 + 60.0 * np.exp(-((away_px / 12.0) ** 2))[..., None]
+        covered = np.zeros(scene.shape[:2], np.uint8)
+        box = (centre_px.tolist(), (task.size_px,) * 2, -1.5 * frame)
+        cv2.fillPoly(covered, [np.rint(cv2.boxPoints(box)).astype(int)], 1)
+        picture = np.where(covered[..., None] > 0, metal, scene).astype(np.uint8)
+        detector = detector or FaceDetector(picture, task)
+        (found, *_) = detector.candidates(picture)
+        assert math.dist(found.place_px, centre_px) < 0.1 * task.size_px
 
 
 # --- planted faults ---------------------------------------------------------------------------------------------------
@@ -205,11 +239,6 @@ def missing(frames):
     return [*frames[:18], *frames[20:]]
 
 
-SLIDE, PLASTIC, METAL = (
-    "SlopeSlider-2-wood",
-    "Turntable-2-plastic",
-    "Turntable-2-metal",
-)
 SECOND = "a second object of the same shape and colour is seen in frames"
 FAULTS = [
     (SLIDE, second, SECOND),
