@@ -69,11 +69,3 @@ def test_frames_that_cannot_be_judged_are_errors(shape, fps, words):
 def test_an_unknown_task_is_an_error():
     with pytest.raises(UnknownNameError, match="SlopeSlider-2-wood"):
         video_task("SlopeSlider-2-woof")
-
-
-def test_a_film_of_a_track_is_refused(tmp_path, gauge):
-    (tmp_path / "track.csv").write_text("frame,x,y\n1,2,3\n")
-    words = "score track.csv --id SlopeSlider-2-wood --fps=30 --out drawn"
-    result = gauge("video", *words.split())
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert "--out needs the video" in result.stderr
