@@ -55,7 +55,13 @@ def test_a_file_read_back_is_the_same_result_and_scores_the_same(result, tmp_pat
     write_result(result, file)
     assert file.name == "SlopeSlider-2-wood.mujoco.calibrated.json"
     assert load_result(file) == result
-    assert score_file(file)[0].score == result.score
+    again = score_file(file)[0].score.to_dict()
+    for name, value in result.score.to_dict().items():
+        if isinstance(value, float | tuple | list):
+            # The last digit may depend on the layout of arrays in memory.
+            assert again[name] == pytest.approx(value, rel=1e-12)
+        else:
+            assert again[name] == value
     assert list(tmp_path.iterdir()) == [file]
 
 

@@ -232,7 +232,7 @@ def _duration_s(
     if source.stage.HasAuthoredTimeCodeRange():
         stated_s = source.seconds(source.stage.GetEndTimeCode())
         if stated_s != (double.GetCustomDataByKey(WRITTEN) or stated_s):
-            exact_s = None
+            exact_s = stated_s
     choices = (exact_s, duration_s, stated_s, unstated_duration_s)
     chosen_s = next((choice for choice in choices if choice is not None), None)
     if chosen_s is None or not 0.0 < chosen_s <= MAX_DURATION_S:

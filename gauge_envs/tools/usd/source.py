@@ -363,7 +363,7 @@ def _reason(error: Exception) -> str:
     if not isinstance(error, Tf.ErrorException):
         return str(error)
     try:
-        return f"USD cannot read it: {error.args[0].commentary}"
+        return f"USD cannot read it: {error.args[0].commentary.strip()}"
     except UnicodeDecodeError:
         # The message quotes the file.
         return "it holds bytes that are not UTF-8 text"
