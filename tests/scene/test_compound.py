@@ -184,7 +184,7 @@ def test_files_have_no_compounds(tmp_path):
     scene = foot_scene(foot_of("sphere"), friction=0.3)
     with pytest.raises(ParameterError, match="'foot' is a compound of solids"):
         to_usd(scene, tmp_path / "scene.usda")
-    with pytest.raises(ParameterError, match="a compound .* has no OBJ file"):
+    with pytest.raises(ParameterError, match=r"a compound .* has no OBJ file"):
         shape_to_obj(scene.body("foot").shape, "foot")
 
 
