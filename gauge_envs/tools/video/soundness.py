@@ -134,18 +134,25 @@ def _runs_text(frames: NDArray[np.int64]) -> str:
 def _changes(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> Iterator[str]:
     """Yield by how much the object changes its size, shape, colour and look, in more frames than a few."""
     found = rows[track.is_found[rows]]
-    # A cradle's ball is first seen when it has swung out.
-    counted = found if task.motion is Motion.CRADLE else rows
+    # A cradle's ball is first seen when it has swung out. Blur makes it less like itself at its largest speed.
+    count = len(found if task.motion is Motion.CRADLE else rows)
     # Blur alone changes a shape for some frames, and the retained ones may be few.
     is_reshaped = (track.misfit > MAX_MISFIT).mean() > MAX_ODD_SHARE
-    for text, changes, limit in (
-        ("changes its size by up to {:+.0%}", track.size_ratio - 1.0, MAX_SIZE_CHANGE),
-        ("changes its shape by up to {:.0%}", track.misfit * is_reshaped, MAX_MISFIT),
-        ("changes its colour by up to {:.0f} levels of 255", track.tint, MAX_TINT),
-        ("has another look", 1.0 - track.confidence, 1.0 - MIN_CONFIDENCE),
+    sizes, shapes = track.size_ratio - 1.0, track.misfit * is_reshaped
+    unlikeness = 1.0 - track.confidence
+    for text, changes, limit, among in (
+        ("changes its size by up to {:+.0%}", sizes, MAX_SIZE_CHANGE, count),
+        ("changes its shape by up to {:.0%}", shapes, MAX_MISFIT, count),
+        (
+            "changes its colour by up to {:.0f} levels of 255",
+            track.tint,
+            MAX_TINT,
+            count,
+        ),
+        ("has another look", unlikeness, 1.0 - MIN_CONFIDENCE, len(rows)),
     ):
         odd = found[np.abs(changes[found]) > limit]
-        if len(odd) > MAX_ODD_SHARE * len(counted):
+        if len(odd) > MAX_ODD_SHARE * among:
             largest = text.format(max(changes[odd], key=abs))
             yield f"the object {largest} in frames {_runs_text(track.frames[odd])}"
 
