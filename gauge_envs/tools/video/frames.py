@@ -6,7 +6,6 @@ A source is decoded each time that it is read: ten seconds of video at full size
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -18,8 +17,17 @@ from gauge_envs.errors import VideoError, needs_extra
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
-with needs_extra("OpenCV", "video"):
-    cv2: Any = import_module("cv2")
+
+class _OpenCV:
+    """OpenCV, which is imported when one of its names is used: it is optional, and slow to import."""
+
+    def __getattr__(self, name: str) -> Any:
+        with needs_extra("OpenCV", "video"):
+            import cv2
+        return getattr(cv2, name)
+
+
+cv2: Any = _OpenCV()
 
 Picture: TypeAlias = NDArray[np.uint8]
 """A picture on the reference grid, blue, green and red, shape [480, 832, 3]."""
