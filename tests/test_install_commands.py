@@ -128,18 +128,15 @@ def test_commands_of_a_page(
         )
 
 
-def test_the_first_command_of_a_reader_is_run():
+def test_outputs_in_the_readme_belong_to_commands_that_run():
     texts = [command.text for command in RUNS["readme", "README.md"]]
-    assert texts[0] == "gauge sanity HalfCheetah-v5 --only foot-creep,foot-push"
-    assert [command for _, command in SHOWN] == texts[:4]
-    assert [command.text for command in RUNS["plot", "scripts"]] == [
-        "python examples/quickstart.py"
-    ]
+    assert len(SHOWN) >= 3
+    assert {command for _, command in SHOWN} <= set(texts)
 
 
-def test_the_readme_is_read_in_a_minute():
+def test_the_readme_has_at_most_800_words():
     words = (ROOT / "README.md").read_text().split()
-    assert len(words) <= 900
+    assert len(words) <= 800
 
 
 def test_a_page_names_the_extras_that_its_commands_need():
