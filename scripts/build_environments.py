@@ -37,10 +37,8 @@ PICTURES = ROOT / "docs" / "images" / "environments"
 CAPTIONS = PICTURES / "captions.json"
 
 INTRODUCTION = """
-A page for each family of experiments: spaces, reward, reference, engines, constants, and what is known to be wrong.
-Below its picture stand the kinds of the references of its ids. `gauge show ID` prints the facts of one id, and
-`gauge list` all ids. [Coverage](../coverage.md) has the references of all in one table. The [gallery](../gallery.md)
-shows control tasks.
+After this page you can choose an experiment. Each family has a page with its spaces, reward, reference, engines, constants and known limits. Below a
+picture stand the [kinds of the references](../coverage.md) of its ids. The [gallery](../gallery.md) shows control tasks.
 """.strip()
 COLUMNS = 3
 """Pictures beside each other in the list."""
