@@ -37,8 +37,9 @@ PICTURES = ROOT / "docs" / "images" / "environments"
 CAPTIONS = PICTURES / "captions.json"
 
 INTRODUCTION = """
-After this page you can choose an experiment. Each family has a page with its spaces, reward, reference, engines, constants and known limits. Below a
-picture stand the [kinds of the references](../coverage.md) of its ids. The [gallery](../gallery.md) shows control tasks.
+After this page you can choose an experiment. Each family has a page with its spaces, reward, reference, engines,
+constants and known limits. Below a picture stand the [kinds of the references](../coverage.md) of its ids. The
+[gallery](../gallery.md) shows control tasks.
 """.strip()
 COLUMNS = 3
 """Pictures beside each other in the list."""

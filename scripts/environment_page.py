@@ -23,15 +23,25 @@ from gauge_envs.pages.text import (
 )
 from gauge_envs.references.kind import Kind
 from gauge_envs.tools.catalog.description import description
-from gauge_envs.tools.catalog.report import planted_errors_text, reasons_text, step_text
+from gauge_envs.tools.catalog.report import (
+    PLANTED_ERRORS,
+    planted_error_scores,
+    reasons_text,
+    step_text,
+)
 from gauge_envs.tools.catalog.spaces import shape_text
 from scripts.generated import ROOT
 
 Values = Mapping[str, Any]
 """Dictionary of `description`."""
 
-REWARDED_FRAMES = re.compile(r", at frames \d+ to \d+ of \d+(; else 0)?")
+TITLES = ("unchanged", *PLANTED_ERRORS.values())
+"""Columns of the table of planted errors."""
+
+REWARDED_FRAMES = re.compile(r",? at (\d+ of the )?frames \d+ to \d+ of \d+(; else 0)?")
 """Frames in the text of a reward; the table of ids has their number."""
+MOTION_SIZE = re.compile(r"/ [\d.]+ mm, the size of the motion")
+"""Size of the motion in the text of a reward, which differs between materials."""
 
 
 def family_document(family: str, *, picture: str, caption: str) -> Document:
@@ -62,7 +72,8 @@ def family_document(family: str, *, picture: str, caption: str) -> Document:
             Heading("Spaces and reward"),
             Bullets([*_spaces(names, members), *_rewards(names, members)]),
             Heading("Reference"),
-            Bullets([*_sources(names, members), *_planted_errors(names, members)]),
+            Bullets(_sources(names, members)),
+            *_planted_errors(names, members),
             *_events(names, members),
             Heading("Engines"),
             *_engines(names, members),
@@ -197,7 +208,7 @@ def _rewards(names: _Names, members: Sequence[Values]) -> list[str]:
         text = REWARDED_FRAMES.sub(
             " at the compared frames", values["reference"]["reward"]
         )
-        return f"Reward: {text}."
+        return f"Reward: {MOTION_SIZE.sub('/ the size of the motion', text)}."
 
     return names.sentences(members, reward)
 
@@ -209,12 +220,19 @@ def _sources(names: _Names, members: Sequence[Values]) -> list[str]:
     return names.sentences(members, source)
 
 
-def _planted_errors(names: _Names, members: Sequence[Values]) -> list[str]:
-    def planted_errors(values: Values) -> str:
-        text = planted_errors_text(values["reference"])
-        return f"Scores of planted errors, {text}." if text else ""
-
-    return names.sentences(members, planted_errors)
+def _planted_errors(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
+    """Yield a table of the scores of planted errors, in which ids share rows."""
+    ids: dict[tuple[str, ...], list[str]] = {}
+    for values in members:
+        for metric, scores in planted_error_scores(values["reference"]):
+            row = (metric, *(scores.get(title, "-") for title in TITLES))
+            ids.setdefault(row, []).append(short_id(values["id"]))
+    if ids:
+        yield Paragraph(
+            "Scores of planted errors in MuJoCo. An empty cell is undetectable; a dash does not apply."
+        )
+        rows = [(names.short(same), *row) for row, same in ids.items()]
+        yield grid(("id", "metric", *TITLES), rows)
 
 
 def _events(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
@@ -235,31 +253,37 @@ def _events(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
 def _engines(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
     """Yield the presets and steps of the engines, and what each does not support."""
     running: dict[tuple[str, str, str], list[str]] = {}
-    unsupported = []
+    unsupported: dict[tuple[str, str], list[str]] = {}
     for engine in filter(is_bundled, backend_names()):
         title = f"[{backend_class(engine).title}](../engines/{engine}.md)"
-
-        def preset_and_step(
-            values: Values, engine: str = engine
-        ) -> tuple[str, str] | None:
-            row = _engine_row(values, engine)
-            if row["missing"]:
-                return None
-            return row["preset"], step_text(row["timestep_s"])
+        facts = [_engine_row(values, engine) for values in members]
+        runs = [
+            (short_id(values["id"]), row)
+            for values, row in zip(members, facts, strict=True)
+            if not row["missing"]
+        ]
+        if runs:
+            label = names.short(name for name, _ in runs)
+            presets = ", ".join(dict.fromkeys(row["preset"] for _, row in runs))
+            steps_s = sorted({row["timestep_s"] for _, row in runs})
+            ends = dict.fromkeys((steps_s[0], steps_s[-1]))
+            steps = " to ".join(map(step_text, ends))
+            running.setdefault((label, presets, steps), []).append(title)
 
         def reasons(values: Values, engine: str = engine) -> str:
             return reasons_text(_engine_row(values, engine)["missing"])
 
-        for label, (preset, step) in names.grouped(members, preset_and_step):
-            running.setdefault((label, preset, step), []).append(title)
-        unsupported += [
-            f"{title} does not support {'it' if label == 'all ids' else f'`{label}`'}: {text}."
-            for label, text in names.grouped(members, reasons)
-        ]
+        for key in names.grouped(members, reasons):
+            unsupported.setdefault(key, []).append(title)
     rows = [(Markdown(", ".join(titles)), *row) for row, titles in running.items()]
     yield grid(("engine", "ids", "preset", "step [s]"), rows)
     if unsupported:
-        yield Bullets(unsupported)
+        yield Bullets(
+            [
+                f"Not supported by {', '.join(titles)}, {label}: {reason}."
+                for (label, reason), titles in unsupported.items()
+            ]
+        )
 
 
 def _engine_row(values: Values, engine: str) -> Values:
@@ -281,8 +305,9 @@ def _constants(names: _Names, members: Sequence[Values]) -> Part:
         cells = [tables.get(body, {}).get(key) for _, tables in groups]
         sources = dict.fromkeys(cell["source"] for cell in cells if cell)
         numbers = [value_text(cell["value"]) if cell else "-" for cell in cells]
-        rows.append((body, Markdown(f"`{key}`"), *numbers, "; ".join(sources)))
-    return grid(("body", "constant", *(label for label, _ in groups), "source"), rows)
+        name = Markdown(f"{body} `{key}`")
+        rows.append((name, *numbers, "; ".join(sources)))
+    return grid(("constant", *(label for label, _ in groups), "source"), rows)
 
 
 def note_of(study: str) -> str:

@@ -164,31 +164,39 @@ def events_text(events: Sequence[Mapping[str, Any]]) -> str:
 
 
 def planted_errors_text(reference: Mapping[str, Any]) -> str:
-    """Return the scores of planted errors, rows of `scoring/sees.csv`, in a line; empty without any.
+    """Return the scores of planted errors, rows of `scoring/sees.csv`, in a line; empty without any."""
+    texts = []
+    for metric, scores in planted_error_scores(reference):
+        detected = [f"{title} {score}" for title, score in scores.items() if score]
+        text = f"{metric}: {', '.join(detected)}"
+        undetectable = [title for title, score in scores.items() if not score]
+        if undetectable:
+            text += f"; undetectable: {', '.join(undetectable)}"
+        texts.append(text)
+    return ". ".join(texts)
+
+
+def planted_error_scores(
+    reference: Mapping[str, Any],
+) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield each metric with its unit, and the score of each planted error by name; empty if undetectable.
 
     An error is undetectable if it changes the score by less than a tenth of u, or not in its three digits.
     """
-    texts = []
     for row in reference["sees"]:
         has_uncertainty = row["unit"] == reference["unit"]
         uncertainty = reference["standard_uncertainty"] if has_uncertainty else 0.0
         unchanged = row["nominal"]
-        unit = "" if row["unit"] == "1" else f" [{row['unit']}]"
-        text = f"{event_title(row['metric'])}{unit}: unchanged {digits_text(unchanged)}"
-        undetectable = []
+        scores = {"unchanged": digits_text(unchanged)}
         for key, title in PLANTED_ERRORS.items():
             score = row[key]
             if score is None:
                 continue
             is_small = abs(score - unchanged) < UNDETECTABLE_SHARE * uncertainty
-            if is_small or digits_text(score) == digits_text(unchanged):
-                undetectable.append(title)
-            else:
-                text += f", {title} {digits_text(score)}"
-        if undetectable:
-            text += f"; undetectable: {', '.join(undetectable)}"
-        texts.append(text)
-    return ". ".join(texts)
+            is_equal = digits_text(score) == digits_text(unchanged)
+            scores[title] = "" if is_small or is_equal else digits_text(score)
+        unit = "" if row["unit"] == "1" else f" [{row['unit']}]"
+        yield f"{event_title(row['metric'])}{unit}", scores
 
 
 def _engines_text(engines: Sequence[Mapping[str, Any]]) -> str:
