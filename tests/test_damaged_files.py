@@ -24,7 +24,6 @@ from gauge_envs.tools.sanity import configuration
 from gauge_envs.tools.sanity.comparison import read_baseline
 from gauge_envs.tools.sweep.spec import load_sweep_file
 from gauge_envs.tools.usd.reader import from_usd
-from gauge_envs.tools.versions.subject import check_states
 from gauge_envs.tools.video.track import read_track
 
 ID = "SlopeSlider-2-wood"
@@ -84,7 +83,6 @@ READERS = {
     "CrateSlide-pine.band.npz": ((OWN / "CrateSlide-pine.band.npz").read_bytes, band),
     "settings.toml": (content_of("examples", "sanity", "good.toml"), configuration),
     "settings.yaml": (lambda: b"sim:\n  dt: 0.01\n  physx: {a: 1}\n", configuration),
-    "states.npz": (lambda: arrays(qpos=np.zeros((20, 7))), check_states),
     "track.csv": (
         lambda: b"frame,x,y\n" + b"".join(b"%d,2,3\n" % n for n in range(40)),
         lambda file: read_track(file, fps=30.0),

@@ -32,7 +32,7 @@ def backend_versions(
             show_default=False,
             help="Two versions, as mujoco==3.3.0, or a range, as mujoco==3.1.0..4.0.0; mujoco is what is installed "
             "here. Settings may follow, as mujoco==4.0.0:jacobian=dense, or stand alone, as iterations=4. On an id, "
-            "engines as newton:preset=training or rapier==0.36.0, and result files (.json).",
+            "engines as newton:preset=training or rapier==0.36.0.",
         ),
     ] = None,
     python: Annotated[
@@ -99,18 +99,19 @@ def backend_versions(
     from gauge_envs.tools.versions.comparison import compare, find_change
     from gauge_envs.tools.versions.environments import remove_environment
     from gauge_envs.tools.versions.episodes import compare_motions, compare_returns
-    from gauge_envs.tools.versions.schema import Verdict
-    from gauge_envs.tools.versions.sides import (
+    from gauge_envs.tools.versions.schema import Side, Verdict
+    from gauge_envs.tools.versions.subject import (
+        bench,
         compares_motions,
-        interpreter_side,
         read_sides,
         releases_between,
     )
-    from gauge_envs.tools.versions.subject import bench
 
     files = arguments.by_suffix(out, ".md", ".json")
-    named = [side for text in versions or () for side in read_sides(text)]
-    sides = [*named, *map(interpreter_side, python or ())]
+    sides = [side for text in versions or () for side in read_sides(text)]
+    # The interpreter of a virtual environment is a link, which must not be resolved.
+    for path in python or ():
+        sides.append(Side(title=str(path), python=str(path.absolute()), settings={}))
     if len(sides) != 2:
         raise ParameterError(
             f"two versions are compared, {len(sides)} are given: write as in gauge backend versions {subject} "
@@ -125,11 +126,7 @@ def backend_versions(
         with Progress("comparing", None):
             if policy is not None:
                 returns = compare_returns(
-                    subject,
-                    *sides,
-                    policy=policy,
-                    seeds=repeats,
-                    seed=seed,
+                    subject, *sides, policy=policy, seeds=repeats, seed=seed
                 )
                 verdict, document = returns.verdict, report.returns_document(returns)
             elif compares_motions(subject, sides):
@@ -144,10 +141,9 @@ def backend_versions(
                         used += releases
                         sides, tried = find_change(model, releases)
                     comparison = compare(model, *sides)
+                comparison = replace(comparison, tried=tuple(tried))
                 verdict = comparison.verdict
-                document = report.comparison_document(
-                    replace(comparison, tried=tuple(tried))
-                )
+                document = report.comparison_document(comparison)
     finally:
         for side in () if keep else used:
             if side.requirement:

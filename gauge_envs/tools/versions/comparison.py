@@ -1,34 +1,79 @@
-"""Compare two versions of MuJoCo on one model, and find the release of a range with which a difference came."""
+"""Compare two versions of MuJoCo on one model: what one step from the same states changes, and which side is right."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
 from typing import Any
 
+import mujoco
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from gauge_envs.cli.output import message
-from gauge_envs.tools.versions.differences import Gap, parting
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.versions.environments import (
     Arrays,
     Bench,
     Output,
     VersionsError,
 )
-from gauge_envs.tools.versions.laws import rulings
 from gauge_envs.tools.versions.schema import (
     Comparison,
     FieldChange,
+    Parting,
+    Quantity,
     Release,
+    Ruling,
     Side,
     Verdict,
 )
 
-BITS = ("qacc", "step_acc", "touching")
-"""Results whose bits are compared."""
+MIN_LIMIT = 1e-6
+"""Smallest difference of accelerations that counts, over the larger one. With constraints the limit is at least the
+square root of the solver's tolerance, 1e-4 by default."""
+
+NOISE_FACTOR = 10.0
+"""Differences below this multiple of the noise of a state do not count."""
+
+ROUNDING = 1e-7
+"""Relative difference of accelerations that is rounding."""
+
+DEPTH_TOLERANCE_M = 1e-7
+"""Difference of depths that counts [m]; convex solvers stop at 1e-6."""
 
 FIELD_TOLERANCE = 1e-9
 """Relative difference of a compiled number that counts."""
+
+SOLVER_LAW = "the solver reaches the solution of the engine's own equations (dense Newton, 1000 iterations)"
+SOLVER_LIMIT = 1e-3
+"""Distance from that solution that counts, over the acceleration."""
+
+DEPTH_LAW = "boxes are as deep in each other as their geometry says"
+DEPTH_LIMIT = 0.1
+"""Miss of a depth that counts, over the depth: of nearly equal depths an engine may take the second."""
+
+MIN_DEPTH_M = 1e-5
+"""Depth from which it is judged [m]; less is the tolerance of convex solvers."""
+
+LAW_RATIO = 10.0
+"""A side is right if the other side misses the law by more than this multiple."""
+
+MAX_SOLVED = 24
+"""States in which both sides also solve their equations exactly."""
+
+BOX = float(mujoco.mjtGeom.mjGEOM_BOX)
+
+EXACT = {
+    "jacobian": "dense",
+    "solver": "newton",
+    "iterations": 1000,
+    "tolerance": 1e-14,
+    "ls_iterations": 200,
+    "ls_tolerance": 1e-6,
+}
+"""Settings with which a side solves its equations exactly."""
 
 
 def compare(bench: Bench, before: Side, after: Side) -> Comparison:
@@ -39,18 +84,20 @@ def compare(bench: Bench, before: Side, after: Side) -> Comparison:
     """
     sides = (before, after)
     runs, states = _runs(bench, sides)
-    gap = Gap(*_probes(bench, sides, states))
+    gap = Gap(*bench.work("probe", sides, states))
     first, second = (run.description for run in runs)
     verdict = Verdict.SAME
     if np.any(gap.differs):
         verdict = Verdict.DIFFERENT
-    elif all(np.array_equal(*gap.pair(name)) for name in BITS):
+    elif gap.is_identical:
         verdict = Verdict.IDENTICAL
-    indices = [*np.flatnonzero(gap.differs)[:1], *gap.worst(1)]
-    partings = [parting(gap, index, states, first["names"]) for index in indices]
-    first_parting, worst_parting = partings or (None, None)
-    ruled = tuple(rulings(bench, sides, gap, states, first["fields"]))
-    rights = {ruling.right for ruling in ruled if ruling.right}
+    partings: list[Parting | None] = [None, None]
+    rulings: list[Ruling] = []
+    if len(gap.worst):
+        indices = (int(np.argmax(gap.differs)), gap.worst[0])
+        partings = [_parting(gap, index, states, first["names"]) for index in indices]
+        rulings = list(_rulings(bench, sides, gap, states, first["fields"]))
+    rights = {ruling.right for ruling in rulings if ruling.right}
     return Comparison(
         subject=bench.title,
         before=before.title,
@@ -61,50 +108,14 @@ def compare(bench: Bench, before: Side, after: Side) -> Comparison:
         differing=int(np.sum(gap.differs)),
         largest=float(np.max(gap.relative)),
         noise=float(np.median(gap.noise)),
-        first=first_parting,
-        worst=worst_parting,
+        first=partings[0],
+        worst=partings[1],
         fields=tuple(field_changes(first["fields"], second["fields"], first["names"])),
         new_fields=tuple(sorted({*first["fields"]} ^ {*second["fields"]})),
         dropped=(first["dropped"], second["dropped"]),
-        rulings=ruled,
+        rulings=tuple(rulings),
         right=rights.pop() if len(rights) == 1 else "",
     )
-
-
-def field_changes(
-    before: Mapping[str, Any], after: Mapping[str, Any], names: Mapping[str, list[str]]
-) -> Iterator[FieldChange]:
-    """Yield the compiled fields of two sides that differ: the row that differs most, and how many differ.
-
-    Args:
-        before: Fields of the first side.
-        after: Fields of the second side.
-        names: Names of objects by the prefix of their fields.
-    """
-    for name, value in before.items():
-        other = after.get(name, value)
-        first, second = np.array(value), np.array(other)
-        if name.startswith("opt.") or first.shape != second.shape:
-            if value != other:
-                yield FieldChange(
-                    field=name, where="", count=1, before=value, after=other
-                )
-            continue
-        is_close = np.isclose(
-            first, second, rtol=FIELD_TOLERANCE, atol=1e-12, equal_nan=True
-        )
-        size = np.where(is_close, 0.0, np.abs(first - second))
-        if np.any(size):
-            sizes = size.reshape(len(size), -1).max(axis=1)
-            row = int(np.argmax(sizes))
-            owners = names.get(name.partition("_")[0], [])
-            yield FieldChange(
-                field=name,
-                where=owners[row] if len(owners) == len(sizes) else f"row {row}",
-                count=int(np.count_nonzero(sizes)),
-                before=value[row],
-                after=other[row],
-            )
 
 
 def find_change(
@@ -125,24 +136,21 @@ def find_change(
     low, high = 0, len(releases) - 1
     ends = (releases[low], releases[high])
     _, states = _runs(bench, ends)
-    first, last = _probes(bench, ends, states)
+    first, last = bench.work("probe", ends, states)
 
-    def attempt(side: Side, probe: Arrays) -> Release:
+    def attempt(side: Side, probe: Output) -> Release:
         """Return how far a release is from both ends."""
         from_first, from_last = Gap(first, probe).distance, Gap(probe, last).distance
+        like = "first" if from_first <= from_last else "last"
         return Release(
-            release=side.title,
-            from_first=from_first,
-            from_last=from_last,
-            like="first" if from_first <= from_last else "last",
+            release=side.title, from_first=from_first, from_last=from_last, like=like
         )
 
     tried = {low: attempt(ends[0], first), high: attempt(ends[1], last)}
     while tried[high].from_first and high - low > 1:
         middle = (low + high) // 2
         side = releases[middle]
-        (probe,) = _probes(bench, [side], states)
-        tried[middle] = attempt(side, probe)
+        tried[middle] = attempt(side, *bench.work("probe", [side], states))
         message(f"{side.title} is like the {tried[middle].like} release")
         if tried[middle].like == "first":
             low = middle
@@ -166,6 +174,258 @@ def _runs(bench: Bench, sides: Sequence[Side]) -> tuple[list[Output], Arrays]:
     return runs, states
 
 
-def _probes(bench: Bench, sides: Sequence[Side], states: Arrays) -> list[Arrays]:
-    """Compute one step from each state, on each side."""
-    return [output.arrays for output in bench.work("probe", sides, states)]
+# --- compiled fields -------------------------------------------------------------------------------------------------
+
+
+def field_changes(
+    before: Mapping[str, Any], after: Mapping[str, Any], names: Mapping[str, list[str]]
+) -> Iterator[FieldChange]:
+    """Yield the compiled fields of two sides that differ: the row that differs most, and how many differ.
+
+    Args:
+        before: Fields of the first side.
+        after: Fields of the second side.
+        names: Names of objects by the prefix of their fields.
+    """
+    for name, value in before.items():
+        other = after.get(name, value)
+        first, second = np.array(value), np.array(other)
+        change = FieldChange(field=name, where="", count=1, before=value, after=other)
+        if name.startswith("opt.") or first.shape != second.shape:
+            if value != other:
+                yield change
+            continue
+        sizes = np.abs(first - second)
+        sizes[np.isclose(first, second, rtol=FIELD_TOLERANCE, atol=1e-12)] = 0.0
+        if np.any(sizes):
+            sizes = sizes.reshape(len(sizes), -1).max(axis=1)
+            row = int(np.argmax(sizes))
+            owners = names.get(name.partition("_")[0], [])
+            yield replace(
+                change,
+                where=owners[row] if len(owners) == len(sizes) else f"row {row}",
+                count=int(np.count_nonzero(sizes)),
+                before=value[row],
+                after=other[row],
+            )
+
+
+# --- one step from the same state ------------------------------------------------------------------------------------
+
+
+class Gap:
+    """Differences of what two sides compute from the same states.
+
+    Args:
+        before, after: What each side computed.
+
+    Attributes:
+        outputs: What each side computed.
+        sides: Arrays of each side.
+        touching: Sorted distances of contacts [m] by pair of geoms, for each state and side.
+        relative: Difference of the accelerations over the larger one, shape [states].
+        noise: What a velocity 1e-10 apart and a solver without its warm start change, on the quieter side,
+            shape [states].
+        limit: Difference that counts, shape [states].
+        differs: Where the difference counts, shape [states].
+        worst: Indices of the states where it counts, the largest difference first.
+    """
+
+    def __init__(self, before: Output, after: Output) -> None:
+        self.outputs = (before, after)
+        self.sides = (before.arrays, after.arrays)
+        self.touching = [each.description["touching"] for each in self.outputs]
+        # At rest the acceleration is 0; the acceleration without constraints, gravity, remains.
+        accelerations = [
+            *self.pair("qacc"),
+            *self.pair("smooth"),
+            *self.pair("step_acc"),
+        ]
+        scale = np.fmax.reduce(np.linalg.norm(accelerations, axis=2), initial=1e-9)
+        differences = [np.subtract(*self.pair(name)) for name in ("qacc", "step_acc")]
+        distances = np.linalg.norm(differences, axis=2) / scale
+        # Where one side is not a number, the distance is at its maximum.
+        self.relative = np.nan_to_num(distances, nan=2.0).max(axis=0)
+        self.noise = np.fmin(*self.pair("noise")) / scale
+        limits = [NOISE_FACTOR * self.noise, *self.pair("solver_error")]
+        self.limit = np.fmax(np.max(limits, axis=0), MIN_LIMIT)
+        self.differs = self.relative > self.limit
+        order = np.argsort(-self.relative, kind="stable")
+        self.worst = order[self.differs[order]].tolist()
+
+    def pair(self, name: str) -> tuple[FloatArray, FloatArray]:
+        """Return an array of both sides."""
+        before, after = self.sides
+        return before[name], after[name]
+
+    @property
+    def is_identical(self) -> bool:
+        """Whether both sides computed the same bits."""
+        before, after = self.touching
+        names = ("qacc", "step_acc")
+        return before == after and all(
+            np.array_equal(*self.pair(name)) for name in names
+        )
+
+    @property
+    def distance(self) -> float:
+        """Root mean square of the differences that count."""
+        counted = np.where(self.differs, np.minimum(self.relative, 2.0), 0.0)
+        return float(np.sqrt(np.mean(counted**2)))
+
+    def is_close(self, name: str, index: int) -> bool:
+        """Return whether both sides computed the same in a state, up to rounding."""
+        first, second = (values[index] for values in self.pair(name))
+        size = max(np.linalg.norm(first), np.linalg.norm(second))
+        return bool(np.linalg.norm(first - second) <= ROUNDING * size)
+
+
+def _parting(
+    gap: Gap, index: int, states: Arrays, names: Mapping[str, list[str]]
+) -> Parting:
+    """Return how two sides differ in a state.
+
+    Args:
+        gap: The differences.
+        index: The state.
+        states: Segment and step of each state, and the side that visits it, `of`.
+        names: Names of geoms and degrees of freedom.
+    """
+    quantity, detail = _cause(gap, index, names["geom"])
+    kind = "step_acc" if gap.is_close("qacc", index) else "qacc"
+    difference = np.abs(np.subtract(*gap.pair(kind))[index])
+    dof = int(np.argmax(np.nan_to_num(difference, nan=np.inf)))
+    place = {name: states[name][index].item() for name in ("segment", "step", "of")}
+    for when, side in zip(("before", "after"), gap.sides, strict=True):
+        place[f"acceleration_{when}"] = float(side[kind][index, dof])
+        for name in ("contacts", "iterations", "warnings"):
+            place[f"{name}_{when}"] = int(side[name][index])
+    return Parting(
+        quantity=quantity,
+        detail=detail,
+        where=names["dof"][dof],
+        acceleration=float(gap.relative[index]),
+        limit=float(gap.limit[index]),
+        **place,
+    )
+
+
+def _cause(gap: Gap, index: int, geoms: list[str]) -> tuple[Quantity, str]:
+    """Return what differs first in the order of computation, and both values in words."""
+    before, after = (touching[index] for touching in gap.touching)
+    for pair in sorted({*before, *after}, key=_geoms):
+        first, second = before.get(pair, []), after.get(pair, [])
+        title = " and ".join(geoms[geom] for geom in _geoms(pair))
+        if len(first) != len(second):
+            text = f"{title}: {len(first)} and {len(second)} contacts"
+            return Quantity.CONTACTS, text
+        changes_m = np.abs(np.subtract(first, second))
+        contact = int(np.argmax(changes_m))
+        if changes_m[contact] > DEPTH_TOLERANCE_M:
+            depths_mm = (-1e3 * first[contact], -1e3 * second[contact])
+            return Quantity.DEPTH, "{}: {:.6g} and {:.6g} mm".format(title, *depths_mm)
+    if not gap.is_close("smooth", index):
+        return Quantity.SMOOTH, "the accelerations without contacts and limits differ"
+    if not gap.is_close("qacc", index):
+        first, second = gap.pair("iterations")
+        counts = f"{first[index]} and {second[index]}"
+        text = f"equal contacts and other forces; the solver took {counts} iterations"
+        return Quantity.CONSTRAINT, text
+    return Quantity.STEP, "equal accelerations; the velocities after the step differ"
+
+
+def _geoms(pair: str) -> tuple[int, ...]:
+    """Return the indices of the geoms of a pair."""
+    return tuple(map(int, pair.split()))
+
+
+# --- laws ------------------------------------------------------------------------------------------------------------
+
+
+def _rulings(
+    bench: Bench,
+    sides: Sequence[Side],
+    gap: Gap,
+    states: Arrays,
+    fields: Mapping[str, Any],
+) -> Iterator[Ruling]:
+    """Yield each law that applies, and by how much each side misses it in the states that differ most.
+
+    Args:
+        bench: The bench.
+        sides: Both sides.
+        gap: What both sides compute.
+        states: The states.
+        fields: Compiled fields of the first side.
+    """
+    worst = gap.worst[:MAX_SOLVED]
+    solved = {name: states[name][worst] for name in states}
+    exact = [replace(side, settings={**side.settings, **EXACT}) for side in sides]
+    outputs = bench.work("probe", exact, solved)
+    misses = []
+    for output, solution in zip(gap.outputs, outputs, strict=True):
+        arrays = {name: output.arrays[name][worst] for name in output.arrays}
+        misses.append(Gap(Output(output.description, arrays), solution).relative)
+    yield _ruling(SOLVER_LAW, np.array(misses), SOLVER_LIMIT, sides)
+    depths = list(_depth_misses(gap, worst, fields))
+    if depths:
+        yield _ruling(DEPTH_LAW, np.transpose(depths), DEPTH_LIMIT, sides)
+
+
+def _ruling(
+    law: str, misses: FloatArray, limit: float, sides: Sequence[Side]
+) -> Ruling:
+    """Return which side keeps a law, from misses of shape [2, states]."""
+    before, after = misses.max(axis=1).tolist()
+    right = ""
+    if max(before, after) > max(limit, LAW_RATIO * min(before, after)):
+        right = sides[int(before > after)].title
+    count = misses.shape[1]
+    return Ruling(law=law, before=before, after=after, states=count, right=right)
+
+
+def _depth_misses(
+    gap: Gap, states: Sequence[int], fields: Mapping[str, Any]
+) -> Iterator[FloatArray]:
+    """Yield by how much each side misses the depth of a pair of boxes, over it."""
+    positions_m, rotations = (gap.sides[0][f"geom_x{name}"] for name in ("pos", "mat"))
+    for index in states:
+        contacts = [touching[index] for touching in gap.touching]
+        for pair in sorted({*contacts[0], *contacts[1]}):
+            geoms = _geoms(pair)
+            if any(fields["geom_type"][geom] != BOX for geom in geoms):
+                continue
+            boxes = [
+                corners_m(
+                    fields["geom_size"][geom],
+                    positions_m[index, geom],
+                    rotations[index, geom].reshape(3, 3),
+                )
+                for geom in geoms
+            ]
+            true_m = depth_m(*boxes)
+            if true_m > MIN_DEPTH_M:
+                given_m = np.array([-min(each.get(pair, [0.0])) for each in contacts])
+                yield np.abs(given_m - true_m) / true_m
+
+
+def depth_m(first: FloatArray, second: FloatArray) -> float:
+    """Return how far two convex bodies must move apart to touch no more [m]; negative if they do not touch.
+
+    The Minkowski difference of two bodies that touch contains the origin. The depth is the distance of the origin from
+    its nearest face (Cameron 1997).
+
+    Args:
+        first: Corners of the first body [m], shape [n, 3].
+        second: Corners of the second body [m], shape [m, 3].
+    """
+    differences_m = (first[:, None] - second[None]).reshape(-1, 3)
+    return -float(np.max(ConvexHull(differences_m).equations[:, 3]))
+
+
+def corners_m(
+    half_sizes_m: FloatArray, center_m: FloatArray, rotation: FloatArray
+) -> FloatArray:
+    """Return the corners of a box [m], shape [8, 3]; the columns of the rotation are its axes."""
+    corners = half_sizes_m * np.array([*product((-1.0, 1.0), repeat=3)])
+    return center_m + corners @ rotation.T

@@ -1,4 +1,4 @@
-"""Python environments of releases in a cache, and the processes that run a model in them."""
+"""Python environments of releases in a cache, and the processes that run a side in them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ import subprocess
 import sys
 import sysconfig
 import venv
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -40,10 +39,14 @@ NUMPY_2_SINCE = (3, 2)
 # With -I, paths of the user's environment do not belong to the new one.
 PIP = ("-I", "-m", "pip", "--no-input", "--disable-pip-version-check", "--retries", "2")
 
-UNREACHED = "connection broken|Failed to fetch|network was disabled|Could not fetch URL"
-"""Messages of pip and uv on an index that does not answer."""
-
 WORKER = Path(__file__).with_name("worker.py")
+
+PROCESS_VARIABLES = {
+    "OMP_NUM_THREADS": "1",
+    "MUJOCO_GL": "disable",
+    # The folder of the worker has modules with common names.
+    "PYTHONSAFEPATH": "1",
+}
 
 Arrays: TypeAlias = Mapping[str, FloatArray]
 
@@ -71,7 +74,7 @@ def version_key(version: str) -> tuple[int, ...]:
 
 
 def make_environment(requirement: str) -> Path:
-    """Return the interpreter of the environment of a requirement, and install it if it is not in the cache.
+    """Return the folder of the environment of a requirement, and install it if it is not in the cache.
 
     A second command waits.
 
@@ -81,118 +84,107 @@ def make_environment(requirement: str) -> Path:
     Raises:
         VersionsError: There is no such version, no network, or no space.
     """
-    python = environment_folder(requirement) / PYTHON
-    with (
-        os_errors(
-            lambda cause: VersionsError(
-                f"{requirement}: {cause}; set GAUGE_CACHE_DIR to a folder with space"
-            )
-        ),
-        _locked_folder(requirement) as folder,
-    ):
-        if not python.exists():
-            _install(requirement, folder)
-    return python
+    folder = environment_folder(requirement)
+    advice = "set GAUGE_CACHE_DIR to a folder with space"
+    with os_errors(lambda cause: VersionsError(f"{requirement}: {cause}; {advice}")):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with locked(folder.parent):
+            if not (folder / PYTHON).exists():
+                _install(requirement, folder)
+    return folder
 
 
 def remove_environment(requirement: str) -> None:
     """Remove the environment of a requirement from the cache."""
-    with _locked_folder(requirement) as folder:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-@contextmanager
-def _locked_folder(requirement: str) -> Iterator[Path]:
-    """Hold the lock of an environment, and yield its folder."""
-    folder = environment_folder(requirement)
-    lock = folder.parent / ".locks" / folder.name
-    lock.mkdir(parents=True, exist_ok=True)
-    with locked(lock):
-        yield folder
+    shutil.rmtree(environment_folder(requirement), ignore_errors=True)
 
 
 def _install(requirement: str, folder: Path) -> None:
-    """Install a requirement next to a folder, and move it there; the caller has the lock."""
-    packages = [requirement]
+    """Install a requirement next to a folder, and move it there."""
     package, _, version = requirement.partition("==")
-    if package == "mujoco" and version_key(version) < NUMPY_2_SINCE:
-        packages.append("numpy<2")
+    packages = [requirement]
+    if package == "mujoco":
+        is_old = version_key(version) < NUMPY_2_SINCE
+        # Other packages of the user may need the NumPy that is installed here.
+        packages.append("numpy<2" if is_old else f"numpy=={np.__version__}")
     message(f"{' and '.join(packages)}: installed into {folder}")
-    part = folder.with_name(f".{folder.name}")
-    # What a killed command left, and an environment whose Python is gone.
-    for leftover in (folder, part):
-        shutil.rmtree(leftover, ignore_errors=True)
-    try:
+    # The Python of an old environment may be gone.
+    shutil.rmtree(folder, ignore_errors=True)
+    with TemporaryDirectory(dir=folder.parent) as parent:
+        part = Path(parent) / "environment"
         install: list[str | Path] = [part / PYTHON, *PIP, "install"]
         if uv := shutil.which("uv"):
             # The seed has pip, which lists the releases of a range.
-            _run([uv, "venv", "--seed", "--python", sys.executable, part], requirement)
+            run([uv, "venv", "--seed", "--python", sys.executable, part], requirement)
             install = [uv, "pip", "install", "--python", part / PYTHON]
         else:
             venv.create(part, with_pip=True)
-        _run([*install, "--only-binary", ":all:", *packages], requirement)
+        install += ["--only-binary", ":all:", *packages]
+        run(install, f"{requirement} cannot be installed; --python FILE names one")
         part.rename(folder)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
 
 
-def released_versions(package: str, python: Path) -> list[str]:
-    """Return the versions of a package in the index of the pip of an interpreter, the oldest first.
+def released_versions(requirement: str) -> list[str]:
+    """Return the versions of the package of a requirement in the package index, the oldest first.
 
     Raises:
         VersionsError: The index does not answer.
     """
-    text = _run([python, *PIP, "index", "versions", package], package)
+    python = make_environment(requirement) / PYTHON
+    package = requirement.partition("==")[0]
+    text = run([python, *PIP, "index", "versions", package], package)
     versions = text.partition("Available versions: ")[2].splitlines()[0]
     return sorted(versions.split(", "), key=version_key)
-
-
-def _run(command: Sequence[str | Path], requirement: str) -> str:
-    """Return what pip or uv prints; a failure raises its cause."""
-    done = subprocess.run(command, capture_output=True, text=True)
-    text = done.stdout + done.stderr
-    if re.search(UNREACHED, text):
-        raise VersionsError(
-            f"{requirement}: the package index does not answer; --python FILE names an interpreter that has MuJoCo"
-        )
-    if done.returncode:
-        cause = text.strip().splitlines()[-1]
-        if offered := re.search(r"\(from versions: (\S.*)\)", text):
-            newest = ", ".join(offered[1].split(", ")[-5:])
-            cause += f"; the newest versions are {newest}"
-        raise VersionsError(f"{requirement}: {cause}")
-    return text
 
 
 # --- processes -------------------------------------------------------------------------------------------------------
 
 
-def run_process(
-    command: Sequence[str | Path], title: str, variables: Mapping[str, str]
-) -> None:
-    """Run a command, and wait for it.
+def run(
+    command: Sequence[str | Path], problem: str, variables: Mapping[str, str] = {}
+) -> str:
+    """Return what a command prints.
 
     Args:
-        command: Interpreter and arguments.
-        title: What fails, for messages.
+        command: The command.
+        problem: What its failure means.
         variables: Variables that are added to the environment.
 
     Raises:
-        VersionsError: It failed; the message has the last line of its error.
+        VersionsError: It failed; the message has the last error that it prints.
     """
-    fixed = {"OMP_NUM_THREADS": "1", "MUJOCO_GL": "disable"}
-    variables = {**os.environ, **fixed, **variables}
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, env=variables)
-    except OSError as error:
-        raise VersionsError(f"{title}: it cannot be started: {error}") from error
+    env = {**os.environ, **variables}
+    with os_errors(lambda cause: VersionsError(f"{problem}: {command[0]}: {cause}")):
+        done = subprocess.run(command, capture_output=True, text=True, env=env)
     # A traceback ends with the exception, whose message may have several lines.
     cause = re.split(r"^(?=\w[\w.]*: )", done.stderr, flags=re.M)[-1]
     if done.returncode < 0:
-        signal_name = signal.Signals(-done.returncode).name
-        cause = f"this release crashes on it ({signal_name})"
+        cause = f"it crashes ({signal.Signals(-done.returncode).name})"
     if done.returncode:
-        raise VersionsError(f"{title}: {' '.join(cause.split())}")
+        raise VersionsError(f"{problem}: {' '.join(cause.split())}")
+    return done.stdout
+
+
+def run_python(side: Side, words: Sequence[str | Path], title: str) -> None:
+    """Run Python with the packages of a side before those of the user, and wait for it.
+
+    Args:
+        side: The side.
+        words: Arguments of Python.
+        title: What runs, for messages.
+
+    Raises:
+        VersionsError: It failed.
+    """
+    variables = dict(PROCESS_VARIABLES)
+    if side.requirement:
+        base = str(make_environment(side.requirement))
+        bases = {"base": base, "platbase": base}
+        packages = sysconfig.get_path("platlib", "venv", bases)
+        paths = filter(None, [packages, os.environ.get("PYTHONPATH")])
+        variables["PYTHONPATH"] = os.pathsep.join(paths)
+    command = [side.python or sys.executable, "-B", *words]
+    run(command, f"{side.title} cannot run {title}", variables)
 
 
 class Output(NamedTuple):
@@ -204,10 +196,10 @@ class Output(NamedTuple):
 
 @dataclass(kw_only=True)
 class Bench:
-    """A model that is compared.
+    """What is compared: a model or an environment.
 
     Attributes:
-        title: The model as the user named it.
+        title: Its name, as the user gave it.
         job: Entries of every job.
     """
 
@@ -227,32 +219,25 @@ class Bench:
         Raises:
             VersionsError: An environment cannot be made, or a version cannot run the model.
         """
-        for side in sides:
-            if side.requirement:
-                make_environment(side.requirement)
         with TemporaryDirectory(prefix="gauge-versions-") as folder:
-            files = [Path(folder) / f"{index}.job" for index in range(len(sides))]
-            job = {**self.job, "task": task, "states": f"{folder}/states.npz"}
-            if states is not None:
-                np.savez(job["states"], allow_pickle=False, **states)
-            for side, file in zip(sides, files, strict=True):
-                job |= {"settings": side.settings, "out": str(file.with_suffix(""))}
-                file.write_text(json.dumps(job))
+            shared = {**self.job, "task": task, "states": f"{folder}/states.npz"}
+            np.savez(shared["states"], allow_pickle=False, **(states or {}))
+            jobs = [
+                {**shared, "settings": side.settings, "out": f"{folder}/{index}.npz"}
+                for index, side in enumerate(sides)
+            ]
             with ThreadPoolExecutor(2) as pool:
-                list(pool.map(self.execute, sides, files))
+                list(pool.map(self.execute, sides, jobs))
             # NumPy parses the headers of arrays with `ast`, which is not safe in threads of Python 3.11.
-            return list(map(_output, files))
+            return [_output(job["out"]) for job in jobs]
 
-    def execute(self, side: Side, file: Path) -> None:
+    def execute(self, side: Side, job: Mapping[str, Any]) -> None:
         """Run the worker on a job in the environment of a side."""
-        python = side.python or make_environment(side.requirement)
-        # With -I, neither the user's paths nor modules next to the worker count.
-        command = [python, "-I", "-B", WORKER, file]
-        run_process(command, f"{side.title} cannot run {self.title}", {})
+        run_python(side, [WORKER, json.dumps(job)], self.title)
 
 
-def _output(file: Path) -> Output:
-    """Return what a worker wrote for the job of a file."""
-    description = json.loads(file.with_suffix(".json").read_text())
-    with np.load(file.with_suffix(".npz")) as arrays:
-        return Output(description, dict(arrays))
+def _output(file: str) -> Output:
+    """Return what a worker wrote into a file."""
+    with np.load(file) as stored:
+        arrays = dict(stored)
+    return Output(json.loads(str(arrays.pop("description"))), arrays)

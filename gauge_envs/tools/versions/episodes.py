@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
-import sysconfig
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,16 +19,9 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter
-from gauge_envs.tools.compare import coordinate_words
-from gauge_envs.tools.versions.differences import MIN_LIMIT, NOISE_FACTOR
-from gauge_envs.tools.versions.environments import (
-    NUMPY_2_SINCE,
-    WORKER,
-    Bench,
-    make_environment,
-    run_process,
-    version_key,
-)
+from gauge_envs.tools.compare import compare, coordinate_words
+from gauge_envs.tools.versions.comparison import MIN_LIMIT, NOISE_FACTOR
+from gauge_envs.tools.versions.environments import Bench, run_python
 from gauge_envs.tools.versions.schema import (
     Estimate,
     MotionComparison,
@@ -40,14 +29,14 @@ from gauge_envs.tools.versions.schema import (
     Side,
     Verdict,
 )
-from gauge_envs.tools.versions.sides import is_suite_id
+from gauge_envs.tools.versions.subject import is_suite_id
 
 if TYPE_CHECKING:
     from gauge_envs.runs.result import RecordedTrajectory, Result
     from gauge_envs.tools.compare import Comparison as ScoreComparison
 
-PERTURBATION_M = 1e-9
-"""Standard deviation of an initial position that nobody would call another one [m]."""
+JITTER = Jitter(position_m=1e-9, angle_rad=0.0)
+"""A change of the initial position that nobody would call another one."""
 
 
 # --- motions of an experiment ----------------------------------------------------------------------------------------
@@ -64,22 +53,20 @@ def compare_motions(
 
     Args:
         subject: Id of the experiment.
-        before: First side: an engine with settings, a release of an engine, or a result file.
+        before: First side: an engine with settings, or a release of an engine.
         after: Second side.
         seed: Seed of the runs.
 
     Raises:
-        ParameterError: A result file belongs to another experiment, or has no trajectory.
+        ParameterError: A side has no trajectory.
         VersionsError: A release cannot run the experiment.
     """
-    from gauge_envs.tools.compare import compare
-
     sides = (before, after)
     results, noises = [], []
     for side in sides:
-        result, noise = _motion(subject, side, seed)
-        results.append(result)
-        noises.append(noise)
+        plain = _run(subject, side, seed, None)
+        noises.append(_distances(plain, _run(subject, side, seed, JITTER)))
+        results.append(plain)
     distances = _distances(*results)
     count = min(map(len, (distances, *noises)))
     # Chaos that grew stays in what follows.
@@ -102,6 +89,11 @@ def compare_motions(
     )
     for index in parted[:1]:
         coordinate = int(np.argmax(distances[index]))
+        titles = [
+            side.title
+            for side, result in zip(sides, results, strict=True)
+            if _is_closest(result, scores)
+        ]
         comparison = replace(
             comparison,
             verdict=Verdict.DIFFERENT,
@@ -109,59 +101,28 @@ def compare_motions(
             coordinate=coordinate_words(trajectory.coordinates[coordinate]),
             difference=float(distances[index, coordinate]),
             noise=float(noise[index]),
-            right=_closer(scores, results, sides),
+            right="".join(titles),
         )
     return comparison, scores
 
 
-def _motion(subject: str, side: Side, seed: int) -> tuple[Result, FloatArray]:
-    """Return the motion of a side, and by how much each coordinate of a perturbed motion differs from it."""
-    request = RunRequest(
-        subject, backend=side.engine or "mujoco", settings=side.settings, seed=seed
-    )
-    stored = None
-    if side.file is not None:
-        stored = load_result(Path(side.file))
-        if stored.id != request.calibrated_experiment().id:
-            raise ParameterError(
-                f"{side.file} is a result of {stored.id}, not {subject}"
-            )
-        request = replace(
-            request,
-            backend=stored.backend or "mujoco",
-            settings=stored.settings_given,
-            parameters=stored.parameters,
-            seed=seed if stored.seed is None else stored.seed,
-        )
-    plain = _run(request, side)
-    jitter = Jitter(position_m=PERTURBATION_M, angle_rad=0.0)
-    perturbed = _run(replace(request, jitter=jitter), side)
-    return stored or plain, _distances(plain, perturbed)
-
-
-def _run(request: RunRequest, side: Side) -> Result:
+def _run(subject: str, side: Side, seed: int, jitter: Jitter | None) -> Result:
     """Run an experiment; with a release of an engine, by `gauge run` in a process that imports it."""
+    request = RunRequest(
+        subject, backend=side.engine, settings=side.settings, seed=seed, jitter=jitter
+    )
     if not side.requirement:
         return run_episodes(request)[0]
-    python = make_environment(side.requirement)
-    experiment_id = request.calibrated_experiment().id
     with TemporaryDirectory(prefix="gauge-versions-") as folder:
         code = "from gauge_envs.cli.app import main; main()"
-        command = [sys.executable, "-c", code, "run", experiment_id, "--out", folder]
-        command += ["--backend", side.engine, "--seed", str(request.seed)]
+        command = ["-c", code, "run", subject, "--out", folder]
+        command += ["--backend", side.engine, "--seed", str(seed)]
         command += [f"--set={name}={value}" for name, value in side.settings.items()]
-        if request.jitter is not None:
-            command.append(f"--jitter={1e3 * PERTURBATION_M}mm")
-        variables = {"PYTHONPATH": _packages_folder(python)}
-        run_process(command, f"{side.title} cannot run {experiment_id}", variables)
+        if jitter is not None:
+            command.append(f"--jitter={1e3 * jitter.position_m}mm")
+        run_python(side, command, subject)
         (file,) = Path(folder).rglob("*.json")
         return load_result(file)
-
-
-def _packages_folder(python: Path) -> str:
-    """Return the folder of the packages of a virtual environment."""
-    base = str(python.parents[1])
-    return sysconfig.get_path("platlib", "venv", {"base": base, "platbase": base})
 
 
 def _trajectory(result: Result) -> RecordedTrajectory:
@@ -179,47 +140,17 @@ def _distances(first: Result, second: Result) -> FloatArray:
     return np.nan_to_num(np.abs(motions[0][:count] - motions[1][:count]), nan=np.inf)
 
 
-def _closer(
-    scores: ScoreComparison, results: Sequence[Result], sides: Sequence[Side]
-) -> str:
-    """Return the title of the side that is closer to the reference, if the scores are resolved; empty without one."""
-    configurations = [RunConfiguration.of(result) for result in results]
-    experiments = [each for kind in scores.kinds for each in kind.experiments]
-    for experiment in experiments:
-        for index, rank in experiment.ranks.items():
-            if len(experiment.ranks) > 1 and rank.interval_95[1] == 1.0:
-                configuration = scores.configurations[index]
-                return sides[configurations.index(configuration)].title
-    return ""
+def _is_closest(result: Result, scores: ScoreComparison) -> bool:
+    """Return whether a result is closer to the reference than the other one, beyond the uncertainty of the scores."""
+    index = scores.configurations.index(RunConfiguration.of(result))
+    ranks = [each.ranks for kind in scores.kinds for each in kind.experiments]
+    return any(
+        len(rank) > 1 and index in rank and rank[index].interval_95[1] == 1.0
+        for rank in ranks
+    )
 
 
 # --- returns of a policy ---------------------------------------------------------------------------------------------
-
-
-class PolicyBench(Bench):
-    """A bench whose worker runs in the user's Python, where the environment and the policy are."""
-
-    def execute(self, side: Side, file: Path) -> None:
-        """Run the worker with MuJoCo of the release, and all else from where the user has it."""
-        variables = {}
-        if side.requirement:
-            links = file.with_suffix(".packages")
-            _link_release(side.requirement, links)
-            paths = os.environ.get("PYTHONPATH", "")
-            variables["PYTHONPATH"] = f"{links}{os.pathsep}{paths}"
-        command = [side.python or sys.executable, "-B", str(WORKER), str(file)]
-        run_process(command, f"{side.title} cannot run {self.title}", variables)
-
-
-def _link_release(requirement: str, folder: Path) -> None:
-    """Link MuJoCo of a release into a folder, and NumPy if the release needs an older one."""
-    folder.mkdir()
-    packages = Path(_packages_folder(make_environment(requirement)))
-    names = ["mujoco"]
-    if version_key(requirement.partition("==")[2]) < NUMPY_2_SINCE:
-        names += ["numpy", "numpy.libs"]
-    for name in names:
-        (folder / name).symlink_to(packages / name)
 
 
 def compare_returns(
@@ -245,8 +176,9 @@ def compare_returns(
         ParameterError: The policy is neither.
         VersionsError: A side cannot play the episodes.
     """
-    for side in (before, after):
-        if side.file or side.engine not in ("", "mujoco"):
+    sides = (before, after)
+    for side in sides:
+        if side.engine not in ("", "mujoco"):
             raise ParameterError(
                 f"{side.title}: --policy compares releases of MuJoCo and its options"
             )
@@ -254,12 +186,10 @@ def compare_returns(
         raise ParameterError(
             f"--policy {policy}: expected module:function that returns a policy, or an existing file .npy of actions"
         )
-    env_id = (
-        f"gauge_envs:{find_variant(subject).id}" if is_suite_id(subject) else subject
-    )
+    is_suite = is_suite_id(subject)
+    env_id = f"gauge_envs:{find_variant(subject).id}" if is_suite else subject
     job = {"subject": env_id, "policy": policy, "episodes": seeds, "seed": seed}
-    bench = PolicyBench(title=subject, job=job)
-    outputs = bench.work("play", (before, after))
+    outputs = Bench(title=subject, job=job).work("play", sides)
     first, second = (output.arrays["returns"] for output in outputs)
     change = _mean(second - first)
     success: tuple[Estimate | None, Estimate | None] = (None, None)
@@ -298,9 +228,11 @@ def _mean(values: FloatArray) -> Estimate:
 
 def _share(values: FloatArray) -> Estimate:
     """Return the share of successes with the exact interval of Clopper and Pearson."""
-    interval = binomtest(int(np.sum(values)), len(values)).proportion_ci()
-    mean = float(np.mean(values))
-    return Estimate(value=mean, low=float(interval.low), high=float(interval.high))
+    share = binomtest(int(np.sum(values)), len(values))
+    interval = share.proportion_ci()
+    return Estimate(
+        value=share.statistic, low=float(interval.low), high=float(interval.high)
+    )
 
 
 def _excludes_zero(change: Estimate | None) -> bool:

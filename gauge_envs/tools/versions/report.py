@@ -20,24 +20,29 @@ from gauge_envs.tools.versions.schema import (
 if TYPE_CHECKING:
     from gauge_envs.tools.compare import Comparison as ScoreComparison
 
+DIFFER = {
+    Verdict.IDENTICAL: "are equal, bit for bit,",
+    Verdict.SAME: "do not differ by more than the noise",
+    Verdict.DIFFERENT: "differ",
+}
+
 
 def comparison_document(comparison: Comparison) -> Document:
     """Return the answer, where the sides differ first and most, the tables of differences, and which side is right."""
-    sides = f"{comparison.before} and {comparison.after}"
-    states = counted(comparison.states, "state")
-    is_different = comparison.verdict is Verdict.DIFFERENT
-    if is_different:
-        answer = (
-            f"{sides} differ on {comparison.subject}: in {comparison.differing} of {states} one step from the same "
-            f"state gives other accelerations, by up to {100.0 * comparison.largest:.3g} %."
-        )
-    else:
-        how = f"within its noise: accelerations differ by {100.0 * comparison.largest:.1g} % or less"
-        if comparison.verdict is Verdict.IDENTICAL:
-            how = "bit for bit"
-        answer = (
-            f"{sides} compute the same on {comparison.subject}, {how}, in {states}."
-        )
+    titles = (comparison.before, comparison.after)
+    answer = (
+        f"{' and '.join(titles)} {DIFFER[comparison.verdict]} on {comparison.subject}: in {comparison.differing} of "
+        f"{counted(comparison.states, 'state')} one step from the same state gives other accelerations, by up to "
+        f"{100.0 * comparison.largest:.3g} %."
+    )
+    unknown = [
+        f"{title} does not know, and runs without: {', '.join(dropped)}."
+        for title, dropped in zip(titles, comparison.dropped, strict=True)
+        if dropped
+    ]
+    right = "No law that was checked shows which side is right."
+    if comparison.right:
+        right = f"{comparison.right} is right, by the laws above."
     parts: list[Part] = [
         _table(
             "Releases that were tried",
@@ -51,20 +56,12 @@ def comparison_document(comparison: Comparison) -> Document:
             comparison.rulings,
             "law before after states right",
         ),
+        *(Paragraph(text, Tone.WARNING) for text in unknown),
     ]
-    titles = (comparison.before, comparison.after)
-    for title, dropped in zip(titles, comparison.dropped, strict=True):
-        if dropped:
-            text = f"{title} does not know, and runs without: {', '.join(dropped)}."
-            parts.append(Paragraph(text, Tone.WARNING))
-    if is_different:
-        right = "No law that was checked shows which side is right."
-        if comparison.right:
-            right = f"{comparison.right} is right, by the laws above."
+    if comparison.verdict is Verdict.DIFFERENT:
+        differences = Bullets(_differences(comparison), "One step from the same state")
+        parts.insert(2, differences)
         parts.append(Paragraph(right, Tone.ANSWER))
-        parts.insert(
-            2, Bullets(_differences(comparison), "One step from the same state")
-        )
     shown = [part for part in parts if getattr(part, "rows", True)]
     return Document(parts=shown, rows=[asdict(comparison)])
 
@@ -85,33 +82,22 @@ def motions_document(comparison: MotionComparison, scores: ScoreComparison) -> D
     """Return where two motions differ first, and the scores of both."""
     from gauge_envs.tools.compare import short_tables
 
-    sides = f"{comparison.before} and {comparison.after}"
-    largest = f"{quantity_text(comparison.largest)} {comparison.unit}"
-    noise = f"{quantity_text(comparison.noise)} {comparison.unit}, from an initial position 1e-9 m apart"
-    parts: list[Part] = list(short_tables(scores))
-    if comparison.verdict is Verdict.DIFFERENT:
-        answer = (
-            f"{sides} give different motions of {comparison.subject}: {comparison.coordinate} differs first, after "
-            f"{comparison.first_s:.3g} s by {quantity_text(comparison.difference)} {comparison.unit} (noise: {noise}). "
-            f"The largest difference is {largest}."
-        )
-        right = f"{comparison.right or 'Neither side'} is closer to the reference beyond its uncertainty."
-        parts.append(Paragraph(right, Tone.ANSWER))
-    else:
-        how = f"within its noise: they differ by {largest} or less (noise: {noise})"
-        if comparison.verdict is Verdict.IDENTICAL:
-            how = "bit for bit"
-        answer = f"{sides} give the same motion of {comparison.subject}, {how}."
-    return Document(
-        parts=[Paragraph(answer, Tone.ANSWER), *parts], rows=[asdict(comparison)]
+    unit = comparison.unit
+    answer = (
+        f"{comparison.before} and {comparison.after} {DIFFER[comparison.verdict]} in the motion of "
+        f"{comparison.subject}: the largest difference is {quantity_text(comparison.largest)} {unit} (noise: "
+        f"{quantity_text(comparison.noise)} {unit}, from an initial position 1e-9 m apart)."
     )
-
-
-RETURNS = {
-    Verdict.IDENTICAL: "equal returns, bit for bit,",
-    Verdict.SAME: "returns that do not differ significantly",
-    Verdict.DIFFERENT: "different mean returns or successes",
-}
+    if comparison.first_s is not None:
+        answer += (
+            f" {comparison.coordinate} differs first, after {comparison.first_s:.3g} s by "
+            f"{quantity_text(comparison.difference)} {unit}. {comparison.right or 'Neither side'} is closer to the "
+            "reference beyond its uncertainty."
+        )
+    return Document(
+        parts=[Paragraph(answer, Tone.ANSWER), *short_tables(scores)],
+        rows=[asdict(comparison)],
+    )
 
 
 def returns_document(comparison: ReturnComparison) -> Document:
@@ -127,8 +113,8 @@ def returns_document(comparison: ReturnComparison) -> Document:
         "name before after change",
     )
     answer = (
-        f"{comparison.before} and {comparison.after} give {RETURNS[comparison.verdict]} in {comparison.subject}, over "
-        f"{counted(comparison.seeds, 'seed')}."
+        f"{comparison.before} and {comparison.after} {DIFFER[comparison.verdict]} in returns and successes of "
+        f"{comparison.subject} over {counted(comparison.seeds, 'seed')}."
     )
     return Document(
         parts=[Paragraph(answer, Tone.ANSWER), table], rows=[asdict(comparison)]

@@ -49,10 +49,9 @@ class Side:
 
     Attributes:
         title: As the user gave it.
-        requirement: What its environment has, as `mujoco==3.3.0`; empty for an interpreter that exists.
-        python: Interpreter that exists, or None.
-        engine: Engine of this package that runs an experiment of the suite; empty for a release.
-        file: Result file, or None.
+        requirement: Package of its environment, as `mujoco==3.3.0`; empty for what is installed.
+        python: Interpreter of the user, or None for the one that runs here.
+        engine: Engine of this package that runs an experiment of the suite; empty for a release of MuJoCo.
         settings: Settings of the engine that differ from those of the model.
     """
 
@@ -60,7 +59,6 @@ class Side:
     requirement: str = ""
     python: str | None = None
     engine: str = ""
-    file: str | None = None
     settings: Mapping[str, Any]
 
 

@@ -1,10 +1,11 @@
-"""What versions are compared on: a model file, an id, a USD layer, or what a function makes."""
+"""What a command compares: two sides, on a model file, an id, a USD layer, or what a function makes."""
 
 from __future__ import annotations
 
 import importlib
+import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from operator import attrgetter
 from pathlib import Path
@@ -15,11 +16,35 @@ import gymnasium
 import mujoco
 import numpy as np
 
+from gauge_envs.cli import arguments
 from gauge_envs.errors import ParameterError, needs_extra
-from gauge_envs.files import npz_arrays, os_errors
-from gauge_envs.registry import SCENE_SUFFIXES
-from gauge_envs.tools.versions.environments import Bench
-from gauge_envs.tools.versions.sides import is_suite_id
+from gauge_envs.experiments.variants import variants
+from gauge_envs.registry import SCENE_SUFFIXES, engine_points
+from gauge_envs.tools.versions.environments import (
+    Bench,
+    released_versions,
+    version_key,
+)
+from gauge_envs.tools.versions.schema import Side
+
+PACKAGES = {
+    "mujoco": "mujoco",
+    "newton": "newton",
+    "genesis": "genesis-world",
+    "rapier": "rapier3d",
+    "physx": "sapien",
+    "pybullet": "pybullet",
+}
+"""Package on the index of each engine whose releases are compared."""
+
+RELEASES = re.compile(r"([\w-]+)==(\d[\w.]*?)(?:\.\.(\d[\w.]*))?")
+
+SETTING = re.compile(r"(\w+)=(?!=)")
+
+FORMS = (
+    "mujoco==3.3.0, mujoco==3.1.0..4.0.0, mujoco for what is installed here, another engine of this package or its "
+    "release, or settings as iterations=4; settings may follow a side, as mujoco==4.0.0:jacobian=dense"
+)
 
 MODEL_FILES = (".xml", ".mjcf", ".urdf")
 
@@ -28,6 +53,108 @@ MODEL_ATTRIBUTES = ("model", "sim.model._model", "physics.model._model", "mj_mod
 
 COMPARED = ("body_mass", "geom_size", "geom_friction", "dof_damping")
 """Fields by which a file is the model of an environment."""
+
+
+# --- sides -----------------------------------------------------------------------------------------------------------
+
+
+def read_sides(text: str) -> list[Side]:
+    """Return the side that a text names, or both ends of a range of releases.
+
+    Args:
+        text: In one of `FORMS`.
+
+    Raises:
+        ParameterError: The text names no side.
+    """
+    engines = [point.name for point in engine_points()]
+    head, _, changes = text.partition(":")
+    setting = SETTING.match(head)
+    if setting and setting[1] not in engines:
+        # Settings alone belong to what is installed here.
+        head, changes = "mujoco", text
+    values = arguments.split_values(changes) if changes else []
+    settings = arguments.parsed_settings(values) or {}
+    if head in engines:
+        return [Side(title=text, engine=head, settings=settings)]
+    release = RELEASES.fullmatch(head)
+    name, *versions = release.groups() if release else ("",)
+    engine = {PACKAGES[each]: each for each in PACKAGES}.get(name, name)
+    if engine not in PACKAGES:
+        raise ParameterError(
+            f"{text!r} is no side: expected {FORMS}; engines: {', '.join(engines)}"
+        )
+    return [
+        Side(
+            title=f"{name}=={version}{text[len(head) :]}",
+            requirement=f"{PACKAGES[engine]}=={version}",
+            engine="" if engine == "mujoco" else engine,
+            settings=settings,
+        )
+        for version in filter(None, versions)
+    ]
+
+
+def is_suite_id(subject: str) -> bool:
+    """Return whether a subject is an id of this suite."""
+    return any(subject in (variant.name, variant.id) for variant in variants())
+
+
+def compares_motions(subject: str, sides: Sequence[Side]) -> bool:
+    """Return whether whole motions of an experiment are compared: a side cannot compute a step of a MuJoCo model.
+
+    Raises:
+        ParameterError: One side needs whole motions, and the other side or the subject has none.
+    """
+    needs_motion = [
+        side.title
+        for side in sides
+        if side.engine not in ("", "mujoco")
+        or not all(hasattr(mujoco.MjOption, name) for name in side.settings)
+    ]
+    releases = [side.title for side in sides if not side.engine]
+    is_suite = is_suite_id(subject)
+    if needs_motion and (releases or not is_suite):
+        raise ParameterError(
+            f"{subject} and {needs_motion[0]}: other engines and their settings are compared with each other on an id "
+            "of this suite; releases of MuJoCo are compared with each other and with mujoco, on its own options, as "
+            "iterations=4"
+        )
+    if needs_motion or releases or not is_suite:
+        return bool(needs_motion)
+    from gauge_envs.experiments.resolve import load_experiment
+
+    scene = load_experiment(subject).scene
+    return bool(scene.deformables or scene.drivers)
+
+
+def releases_between(sides: Sequence[Side]) -> list[Side]:
+    """Return the releases from one version to another, both included, as the package index lists them.
+
+    Raises:
+        ParameterError: There are fewer than two.
+        VersionsError: The index does not answer.
+    """
+    first, last = sides
+    package, _, lowest = first.requirement.partition("==")
+    highest = last.requirement.partition("==")[2]
+    versions = released_versions(first.requirement)
+    settings = first.title[len(first.requirement) :]
+    releases = [
+        side
+        for version in versions
+        for side in read_sides(f"{package}=={version}{settings}")
+        if version_key(lowest) <= version_key(version) <= version_key(highest)
+    ]
+    if len(releases) < 2:
+        raise ParameterError(
+            f"{first.title} to {last.title}: expected a range from an older to a newer release; the newest are "
+            f"{', '.join(versions[-8:])}"
+        )
+    return releases
+
+
+# --- models ----------------------------------------------------------------------------------------------------------
 
 
 @contextmanager
@@ -46,10 +173,7 @@ def bench(
         steps: Steps of each motion.
         seed: Seed of controls and pushes.
     """
-    saved = ""
-    if states is not None:
-        check_states(states)
-        saved = str(states.resolve())
+    saved = "" if states is None else str(states.resolve())
     with TemporaryDirectory(prefix="gauge-versions-") as folder:
         model = read_subject(subject, Path(folder)).resolve()
         job = {"model": str(model), "saved": saved, "steps": steps, "seed": seed}
@@ -95,7 +219,7 @@ def _scene_text(text: str) -> str:
     if scene.deformables or scene.drivers:
         raise ParameterError(
             f"{text}: releases of MuJoCo are not compared on deformable or driven bodies: "
-            "give engines, settings of mujoco, or result files"
+            "give engines or settings of mujoco"
         )
     return scene_mjcf_text(scene, text, frame_count=1)
 
@@ -111,75 +235,45 @@ def _made(text: str) -> Any:
                 return gymnasium.make(text)
             return getattr(importlib.import_module(module), function)()
     except (Exception, SystemExit) as error:  # The user's code raises any kind.
-        cause = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise ParameterError(
-            f"{text!r} is no file, no id of this suite, no environment of Gymnasium, and no module:function: {cause}"
+            f"{text!r} is no file, no id of this suite, no environment of Gymnasium, and no module:function: "
+            f"{type(error).__name__}: {error}"
         ) from error
 
 
 def _model_file(title: str, made: Any, file: Path) -> Path:
     """Return the model file of what a function made: that of the environment, or `file`, which is written."""
     if isinstance(made, mujoco.MjSpec):
-        file.write_text(made.to_xml(), encoding="utf-8")
-        return file
+        made = mujoco.MjModel.from_xml_string(made.to_xml())
     env = getattr(made, "unwrapped", made)
-    model = _compiled_model(env)
-    if model is None:
+    candidates = [env]
+    for attribute in MODEL_ATTRIBUTES:
+        with suppress(AttributeError):
+            candidates.append(attrgetter(attribute)(env))
+    models = [each for each in candidates if isinstance(each, mujoco.MjModel)]
+    if not models:
         raise ParameterError(
             f"{title} is {type(env).__qualname__}, which has no MuJoCo model: give its model file"
         )
     path = Path(getattr(env, "fullpath", file))
-    if _is_same(path, model):
+    if _is_same(path, models[0]):
         return path
     # MuJoCo cannot save each model, and saves the one that it compiled last.
     with suppress(mujoco.FatalError):
-        mujoco.mj_saveLastXML(str(file), model)
-    if not _is_same(file, model):
+        mujoco.mj_saveLastXML(str(file), models[0])
+    if not _is_same(file, models[0]):
         raise ParameterError(
             f"{title}: MuJoCo cannot save the model of the environment: give its model file"
         )
     return file
 
 
-def _compiled_model(env: Any) -> mujoco.MjModel | None:
-    """Return the compiled model that an object is or has; None if it has none."""
-    candidates = [env]
-    for path in MODEL_ATTRIBUTES:
-        with suppress(AttributeError):
-            candidates.append(attrgetter(path)(env))
-    return next((each for each in candidates if isinstance(each, mujoco.MjModel)), None)
-
-
 def _is_same(file: Path, model: mujoco.MjModel) -> bool:
     """Return whether a file is a model, but for the six digits that MuJoCo saves."""
     with suppress(ValueError):
         loaded = mujoco.MjModel.from_xml_path(str(file))
+        pairs = [(getattr(loaded, name), getattr(model, name)) for name in COMPARED]
         return (loaded.nq, loaded.nu) == (model.nq, model.nu) and all(
-            np.allclose(
-                getattr(loaded, name), getattr(model, name), rtol=1e-4, atol=1e-9
-            )
-            for name in COMPARED
+            np.allclose(*pair, rtol=1e-4, atol=1e-9) for pair in pairs
         )
     return False
-
-
-def check_states(path: Path) -> None:
-    """Check that a file is an NPZ of states.
-
-    Raises:
-        ParameterError: The file cannot be read, has no `qpos`, or another array does not fit it.
-    """
-    with os_errors(lambda cause: ParameterError(f"{path}: cannot be read: {cause}")):
-        content = path.read_bytes()
-    try:
-        rows = npz_arrays(content)
-    except ValueError as error:
-        raise ParameterError(f"{path}: not an NPZ of states: {error}") from None
-    shape = rows["qpos"].shape if "qpos" in rows else ()
-    for name, values in rows.items():
-        is_row_each = len(shape) == 2 and len(values) == shape[0] > 0
-        if not is_row_each or not np.isfinite(values).all():
-            raise ParameterError(
-                f"{path}: {name} has the shape {values.shape}; expected qpos with a row for each state, as many rows "
-                "of each other array, and finite numbers"
-            )

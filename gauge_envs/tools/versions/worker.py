@@ -1,13 +1,13 @@
-"""Run a model in one release of MuJoCo: `python worker.py JOB.json`.
+"""Run a model in one release of MuJoCo: `python worker.py JOB`.
 
-The process runs in the environment of the release, without this package. It needs MuJoCo 2.3.7 or later and NumPy.
+The process has the packages of the release, and not this package. It needs MuJoCo 3.0 or later and NumPy.
 The job is a JSON object. Its `task` is one of:
 
 - `run`: move `model` with `settings` from its initial states, and write the states that it visits.
 - `probe`: compute one step from each state of the file `states`.
 - `play`: play `episodes` of the environment `subject` with `policy` from `seed`, in the user's Python.
 
-The worker writes a description to `OUT.json`, and arrays to `OUT.npz`.
+The worker writes arrays to the file `out`, and among them `description`, the text of a JSON object.
 """
 
 import importlib
@@ -58,9 +58,8 @@ PHYSICS = re.compile(
 """Compiled fields that the physics reads, without those that only say where something is stored."""
 
 UNKNOWN = re.compile(
-    r"unrecognized attribute: '(?P<attribute>\w+)'\s+Element '(?P<tag>\w+)'"
-    r"|invalid keyword: '(?P<keyword>\w+)'\s+Element '(?P<keyword_tag>\w+)'"
-    r"|(?P<misplaced>\w+) is only available for .*\s+Element name '(?P<name>.*)', id"
+    r"(?:: '|Error: )(?P<word>\w+)"
+    r"(?:'\s+Element '(?P<tag>\w+)'| is only available for .*\s+Element name '(?P<name>.*)', id)"
 )
 """Messages of MuJoCo on an attribute, or on a value of one, that the release does not know for this element."""
 
@@ -92,14 +91,14 @@ def load_model(job: Job) -> tuple[Any, list[str]]:
     path = Path(job["model"])
     root = ElementTree.parse(path).getroot()
     dropped: list[str] = []
-    while True:
+    model = None
+    while model is None:
         try:
             if dropped:
                 text = ElementTree.tostring(root, encoding="unicode")
                 model = mujoco.MjModel.from_xml_string(text)
             else:
                 model = mujoco.MjModel.from_xml_path(str(path))
-            break
         except ValueError as error:
             unknown = remove_unknown(root, str(error))
             if not unknown:
@@ -117,11 +116,10 @@ def remove_unknown(root: Any, message: str) -> list[str]:
     removed: list[str] = []
     if rejected is None:
         return removed
-    for element in root.iter(rejected["tag"] or rejected["keyword_tag"]):
-        is_named = element.get("name", "") == rejected["name"]
+    for element in root.iter(rejected["tag"]):
+        is_named = rejected["name"] in (None, element.get("name", ""))
         for name, value in list(element.items()):
-            is_rejected = name == rejected["attribute"] or value == rejected["keyword"]
-            if is_rejected or (is_named and name == rejected["misplaced"]):
+            if is_named and rejected["word"] in (name, value):
                 removed.append(f'{element.tag} {name}="{value}"')
                 del element.attrib[name]
     return removed
@@ -132,35 +130,31 @@ def set_options(model: Any, settings: Job) -> None:
     for name, value in settings.items():
         members = getattr(mujoco, ENUMS[name]).__members__ if name in ENUMS else {}
         numbers = {key.partition("_")[2].lower(): int(members[key]) for key in members}
-        expected = getattr(model.opt, name, "an option of this release")
+        expected = " or ".join(numbers) or getattr(model.opt, name, "another option")
         try:
             setattr(model.opt, name, numbers.get(str(value).lower(), value))
         except (AttributeError, TypeError, ValueError):
-            expected = " or ".join(numbers) or f"a value as {expected}"
             raise SystemExit(f"{name}={value}: expected {expected}") from None
     if not model.opt.timestep > 0.0:
         raise SystemExit(f"timestep={model.opt.timestep}: expected a positive number")
 
 
-def enum_names(field: str, value: int) -> list[str]:
-    """Return the name of a number of an enumeration; of flags, the names of those that are set."""
-    members = getattr(mujoco, ENUMS[field]).__members__.items()
-    if field.endswith("flags"):
-        # The last member, as mjNDISABLE, is the number of flags.
-        members = [each for each in members if not each[0].startswith("mjN")]
-        return [name for name, number in members if int(number) & value]
-    return [name for name, number in members if int(number) == value]
+def option_value(option: Any, name: str) -> list[Any]:
+    """Return an option as a list of numbers, or as names of an enumeration: that of the number, or of the set flags."""
+    value = getattr(option, name)
+    if name not in ENUMS:
+        return np.ravel(value).tolist()
+    members = getattr(mujoco, ENUMS[name]).__members__.items()
+    if not name.endswith("flags"):
+        return [key for key, number in members if int(number) == value]
+    # The last member, as mjNDISABLE, is the number of flags.
+    return [key for key, number in members if key[2] != "N" and int(number) & value]
 
 
 def compiled_fields(model: Any) -> Job:
     """Return the options and the fields of the compiled model that the physics reads."""
-    fields = {}
-    for name in dir(model.opt):
-        value = getattr(model.opt, name)
-        if name in ENUMS:
-            fields["opt." + name] = enum_names(name, value)
-        elif not name.startswith("_"):
-            fields["opt." + name] = np.ravel(value).tolist()
+    options = [name for name in dir(model.opt) if not name.startswith("_")]
+    fields = {f"opt.{name}": option_value(model.opt, name) for name in options}
     for name in filter(PHYSICS.match, dir(model)):
         fields[name] = np.asarray(getattr(model, name), dtype=float).tolist()
     return fields
@@ -168,12 +162,7 @@ def compiled_fields(model: Any) -> Job:
 
 def object_names(model: Any) -> dict[str, list[str]]:
     """Return the names of objects by the prefix of their compiled fields; of a nameless object, its kind and index."""
-    counts = {
-        "body": model.nbody,
-        "jnt": model.njnt,
-        "geom": model.ngeom,
-        "actuator": model.nu,
-    }
+    counts = {"body": model.nbody, "jnt": model.njnt, "geom": model.ngeom}
     names = {
         kind: [
             getattr(model, kind)(index).name or f"{kind} {index}"
@@ -181,13 +170,13 @@ def object_names(model: Any) -> dict[str, list[str]]:
         ]
         for kind, count in counts.items()
     }
-    bodies = names["body"]
-    for geom, name in enumerate(names["geom"]):
-        if name.startswith("geom "):
-            names["geom"][geom] = f"{name} of {bodies[model.geom_bodyid[geom]]}"
+    bodies, joints, geoms = names["body"], names["jnt"], names["geom"]
+    for geom, body in enumerate(model.geom_bodyid):
+        if geoms[geom] == f"geom {geom}":
+            geoms[geom] += f" of {bodies[body]}"
     names["dof"] = []
     for dof, joint in enumerate(model.dof_jntid):
-        name = names["jnt"][joint]
+        name = joints[joint]
         if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_FREE):
             is_rotation = dof - model.jnt_dofadr[joint] > 2
             name = "rotation" if is_rotation else "translation"
@@ -201,10 +190,7 @@ def object_names(model: Any) -> dict[str, list[str]]:
 def set_state(data: Any, state: Job) -> None:
     """Write a state into data that were reset."""
     for name in state:
-        if name == "time":
-            data.time = float(state[name])
-        else:
-            getattr(data, name)[:] = state[name]
+        setattr(data, name, state[name])
 
 
 def get_state(data: Any) -> Job:
@@ -240,10 +226,12 @@ def load_states(model: Any, file: str) -> list[Job]:
     """Return the states of a file."""
     with np.load(file) as arrays:
         rows = {name: arrays[name] for name in STATE if name in arrays}
-    count, size = rows["qpos"].shape
-    if size != model.nq:
+    shapes = {name: np.shape(rows[name]) for name in rows}
+    count, size = shapes.get("qpos", (0, 0))
+    if size != model.nq or {shape[0] for shape in shapes.values()} != {count}:
         raise SystemExit(
-            f"a saved state has {size} numbers of qpos; the model has {model.nq}"
+            f"saved states have the shapes {shapes}; expected qpos with {model.nq} columns and a row for each state, "
+            "and as many rows of each other array"
         )
     return [{name: rows[name][index] for name in rows} for index in range(count)]
 
@@ -290,12 +278,15 @@ def stacked(rows: list[Job]) -> Job:
 # --- one step from a given state -------------------------------------------------------------------------------------
 
 
-def contacts(data: Any) -> list[tuple[int, int, float]]:
-    """Return both geoms, the lower one first, and the distance [m] of each contact of rigid geoms."""
+def contacts(data: Any) -> dict[str, list[float]]:
+    """Return the sorted distances [m] of the contacts of each pair of rigid geoms, as `0 3`."""
     contact = data.contact
     geoms = np.sort([np.ravel(contact.geom1), np.ravel(contact.geom2)], axis=0)
-    rows = zip(*geoms, np.ravel(contact.dist), strict=True)
-    return [row for row in rows if row[0] >= 0]
+    pairs: dict[str, list[float]] = {}
+    for first, second, distance_m in zip(*geoms, np.ravel(contact.dist), strict=True):
+        if first >= 0:
+            pairs.setdefault(f"{first} {second}", []).append(float(distance_m))
+    return {pair: sorted(pairs[pair]) for pair in pairs}
 
 
 def accelerations(model: Any, data: Any, state: Job) -> Any:
@@ -317,16 +308,16 @@ def probe_state(model: Any, data: Any, state: Job, change: Any) -> Job:
     """
     velocity = state["qvel"]
     cold = {name: state[name] for name in state if name != "qacc_warmstart"}
+    starts = (cold, {**state, "qvel": velocity + change})
+    changed = [accelerations(model, data, start) for start in starts]
+    acceleration = accelerations(model, data, state)
+    noise = np.linalg.norm(changed - acceleration, axis=1).max()
     probed = {
-        "cold": accelerations(model, data, cold),
-        "perturbed": accelerations(model, data, {**state, "qvel": velocity + change}),
-        "qacc": accelerations(model, data, state),
-    }
-    is_new = hasattr(data, "solver_niter")
-    solver_steps = data.solver_niter if is_new else data.solver_iter
-    probed |= {
+        "qacc": acceleration,
+        # A change that is not a number hides each difference.
+        "noise": np.nan_to_num(noise, nan=np.inf),
         "smooth": np.array(data.qacc_smooth),
-        "iterations": int(np.max(solver_steps, initial=0)),
+        "iterations": int(np.max(data.solver_niter, initial=0)),
         "contacts": data.ncon,
         "touching": contacts(data),
         # The solver stops when its cost, a square of accelerations, falls by less than the tolerance.
@@ -342,7 +333,7 @@ def probe_state(model: Any, data: Any, state: Job, change: Any) -> Job:
 
 
 def probe(job: Job) -> tuple[Job, Job]:
-    """Compute one step from each state of a file; contacts are rows of a state, two geoms and a distance [m]."""
+    """Compute one step from each state of a file."""
     model, _ = load_model(job)
     data = mujoco.MjData(model)
     noise = np.random.RandomState(0)
@@ -350,12 +341,7 @@ def probe(job: Job) -> tuple[Job, Job]:
     for state in load_states(model, job["states"]):
         change = PERTURBATION * noise.normal(size=model.nv)
         probed.append(probe_state(model, data, state, change))
-    rows = [
-        (index, *contact)
-        for index, state in enumerate(probed)
-        for contact in state.pop("touching")
-    ]
-    return {}, {**stacked(probed), "touching": np.reshape(rows, (-1, 4))}
+    return {"touching": [state.pop("touching") for state in probed]}, stacked(probed)
 
 
 # --- episodes --------------------------------------------------------------------------------------------------------
@@ -385,8 +371,8 @@ def make_policy(text: str) -> Callable[[Any, int], Any]:
 
 def play(job: Job) -> tuple[Job, Job]:
     """Return return and success of an episode from each seed; NaN where the environment states no success."""
-    # The user's modules are in the working folder; the folder of this file has modules with common names.
-    sys.path[0] = ""
+    # The user's modules are in the working folder.
+    sys.path.insert(0, "")
     subject, act = job["subject"], make_policy(job["policy"])
     is_function = ":" in subject and "/" not in subject
     make = importlib.import_module("gymnasium").make
@@ -413,13 +399,12 @@ def play(job: Job) -> tuple[Job, Job]:
 TASKS = {"run": run, "probe": probe, "play": play}
 
 
-def main(file: Path) -> None:
-    """Do the job of a file."""
-    job = json.loads(file.read_text())
+def main(text: str) -> None:
+    """Do a job."""
+    job = json.loads(text)
     description, arrays = TASKS[job["task"]](job)
-    np.savez(job["out"] + ".npz", **arrays)
-    Path(job["out"] + ".json").write_text(json.dumps(description))
+    np.savez(job["out"], description=json.dumps(description), **arrays)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(sys.argv[1])

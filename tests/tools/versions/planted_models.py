@@ -7,8 +7,8 @@ import threading
 import numpy as np
 
 from gauge_envs.tools.versions import worker
+from gauge_envs.tools.versions.comparison import EXACT
 from gauge_envs.tools.versions.environments import Bench
-from gauge_envs.tools.versions.laws import EXACT
 from gauge_envs.tools.versions.schema import Side
 
 SCENE = """<mujoco><option timestep="0.004"/><worldbody><geom name="floor" type="plane" size="3 3 1"/>
@@ -47,16 +47,15 @@ class Planted(Bench):
     def plant_of(self, side):
         return None if side.title == "old" else self.plant
 
-    def execute(self, side, file):
-        job = json.loads(file.read_text())
-        job["model"] = str(self.folder / f"{side.title[:3]}.xml")
-        file.write_text(json.dumps(job))
+    def execute(self, side, job):
+        model = self.folder / f"{side.title[:3]}.xml"
         with LOCK:
-            worker.main(file)
+            worker.main(json.dumps({**job, "model": str(model)}))
         plant = self.plant_of(side)
         is_exact = EXACT.items() <= job["settings"].items()
         if plant and job["task"] == "probe" and not is_exact:
-            with np.load(file.with_suffix(".npz")) as stored:
+            with np.load(job["out"]) as stored:
                 arrays = dict(stored)
-            plant(arrays)
-            np.savez(file.with_suffix(".npz"), **arrays)
+            description = json.loads(str(arrays["description"]))
+            plant(arrays | description)
+            np.savez(job["out"], **arrays | {"description": json.dumps(description)})

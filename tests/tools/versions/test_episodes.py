@@ -1,21 +1,17 @@
 """Whole episodes on two sides: motions of an experiment, and returns of a policy."""
 
-import json
-import subprocess
-import sys
+import sysconfig
+from pathlib import Path
 
 import numpy as np
 import pytest
 from planted_models import side
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.runs.episodes import run_episode
-from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result_file import write_result
-from gauge_envs.tools.versions import episodes
+from gauge_envs.tools.versions import environments, episodes
 from gauge_envs.tools.versions.episodes import compare_motions, compare_returns
 from gauge_envs.tools.versions.schema import Verdict
-from gauge_envs.tools.versions.sides import compares_motions, read_sides
+from gauge_envs.tools.versions.subject import compares_motions, read_sides
 
 
 def pair(*texts):
@@ -36,42 +32,32 @@ def test_engines_are_compared_as_motions():
 def test_a_release_of_an_engine_runs_in_a_process_that_imports_it(
     tmp_path, monkeypatch
 ):
-    """The environment of the release is the one of this test here, so that the motions are equal."""
-    monkeypatch.setattr(
-        episodes, "make_environment", lambda *words: tmp_path / "bin" / "python"
-    )
-    commands = []
-
-    def run_process(command, title, variables):
-        commands.append(variables)
-        run_process_of(command, title, variables)
-
-    run_process_of = episodes.run_process
-    monkeypatch.setattr(episodes, "run_process", run_process)
+    """The environment of the release is empty, so that both sides run what is installed here."""
+    monkeypatch.setattr(environments, "make_environment", lambda requirement: tmp_path)
     sides = pair("pybullet==3.2.7", "pybullet")
     found, _ = compare_motions("BouncingBall-rubber", *sides, seed=0)
     assert (found.verdict, found.largest) == (Verdict.IDENTICAL, 0.0)
     assert found.noise > 0.0
-    assert str(tmp_path) in commands[0]["PYTHONPATH"]
 
 
-def test_a_result_file_is_the_motion_of_its_run(tmp_path):
-    file = tmp_path / "there.json"
-    write_result(run_episode(RunRequest("BouncingBall-rubber")), file)
-    sides = pair(file, "mujoco")
+@pytest.mark.parametrize(
+    ("shift", "verdict"), [(1e-9, Verdict.SAME), (1.0, Verdict.DIFFERENT)]
+)
+def test_a_shift_as_small_as_rounding_is_noise(monkeypatch, shift, verdict):
+    """The unit of the shift is a millimeter."""
+    run = episodes._run
+
+    def shifted(subject, side, *given):
+        result = run(subject, side, *given)
+        if side.settings:
+            result.trajectory.samples[:, 0] += shift
+        return result
+
+    monkeypatch.setattr(episodes, "_run", shifted)
+    # The default of this setting, by which the sides are told apart.
+    sides = pair("mujoco", "mujoco:integrator=implicitfast")
     found, _ = compare_motions("BouncingBall-rubber", *sides, seed=0)
-    assert (found.verdict, found.largest) == (Verdict.IDENTICAL, 0.0)
-    # A difference as large as chaos makes of rounding is noise; an initial shift of a millimeter is not.
-    for shift_mm, verdict in ((1e-9, Verdict.SAME), (1.0, Verdict.DIFFERENT)):
-        result = json.loads(file.read_text())
-        for sample in result["trajectory"]["samples"]:
-            sample[0] += shift_mm
-        moved = tmp_path / "moved.json"
-        moved.write_text(json.dumps(result))
-        found, _ = compare_motions("BouncingBall-rubber", *pair(file, moved), seed=0)
-        assert found.verdict is verdict
-    with pytest.raises(ParameterError, match="is a result of GAUGE/BouncingBall"):
-        compare_motions("SlopeSlider-2-wood", *sides, seed=0)
+    assert found.verdict is verdict
 
 
 POLICY = """
@@ -136,23 +122,13 @@ def test_what_cannot_be_played(policy, texts, message):
         compare_returns("Hopper-v5", *pair(*texts), **options)
 
 
-def test_a_release_replaces_mujoco_alone(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        episodes, "make_environment", lambda *words: tmp_path / "bin" / "python"
-    )
-    packages = tmp_path / episodes._packages_folder(tmp_path / "bin" / "python")
-    for name in ("mujoco", "typer"):
-        (packages / name).mkdir(parents=True)
-        (packages / name / "__init__.py").write_text("__version__ = '0.0'")
-    links = tmp_path / "links"
-    episodes._link_release("mujoco==3.3.0", links)
-    code = "import mujoco, typer; print(mujoco.__version__, typer.__version__)"
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={"PYTHONPATH": str(links)},
-    )
-    release, other = done.stdout.split()
-    assert (release, other != "0.0") == ("0.0", True)
+def test_packages_of_a_release_come_before_those_of_the_user(tmp_path, monkeypatch):
+    monkeypatch.setattr(environments, "make_environment", lambda requirement: tmp_path)
+    base = {"base": str(tmp_path), "platbase": str(tmp_path)}
+    package = Path(sysconfig.get_path("platlib", "venv", base)) / "mujoco"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("__version__ = '0.0'")
+    (release,) = read_sides("mujoco==3.3.0")
+    code = f"import mujoco, typer; open({str(tmp_path / 'seen')!r}, 'w').write(mujoco.__version__)"
+    environments.run_python(release, ["-c", code], "it")
+    assert (tmp_path / "seen").read_text() == "0.0"

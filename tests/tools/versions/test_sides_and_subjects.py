@@ -11,12 +11,12 @@ from planted_models import SCENE, Planted, side
 from gauge_envs.errors import ParameterError
 from gauge_envs.tools.versions import environments, worker
 from gauge_envs.tools.versions.environments import Bench, VersionsError
-from gauge_envs.tools.versions.sides import (
+from gauge_envs.tools.versions.subject import (
     compares_motions,
     read_sides,
+    read_subject,
     releases_between,
 )
-from gauge_envs.tools.versions.subject import check_states, read_subject
 
 # --- sides -----------------------------------------------------------------------------------------------------------
 
@@ -29,14 +29,11 @@ def test_versions_are_read():
     assert [end.requirement for end in ends] == ["mujoco==3.1.0", "mujoco==4.0.0"]
     (rapier,) = read_sides("rapier==0.36.0")
     assert (rapier.engine, rapier.requirement) == ("rapier", "rapier3d==0.36.0")
-    assert read_sides("mujoco")[0].python == sys.executable
     (alone,) = read_sides("iterations=4")
     assert (alone.engine, alone.settings) == ("mujoco", {"iterations": 4})
 
 
-@pytest.mark.parametrize(
-    "text", ["mujco==3.3.0", "mujoco==new", "mujoco=3.3.0", "mujoco>=3"]
-)
+@pytest.mark.parametrize("text", ["mujco==3.3.0", "mujoco=3.3.0", "mujoco>=3"])
 def test_what_names_no_version_is_an_error_with_the_forms(text):
     with pytest.raises(ParameterError, match="expected mujoco=="):
         read_sides(text)
@@ -75,50 +72,36 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "versions"
 
 
-def pip(monkeypatch, output, returncode=1):
-    done = subprocess.CompletedProcess([], returncode, "", output)
+def pip(monkeypatch, output, error=""):
+    done = subprocess.CompletedProcess([], int(bool(error)), output, error)
     monkeypatch.setattr(environments.subprocess, "run", lambda *words, **more: done)
 
 
-LACKS = "ERROR: Could not find a version that satisfies the requirement mujoco==9.9.0"
+def test_an_installation_that_fails_says_why_and_leaves_nothing(cache, monkeypatch):
+    pip(monkeypatch, "", "WARNING: retry\nERROR: No matching distribution found")
+    with pytest.raises(VersionsError, match=r"mujoco==9.9.0 .*--python.*No matching"):
+        environments.make_environment("mujoco==9.9.0")
+    assert [each.name for each in cache.iterdir()] == [".lock"]
 
 
-@pytest.mark.parametrize(
-    ("output", "message"),
-    [
-        (f"{LACKS} (from versions: 3.3.0, 3.9.0)\nERROR: No match", "No match.*3.9.0"),
-        ("WARNING: after connection broken by 'E'\nERROR: No", "does not answer"),
-        ("error: Failed to fetch: `i/`", "does not answer"),
-    ],
-)
-def test_why_an_installation_failed(cache, monkeypatch, output, message):
-    pip(monkeypatch, output)
-    with pytest.raises(VersionsError, match=message):
-        environments.make_environment(
-            "mujoco==9.9.0",
-        )
-    assert [folder.name for folder in cache.iterdir()] == [".locks"]
-
-
-def test_an_environment_is_made_once_and_leftovers_go(cache, monkeypatch, capsys):
-    pip(monkeypatch, "", 0)
-    folder = environments.environment_folder("mujoco==3.1.0")
-    folder.with_name(f".{folder.name}").mkdir(parents=True)
-    python = environments.make_environment("mujoco==3.1.0")
+def test_an_environment_is_made_once(cache, monkeypatch, capsys):
+    pip(monkeypatch, "")
+    folder = environments.make_environment("mujoco==3.1.0")
     # Wheels of this release need an older NumPy.
     assert "mujoco==3.1.0 and numpy<2: installed" in capsys.readouterr().err
-    assert {each.name for each in cache.iterdir()} == {".locks", folder.name}
+    assert {each.name for each in cache.iterdir()} == {".lock", folder.name}
     environments.make_environment("mujoco==3.1.0")
     assert not capsys.readouterr().err
     # The Python of an environment may have been removed.
-    python.unlink()
-    assert environments.make_environment("mujoco==3.1.0").exists()
+    (folder / "bin" / "python").unlink()
+    environments.make_environment("mujoco==3.1.0")
+    assert (folder / "bin" / "python").exists()
     environments.remove_environment("mujoco==3.1.0")
     assert not folder.exists()
 
 
 def test_a_range_has_the_releases_of_the_index_between_its_ends(cache, monkeypatch):
-    pip(monkeypatch, "mujoco (4.0.0)\nAvailable versions: 3.10.0, 3.9.0, 3.3.0\n", 0)
+    pip(monkeypatch, "mujoco (4.0.0)\nAvailable versions: 3.10.0, 3.9.0, 3.3.0\n")
     releases = releases_between(read_sides("mujoco==3.9..3.10.0"))
     assert [each.title for each in releases] == ["mujoco==3.9.0", "mujoco==3.10.0"]
     with pytest.raises(ParameterError, match=r"newest are 3\.3\.0, 3\.9\.0, 3\.10\.0"):
@@ -211,23 +194,17 @@ def test_a_usd_layer_is_a_subject(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arrays", "message"),
+    "arrays",
     [
-        ({"qvel": np.zeros((2, 6))}, "expected qpos"),
-        ({"qpos": np.zeros((2, 7)), "qvel": np.zeros((3, 6))}, "as many rows"),
-        ({"qpos": np.full((2, 7), np.nan)}, "finite"),
+        {"qpos": np.zeros((1, 9))},
+        {"qvel": np.zeros((2, 7))},
+        {"qpos": np.zeros((2, 8)), "qvel": np.zeros((3, 7))},
     ],
 )
-def test_an_npz_without_states_is_refused(tmp_path, arrays, message):
-    np.savez(tmp_path / "states.npz", **arrays)
-    with pytest.raises(ParameterError, match=message):
-        check_states(tmp_path / "states.npz")
-
-
-def test_states_of_another_model_are_refused(tmp_path):
+def test_states_that_do_not_fit_the_model_are_refused(tmp_path, arrays):
     saved = tmp_path / "states.npz"
-    np.savez(saved, qpos=np.zeros((1, 9)))
-    with pytest.raises(SystemExit, match=r"9 numbers of qpos; the model has 8"):
+    np.savez(saved, **arrays)
+    with pytest.raises(SystemExit, match="expected qpos with 8 columns"):
         Planted(tmp_path, saved=saved).work("run", [side("old")])
 
 
@@ -238,8 +215,8 @@ def test_states_of_another_model_are_refused(tmp_path):
     ("settings", "message"),
     [
         ({"jacobian": "densest"}, "jacobian=densest: expected dense or sparse"),
-        ({"iterations": "many"}, "iterations=many: expected a value as 100"),
-        ({"iteration": 3}, "iteration=3: expected .* an option of this release"),
+        ({"iterations": "many"}, "iterations=many: expected 100"),
+        ({"iteration": 3}, "iteration=3: expected another option"),
         ({"timestep": 0.0}, "positive"),
     ],
 )

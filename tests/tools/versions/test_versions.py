@@ -10,8 +10,12 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
-from gauge_envs.tools.versions.comparison import compare, find_change
-from gauge_envs.tools.versions.laws import corners_m, depth_m
+from gauge_envs.tools.versions.comparison import (
+    compare,
+    corners_m,
+    depth_m,
+    find_change,
+)
 from gauge_envs.tools.versions.report import comparison_document
 from gauge_envs.tools.versions.schema import Quantity, Verdict
 
@@ -43,12 +47,14 @@ def scaled_constraint(arrays):
 
 
 def fewer_contacts(arrays):
-    arrays["touching"] = arrays["touching"][arrays["touching"][:, 0] < 5]
+    for pairs in arrays["touching"][5:]:
+        pairs.clear()
     arrays["qacc"][5:] *= 2.0
 
 
 def deeper(arrays):
-    arrays["touching"][:, 3] -= 1e-3
+    for pairs in arrays["touching"]:
+        pairs |= {pair: [each - 1e-3 for each in pairs[pair]] for pair in pairs}
     arrays["qacc"] *= 1.1
 
 
@@ -96,7 +102,8 @@ def test_the_side_that_reaches_the_solution_of_its_equations_is_right(tmp_path):
 
 
 def halved(arrays):
-    arrays["touching"][:, 3] /= 2.0
+    for pairs in arrays["touching"]:
+        pairs |= {pair: [each / 2.0 for each in pairs[pair]] for pair in pairs}
     arrays["qacc"] *= 1.1
 
 
