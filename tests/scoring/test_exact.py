@@ -1,4 +1,10 @@
-"""What exact solutions score is recomputed from closed forms and an ODE, without any engine."""
+"""What exact solutions score, and the constants that their motion implies: closed forms and an ODE, no engine.
+
+Real frictions and restitutions are those of `scoring/facts`, which were computed from the published trials.
+"""
+
+import math
+import tomllib
 
 import numpy as np
 import pytest
@@ -6,6 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator
 
 from gauge_envs import load_experiment
+from gauge_envs.files import data_folder
 from gauge_envs.references.band import load_band
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import score_trajectory
@@ -18,21 +25,32 @@ def sample_times_s(experiment):
     return np.arange((experiment.frame_count + 9) * 6 + 1) / 180.0
 
 
-def score(experiment, times_s, positions_m):
+def checked_score(experiment, times_s, positions_m):
+    """Return the score of a solution, which is the one that the band states."""
     band = reference_band(experiment)
-    values = 1e3 * positions_m
-    found = score_trajectory(experiment, band, times_s=times_s, values=values)
-    return found.primary_normalized
+    score = score_trajectory(
+        experiment, band, times_s=times_s, values=1e3 * positions_m
+    )
+    assert score.exact == band.exact[experiment.parameters]
+    assert score.primary_normalized == pytest.approx(score.exact, rel=0.01)
+    return score
 
 
 def start_m(experiment, body):
     return np.array(experiment.scene.body(body).pose.position_m)
 
 
+def summary(name):
+    """Return a summary of real trials."""
+    file = data_folder("scoring") / "facts" / f"{name}_summary.toml"
+    return tomllib.loads(file.read_text())
+
+
 @pytest.mark.parametrize("parameters", [*SETS, "recorded"])
-def test_ball_in_free_fall_with_ideal_rebounds(parameters):
+def test_a_ball_in_free_fall_with_ideal_rebounds(parameters):
     experiment = load_experiment("BouncingBall-rubber", parameters)
     gravity = experiment.scene.gravity_m_per_s2
+    restitution = experiment.scene.contacts[0].restitution
     start = start_m(experiment, "ball")
     rest = start_m(experiment, "ground")[2] + 0.03
     impact_s = np.sqrt(2.0 * (start[2] - rest) / gravity)
@@ -40,22 +58,35 @@ def test_ball_in_free_fall_with_ideal_rebounds(parameters):
     times_s = sample_times_s(experiment)
     heights = start[2] - 0.5 * gravity * times_s**2
     while impact_s < times_s[-1]:
-        speed *= experiment.scene.contacts[0].restitution
+        speed *= restitution
         since = times_s - impact_s
         rebound = rest + speed * since - 0.5 * gravity * since**2
         heights = np.where(since > 0.0, rebound, heights)
         impact_s += 2.0 * speed / gravity
     positions = np.tile(start, (len(times_s), 1))
     positions[:, 2] = heights
-    exact = load_band("BouncingBall-rubber").exact[parameters]
-    assert score(experiment, times_s, positions) == pytest.approx(exact, rel=0.01)
+    score = checked_score(experiment, times_s, positions)
+    estimate = score.estimates["restitution"]
+    assert estimate.value == pytest.approx(restitution, rel=1e-6)
+    real = summary("bouncing_ball")["rebound_ratio"]
+    assert estimate.real == pytest.approx(real["mean"], rel=1e-3)
+    expected = real["std"] / math.sqrt(22)
+    assert estimate.real_uncertainty == pytest.approx(expected, rel=0.1)
+    # The exact solution is that of the start which the scene gives.
+    moved = score_trajectory(
+        experiment,
+        load_band("BouncingBall-rubber"),
+        times_s=times_s,
+        values=1e3 * positions,
+        is_moved=True,
+    )
+    assert moved.exact is None and moved.rmse == score.rmse
 
 
 @pytest.mark.parametrize("parameters", SETS)
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
-def test_cube_slides_down_the_fixed_board(material, parameters):
-    name = f"SlopeSlider-2-{material}"
-    experiment = load_experiment(name, parameters)
+def test_a_cube_slides_down_the_fixed_board(material, parameters):
+    experiment = load_experiment(f"SlopeSlider-2-{material}", parameters)
     friction = experiment.scene.contacts[0].friction
     sine, cosine = np.sin(np.radians(30.0)), np.cos(np.radians(30.0))
     gravity = experiment.scene.gravity_m_per_s2
@@ -63,12 +94,20 @@ def test_cube_slides_down_the_fixed_board(material, parameters):
     times_s = sample_times_s(experiment)
     travel = 0.5 * acceleration * times_s**2
     offsets = np.outer(travel, [cosine, 0.0, -sine])
-    found = score(experiment, times_s, start_m(experiment, "cube") + offsets)
-    assert found == pytest.approx(load_band(name).exact[parameters], rel=0.01)
+    score = checked_score(experiment, times_s, start_m(experiment, "cube") + offsets)
+    estimate = score.estimates["friction"]
+    assert estimate.value == pytest.approx(friction, rel=1e-6)
+    real = summary("slope_slider_30deg")[material]
+    assert estimate.real == pytest.approx(real["friction"]["mean"], abs=1e-3)
+    # The scatter of the mean, and 0.3 degrees of tilt: mu = tan - a / (g cos).
+    scatter = real["friction"]["std"] / math.sqrt(real["trial_count"])
+    tilt = math.radians(0.3) * (1.0 + estimate.real * sine / cosine)
+    expected = math.hypot(scatter, tilt)
+    assert estimate.real_uncertainty == pytest.approx(expected, rel=0.03)
 
 
 @pytest.mark.parametrize("parameters", SETS)
-def test_cube_slips_on_the_tilting_board(parameters):
+def test_a_cube_slips_on_the_tilting_board(parameters):
     """The cube's place along the board, in the frame of its axle, is the state; it does not stop once it slips."""
     experiment = load_experiment("SlopeSlider-3-metal", parameters)
     gravity = experiment.scene.gravity_m_per_s2
@@ -106,20 +145,6 @@ def test_cube_slips_on_the_tilting_board(parameters):
     offsets = np.column_stack(
         [places * cosine + height * sine, 0.0 * sine, height * cosine - places * sine]
     )
-    found = score(experiment, times_s, motion.point_m + offsets)
-    exact = load_band("SlopeSlider-3-metal").exact[parameters]
-    assert found == pytest.approx(exact, rel=0.01)
-
-
-def test_an_exact_solution_is_of_the_start_that_the_scene_states():
-    experiment = load_experiment("BouncingBall-rubber")
-    times_s = sample_times_s(experiment)
-    band = reference_band(experiment)
-    values = np.tile(1e3 * start_m(experiment, "ball"), (len(times_s), 1))
-    found = [
-        score_trajectory(
-            experiment, band, times_s=times_s, values=values, is_moved=is_moved
-        ).exact
-        for is_moved in (False, True)
-    ]
-    assert found == [band.exact["calibrated"], None]
+    score = checked_score(experiment, times_s, motion.point_m + offsets)
+    # The board is driven, so that the slide is not one of uniform acceleration.
+    assert score.estimates == {}
