@@ -1,157 +1,167 @@
-"""The bundled bands reproduce what was published about the real trials."""
+"""The bands: complete, consistent with their arrays, equal to closed forms, and read back as an import writes them."""
 
 import math
 import tomllib
+from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from swings import swung_rad
 
-from gauge_envs.files import data_folder
-from gauge_envs.references.band import load_band
+from gauge_envs import load_experiment, variants
+from gauge_envs.errors import ReferenceFileError, ShapeError
+from gauge_envs.references.band import load_band, stated_of
+from gauge_envs.references.convergence import convergence_rows, read_convergence
+from gauge_envs.references.imported import ImportFacts, load_imported, write_imported
 from gauge_envs.references.published import published_baselines
+from gauge_envs.references.tables import scoring_folder
+from gauge_envs.references.user_data import DataSource
+from gauge_envs.scene import body_mass_properties
 
-MATERIALS = ("wood", "plastic", "metal")
-VARIANTS = (
-    *(f"SlopeSlider-2-{material}" for material in MATERIALS),
-    "BouncingBall-rubber",
-)
+NAMES = [one.name for one in variants()]
+BANDS = {name: band for name in NAMES if (band := load_band(name)) is not None}
 GRAVITY = 9.80665
 
 
-# Reproduction of the published scatter
+def test_62_of_75_ids_have_a_reference_and_each_file_says_what_it_is():
+    kinds = Counter(band.kind.value for band in BANDS.values())
+    assert kinds == {"trials": 8, "recording": 2, "analytic": 22, "numerical": 30}
+    assert (len(NAMES), len(BANDS)) == (75, 62)
+    for name in NAMES:
+        stated = stated_of(scoring_folder("bands") / f"{name}.toml")
+        assert stated.source and (stated.kind == "none" or stated.licence)
+        assert stated.unit == load_experiment(name).score.observable.unit
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_real_trials_reproduce_the_published_baseline(variant):
-    published, band = published_baselines(variant), load_band(variant)
-    # Later frames of some trials are not known.
-    rmse = [
-        np.sqrt(np.nanmean(np.square(trial - band.mean).sum(axis=1)))
-        for trial in band.trials
-    ]
-    assert np.mean(rmse) == pytest.approx(published["rmse"].mean, rel=0.03)
-    assert np.std(rmse, ddof=1) == pytest.approx(published["rmse"].std, rel=0.03)
-    # The stored distances are from the mean of the others, N / (N - 1) times as far.
-    count = len(band.trials)
-    expected = np.array(rmse) * count / (count - 1)
-    np.testing.assert_allclose(band.trial_rmse, expected, rtol=0.02)
-    assert (band.trial_rmse_aligned <= band.trial_rmse + 1e-9).all()
+@pytest.mark.parametrize("name", BANDS)
+def test_the_numbers_of_a_band_follow_from_its_arrays(name):
+    band, experiment = BANDS[name], load_experiment(name)
+    text = (scoring_folder("bands") / f"{name}.toml").read_text(encoding="utf-8")
+    stated = tomllib.loads(text)
+    count, width = len(band.coordinates), len(experiment.coordinates)
+    assert band.mean.shape == (experiment.frame_count, count)
+    assert band.projection.shape == (count, width)
+    assert not (band.sigma < 0.0).any()
+    computed = replace(band, stated_uncertainty=None)
+    stated_mm = pytest.approx(stated["zero_motion_distance"])
+    assert computed.zero_motion_distance == stated_mm
+    if "exact" in stated["source"]:
+        assert band.standard_uncertainty == pytest.approx(math.sqrt(3.0))
+    elif band.kind.is_solution or band.trials is not None:
+        stated_mm = pytest.approx(stated["standard_uncertainty"])
+        assert computed.standard_uncertainty == stated_mm
+    # What a scene without motion is told from: else a reference says nothing. A cube that holds does not move.
+    if not name.startswith("SlopeSlider-1"):
+        assert band.zero_motion_distance > 3.0 * band.standard_uncertainty
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_sigma_and_uncertainty_are_those_of_the_trials(variant):
-    band = load_band(variant)
-    scatter = np.nanstd(band.trials, axis=0, ddof=1)
-    known = np.isfinite(scatter) & band.measured[:, None]
-    np.testing.assert_allclose(band.sigma[known], scatter[known], rtol=0.02)
-    root = math.sqrt(len(band.trials))
-    assert band.standard_uncertainty == pytest.approx(
-        math.sqrt(np.square(band.sigma / root).mean()), rel=1e-6
-    )
+def test_a_band_of_arrays_that_disagree_is_refused():
+    band = BANDS["SlopeSlider-2-wood"]
+    assert band.project([[2.0, 7.0, 4.0]]) == pytest.approx(3**0.5 - 2.0)
+    for changes in ({"sigma": band.sigma[1:]}, {"coordinates": ("a", "b")}):
+        with pytest.raises(ShapeError):
+            replace(band, **changes)
+    with pytest.raises(ShapeError, match=r"\[frame_count, 3\]"):
+        band.project(np.zeros((5, 2)))
 
 
-# What is measured
+# --- closed forms ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("material", "first", "last"),
-    [("wood", 6, 14), ("plastic", 6, 13), ("metal", 7, 15)],
-)
-def test_slope_frames_without_half_of_the_trials_are_extrapolated(
-    material, first, last
+def frames_s(band):
+    return np.flatnonzero(band.known) / 30.0
+
+
+@pytest.mark.parametrize("name", [one for one in BANDS if "Nonsmooth" in one])
+def test_a_free_fall_is_half_g_t_squared(name):
+    band, experiment = BANDS[name], load_experiment(name)
+    start = experiment.scene.body(experiment.recorded[0]).pose.position_m
+    fallen_mm = 500.0 * GRAVITY * frames_s(band) ** 2
+    expected = 1e3 * np.array(start) - fallen_mm[:, None] * [0.0, 0.0, 1.0]
+    np.testing.assert_allclose(band.mean[band.known], expected, atol=1e-9)
+
+
+def test_the_pendulum_swings_as_the_integrated_one():
+    """I phi'' = -m g l sin(phi) about the hinge, with the moment of inertia of the body's shape."""
+    scene, band = load_experiment("Pendulum-metal").scene, BANDS["Pendulum-metal"]
+    (joint,) = scene.joints
+    body = scene.body(joint.body)
+    arm_m = np.array(body.pose.position_m) - joint.anchor_m
+    length_m = np.linalg.norm(arm_m)
+    axis = np.array(joint.axis)
+    _, about_centre = body_mass_properties(body)
+    of_axis = axis @ body.pose.matrix @ about_centre @ body.pose.matrix.T @ axis
+    inertia = of_axis + body.mass_kg * length_m**2
+    sideways = np.cross(axis, [0.0, 0.0, -1.0])
+    angle = swung_rad(
+        frames_s(band),
+        math.atan2(arm_m @ sideways, -arm_m[2]),
+        square_rate=body.mass_kg * GRAVITY * length_m / inertia,
+    )[:, None]
+    path = np.sin(angle) * sideways - np.cos(angle) * [0.0, 0.0, 1.0]
+    expected = 1e3 * (np.array(joint.anchor_m) + length_m * path)
+    np.testing.assert_allclose(band.mean[band.known], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", [one for one in BANDS if "Turntable-1" in one])
+def test_a_carried_cube_turns_with_the_plate(name):
+    scene, band = load_experiment(name).scene, BANDS[name]
+    (turn,) = scene.drivers[0].motions
+    centre_mm = 1e3 * np.array(turn.point_m)
+    start = 1e3 * np.array(scene.body("cube").pose.position_m) - centre_mm
+    angles = [turn.value(time_s) * np.sign(turn.axis[2]) for time_s in frames_s(band)]
+    cosine, sine = np.cos(angles), np.sin(angles)
+    x = start[0] * cosine - start[1] * sine
+    y = start[0] * sine + start[1] * cosine
+    expected = np.stack([x, y, np.full_like(x, start[2])], axis=1) + centre_mm
+    np.testing.assert_allclose(band.mean, expected, atol=1e-6)
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+def test_an_import_is_read_as_written_and_only_where_it_is_asked_for(
+    tmp_path, monkeypatch
 ):
-    measured = np.flatnonzero(load_band(f"SlopeSlider-2-{material}").measured)
-    assert measured.tolist() == list(range(first, last + 1))
-
-
-def test_ball_frames_before_the_arcs_are_extrapolated():
-    assert np.flatnonzero(load_band("BouncingBall-rubber").measured).tolist() == list(
-        range(4, 18)
+    monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path))
+    name = "SlopeSlider-2-wood"
+    bundled = load_band(name)
+    facts = ImportFacts(
+        variant=name,
+        left_out=0,
+        files=("a.json",),
+        files_sha256="0" * 64,
+        task_sha256="1" * 64,
+        metrics={},
+        drivers=(),
     )
+    write_imported(bundled, {}, facts)
+    imported = load_band(name, DataSource.IMPORTED)
+    assert imported is not bundled and load_band(name) is bundled
+    for array in ("trials", "projection", "mean", "sigma", "measured"):
+        np.testing.assert_array_equal(getattr(imported, array), getattr(bundled, array))
+    assert load_imported(name).facts == facts
+    (tmp_path / "trials" / f"{name}.npz").write_bytes(b"nothing")
+    stated = tmp_path / "trials" / f"{name}.toml"
+    stated.write_text(stated.read_text() + "\n")
+    with pytest.raises(ReferenceFileError, match=rf"{name}\.npz"):
+        load_band(name, DataSource.IMPORTED)
 
 
-# Ideal bodies
-
-
-@pytest.mark.parametrize(
-    ("material", "x", "z", "friction", "score"),
-    [
-        ("wood", 97.247, 359.354, 0.273673, 0.42),
-        ("plastic", 99.205, 359.256, 0.275018, 0.87),
-        ("metal", 98.720, 359.680, 0.262758, 0.76),
-    ],
-)
-def test_ideal_coulomb_cube(material, x, z, friction, score):
-    """Released at frame 0 from the metadata's position, with the metadata's friction."""
-    variant, slope = f"SlopeSlider-2-{material}", math.radians(30)
-    baseline = published_baselines(variant)["rmse"]
-    time = np.arange(baseline.frames) / 30
-    travel = 500 * GRAVITY * (math.sin(slope) - friction * math.cos(slope)) * time**2
-    positions = np.array([x, 400.0, z]) + travel[:, np.newaxis] * [
-        math.cos(slope),
-        0,
-        -math.sin(slope),
-    ]
-    band = load_band(variant)
-    rmse = math.sqrt(np.square(band.project(positions) - band.mean).mean())
-    assert rmse / baseline.mean == pytest.approx(score, abs=0.01)
-
-
-def ball_score(*, restitution, start, contact, release):
-    """Normalized E_RMSE of a ball dropped at a time, from a height, over a contact height (m, s)."""
-    time = np.maximum(np.arange(18) / 30 - release, 0)
-    fall_time = math.sqrt(2 * (start - contact) / GRAVITY)
-    after = time - fall_time
-    falling = start - GRAVITY / 2 * time**2
-    rising = (
-        contact + restitution * GRAVITY * fall_time * after - GRAVITY / 2 * after**2
-    )
-    z = 1000 * np.where(after < 0, falling, rising)
-    band = load_band("BouncingBall-rubber")
-    deviation = band.project(np.column_stack([0 * z, 0 * z, z])) - band.mean
-    return (
-        math.sqrt(np.square(deviation).mean())
-        / published_baselines("BouncingBall-rubber")["rmse"].mean
-    )
-
-
-@pytest.mark.parametrize(
-    ("restitution", "start", "contact", "release", "score"),
-    [
-        (0.576733, 0.451023, 0.043297, 0.0, 14.1),
-        (0.576733, 0.451023, 0.043297, 0.056, 6.6),
-        (0.735, 0.451023, 0.043297, 0.0577, 1.27),
-        (0.735, 0.4423, 0.0372, 0.0601, 0.13),
-    ],
-)
-def test_ideal_ball(restitution, start, contact, release, score):
-    """Metadata ball, the same released late, with the recorded rebound too, with the recorded heights too."""
-    measured = ball_score(
-        restitution=restitution, start=start, contact=contact, release=release
-    )
-    assert measured == pytest.approx(score, rel=0.02)
-    if release > 0:
-        assert measured <= min(
-            ball_score(
-                restitution=restitution,
-                start=start,
-                contact=contact,
-                release=release + shift,
-            )
-            for shift in (-0.002, 0.002)
+@pytest.mark.parametrize("engine", ["mujoco", "newton"])
+def test_convergence_is_of_half_a_step_and_over_the_published_scatter(engine):
+    rows = read_convergence(scoring_folder("convergence") / f"{engine}.csv")
+    assert rows
+    for (name, setting), row in rows.items():
+        assert name in NAMES
+        assert row.unit == load_experiment(name).score.observable.unit
+        assert setting == "training" or row.refined == pytest.approx(
+            0.5 * row.default, rel=1e-3
         )
-
-
-def test_slope_summary_inverts_coulomb_sliding():
-    text = (
-        data_folder("scoring") / "facts" / "slope_slider_30deg_summary.toml"
-    ).read_text()
-    for material, summary in tomllib.loads(text).items():
-        friction, acceleration = (
-            summary["friction"]["mean"],
-            summary["acceleration_m_s2"]["mean"],
-        )
-        expected = GRAVITY * (
-            math.sin(math.radians(30)) - friction * math.cos(math.radians(30))
-        )
-        assert acceleration == pytest.approx(expected, abs=1e-5), material
+        if row.share is not None:
+            scatter = published_baselines(name)["rmse"].mean
+            assert row.share == pytest.approx(row.rms / scatter, rel=2e-3)
+        shown = convergence_rows(engine, f"GAUGE/{name}")[setting]
+        assert shown == row.model_dump()
+    assert convergence_rows("another", "SlopeSlider-2-wood") == {}
