@@ -1,4 +1,4 @@
-"""Deformation of a marked solid: closed forms, markers in a plane and on a line."""
+"""Deformation of a marked solid: the Biot strain in closed form, for markers in a volume, in a plane and on a line."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,6 @@ from gauge_envs import load_experiment
 from gauge_envs.observables.deformation import deformation, solid_axes
 
 ROTATION = Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()
-UPRIGHT = np.eye(3)
 FOAM_MARKERS_M = np.array(
     load_experiment("FoamStretching-soft").scene.markers.positions_m
 )
@@ -21,24 +20,23 @@ def mapped(rest_m, gradient):
     return rest_m @ np.asarray(gradient).T + [0.1, -0.2, 0.3]
 
 
-@pytest.mark.parametrize("elongation", [0.05, -0.05, 0.2])
+@pytest.mark.parametrize("elongation", [0.05, -0.05])
 @pytest.mark.parametrize("turned", [np.eye(3), ROTATION])
-def test_uniaxial_stretch(elongation, turned):
-    """In the axes of the block, whichever way the block stands, and however it is rotated afterwards."""
-    stretch = np.diag([0.98, 0.98, 1 + elongation])
+def test_a_stretch_counts_along_the_axes_of_the_block(elongation, turned):
+    """Whichever way the block stands, and however it is rotated afterwards."""
+    stretch = turned @ np.diag([0.98, 0.98, 1 + elongation]) @ turned.T
     rest = FOAM_MARKERS_M @ turned.T
-    now = mapped(rest, ROTATION @ turned @ stretch @ turned.T)
-    found = deformation(rest, now, turned)
+    found = deformation(rest, mapped(rest, ROTATION @ stretch), turned)
     assert found["strain_zz"] == pytest.approx(elongation, abs=1e-12)
     assert found["strain_xz"] == pytest.approx(0.0, abs=1e-12)
     assert np.isnan(found["area_ratio"])
 
 
-def test_simple_shear():
+def test_a_simple_shear_has_the_stretch_of_its_polar_decomposition():
     """U of x' = x + gamma z is [[2, gamma], [gamma, 2 + gamma^2]] over sqrt(4 + gamma^2)."""
     gamma = 0.35
     now = mapped(FOAM_MARKERS_M, [[1, 0, gamma], [0, 1, 0], [0, 0, 1]])
-    found = deformation(FOAM_MARKERS_M, now, UPRIGHT)
+    found = deformation(FOAM_MARKERS_M, now, np.eye(3))
     root = np.sqrt(4 + gamma**2)
     assert found["strain_zz"] == pytest.approx((2 + gamma**2) / root - 1, abs=1e-12)
     assert found["strain_xz"] == pytest.approx(gamma / root, abs=1e-12)
@@ -50,19 +48,16 @@ def test_markers_in_a_plane_give_strain_in_the_plane(placement_m):
     noise = np.random.default_rng(1).normal(size=PLANE_M.shape)
     rest = PLANE_M + placement_m * noise
     now = mapped(rest, ROTATION @ np.diag([0.7, 1.1, 0.9]))
-    found = deformation(rest, now, UPRIGHT)
+    found = deformation(rest, now, np.eye(3))
     tolerance = 1e-12 + 6.0 * placement_m
     assert found["strain_zz"] == pytest.approx(-0.1, abs=tolerance)
     assert found["area_ratio"] == pytest.approx(1.1 * 0.9, abs=tolerance)
     assert np.isnan(found["strain_xz"])
+    line = PLANE_M[::2]
+    on_line = deformation(line, mapped(line, 1.1 * ROTATION), np.eye(3))
+    assert np.isnan([*on_line.values()]).all()
 
 
-def test_markers_on_a_line_determine_neither():
-    line = np.array([[0.4, y, 0.2] for y in (0.40, 0.45, 0.50)])
-    found = deformation(line, mapped(line, 1.1 * ROTATION), UPRIGHT)
-    assert np.isnan([*found.values()]).all()
-
-
-def test_axes_of_a_block_that_lies_down():
+def test_the_axes_are_those_of_a_block_that_lies_down():
     axes = solid_axes(load_experiment("FoamBending-soft").scene)
     assert np.abs(axes[:, 2]).tolist() == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)
