@@ -1,213 +1,202 @@
-"""Prescribed motions against their closed forms."""
+"""Prescribed motions: profiles against their integrals, poses against SciPy's rotations, and uniform accelerations."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.scene import Pose
+from gauge_envs.scene import Box, Pose
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.prescribed_motion import PrescribedMotion
 from gauge_envs.scene.profiles import CosineProfile, SampledProfile, TrapezoidProfile
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.tools.bench.parts import body
 
-
-def profiles():
-    return [
-        TrapezoidProfile(
-            start_s=0.2, duration_s=1.0, accelerate_s=0.3, brake_s=0.2, amount=-0.6
-        ),
-        TrapezoidProfile(
-            start_s=0.0, duration_s=1.0, accelerate_s=0.0, brake_s=0.5, amount=0.6
-        ),
-        CosineProfile(start_s=0.1, duration_s=1.35, amount=-0.6),
-        SampledProfile(times_s=(0.0, 0.3, 0.5, 1.2), values=(0.0, 0.1, 0.4, 0.35)),
-    ]
-
-
-@pytest.mark.parametrize("profile", profiles(), ids=lambda p: type(p).__name__)
-def test_rate_is_the_derivative_and_stays_below_its_bound(profile):
-    times = np.linspace(-0.1, 1.7, 4001)
-    rates = np.array([profile.rate(t) for t in times])
-    values = np.array([profile.value(t) for t in times])
-    central = np.gradient(values, times)
-    jump = np.abs(np.diff(rates, append=rates[-1])) > 0.02
-    near_jump = np.convolve(jump, np.ones(5), mode="same") > 0
-    # The slope of a cubic has a kink at each sample, which a central difference rounds off.
-    assert rates[~near_jump] == pytest.approx(central[~near_jump], abs=4e-3)
-    assert np.abs(rates).max() <= profile.largest_rate * (1 + 1e-9)
-
-
-def test_trapezoid_ends_are_exact():
-    profile = TrapezoidProfile(
-        start_s=0.2, duration_s=1.0, accelerate_s=0.3, brake_s=0.2, amount=-0.6
-    )
-    assert profile.value(0.2) == 0.0
-    assert profile.value(1.2) == pytest.approx(-0.6)
-    assert profile.value(5.0) == pytest.approx(-0.6)
-    assert profile.cruise_rate == pytest.approx(-0.6 / 0.75)
-    assert profile.value(0.5) == pytest.approx(0.5 * profile.cruise_rate * 0.3)
-
-
-def test_cosine_peaks_in_the_middle():
-    profile = CosineProfile(start_s=0.0, duration_s=1.35, amount=0.6)
-    assert profile.rate(0.675) == pytest.approx(0.5 * np.pi * 0.6 / 1.35)
-
-
-@given(
-    amount=st.floats(-3.0, 3.0),
-    shift=st.floats(-0.5, 0.5),
-    time_s=st.floats(0.0, 2.0),
+TRAPEZOID = TrapezoidProfile(
+    start_s=0.2, duration_s=1.0, accelerate_s=0.3, brake_s=0.2, amount=-0.6
 )
-def test_state_is_consistent_between_pose_and_velocity(amount, shift, time_s):
-    driver = Driver(
-        body="b",
-        motions=(
-            DriverMotion(
-                kind="translate",
-                axis=(1.0, 0.0, 0.0),
-                profiles=(CosineProfile(start_s=0, duration_s=2, amount=shift),),
+PROFILES = [
+    (TRAPEZOID, (0.2, 0.5, 1.0, 1.2), -0.6),
+    (replace(TRAPEZOID, accelerate_s=0.0, brake_s=0.0), (0.2, 1.2), -0.6),
+    (CosineProfile(start_s=0.1, duration_s=1.35, amount=0.6), (0.1, 1.45), 0.6),
+    (
+        SampledProfile(times_s=(0.1, 0.3, 0.5, 1.2), values=(0.0, 0.1, 0.4, 0.35)),
+        (0.1, 0.3, 0.5, 1.2),
+        0.35,
+    ),
+]
+
+
+@pytest.mark.parametrize(("profile", "knots_s", "amount"), PROFILES)
+def test_a_value_is_the_integral_of_the_rate_which_has_a_sharp_bound(
+    profile, knots_s, amount
+):
+    for end_s in (0.05, 0.35, 0.6, 1.1, 1.3, 2.0):
+        breaks = [knot for knot in knots_s if knot < end_s]
+        moved, _ = quad(profile.rate, 0.0, end_s, points=breaks or None)
+        assert profile.value(end_s) == pytest.approx(moved, abs=1e-9)
+    assert profile.value(5.0) == pytest.approx(amount)
+    rates = np.abs([profile.rate(time_s) for time_s in np.linspace(0.0, 1.5, 3001)])
+    assert rates.max() == pytest.approx(profile.largest_rate, rel=1e-4)
+
+
+def test_rates_are_the_closed_forms():
+    assert TRAPEZOID.cruise_rate == pytest.approx(-0.6 / 0.75)
+    assert TRAPEZOID.rate(0.2 + 0.1) == pytest.approx(TRAPEZOID.cruise_rate / 3.0)
+    assert TRAPEZOID.rate(1.2 - 0.05) == pytest.approx(TRAPEZOID.cruise_rate / 4.0)
+    cosine = CosineProfile(start_s=0.1, duration_s=1.35, amount=0.6)
+    peak = 0.5 * np.pi * 0.6 / 1.35
+    assert cosine.rate(0.1 + 1.35 / 6.0) == pytest.approx(0.5 * peak)
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "reason"),
+    [
+        (TrapezoidProfile, {"accelerate_s": 0.9}, "longer than duration_s"),
+        (SampledProfile, {"times_s": (0.0, 0.1, 0.1)}, "not increasing"),
+        (SampledProfile, {"values": (0.0, 1.0)}, "3 times but 2 values"),
+    ],
+)
+def test_a_profile_that_contradicts_itself_is_refused(kind, changes, reason):
+    sampled = SampledProfile(times_s=(0.0, 0.1, 0.2), values=(0.0, 1.0, 2.0))
+    given = sampled if kind is SampledProfile else TRAPEZOID
+    with pytest.raises(ValueError, match=reason):
+        replace(given, **changes)
+
+
+# --- poses -----------------------------------------------------------------------------------------------------------
+
+
+def two_motions(shift=0.2, angle_rad=0.7, duration_s=0.5):
+    """A translation and a rotation that actions change by 0.3 m/s and 0.3 rad/s."""
+    moved, turned = (
+        DriverMotion(
+            kind=kind,
+            axis=(0.0, 0.6, 0.8),
+            point_m=(0.1, 0.2, 0.4),
+            profiles=(
+                CosineProfile(start_s=0.0, duration_s=duration_s, amount=amount),
             ),
-            DriverMotion(
-                kind="rotate",
-                axis=(0.0, 0.6, 0.8),
-                point_m=(0.1, 0.2, 0.3),
-                profiles=(CosineProfile(start_s=0, duration_s=2, amount=amount),),
-            ),
-        ),
-        provenance="nominal",
+            residual_rate=0.3,
+        )
+        for kind, amount in (("translate", shift), ("rotate", angle_rad))
     )
+    translation = replace(moved, axis=(1.0, 0.0, 0.0))
+    # What comes first turns too, as a plate that slides on a turning arm.
+    return Driver(
+        body="plate", motions=(translation, turned, moved), provenance="nominal"
+    )
+
+
+@given(st.floats(-0.5, 0.5), st.floats(-3.0, 3.0), st.floats(0.01, 1.99))
+def test_velocities_are_those_of_poses_and_poses_those_of_scipy(
+    shift, angle_rad, time_s
+):
+    driver = two_motions(shift, angle_rad, duration_s=2.0)
     start = Pose.from_euler_deg((0.4, -0.1, 0.2), (20.0, 30.0, 40.0))
+    phase = 0.5 * (1.0 - np.cos(0.5 * np.pi * time_s))
+    axis, point_m = np.array([0.0, 0.6, 0.8]), np.array([0.1, 0.2, 0.4])
+    turn = Rotation.from_rotvec(phase * angle_rad * axis)
+    arm_m = np.subtract(start.position_m, point_m) + phase * shift * np.eye(3)[0]
+    place_m = point_m + turn.apply(arm_m) + phase * shift * axis
+    pose = driver.pose(start, time_s)
+    assert pose.position_m == pytest.approx(place_m)
+    assert pose.matrix == pytest.approx((turn * start.rotation).as_matrix())
     step = 1e-5
-    velocity = driver.path(start, np.array([time_s]))[0, 7:]
     before, after = driver.pose(start, time_s - step), driver.pose(start, time_s + step)
-    linear = np.subtract(after.position_m, before.position_m) / (2 * step)
-    expected = [
-        *linear,
-        *(after.rotation * before.rotation.inv()).as_rotvec() / (2 * step),
-    ]
-    # The profile is flat outside its two seconds, so the difference is one-sided at the ends, where it is at rest.
-    assert velocity == pytest.approx(expected, abs=1e-3)
+    linear = np.subtract(after.position_m, before.position_m)
+    angular = (after.rotation * before.rotation.inv()).as_rotvec()
+    velocity = driver.path(start, np.array([time_s]))[0, 7:]
+    expected = np.concatenate([linear, angular]) / (2 * step)
+    assert velocity == pytest.approx(expected, abs=1e-7)
 
 
-def test_rotation_about_a_point_keeps_the_distance():
-    motion = DriverMotion(
-        kind="rotate",
-        axis=(0.0, 1.0, 0.0),
-        point_m=(0.0, 0.0, -0.038),
-        profiles=(CosineProfile(start_s=0, duration_s=1, amount=np.radians(33.2)),),
-    )
-    driver = Driver(body="b", motions=(motion,), provenance="video")
-    start = Pose(position_m=(0.0, 0.0, 0.0))
-    end = driver.pose(start, 2.0)
-    assert np.linalg.norm(np.subtract(end.position_m, motion.point_m)) == pytest.approx(
-        0.038
-    )
-    # Positive turn about +y takes +z towards +x: the +x end of a board goes down.
-    assert end.position_m[0] == pytest.approx(0.038 * np.sin(np.radians(33.2)))
-    assert end.to_world(np.array([0.25, 0.0, 0.0]))[2] < 0.0
+def test_the_speed_of_a_driven_body_is_below_its_bound():
+    """The farthest corner of a plate on a turning arm, with the largest action."""
+    driver = two_motions(duration_s=2.0)
+    plate = body("plate", Box(size_m=(0.2, 0.2, 0.02)), Pose(position_m=(0.1, 0, 0.4)))
+    cruise = 0.5 * np.pi / 2.0
+    corners_m = plate.pose.to_world(plate.shape.corners_m) - [0.1, 0.2, 0.4]
+    arm_m = np.linalg.norm(np.cross(corners_m, [0.0, 0.6, 0.8]), axis=1).max()
+    expected = 2.0 * (0.2 * cruise + 0.3) + (0.7 * cruise + 0.3) * arm_m
+    assert driver.speed_limit_m_per_s(plate) == pytest.approx(expected)
 
 
-def test_euler_angles_turn_about_fixed_axes_in_the_order_x_y_z():
-    pose = Pose.from_euler_deg((0.0, 0.0, 0.0), (90.0, 0.0, 90.0))
-    assert pose.to_world(np.array([0.0, 1.0, 0.0])) == pytest.approx([0.0, 0.0, 1.0])
-    assert pose.to_world(np.array([0.0, 0.0, 1.0])) == pytest.approx([1.0, 0.0, 0.0])
-    assert pose.to_body(pose.to_world(np.array([0.1, 0.2, 0.3]))) == pytest.approx(
-        [0.1, 0.2, 0.3]
-    )
-
+# --- intervals -------------------------------------------------------------------------------------------------------
 
 START = np.array([0.1, 0.2, 0.3, 0.5, 0.5, -0.5, 0.5])
 """Position [m] and quaternion of a driven body before anything moves."""
 
 
-def two_motions():
-    """A translation and a rotation that actions change by 0.3 m/s and 0.3 rad/s."""
-    shift, turn = (
-        DriverMotion(
-            kind=kind,
-            axis=(0.0, 0.6, 0.8),
-            point_m=(0.1, 0.2, 0.4),
-            profiles=(CosineProfile(start_s=0.0, duration_s=0.5, amount=amount),),
-            residual_rate=0.3,
-        )
-        for kind, amount in (("translate", 0.2), ("rotate", 0.7))
-    )
-    return Driver(body="plate", motions=(shift, turn), provenance="nominal")
-
-
 def ends_of(targets):
-    """Return pose and velocity at the end of uniformly accelerated intervals, shape [..., 13]."""
-    velocity, acceleration = targets[..., 7:13], targets[..., 13:]
+    """Return the pose at the end of uniformly accelerated intervals, shape [count, 7]."""
+    velocity, acceleration = targets[:, 7:13], targets[:, 13:]
     travel = SAMPLE_INTERVAL_S * velocity + 0.5 * SAMPLE_INTERVAL_S**2 * acceleration
-    turned = Rotation.from_rotvec(travel[..., 3:].reshape(-1, 3)) * Rotation.from_quat(
-        targets[..., 3:7].reshape(-1, 4), scalar_first=True
+    turned = Rotation.from_rotvec(travel[:, 3:]) * Rotation.from_quat(
+        targets[:, 3:7], scalar_first=True
     )
-    quaternions = turned.as_quat(scalar_first=True).reshape(targets[..., 3:7].shape)
-    places = targets[..., :3] + travel[..., :3]
-    return np.concatenate([places, quaternions], axis=-1)
+    places = targets[:, :3] + travel[:, :3]
+    return np.concatenate([places, turned.as_quat(scalar_first=True)], axis=1)
 
 
 @pytest.mark.parametrize("action", [0.0, 0.7])
 def test_each_interval_ends_where_the_next_one_begins(action):
-    motion = PrescribedMotion(two_motions(), START, 60)
-    rows = [
-        motion.targets(6 * frame, np.full((1, 2), action), 6)[:, 0]
-        for frame in range(10)
-    ]
+    """An action of 0.7 adds a displacement at 0.7 times the rate of the driver."""
+    driver = two_motions()
+    motion = PrescribedMotion(driver, START, 60)
+    actions = np.full((1, 3), action)
+    rows = [motion.targets(6 * frame, actions, 6)[:, 0] for frame in range(10)]
     targets = np.concatenate(rows)
     assert ends_of(targets[:-1]) == pytest.approx(targets[1:, :7], abs=1e-12)
-    assert targets[0, :7] == pytest.approx(START)
+    times_s = SAMPLE_INTERVAL_S * np.arange(60)
+    coordinates = [[one.value(time) for one in driver.motions] for time in times_s]
+    coordinates = np.array(coordinates) + 0.3 * action * times_s[:, None]
+    rates = [[one.rate(time) for one in driver.motions] for time in times_s]
+    starts = np.tile(START, (60, 1))
+    states = driver.moved(starts, coordinates, np.array(rates) + 0.3 * action)
+    assert targets[:, :7] == pytest.approx(states[:, :7], abs=1e-12)
+    # Means over an interval, of which the acceleration is the change of velocity.
+    gains = np.diff(states[:, 7:], axis=0) / SAMPLE_INTERVAL_S
+    assert targets[:-1, 13:] == pytest.approx(gains, abs=1e-9)
+    assert targets[:, 7:13] == pytest.approx(states[:, 7:], abs=1e-3)
 
 
-def test_worlds_are_driven_as_one_alone_also_after_an_action_of_one_motion():
-    """Actions move one motion of the first world, both of the second, and none of the third."""
+def test_worlds_are_driven_as_one_alone_also_from_other_places_and_by_other_drivers():
+    """Actions move one motion of the first world, all of the second, and none of the third."""
     together = PrescribedMotion(two_motions(), START, 48, world_count=3)
-    alone = [PrescribedMotion(two_motions(), START, 48) for _ in range(3)]
-    acted = np.array([[1.0, 0.0], [0.5, -1.0], [0.0, 0.0]])
-    for interval in range(8):
-        actions = acted if interval in (1, 2) else np.zeros((3, 2))
+    together.targets(0, np.ones((3, 3)), 6)
+    drivers = [two_motions(), two_motions(angle_rad=0.3), two_motions()]
+    starts = np.array([START, START, START + np.eye(7)[0]])
+    together.reset(drivers, starts)
+    alone = [
+        PrescribedMotion(driver, start, 48)
+        for driver, start in zip(drivers, starts, strict=True)
+    ]
+    acted = np.array([[1.0, 0.0, 0.0], [0.5, -1.0, 1.0], [0.0, 0.0, 0.0]])
+    for interval in range(5):
+        actions = acted if interval in (1, 2) else np.zeros((3, 3))
         rows = together.targets(interval, actions)[0]
         expected = [
             motion.targets(interval, action[None])[0, 0]
             for motion, action in zip(alone, actions, strict=True)
         ]
         assert rows == pytest.approx(np.array(expected), abs=1e-9)
+    together.reset()
+    nominal = PrescribedMotion(two_motions(), START, 48).targets(0, np.zeros((1, 3)))
+    found = together.targets(0, np.zeros((3, 3)))
+    assert found == pytest.approx(np.repeat(nominal, 3, axis=1))
 
 
-def test_a_reset_gives_worlds_other_places_and_other_drivers():
-    motion = PrescribedMotion(two_motions(), START, 12, world_count=2)
-    motion.targets(0, np.ones((2, 2)), 6)
-    elsewhere = START + np.eye(7)[0]
-    later = two_motions()
-    slower = replace(later.motions[0], residual_rate=0.1)
-    other = replace(later, motions=(slower, later.motions[1]), provenance="mocap")
-    motion.reset([later, other], np.array([START, elsewhere]))
-    expected = [
-        PrescribedMotion(driver, start, 12).targets(0, np.zeros((1, 2)), 12)
-        for driver, start in ((later, START), (other, elsewhere))
-    ]
-    found = motion.targets(0, np.zeros((2, 2)), 12)
-    assert found == pytest.approx(np.concatenate(expected, axis=1))
-
-
-@pytest.mark.parametrize("angle_rad", [0.3, 3.0, 3.3, 6.0, -3.5])
-def test_mean_rate_of_an_interval_is_the_shorter_rotation(angle_rad):
+@pytest.mark.parametrize("angle_rad", [0.3, 3.3, -3.5])
+def test_the_mean_rate_of_an_interval_is_the_shorter_rotation(angle_rad):
     """The rotation vector of SciPy, also where the body turns by more than half a turn in one interval."""
-    axis = (0.0, 0.6, 0.8)
-    spin = DriverMotion(
-        kind="rotate",
-        axis=axis,
-        point_m=(0.0, 0.0, 0.0),
-        profiles=(
-            SampledProfile(times_s=(0.0, SAMPLE_INTERVAL_S), values=(0.0, angle_rad)),
-        ),
-        residual_rate=1.0,
-    )
+    profile = SampledProfile(times_s=(0.0, SAMPLE_INTERVAL_S), values=(0.0, angle_rad))
+    spin = replace(two_motions().motions[1], profiles=(profile,))
     driver = Driver(body="plate", motions=(spin,), provenance="nominal")
     row = PrescribedMotion(driver, START, 1).targets(0, np.zeros((1, 1)))[0, 0]
     mean_rate_rad_s = row[10:13] + 0.5 * SAMPLE_INTERVAL_S * row[16:19]
-    expected_rad = Rotation.from_rotvec(angle_rad * np.array(axis)).as_rotvec()
+    expected_rad = Rotation.from_rotvec(angle_rad * np.array(spin.axis)).as_rotvec()
     assert mean_rate_rad_s * SAMPLE_INTERVAL_S == pytest.approx(expected_rad, abs=1e-9)

@@ -49,7 +49,9 @@ def test_an_exact_pendulum_loses_nothing_from_any_phase(undamped_rad, first):
     heights = 40.0 + height_mm(undamped_rad[first : first + 600])
     if first == 0:
         heights = np.concatenate((np.full(10, heights[0]), heights))
-    assert abs(energy_loss(heights, rest_height_mm=40.0)) < 2e-6
+    # 48 frames have two turning points.
+    for count in (48, 600):
+        assert abs(energy_loss(heights[:count], rest_height_mm=40.0)) < 2e-6
 
 
 @pytest.mark.parametrize("damping_per_s", [0.05, -0.02])

@@ -13,6 +13,7 @@ from gauge_envs import load_experiment, reference_band, score_trajectory
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.experiments.resolve import with_trial
 from gauge_envs.runs.score_file import score_file
+from gauge_envs.scoring.likely_mistakes import start_values
 from gauge_envs.scoring.trajectory_file import read_trajectory
 
 
@@ -93,6 +94,27 @@ def test_ten_frames_after_the_last_one_serve_the_alignment_and_are_no_markers(tm
     np.testing.assert_allclose(read.markers_m, at_frames_m)
 
 
+def test_a_stored_result_is_scored_again(tmp_path):
+    """Rows after the last frame serve the alignment; markers decide on a foam."""
+    places = coulomb_slide(np.arange(FRAMES + 10) / 30.0)
+    file = write_csv(tmp_path / "a.csv", places)
+    experiment = load_experiment("FoamShearing-hard")
+    foam = np.tile(start_values(experiment), (experiment.frame_count, 1))
+    markers_m = np.tile(experiment.scene.markers.positions_m, (len(foam), 1, 1))
+    np.savez(tmp_path / "b.npz", g=foam, markers_m=markers_m)
+    for first, name in ((file, NAME), (tmp_path / "b.npz", experiment.name)):
+        result, _ = score_file(first, variant=name)
+        stored = tmp_path / "result.json"
+        stored.write_text(json.dumps(result.to_dict()))
+        again = score_file(stored)[0].score
+        for field in ("rmse", "rmse_aligned", "time_offset_s", "marker_rmse_mm"):
+            expected = getattr(result.score, field)
+            assert getattr(again, field) == pytest.approx(expected, abs=1e-4)
+    np.savez(tmp_path / "b.npz", g=foam, markers_m=1e3 * markers_m)
+    with pytest.raises(TrajectoryFileError, match=r"markers_m: .* like millimetres"):
+        score_file(tmp_path / "b.npz", variant=experiment.name)
+
+
 def test_a_file_is_scored_by_the_trial_or_the_scatter_that_it_starts_with(tmp_path):
     toss = "CubeToss-acrylic"
     trial = reference_band(with_trial(load_experiment(toss), 3)).mean
@@ -135,7 +157,7 @@ NAN_ROW[3, 1] = np.nan
         (".csv", "cube.x [m],cube.y,cube.z\n1,2,3\n", r"in \[m\], expected \[mm\]"),
         (".csv", "cube.x,cube.y,cube.w\n1,2,3\n", "header: .* cube.w; expected"),
         (".csv", "1,2,3\n" * 18, r"18 rows end at 0\.5667 s; 19 frames are needed"),
-        (".csv", "1,2,3\n" * 37, "37 rows without time_s look like 60 Hz"),
+        (".csv", "1,2,3\n" * 30, "30 rows without time_s look like 48 Hz"),
         (".csv", timed(1e3 * TIMES), "no sample at frame 1 .* look like milliseconds"),
         (".csv", timed(range(19)), "look like frame numbers"),
         (".csv", timed(1.0 + TIMES), "row 0: time_s is 1, expected 0"),
