@@ -1,6 +1,6 @@
-"""The presets `out_of_box` hold what each engine has where a program states nothing, as its own objects tell.
+"""The preset `out_of_box` has the values of a program that sets nothing, as each engine's own objects report them.
 
-PhysX, PyBullet and Genesis have such tests beside their other ones.
+PhysX, PyBullet and Genesis have such tests in their folders.
 """
 
 import inspect
@@ -11,48 +11,40 @@ import pytest
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 
-SCENE = load_experiment("SlopeSlider-2-wood").scene
+
+def check(ours, theirs):
+    """Compare settings with an engine's values, which may have single precision."""
+    for name, value in theirs.items():
+        is_number = not isinstance(value, bool | str)
+        expected = pytest.approx(value, rel=1e-6) if is_number else value
+        assert ours[name] == expected, name
 
 
-def different(ours, theirs):
-    """Values that differ by more than the rounding of single precision, by name."""
-    return {
-        name: (ours[name], value)
-        for name, value in theirs.items()
-        if ours[name]
-        != (value if isinstance(value, bool | str) else pytest.approx(value, rel=1e-6))
-    }
-
-
-def test_out_of_box_is_a_mujoco_model_that_states_nothing():
+def test_out_of_box_is_a_mujoco_model_that_sets_nothing():
     import mujoco
 
     plain = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><geom size='0.1'/></worldbody></mujoco>"
     )
-    built = backend("mujoco").build(SCENE, {"preset": "out_of_box"}).model
-    stated = {"gravity"}
-    names = {name for name in dir(plain.opt) if not name.startswith("_")} - stated
-    wrong = {
-        name: (getattr(built.opt, name), getattr(plain.opt, name))
-        for name in names
-        if not np.array_equal(getattr(built.opt, name), getattr(plain.opt, name))
-    }
-    assert wrong == {}
+    scene = load_experiment("SlopeSlider-2-wood").scene
+    built = backend("mujoco").build(scene, {"preset": "out_of_box"}).model
+    for name in dir(plain.opt):
+        if not name.startswith("_") and name != "gravity":
+            ours, theirs = getattr(built.opt, name), getattr(plain.opt, name)
+            assert np.array_equal(ours, theirs), name
     assert (built.pair_solref == plain.geom_solref[0]).all()
     assert (built.pair_solimp == plain.geom_solimp[0]).all()
     assert (built.pair_dim == plain.geom_condim[0]).all()
     assert not built.pair_margin.any() and not built.pair_gap.any()
 
 
-def test_out_of_box_is_a_rapier_world_that_states_nothing():
+def test_out_of_box_is_a_rapier_world_that_sets_nothing():
     rapier = pytest.importorskip("rapier3d")
     from gauge_envs.backends.rapier.settings import PRESETS
 
     world = rapier.PhysicsWorld()
     body = world.rigid_bodies[world.add_body(rapier.RigidBody.dynamic(), [])]
     plain = world.integration_parameters
-    ours = PRESETS["out_of_box"].model_dump()
     theirs = {
         "solver_iterations": plain.num_solver_iterations,
         "pgs_iterations": plain.num_internal_pgs_iterations,
@@ -74,12 +66,12 @@ def test_out_of_box_is_a_rapier_world_that_states_nothing():
         "max_linear_velocity_m_per_s": plain.normalized_max_linear_velocity,
         "ccd": body.ccd_enabled,
     }
-    assert different(ours, theirs) == {}
-    # What the backend states beside the settings.
+    check(PRESETS["out_of_box"].model_dump(), theirs)
+    # What the adapter assumes besides the settings.
     assert body.gyroscopic_forces_enabled and plain.length_unit == 1.0
 
 
-def test_out_of_box_is_a_drake_plant_that_states_nothing():
+def test_out_of_box_is_a_drake_plant_that_sets_nothing():
     plant = pytest.importorskip("pydrake.multibody.plant")
     from gauge_envs.backends.drake.settings import PRESETS
 
@@ -91,7 +83,7 @@ def test_out_of_box_is_a_drake_plant_that_states_nothing():
         "near_rigid_threshold": plain.sap_near_rigid_threshold,
         "drake_material": True,
     }
-    assert different(ours, theirs) == {}
+    check(ours, theirs)
     assert plain.contact_model.startswith(ours["contact_model"])
 
 
@@ -102,16 +94,10 @@ def test_out_of_box_differs_from_newton_in_its_contacts_alone():
 
     ours = PRESETS["out_of_box"].model_dump()
     text = inspect.getdoc(solvers.SolverMuJoCo.__init__) or ""
-    assert f'Newton\'s default ("{ours["integrator"]}")' in text
-    assert f'Newton\'s default ("{ours["cone"]}")' in text
-    assert f"MuJoCo's default ({ours['impratio']})" in text
-    assert f"MuJoCo's default ({ours['iterations']})" in text
-    assert ours["newton_material"]
-    # As the page of the engine states.
-    assert (
-        inspect.signature(solvers.SolverMuJoCo.__init__)
-        .parameters["use_mujoco_contacts"]
-        .default
-        is True
-    )
+    for name in ("integrator", "cone"):
+        assert f'Newton\'s default ("{ours[name]}")' in text
+    for name in ("impratio", "iterations"):
+        assert f"MuJoCo's default ({ours[name]})" in text
+    parameters = inspect.signature(solvers.SolverMuJoCo.__init__).parameters
+    assert parameters["use_mujoco_contacts"].default is True
     assert ours["mujoco_contacts"] is False
