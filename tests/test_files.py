@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import os
-import stat
 from typing import Literal
 
 import numpy as np
@@ -33,16 +31,6 @@ def test_a_failed_write_leaves_the_old_content(tmp_path, monkeypatch):
     assert file.read_bytes() == b"new"
 
 
-@pytest.mark.parametrize("mask", [0o002, 0o022, 0o077])
-def test_modes_follow_the_umask(mask, tmp_path):
-    before = os.umask(mask)
-    try:
-        write_whole(tmp_path / "a.json", b"{}")
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((tmp_path / "a.json").stat().st_mode) == 0o666 & ~mask
-
-
 @pytest.mark.parametrize("dtype", ["f8", ">f4", "i2", "u1", "?"])
 def test_named_arrays_are_read_and_texts_are_refused(dtype):
     values = np.asarray(np.arange(12).reshape(3, 4) % 2, dtype=dtype)
@@ -57,11 +45,6 @@ def test_named_arrays_are_read_and_texts_are_refused(dtype):
     for damaged in (b"", b"words", b"PK", content[:-30]):
         with pytest.raises(ValueError, match=r"(?i)zip"):
             npz_arrays(damaged)
-
-
-def test_a_file_takes_the_place_of_no_folder(tmp_path):
-    with pytest.raises(IsADirectoryError):
-        write_whole(tmp_path, b"new")
 
 
 class Circle(BaseModel):
@@ -105,12 +88,6 @@ def test_the_first_fault_has_a_place_and_a_reason(values, place, reason):
         "missing key",
         "unknown key",
     )
-
-
-def test_the_noun_of_a_field_can_be_chosen():
-    with pytest.raises(ValidationError) as caught:
-        Drawing.model_validate({"name": "a", "colour": 1})
-    assert first_fault(caught.value, noun="setting") == ("colour", "unknown setting")
 
 
 @pytest.mark.parametrize(

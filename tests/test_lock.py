@@ -42,10 +42,6 @@ def test_the_lock_has_versions_that_the_project_allows() -> None:
         assert all(requirement.specifier.contains(one) for one in found), requirement
 
 
-def test_the_lock_names_no_index() -> None:
-    assert "://" not in LOCK.read_text()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("tool", INSTALL)
 def test_the_wheel_installs_with_the_lock(tool: str, tmp_path: Path) -> None:

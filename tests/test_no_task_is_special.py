@@ -47,17 +47,6 @@ def ids_in_code(text):
             yield node.value
 
 
-def test_the_searches_find_a_name():
-    assert len(NAMES) > 20 and len(BACKENDS) > 30 and len(CORE) > 60
-    assert named("if scene.name == 'SlopeSlider-2-wood':") == ["SlopeSlider"]
-    assert list(
-        ids_in_code("if name in ('Pendulum', 'GAUGE/SlopeSlider-*', 'as Funnel'): pass")
-    ) == [
-        "Pendulum",
-        "GAUGE/SlopeSlider-*",
-    ]
-
-
 @pytest.mark.parametrize(
     "path", BACKENDS, ids=lambda path: path.relative_to(PACKAGE).as_posix()
 )

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
-
 import pytest
 from programs import printed
 
@@ -15,29 +12,6 @@ import gauge_envs
 def test_every_public_name_resolves_and_is_listed(name):
     assert getattr(gauge_envs, name) is not None
     assert name in dir(gauge_envs)
-
-
-def test_all_is_sorted_and_says_each_name_once():
-    assert gauge_envs.__all__ == sorted(set(gauge_envs.__all__))
-
-
-def test_an_unknown_name_is_an_attribute_error():
-    with pytest.raises(
-        AttributeError, match="'gauge_envs' has no attribute 'GaugeEnvs'"
-    ):
-        _ = gauge_envs.GaugeEnvs
-
-
-def test_a_star_import_gives_all_names():
-    scope = {}
-    exec("from gauge_envs import *", scope)
-    assert set(gauge_envs.__all__) <= set(scope)
-
-
-@pytest.mark.parametrize("name", ["GaugeEnv", "Jitter", "load_experiment"])
-def test_lazy_names_pickle(name):
-    value = getattr(gauge_envs, name)
-    assert pickle.loads(pickle.dumps(value)) is copy.copy(value) is value
 
 
 HEAVY = """

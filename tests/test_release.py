@@ -64,16 +64,6 @@ def test_a_workflow_may_only_read_but_to_publish():
         assert "secrets." not in file.read_text()
 
 
-def test_actions_are_of_a_stated_version():
-    used = [
-        step["uses"] for file in WORKFLOWS for step in steps(file) if "uses" in step
-    ]
-    assert used
-    assert [
-        one for one in used if not re.fullmatch(r"[\w./-]+@(v\d+|release/v\d+)", one)
-    ] == []
-
-
 def test_releases_are_installed_on_the_versions_that_the_package_states():
     stated = [
         text.rpartition(" ")[2]

@@ -1,121 +1,286 @@
-"""The command line as a whole: its size, its help, and what it answers to old and wrong spellings."""
+"""Each command once from end to end: help, results, exit code, and the message of the mistakes that users make."""
 
 import inspect
+import json
+import shlex
+import sys
 from importlib.metadata import version
 
+import numpy as np
 import pytest
-from places import ROOT
-from programs import run_python
+from interruption import interrupt_in_episode
 from rich.text import Text
+from slide import NAME, SLIDE, write_csv
 
+from gauge_envs import load_experiment
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.cli.app import load_command
+from gauge_envs.cli.arguments import parsed_jitter, parsed_settings, split_values
 from gauge_envs.cli.commands import commands, help_lines, listings
-
-MOST_HELP_COST = 8.0
-"""CPU time of `gauge --help` over that of `import typer`."""
-
-NAMES = list(commands())
+from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.runs import batch
 
 
-def options(command):
-    """The options of a command; with `--format` goes `--json`, which is short for one of its values."""
-    found = [
-        max(one.opts, key=len)
-        for one in command.params
-        if one.param_type_name == "option"
-    ]
-    return [option for option in found if option != "--help"] + (
-        ["--json"] if "--format" in found else []
-    )
+def rows(result):
+    return [json.loads(line) for line in result.stdout.splitlines()]
 
 
-# --- its size ---
+# --- help ---
 
 
-# --- its help ---
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_line_in_the_table_is_that_of_the_function(name):
-    """The help of a group shows it without an import of the instrument."""
+@pytest.mark.parametrize("name", commands())
+def test_the_help_of_a_group_has_the_first_line_of_the_command(name):
     text = inspect.cleandoc(commands()[name].function().__doc__)
     assert text.partition("\n\n")[0].replace("\n", " ") == help_lines()[name]
 
 
-def test_every_listing_has_its_function():
-    assert all(callable(listing.function()) for listing in listings().values())
-
-
-def test_the_help_names_all_commands(gauge):
+def test_the_help_names_all_commands_and_the_version(gauge):
     shown = gauge("--help").stdout
     assert all(name in shown for name in help_lines() if " " not in name)
-    for name in help_lines():
-        entry, _, below = name.partition(" ")
-        assert not below or below in gauge(entry, "--help").stdout
+    assert "versions" in gauge("backend", "--help").stdout
+    assert gauge("--version").stdout == f"gauge-envs {version('gauge-envs')}\n"
 
 
-def test_help_loses_no_text():
-    """The help is Rich markup, in which `[mm]` is a tag and is not shown."""
+def test_rich_markup_removes_no_text_of_the_help():
+    """Rich reads `[mm]` as a tag and does not print it."""
     texts = {
         text
-        for name in NAMES
-        for text in (
-            load_command(name).help,
-            *(one.help for one in load_command(name).params),
-        )
+        for command in map(load_command, commands())
+        for text in (command.help, *(option.help for option in command.params))
+        if text
     }
-    shown = {text: Text.from_markup(text).plain for text in texts if text}
-    assert len(shown) > 90
-    assert {text: plain for text, plain in shown.items() if text != plain} == {}
+    assert len(texts) > 80
+    assert [text for text in texts if Text.from_markup(text).plain != text] == []
 
 
-COUNTED = """
-import atexit, sys
-count = 0
+def test_an_option_has_one_unit_and_one_kind_in_all_commands():
+    kinds = {}
+    for name in commands():
+        for option in load_command(name).params:
+            if option.param_type_name == "option":
+                assert option.help, (name, option.name)
+                metavar = {"FILE": "PATH", "DIR": "PATH"}.get(
+                    option.metavar, option.metavar
+                )
+                long_name = max(option.opts, key=len)
+                kinds.setdefault(long_name, set()).add((metavar, option.is_flag))
+    # These options take other values in each command.
+    differing = {name for name, found in kinds.items() if len(found) > 1}
+    assert differing <= {"--out", "--backend", "--format", "--parameter"}
 
 
-def counted(*_):
-    global count
-    count += 1
+# --- list, show, run, score, plot ---
 
 
-def end():
-    sys.setprofile(None)
-    print(f"\\n{count}", file=sys.stderr)
+@pytest.mark.parametrize("kind", listings())
+def test_list_prints_each_kind(gauge, kind):
+    result = gauge("list", kind)
+    assert result.exit_code == 0
+    assert len(result.stdout.splitlines()) > 3
 
 
-atexit.register(end)
-sys.setprofile(counted)
-"""
-"""Start of a program whose calls and returns of functions are counted: they cost the same on every machine."""
+@pytest.mark.usefixtures("rigid_only")
+def test_show_fits_a_screen_and_json_has_its_facts(gauge):
+    text = gauge("show", NAME).stdout
+    assert len(text.splitlines()) <= 40
+    (values,) = rows(gauge("show", NAME, "--json"))
+    assert values["id"] == f"GAUGE/{NAME}"
+    assert values["constants"]["cube"]["friction"]["value"] == 0.273673
+    assert str(values["constants"]["cube"]["friction"]["value"]) in text
 
 
-def calls(code):
-    """Return how many calls and returns a new process that runs code has."""
-    done = run_python("-c", COUNTED + code, cwd=ROOT)
-    return int(done.stderr.splitlines()[-1])
-
-
-def test_the_help_and_a_typo_are_quick():
-    least = calls("import typer")
-    for word in ("--help", "lits"):
-        command = (
-            f"sys.argv = ['gauge', {word!r}]; from gauge_command import main; main()"
-        )
-        assert calls(command) < MOST_HELP_COST * least
-
-
-def test_the_help_loads_no_tool():
-    code = (
-        "import atexit, sys; sys.argv = ['gauge', '--help']; from gauge_command import main\n"
-        "heavy = ('gauge_envs.tools.run', 'scipy', 'pydantic', 'mujoco', 'matplotlib', 'rich.progress')\n"
-        "atexit.register(lambda: print([one for one in sys.modules if one.startswith(heavy)], file=sys.stderr))\n"
-        "main()"
+def test_run_reads_overrides_settings_and_seeds(gauge):
+    plain, changed = (
+        rows(gauge("run", NAME, "--json", "-s", "3", "--set", "iterations=50", *words))
+        for words in ((), ("-p", "cube.friction=0.2,cube.mass_kg=0.1"))
     )
-    done = run_python("-c", code, cwd=ROOT)
-    assert done.returncode == 0
-    assert done.stderr == "[]\n"
+    assert plain[0]["seed"] == 3
+    assert plain[0]["settings"]["iterations"] == 50
+    assert changed[0]["parameters"] == {"cube.friction": 0.2, "cube.mass_kg": 0.1}
+    # Less friction slides further: a = g (sin 30 - mu cos 30).
+    difference_mm = (
+        changed[0]["score"]["signed_error"][0] - plain[0]["score"]["signed_error"][0]
+    )
+    assert difference_mm > 10.0
 
 
-def test_the_version_is_shown(gauge):
-    assert gauge("--version").stdout == f"gauge-envs {version('gauge-envs')}\n"
+def test_run_prints_one_row_for_each_id(gauge):
+    result = gauge("run", "SlopeSlider-2-*")
+    assert result.exit_code == 0
+    names = [line.split()[0] for line in result.stdout.splitlines()]
+    assert [name for name in names if name.startswith("SlopeSlider-2-")] == [
+        "SlopeSlider-2-wood",
+        "SlopeSlider-2-plastic",
+        "SlopeSlider-2-metal",
+    ]
+
+
+def test_a_diverged_episode_has_exit_code_1_and_its_reason(gauge, monkeypatch):
+    monkeypatch.setattr(SimulationMuJoCo, "diverged", lambda _: {0: "it flew away"})
+    result = gauge("run", NAME)
+    assert result.exit_code == 1
+    assert "it flew away" in result.stdout
+
+
+def test_results_are_scored_again_and_plotted(gauge, tmp_path):
+    gauge("run", NAME)
+    (file,) = (tmp_path / "results").iterdir()
+    (again,) = rows(gauge("score", file, "--json"))
+    stored = json.loads(file.read_text())["score"]
+    assert again["score"]["rmse_aligned"] == pytest.approx(
+        stored["rmse_aligned"], rel=1e-9
+    )
+    (tmp_path / "results" / "cut.json").write_text("{")
+    plotted = gauge("plot", "results", "--out", "plots")
+    assert plotted.exit_code == 1
+    assert "cut.json: not a result file" in plotted.stderr
+    assert (tmp_path / "plots" / f"{NAME}.png").is_file()
+
+
+def test_score_reads_a_trajectory_of_the_closed_form(gauge, tmp_path):
+    write_csv(tmp_path / "slide.csv", SLIDE)
+    (row,) = rows(gauge("score", "slide.csv", "--id", NAME, "--json"))
+    # scoring/bands/SlopeSlider-2-wood.toml has 4.95 for 180 samples a second; this file has 30.
+    assert row["score"]["rmse_aligned_normalized"] == pytest.approx(4.95, abs=0.2)
+    assert "outside" in gauge("score", "slide.csv", "--id", NAME).stdout
+
+
+def test_a_cloth_without_motion_is_outside(gauge, tmp_path):
+    """The observable of a swinging cloth is zero by symmetry: only its markers show that nothing moves."""
+    experiment = load_experiment("TextileFlinging-satin")
+    rest_m = np.array(experiment.scene.markers.positions_m)
+    zeros = np.zeros((experiment.frame_count, len(rest_m)))
+    np.savez(tmp_path / "zeros.npz", g=zeros)
+    at_rest_m = np.repeat(rest_m[None], len(zeros), axis=0)
+    np.savez(tmp_path / "at_rest.npz", g=zeros, markers_m=at_rest_m)
+    unknown, outside = (
+        rows(gauge("score", file, "--id", experiment.name, "--json"))[0]["score"]
+        for file in ("zeros.npz", "at_rest.npz")
+    )
+    assert unknown["over_uncertainty"] is None
+    # docs/environments/TextileFlinging.md: a scene at rest is 557 mm away.
+    assert outside["marker_rmse_mm"] == pytest.approx(557.0, abs=1.0)
+
+
+# --- interrupted and damaged ---
+
+
+def test_ctrl_c_keeps_finished_episodes_and_resume_continues(
+    gauge, monkeypatch, tmp_path
+):
+    with monkeypatch.context() as patched:
+        interrupt_in_episode(patched, 3)
+        stopped = gauge("run", "SlopeSlider-2-*", "--json")
+    assert stopped.exit_code == 130
+    assert "--resume" in stopped.stderr
+    assert len(list((tmp_path / "results").iterdir())) == len(rows(stopped)) == 2
+    damaged = next((tmp_path / "results").iterdir())
+    damaged.write_text("{")
+    resumed = gauge("run", "SlopeSlider-2-*", "--json", "--resume")
+    assert resumed.exit_code == 0
+    assert f"{damaged.name}: not a result file" in resumed.stderr
+    assert len(rows(resumed)) == 3
+
+
+def test_a_full_disk_keeps_what_is_written(gauge, monkeypatch):
+    write, count = batch.write_result, 0
+
+    def full_after_the_first(*arguments):
+        nonlocal count
+        count += 1
+        if count > 1:
+            raise ResultFileError("cannot be written: No space left on device")
+        write(*arguments)
+
+    monkeypatch.setattr(batch, "write_result", full_after_the_first)
+    result = gauge("run", "SlopeSlider-2-*")
+    assert result.exit_code == 2
+    message = " ".join(result.stderr.split())
+    assert "No space left on device" in message
+    assert "1 finished; results in results; --resume continues" in message
+
+
+def test_a_missing_extra_is_named(gauge, monkeypatch):
+    gauge("run", NAME)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    result = gauge("plot")
+    assert result.exit_code == 2
+    assert "pip install 'gauge-envs[plot]'" in result.stderr
+
+
+@pytest.mark.parametrize("suffix", [".json", ".html"])
+def test_an_output_that_cannot_be_written_stops_before_the_checks(
+    gauge, monkeypatch, suffix, tmp_path
+):
+    def fail(*_):
+        raise AssertionError("a check ran")
+
+    monkeypatch.setattr("gauge_envs.tools.conformance.results.run_column", fail)
+    folder = tmp_path / f"a{suffix}"
+    folder.mkdir()
+    result = gauge("backend", "check", "mujoco", "--out", folder)
+    assert result.exit_code == 2
+    assert "cannot be written: Is a directory" in result.stderr
+
+
+# --- mistakes ---
+
+MISTAKES = """
+lits -> did you mean list
+backend chek -> did you mean backend check
+list mujoko -> unknown experiment 'mujoko'
+list phenomena slde-wood -> did you mean slide-wood
+show SlopeSlider -> did you mean SlopeSlider-1-metal
+run -> nothing to run
+run SlopeSlider-2-gold -> did you mean SlopeSlider-2-wood
+run SlopeSlider-2-wood --backend mujoko -> did you mean mujoco
+run SlopeSlider-2-wood --backnd mujoco -> --backend
+run SlopeSlider-2-wood -p nonsense -> known: calibrated, effective
+run SlopeSlider-2-wood -p cube.frction=1 -> did you mean friction
+run SlopeSlider-2-wood -p cbe.friction=1 -> did you mean cube
+run SlopeSlider-2-wood -p cube.friction=-1 -> cube.friction
+run SlopeSlider-2-wood --set iteration=3 -> did you mean iterations
+run SlopeSlider-2-wood --set timestep_s -> expected NAME=VALUE
+run SlopeSlider-2-wood --jitter=1 -> 1mm,0.5deg
+run SlopeSlider-2-wood --use import -> did you mean imported
+run SlopeSlider-2-wood --seed=x -> --seed
+run SlopeSlider-2-wood --repeats=0 -> --repeats
+run SlopeSlider-2-wood --timeout 0 -> expected a positive number
+run SlopeSlider-2-wood --out /proc/nowhere -> /proc/nowhere
+score no.csv -> Give one, as --id
+score no.csv --id SlopeSlider-2-wood -> no.csv: cannot be read
+score bad.csv --id SlopeSlider-2-wood -> bad.csv: line 2: cube.y is 'nan'
+plot nowhere -> nowhere: holds no result files
+plot --metric rmse -> --metric
+compare --metric 1 -> known: dtw
+sweep --backend mujoco -> nothing to run
+sanity -> no target is given
+sanity HalfCheetah-v5 --pair floor -> the names of two geoms
+recipe --friction 0.3 -> --backend is missing
+recipe --damping 1 --backend mujoco -> nothing is asked
+recipe satin wood-on-wood -> wood-on-wood
+"""
+"""Requests with a mistake, and what their message must name."""
+
+
+@pytest.mark.parametrize("line", MISTAKES.strip().splitlines())
+def test_the_message_of_a_mistake_says_what_is_right(gauge, tmp_path, line):
+    (tmp_path / "bad.csv").write_text("1,2,3\n1,nan,3\n")
+    request, _, answer = line.partition(" -> ")
+    result = gauge(*shlex.split(request))
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert answer in " ".join(result.stderr.replace("│", " ").split())
+
+
+def test_values_of_options_are_read():
+    assert split_values("newton:dt=1,n=2,rapier", "ENGINE[:NAME=VALUE,...]") == [
+        "newton:dt=1,n=2",
+        "rapier",
+    ]
+    assert parsed_settings(["timestep_s=1/1800"]) == {"timestep_s": 1 / 1800}
+    with pytest.raises(ParameterError, match="timestep_s is given twice"):
+        parsed_settings(["timestep_s=1", "timestep_s=2"])
+    jitter = parsed_jitter(split_values("2mm,0.5deg"))
+    assert jitter.position_m == 2e-3
+    assert jitter.angle_rad == pytest.approx(np.radians(0.5), rel=1e-12)
+    assert parsed_jitter(["1mm"]).angle_rad == 0.0

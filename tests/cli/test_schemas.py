@@ -5,7 +5,7 @@ import shlex
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import TypedDict
 
 import numpy as np
 import pytest
@@ -71,40 +71,15 @@ def test_a_result_file_follows_its_schema(gauge, tmp_path):
 # --- what a schema refuses ---
 
 
-@pytest.fixture
-def row(gauge) -> Any:
-    return json.loads(gauge("list", "SlopeSlider-2-wood", "--json").stdout)
-
-
 @pytest.mark.parametrize(
     "change",
-    [
-        {"colour": "red"},
-        {"id": None},
-        {"kind": "good"},
-        {"frames": "twenty"},
-        {"frames": 1.5},
-        {"backends": ["mujoco"]},
-        {"backends": {"mujoco": [1]}},
-    ],
+    [{"colour": "red"}, {"id": None}, {"frames": 1.5}, {"backends": ["mujoco"]}],
 )
-def test_a_wrong_value_is_refused(row, change):
+def test_a_wrong_value_is_refused(gauge, change):
+    row = json.loads(gauge("list", "SlopeSlider-2-wood", "--json").stdout)
     check_lines("list", json.dumps(row))
     with pytest.raises(AssertionError, match="list: "):
         check_lines("list", json.dumps(row | change))
-
-
-def test_a_missing_and_a_renamed_key_are_refused(row):
-    renamed = {"name" if key == "id" else key: value for key, value in row.items()}
-    del row["kind"]
-    for wrong in (row, renamed):
-        with pytest.raises(AssertionError, match="list: "):
-            check_lines("list", json.dumps(wrong))
-
-
-def test_nan_is_refused():
-    with pytest.raises(AssertionError, match="NaN is no JSON"):
-        check_lines("list", '{"frames": NaN}')
 
 
 def test_no_object_of_a_schema_takes_further_keys():

@@ -5,7 +5,6 @@ import importlib
 import inspect
 import re
 import shlex
-from collections import Counter
 from importlib.util import find_spec
 
 import pytest
@@ -173,29 +172,6 @@ def test_python_blocks_run_and_print_what_they_state(
     assert capsys.readouterr().out.splitlines() == stated
 
 
-@pytest.mark.parametrize(
-    "page", [p for p in PAGES if p.name in COMPILED_ONLY], ids=name_of
-)
-def test_other_python_blocks_compile_and_import(page):
-    for block in fenced(page, "python"):
-        compile(block, page.name, "exec")
-        for module, names in re.findall(
-            r"^from (gauge_envs[\w.]*) import ([\w, ]+)$", block, flags=re.MULTILINE
-        ):
-            imported = importlib.import_module(module)
-            assert [
-                name for name in names.split(", ") if not hasattr(imported, name)
-            ] == []
-
-
-def test_the_tutorial_quotes_its_task_file():
-    (quoted,) = fenced(DOCS / "tutorial.md", "toml")
-    file = (ROOT / "tasks" / "bouncing_ball.toml").read_text()
-    tables = quoted.strip().split("\n\n")
-    assert len(tables) > 5
-    assert [table for table in tables if table not in file] == []
-
-
 # --- commands --------------------------------------------------------------------------------------------------------
 
 
@@ -305,14 +281,6 @@ def documented_names():
                 yield module, name, getattr(imported, name)
 
 
-PUBLIC = ("gauge_envs", "gauge_envs.scene", "gauge_envs.backends", "gauge_envs.errors")
-
-
-@pytest.mark.parametrize("module", PUBLIC)
-def test_every_public_module_is_on_the_pages(module):
-    assert module in documented_modules()
-
-
 def is_described(value):
     """Whether a docstring is due: of classes and functions, not of type aliases and constants."""
     return inspect.isclass(value) or inspect.isfunction(value)
@@ -327,29 +295,6 @@ def test_every_public_class_and_function_has_a_docstring():
         if is_described(value) and not value.__doc__
     ]
     assert bare == []
-
-
-def test_no_public_name_is_on_the_pages_twice():
-    objects = [
-        (id(value), name)
-        for _, name, value in documented_names()
-        if inspect.isclass(value)
-    ]
-    assert [name for (_, name), count in Counter(objects).items() if count > 1] == []
-
-
-@pytest.mark.parametrize(
-    "engine", ["mujoco", "drake", "genesis", "newton", "physx", "pybullet", "rapier"]
-)
-def test_the_page_of_an_engine_lists_its_presets(engine):
-    settings = importlib.import_module(f"gauge_envs.backends.{engine}.settings")
-    presets = {
-        *settings.PRESETS,
-        *(["training"] if hasattr(settings, "TRAINING_CHANGES") else []),
-    }
-    page = (DOCS / "engines" / f"{engine}.md").read_text()
-    table = page.partition("\n## Presets\n")[2].partition("\n## ")[0]
-    assert set(re.findall(r"^\| `(\w+)` \|", table, flags=re.MULTILINE)) == presets
 
 
 # --- the site --------------------------------------------------------------------------------------------------------

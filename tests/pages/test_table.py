@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from io import StringIO
 
 import pytest
@@ -12,8 +12,8 @@ from rich.console import Console
 
 from gauge_envs.pages.document import as_rows
 from gauge_envs.pages.markdown import as_markdown
-from gauge_envs.pages.results import convergence_text, percent_text, score_text_of
-from gauge_envs.pages.table import Column, Facts, Place, Table
+from gauge_envs.pages.results import percent_text
+from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.terminal import Terminal
 from gauge_envs.pages.text import (
     counted,
@@ -22,7 +22,6 @@ from gauge_envs.pages.text import (
     shortened,
     value_text,
 )
-from gauge_envs.scoring.score import Score
 
 ROWS = (
     {
@@ -94,27 +93,6 @@ def test_json_has_the_rows_themselves():
     assert json.loads(json.dumps(as_rows(TABLE), allow_nan=False)) == list(ROWS)
 
 
-def test_rows_can_be_objects():
-    @dataclass
-    class Row:
-        name: str
-        size: float
-
-    table = Table(
-        columns=(Column("name", "name"), Column("size", "size", unit="m")),
-        rows=[Row("cube", 0.05)],
-    )
-    assert printed(table) == ["name  size [m]", "cube  0.05"]
-    assert as_rows(table) == [{"name": "cube", "size": 0.05}]
-
-
-def test_a_table_without_rows_or_for_wide_terminals_alone():
-    assert printed(Table(columns=TABLE.columns, rows=())) == ["none"]
-    table = Table(columns=(Column("a", "a"),), rows=[{"a": 1}], wide_only=True)
-    assert printed(table) == []
-    assert printed(table, wide=True) == ["a", "1"]
-
-
 NAMED = Table(
     columns=(
         Column("name", "phenomenon"),
@@ -130,15 +108,6 @@ NAMED = Table(
         {"name": "rest", "reality": 10, "default": 20, "this": 30},
     ],
 )
-
-
-def test_cells_wrap_where_they_must():
-    assert printed(NAMED, 45) == [
-        "phenomenon             reality  default  this",
-        "friction of wood on a        1        2     3",
-        "board of ten degrees",
-        "rest                        10       20    30",
-    ]
 
 
 def test_columns_that_do_not_fit_are_written_below_the_row():
@@ -158,21 +127,6 @@ def test_columns_that_do_not_fit_are_written_below_the_row():
     assert printed(replace(NAMED, rows=without), 22)[-2:] == [
         "rest                10",
         "    this: 30",
-    ]
-
-
-def test_long_titles_are_wrapped_at_blanks():
-    columns = (
-        Column("a", "metric"),
-        Column("b", "mujoco, contact_solimp=0.95", is_number=True),
-        Column("c", "newton"),
-    )
-    assert printed(
-        Table(columns=columns, rows=[{"a": "RMSE", "b": "1.23", "c": "4.56"}])
-    ) == [
-        "                    mujoco,",
-        "metric  contact_solimp=0.95  newton",
-        "RMSE                   1.23  4.56",
     ]
 
 
@@ -212,51 +166,6 @@ def test_no_line_is_too_long_and_no_word_is_lost(titles, cells, places, width):
         for index in range(len(columns))
         for word in row[str(index)].split()
     }
-
-
-def test_facts_have_their_texts_beside_the_names_and_long_names_above():
-    facts = Facts(
-        {"episode": "19 frames at 30 Hz", "floor with torso, head and 5 more": "0.02 1"}
-    )
-    assert printed(facts, 24) == [
-        "episode  19 frames at 30",
-        "         Hz",
-        "floor with torso, head",
-        "and 5 more",
-        "         0.02 1",
-    ]
-
-
-def test_results_are_told_in_the_approved_words(approved):
-    solved = Score(
-        kind="numerical",
-        unit="rad",
-        primary="over_uncertainty",
-        rmse=0.1,
-        over_uncertainty=1.5,
-        marker_rmse_mm=0.3,
-    )
-    trials = Score(
-        kind="trials", unit="mm", primary="rmse", rmse=2.5, rmse_normalized=0.5
-    )
-    row = {"unit": "mm", "rms": 0.062, "max": 0.18, "share": 0.0034}
-    row |= {"points_rms_mm": 0.071, "refined": 900.4, "default": 120.6}
-    rows = {
-        "timestep_s": row,
-        "cell_m": row | {"share": None},
-        "training": row | {"share": 0.00001},
-    }
-    lines = [
-        *(score_text_of(one, one.primary) for one in (solved, trials)),
-        *(one.summary() for one in (solved, trials)),
-        *(
-            convergence_text(known, has_cells=cells, with_unit=unit)
-            for known in (rows, {}, {"timestep_s": row | {"rms": None}})
-            for cells in (True, False)
-            for unit in (True, False)
-        ),
-    ]
-    approved("pages/results", "\n".join(lines))
 
 
 @pytest.mark.parametrize(
@@ -317,11 +226,3 @@ def test_results_are_told_in_the_approved_words(approved):
 )
 def test_a_number_has_its_text(text, values):
     assert {value: text(value) for value in values} == values
-
-
-@pytest.mark.parametrize("text", ["[red]", "[/]", "a [b] c"])
-def test_brackets_are_text(text):
-    assert printed(Table(columns=(Column("a", text),), rows=[{"a": text}])) == [
-        text,
-        text,
-    ]

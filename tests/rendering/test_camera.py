@@ -4,7 +4,6 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 from opengl import needs_opengl, pixels_of
@@ -24,9 +23,7 @@ from gauge_envs.rendering.overlay import Overlay
 from gauge_envs.rendering.reference_path import reference_path
 from gauge_envs.rendering.renderer import SceneRenderer
 from gauge_envs.scene import Box, Hinge, Motion, Pose, RigidBody, Rod, Scene
-from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.bench.parts import driver as driver_of, ground, ramp
-from gauge_envs.tools.control.env import ControlEnv
 
 SIZE = (640, 480)
 
@@ -81,25 +78,6 @@ def test_what_moves_is_in_the_picture_and_fills_half_of_it(name):
     assert (np.ptp(pixels, axis=0) / SIZE).max() >= 0.5
 
 
-@pytest.mark.parametrize(
-    "task", ["Carry-Limit-wood", "Throw-Limit-rubber", "Pendulum-Limit-metal"]
-)
-def test_a_body_that_actions_drive_stays_in_the_picture(task):
-    env = gymnasium.make(f"GAUGE/{task}").unwrapped
-    assert isinstance(env, ControlEnv)
-    view = View(**{**experiment_view(env.experiment).model_dump(), **env.CAMERA})
-    env.reset(seed=0)
-    places_m = []
-    over = False
-    while not over:
-        _, _, terminated, truncated, _ = env.step(env.law_action(0.95))
-        over = terminated or truncated
-        places_m += [pose[:3] for pose in env.moving_poses().values()]
-    env.close()
-    pixels = pixels_of(view, np.array(places_m), width=SIZE[0], height=SIZE[1])
-    assert ((pixels >= 0.0) & (pixels <= SIZE)).all()
-
-
 def test_every_id_has_a_camera_and_every_camera_an_id():
     names = [variant.name for variant in variants()]
     others = [variant.name for variant in beyond_variants()]
@@ -108,16 +86,6 @@ def test_every_id_has_a_camera_and_every_camera_an_id():
         assert sum(fnmatchcase(name, pattern) for pattern in patterns) == 1
     for pattern in patterns:
         assert any(fnmatchcase(name, pattern) for name in names + others)
-
-
-@pytest.mark.parametrize("aspect", [0.5, 1.0, 4.0 / 3.0, 3.0])
-def test_a_narrow_picture_shows_as_much_as_a_usual_one(aspect):
-    experiment = load_experiment("SlopeSlider-2-wood")
-    body = experiment.scene.dynamic_bodies[0]
-    corners_m = body.pose.to_world(body.shape.corners_m)
-    view = experiment_view(experiment, aspect=aspect)
-    pixels = pixels_of(view, corners_m, width=aspect * 100.0, height=100.0)
-    assert ((pixels >= 0.0) & (pixels <= [aspect * 100.0, 100.0])).all()
 
 
 START = Pose(position_m=(0.3, -0.2, 1.0))
@@ -188,14 +156,6 @@ def test_a_scene_without_a_camera_shows_start_and_reach(
     sine = np.sin(np.radians(0.5 * FIELD_OF_VIEW_DEG))
     assert radius_m / view.distance_m == pytest.approx(sine / 1.25)
     assert (view.azimuth_deg, view.elevation_deg) == pytest.approx((azimuth_deg, -18.0))
-
-
-def test_a_scene_without_a_camera_shows_its_reference():
-    experiment = load_experiment("CubeToss-acrylic")
-    path = reference_path(experiment, reference_band(experiment))
-    view = scene_view(experiment.scene, path.places_m)
-    pixels = pixels_of(view, path.places_m[:, 0], width=300, height=300)
-    assert ((pixels >= 0.0) & (pixels <= 300.0)).all()
 
 
 @needs_opengl

@@ -113,11 +113,6 @@ def test_an_episode_of_a_soft_body_shows_its_markers_alone():
     assert not overlay.paths and not overlay.recorded_paths
 
 
-def test_the_points_of_many_bodies_would_hide_the_scene():
-    overlay = overlay_at_frame("WallBreaking-wood", 0)[-1]
-    assert not len(overlay.markers_m) and not overlay.paths
-
-
 def test_a_reference_of_other_quantities_has_no_path():
     experiment = load_experiment("FoamTwisting-soft")
     band = reference_band(experiment)
