@@ -73,8 +73,7 @@ def swept(plan, folder, *workers, retry_failed=False, notify=lambda text: None):
         if not (retry_failed and outcome is Outcome.FAILED)
     }
     tasks = list(remaining_tasks(plan, done))
-    finished = run_sweep(tasks, workers or [HereWorker()], folder)
-    return [result for results in finished for result in results]
+    return list(run_sweep(tasks, workers or [HereWorker()], folder))
 
 
 def plain(result):

@@ -10,7 +10,6 @@ import os
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -174,26 +173,6 @@ class Progress:
         self._bar.update(
             self._task, completed=done, total=total, description=escape(str(text))
         )
-
-
-@dataclass
-class LostOutput:
-    """Output of a long run that a full disk or a closed pipe does not take; the run goes on without it."""
-
-    first_error: OSError | None = None
-
-    @contextmanager
-    def tolerated(self) -> Iterator[None]:
-        """Keep the first error of what is written here."""
-        try:
-            yield
-        except OSError as error:
-            self.first_error = self.first_error or error
-
-    def report(self) -> None:
-        """Raise the first error, once the run has ended."""
-        if self.first_error is not None:
-            raise self.first_error
 
 
 def echo(text: object, *, nl: bool = True) -> None:

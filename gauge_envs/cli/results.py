@@ -1,14 +1,24 @@
-"""Result files that commands read."""
+"""Result files that commands read, and results of long runs that commands report."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gauge_envs.cli.output import message
+import typer
+
+from gauge_envs.cli.output import (
+    EXIT_INTERRUPTED,
+    LINE_INTERVAL_S,
+    Format,
+    Progress,
+    message,
+    print_json_lines,
+)
 from gauge_envs.errors import GaugeError, ResultFileError
-from gauge_envs.pages.text import counted
+from gauge_envs.pages.text import counted, short_id
 
 if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
@@ -63,3 +73,54 @@ def _result_files(source: Path) -> list[Path]:
     if not files or not files[0].exists():
         raise ResultFileError(f"{source}: holds no result files; gauge run writes them")
     return files
+
+
+def reported(
+    results: Generator[Result, None, None],
+    form: Format,
+    total: int,
+    *,
+    done: int = 0,
+    interrupted: str,
+) -> Iterator[Result]:
+    """Yield the results of a long run, each after its progress and, as JSON, its line.
+
+    A full disk or a closed pipe does not end the run; its first error is raised at the end.
+
+    Args:
+        results: The results; closed at the end.
+        form: Format of stdout.
+        total: Number of all episodes.
+        done: Number of episodes that were complete before.
+        interrupted: What Ctrl-C leaves, and how to continue.
+
+    Raises:
+        OSError: Output was lost.
+        typer.Exit: Ctrl-C ended the run.
+    """
+    progress = Progress("episodes", total, done=done, line_interval_s=LINE_INTERVAL_S)
+    lost: OSError | None = None
+    try:
+        with closing(results), progress:
+            for result in results:
+                try:
+                    _report(result, progress, form)
+                except OSError as error:
+                    lost = lost or error
+                yield result
+    except KeyboardInterrupt:
+        message(f"interrupted: finished episodes are kept in {interrupted}")
+        raise typer.Exit(EXIT_INTERRUPTED) from None
+    if lost is not None:
+        raise lost
+
+
+def _report(result: Result, progress: Progress, form: Format) -> None:
+    from gauge_envs.runs.result import Outcome
+
+    name = f"{short_id(result.id)} on {result.backend}"
+    if result.outcome is Outcome.FAILED:
+        message(f"{name}, seed {result.seed}: {result.error}", "failed")
+    progress.advance(f"{name}: {result.outcome.value}")
+    if form is Format.JSON:
+        print_json_lines([result.to_dict(trajectory=False)])

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         judging_band as judging_band,
     )
     from gauge_envs.tools.compare.report import (
+        distance_tables as distance_tables,
         mean_rank_text as mean_rank_text,
         short_tables as short_tables,
     )
@@ -34,7 +35,7 @@ else:
             ".comparison": ["Cell", "Comparison", "ExperimentComparison", "compare"],
             ".experiment_figure": ["draw_experiment"],
             ".ranks": ["PUBLISHED", "KindComparison", "KindScore"],
-            ".report": ["mean_rank_text", "short_tables"],
+            ".report": ["distance_tables", "mean_rank_text", "short_tables"],
             ".reference": [
                 "coordinate_words",
                 "judging_band",

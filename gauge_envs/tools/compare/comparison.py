@@ -62,11 +62,6 @@ class Cell:
         """Return the number of repeats with an outcome."""
         return sum(result.outcome is outcome for result in self.results)
 
-    @property
-    def ran(self) -> bool:
-        """Whether any repeat ran, also if it diverged."""
-        return any(result.error is None for result in self.results)
-
     def values(self, metric: str, *, normalized: bool) -> list[float | None]:
         """Return the metric of each repeat, None for a repeat without it."""
         value_of = normalized_score if normalized else raw_score
@@ -199,23 +194,6 @@ class ExperimentComparison:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Summary:
-    """Counts of one configuration over all its experiments.
-
-    Attributes:
-        ran: Number of experiments that ran.
-        scored: Number of those in which every repeat has a normalized RMSE, or a distance from the solution.
-        diverged: Number of experiments in which a repeat diverged.
-        not_run: Number of experiments that were declined or failed.
-    """
-
-    ran: int
-    scored: int
-    diverged: int
-    not_run: int
-
-
-@dataclass(frozen=True, kw_only=True)
 class Comparison:
     """Configurations side by side.
 
@@ -252,27 +230,6 @@ class Comparison:
         scored = [one.scored() for one in experiments]
         constants = [_constants(one) for one in self.configurations]
         return compare_kind(experiments[0].kind, scored, constants)
-
-    def summaries(self) -> list[Summary]:
-        """Return one summary for each configuration, in their order."""
-        return [self._summary(index) for index in range(len(self.configurations))]
-
-    def _summary(self, index: int) -> Summary:
-        present = [
-            (cell, OVER_U if one.is_solution else "rmse")
-            for one in self.experiments
-            if (cell := one.cells[index]) is not None
-        ]
-        ran = sum(cell.ran for cell, _ in present)
-        return Summary(
-            ran=ran,
-            scored=sum(
-                None not in cell.values(metric, normalized=True)
-                for cell, metric in present
-            ),
-            diverged=sum(cell.count(Outcome.DIVERGED) > 0 for cell, _ in present),
-            not_run=len(present) - ran,
-        )
 
 
 def _constants(configuration: RunConfiguration) -> str:

@@ -6,7 +6,6 @@ from itertools import product
 
 import numpy as np
 
-from gauge_envs.pages.text import quantity_text
 from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import Result
 from gauge_envs.scene.geometry import FloatArray
@@ -48,15 +47,6 @@ class Distance:
     apart_at_s: float | None
     frames: int
     diverged: bool
-
-    def text(self, length: float) -> str:
-        """Return a length with its unit."""
-        return f"{quantity_text(length)} {self.unit}"
-
-    @property
-    def apart_text(self) -> str:
-        """When the trajectories are first apart."""
-        return "never" if self.apart_at_s is None else f"{self.apart_at_s:.2f} s"
 
 
 @dataclass(frozen=True, eq=False)

@@ -108,7 +108,8 @@ def comparison_document(
     """
     if not comparison.experiments:
         return Document(parts=(Paragraph("no results to compare"),), rows=[])
-    ranking, distances = _mean_rank_tables(comparison), _distance_tables(comparison)
+    ranking = _mean_rank_tables(comparison)
+    distances = distance_tables(comparison.experiments, comparison.labels)
     chosen = None if metrics == ALL_METRICS else metrics
     short = [_score_table(comparison, chosen), *ranking, *distances]
     full = [
@@ -449,16 +450,17 @@ def mean_rank_text(mean: Mean) -> str:
     return interval_text(mean.value, mean.interval_95, lambda rank: f"{rank:.1f}")
 
 
-def _distance_tables(comparison: Comparison) -> list[Table]:
+def distance_tables(
+    experiments: Iterable[ExperimentComparison], labels: Sequence[str]
+) -> list[Table]:
     """Return how far engines are from each other in experiments without a reference; empty without such a distance."""
-    labels = comparison.labels
     rows = [
         {
             "name": one.name,
             "between": f"{labels[far.first]} : {labels[far.second]}",
             **_distance_texts(far),
         }
-        for one in comparison.experiments
+        for one in experiments
         if one.kind == Kind.NONE
         for far in one.distances
     ]
@@ -477,11 +479,19 @@ def _distance_tables(comparison: Comparison) -> list[Table]:
 
 
 def _distance_texts(far: Distance) -> dict[str, str]:
-    scatter = "" if far.rms.std is None else f" +- {quantity_text(far.rms.std)}"
-    return {
-        "distance": f"{quantity_text(far.rms.mean)}{scatter} {far.unit}",
-        "motion": far.text(far.motion_rms),
-        "threshold": far.text(far.threshold)
-        + ("" if far.threshold_is_scatter else " *"),
-        "first exceeded": far.apart_text + (", diverged" if far.diverged else ""),
+    texts = {
+        "distance": quantity_text(far.rms.mean),
+        "motion": f"{quantity_text(far.motion_rms)} {far.unit}",
+        "threshold": f"{quantity_text(far.threshold)} {far.unit}",
+        "first exceeded": "never",
     }
+    if far.rms.std is not None:
+        texts["distance"] += f" +- {quantity_text(far.rms.std)}"
+    texts["distance"] += f" {far.unit}"
+    if not far.threshold_is_scatter:
+        texts["threshold"] += " *"
+    if far.apart_at_s is not None:
+        texts["first exceeded"] = f"{far.apart_at_s:.2f} s"
+    if far.diverged:
+        texts["first exceeded"] += ", diverged"
+    return texts

@@ -115,10 +115,10 @@ def data_import(
         print_json_lines([{"finding": asdict(finding)} for finding in findings])
     else:
         print_document(import_document(imports), form)
-    stored = sum(trials.facts is not None for trials in imports)
-    used = sum(trials.used for trials in imports)
+    stored = [trials.used for trials in imports if trials.facts is not None]
     message(
-        f"{counted(used, 'trial')} of {counted(stored, 'experiment')} imported; gauge run ID --use imported uses them"
+        f"{counted(sum(stored), 'trial')} of {counted(len(stored), 'experiment')} imported; "
+        "gauge run ID --use imported uses them"
     )
     return any(finding.left_out for finding in findings)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -14,19 +13,15 @@ import typer
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import (
-    EXIT_INTERRUPTED,
-    LINE_INTERVAL_S,
     Format,
-    LostOutput,
-    Progress,
     message,
     note,
     print_document,
-    print_json_lines,
 )
+from gauge_envs.cli.results import reported
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.files import processors
-from gauge_envs.pages.text import counted, short_id
+from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
     from gauge_envs.runs.request import RunRequest
@@ -135,30 +130,16 @@ def run(
         jobs=min(jobs or _default_jobs(requests), len(requests)),
     )
     total = sum(request.repeats for request in requests)
-    progress = Progress("episodes", total, line_interval_s=LINE_INTERVAL_S)
+    interrupted = f"{out}; --resume continues from there"
     results: list[Result] = []
-    lost = LostOutput()
     try:
-        with closing(episodes), progress:
-            for result in episodes:
-                results.append(result)
-                with lost.tolerated():
-                    progress.advance(
-                        f"{short_id(result.id)} on {result.backend}: {result.outcome.value}"
-                    )
-                    if form is Format.JSON:
-                        print_json_lines([result.to_dict(trajectory=False)])
-    except KeyboardInterrupt:
-        message(
-            f"interrupted: finished episodes are kept in {out}; --resume continues from there"
-        )
-        raise typer.Exit(EXIT_INTERRUPTED) from None
+        for result in reported(episodes, form, total, interrupted=interrupted):
+            results.append(result)
     except ResultFileError:
         message(
             f"stopped: {_totals(results, out)}; --resume continues from there when the cause is gone"
         )
         raise
-    lost.report()
     if form is not Format.JSON:
         is_detailed = details or form is Format.WIDE
         print_document(summary_document(results, details=is_detailed), form)

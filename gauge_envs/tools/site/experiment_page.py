@@ -28,7 +28,12 @@ from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scoring.estimates import Measured
 from gauge_envs.scoring.score import OVER_U
-from gauge_envs.tools.compare import ExperimentComparison, draw_experiment, judging_band
+from gauge_envs.tools.compare import (
+    ExperimentComparison,
+    distance_tables,
+    draw_experiment,
+    judging_band,
+)
 from gauge_envs.tools.site.model import (
     Site,
     first_results,
@@ -64,7 +69,7 @@ def experiment_page(
         *_scores(site, experiment),
         *([Heading("3D replay"), *replays] if replays else []),
         *_sentences(site, results),
-        *_distances(site, experiment),
+        *distance_tables([experiment], site.labels),
         *_unfinished(site, experiment),
         Heading("How to reproduce"),
         Paragraph(REPRODUCE_NOTE, Tone.NOTE),
@@ -151,29 +156,6 @@ def _estimate_text(estimate: Measured) -> str:
     if estimate.real_uncertainty is not None:
         text += f" \u00b1 {estimate.real_uncertainty:.2g}"
     return text
-
-
-def _distances(site: Site, experiment: ExperimentComparison) -> list[Part]:
-    """Return the distances between engines where there is no reference."""
-    if experiment.kind != Kind.NONE:
-        return []
-    rows = [
-        (
-            f"{site.labels[far.first]} : {site.labels[far.second]}",
-            far.text(far.rms.mean),
-            far.text(far.motion_rms),
-            far.apart_text,
-        )
-        for far in experiment.distances
-    ]
-    limits = sorted({far.text(far.threshold) for far in experiment.distances})
-    titles = ("between", "distance", "motion", "apart at")
-    return section(
-        "Distances between engines",
-        grid(titles, rows, number_from=1),
-        "Root mean square over the frames. Apart: first time at which the distance exceeds "
-        f"{', '.join(limits)}.",
-    )
 
 
 def _unfinished(site: Site, experiment: ExperimentComparison) -> list[Part]:

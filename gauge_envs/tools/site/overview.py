@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.html import Html, below, element, join
-from gauge_envs.pages.results import SCORE_METRICS, versions_text
+from gauge_envs.pages.results import SCORE_METRICS
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import counted
 from gauge_envs.references.kind import Kind
@@ -75,7 +75,6 @@ def overview_page(site: Site) -> str:
             grid(["experiment", *site.names], _unranked(site), look="matrix"),
             UNRANKED_NOTE,
         ),
-        *section("Engines", _engines(site)),
         *(Paragraph(f"Note: {note}.", Tone.WARNING) for note in comparison.notes),
         Heading("This site"),
         element("pre", element("code", site.command)),
@@ -192,17 +191,3 @@ def _unranked(site: Site) -> Iterator[list[Html]]:
             link = element("a", experiment.name, href=page_file(experiment))
             cells = (score_cell(experiment, cell, name) for cell in experiment.cells)
             yield [join([link, below(note)]), *cells]
-
-
-def _engines(site: Site) -> Table:
-    configurations = site.comparison.configurations
-    rows = [
-        (
-            site.names[index],
-            versions_text(configurations[index]) or "-",
-            *map(str, (counts.ran, counts.scored, counts.diverged, counts.not_run)),
-        )
-        for index, counts in enumerate(site.comparison.summaries())
-    ]
-    titles = ("engine", "versions", "ran", "scored", "diverged", "not run")
-    return grid(titles, rows, number_from=2)

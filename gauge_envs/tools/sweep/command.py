@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import closing
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,28 +11,19 @@ import typer
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import (
-    EXIT_INTERRUPTED,
-    LINE_INTERVAL_S,
     Format,
-    LostOutput,
-    Progress,
     message,
     note,
     print_document,
-    print_json_lines,
 )
+from gauge_envs.cli.results import reported
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import processors
 from gauge_envs.pages.text import counted, short_id
 
 if TYPE_CHECKING:
     from gauge_envs.runs.pool import Limits, RequestWorker
-    from gauge_envs.runs.result import Outcome
-    from gauge_envs.tools.sweep.plan import SweepRun
     from gauge_envs.tools.sweep.spec import SweepSpec
-
-Counts = Counter[tuple[str, "Outcome"]]
-"""Number of episodes by engine and outcome."""
 
 
 def sweep(
@@ -147,7 +136,7 @@ def sweep(
     from gauge_envs.runs.isolation import TIME_LIMIT_S
     from gauge_envs.runs.pool import Limits
     from gauge_envs.runs.result import Outcome
-    from gauge_envs.tools.sweep.folder import earlier_outcomes
+    from gauge_envs.tools.sweep.folder import earlier_outcomes, run_sweep
     from gauge_envs.tools.sweep.plan import (
         episode_count,
         part_of,
@@ -192,11 +181,15 @@ def sweep(
         if name in earlier
     )
     if tasks:
-        progress = Progress(
-            "episodes", total, done=total - left, line_interval_s=LINE_INTERVAL_S
-        )
         limits = Limits(timeout or TIME_LIMIT_S, memory, isolate)
-        counts += _run(tasks, _workers(ray, jobs, limits), progress, out, form)
+        results = reported(
+            run_sweep(tasks, _workers(ray, jobs, limits), out),
+            form,
+            total,
+            done=total - left,
+            interrupted=f"{out}; the same command continues",
+        )
+        counts.update((str(result.backend), result.outcome) for result in results)
     if form is not Format.JSON:
         print_document(outcome_table(runs, counts), form)
     message(f"{counted(total, 'episode')}; results in {out}")
@@ -242,36 +235,3 @@ def _workers(
     from gauge_envs.runs.pool import ProcessWorker
 
     return [ProcessWorker(limits) for _ in range(count or processors())]
-
-
-def _run(
-    tasks: Sequence[SweepRun],
-    workers: Sequence[RequestWorker],
-    progress: Progress,
-    out: Path,
-    form: Format,
-) -> Counts:
-    """Run tasks, and return how many episodes of each engine had which outcome."""
-    from gauge_envs.runs.result import Outcome
-    from gauge_envs.tools.sweep.folder import run_sweep
-
-    counts: Counts = Counter()
-    lost = LostOutput()
-    try:
-        with progress, closing(run_sweep(tasks, workers, out)) as finished:
-            for result in chain.from_iterable(finished):
-                counts[str(result.backend), result.outcome] += 1
-                name = f"{short_id(result.id)} on {result.backend}"
-                with lost.tolerated():
-                    if result.outcome is Outcome.FAILED:
-                        message(f"{name}, seed {result.seed}: {result.error}", "failed")
-                    progress.advance(name)
-                    if form is Format.JSON:
-                        print_json_lines([result.to_dict(trajectory=False)])
-    except KeyboardInterrupt:
-        message(
-            f"interrupted: finished episodes are kept in {out}; the same command continues"
-        )
-        raise typer.Exit(EXIT_INTERRUPTED) from None
-    lost.report()
-    return counts

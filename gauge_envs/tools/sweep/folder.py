@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import replace
+from contextlib import closing
 from pathlib import Path
 
 from gauge_envs.runs.batch import check_writable
@@ -46,8 +46,8 @@ def earlier_outcomes(path: Path, notify: Callable[[str], None]) -> dict[str, Out
 
 def run_sweep(
     tasks: Sequence[SweepRun], workers: Sequence[RequestWorker], path: Path
-) -> Generator[list[Result], None, None]:
-    """Run tasks on workers at once, and yield the results of each in their order, after they are written.
+) -> Generator[Result, None, None]:
+    """Run tasks on workers at once, and yield each result after the results of its task are written.
 
     Args:
         tasks: The tasks.
@@ -61,15 +61,15 @@ def run_sweep(
         >>> from gauge_envs.tools.sweep.spec import sweep_spec
         >>> plan = plan_sweep(sweep_spec({"variants": ["SlopeSlider-2-*"], "settings": {"timestep_s": [1 / 1800]}}))
         >>> with TemporaryDirectory() as folder:
-        ...     done = list(run_sweep(list(remaining_tasks(plan, ())), [ProcessWorker(Limits())], Path(folder)))
-        >>> [result.outcome.value for results in done for result in results]
+        ...     results = list(run_sweep(list(remaining_tasks(plan, ())), [ProcessWorker(Limits())], Path(folder)))
+        >>> [result.outcome.value for result in results]
         ['finished', 'finished', 'finished']
     """
     for folder in _folders(path):
         check_writable(folder)
 
     def perform(worker: RequestWorker, task: SweepRun) -> list[Result]:
-        results = [_checked(task, result) for result in worker.run(task.request)]
+        results = worker.run(task.request)
         for result, name in zip(results, task.file_names, strict=True):
             write_result(result, path / SUBFOLDERS.get(result.outcome, "") / name)
             if result.outcome is not Outcome.FAILED:
@@ -77,13 +77,6 @@ def run_sweep(
                 (path / "failed" / name).unlink(missing_ok=True)
         return results
 
-    return run_tasks(tasks, workers, perform)
-
-
-def _checked(task: SweepRun, result: Result) -> Result:
-    """Return a result, or a failure if other versions made it than the plan states, as on another machine."""
-    difference = result.made_with_other_than(task.versions)
-    if result.trajectory is None or not difference:
-        return result
-    reason = f"{difference}: install the same versions on every machine"
-    return replace(result, outcome=Outcome.FAILED, error=reason, trajectory=None)
+    with closing(run_tasks(tasks, workers, perform)) as finished:
+        for results in finished:
+            yield from results

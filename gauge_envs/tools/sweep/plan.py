@@ -24,14 +24,13 @@ from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant, matching_variants
 from gauge_envs.files import json_ready, versions
-from gauge_envs.references.imported import dataset_record
 from gauge_envs.runs.isolation import call_engine
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene.jitter import JITTER_FORMAT, Jitter
 from gauge_envs.tools.sweep.spec import SweepSpec
 
 MAX_EPISODES = 1_000_000
-"""Largest number of episodes of a sweep."""
+"""Largest number of episodes of an engine."""
 
 KEY_LENGTH = 16
 """Hexadecimal digits of a key in a file name: among a million episodes, two share them with a probability of 3e-8."""
@@ -45,7 +44,6 @@ class SweepRun:
         request: The request, with the jitter that applies.
         experiment: Name of the experiment.
         sha256: Hash of the content that the episodes share.
-        versions: Versions of the engine's packages and of gauge-envs that the hash contains.
         shares_worlds: Whether the repeats run as worlds of one simulation.
         declined: Why no episode can run; None if the plan knows no reason.
         duration_s: Simulated time of an episode [s].
@@ -54,7 +52,6 @@ class SweepRun:
     request: RunRequest
     experiment: str
     sha256: str
-    versions: dict[str, str]
     shares_worlds: bool
     declined: str | None
     duration_s: float
@@ -87,15 +84,15 @@ def plan_sweep(spec: SweepSpec) -> list[SweepRun]:
         UnknownNameError: An engine or experiment does not exist.
     """
     variants = dict.fromkeys(chain.from_iterable(map(matching_variants, spec.variants)))
-    lists_of = {backend: spec.setting_lists(backend) for backend in spec.backends}
-    choice_count = sum(prod(map(len, lists.values())) for lists in lists_of.values())
     subjects = _subjects(spec, variants)
-    if choice_count * len(subjects) * spec.repeats > MAX_EPISODES:
-        raise ParameterError(
-            f"the sweep has more than {MAX_EPISODES:,} episodes: shorten its lists, or split it"
-        )
     runs: dict[str, SweepRun] = {}
-    for backend, lists in lists_of.items():
+    for backend in spec.backends:
+        lists = spec.setting_lists(backend)
+        choice_count = prod(map(len, lists.values()))
+        if choice_count * len(subjects) * spec.repeats > MAX_EPISODES:
+            raise ParameterError(
+                f"the sweep has more than {MAX_EPISODES:,} episodes: shorten its lists, or split it"
+            )
         choices = [
             dict(zip(lists, values, strict=True)) for values in product(*lists.values())
         ]
@@ -149,7 +146,6 @@ def _engine_runs(
         choices: Settings that replace those of the presets.
     """
     engine = backend_for(backend, None)
-    engine_versions = versions_of(backend) | {"gauge-envs": versions()["gauge-envs"]}
     shares_worlds = (
         engine.worlds_share_simulation
         and type(engine).build_worlds is not Backend.build_worlds
@@ -159,23 +155,23 @@ def _engine_runs(
         support = support_of(backend, experiment.scene, experiment.model_file)
         jitter = request.jitter
         content = {
-            "experiment": experiment_sha256(experiment),
+            "experiment": experiment.id,
+            "task": experiment.file_sha256,
+            "scene": asdict(experiment.scene),
             "backend": backend,
-            "versions": engine_versions,
+            "versions": versions_of(backend) | {"gauge-envs": versions()["gauge-envs"]},
             "parameters": request.parameters,
             "jitter": jitter and {**jitter.to_dict(), "format": JITTER_FORMAT},
         }
         for settings in choices:
-            effective = (
-                _effective_settings(engine, experiment, settings)
-                if support
-                else settings
-            )
+            effective = settings
+            if support:
+                effective = _effective_settings(engine, experiment, settings)
+            text = json.dumps(json_ready(content | {"settings": effective}))
             run = SweepRun(
                 request=replace(request, backend=backend, settings=settings or None),
                 experiment=experiment.name,
-                sha256=_sha256(content | {"settings": effective}),
-                versions=engine_versions,
+                sha256=hashlib.sha256(text.encode()).hexdigest(),
                 shares_worlds=shares_worlds,
                 declined="; ".join(support.missing) or refusal,
                 duration_s=experiment.scene.duration_s,
@@ -204,31 +200,6 @@ def _effective_settings(
             f"[settings.{engine.name}]"
         ) from None
     return settings if resolved is None else resolved
-
-
-def experiment_sha256(experiment: Experiment) -> str:
-    """Return the hash of what is simulated and how it is scored, apart from engine, jitter and seed."""
-    return _sha256(
-        {
-            "id": experiment.id,
-            "task": experiment.file_sha256,
-            "scene": asdict(experiment.scene),
-            "recorded": experiment.recorded,
-            "frames": experiment.frame_count,
-            "trial": experiment.trial,
-            "asset": experiment.asset and experiment.asset.sha256,
-            "dataset": dataset_record(
-                experiment.name,
-                drivers=experiment.drivers,
-                reference=experiment.reference_source,
-            ),
-        }
-    )
-
-
-def _sha256(content: Mapping[str, Any]) -> str:
-    text = json.dumps(json_ready(content), sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def remaining_tasks(

@@ -23,7 +23,7 @@ COUNTS = {
 
 
 def plan_document(runs: Sequence[SweepRun], done: Container[str]) -> Document:
-    """Return the episodes of a plan and those that are left, for each engine; wide also for each experiment.
+    """Return the episodes of a plan and those that are left, for each engine.
 
     Its rows are those of the engines and experiments.
 
@@ -31,18 +31,13 @@ def plan_document(runs: Sequence[SweepRun], done: Container[str]) -> Document:
         runs: The plan, grouped by engine and experiment.
         done: Names of the result files that exist.
     """
-    engine, experiment = Column("backend", "engine"), Column("experiment", "experiment")
     numbers = [
         Column(key, title, digits_text, is_number=True) for key, title in COUNTS.items()
     ]
     engines = list(_rows(runs, done, "backend"))
-    rows = list(_rows(runs, done, "backend", "experiment"))
     return Document(
-        parts=(
-            Table(columns=(engine, *numbers), rows=engines),
-            Table(columns=(engine, experiment, *numbers), rows=rows, wide_only=True),
-        ),
-        rows=rows,
+        parts=[Table(columns=(Column("backend", "engine"), *numbers), rows=engines)],
+        rows=list(_rows(runs, done, "backend", "experiment")),
     )
 
 

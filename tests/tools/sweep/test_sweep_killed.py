@@ -1,4 +1,4 @@
-"""Sweeps that are killed at random moments, and Ray: the same bits, nothing lost, nothing twice."""
+"""Sweeps that are killed at random moments: the same bits, nothing lost, nothing twice."""
 
 import contextlib
 import os
@@ -12,9 +12,6 @@ import pytest
 from places import ROOT
 from sweep_workers import children, contents, outcomes, planned, swept
 
-from gauge_envs.runs.pool import Limits
-from gauge_envs.tools.sweep.machines import ray_workers
-
 PLAN = {
     "variants": ["SlopeSlider-2-*"],
     "repeats": 16,
@@ -26,18 +23,11 @@ COMMAND = [*PROGRAM, "sweep", "--jobs", "2", "--only=SlopeSlider-2-*", "--repeat
 COMMAND += ["--set", f"timestep_s={1 / 360!r},{1 / 720!r}", "--retry-failed", "--out"]
 
 
-@pytest.fixture
-def expected(tmp_path):
-    """The results of the sweep in one process."""
-    assert len(swept(planned(**PLAN), tmp_path / "whole")) == COUNT
-    return contents(tmp_path / "whole")
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="it finds workers in /proc")
-def test_kills_of_parent_and_workers_lose_nothing_and_nothing_runs_twice(
-    tmp_path, expected
-):
+def test_kills_of_parent_and_workers_lose_nothing_and_nothing_runs_twice(tmp_path):
+    assert len(swept(planned(**PLAN), tmp_path / "whole")) == COUNT
+    expected = contents(tmp_path / "whole")
     folder, moments = tmp_path / "killed", random.Random(0)
     for victim in ("parent", "worker", None):
         before = {file: file.stat().st_mtime_ns for file in folder.glob("*.json")}
@@ -60,28 +50,3 @@ def test_kills_of_parent_and_workers_lose_nothing_and_nothing_runs_twice(
         assert contents(folder).items() <= expected.items()
     assert contents(folder) == expected
     assert outcomes(folder) == ["finished"] * COUNT
-
-
-@pytest.mark.slow
-def test_two_ray_workers_of_which_one_is_killed_give_the_same_bits(
-    tmp_path, monkeypatch, expected
-):
-    ray = pytest.importorskip("ray")
-    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
-    workers = ray_workers("local", 2, Limits())
-    first, calls = workers[0], []
-    run = first.run
-
-    def run_and_kill(request):
-        calls.append(request)
-        if len(calls) == 3:
-            ray.kill(first._actor)
-        return run(request)
-
-    monkeypatch.setattr(first, "run", run_and_kill)
-    try:
-        swept(planned(**PLAN), tmp_path / "ray", *workers)
-    finally:
-        ray.shutdown()
-    assert len(calls) > 3
-    assert contents(tmp_path / "ray") == expected

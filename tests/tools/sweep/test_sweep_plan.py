@@ -1,7 +1,7 @@
-"""Sweep files and plans: each content once, names that follow the content, and a message for each wrong request."""
+"""Sweep files and plans: each content once, names that follow the content, and the place of each mistake."""
 
 import pytest
-from sweep_workers import needs_rapier, planned
+from sweep_workers import planned
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.settings import settings_for
@@ -16,7 +16,6 @@ WHOLE = """
 backends = ["mujoco", "rapier"]
 variants = ["SlopeSlider-2-*", "crate.toml"]
 presets = ["contact", "stack"]
-parameters = ["calibrated", { "cube.friction" = 0.3 }]
 
 [settings]
 timestep_s = [0.001, 0.0005]
@@ -31,13 +30,9 @@ def names(plan):
     return {name for run in plan for name in run.file_names}
 
 
-# --- files ---
-
-
 def test_a_table_of_an_engine_replaces_the_common_list(tmp_path):
     (tmp_path / "sweep.toml").write_text(WHOLE)
-    values = load_sweep_file(tmp_path / "sweep.toml")
-    spec = sweep_spec(values)
+    spec = sweep_spec(load_sweep_file(tmp_path / "sweep.toml"))
     assert spec.setting_lists("mujoco") == {
         "preset": ["contact", "stack"],
         "timestep_s": [0.001, 0.0005],
@@ -52,18 +47,9 @@ def test_a_table_of_an_engine_replaces_the_common_list(tmp_path):
     ("text", "message"),
     [
         ("backends = [", "not a TOML file"),
-        (
-            SLIDE + "backend = ['mujoco']",
-            "backend: unknown key; keys: backends, variants",
-        ),
-        ("repeats = 2", "variants: missing key; keys: backends"),
-        (SLIDE + "[jitter]\nposition_mm = 1.0", "jitter.position_mm"),
+        (SLIDE + "backend = ['mujoco']", "backend: unknown key; keys: backends"),
         (SLIDE + "[settings]\ntimestep_s = 0.1", "timestep_s: a list of one or more"),
-        (SLIDE + "[settings]\ntimestep_s = [nan]", "settings.timestep_s"),
-        (
-            SLIDE + "[settings.bullet]\niterations = [1]",
-            "settings.bullet: a table belongs",
-        ),
+        (SLIDE + "[settings.bullet]\niterations = [1]", "settings.bullet: a table"),
     ],
 )
 def test_a_wrong_file_is_named_with_key_and_reason(tmp_path, text, message):
@@ -75,31 +61,19 @@ def test_a_wrong_file_is_named_with_key_and_reason(tmp_path, text, message):
     assert message in str(caught.value)
 
 
-# --- names ---
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
+def test_names_of_files_follow_the_content(monkeypatch):
+    before = names(planned(repeats=2))
+    assert names(planned(repeats=2)) == before
+    for other in (
         {"variants": ["SlopeSlider-2-metal"]},
-        pytest.param({"backends": ["rapier"]}, marks=needs_rapier),
         {"parameters": [{"cube.friction": 0.3}]},
         {"seed": 5},
         {"jitter": {"position_m": 0.002}},
         {"settings": {"timestep_s": [1 / 3600]}},
-        {"presets": ["stack"]},
-    ],
-)
-def test_any_other_content_has_other_names(other):
-    before = names(planned(repeats=2))
-    assert names(planned(repeats=2)) == before
-    assert not before & names(planned(**{"repeats": 2} | other))
-
-
-def test_the_versions_of_an_engine_belong_to_the_names(monkeypatch):
-    before = names(planned())
+    ):
+        assert not before & names(planned(**{"repeats": 2} | other))
     monkeypatch.setattr(BackendMuJoCo, "versions", lambda self: {"mujoco": "99.0"})
-    assert not before & names(planned())
+    assert not before & names(planned(repeats=2))
 
 
 def test_settings_that_resolve_to_the_same_run_once():
@@ -108,14 +82,6 @@ def test_settings_that_resolve_to_the_same_run_once():
     plan = planned(settings={"timestep_s": steps, "iterations": [default.iterations]})
     assert len(plan) == 2
     assert names(planned()) < names(plan)
-
-
-def test_every_experiment_has_a_name_of_its_own():
-    plan = planned(variants=["*"])
-    assert len(plan) == 75 == len(names(plan))
-
-
-# --- tasks ---
 
 
 def test_only_engines_that_advance_worlds_at_once_run_repeats_together():
@@ -131,6 +97,6 @@ def test_only_engines_that_advance_worlds_at_once_run_repeats_together():
 
 
 def test_too_many_combinations_are_refused():
-    settings = {f"a{number}": [1, 2] for number in range(15_000)}
+    settings = {name: list(range(1001)) for name in ("iterations", "timestep_s")}
     with pytest.raises(ParameterError, match="more than 1,000,000 episodes"):
         planned(settings=settings)
