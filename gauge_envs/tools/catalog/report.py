@@ -70,16 +70,9 @@ def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     return Table(
         columns=(
             Column("id", "id"),
-            Column("group", "group", wide_only=True),
             Column("observable", "observable", wide_only=True),
             Column("frames", "frames", is_number=True, wide_only=True),
             Column("kind", "kind"),
-            Column(
-                "imported",
-                "imported trials",
-                lambda is_imported: "yes" if is_imported else "no",
-                wide_only=True,
-            ),
             Column("backends", "runs on", usable_text),
         ),
         rows=rows,

@@ -132,17 +132,9 @@ def _json_files(root: Path) -> dict[Path, list[Path]]:
 
 
 def _variant(root: Path, folder: Path) -> Variant | None:
-    """Return the variant of the trials in a folder, or None.
-
-    Folders above the dataset have any name; the dataset may be the folder of a task, or below it.
-    """
-    parts = (*root.resolve().parts, *folder.relative_to(root).parts)
-    names = [plain_name(part) for part in parts]
-    for first in range(len(names)):
-        variant = _folder_names().get(frozenset(names[first:]) - NEUTRAL)
-        if variant is not None:
-            return variant
-    return None
+    """Return the variant of the trials in a folder, or None."""
+    names = {plain_name(part) for part in folder.relative_to(root).parts}
+    return _folder_names().get(frozenset(names - NEUTRAL))
 
 
 @cache

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -17,7 +16,7 @@ SHIFT_STEP_S = 1.0 / 120.0
 """Step of the grid of time shifts [s]; the best one is refined."""
 
 SHIFT_TOLERANCE_S = 1e-7
-"""Tolerance of the best time shift [s]."""
+"""Step of the finest grid of time shifts [s]."""
 
 MIN_OVERLAP = 0.6
 """Smallest share of frames that a shifted trial must have in common with the mean of the others."""
@@ -75,18 +74,16 @@ def distances_to_others(trials: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _aligned_rmse(trial: FloatArray, mean: FloatArray) -> float:
-    """Return the least RMSE of a trial to a mean over constant time shifts."""
-    grid = [_shifted_rmse(shift_s, trial, mean) for shift_s in SHIFTS_S]
-    best = int(np.argmin(grid))
-    near_s = SHIFTS_S[best] + SHIFT_STEP_S * np.array([-1.0, 1.0])
-    refined = minimize_scalar(
-        _shifted_rmse,
-        args=(trial, mean),
-        bounds=np.clip(near_s, -MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S),
-        method="bounded",
-        options={"xatol": SHIFT_TOLERANCE_S},
-    )
-    return min(grid[best], float(refined.fun))
+    """Return the least RMSE of a trial to a mean over constant time shifts, on finer and finer grids."""
+    shifts_s, step_s, least = SHIFTS_S, SHIFT_STEP_S, math.inf
+    while step_s > SHIFT_TOLERANCE_S:
+        rmse = [_shifted_rmse(shift_s, trial, mean) for shift_s in shifts_s]
+        best = int(np.argmin(rmse))
+        least = min(least, rmse[best])
+        finer_s = shifts_s[best] + step_s * np.linspace(-1.0, 1.0, 9)
+        shifts_s = np.clip(finer_s, -MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S)
+        step_s /= 4.0
+    return least
 
 
 def _shifted_rmse(shift_s: float, trial: FloatArray, mean: FloatArray) -> float:

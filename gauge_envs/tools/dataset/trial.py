@@ -23,16 +23,8 @@ from gauge_envs.tools.dataset.layout import plain_name
 POSITION_KEYS = ("x", "y", "z")
 QUATERNION_KEYS = ("qx", "qy", "qz", "qw")
 
-MILLIMETRES = {
-    "mm": 1.0,
-    "millimeter": 1.0,
-    "millimetre": 1.0,
-    "cm": 10.0,
-    "m": 1e3,
-    "meter": 1e3,
-    "metre": 1e3,
-}
-"""Millimetres in a unit of length, by its spelling without a plural s."""
+MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1e3}
+"""Millimetres in a unit of length."""
 
 NORM_TOLERANCE = 0.01
 """Largest error of the norm of a unit quaternion; files round to three digits or more."""
@@ -147,7 +139,7 @@ def _scale_mm(document: Mapping[str, Any]) -> float:
         problem = f"it is {'missing' if rate_hz is None else repr(rate_hz)}"
         expected = "30 is expected; --rate 30 states that of files without one"
         raise TrialError("FPS", problem, expected)
-    scale_mm = MILLIMETRES.get(str(unit).lower().rstrip("s"))
+    scale_mm = MILLIMETRES.get(str(unit))
     if scale_mm is None:
         problem = f"it is {'missing' if unit is None else repr(unit)}"
         expected = (

@@ -5,14 +5,6 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.site.build import (
-        ReplayNote as ReplayNote,
-        save_site as save_site,
-    )
+    from gauge_envs.tools.site.build import save_site as save_site
 else:
-    __getattr__, __all__ = lazy_names(
-        __name__,
-        {
-            ".build": ["ReplayNote", "save_site"],
-        },
-    )
+    __getattr__, __all__ = lazy_names(__name__, {".build": ["save_site"]})

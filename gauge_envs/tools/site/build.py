@@ -1,7 +1,6 @@
 """Write a site: all pages into a new folder, which then takes the place of the old one."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from shutil import copytree
 from tempfile import TemporaryDirectory
@@ -32,21 +31,6 @@ HELP = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReplayNote:
-    """Why a configuration has no replay in an experiment.
-
-    Attributes:
-        id: Gymnasium id of the experiment.
-        label: Label of the configuration.
-        reason: The reason.
-    """
-
-    id: str
-    label: str
-    reason: str
-
-
 def save_site(
     results: Mapping[Path, Result],
     out: Path,
@@ -54,7 +38,7 @@ def save_site(
     replays: bool = True,
     command: str = "gauge report",
     progress: Callable[[str], None] = lambda _: None,
-) -> tuple[ReplayNote, ...]:
+) -> tuple[str, ...]:
     """Write the site of results into a folder: an overview, a page for each experiment, and replays.
 
     The pages are written beside the folder and then take its place, so that an interruption leaves the old site.
@@ -67,7 +51,7 @@ def save_site(
         progress: Receives the name of each experiment before its page is made.
 
     Returns:
-        Why configurations have no replay; the pages say the same.
+        A sentence for each configuration without a replay in an experiment, as on the page.
 
     Raises:
         ResultFileError: There is no result, the folder holds something else, or it cannot be written.
@@ -80,7 +64,7 @@ def save_site(
         files={id(result): file for file, result in results.items()},
         command=command,
     )
-    notes: list[ReplayNote] = []
+    notes: list[str] = []
     with os_errors(lambda cause: ResultFileError(f"{out}: cannot be written: {cause}")):
         out.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as folder:
@@ -114,7 +98,7 @@ def check_replaceable(out: Path) -> None:
 
 def _save_experiment(
     site: Site, experiment: ExperimentComparison, out: Path, *, replays: bool
-) -> list[ReplayNote]:
+) -> list[str]:
     """Write the page of an experiment and the replay of each configuration; return why some have none."""
     entries: list[dict[str, str]] = []
     ghosts, notes = [], []
@@ -123,7 +107,7 @@ def _save_experiment(
         try:
             data = replay_data(result)
         except GaugeError as error:
-            notes.append(ReplayNote(id=experiment.id, label=label, reason=str(error)))
+            notes.append(f"{label} has no replay: {error}.")
             continue
         ghosts += [data["ghost"]["text"]] if data["ghost"] else []
         key = f"{slug(experiment.name)}.{index}-{slug(label)}"
@@ -137,10 +121,7 @@ def _save_experiment(
         data_replays = script_value(entries)
         parts.append(element("div", stage, class_="replay", data_replays=data_replays))
         parts.append(Paragraph(" ".join([HELP, *ghosts[:1]]), Tone.NOTE))
-    parts += [
-        Paragraph(f"{note.label} has no replay: {note.reason}.", Tone.WARNING)
-        for note in notes
-    ]
+    parts += [Paragraph(note, Tone.WARNING) for note in notes]
     page = experiment_page(site, experiment, parts)
     save_file(out / page_file(experiment), page)
     return notes

@@ -8,7 +8,6 @@ import pytest
 
 from gauge_envs.experiments.task_files import task_sha256, task_spec
 from gauge_envs.files import versions
-from gauge_envs.pages.markdown import as_markdown
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -23,7 +22,6 @@ from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import Score, score_trajectory
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.compare.overview_figure import draw_overview
-from gauge_envs.tools.compare.report import comparison_document, comparison_rows
 
 SLIDER, PLASTIC, FOAM, CRADLE, TURNED = (
     "SlopeSlider-2-wood",
@@ -92,29 +90,27 @@ def diverged(name=SLIDER, **changes):
     return made(name, **{"backend": "newton", "seconds": 0.5} | ended | changes)
 
 
-def cells(*results, metric="rmse"):
-    """Texts of the row of a metric, a column a configuration."""
-    comparison = compare(results)
-    markdown = as_markdown(comparison_document(comparison, [metric], with_rows=False))
-    row = next(
-        line for line in markdown.splitlines() if f"| {metric.upper()} |" in line
-    )
-    texts = [cell.strip() for cell in row.strip("|").split("|")]
-    return texts[3 : 3 + len(comparison.labels)]
-
-
 # --- configurations and repeats ---
 
 
 def test_the_latest_result_of_a_seed_and_the_newest_revision_count():
     old = made(rmse=5.0, created="2026-01-01T00:00:00+00:00")
     new = made(rmse=1.0, created="2026-01-02T00:00:00+00:00")
-    assert cells(new, old) == ["1.00 inside"]
-    assert "the latest of each counts" in compare([new, old]).notes[0]
+    comparison = compare([new, old])
+    (cell,) = comparison.experiments[0].cells
+    assert cell.values("rmse", normalized=True) == [1.0]
+    assert "the latest of each counts" in comparison.notes[0]
     newer = replace(new, revision=old.revision + 1, parameters="effective")
     both = compare([old, newer])
     assert [one.parameters for one in both.configurations] == ["effective"]
     assert f"{SLIDER}: results of an older revision are left out" in both.notes[0]
+
+
+def test_a_configuration_with_a_diverged_repeat_has_no_rank(real):
+    end = {"outcome": Outcome.DIVERGED, "diverged": True, "seed": 1}
+    comparison = compare([real[SLIDER], replace(real[SLIDER], **end)])
+    assert comparison.experiments[0].cells[0].count(Outcome.DIVERGED) == 1
+    assert comparison.kinds == ()
 
 
 def test_results_that_do_not_belong_together_are_reported():
@@ -125,32 +121,6 @@ def test_results_that_do_not_belong_together_are_reported():
     assert f"another task file than the installed one: {SLIDER}" in notes
     assert "different versions of gauge-envs: 0.0.1, " in notes
     assert compare([made(), made(PLASTIC)]).notes == ()
-
-
-# --- scores ---
-
-
-def test_a_configuration_with_a_diverged_repeat_has_no_rank():
-    repeats = [made(backend="newton", rmse=1.0), diverged(seed=2)]
-    assert cells(*repeats) == ["1.00, 1 diverged inside"]
-    comparison = compare(repeats)
-    assert comparison.kinds == ()
-
-
-def test_scores_have_their_interval_and_their_unit():
-    score = Score(
-        kind="trials",
-        unit="mm",
-        primary="rmse",
-        rmse=9.0,
-        rmse_95=(4.5, 27.0),
-        rmse_normalized=0.5,
-        events={"mte": Measured(value=0.4, unit="1", real=0.8)},
-    )
-    assert cells(made(score=score)) == ["0.50 [0.25, 1.50] inside"]
-    assert cells(made(score=score), metric="mte") == ["0.50"]
-    raw = replace(score, rmse_normalized=None, rmse_95=None)
-    assert cells(made(score=raw))[0].startswith("9.00 mm")
 
 
 # --- kinds ---
@@ -206,17 +176,6 @@ def test_a_large_difference_ranks(real):
     # The mean rank is over experiments that all configurations have scored.
     assert trials.ids == (f"GAUGE/{SLIDER}",)
     assert ranks(trials) == [(1, 1), (2, 2)]
-
-
-def test_published_engines_are_shown_with_raw_scores_of_trials_alone(real):
-    rows = {
-        (row["id"], row["metric"]): row["published"]
-        for row in comparison_rows(compare(real.values()))
-    }
-    published = published_baselines(SLIDER)["rmse"].engines
-    assert rows[f"GAUGE/{SLIDER}", "rmse"] == published
-    assert rows[f"GAUGE/{SLIDER}", "rmse_aligned"] is None
-    assert rows[f"GAUGE/{TURNED}", "rmse"] is None
 
 
 def test_a_score_that_is_not_of_its_trajectory_is_not_ranked(real):

@@ -25,8 +25,6 @@ from gauge_envs.errors import (
 )
 from gauge_envs.references.band import load_band
 from gauge_envs.references.published import published_baselines
-from gauge_envs.runs.batch import run_many
-from gauge_envs.runs.request import RunRequest
 from gauge_envs.tools.dataset.layout import find_trials, write_revision
 
 AMOUNT = np.array(AMOUNTS)
@@ -179,35 +177,11 @@ def test_an_import_is_used_when_asked_for_and_shown(tmp_path, gauge):
     assert status["drivers"][0]["provenance"] == "mocap"
     assert "mocap" in gauge("list", "references", TILTED).stdout
     env = gymnasium.make(f"GAUGE/{TILTED}", **IMPORTED)
-    _, info = env.reset(seed=0)
-    assert (info["drivers"], info["reference_source"]) == ("imported", "imported")
+    env.reset(seed=0)
     for _ in range(10):
         observation, *_ = env.step(np.zeros(env.action_space.shape))
     w, _, y, _ = observation["driver"][0, 3:7]
     assert 2 * math.atan2(y, w) == pytest.approx(0.010, abs=1e-6)
-
-
-def test_results_are_scored_on_the_import_and_repeated_after_another(tmp_path):
-    notes = []
-
-    def run(**options):
-        requests = [RunRequest(SLIDER, **options)]
-        out = tmp_path / "results"
-        return next(run_many(requests, out=out, resume=True, notify=notes.append))
-
-    bundled = run()
-    write_synthetic(tmp_path / "a", SLIDER)
-    imported(tmp_path / "a")
-    assert run().created == bundled.created
-    first = run(**IMPORTED)
-    assert run(**IMPORTED).created == first.created and notes == []
-    error = np.array(first.trajectory.samples)[::6] - band_of(SLIDER).mean
-    rmse = math.sqrt((error**2).sum(axis=1).mean())
-    assert first.score.rmse == pytest.approx(rmse, rel=1e-12)
-    write_synthetic(tmp_path / "b", SLIDER, AMOUNTS[:2])
-    imported(tmp_path / "b")
-    assert run(**IMPORTED).dataset["sha256"] != first.dataset["sha256"]
-    assert len(notes) == 1 and "dataset differs" in notes[0]
 
 
 # --- drivers ---------------------------------------------------------------------------------------------------------

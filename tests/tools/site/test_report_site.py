@@ -129,19 +129,6 @@ def test_texts_of_a_result_file_are_escaped(slide, tmp_path):
     assert script in Page(out / "index.html").text
 
 
-def test_a_damaged_file_is_named_and_left_out(results, tmp_path, gauge):
-    source = tmp_path / "results"
-    source.mkdir()
-    good = next(file for file in results if file.name.startswith(SLIDE))
-    (source / good.name).write_bytes(good.read_bytes())
-    (source / "wrong.json").write_text(good.read_text()[:-40])
-    run = gauge("report", source, "--out", tmp_path / "site", "--no-replay")
-    assert run.exit_code == 1
-    assert "wrong.json: not a result file" in " ".join(run.stderr.split())
-    page = Page(tmp_path / "site" / f"experiment-{SLIDE}.html")
-    assert "wrong.json" not in page.text
-
-
 # --- the folder ---
 
 

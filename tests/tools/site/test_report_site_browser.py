@@ -64,12 +64,3 @@ def test_every_page_opens_without_a_message(width, site, tmp_path):
         # A picture that was drawn has the size that the script gave it.
         drawn = re.findall(r"<canvas width=", document)
         assert len(drawn) == (2 if page.name.startswith("experiment") else 0)
-
-
-def test_a_missing_replay_is_named_on_the_page(site, tmp_path):
-    broken = tmp_path / "site"
-    shutil.copytree(site, broken)
-    shutil.rmtree(broken / "data")
-    page = broken / "experiment-BouncingBall-rubber.html"
-    document, _ = opened(page, 1200, tmp_path / "profile")
-    assert re.search(r"data/BouncingBall-rubber\.0-[^<]*\.js is missing", document)

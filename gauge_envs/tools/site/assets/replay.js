@@ -4,7 +4,6 @@
 "use strict";
 
 (function () {
-  const MAX_COUNT = 32767; // Largest stored number.
   const FRAME_S = 1 / 30;
   const up = new THREE.Vector3(0, 1, 0), start = new THREE.Vector3(), end = new THREE.Vector3();
   const rotation = new THREE.Quaternion();
