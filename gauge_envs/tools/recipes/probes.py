@@ -5,7 +5,7 @@ without turning, others may tip, hop and spin. The scenes go through the contrac
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -24,7 +24,7 @@ from gauge_envs.scoring.estimators import steady_speed_m_per_s
 from gauge_envs.tools.bench.drop import RADIUS_M, balls_above_ground, bounce_of, fall_s
 from gauge_envs.tools.bench.parts import ball, body, contact, ground, thrown
 from gauge_envs.tools.bench.recording import Recording, record
-from gauge_envs.tools.bench.slope import creep_m_per_s, friction_of_slide, moved_m
+from gauge_envs.tools.bench.slope import creep_m_per_s, friction_of_slide
 from gauge_envs.tools.bench.turning import INERTIA_SHARES, ROLL, SPIN, turning_arm_m
 from gauge_envs.tools.conformance import Lab
 from gauge_envs.tools.recipes.engines.base import ContactSettings
@@ -60,9 +60,6 @@ HOP_TURNS_DEG = (0.0, 15.0, 30.0, 45.0)
 HOP_TIPS_RAD = np.outer((-1e-3, 1e-3), (1.0, 2.0, 0.0)) / math.sqrt(5.0)
 """Their tips at the start, as rotation vectors along no edge or diagonal [rad]: if level, rounding decides on hops."""
 
-FAST_M_PER_S = (1.0, 2.0, 4.0)
-"""Speeds of plates that slide on level ground [m/s]: of a push, of a foot that slips, and of a throw."""
-
 GYRATION_M = 100.0
 """Radius of gyration of a plate that cannot turn [m]: a friction of 2 turns it by 0.0002 degrees in a slide."""
 
@@ -83,12 +80,6 @@ NAMES = (
     "creep_m_s",
 )
 """Names of what is reported of all settings; `friction` is the friction of bodies that hold contact."""
-
-SCATTER = 0.02
-"""Range of restitutions, and relative range of frictions, that is worth a sentence."""
-
-SEEN_HOP_M = 0.01
-"""Hop of a fast plate that is worth a sentence [m]: MuJoCo's default hops by half of it."""
 
 TURNING = {"torsion_m": SPIN, "rolling_m": ROLL}
 """Axis about which a ball turns against each friction that settings may have."""
@@ -128,27 +119,28 @@ class Probe:
     settings: ContactSettings
     mass_kg: float
 
-    @property
-    def _slide_slope_rad(self) -> float:
-        friction = self.settings.sliding_friction
-        return math.atan(friction) + math.radians(SLIDE_BEYOND_DEG)
+    def _slide_lean(self, turn_deg: float = 0.0) -> Rotation:
+        """Return the rotation of a plane that is steeper than the friction angle."""
+        friction_angle_rad = math.atan(self.settings.sliding_friction)
+        slope_rad = friction_angle_rad + math.radians(SLIDE_BEYOND_DEG)
+        return _lean(slope_rad, turn_deg)
 
     def slide(self) -> dict[str, float]:
         """Return the friction of plates that cannot turn, which is the friction of their contacts."""
         frictions = []
         for turn_deg in (0.0, TURN_DEG):
-            lean = _lean(self._slide_slope_rad, turn_deg)
+            lean = self._slide_lean(turn_deg)
             inertia_kg_m2 = self.mass_kg * GYRATION_M**2
             plate = replace(self._plate(lean), inertia_kg_m2=inertia_kg_m2)
-            frictions += self._frictions_and_lifts([plate], lean)[0]
+            frictions += self._frictions([plate], lean)
         return _spread("friction", frictions)
 
     def hop(self) -> dict[str, float]:
-        """Return the friction of plates that can tip, hop and spin, and how far they leave the slope [m].
+        """Return the friction of plates that can tip, hop and spin.
 
         Their contacts slide in different directions, and parts of the friction cancel.
         """
-        lean = _lean(self._slide_slope_rad)
+        lean = self._slide_lean()
         turns = [
             Rotation.from_rotvec(tip) * Rotation.from_euler("z", turn_rad)
             for turn_rad, tip in product(np.radians(HOP_TURNS_DEG), HOP_TIPS_RAD)
@@ -156,19 +148,7 @@ class Probe:
         plates = [
             self._plate(lean, place, turn) for place, turn in enumerate(turns, start=-4)
         ]
-        frictions, lifts_m = self._frictions_and_lifts(plates, lean)
-        return {**_spread("friction_hopping", frictions), "hop_m": max(lifts_m)}
-
-    def fast_hop(self) -> dict[str, float]:
-        """Return how far plates hop that slide fast on level ground [m]; contacts that stop a body in a step lift it.
-
-        A hop of (mu v)^2 / (2 g) is that of a contact which takes the sliding speed v in one step.
-        """
-        plates = [
-            thrown(self._plate(LEVEL, place), (speed_m_per_s, 0.0, 0.0))
-            for place, speed_m_per_s in enumerate(FAST_M_PER_S)
-        ]
-        return {"fast_hop_m": max(self._frictions_and_lifts(plates, LEVEL)[1])}
+        return _spread("friction_hopping", self._frictions(plates, lean))
 
     def creep(self) -> dict[str, float]:
         """Return the speed [m/s] of a plate on a slope that friction holds."""
@@ -225,17 +205,13 @@ class Probe:
             values[name] = turning_arm_m(rollout, axis, start_s=SLIDE_FROM_S)
         return values
 
-    def _frictions_and_lifts(
-        self, plates: Sequence[RigidBody], lean: Rotation
-    ) -> tuple[list[float], list[float]]:
-        """Return the friction of each plate that slides down a plane, and how far its centre leaves the plane [m]."""
+    def _frictions(self, plates: Sequence[RigidBody], lean: Rotation) -> list[float]:
+        """Return the friction of each plate that slides down a plane."""
         rollout = self._rollout(plates, lean, SLIDE_S)
-        frictions, lifts_m = [], []
-        for plate in plates:
-            on_slope = (rollout, plate.name, "ground")
-            frictions.append(friction_of_slide(*on_slope, start_s=SLIDE_FROM_S))
-            lifts_m.append(float(moved_m(*on_slope)[:, 2].max()))
-        return frictions, lifts_m
+        return [
+            friction_of_slide(rollout, plate.name, "ground", start_s=SLIDE_FROM_S)
+            for plate in plates
+        ]
 
     def _plate(
         self, lean: Rotation, place: int = 0, turn: Rotation = LEVEL
@@ -256,15 +232,14 @@ class Probe:
             DeclinedError: The engine cannot simulate the contact.
         """
         settings = self.settings
+        names = tuple(body.name for body in bodies)
         # Engines without a coefficient of restitution rebound by their constants.
-        touch = contact(
-            tuple(body.name for body in bodies),
-            "ground",
-            friction=settings.sliding_friction,
-            restitution=getattr(settings, "restitution", None),
-        )
+        restitution = getattr(settings, "restitution", None)
+        friction = settings.sliding_friction
         touch = replace(
-            touch, torsion_m=settings.torsion_m, rolling_m=settings.rolling_m
+            contact(names, "ground", friction=friction, restitution=restitution),
+            torsion_m=settings.torsion_m,
+            rolling_m=settings.rolling_m,
         )
         pose = Pose.from_rotation((0.0, 0.0, 0.0), lean)
         plane = replace(ground(), pose=pose)
@@ -299,38 +274,8 @@ def measured(settings: ContactSettings, mass_kg: float) -> dict[str, float]:
     return {
         **probe.slide(),
         **probe.hop(),
-        **probe.fast_hop(),
         **probe.drop(),
         **probe.rest(),
         **probe.creep(),
         **probe.turning(),
     }
-
-
-def notes_on(values: Mapping[str, float]) -> list[str]:
-    """Return what one number for each quantity leaves out: direction, hops, scatter between drops."""
-    notes = []
-    friction, low, high = (values[f"friction{end}"] for end in ("", "_low", "_high"))
-    hop_low, hop_high = values["friction_hopping_low"], values["friction_hopping_high"]
-    drop_low, drop_high = values["restitution_low"], values["restitution_high"]
-    if high - low > SCATTER * abs(friction):
-        notes.append(
-            f"Friction depends on the direction: it is {low:.3g} to {high:.3g} for a plate with its edges along the "
-            "slope and one turned by 30 degrees."
-        )
-    if friction - hop_low > SCATTER * abs(friction):
-        notes.append(
-            f"Plates that can tip hop by up to {1e3 * values['hop_m']:.2g} mm and have friction {hop_low:.3g} to "
-            f"{hop_high:.3g}; higher bodies can lose more."
-        )
-    if values["fast_hop_m"] > SEEN_HOP_M:
-        notes.append(
-            f"Plates that slide at up to 4 m/s hop by {1e3 * values['fast_hop_m']:.2g} mm; a softer contact or a "
-            "shorter step hops less."
-        )
-    if drop_high - drop_low > SCATTER:
-        notes.append(
-            f"Single drops rebound with {drop_low:.3f} to {drop_high:.3f}, depending on where in a time step they "
-            "strike."
-        )
-    return notes

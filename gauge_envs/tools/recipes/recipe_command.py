@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -24,10 +24,6 @@ FABRICS_FAMILY = "TextileFlinging"
 TIMESTEP = "--set timestep_s=0.002"
 BODY = {"mass_kg": "--mass 0.5", "timestep_s": TIMESTEP}
 """Example of each option that all contacts need, by name."""
-
-
-SIMULATED = ("friction", "stretch_n_per_m", "bend_n_m")
-"""Values that every simulation of a contact or a fabric reaches, unless it diverges."""
 
 
 def known_fabrics() -> Mapping[str, Fabric]:
@@ -141,8 +137,7 @@ def recipe(
     if form is not Format.JSON:
         # A terminal's width must not wrap or cut what is to be pasted.
         echo(f"\npaste\n{result.snippet}", nl=False)
-    simulated = [result.reached.get(name, 0.0) for name in SIMULATED]
-    return bool(result.versions) and None in simulated
+    return result.diverges
 
 
 def _timestep(changes: Sequence[str] | None) -> dict[str, float]:
@@ -154,6 +149,16 @@ def _timestep(changes: Sequence[str] | None) -> dict[str, float]:
                 f"--set {name}={value}: a recipe takes the time step alone, as {TIMESTEP}"
             )
     return settings
+
+
+def _check_alone(
+    subject: str, given: Iterable[str], allowed: Mapping[str, str]
+) -> None:
+    """Raise an error if a request has options that do not go with its subject."""
+    if set(given) - allowed.keys():
+        raise ParameterError(
+            f"{subject} goes with {' and '.join(allowed.values())} alone: leave the others out"
+        )
 
 
 def _check_body(given: Mapping[str, float]) -> None:
@@ -194,10 +199,7 @@ def _explained(
     from gauge_envs.tools.recipes import engine_settings
     from gauge_envs.tools.recipes.search import explain
 
-    if material is not None or given.keys() - BODY:
-        raise ParameterError(
-            f"--explain goes with {' and '.join(BODY.values())} alone: leave the others out"
-        )
+    _check_alone("--explain", [*given, *filter(None, [material])], BODY)
     _check_body(given)
     contact = engine_settings(engine).parsed(text, given["timestep_s"])
     return explain(contact, given["mass_kg"])
@@ -207,10 +209,7 @@ def _fabric(engine: str, name: str, given: Mapping[str, float]) -> Recipe:
     """Return a fabric in the constants of an engine."""
     from gauge_envs.tools.recipes.fabrics import fabric_recipe
 
-    if given.keys() - {"timestep_s"}:
-        raise ParameterError(
-            f"a fabric goes with {TIMESTEP} alone: leave the others out"
-        )
+    _check_alone("a fabric", given, {"timestep_s": TIMESTEP})
     return fabric_recipe(name, known_fabrics()[name], engine, given.get("timestep_s"))
 
 

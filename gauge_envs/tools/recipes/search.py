@@ -17,7 +17,6 @@ from gauge_envs.tools.recipes.probes import (
     TURNING,
     Probe,
     measured,
-    notes_on,
 )
 
 RESTITUTION_TOLERANCE = 0.01
@@ -39,6 +38,9 @@ MAX_TRIALS = 8
 
 MAX_STIFFENING = 3.0
 """Largest factor on a stiffness between two trials."""
+
+SIMULATED = ("friction", "stretch_n_per_m", "bend_n_m")
+"""Values that every simulation of a contact or a fabric reaches, unless it diverges."""
 
 MEASURED_IN = (
     "Balls drop from 0.2 m onto one contact. A plate of 0.12 m rests on four contacts, creeps on a slope of half the "
@@ -79,6 +81,12 @@ class Recipe:
     wall_s: float
     explanation: str
     versions: Mapping[str, str]
+
+    @property
+    def diverges(self) -> bool:
+        """Whether a simulation has no friction or no stiffness, which each reaches unless it diverges."""
+        simulated = [self.reached.get(name, 0.0) for name in SIMULATED]
+        return bool(self.versions) and None in simulated
 
 
 def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
@@ -127,7 +135,7 @@ def _simulated(settings: ContactSettings, aim: Aim, start_s: float) -> Recipe:
     try:
         values = measured(settings, aim.mass_kg)
         misses = _misses(aim, values)
-        explanation = _explanation(settings, aim, misses, values)
+        explanation = _explanation(settings, aim, misses)
     except DivergedError as error:
         explanation = f"The simulation diverges: {error}. Choose a shorter time step or a softer contact."
     names = [*NAMES, *(name for name in TURNING if name in values)]
@@ -174,18 +182,15 @@ def _misses(aim: Aim, values: Mapping[str, float]) -> list[str]:
     return misses
 
 
-def _explanation(
-    settings: ContactSettings,
-    aim: Aim,
-    misses: Sequence[str],
-    values: Mapping[str, float],
-) -> str:
-    """Return why values are missed, and what single numbers leave out."""
-    texts = [f"{name}: {settings.limits.get(name, 'not reached')}." for name in misses]
-    if not misses:
-        is_asked = any(target is not None for target in aim.targets.values())
-        texts = ["All asked values are reached." if is_asked else MEASURED_IN]
-    return " ".join([*texts, *notes_on(values)])
+def _explanation(settings: ContactSettings, aim: Aim, misses: Sequence[str]) -> str:
+    """Return why values are missed; without a miss, how they were measured."""
+    if misses:
+        limits = settings.limits
+        return " ".join(
+            f"{name}: {limits.get(name, 'not reached')}." for name in misses
+        )
+    is_asked = any(target is not None for target in aim.targets.values())
+    return "All asked values are reached." if is_asked else MEASURED_IN
 
 
 # --- search ----------------------------------------------------------------------------------------------------------
@@ -199,7 +204,7 @@ def _searched(engine: type[ContactSettings], aim: Aim) -> ContactSettings:
     Raises:
         DivergedError: A simulation diverged.
     """
-    settings = engine.aimed(_rebounding(engine, _stiffened(engine, aim), aim.rebound))
+    settings = engine.aimed(_rebounding(engine, _stiffened(engine, aim)))
     impratio = getattr(settings, "impratio", None)
     if impratio and aim.creep_m_s:
         creep_m_s = _creep_m_s(settings, aim)
@@ -236,18 +241,28 @@ def _stiffened(engine: type[ContactSettings], aim: Aim) -> Aim:
     return trials[min(trials)]
 
 
-def _rebounding(engine: type[ContactSettings], aim: Aim, asked: float | None) -> Aim:
-    """Return an aim whose restitution gives the asked one: each trial corrects it by the error of the last."""
+def _rebounding(engine: type[ContactSettings], aim: Aim) -> Aim:
+    """Return an aim whose restitution gives the asked one.
+
+    Each trial corrects the restitution by the error of the last, or halves the range that the trials leave.
+    """
+    asked = aim.rebound
     if asked is None:
         return aim
     restitution, candidate, trials = asked, aim, dict[float, Aim]()
+    low, high = engine.restitution_range
     for _ in range(MAX_TRIALS):
         probe = Probe(settings=engine.aimed(candidate), mass_kg=aim.mass_kg)
         error = probe.drop()["restitution"] - asked
         trials[abs(error)] = candidate
         if not abs(error) >= RESTITUTION_TOLERANCE:
             break
-        low, high = engine.restitution_range
-        restitution = min(max(restitution - error, low), high)
+        if error > 0.0:
+            high = restitution
+        else:
+            low = restitution
+        restitution -= error
+        if not low < restitution < high:
+            restitution = 0.5 * (low + high)
         candidate = replace(aim, restitution=restitution, damping_n_s_per_m=None)
     return trials[min(trials)]

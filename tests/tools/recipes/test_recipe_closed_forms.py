@@ -4,13 +4,13 @@ import math
 
 import pytest
 
+from gauge_envs.backends.drake.contacts import rebound
 from gauge_envs.backends.shared.spring_damper import (
     damping_ratio_of,
     spring_damper_restitution,
 )
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.tools.recipes import Aim, Probe, engine_settings
-from gauge_envs.tools.recipes.engines.genesis import rebounds
+from gauge_envs.tools.recipes import Aim, engine_settings, search
 from gauge_envs.tools.recipes.search import explain
 
 MUJOCO = engine_settings("mujoco")
@@ -42,27 +42,42 @@ def test_depth_and_creep_are_those_of_mujocos_equation(impedance, impratio, time
     assert reached["creep_m_s"] == pytest.approx(creep_m_per_s, rel=0.01)
 
 
+class ImplicitDrop:
+    """Drops by the implicit scheme of Drake, which its backend repeats for all phases."""
+
+    def __init__(self, settings, mass_kg):
+        constants = settings.backend_settings(mass_kg)
+        rate, steps = (
+            constants[f"sustained_{name}"] for name in ("rate", "relaxation_steps")
+        )
+        weight = G * settings.timestep_s / math.sqrt(2.0 * G * 0.2)
+        self.restitution = rebound("relaxation", rate, steps, weight).mean()
+
+    def drop(self):
+        return {"restitution": self.restitution}
+
+
 @pytest.mark.parametrize(
-    ("step_s", "frequency_per_s", "ratio"), [(0.0005, 170.0, 0.3), (0.01, 40.0, 0.1)]
+    ("restitution", "step_s"), [(0.1, 0.005), (0.3, 0.001), (0.6, 0.002), (0.8, 0.001)]
 )
-def test_rebounds_are_those_of_mujoco(step_s, frequency_per_s, ratio):
-    """Also at coarse steps, where speeds at the impact lag by half a step of gravity."""
-    time_s = 1.0 / (ratio * frequency_per_s)
-    text = f"solref={time_s} {ratio} solimp=0.9 0.9 0.001 cone=elliptic friction=0.5"
-    drop = Probe(settings=MUJOCO.parsed(text, step_s), mass_kg=0.7).drop()
-    expected = rebounds(frequency_per_s, ratio, 0.9, step_s)
-    assert drop["restitution"] == pytest.approx(expected.mean(), abs=2e-3)
+def test_the_search_reaches_a_restitution_by_the_scheme_of_drake(
+    monkeypatch, restitution, step_s
+):
+    """At 0.1 plain corrections overshoot, so that the search must halve its range."""
+    monkeypatch.setattr(search, "Probe", ImplicitDrop)
+    drake = engine_settings("drake")
+    aim = Aim(restitution=restitution, mass_kg=0.5, timestep_s=step_s)
+    contact = drake.aimed(search._rebounding(drake, aim))
+    reached = ImplicitDrop(contact, 0.5).restitution
+    assert reached == pytest.approx(restitution, abs=0.01)
+    compile(contact.snippet(), "snippet", "exec")
 
 
-def test_what_slides_fast_on_a_hard_contact_stays_down():
-    """A contact that takes the sliding speed in a step lifts the body with mu v; a recipe does not."""
-    contact = MUJOCO.aimed(Aim(friction=0.3, mass_kg=0.5, timestep_s=0.01))
-    stiff = contact.model_copy(
-        update={"solref": (0.02, 1.0), "solreffriction": (0.0, 0.0)}
-    )
-    hops_m = [
-        Probe(settings=one, mass_kg=0.5).fast_hop()["fast_hop_m"]
-        for one in (contact, stiff)
-    ]
-    lifted_m = (0.3 * 4.0) ** 2 / (2.0 * G)
-    assert hops_m[0] < 0.01 and hops_m[1] == pytest.approx(lifted_m, rel=0.1)
+def test_the_proposal_of_genesis_has_the_damping_of_its_rebound():
+    genesis = engine_settings("genesis")
+    contact = genesis.aimed(Aim(restitution=0.6, mass_kg=0.5, timestep_s=0.002))
+    time_s, ratio, *_ = contact.sol_params
+    assert spring_damper_restitution(ratio) == pytest.approx(0.6, abs=1e-5)
+    # Half a period of the spring lasts 16 steps.
+    assert math.pi * ratio * time_s == pytest.approx(16 * 0.002, rel=1e-5)
+    compile(contact.snippet(), "snippet", "exec")

@@ -2,11 +2,10 @@
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
-from scipy.optimize import brentq
 
 from gauge_envs.backends.base import Backend
 from gauge_envs.backends.registry import backend
@@ -32,15 +31,6 @@ def rounded(value: Any) -> Any:
 def numbers(values: Iterable[float], separator: str = " ") -> str:
     """Return numbers as a snippet prints them."""
     return separator.join(f"{value:g}" for value in values)
-
-
-def root_or_end(excess: Callable[[float], float], low: float, high: float) -> float:
-    """Return the root of a function that falls, or the end of the range that is nearest to it."""
-    if excess(low) <= 0.0:
-        return low
-    if excess(high) >= 0.0:
-        return high
-    return float(brentq(excess, low, high, xtol=1e-6))
 
 
 class ContactSettings(BaseModel, ABC):

@@ -1,34 +1,29 @@
 """Drake's point contact: stiffness and dissipation of geometries."""
 
 import math
-from functools import partial
 from typing import Any, ClassVar
 
-import numpy as np
 from pydantic import Field
 
-from gauge_envs.backends.drake.contacts import rebound
+from gauge_envs.backends.shared.spring_damper import damping_ratio_of
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.recipes.aim import Aim
-from gauge_envs.tools.recipes.engines.base import (
-    ContactSettings,
-    NonNegative,
-    root_or_end,
-)
-from gauge_envs.tools.recipes.probes import DROP_M
+from gauge_envs.tools.recipes.engines.base import ContactSettings, NonNegative
 
-RATES = np.geomspace(0.5, 0.01, 60)
-"""Natural frequency of a contact times the step, from hard to soft. Above 0.5 a rebound depends on its phase most."""
+MAX_RATE = 0.5
+"""Largest natural frequency times the step of a contact that rebounds; above it a rebound depends on its phase most."""
 
 MAX_IMPACT_S = 0.1
 """Longest impact [s], pi over the natural frequency. At 2 m/s a body then sinks in by 63 mm."""
 
 RIGID_RATE = 1.0
-"""The same without rebound, as in the backend's sustained contacts."""
+"""Natural frequency times the step of a contact without rebound, as in the backend's sustained contacts."""
 
 MAX_RELAXATION_STEPS = 100.0
 """Largest relaxation time [steps]."""
+
+MIN_RESTITUTION = 1e-3
+"""Restitution that stands for none."""
 
 MARGIN = 0.8
 """Share of the allowed depth that settings aim at."""
@@ -60,8 +55,29 @@ class DrakeSettings(ContactSettings):
 
     @classmethod
     def constants(cls, aim: Aim) -> dict[str, Any]:
-        """Return the hardest contact that rebounds enough in Drake's implicit steps, with the dissipation left."""
-        rate, relaxation_steps = _rate_and_relaxation(aim)
+        """Return the hardest contact that rebounds enough in Drake's implicit steps, with the dissipation left.
+
+        In an impact, half a period of a spring, implicit steps alone leave exp(-pi r / 2) of the speed, where r is the
+        natural frequency times the step (Hairer and Wanner, Solving Ordinary Differential Equations II, IV.3: the
+        implicit Euler method multiplies an oscillation by 1 / sqrt(1 + r^2) in a step). The damping ratio is half the
+        relaxation time times the natural frequency.
+        """
+        rate, ratio = 0.0, 1.0
+        depth_m = aim.depth_m(MARGIN)
+        if depth_m is not None:
+            rate = aim.timestep_s * math.sqrt(GRAVITY_M_PER_S2 / depth_m)
+        is_stiff = aim.stiffness_n_per_m is not None
+        if aim.rebound is None:
+            if not is_stiff:
+                rate, ratio = max(RIGID_RATE, rate), 0.5
+        else:
+            restitution = max(aim.rebound, MIN_RESTITUTION)
+            if not is_stiff:
+                wanted = min(-2.0 * math.log(restitution) / math.pi, MAX_RATE)
+                rate = max(rate, wanted, math.pi * aim.timestep_s / MAX_IMPACT_S)
+            left = restitution * math.exp(0.5 * math.pi * rate)
+            ratio = damping_ratio_of(left)
+        relaxation_steps = min(2.0 * ratio / rate, MAX_RELAXATION_STEPS)
         return {
             "point_contact_stiffness": aim.mass_kg * (rate / aim.timestep_s) ** 2,
             "relaxation_time": relaxation_steps * aim.timestep_s,
@@ -99,39 +115,3 @@ def set_contact(plant):
     plant.set_contact_model(ContactModel.kPoint)
     plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
 """
-
-
-def _rate_and_relaxation(aim: Aim) -> tuple[float, float]:
-    """Return the natural frequency times the step, and the relaxation time [steps].
-
-    The damping ratio is half the relaxation time times the natural frequency.
-    """
-    depth_m, depth_rate = aim.depth_m(MARGIN), 0.0
-    if depth_m is not None:
-        depth_rate = aim.timestep_s * math.sqrt(GRAVITY_M_PER_S2 / depth_m)
-    is_stiff = aim.stiffness_n_per_m is not None
-    if is_stiff and (aim.rebound is None or aim.damping_n_s_per_m is not None):
-        return depth_rate, 2.0 * aim.damping_ratio / depth_rate
-    if aim.rebound is None:
-        return max(RIGID_RATE, depth_rate), 1.0
-    if is_stiff:
-        return _rebounding(aim.rebound, aim.timestep_s, np.array([depth_rate]))
-    min_rate = max(depth_rate, math.pi * aim.timestep_s / MAX_IMPACT_S)
-    return _rebounding(aim.rebound, aim.timestep_s, np.maximum(RATES, min_rate))
-
-
-def _rebounding(
-    restitution: float, timestep_s: float, rates: FloatArray
-) -> tuple[float, float]:
-    """Return the first rate that rebounds enough and its relaxation time [steps], by a repetition of Drake's scheme."""
-    impact_m_per_s = math.sqrt(2.0 * GRAVITY_M_PER_S2 * DROP_M)
-    weight = GRAVITY_M_PER_S2 * timestep_s / impact_m_per_s
-
-    def excess(rate: float, relaxation_steps: float = 0.0) -> float:
-        restitutions = rebound("relaxation", rate, relaxation_steps, weight)
-        return float(restitutions.mean()) - restitution
-
-    shortfalls = np.minimum([excess(rate) for rate in rates], 0.0)
-    rate = float(rates[shortfalls.argmax()])
-    relaxation = root_or_end(partial(excess, rate), 0.0, MAX_RELAXATION_STEPS)
-    return rate, relaxation
