@@ -6,9 +6,6 @@ The example is found by its entry point and follows the law of bounces; parts fo
 import dataclasses
 import re
 import shlex
-import subprocess
-import sys
-from importlib import metadata
 from threading import get_ident
 from typing import ClassVar
 
@@ -69,16 +66,6 @@ def example(tmp_path, monkeypatch):
     backend.cache_clear()
     yield
     backend.cache_clear()
-
-
-@pytest.mark.slow
-def test_pip_installs_the_example(tmp_path):
-    options = ["--no-deps", "--no-build-isolation", "--no-index", "--target", tmp_path]
-    command = [sys.executable, "-m", "pip", "install", *options, PACKAGE]
-    subprocess.run(command, check=True, capture_output=True)
-    (found,) = metadata.distributions(name="point-engine", path=[str(tmp_path)])
-    (point,) = found.entry_points
-    assert (point.name, point.value) == ("point", "point_engine:BackendPoint")
 
 
 def bouncing_height_m(times_s, drop_m, restitution):

@@ -3,8 +3,6 @@
 PhysX, PyBullet and Genesis have such tests in their folders.
 """
 
-import inspect
-
 import numpy as np
 import pytest
 
@@ -85,19 +83,3 @@ def test_out_of_box_is_a_drake_plant_that_sets_nothing():
     }
     check(ours, theirs)
     assert plain.contact_model.startswith(ours["contact_model"])
-
-
-@pytest.mark.slow
-def test_out_of_box_differs_from_newton_in_its_contacts_alone():
-    solvers = pytest.importorskip("newton.solvers")
-    from gauge_envs.backends.newton.settings import PRESETS
-
-    ours = PRESETS["out_of_box"].model_dump()
-    text = inspect.getdoc(solvers.SolverMuJoCo.__init__) or ""
-    for name in ("integrator", "cone"):
-        assert f'Newton\'s default ("{ours[name]}")' in text
-    for name in ("impratio", "iterations"):
-        assert f"MuJoCo's default ({ours[name]})" in text
-    parameters = inspect.signature(solvers.SolverMuJoCo.__init__).parameters
-    assert parameters["use_mujoco_contacts"].default is True
-    assert ours["mujoco_contacts"] is False

@@ -13,7 +13,7 @@ import pytest
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import scene_support
-from gauge_envs.errors import GaugeError, ParameterError
+from gauge_envs.errors import GaugeError
 from gauge_envs.scene import (
     Attachment,
     Compound,
@@ -256,20 +256,10 @@ def test_impossible_settings_are_named(engine, settings, reason):
     assert re.search(reason, refusal(engine, SLIDE, settings))
 
 
-def rolled(**terms):
-    """Return a ball on the ground, whose contact has more terms."""
-    touch = replace(contact("ball", "ground", friction=0.5), **terms)
-    return of(ball("ball", (0.0, 0.0, 0.03)), ground(), contacts=(touch,))
-
-
 @pytest.mark.parametrize("engine", ["rapier"], indirect=True)
 def test_an_engine_without_rolling_friction_declines_it(engine):
-    scene = rolled(rolling_m=0.001)
+    touch = replace(contact("ball", "ground", friction=0.5), rolling_m=0.001)
+    scene = of(ball("ball", (0.0, 0.0, 0.03)), ground(), contacts=(touch,))
     (reason,) = scene_support(engine, scene).missing
     assert reason.startswith("'ball' and 'ground' touch with rolling friction, which")
     assert scene_support(backend("mujoco"), scene)
-
-
-def test_torsion_needs_friction():
-    with pytest.raises(ParameterError, match="without sliding friction"):
-        rolled(friction=0.0, torsion_m=0.001)

@@ -1,0 +1,302 @@
+"""`gauge backend check`: screen, JSON, expected failures, files of columns, a baseline, and engines that die."""
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import pytest
+from faults import FAULTS, Faulty
+
+from gauge_envs.backends import Support, backend, registry
+from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.tools.conformance import Status
+from gauge_envs.tools.conformance.results import (
+    changes,
+    engine_columns,
+    read_columns,
+    run_column,
+    with_columns,
+    write_columns,
+)
+
+FIND = "gauge_envs.tools.conformance.run.find_backend"
+ONLY = ("--only", "slide", "--only", "free-fall", "--only", "cloth-stretch")
+
+
+class KnowsNoCloth(Faulty):
+    def supports(self, scene):
+        return Support(("it knows no cloth",) if scene.deformables else ())
+
+
+@pytest.fixture
+def broken(monkeypatch, gauge):
+    """Runs the command; `mine` is an engine whose friction is 20 % low and that knows no cloth."""
+    engine = KnowsNoCloth(backend("mujoco"), FAULTS["friction 20 % low"])
+    engine.name = "mine"
+    monkeypatch.setattr(registry, "is_bundled", lambda name: True)
+    results = "gauge_envs.tools.conformance.results.backend_names"
+    monkeypatch.setattr(results, lambda: ["mine"])
+    monkeypatch.setattr(FIND, lambda name: engine)
+    return lambda *words: gauge("backend", "check", "mine", *words)
+
+
+def joined(text):
+    return " ".join(text.split())
+
+
+def rows_of(result):
+    return [json.loads(line) for line in result.stdout.splitlines()]
+
+
+# --- one engine ------------------------------------------------------------------------------------------------------
+
+
+def test_the_screen_has_counts_failures_and_what_is_declined(broken):
+    result = broken(*ONLY)
+    counts = "1 pass, 1 fail, 0 error, 1 declined of 3"
+    assert re.match(rf"mine \(mujoco [\d.]+\): {counts}", joined(result.stdout))
+    assert "slide" in result.stdout
+    assert "Declined, 1: it knows no cloth" in result.stdout
+    assert counts in joined(result.stderr)
+    assert result.exit_code == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "statuses", "code"),
+    [
+        (("--only", "free-fall"), ["pass"], 0),
+        (("--only", "cloth-stretch"), ["declined"], 1),
+        (ONLY, ["pass", "fail", "declined"], 1),
+    ],
+)
+def test_each_line_of_json_is_a_result(broken, options, statuses, code):
+    result = broken(*options, "--json")
+    assert [row["status"] for row in rows_of(result)] == statuses
+    assert result.exit_code == code
+
+
+def test_determinism_is_checked_whatever_is_chosen(monkeypatch, gauge):
+    engine = Faulty(backend("mujoco"), FAULTS["noise"])
+    monkeypatch.setattr(FIND, lambda name: engine)
+    result = gauge("backend", "check", "mujoco", "--only", "free-fall", "--json")
+    statuses = {row["check"]: row["status"] for row in rows_of(result)}
+    assert statuses["determinism"] == "fail"
+    assert result.exit_code == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("nope",), "unknown backend 'nope'"),
+        (("mujoco", "--only", "nope"), "unknown check 'nope'"),
+        (("mujoco", "--only", "free-fall", "slide"), "'slide' is a check and no back"),
+        (("mujoco", "--only", "time", "--set", "nope=1"), "unknown setting"),
+        (("mujoco", "--out", "page.txt"), "page.txt"),
+        (("mujoco", "--timeout", "0"), "expected a positive number"),
+    ],
+)
+def test_a_wrong_request_ends_with_2_and_says_why(gauge, words, message):
+    result = gauge("backend", "check", *words)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert message in joined(result.stderr)
+
+
+# --- expected failures -----------------------------------------------------------------------------------------------
+
+CLOTH = '[declined]\n"cloth-*" = "no cloth"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "message"),
+    [
+        ("SLIDE" + CLOTH, 0, ""),
+        (CLOTH, 1, "slide fails, "),
+        ("SLIDE", 1, "cloth-stretch is declined (it knows no cloth); if that is right"),
+        ("9SLIDE" + CLOTH, 1, "the list has 9"),
+        (
+            'free-fall = { measured = 1.0, reason = "late" }\nSLIDE' + CLOTH,
+            1,
+            "free-fall passes, but is listed as failing (late): delete its line",
+        ),
+    ],
+)
+def test_exactly_the_listed_failures_happen(broken, tmp_path, text, code, message):
+    """`SLIDE` stands for the line of the slide's value, `9SLIDE` for that of nine more."""
+    file, badge = tmp_path / "known.toml", tmp_path / "badge.json"
+    (row,) = rows_of(broken("--only", "slide", "--json"))
+    for mark, value in (("9SLIDE", 9.0), ("SLIDE", row["measured"])):
+        line = f'slide = {{ measured = {value:.6g}, reason = "friction is low" }}\n'
+        text = text.replace(mark, line)
+    file.write_text(text)
+    result = broken("--expected", file, "--badge", badge, *ONLY)
+    assert result.exit_code == code
+    assert message in joined(result.stderr)
+    found = json.loads(badge.read_text())
+    assert found["message"] == "1 pass, 1 fail, 0 error, 1 declined of 3"
+    assert (found["color"] == "red") == bool(code)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('slid = "low"', "unknown check 'slid'; did you mean slide,"),
+        ('slide = "low"', "slide needs a value and a reason, as slide = { measured"),
+    ],
+)
+def test_a_wrong_list_is_refused_before_anything_runs(broken, tmp_path, text, message):
+    file = tmp_path / "known.toml"
+    file.write_text(text)
+    result = broken("--expected", file, *ONLY)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert message in joined(result.stderr)
+
+
+def test_checks_are_tests_of_pytest(tmp_path):
+    known = 'time = { measured = 2.0, reason = "late" }\n[declined]\n"*" = "any"\n'
+    (tmp_path / "known.toml").write_text(known)
+    options = "-p gauge_pytest -p no:cacheprovider --gauge-engine mujoco --gauge-expected known.toml --junitxml out.xml"
+    command = [sys.executable, "-m", "pytest", *options.split(), "-k", "start- or time"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)
+    assert done.returncode == 1, done.stdout
+    cases = ElementTree.parse(tmp_path / "out.xml").iter("testcase")
+    failures = {one.get("name"): one.find("failure") for one in cases}
+    assert failures["start-position"] is None
+    assert "listed as failing (late)" in failures["time"].get("message")
+
+
+# --- columns ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def column():
+    (found,) = engine_columns(["mujoco:PGS"], isolate=False)
+    list(run_column(found, ["free-fall", "foam-tension", "slide"], None))
+    return found
+
+
+def test_a_column_has_a_configuration_and_its_results(column):
+    columns = engine_columns(["mujoco:*", "mujoco:PGS"], isolate=False)
+    assert [one.name for one in columns] == ["default", "PGS", "CG", "out_of_box"]
+    found = {name: one.status.value for name, one in column.results.items()}
+    assert found == {"free-fall": "pass", "slide": "pass", "foam-tension": "declined"}
+
+
+def test_a_column_comes_back_from_its_file_but_for_a_changed_check(column, tmp_path):
+    file = write_columns([column], tmp_path / "deep" / "column.json")
+    (found,) = read_columns(file)
+    assert (found.settings, found.versions) == (column.settings, column.versions)
+    for name, result in column.results.items():
+        again = found.results[name]
+        for key in ("of", "status", "missing", "measured", "expected", "width"):
+            assert getattr(again, key) == getattr(result, key)
+    document = json.loads(file.read_text())
+    document["columns"][0]["findings"]["slide"]["fingerprint"] = "0" * 12
+    file.write_text(json.dumps(document))
+    (found,) = read_columns(file)
+    assert found.outdated == ("slide",)
+    assert "slide" not in found.results
+    with pytest.raises(ParameterError, match="mujoco PGS' is there twice"):
+        with_columns([column], [file])
+    file.write_text('{"columns": []}')
+    with pytest.raises(ResultFileError, match="write it with gauge backend check"):
+        read_columns(file)
+
+
+def test_a_page_is_made_of_files_without_a_run(column, tmp_path, gauge):
+    first = write_columns([column], tmp_path / "first.json")
+    other = replace(column, backend="other", name="default")
+    second = write_columns([other], tmp_path / "second.json")
+    page, both = tmp_path / "page.html", tmp_path / "both.json"
+    result = gauge("backend", "check", first, second, "--out", page, "--out", both)
+    assert result.exit_code == 0, result.output
+    assert "mujoco PGS" in page.read_text() and "<td>other" in page.read_text()
+    assert [one.title for one in read_columns(both)] == ["mujoco PGS", "other"]
+
+
+@pytest.mark.parametrize(
+    ("widths", "status", "kind"),
+    [
+        (0.5, Status.PASS, None),
+        (2.0, Status.PASS, "moved"),
+        (0.0, Status.FAIL, "mended"),
+        (None, Status.DECLINED, "mended"),
+    ],
+)
+def test_a_baseline_names_what_changed(column, widths, status, kind):
+    """A value moved if it differs by more than the tolerance of its check."""
+    result = column.results["free-fall"]
+    value = None if widths is None else result.measured + widths * result.width
+    earlier = {
+        **column.results,
+        "free-fall": replace(result, status=status, measured=value),
+    }
+    before = replace(column, results=earlier)
+    assert [one.kind for one in changes([column], [before])] == [kind] * bool(kind)
+    worse = "worse" if kind == "mended" else kind
+    assert [one.kind for one in changes([before], [column])] == [worse] * bool(kind)
+
+
+def test_results_so_far_are_in_the_file_where_a_run_is_stopped(
+    tmp_path, monkeypatch, gauge
+):
+    from gauge_envs.tools.conformance import command
+
+    file = tmp_path / "part.json"
+    run = command._run
+
+    def stopped(column, chosen, worker):
+        yield next(run(column, chosen, worker))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "_run", stopped)
+    result = gauge("backend", "check", "mujoco", "--out", file, "--only", "time")
+    assert result.exit_code != 0
+    (found,) = read_columns(file)
+    assert list(found.results) == ["time"]
+
+
+# --- engines that die ------------------------------------------------------------------------------------------------
+
+THREE = ("--only", "free-fall", "--only", "slide", "--only", "stated-inertia")
+"""Of these, only the second has contacts."""
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "cause"),
+    [
+        ("contact-crash", ("--isolate",), "the engine's process died with signal 11"),
+        pytest.param(
+            "contact-exit", ("--isolate",), "SystemExit: 5", marks=pytest.mark.slow
+        ),
+        pytest.param(
+            "contact-hang",
+            ("--timeout", "10s"),
+            "the engine did not finish within the time limit of 10 s",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "contact-greedy",
+            ("--timeout", "60s", "--memory", "0.8GB"),
+            "MemoryError",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_an_engine_that_dies_costs_one_check(installed, gauge, name, options, cause):
+    installed(name)
+    result = gauge("backend", "check", name, "--json", *THREE, *options)
+    rows = {row["check"]: row for row in rows_of(result)}
+    assert cause in rows["slide"]["diagnosis"]
+    statuses = [row["status"] for row in rows.values()]
+    assert sorted(statuses) == ["error", "pass", "pass"]
+    assert result.exit_code == 1
+
+
+def test_an_engine_that_cannot_be_imported_is_an_error(installed, gauge):
+    installed("at-import")
+    result = gauge("backend", "check", "at-import", *THREE)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "SystemExit: 3" in result.stderr
