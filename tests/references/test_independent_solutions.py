@@ -3,8 +3,6 @@
 A stored solution states its standard uncertainty u, so it lies within 1.96 u of the exact one in 95 % of cases.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_bvp, solve_ivp
@@ -14,14 +12,14 @@ from gauge_envs.references.band import load_band
 from gauge_envs.scoring.score import score_trajectory
 
 
-def friction_between(scene, one: str, other: str) -> float:
+def friction_between(scene, one, other):
     (contact,) = [
         pair for pair in scene.contacts if {one, other} == {*pair.first, *pair.second}
     ]
     return contact.friction
 
 
-def distance_in_u(name: str, exact_mm: np.ndarray) -> float:
+def distance_in_u(name, exact_mm):
     """Return the distance of the stored solution from another one, over the u that it states."""
     band = load_band(name)
     return band.length(exact_mm - band.mean) / band.standard_uncertainty
@@ -30,7 +28,7 @@ def distance_in_u(name: str, exact_mm: np.ndarray) -> float:
 # --- dragged rod -----------------------------------------------------------------------------------------------------
 
 
-def dragged_rod_lag_m(scene) -> tuple[np.ndarray, np.ndarray]:
+def dragged_rod_lag_m(scene):
     """Return heights over the foot, and by how much the rod trails its top there while its foot slides [m].
 
     The rod reaches from its top to the board without a load. Its weight stretches it, so the board bears some of it, N.
@@ -45,7 +43,7 @@ def dragged_rod_lag_m(scene) -> tuple[np.ndarray, np.ndarray]:
     bend_n_m2 = rod.young_modulus_pa * 0.25 * np.pi * rod.radius_m**4
     weight_n = rod.mass_kg * scene.gravity_m_per_s2
 
-    def slopes(share: np.ndarray, state: np.ndarray, unknown: np.ndarray) -> np.ndarray:
+    def slopes(share, state, unknown):
         _, slope, curvature, _ = state
         borne_n = unknown[0] * weight_n
         tension_n = weight_n * share - borne_n
@@ -53,7 +51,7 @@ def dragged_rod_lag_m(scene) -> tuple[np.ndarray, np.ndarray]:
         rise = tension_n / stretch_n - 0.5 * slope**2
         return rod.length_m * np.array([slope, curvature, change, rise])
 
-    def ends(foot: np.ndarray, top: np.ndarray, _: np.ndarray) -> np.ndarray:
+    def ends(foot, top, _):
         return np.array([foot[2], top[0], top[1], foot[3], top[3]])
 
     share = np.linspace(0.0, 1.0, 101)
@@ -66,7 +64,7 @@ def dragged_rod_lag_m(scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", ["StickStack-soft", "StickStack-hard"])
-def test_a_dragged_rod_trails_as_a_rod_that_stretches(name: str) -> None:
+def test_a_dragged_rod_trails_as_a_rod_that_stretches(name):
     scene = load_experiment(name).scene
     (rod,), band = scene.deformables, load_band(name)
     rest_mm = 1e3 * np.array(scene.markers.positions_m)
@@ -90,7 +88,7 @@ def test_a_dragged_rod_trails_as_a_rod_that_stretches(name: str) -> None:
 STEPS_A_SAMPLE = 50
 
 
-def tilted_cube_mm(experiment) -> np.ndarray:
+def tilted_cube_mm(experiment):
     """Return the centre of a cube that sticks to a turning board and slides on it, 180 times a second [mm].
 
     In the frame of the board, which turns by phi about y, the cube is at xi along it and at a constant height eta:
@@ -133,7 +131,7 @@ def tilted_cube_mm(experiment) -> np.ndarray:
 
 
 @pytest.mark.parametrize("material", ["wood", "plastic"])
-def test_a_cube_on_a_tilting_board_slides_by_coulombs_law(material: str) -> None:
+def test_a_cube_on_a_tilting_board_slides_by_coulombs_law(material):
     """The stored solution is 0.16 and 0.18 mm off, 0.2 u; without friction the cube would be 450 mm off."""
     name = f"SlopeSlider-3-{material}"
     assert distance_in_u(name, tilted_cube_mm(load_experiment(name))[::6]) < 1.0
@@ -141,8 +139,8 @@ def test_a_cube_on_a_tilting_board_slides_by_coulombs_law(material: str) -> None
 
 @pytest.mark.parametrize("parameters", ["calibrated", "effective"])
 def test_the_exact_distance_from_a_recording_is_that_of_coulombs_law(
-    parameters: str,
-) -> None:
+    parameters,
+):
     experiment = load_experiment("SlopeSlider-3-metal", parameters)
     values = tilted_cube_mm(experiment)
     times_s = np.arange(len(values)) / 180.0
@@ -160,7 +158,7 @@ CREEP_M_PER_S = 1e-5
 """Speed at which friction has 71 % of its limit: a cube that sticks creeps by less than 0.04 mm in an episode."""
 
 
-def turned_cube_mm(name: str) -> np.ndarray:
+def turned_cube_mm(name):
     """Return the centre of a cube on a turning plate: Coulomb's law at its four lower corners [mm].
 
     The cube turns too: a plate that brakes spins under it, so that friction at its corners has several directions. The
@@ -177,10 +175,10 @@ def turned_cube_mm(name: str) -> np.ndarray:
     inertia_m2 = 2.0 * half_m**2 / 3.0
     corners_m = half_m * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
 
-    def across(places: np.ndarray) -> np.ndarray:
+    def across(places):
         return np.stack([-places[..., 1], places[..., 0]], axis=-1)
 
-    def slopes(time_s: float, state: np.ndarray) -> np.ndarray:
+    def slopes(time_s, state):
         place, yaw, velocity, spin = state[:2], state[2], state[3:5], state[5]
         cosine, sine = np.cos(yaw), np.sin(yaw)
         rho = corners_m @ np.array([[cosine, sine], [-sine, cosine]])
@@ -213,7 +211,7 @@ def turned_cube_mm(name: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("material", ["wood", "plastic"])
-def test_a_cube_on_a_turning_plate_slides_by_coulombs_law(material: str) -> None:
+def test_a_cube_on_a_turning_plate_slides_by_coulombs_law(material):
     """The stored solution is 0.41 and 0.39 mm off, 0.3 u; without friction the cube would be 100 mm off."""
     name = f"Turntable-3-{material}"
     assert distance_in_u(name, turned_cube_mm(name)) < 1.0

@@ -8,8 +8,6 @@ import pytest
 
 from gauge_envs import load_experiment
 from gauge_envs.references.band import load_band
-from gauge_envs.runs.episodes import run_episode
-from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.estimates import estimates, fit_ringing
 
@@ -128,30 +126,3 @@ def test_a_beam_that_creeps_has_a_droop_and_no_frequency():
     found = estimates_of("0g", times_s, heights_mm[:, None])
     assert list(found) == ["droop"]
     assert found["droop"].value == pytest.approx(3.3, abs=0.01)
-
-
-@pytest.mark.slow
-def test_mujoco_swings_between_the_beam_theories_with_and_without_shear():
-    """At a Poisson ratio of 0.3, where the default mesh does not lock; the clamp restrains part of the shear."""
-    overrides = {"beam.poisson_ratio": 0.3}
-    score = run_episode(
-        RunRequest(name_of("0g"), backend="mujoco", parameters=overrides)
-    ).score
-    found = {name: one.value for name, one in score.estimates.items()}
-    load_n_per_m = GRAVITY * DENSITY * WIDTH_M**2
-    bending_mm = 1e3 * load_n_per_m * LENGTH_M**4 / (8.0 * STIFFNESS_N_M2)
-    shear_modulus_pa = MODULUS_PA / 2.6
-    shear_mm = (
-        1e3
-        * load_n_per_m
-        * LENGTH_M**2
-        / (2.0 * 5.0 / 6.0 * shear_modulus_pa * WIDTH_M**2)
-    )
-    assert bending_mm < found["droop"] < bending_mm + shear_mm
-    # The stiffness of a swing is that of its droop, to first order.
-    rigid_hz = euler_bernoulli_hz(0.0)
-    assert (
-        rigid_hz * math.sqrt(bending_mm / (bending_mm + shear_mm))
-        < found["frequency"]
-        < rigid_hz
-    )

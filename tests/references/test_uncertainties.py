@@ -1,33 +1,37 @@
-"""Uncertainty of friction coefficients, from the single trials that were published."""
+"""Uncertainties of published constants: their distance from real trials, whose statistics are in `scoring/facts`."""
 
-import csv
 import math
+import tomllib
 
-import numpy as np
 import pytest
 
 from gauge_envs import load_experiment
 from gauge_envs.files import data_folder
-from gauge_envs.references.uncertainties import friction_std
-from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.references.uncertainties import RESTITUTION_SHARE, friction_std
 
 
-@pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
-def test_uncertainty_of_friction_is_its_distance_from_single_trials(material):
-    path = data_folder("scoring") / "facts" / "slope_slider_30deg.csv"
-    lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
-    trials = {}
-    for row in csv.DictReader(lines):
-        if row["material"] == material:
-            point = int(row["frame"]) / 30.0, 1e-3 * float(row["downhill_mm"])
-            trials.setdefault(row["trial"], []).append(point)
-    angle = math.radians(30.0)
-    accelerations = [
-        2.0 * np.polyfit(*zip(*trial, strict=True), 2)[0] for trial in trials.values()
-    ]
-    friction = math.tan(angle) - np.array(accelerations) / (
-        GRAVITY_M_PER_S2 * math.cos(angle)
-    )
-    calibrated = load_experiment(f"SlopeSlider-2-{material}").scene.contacts[0].friction
-    expected = float(np.sqrt(np.mean((friction - calibrated) ** 2))) / calibrated
-    assert friction_std(1.0, material) == pytest.approx(expected, rel=0.02)
+def distance_share(published, real, trial_count):
+    """Return the root mean square distance of single trials from a published value, over it."""
+    square = real["std"] ** 2 * (trial_count - 1) / trial_count
+    return math.hypot(math.sqrt(square), real["mean"] - published) / published
+
+
+def summary(name):
+    file = data_folder("scoring") / "facts" / f"{name}_summary.toml"
+    return tomllib.loads(file.read_text())
+
+
+def test_uncertainties_are_distances_from_single_trials():
+    shares = []
+    for material, real in summary("slope_slider_30deg").items():
+        scene = load_experiment(f"SlopeSlider-2-{material}").scene
+        published = scene.contacts[0].friction
+        share = distance_share(published, real["friction"], real["trial_count"])
+        assert friction_std(2.0, material) == pytest.approx(2.0 * share, rel=0.02)
+        shares.append(share)
+    rms = math.hypot(*shares) / math.sqrt(3.0)
+    assert friction_std(2.0, "rubber") == pytest.approx(2.0 * rms, rel=0.02)
+    scene = load_experiment("BouncingBall-rubber").scene
+    real = summary("bouncing_ball")["rebound_ratio"]
+    share = distance_share(scene.contacts[0].restitution, real, 22)
+    assert pytest.approx(share, rel=0.01) == RESTITUTION_SHARE

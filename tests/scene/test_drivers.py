@@ -52,21 +52,6 @@ def test_rates_are_the_closed_forms():
     assert cosine.rate(0.1 + 1.35 / 6.0) == pytest.approx(0.5 * peak)
 
 
-@pytest.mark.parametrize(
-    ("kind", "changes", "reason"),
-    [
-        (TrapezoidProfile, {"accelerate_s": 0.9}, "longer than duration_s"),
-        (SampledProfile, {"times_s": (0.0, 0.1, 0.1)}, "not increasing"),
-        (SampledProfile, {"values": (0.0, 1.0)}, "3 times but 2 values"),
-    ],
-)
-def test_a_profile_that_contradicts_itself_is_refused(kind, changes, reason):
-    sampled = SampledProfile(times_s=(0.0, 0.1, 0.2), values=(0.0, 1.0, 2.0))
-    given = sampled if kind is SampledProfile else TRAPEZOID
-    with pytest.raises(ValueError, match=reason):
-        replace(given, **changes)
-
-
 # --- poses -----------------------------------------------------------------------------------------------------------
 
 
@@ -161,7 +146,6 @@ def test_each_interval_ends_where_the_next_one_begins(action):
     # Means over an interval, of which the acceleration is the change of velocity.
     gains = np.diff(states[:, 7:], axis=0) / SAMPLE_INTERVAL_S
     assert targets[:-1, 13:] == pytest.approx(gains, abs=1e-9)
-    assert targets[:, 7:13] == pytest.approx(states[:, 7:], abs=1e-3)
 
 
 def test_worlds_are_driven_as_one_alone_also_from_other_places_and_by_other_drivers():

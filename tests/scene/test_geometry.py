@@ -122,17 +122,6 @@ def test_mass_properties_are_those_of_mujocos_compiler(kind):
     np.testing.assert_allclose(inertia, expected, rtol=1e-6, atol=1e-9)
 
 
-def test_two_balls_on_a_rod_without_mass():
-    ball = Sphere(radius_m=0.02)
-    places = [Pose(position_m=(x, 0.0, 0.0)) for x in (-0.1, 0.3)]
-    shape = Compound(parts=tuple(Part(shape=ball, pose=place) for place in places))
-    centre, inertia = mass_properties(shape, 6.0)
-    np.testing.assert_allclose(centre, [0.1, 0.0, 0.0], atol=1e-12)
-    of_balls, across = 0.4 * 6.0 * 0.02**2, 6.0 * 0.2**2
-    expected = of_balls * np.eye(3) + np.diag([0.0, across, across])
-    np.testing.assert_allclose(inertia, expected, atol=1e-12)
-
-
 def test_the_inertia_of_a_right_tetrahedron_is_the_closed_form():
     """Legs a, b, c: variances 3 a^2 / 80, covariances -a b / 80 about the centroid (a, b, c) / 4."""
     legs_m, corner_m = np.array([0.1, 0.2, 0.4]), np.array([0.3, -0.2, 0.5])

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -178,21 +177,7 @@ def test_differences_name_what_changed():
 
 
 @pytest.mark.parametrize("name", ["TextileBending-rayon", "CantileverBeam-soft"])
-@pytest.mark.parametrize(
-    "engine",
-    [
-        "mujoco",
-        pytest.param(
-            "newton",
-            marks=[
-                # It compiles kernels.
-                pytest.mark.slow,
-                pytest.mark.skipif(not find_spec("newton"), reason="no newton"),
-            ],
-        ),
-    ],
-)
-def test_a_thrown_ball_flies_beside_deformable_bodies(engine, name):
+def test_a_thrown_ball_flies_beside_deformable_bodies(name):
     """Deformable bodies have solvers of their own, which take the start velocities too."""
     scene = load_experiment(name).scene
     place = Pose(position_m=(3.0, 3.0, 3.0))
@@ -200,7 +185,7 @@ def test_a_thrown_ball_flies_beside_deformable_bodies(engine, name):
     scene = replace(
         scene, bodies=(*scene.bodies, ball), contacts=(), gravity_m_per_s2=0.0
     )
-    simulation = backend(engine).build(scene)
+    simulation = backend("mujoco").build(scene)
     for _ in range(2):
         state = simulation.body_states(["thrown"])[0, 0]
         assert state[7:] == pytest.approx([*LINEAR, *ANGULAR], abs=1e-6)

@@ -1,13 +1,10 @@
 """Estimators against closed forms: parabolas, slides, pendulums of known period, bounces of known restitution."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from numpy.typing import NDArray
 from scipy.special import ellipj
 
 from gauge_envs.scoring.estimates import is_uniformly_accelerated, rebound
@@ -32,8 +29,8 @@ intervals_s = st.sampled_from((0.001, 1.0 / 180.0, 0.01, 1.0 / 60.0))
 
 @given(st.floats(-2.0, 2.0), st.floats(-1.0, 1.0), st.floats(-20.0, 20.0), intervals_s)
 def test_a_parabola_has_its_acceleration_and_a_line_its_speed(
-    start: float, speed: float, acceleration: float, interval_s: float
-) -> None:
+    start, speed, acceleration, interval_s
+):
     times_s = interval_s * np.arange(60)
     line_m = start + speed * times_s
     path_m = line_m + 0.5 * acceleration * times_s**2
@@ -42,7 +39,7 @@ def test_a_parabola_has_its_acceleration_and_a_line_its_speed(
     assert steady_speed_m_per_s(times_s, line_m) == pytest.approx(speed, abs=1e-9)
 
 
-def test_the_error_of_an_acceleration_is_its_scatter() -> None:
+def test_the_error_of_an_acceleration_is_its_scatter():
     """Over many noisy parabolas, the standard deviation of the fits is the mean of their estimated errors."""
     rng, times_s = np.random.default_rng(0), np.linspace(0.0, 1.0, 8)
     noisy = [0.5 * 2.6 * times_s**2 + rng.normal(0.0, 1e-3, 8) for _ in range(2000)]
@@ -52,7 +49,7 @@ def test_the_error_of_an_acceleration_is_its_scatter() -> None:
 
 
 @pytest.mark.parametrize("lift", [0.0, 0.2])
-def test_a_slide_has_its_friction_also_where_it_hops(lift: float) -> None:
+def test_a_slide_has_its_friction_also_where_it_hops(lift):
     """Its mean force on the slope is m (g cos + b), of which friction is the share mu."""
     slope, friction = math.radians(30.0), 0.3
     down = G * math.sin(slope) - friction * (G * math.cos(slope) + lift)
@@ -60,9 +57,7 @@ def test_a_slide_has_its_friction_also_where_it_hops(lift: float) -> None:
     assert found == pytest.approx(friction)
 
 
-def test_a_uniform_acceleration_may_start_late_and_misfits_by_at_most_4_percent() -> (
-    None
-):
+def test_a_uniform_acceleration_may_start_late_and_misfits_by_at_most_4_percent():
     times_s = np.arange(100) / 100
     late = np.maximum(times_s - 0.3, 0.0)[:, None] ** 2
     assert is_uniformly_accelerated(times_s, 7.0 + late * [300.0, -400.0])
@@ -78,8 +73,8 @@ def test_a_uniform_acceleration_may_start_late_and_misfits_by_at_most_4_percent(
 
 @given(st.floats(0.05, 2.5), st.floats(0.1, 1.0), intervals_s)
 def test_a_pendulum_has_the_period_of_the_elliptic_integral(
-    amplitude: float, length: float, interval: float
-) -> None:
+    amplitude, length, interval
+):
     """sin(phi / 2) = k sn(w t, k^2), with k = sin(amplitude / 2)."""
     gyration = 0.3 * length
     rate = math.sqrt(G * length / (length**2 + gyration**2))
@@ -99,7 +94,7 @@ def test_a_pendulum_has_the_period_of_the_elliptic_integral(
 
 
 @pytest.mark.parametrize("periods", [2.0, 4.3])
-def test_a_hann_mean_is_the_centre_of_an_oscillation(periods: float) -> None:
+def test_a_hann_mean_is_the_centre_of_an_oscillation(periods):
     angles = 2.0 * np.pi * periods * (np.arange(400) + 0.5) / 400
     values = np.stack([5.0 + np.sin(angles), np.cos(angles)], axis=1)
     assert hann_mean(values) == pytest.approx([5.0, 0.0], abs=0.01)
@@ -108,20 +103,17 @@ def test_a_hann_mean_is_the_centre_of_an_oscillation(periods: float) -> None:
 # --- bounces ---------------------------------------------------------------------------------------------------------
 
 
-def restitution_of(
-    times_s: NDArray[np.float64], heights_m: NDArray[np.float64], **known: float | None
-) -> float:
+def restitution_of(times_s, heights_m, **known):
     bounce = first_bounce(times_s, heights_m, gravity_m_per_s2=G, **known)
-    assert bounce is not None
     return bounce.restitution
 
 
 def bounce_heights(
-    times_s: NDArray[np.float64],
-    drop_m: float,
-    restitution: float,
-    contact_s: float = 0.0,
-) -> NDArray[np.float64]:
+    times_s,
+    drop_m,
+    restitution,
+    contact_s=0.0,
+):
     """Return heights over the floor of a ball dropped at time 0, which sinks in each contact by a half sine."""
     speed = math.sqrt(2.0 * G * drop_m)
     heights = drop_m - 0.5 * G * np.maximum(times_s, 0.0) ** 2
@@ -139,9 +131,7 @@ def bounce_heights(
 
 
 @given(st.floats(0.15, 1.0), st.floats(0.1, 1.0), intervals_s)
-def test_a_bounce_sampled_off_the_contact_has_its_restitution(
-    e: float, drop_m: float, interval_s: float
-) -> None:
+def test_a_bounce_sampled_off_the_contact_has_its_restitution(e, drop_m, interval_s):
     fall_s = math.sqrt(2.0 * drop_m / G)
     times_s = np.arange(0.0, fall_s * (1.0 + 1.5 * e), interval_s)
     heights = bounce_heights(times_s, drop_m, e)
@@ -152,7 +142,6 @@ def test_a_bounce_sampled_off_the_contact_has_its_restitution(
         assert found == pytest.approx(e, abs=1e-9)
     for contact_m in (0.0, None):
         bounce = first_bounce(times_s, heights, gravity_m_per_s2=G, contact_m=contact_m)
-        assert bounce is not None
         assert bounce.restitution == pytest.approx(e, abs=1e-9)
         assert bounce.time_s == pytest.approx(fall_s, abs=1e-9)
         assert bounce.speed_in_m_per_s == pytest.approx(G * fall_s)
@@ -160,36 +149,32 @@ def test_a_bounce_sampled_off_the_contact_has_its_restitution(
 
 
 @given(st.floats(0.3, 0.9), st.floats(2e-3, 2e-2))
-def test_a_contact_that_lasts_and_a_hold_do_not_change_a_restitution(
-    e: float, contact_s: float
-) -> None:
+def test_a_contact_that_lasts_and_a_hold_do_not_change_a_restitution(e, contact_s):
     times_s = np.arange(0.0, 0.1 + 0.286 * (1.0 + e), 1.0 / 180.0)
     heights = bounce_heights(times_s - 0.1, 0.4, e, contact_s)
     assert restitution_of(times_s, heights) == pytest.approx(e, abs=1e-9)
 
 
-def test_only_the_flight_up_to_the_second_bounce_counts() -> None:
+def test_only_the_flight_up_to_the_second_bounce_counts():
     times_s = np.arange(0.0, 1.2, 1.0 / 30.0)
     heights = bounce_heights(times_s, 0.4, 0.7)
     bounce = first_bounce(times_s, heights, gravity_m_per_s2=G)
-    assert bounce is not None
     assert bounce.restitution == pytest.approx(0.7, abs=1e-9)
     second_s = math.sqrt(0.8 / G) * (1.0 + 2.0 * 0.7)
     assert second_s <= bounce.until_s < second_s + 1.0 / 30.0
     # A flight of another gravity does not fit: its residual is that of a parabola from a line.
     wrong = first_bounce(times_s, heights, gravity_m_per_s2=2.0 * G)
-    assert wrong is not None
     assert wrong.misfit > 0.05
 
 
-def test_a_bounce_higher_than_the_drop_is_read_before_its_top() -> None:
+def test_a_bounce_higher_than_the_drop_is_read_before_its_top():
     """Twice the speed: the top is 0.61 s after the release, and samples end at 0.5 s."""
     times_s = 0.002 * np.arange(250)
     heights = bounce_heights(times_s, 0.2, 2.0)
     assert restitution_of(times_s, heights) == pytest.approx(2.0, abs=1e-9)
 
 
-def test_a_hop_without_a_flight_has_the_height_of_its_highest_sample() -> None:
+def test_a_hop_without_a_flight_has_the_height_of_its_highest_sample():
     times_s = 0.01 * np.arange(7)
     hop = np.array([0.2, 0.15, 0.05, 0.0, 0.002, 0.0, 0.0])
     assert restitution_of(times_s, hop, released_m=0.2) == pytest.approx(0.1)
@@ -206,8 +191,8 @@ def test_a_hop_without_a_flight_has_the_height_of_its_highest_sample() -> None:
     ("before_m_per_s", "after_m_per_s"), [(-2.0, 1.2), (-2.0, -1.2), (1.2, 2.4)]
 )
 def test_an_impact_is_where_a_velocity_reverses(
-    before_m_per_s: float, after_m_per_s: float, gravity_x: float
-) -> None:
+    before_m_per_s, after_m_per_s, gravity_x
+):
     """A body between two flights over a floor; it is slowed in the second case, and kicked in the third."""
     gravity = np.array([gravity_x, -9.80665])
     times_s = np.arange(81) / 240.0

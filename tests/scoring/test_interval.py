@@ -1,22 +1,17 @@
 """95 % intervals of a distance: Student's closed form, and coverage of the truth over simulated trials."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import binom, t as student
 
 from gauge_envs.scoring.interval import distance_interval, trials_interval
 
-FloatArray = NDArray[np.float64]
-
 TIMES_S = np.arange(19) / 30.0
 
 
-def slides(random: np.random.Generator, count: int) -> FloatArray:
+def slides(random, count):
     """Return slides whose release and acceleration scatter [mm], shape [count, T]."""
     late_s = 0.06 + 0.03 * random.standard_normal((count, 1))
     acceleration = 2.7 * (1.0 + 0.025 * random.standard_normal((count, 1)))
@@ -27,8 +22,8 @@ def slides(random: np.random.Generator, count: int) -> FloatArray:
 @pytest.mark.parametrize("factor", [0.0, 1.0, 3.0, 10.0])
 @pytest.mark.parametrize(("count", "noise_mm"), [(5, 0.0), (20, 4.0)])
 def test_intervals_hold_the_distance_from_the_mean_of_infinitely_many_trials(
-    count: int, noise_mm: float, factor: float, realities: int
-) -> None:
+    count, noise_mm, factor, realities
+):
     """An engine is 0 to 10 standard uncertainties off; chance fails one case of 10,000."""
     random = np.random.default_rng(count)
     population = slides(random, 10_000)
@@ -51,9 +46,7 @@ def test_intervals_hold_the_distance_from_the_mean_of_infinitely_many_trials(
     ("offsets", "lag"),
     [([1.0, -1, -2, 2, -2, 1, -1, 2], 0.0), ([-2.0, -1, 1, 2], 0.3 + 0.25)],
 )
-def test_far_from_trials_that_differ_in_one_direction_it_is_students(
-    offsets: list[float], lag: float
-) -> None:
+def test_far_from_trials_that_differ_in_one_direction_it_is_students(offsets, lag):
     """Trials that resemble the one before count as fewer, by their AR(1) correlation and its bias 1/N."""
     count = len(offsets)
     trials = np.array(offsets)[:, None, None] * np.ones((count, 5, 1))
@@ -63,7 +56,7 @@ def test_far_from_trials_that_differ_in_one_direction_it_is_students(
     assert (1000.0 - low, high - 1000.0) == pytest.approx((half, half), rel=0.01)
 
 
-def test_zero_is_excluded_where_students_test_excludes_it() -> None:
+def test_zero_is_excluded_where_students_test_excludes_it():
     offsets = np.array([1.0, -1, -2, 2, -2, 1, -1, 2])
     limit = student.ppf(0.975, 7) * offsets.std(ddof=1) / math.sqrt(8)
     trials = offsets[:, None, None] * np.ones((8, 5, 1))
@@ -72,7 +65,7 @@ def test_zero_is_excluded_where_students_test_excludes_it() -> None:
         assert (trials_interval(deviation, trials)[0] > 0.0) is is_excluded
 
 
-def test_an_error_along_the_velocity_is_removed_by_the_shift() -> None:
+def test_an_error_along_the_velocity_is_removed_by_the_shift():
     offsets = np.array([1.0, -1, -2, 2])[:, None, None]
     along = np.array([[3.0, 0.0], [4.0, 0.0]])
     deviation = np.array([[0.0, 5.0], [0.0, 5.0]])
@@ -80,7 +73,7 @@ def test_an_error_along_the_velocity_is_removed_by_the_shift() -> None:
     assert found == pytest.approx((5.0, 5.0))
 
 
-def test_unknown_values_and_shared_errors_widen() -> None:
+def test_unknown_values_and_shared_errors_widen():
     trials = np.random.default_rng(1).standard_normal((9, 6, 2))
     deviation = np.full((6, 2), 3.0)
     low, high = trials_interval(deviation, trials)
@@ -96,6 +89,6 @@ def test_unknown_values_and_shared_errors_widen() -> None:
     assert shared == pytest.approx((1000.0 - half, 1000.0 + half), abs=0.01 * half)
 
 
-def test_an_interval_of_a_given_uncertainty_ends_at_zero() -> None:
+def test_an_interval_of_a_given_uncertainty_ends_at_zero():
     assert distance_interval(5.0, 1.0) == pytest.approx((3.04, 6.96))
     assert distance_interval(1.0, 1.0) == pytest.approx((0.0, 2.96))

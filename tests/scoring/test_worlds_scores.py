@@ -1,7 +1,5 @@
 """Scores of many worlds in one pass are those of each world."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from gauge_envs.scoring.worlds import score_worlds
 
 
 @pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "SlopeSlider-1-wood"])
-def test_each_world_has_the_score_of_its_trajectory(name: str) -> None:
+def test_each_world_has_the_score_of_its_trajectory(name):
     """The last world ends 7 samples after its last frame, so it is shifted less; one without a frame has no score."""
     experiment = load_experiment(name)
     band = reference_band(experiment)
