@@ -100,9 +100,6 @@ def test_the_coordinates_of_every_observable_have_names_and_a_unit(
     observable, markers = experiment.score.observable, experiment.scene.markers
     assert experiment.coordinates[: len(names)] == names
     assert (observable.unit, len(experiment.coordinates)) == (unit, width)
-    if markers is None:
-        return
-    positions_m = np.array(markers.positions_m)[None]
-    assert observe_markers(positions_m, markers, observable).shape == (1, width)
-    positions_m[0, 0] = np.nan
-    assert np.isnan(observe_markers(positions_m, markers, observable)).any()
+    if markers is not None:
+        positions_m = np.array(markers.positions_m)[None]
+        assert observe_markers(positions_m, markers, observable).shape == (1, width)

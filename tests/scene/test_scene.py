@@ -8,7 +8,6 @@ import pytest
 from rigid import plane_deg, scene_of, solid
 
 from gauge_envs import load_experiment
-from gauge_envs.backends import backend
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
@@ -171,26 +170,3 @@ def test_differences_name_what_changed():
     markers = replace(scene.markers, positions_m=tuple(map(tuple, places.tolist())))
     (change,) = scene_changes(scene, replace(scene, markers=markers))
     assert change.endswith("189 of 189 numbers differ, by up to 1")
-
-
-# --- engines ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["TextileBending-rayon", "CantileverBeam-soft"])
-def test_a_thrown_ball_flies_beside_deformable_bodies(name):
-    """Deformable bodies have solvers of their own, which take the start velocities too."""
-    scene = load_experiment(name).scene
-    place = Pose(position_m=(3.0, 3.0, 3.0))
-    ball = replace(THROWN, shape=Sphere(radius_m=0.03), pose=place)
-    scene = replace(
-        scene, bodies=(*scene.bodies, ball), contacts=(), gravity_m_per_s2=0.0
-    )
-    simulation = backend("mujoco").build(scene)
-    for _ in range(2):
-        state = simulation.body_states(["thrown"])[0, 0]
-        assert state[7:] == pytest.approx([*LINEAR, *ANGULAR], abs=1e-6)
-        for _ in range(2):
-            simulation.advance(1 / 180)
-        moved = simulation.body_states(["thrown"])[0, 0, :3] - 3.0
-        assert moved == pytest.approx(np.array(LINEAR) / 90, abs=1e-5)
-        simulation.reset()
