@@ -55,23 +55,6 @@ def test_recorded_flights_follow_the_closed_form(half):
     assert np.median(falls) == pytest.approx(GRAVITY, abs=3.0 * error)
 
 
-def test_start_velocities_are_those_of_finite_differences():
-    apart = []
-    for shot, rotations, _ in flights("judge"):
-        step_s = shot.times_s[1]
-        linear = (shot.positions_m[2] - shot.positions_m[0]) / (2.0 * step_s)
-        linear[2] += GRAVITY * step_s
-        angular = (rotations[2] * rotations[0].inv()).as_rotvec() / (2.0 * step_s)
-        apart.append(
-            [
-                np.linalg.norm(linear - shot.velocity_m_per_s),
-                np.linalg.norm(angular - shot.angular_velocity_rad_per_s),
-            ]
-        )
-    # The rates differ by 3 rad/s if those of the body are taken for those of the world.
-    assert (np.median(apart, axis=0) < (0.02, 0.2)).all()
-
-
 def test_the_height_of_the_resting_cube_gives_the_scale_a_second_time():
     nuisances = SHOTS.stated["nuisances"]
     rest_m = [SHOTS.shot(trial).positions_m[-1, 2] for trial in SHOTS.trials("judge")]
