@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from gauge_envs.backends.shared.attachments import RigidAttachment
-from gauge_envs.scene import Box, Pose, Region, SoftBody
+from gauge_envs.scene import Attachment, Box, Pose, Region, Scene, SoftBody
+from gauge_envs.tools.bench.parts import driven_box, fixed_box
 
 EDGE_M = 0.05
 AREA_M2 = EDGE_M**2
@@ -37,3 +38,25 @@ def held(side, motion, depth_m=0.0, axis="z", body=""):
     """To a plate, or another body, at the world's origin: `low` and `high` are the names of plates."""
     region = Region(axis=axis, side=side, depth_m=depth_m)
     return RigidAttachment(region=region, body=body or side, motion=motion, pose=ORIGIN)
+
+
+def gripped(foam, *, depth_m=0.01285):
+    """A bar along z in the grips of a fixed body `low` and a driven body `high`, both at the origin; no weight."""
+    grips = tuple(
+        Attachment(
+            deformable=foam.name,
+            region=Region(axis="z", side=side, depth_m=depth_m),
+            to=side,
+        )
+        for side in ("low", "high")
+    )
+    return Scene(
+        bodies=(
+            fixed_box("low", (0.0, 0.0, 0.0), (0.01,) * 3),
+            driven_box("high", (0.0, 0.0, 0.0), (0.01,) * 3),
+        ),
+        deformables=(foam,),
+        attachments=grips,
+        gravity_m_per_s2=0.0,
+        duration_s=1.0,
+    )

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 from cloths import CELL_M, fabric
-from foam import AREA_M2, DENSITY_KG_PER_M3, EDGE_M, YOUNG_PA, block
+from foam import AREA_M2, DENSITY_KG_PER_M3, EDGE_M, YOUNG_PA, block, gripped
 from rigid import scene_of, target
 from scipy.spatial.transform import Rotation
 
@@ -21,7 +21,7 @@ from gauge_envs.backends.mujoco.cloth import FoldWatch
 from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Motion, Pose, Region, Rod
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.prescribed_motion import prescribed_motions
-from gauge_envs.tools.bench.parts import body, box, contact, driven_box, fixed_box
+from gauge_envs.tools.bench.parts import body, box, contact, fixed_box
 from gauge_envs.tools.bench.recording import record
 
 MUJOCO = backend("mujoco")
@@ -388,25 +388,6 @@ def test_a_foot_that_slides_feels_the_friction(name):
 # --- foam ------------------------------------------------------------------------------------------------------------
 
 GRIP_M = 0.01285
-
-
-def gripped(foam):
-    """A bar of foam along z between a fixed and a driven body, both at the origin, without weight."""
-    grips = tuple(
-        Attachment(
-            deformable="foam",
-            region=Region(axis="z", side=side, depth_m=GRIP_M),
-            to=side,
-        )
-        for side in ("low", "high")
-    )
-    return scene_of(
-        fixed_box("low", (0.0, 0.0, 0.0), (0.01, 0.01, 0.01)),
-        driven_box("high", (0.0, 0.0, 0.0), (0.01, 0.01, 0.01)),
-        deformables=(foam,),
-        attachments=grips,
-        gravity_m_per_s2=0.0,
-    )
 
 
 def reaction(foam, moved_m=(0.0, 0.0, 0.0), turned_rad=0.0, **settings):
