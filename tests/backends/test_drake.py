@@ -152,7 +152,9 @@ def test_a_box_that_lands_flat_rebounds():
     box = solid("box", Box(size_m=(0.1, 0.05, 0.02)), (0.0, 0.0, 0.21))
     touch = contact("box", "ground", friction=0.3, restitution=0.5)
     scene = scene_of(GROUND, box, contacts=(touch,))
-    heights_m = states(DRAKE, scene, ["box"], 70 / 180)[1:, 0, 2] - 0.01
+    heights_m = (
+        states(DRAKE, scene, ["box"], 70 / 180, preset="default")[1:, 0, 2] - 0.01
+    )
     landed = int(np.argmax(np.diff(heights_m) > 0.0))
     ratio = np.sqrt(heights_m[landed:].max() / 0.2)
     assert ratio == pytest.approx(0.5, rel=0.015)
