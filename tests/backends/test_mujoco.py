@@ -12,7 +12,7 @@ import pytest
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco import versions
-from gauge_envs.backends.mujoco.versions import FEATURES, constants_of
+from gauge_envs.backends.mujoco.versions import FEATURES, UNSTEADY_BOXES, constants_of
 from gauge_envs.errors import ParameterError
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
@@ -45,6 +45,9 @@ def test_a_tilting_board_lets_a_cube_go_at_the_friction_angle(rollout):
     assert 0.0 < late_deg < 1.2
 
 
+@pytest.mark.skipif(
+    mujoco.__version__ in UNSTEADY_BOXES, reason="contacts of boxes hop in this release"
+)
 def test_the_residual_of_a_heavy_driven_board_does_not_move_a_light_cube(rollout):
     """The cube stays in the plane of symmetry. The tolerance of the solver is relative to the board's 1000 kg."""
 

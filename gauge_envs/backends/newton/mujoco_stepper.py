@@ -47,7 +47,7 @@ class StepperMuJoCo(Stepper):
         rows = ROWS_PER_POINT * CONTACT_POINTS_PER_PAIR * pairs
         rows += ROWS_PER_WELD * len(driven) + tendons // model.world_count
         with warnings.catch_warnings():
-            # Newton 1.8 asks for MuJoCo 3.17, but this package needs 4.0; tests/backends/newton verify the combination.
+            # Newton 1.8 asks for MuJoCo 3.17, but this package needs 4.0; tests/backends/test_newton.py runs both.
             warnings.filterwarnings(
                 "ignore", message="MuJoCo dependency version mismatch"
             )
