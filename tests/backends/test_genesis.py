@@ -23,7 +23,7 @@ from gauge_envs.scene import (
 from gauge_envs.tools.bench.parts import contact
 from gauge_envs.tools.sanity import configuration
 
-pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
+pytest.importorskip("genesis.version", reason="extra 'genesis' is not installed")
 
 from gauge_envs.backends.genesis.document import CONTACT_LIMIT, damping_ratio
 from gauge_envs.backends.genesis.engine import claim, engine, release

@@ -25,7 +25,7 @@ from gauge_envs.tools.bench.recording import DivergedError, record
 from gauge_envs.tools.conformance import Status, run_checks
 from gauge_envs.tools.conformance.deformable import clamped, fabric, sheet
 
-pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
+pytest.importorskip("genesis.version", reason="extra 'genesis' is not installed")
 
 from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.foam import fitted_voxel_m
