@@ -1,16 +1,13 @@
-"""Golden numbers: what the suite computed before a change, for `test_golden.py` to compare with.
+"""Golden numbers: what the suite computed before a change, for `test_every_id.py` to compare with.
 
-    python -m tests.golden.golden                           # make the whole file again
-    python -m tests.golden.golden --only fabrics            # one part
+    python -m tests.golden.golden                                    # all numbers
+    python -m tests.golden.golden --only fabrics                     # one part
     python -m tests.golden.golden --only episodes SlopeSlider-1-wood
 
-Each part has a function that makes an entry of plain numbers and texts from its name. The names are those of the
-file, also of the conformance checks. Only these functions use the package: when its code changes, change one of them,
-and the file stays as it is.
+Each part has a function that returns plain numbers and texts for a name.
 """
 
 import argparse
-import hashlib
 import json
 import warnings
 from pathlib import Path
@@ -20,30 +17,56 @@ import numpy as np
 
 from gauge_envs import load_experiment
 from gauge_envs.experiments.task_files import fabrics
-from gauge_envs.references.published import published_baselines
 from gauge_envs.tools.conformance import run_checks
 from gauge_envs.tools.recipes.fabrics import fabric_constants
 from gauge_envs.tools.sanity import check
 
 FILE = Path(__file__).with_name("golden.json")
-ASSETS = Path(__file__).parents[2] / "assets"
 
 CHAOTIC = ("Funnel", "RopeWinding", "RotatingBall", "WallBreaking")
-"""Families whose motions part by chaos: ten frames of them count, and no score."""
+"""Families whose motions diverge by chaos: ten frames of them count, and no score."""
 
 LAST_FRAME = dict.fromkeys(CHAOTIC, 10) | {
     "NewtonsCradle": 170,
     "TableclothPulling": 60,
     "TextileFlinging": 150,
 }
-"""Last frame of g(t) by family, where rounding decides later ones."""
+"""Last compared frame of g(t) by family, where rounding decides later ones."""
+
+SCORE_FIELDS = (
+    "rmse",
+    "dtw",
+    "time_offset_s",
+    "rmse_aligned",
+    "compared_frames",
+    "signed_error",
+    "rmse_normalized",
+    "dtw_normalized",
+    "rmse_aligned_normalized",
+    "mean_abs_z",
+    "inside_1sigma",
+    "inside_2sigma",
+    "percentile",
+)
 
 
-# --- parts -----------------------------------------------------------------------------------------------------------
+def family_of(name):
+    """Return the family of an experiment, as `SlopeSlider`."""
+    return name.partition("-")[0]
+
+
+def chosen_frames(name, last):
+    """Return the first three frames and up to seven later ones."""
+    last = min(last, LAST_FRAME.get(family_of(name), last))
+    later = np.linspace(min(4, last), last, 7).round().astype(int)
+    return sorted({1, 2, 3, *later.tolist()})
 
 
 def episode(name, *, engine="mujoco", seed=0, options=None, last_frame=None):
-    """Return the start, g(t) at ten frames, reward sum and score of an episode; the first two up to `last_frame`."""
+    """Return the start, g(t) at ten frames, reward sum and score of an episode without actions.
+
+    With `last_frame` the episode stops there, and has no reward sum and no score.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         env = gymnasium.make(f"GAUGE/{name}", backend=engine)
@@ -70,41 +93,14 @@ def episode(name, *, engine="mujoco", seed=0, options=None, last_frame=None):
     return entry
 
 
-def family_of(name):
-    """Return the family of an experiment, as `SlopeSlider`."""
-    return name.partition("-")[0]
-
-
-def chosen_frames(name, last):
-    """Return the first frames and some up to the last one, ten where an episode has as many."""
-    last = min(last, LAST_FRAME.get(family_of(name), last))
-    later = np.linspace(min(4, last), last, 7).round().astype(int)
-    return sorted({1, 2, 3, *later.tolist()})
-
-
 def score_values(score):
-    """Return the numbers of a score that any later form of it has too."""
-    names = (
-        "rmse",
-        "dtw",
-        "time_offset_s",
-        "rmse_aligned",
-        "compared_frames",
-        "signed_error",
-        "rmse_normalized",
-        "dtw_normalized",
-        "rmse_aligned_normalized",
-        "mean_abs_z",
-        "inside_1sigma",
-        "inside_2sigma",
-        "percentile",
-    )
-    values = {name: getattr(score, name) for name in names}
-    events = {
-        name: one for name, one in score.events.items() if name in ("lsd", "mte", "pd")
-    }
-    values |= {name: [one.value, one.over_real] for name, one in events.items()}
-    values["el"] = score.events["el"].value if "el" in score.events else None
+    """Return the numbers of a score that exist."""
+    values = {name: getattr(score, name) for name in SCORE_FIELDS}
+    for name, event in score.events.items():
+        if name in ("lsd", "mte", "pd"):
+            values[name] = [event.value, event.over_real]
+        elif name == "el":
+            values[name] = event.value
     values["estimates"] = {
         name: [one.value, one.uncertainty, one.real, one.real_uncertainty]
         for name, one in score.estimates.items()
@@ -112,15 +108,12 @@ def score_values(score):
     if score.over_uncertainty is not None:
         values["distance"] = score.distance
         values["uncertainty"] = score.distance / score.over_uncertainty
-    return {
-        key: value
-        for key, value in values.items()
-        if value not in (None, {}, [None, None])
-    }
+    absent = (None, {}, [None, None])
+    return {key: value for key, value in values.items() if value not in absent}
 
 
 def jittered(name):
-    """Return the episode of a start that is scattered by seed 1."""
+    """Return the episode of a start with noise of seed 1."""
     return episode(name, seed=1, options={"jitter": True})
 
 
@@ -138,53 +131,27 @@ def on_engine(name):
 
 def conformance(engine):
     """Return verdict, value and tolerance of each check on an engine."""
+    names = tuple(read()["conformance"]["mujoco"])
     return {
         one.check: [one.status.value, one.measured, one.width]
-        for one in run_checks(engine, only=tuple(read()["conformance"]["mujoco"]))
+        for one in run_checks(engine, only=names)
     }
 
 
 def sanity(target):
-    """Return value, unit and verdict of each phenomenon that a training configuration shows."""
+    """Return value, unit and verdict of each phenomenon of a training configuration."""
+    names = tuple(read()["sanity"][target])
+    report = check(target, only=names, include_deformables=True, explain=False)
     return {
         row.phenomenon: [row.configured, row.unit, row.verdict.value]
-        for row in check(
-            target,
-            only=tuple(read()["sanity"][target]),
-            include_deformables=True,
-            explain=False,
-        ).rows
+        for row in report.rows
     }
-
-
-def asset(name):
-    """Return the sha256 of a checked-in file, whose numbers the writer repeats but for their last digits."""
-    return hashlib.sha256((ASSETS / name).read_bytes()).hexdigest()
-
-
-def asset_text(name):
-    """Return what the writer makes of a scene today, as `mjcf/SlopeSlider-1-wood.xml`."""
-    # It needs a library for USD, which an environment for one engine alone need not have.
-    from gauge_envs.tools.assets.export import mjcf_text, usd_layer_text
-
-    experiment = load_experiment(Path(name).stem)
-    return (
-        mjcf_text(experiment) if name.startswith("mjcf") else usd_layer_text(experiment)
-    )
 
 
 def fabric(name):
-    """Return the constants of a fabric in each engine's own terms."""
+    """Return the constants of a fabric in the terms of each engine."""
     mapped = fabric_constants(fabrics("TextileFlinging")[name])
     return {engine: dict(one.constants) for engine, one in mapped.items()}
-
-
-def published(name):
-    """Return the rows of the published table for a variant, by metric."""
-    return {
-        row.metric: [row.frames, row.unit, row.mean, row.std, *row.engines.values()]
-        for row in published_baselines(name).values()
-    }
 
 
 PARTS = {
@@ -194,18 +161,12 @@ PARTS = {
     "engines": on_engine,
     "conformance": conformance,
     "sanity": sanity,
-    "assets": asset,
     "fabrics": fabric,
-    "published": published,
 }
-"""What makes an entry of a part from its name."""
-
-
-# --- file ------------------------------------------------------------------------------------------------------------
 
 
 def plain(value):
-    """Return a value as JSON has it, numbers with ten digits: the tolerances are wider."""
+    """Return a value as JSON has it; numbers have ten digits, as the tolerances are wider."""
     if isinstance(value, dict):
         return {key: plain(one) for key, one in value.items()}
     if isinstance(value, np.ndarray | list | tuple):
@@ -216,24 +177,23 @@ def plain(value):
 
 
 def read():
-    """Return the file: entries by part and name."""
+    """Return the stored entries by part and name."""
     return json.loads(FILE.read_text(encoding="utf-8"))
 
 
 def write(parts):
-    """Write the file with a line for each entry, so that a change shows as the lines of what changed."""
+    """Write the file with one line an entry, so that a difference shows what changed."""
     texts = []
     for part, entries in parts.items():
         lines = [
-            f"{json.dumps(name)}: {json.dumps(entry)}"
-            for name, entry in entries.items()
+            f"{json.dumps(key)}: {json.dumps(one)}" for key, one in entries.items()
         ]
         texts.append(json.dumps(part) + ": {\n" + ",\n".join(lines) + "\n}")
     FILE.write_text("{\n" + ",\n".join(texts) + "\n}\n", encoding="utf-8")
 
 
 def main():
-    """Make the entries of the file again; a name that it does not have is added."""
+    """Compute the entries of the file again; a name that it does not have is added."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--only", choices=PARTS, help="one part")
     parser.add_argument("names", nargs="*", help="entries of that part")
@@ -241,7 +201,6 @@ def main():
     parts = read()
     for part in [given.only] if given.only else PARTS:
         for name in given.names or parts[part]:
-            print(part, name, flush=True)
             parts[part][name] = plain(PARTS[part](name))
         write(parts)
 

@@ -1,0 +1,236 @@
+"""Every id passes Gymnasium's checker, starts as its task file says, replays the drivers, and has golden numbers.
+
+The default run takes the rigid ids whole, two frames of the others, and one id of each kind for the checker; the slow
+set takes all. `golden.json` has the numbers of version 0.3.0. Tolerances exceed what rounding noise in each step, and
+NumPy on an older processor, move.
+"""
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from places import RIGID, one_of_a_kind
+
+import gauge_envs
+from gauge_envs import load_experiment, variants
+from gauge_envs.backends import backend
+from gauge_envs.errors import MissingExtraError, NoRewardWarning
+from gauge_envs.tools.control.tasks import control_tasks
+from tests.golden import golden
+
+STORED = golden.read()
+IDS = [variant.name for variant in variants()]
+CONTROL = [task.name for task in control_tasks()]
+SOFT = [name for name in IDS if name not in RIGID]
+LONG = ("NewtonsCradle", "Pendulum")
+
+RIGID_MM = 1e-6
+SOFT_LIMITS = {"mm": 1e-3, "mm^2": 2e-2, "rad": 1e-5}
+"""Largest difference of g(t) of cloth, foam and rods, by unit: a face has edges of 20 mm, a cell of cloth of 30 mm."""
+
+SENSITIVE = {
+    "SlopeSlider-3": (1e-3, 1e-5),
+    "StickStack": (5e-2, 1e-4),
+    "TableclothPulling": (1e-3, 3e-2),
+    "TextileStretching": (2e-4, 1e-2),
+}
+"""Absolute and relative limits of ids with settling contacts and taut cloth."""
+
+CHAOTIC_MM = {
+    "Funnel": (0.2, 3.0),
+    "RopeWinding": (1e-3, 1.0),
+    "RotatingBall": (1e-3, 3.0),
+    "WallBreaking": (0.2, 1.5),
+}
+"""Limit of the first frame, and its growth a frame, of chaotic motions."""
+
+
+def limits(name, engine="mujoco"):
+    """Return the largest absolute and relative difference of an episode, by key.
+
+    A score is a distance from a mean and has the limit of g(t), and a relative one where it is divided by a scale.
+    """
+    experiment = load_experiment(name)
+    family = golden.family_of(name)
+    near, relative = RIGID_MM, 1e-6
+    if experiment.scene.deformables:
+        near, relative = SOFT_LIMITS[experiment.score.observable.unit], 1e-4
+    for beginning, wider in SENSITIVE.items():
+        if name.startswith(beginning):
+            near, relative = wider
+    if engine != "mujoco":
+        # Single precision, and kernels that are compiled for the processor.
+        near, relative = max(near, 1e-2), 1e-3
+    of_frames = (near, 0.0)
+    if family in CHAOTIC_MM:
+        first, growth = CHAOTIC_MM[family]
+        of_frames = {str(n): (first * growth ** (n - 1), 0.0) for n in range(1, 11)}
+    return {
+        "start": (1e-9, 0.0),
+        "g": of_frames,
+        "markers": (5e-5 if family == "TextileStretching" else 1e-6, 0.0),
+        "reward": (near, relative),
+        "score": (near, relative),
+    }
+
+
+def differences(computed, stored, limit=(1e-9, 1e-9), path=""):
+    """Yield what differs by more than an absolute plus a relative limit, with its place; limits may be given by key."""
+    if isinstance(stored, dict | list) and isinstance(computed, type(stored)):
+        if isinstance(stored, list):
+            computed, stored = dict(enumerate(computed)), dict(enumerate(stored))
+        for key in sorted({*computed} | {*stored}, key=str):
+            one, other = computed.get(key, "missing"), stored.get(key, "missing")
+            inner = limit.get(key, (0.0, 0.0)) if isinstance(limit, dict) else limit
+            yield from differences(one, other, inner, f"{path}/{key}")
+    elif isinstance(stored, float) and isinstance(computed, float | int):
+        absolute, relative = limit
+        if not abs(computed - stored) <= absolute + relative * abs(stored):
+            yield f"{path}: {computed!r} instead of {stored!r}"
+    elif computed != stored:
+        yield f"{path}: {computed!r} instead of {stored!r}"
+
+
+def check_golden(part, name, limit=(1e-9, 1e-9)):
+    computed = golden.plain(golden.PARTS[part](name))
+    assert list(differences(computed, STORED[part][name], limit)) == []
+
+
+def slow_where(names, is_slow):
+    """Return parameters of which some are slow."""
+    slow = pytest.mark.slow
+    return [pytest.param(one, marks=slow if is_slow(one) else ()) for one in names]
+
+
+def skip_without(engine):
+    try:
+        backend(engine)
+    except MissingExtraError as error:
+        pytest.skip(str(error))
+
+
+def kind_of(name):
+    """What the spaces of an id depend on."""
+    if name in CONTROL:
+        return name.partition("-")[0]
+    experiment = load_experiment(name)
+    return experiment.score.observable, bool(experiment.scene.drivers)
+
+
+def test_75_ids_in_22_families_are_registered():
+    beyond = {variant.id for variant in gauge_envs.beyond_variants()}
+    extra = {*(task.id for task in control_tasks()), *beyond}
+    registered = {key for key in gymnasium.registry if key.startswith("GAUGE/")}
+    assert extra < registered
+    assert registered - extra == {variant.id for variant in variants()}
+    assert len(IDS) == 75
+    assert len({variant.family for variant in variants()}) == 22
+    assert list(STORED["episodes"]) == IDS
+
+
+@pytest.mark.parametrize("name", one_of_a_kind([*IDS, *CONTROL], kind_of))
+def test_gymnasiums_checker_passes_without_a_warning(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # A reference that ends before the episode is no fault of the environment.
+        warnings.simplefilter("ignore", NoRewardWarning)
+        env = gymnasium.make(f"GAUGE/{name}", disable_env_checker=True)
+        check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("name", one_of_a_kind(IDS))
+def test_an_episode_starts_at_the_published_poses_and_replays_the_drivers(name):
+    env = gymnasium.make(f"GAUGE/{name}").unwrapped
+    scene = env.experiment.scene
+    observation, info = env.reset(seed=0)
+    assert info["reference"] == (env.band.kind if env.band else "none")
+    if env.experiment.recorded:
+        poses = [scene.body(body).pose for body in env.experiment.recorded]
+        start_m = np.array([pose.position_m for pose in poses])
+        assert observation["bodies"][:, :3] == pytest.approx(start_m, abs=1e-9)
+        turned = np.sum(
+            observation["bodies"][:, 3:7] * [p.quaternion for p in poses], 1
+        )
+        assert np.abs(turned) == pytest.approx(1.0, abs=1e-9)
+        assert not observation["bodies"][:, 7:].any()
+        assert observation["observable"] == pytest.approx(1e3 * start_m.ravel())
+    else:
+        markers_m = np.array(scene.markers.positions_m)
+        assert observation["markers"] == pytest.approx(markers_m, abs=1e-6)
+    zero = np.zeros(env.action_space.shape, env.action_space.dtype)
+    for frame in (1, 2):
+        observation, reward, *_, info = env.step(zero)
+        assert observation in env.observation_space
+        for driver, state in zip(
+            scene.drivers, observation.get("driver", ()), strict=True
+        ):
+            pose = driver.pose(scene.body(driver.body).pose, frame / 30.0)
+            assert state[:3] == pytest.approx(np.array(pose.position_m), abs=1e-5)
+            assert abs(state[3:7] @ pose.quaternion) == pytest.approx(1.0, abs=1e-8)
+    assert info["frame"] == 2
+    assert (reward == 0.0) or env.band is not None
+
+
+@pytest.mark.parametrize("name", slow_where(IDS, lambda name: name in SOFT))
+def test_an_episode_and_its_score_have_golden_numbers(name):
+    check_golden("episodes", name, limits(name))
+
+
+@pytest.mark.parametrize("name", SOFT)
+def test_two_frames_of_cloth_and_foam_have_golden_numbers(name):
+    computed = golden.plain(golden.episode(name, last_frame=2))
+    stored = STORED["episodes"][name]
+    first = {"start": stored["start"]}
+    for key in computed.keys() - first.keys():
+        first[key] = {frame: stored[key][frame] for frame in ("1", "2")}
+    assert list(differences(computed, first, limits(name))) == []
+
+
+@pytest.mark.parametrize(
+    "name", slow_where(STORED["jitter"], lambda name: golden.family_of(name) in LONG)
+)
+def test_an_episode_from_a_start_with_noise_has_golden_numbers(name):
+    check_golden("jitter", name, limits(name))
+
+
+@pytest.mark.parametrize("name", STORED["trial"])
+def test_an_episode_of_a_bundled_trial_has_golden_numbers(name):
+    check_golden("trial", name, limits(name.split("/")[0]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", STORED["engines"])
+def test_an_episode_on_another_engine_has_golden_numbers(name):
+    engine, variant = name.split("/")
+    skip_without(engine)
+    check_golden("engines", name, limits(variant, engine))
+
+
+@pytest.mark.parametrize("name", STORED["fabrics"])
+def test_a_fabric_has_golden_constants_in_each_engine(name):
+    check_golden("fabrics", name)
+
+
+@pytest.mark.parametrize(
+    "name", slow_where(STORED["sanity"], lambda name: name == "Ant-v5")
+)
+def test_a_training_configuration_has_golden_phenomena(name):
+    """Rounding decides how far a wall of bricks drifts, to a tenth of the value."""
+    rows = STORED["sanity"][name]
+    shares = {row: 0.2 if row.startswith("wall-") else 1e-2 for row in rows}
+    check_golden("sanity", name, {row: (1e-6, share) for row, share in shares.items()})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", STORED["conformance"])
+def test_an_engine_has_golden_checks(engine):
+    """A value may move by a tenth of the tolerance of its check: rounding moves that of a slide by a twentieth."""
+    skip_without(engine)
+    computed = golden.plain(golden.conformance(engine))
+    moved = []
+    for name, stored in STORED["conformance"][engine].items():
+        near = 0.1 * stored[2] if stored[2] else 1e-9
+        moved += differences(computed.get(name), stored, (near, 1e-9), name)
+    assert moved == []
