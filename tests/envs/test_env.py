@@ -1,360 +1,433 @@
-"""Every id through the same checks, and each misuse its error."""
+"""An environment observes SI states, rewards by z, adds actions to recorded motion, and ends where it diverges.
 
+Expected numbers are closed forms (free fall, prescribed rotation) or the formulas of the documentation, by hand.
+"""
+
+import shutil
 import warnings
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
-import scipy.optimize
+from episodes import run_to_end
+from gymnasium import wrappers
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import FlattenObservation
-from places import RIGID, one_of_a_kind
+from opengl import needs_opengl
+from places import ROOT
 
 import gauge_envs
-from gauge_envs.errors import NoRewardWarning
-from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.tools.control.tasks import control_tasks
-
-SHORT = tuple(
-    name
-    for name in RIGID
-    if name.split("-")[0] not in ("Pendulum", "NewtonsCradle", "WallBreaking")
+from gauge_envs import GaugeEnv, LogScore, ScoreEpisode, load_experiment
+from gauge_envs.backends import backend
+from gauge_envs.backends.shared.resampled import in_intervals
+from gauge_envs.envs import arguments
+from gauge_envs.envs.limits import STATE_LIMITS, diverged_bodies, diverged_nodes
+from gauge_envs.envs.reward import Reward
+from gauge_envs.errors import (
+    ActionError,
+    BackendError,
+    EpisodeError,
+    GaugeError,
+    NoRewardWarning,
 )
+from gauge_envs.references.band import Band
+from gauge_envs.references.kind import Kind
+
+G = 9.80665
+SLIDE, TILTED = "SlopeSlider-2-wood", "SlopeSlider-3-metal"
+TURNTABLE, BALL = "Turntable-1-wood", "BouncingBall-rubber"
+SILENT = "GAUGE/RopeWinding-rubber"
 
 
-def test_75_ids_in_22_families_are_registered():
-    # Control tasks and experiments beyond the benchmark are extra.
-    beyond = {variant.id for variant in gauge_envs.beyond_variants()}
-    extra = {*(task.id for task in control_tasks()), *beyond}
-    ids = [
-        key
-        for key in gymnasium.registry
-        if key.startswith("GAUGE/") and key not in extra
-    ]
-    assert len(ids) == 75
-    assert len({variant.family for variant in gauge_envs.variants()}) == 22
-    assert {variant.id for variant in gauge_envs.variants()} == set(ids)
-    assert len(RIGID) == 30
-    assert "GAUGE/CubeToss-acrylic" in beyond
-    assert beyond <= set(gymnasium.registry)
+def make(name, **options):
+    return gymnasium.make(f"GAUGE/{name}", **options).unwrapped
 
 
-def kind_of(name):
-    """What the spaces of an id depend on: its task of control, or what is observed and whether it is driven."""
-    if "-Limit-" in name:
-        return name.split("-")[0]
-    experiment = gauge_envs.load_experiment(name)
-    return experiment.score.observable, bool(experiment.scene.drivers)
+# --- observation, action, reward ---
 
 
-ALL = (
-    *(variant.name for variant in gauge_envs.variants()),
-    *(task.name for task in control_tasks()),
-)
-checked_ids = pytest.mark.parametrize("name", one_of_a_kind(ALL, kind_of))
+def test_a_falling_ball_is_observed_in_si_units():
+    env = make(BALL)
+    start, _ = env.reset(seed=0)
+    observation = [env.step(0)[0] for _ in range(5)][-1]
+    fall_s = 5 / 30
+    ball = observation["bodies"][0]
+    assert observation["time"] == pytest.approx([fall_s])
+    assert ball[9] == pytest.approx(-G * fall_s, rel=1e-6)
+    fallen_m = start["bodies"][0, 2] - ball[2]
+    assert fallen_m == pytest.approx(0.5 * G * fall_s**2, rel=1e-3)
+    assert observation["observable"] == pytest.approx(1e3 * ball[:3])
+    trajectory = env.trajectory()
+    assert trajectory.times_s == pytest.approx(np.arange(31) / 180)
+    assert np.array_equal(trajectory.frames, trajectory.samples[::6])
 
 
-@pytest.fixture
-def no_warnings():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        # A reference that ends before the episode is no fault of the environment.
-        warnings.simplefilter("ignore", NoRewardWarning)
-        yield
+def test_zero_action_replays_the_recorded_motion_and_others_add_to_it():
+    env = make(TURNTABLE)
+    angles = []
+    for action in (0.0, 1.0, 0.0):
+        env.reset(seed=0)
+        for _ in range(10):
+            observation, *_ = env.step(np.array([action]))
+        w, z = observation["driver"][0, [3, 6]]
+        angles.append(2 * np.arctan2(z, w))
+    (motion,) = env.experiment.scene.drivers[0].motions
+    recorded = motion.value(10 / 30)
+    added = motion.residual_rate * 10 / 30
+    # The third episode forgets the actions of the second.
+    expected = [recorded, recorded + added, recorded]
+    assert angles == pytest.approx(expected, abs=1e-6)
 
 
-@checked_ids
-@pytest.mark.usefixtures("no_warnings")
-def test_gymnasiums_checker_passes(name):
-    env = gymnasium.make(f"GAUGE/{name}", disable_env_checker=True)
-    check_env(env.unwrapped, skip_render_check=True)
+@pytest.mark.parametrize("name", [TURNTABLE, "StickStack-soft"])
+def test_the_recorded_motion_is_a_sequence_of_actions(name):
+    """With `drivers="action"` a body rests without actions, and the recorded motion has the higher reward."""
+    recorded = make(name)
+    (motion,) = recorded.experiment.scene.drivers[0].motions
+    env = make(name, drivers="action")
+    (acted,) = env.experiment.scene.drivers[0].motions
+    recorded.reset(seed=0)
+    for _ in range(16):
+        expected, *_ = recorded.step(np.zeros(1))
+    rewards = []
+    for is_still in (True, False):
+        start, info = env.reset(seed=0)
+        rewards.append(0.0)
+        for frame in range(16):
+            change = motion.value((frame + 1) / 30) - motion.value(frame / 30)
+            action = 0.0 if is_still else 30 * change / acted.residual_rate
+            observation, reward, *_ = env.step(np.array([action]))
+            rewards[-1] += reward
+        target = start if is_still else expected
+        pose = pytest.approx(target["driver"][0, :7], abs=2e-6)
+        assert observation["driver"][0, :7] == pose
+    assert rewards[0] < 2.0 * rewards[1] < 0.0
+    assert info["drivers"] == "action"
 
 
-@checked_ids
-@pytest.mark.usefixtures("no_warnings")
-def test_stable_baselines_checker_passes_with_flat_observations(name):
-    checker = pytest.importorskip(
-        "stable_baselines3.common.env_checker", reason="extra 'rl' is not installed"
-    )
-    checker.check_env(FlattenObservation(gymnasium.make(f"GAUGE/{name}")))
-
-
-@pytest.mark.parametrize(
-    "name",
-    one_of_a_kind(
-        (one.name for one in gauge_envs.variants() if one.name not in RIGID), kind_of
-    ),
-)
-def test_every_deformable_id_steps_inside_its_spaces(name):
-    env = gymnasium.make(f"GAUGE/{name}").unwrapped
-    observation, _ = env.reset(seed=0)
-    action = (
-        0
-        if isinstance(env.action_space, gymnasium.spaces.Discrete)
-        else np.zeros(env.action_space.shape)
-    )
-    assert observation in env.observation_space
-    if "markers" in observation:
-        # Markers stand for nodes that lie nearer than 1 cm, and each for another.
-        distance = np.linalg.norm(
-            observation["markers"] - env.experiment.scene.markers.positions_m, axis=1
-        )
-        assert distance.max() < 0.01
-        assert len(np.unique(observation["markers"], axis=0)) == len(
-            observation["markers"]
-        )
-    observation, reward, terminated, _, info = env.step(action)
-    assert observation in env.observation_space
-    assert np.isfinite(observation["observable"]).all()
-    assert not terminated
-    assert (reward == 0.0) == (info["reference"] == "none")
-
-
-@pytest.mark.parametrize("proxy", ["node", "material"])
-def test_foam_markers_follow_the_grip(proxy, rollout):
-    # The law needs no fine mesh.
-    env, trajectory, _ = rollout(
-        "FoamStretching-soft", marker_proxy=proxy, settings={"cell_m": 0.05}
-    )
-    moved = trajectory.markers_m[-1] - trajectory.markers_m[0]
-    height = (
-        trajectory.markers_m[0, :, 2]
-        - env.experiment.scene.body("base-1").pose.position_m[2]
-    )
-    # Between the grips, 12.85 mm inside the foam's ends, the stretch of 9.23 mm is nearly even.
-    share = (height - 0.012 - 0.01285) / (0.2 - 2 * 0.01285)
-    driven = env.experiment.scene.drivers[0].motions[0].value(1e3)
-    assert moved[:, 2] == pytest.approx(driven * share, abs=3e-4)
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "StickStack-soft",
-        "CantileverBeam-soft",
-        "FoamBending-soft",
-        "TextileBending-satin",
-    ],
-)
-def test_material_points_start_at_the_markers(name):
-    env = gymnasium.make(f"GAUGE/{name}", marker_proxy="material")
-    observation, _ = env.reset(seed=0)
-    markers = env.unwrapped.experiment.scene.markers.positions_m
-    assert observation["markers"] == pytest.approx(np.asarray(markers), abs=1e-6)
-    over = False
-    for _ in range(3):
-        observation, *_, over, _ = env.step(
-            np.zeros(env.action_space.shape) if env.action_space.shape else 0
-        )
-    assert not over
-    assert np.isfinite(observation["markers"]).all()
-
-
-@pytest.mark.parametrize("name", one_of_a_kind(SHORT))
-def test_an_episode_has_the_published_frames_and_repeats_bit_for_bit(name, rollout):
-    # Neither depends on the step.
-    settings = {"timestep_s": 1 / 900}
-    env, trajectory, info = rollout(name, settings=settings)
-    assert len(trajectory.frames) == env.experiment.frame_count
-    assert len(trajectory.times_s) == 6 * (env.experiment.frame_count - 1) + 1
-    assert trajectory.frames == pytest.approx(trajectory.samples[::6])
-    assert info["frame"] == env.experiment.frame_count - 1
-    assert "diverged" not in info
-    assert isinstance(info["score"], gauge_envs.Score)
-    again = rollout(name, settings=settings)[1]
-    assert np.array_equal(trajectory.samples, again.samples)
-    assert np.array_equal(trajectory.bodies, again.bodies)
-
-
-@pytest.mark.parametrize("name", RIGID)
-def test_episode_starts_from_the_published_pose(name):
-    env = gymnasium.make(f"GAUGE/{name}")
-    observation, info = env.reset(seed=0)
-    scene = env.unwrapped.experiment.scene
-    recorded = env.unwrapped.experiment.recorded
-    expected = np.array([scene.body(body).pose.position_m for body in recorded])
-    assert observation["observable"] == pytest.approx(1e3 * expected.ravel(), abs=1e-6)
-    assert observation["bodies"][:, 7:] == pytest.approx(0.0, abs=1e-12)
-    assert observation["time"] == pytest.approx([0.0])
-    band = env.unwrapped.band
-    assert info["reference"] == (band.kind if band else "none")
-
-
-def test_reward_is_minus_the_mean_abs_z(rollout):
-    env = gymnasium.make("GAUGE/SlopeSlider-2-wood")
+def test_the_reward_is_minus_the_mean_of_abs_z():
+    env = make(SLIDE)
     env.reset(seed=0)
     rewards = [env.step(0)[1] for _ in range(18)]
-    band = env.unwrapped.band
-    z = (band.project(env.unwrapped.trajectory().frames) - band.mean)[
-        :, 0
-    ] / band.sigma[:, 0]
+    band = env.band
+    deviation = band.project(env.trajectory().frames) - band.mean
+    z = deviation[:, 0] / band.sigma[:, 0]
     expected = np.where(band.measured, -np.abs(z), 0.0)[1:]
     assert rewards == pytest.approx(expected)
     assert min(rewards) < -0.1
 
 
-def total_reward(env, action_of):
-    """Return the sum and the least of the rewards of an episode; `action_of` returns the action of a step."""
-    env.reset(seed=0)
-    rewards, is_over = [], False
-    while not is_over:
-        _, reward, terminated, truncated, _ = env.step(action_of())
-        rewards.append(reward)
-        is_over = terminated or truncated
-    return sum(rewards), min(rewards)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["FoamBending-soft", "TextileFlinging-oxford"])
-def test_rewards_of_deformable_bodies_are_bounded_and_a_search_climbs_them(name):
-    env = gymnasium.make(f"GAUGE/{name}", settings={"preset": "training"}).unwrapped
-    shape, random = env.action_space.shape, np.random.default_rng(3)
-
-    def constant(value):
-        return total_reward(env, lambda: np.full(shape, value))
-
-    found = scipy.optimize.minimize_scalar(
-        lambda value: -constant(value)[0],
-        bounds=(-1.0, 1.0),
-        method="bounded",
-        options={"maxiter": 8},
+def test_rewards_by_hand():
+    """z is 2 / 4 and 6 / 3; the bounded reward divides both by the size of the motion, 10 / sqrt(2) mm."""
+    band = Band(
+        kind=Kind.NUMERICAL,
+        unit="mm",
+        coordinates=("x", "y"),
+        projection=np.eye(2),
+        mean=np.array([[0.0, 0.0], [10.0, 10.0]]),
+        sigma=np.full((2, 2), 1.0),
+        uncertainty=np.array([[1.0, 1.0], [4.0, 3.0]]),
+        measured=np.array([True, True]),
+        source="by hand",
     )
-    nothing = constant(0.0)
-    at_random = total_reward(env, lambda: random.uniform(-1.0, 1.0, shape))
-    ends = [constant(1.0), constant(-1.0)]
-    # The recorded motion is the solved one, so the best constant action is near 0, and pays as much.
-    assert abs(found.x) < 0.1
-    best = max(nothing[0], -found.fun)
-    assert best >= nothing[0] > at_random[0] > max(total for total, _ in ends)
-    assert -found.fun > at_random[0]
-    assert min(least for _, least in [nothing, at_random, *ends]) > -1.0
+    g = np.array([[12.0, 4.0], [10.0, 10.0]])
+    none = np.zeros((2, 0, 3))
+    assert Reward(band, False).of(1, g, none) == pytest.approx([-1.25, 0.0])
+    z = 0.5 * (2.0 + 6.0) / np.sqrt(50.0)
+    assert Reward(band, True).of(1, g, none) == pytest.approx([-z / (1.0 + z), 0.0])
 
 
-def test_reward_is_zero_without_a_reference():
-    env = gymnasium.make("GAUGE/RopeWinding-rubber")
+def test_a_bouncing_ball_with_recorded_constants_is_nearer_than_any_trial():
+    scores = {}
+    for parameters in ("calibrated", "effective", "recorded"):
+        env = gymnasium.make(f"GAUGE/{BALL}", parameters=parameters)
+        scores[parameters] = run_to_end(env)[1]["score"]
+    assert scores["calibrated"].time_offset_s == pytest.approx(0.056, abs=0.005)
+    assert scores["effective"].percentile == 100.0
+    assert scores["recorded"].percentile == 0.0
+    assert scores["recorded"].rmse_aligned_normalized <= 0.3
+
+
+@pytest.mark.parametrize("step_s", [0.004, 0.02])
+def test_between_steps_a_fall_is_off_by_the_stated_error(step_s):
+    """Steps of Euler's method lie on a parabola; between them the error is at most g h^2 / 8."""
+    scene = load_experiment(BALL).scene
+    settings = {"preset": "out_of_box", "timestep_s": step_s}
+    settings["drive_interval_s"] = step_s
+    fall = in_intervals(backend("mujoco").build(scene, settings), scene)
+    start_m = fall.body_states(["ball"])[0, 0, 2]
+    errors_m = []
+    for sample in range(1, 37):
+        fall.advance(1 / 180)
+        time_s = sample / 180
+        expected_m = start_m - 0.5 * G * time_s * (time_s + step_s)
+        errors_m.append(fall.body_states(["ball"])[0, 0, 2] - expected_m)
+    limit_m = G * step_s**2 / 8.0
+    assert 0.8 * limit_m < max(np.abs(errors_m)) < limit_m + 1e-9
+    # 18 intervals are 0.1 s, a whole number of steps.
+    assert abs(errors_m[17]) < 1e-9
+
+
+def test_eight_threads_with_an_environment_each_give_the_numbers_of_one():
+    def frames(name):
+        env = make(name)
+        run_to_end(env)
+        return env.trajectory().samples.tolist()
+
+    names = [SLIDE, BALL]
+    alone = [frames(name) for name in names]
+    with ThreadPoolExecutor(8) as pool:
+        assert list(pool.map(frames, names * 4)) == alone * 4
+
+
+# --- divergence ---
+
+
+@pytest.mark.parametrize(
+    ("column", "limit", "reason"),
+    [
+        (1, 100.0, "second is more than 100 m from the origin"),
+        (8, 50.0, "second moves faster than 50 m/s"),
+        (12, 1e4, "second spins faster than 10000 rad/s"),
+        (4, np.inf, "the state of second is not finite"),
+    ],
+)
+def test_a_body_beyond_a_limit_has_diverged_in_its_world(column, limit, reason):
+    at_rest = np.array([0.0, 0.0, 1.0, 1.0, *[0.0] * 9])
+    states = np.tile(at_rest, (3, 2, 1))
+    within = 0.999 * limit if np.isfinite(limit) else 1.0
+    states[:, 1, column] = [within, -1.001 * limit, 0.0]
+    assert diverged_bodies(["first", "second"], states) == {1: reason}
+
+
+def test_a_deformable_body_may_span_three_times_its_start():
+    corners = np.indices((2, 2, 2)).reshape(3, -1).T * 0.1
+    far = corners + 100.0 * np.eye(3)[1]
+    broken = np.full_like(corners, np.nan)
+    nodes_m = np.stack([2.997 * corners, 3.003 * corners, far, broken])
+    reasons = diverged_nodes("foam", nodes_m, np.sqrt(3.0) * 0.1)
+    assert sorted(reasons) == [1, 2, 3]
+    assert "3 times" in reasons[1]
+    assert "100 m" in reasons[2]
+    assert "not finite" in reasons[3]
+
+
+@pytest.mark.parametrize(
+    ("speed", "reason"),
+    [(500.0, "ball moves faster than 50 m/s"), (np.nan, "MuJoCo found a velocity")],
+)
+def test_a_divergence_terminates_with_its_reason_and_without_a_score(speed, reason):
+    env = gymnasium.make(f"GAUGE/{BALL}")
+    env.reset(seed=0)
+    env.unwrapped.rollout.simulation.data.qvel[0] = speed
+    *_, terminated, truncated, info = env.step(0)
+    assert terminated and not truncated
+    assert reason in info["diverged"]
+    assert info["score"].rmse is None
+    with pytest.raises(EpisodeError, match="the episode is over, call reset"):
+        env.step(0)
+
+
+def test_observations_are_bounded_by_the_limits_of_divergence():
+    space = make(TURNTABLE).observation_space
+    assert space["bodies"].high == pytest.approx(STATE_LIMITS[None])
+    assert space["driver"].low == pytest.approx(-STATE_LIMITS[None])
+    assert space["observable"].high.max() == 1e5
+    assert space["time"].high == pytest.approx([94 / 30])
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        (lambda states: states.tolist(), "a list of shape"),
+        (lambda states: states[..., :12], r"shape \(1, 1, 12\)"),
+        (lambda states: 2.0 * states, "'cube' at the start, .*unit quaternion"),
+        (lambda states: np.nan * states, "nan.* for 'cube' at the start"),
+    ],
+)
+def test_an_engine_that_returns_wrong_states_is_named(fault, message, monkeypatch):
+    kind = type(make(SLIDE).rollout.simulation)
+    states = kind.body_states
+    monkeypatch.setattr(
+        kind, "body_states", lambda self, names: fault(states(self, names))
+    )
+    with pytest.raises(BackendError, match=rf"body_states returned .*{message}"):
+        make(SLIDE)
+
+
+# --- mistakes of the caller ---
+
+
+@pytest.mark.parametrize("maker", [gymnasium.make, gymnasium.make_vec])
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"backend": "mujocoo"}, "unknown backend 'mujocoo'; did you mean mujoco"),
+        ({"backend": None}, "backend is None, expected the name of a backend"),
+        ({"parameters": "fitted"}, "no parameter set 'fitted'"),
+        ({"parameters": {3: 1}}, "expected texts as keys"),
+        ({"settings": "fast"}, "settings is 'fast', expected a mapping"),
+        ({"asset": 3}, "asset is 3, expected the path of a file"),
+        ({"marker_proxy": "nearest"}, "choose 'material' or 'node'"),
+        ({"render_mode": "ansi"}, "choose None or .*'rgb_array'"),
+    ],
+)
+def test_wrong_arguments_are_named_by_make_and_make_vec(maker, changes, message):
+    with pytest.raises(GaugeError, match=message):
+        maker(f"GAUGE/{SLIDE}", **changes)
+
+
+@pytest.mark.parametrize("name", ["Funnel-satin", "RopeWinding-rubber"])
+@pytest.mark.usefixtures("rigid_only")
+def test_an_id_that_no_engine_builds_is_an_error_of_make(name):
+    message = "backend 'mujoco' cannot build it: .*; no other backend"
+    with pytest.raises(GaugeError, match=message):
+        make(name)
+
+
+def test_calls_out_of_order_are_named():
+    env = GaugeEnv(SLIDE, render_mode="rgb_array")
+    for call in (lambda: env.step(0), env.render, env.trajectory):
+        with pytest.raises(EpisodeError, match="reset"):
+            call()
+    env.reset(seed=0)
+    env.close()
+    env.close()
+    for call in (lambda: env.step(0), env.render, env.reset, env.score):
+        with pytest.raises(EpisodeError, match="after close; make the environment"):
+            call()
+
+
+@pytest.mark.parametrize(
+    ("name", "actions"),
+    [
+        (SLIDE, [1, "0", None, 0.5, np.zeros(2), np.nan]),
+        (TURNTABLE, [[np.nan], [1.001], [-1.001], np.zeros(2), 0.0, "left", None]),
+    ],
+)
+def test_a_wrong_action_is_an_error_and_changes_nothing(name, actions):
+    env = make(name)
+    env.reset(seed=0)
+    for action in actions:
+        with pytest.raises(ActionError):
+            env.step(action)
+    zero = np.zeros(env.action_space.shape, env.action_space.dtype)
+    assert env.step(zero)[4]["frame"] == 1
+
+
+# --- what Gymnasium does with an environment ---
+
+
+def test_a_spec_as_json_rebuilds_the_run():
+    env = gymnasium.make(
+        "GAUGE/FoamStretching-soft",
+        parameters={"foam.young_modulus_pa": 50000.0},
+        settings={"timestep_s": 1 / 3600},
+        marker_proxy="node",
+        render_mode="rgb_array",
+        width=80,
+    )
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    ours, theirs = env.unwrapped, again.unwrapped
+    assert theirs.arguments == ours.arguments
+    assert theirs.experiment == ours.experiment
+    assert theirs.rollout.simulation.settings["timestep_s"] == 1 / 3600
+    assert (theirs.render_mode, theirs.spec.kwargs["width"]) == ("rgb_array", 80)
+
+
+@needs_opengl
+def test_gymnasiums_checker_passes_with_pictures(monkeypatch):
+    env = make(SLIDE, render_mode="rgb_array", width=80, height=60)
+    # A window needs a display.
+    modes = [mode for mode in env.metadata["render_modes"] if mode != "human"]
+    monkeypatch.setitem(type(env).metadata, "render_modes", modes)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env)
+
+
+@pytest.mark.parametrize(
+    "layer", [wrappers.FlattenObservation, wrappers.RecordEpisodeStatistics]
+)
+def test_wrappers_go_before_and_after_the_score(layer):
+    outside = layer(gymnasium.make(f"GAUGE/{TILTED}"))
+    inside = ScoreEpisode(layer(GaugeEnv(TILTED)))
+    scores = [run_to_end(env)[1]["score"] for env in (outside, inside)]
+    assert scores[0] == scores[1]
+    assert scores[0].kind == "recording"
+
+
+def test_stable_baselines_checker_passes_with_flat_observations():
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    env = wrappers.FlattenObservation(gymnasium.make(f"GAUGE/{TILTED}"))
+    checker.check_env(env)
+
+
+def test_an_episode_that_is_cut_short_has_no_score():
+    info = run_to_end(gymnasium.make(f"GAUGE/{SLIDE}", max_episode_steps=5))[1]
+    assert info["frame"] == 5
+    assert "score" not in info
+
+
+class Writer:
+    """The part of TensorBoard's `SummaryWriter` that is used."""
+
+    def __init__(self):
+        self.scalars = []
+
+    def add_scalar(self, tag, scalar_value, global_step):
+        self.scalars.append((global_step, tag, scalar_value))
+
+
+def test_scores_are_sent_to_tensorboard_and_to_functions_like_that_of_wandb():
+    writer, calls = Writer(), []
+    env = LogScore(gymnasium.make(f"GAUGE/{SLIDE}"), writer)
+    env = LogScore(env, lambda values, step: calls.append((step, values)))
+    for _ in range(2):
+        _, info = run_to_end(env)
+    assert [step for step, _ in calls] == [18, 36]
+    assert calls[1][1]["score/rmse_aligned"] == info["score"].rmse_aligned
+    assert "score/over_uncertainty" not in calls[1][1]
+    sent = [(step, name, one) for step, values in calls for name, one in values.items()]
+    assert writer.scalars == sent
+
+
+# --- the warning of an environment without a reward ---
+
+
+def warnings_of(*ids, maker=gymnasium.make, **options):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for one in ids:
+            maker(one, **options)
+    return [one for one in caught if issubclass(one.category, NoRewardWarning)]
+
+
+def test_an_id_without_a_reward_warns_once_at_the_line_of_the_caller(
+    monkeypatch, tmp_path
+):
+    monkeypatch.setattr(arguments, "_warned", set())
+    (first,) = warnings_of(SILENT, SILENT, f"GAUGE/{SLIDE}", f"GAUGE/{TURNTABLE}")
+    assert Path(first.filename) == Path(__file__)
+    assert "import its real trials with 'gauge data import'" in str(first.message)
+    (vector,) = warnings_of(
+        "GAUGE/WallBreaking-wood", maker=gymnasium.make_vec, num_envs=2
+    )
+    assert Path(vector.filename) == Path(__file__)
+    (partial,) = warnings_of("GAUGE/SlopeContact-wood")
+    assert "reference ends at 0.13 of 0.30 s" in str(partial.message)
+    shutil.copy(ROOT / "examples" / "own_experiment" / "crate.toml", tmp_path)
+    monkeypatch.setenv("GAUGE_TASKS", str(tmp_path / "crate.toml"))
+    gauge_envs.register_all()
+    (users,) = warnings_of("GAUGE/CrateSlide-pine")
+    del gymnasium.registry["GAUGE/CrateSlide-pine"]
+    assert "Put CrateSlide-pine.band.toml and .npz beside" in str(users.message)
+
+
+def test_without_a_reference_every_reward_is_zero():
+    env = gymnasium.make(SILENT)
     _, info = env.reset(seed=0)
     assert info["reference"] == "none"
     assert env.step(np.zeros(env.action_space.shape))[1] == 0.0
-
-
-def test_observation_is_si_and_consistent_with_the_motion():
-    env = gymnasium.make("GAUGE/BouncingBall-rubber")
-    env.reset(seed=0)
-    observation = [env.step(0)[0] for _ in range(5)][-1]
-    fall_s = 5 / 30
-    assert observation["time"] == pytest.approx([fall_s])
-    assert observation["bodies"][0, 9] == pytest.approx(
-        -GRAVITY_M_PER_S2 * fall_s, rel=1e-6
-    )
-    assert observation["observable"][2] == pytest.approx(
-        1e3 * observation["bodies"][0, 2]
-    )
-    assert 0.451023 - observation["bodies"][0, 2] == pytest.approx(
-        0.5 * GRAVITY_M_PER_S2 * fall_s**2, rel=1e-3
-    )
-
-
-def test_zero_action_replays_the_recorded_motion_and_others_add_to_it():
-    env = gymnasium.make("GAUGE/Turntable-1-wood")
-    angles = []
-    for action in (0.0, 1.0):
-        env.reset(seed=0)
-        for _ in range(10):
-            observation, *_ = env.step(np.array([action]))
-        w, z = observation["driver"][0, 3], observation["driver"][0, 6]
-        angles.append(2 * np.arctan2(z, w))
-    motion = env.unwrapped.experiment.scene.drivers[0].motions[0]
-    assert angles[0] == pytest.approx(motion.value(10 / 30), abs=1e-6)
-    assert angles[1] - angles[0] == pytest.approx(
-        motion.residual_rate * 10 / 30, abs=1e-6
-    )
-
-
-@pytest.mark.parametrize("name", ["Turntable-1-wood", "StickStack-soft"])
-def test_the_recorded_motion_is_a_sequence_of_actions(name):
-    """With `drivers="action"` a body rests without actions, and the recorded motion is the better policy."""
-    recorded = gymnasium.make(f"GAUGE/{name}").unwrapped
-    (motion,) = recorded.experiment.scene.drivers[0].motions
-    env = gymnasium.make(f"GAUGE/{name}", drivers="action")
-    (acted,) = env.unwrapped.experiment.scene.drivers[0].motions
-    recorded.reset(seed=0)
-    earned = []
-    for is_still in (True, False):
-        start, info = env.reset(seed=0)
-        earned.append(0.0)
-        for frame in range(16):
-            change = motion.value((frame + 1) / 30) - motion.value(frame / 30)
-            action = 0.0 if is_still else 30 * change / acted.residual_rate
-            observation, reward, *_, info = env.step(np.array([action]))
-            earned[-1] += reward
-        if is_still:
-            still = pytest.approx(start["driver"][0, :7], abs=2e-6)
-            assert observation["driver"][0, :7] == still
-    for _ in range(16):
-        expected, *_ = recorded.step(np.zeros(1))
-    assert observation["driver"][0, :7] == pytest.approx(
-        expected["driver"][0, :7], abs=2e-6
-    )
-    assert earned[0] < 2.0 * earned[1] < 0.0
-    assert info["drivers"] == "action"
-    np.testing.assert_array_equal(env.unwrapped.band.mean, recorded.band.mean)
-
-
-def test_reset_forgets_earlier_actions():
-    env = gymnasium.make("GAUGE/Turntable-1-wood")
-    runs = []
-    for warm_up in (False, True):
-        if warm_up:
-            env.reset(seed=0)
-            for _ in range(5):
-                env.step(np.array([1.0]))
-        env.reset(seed=0)
-        for _ in range(5):
-            env.step(np.array([0.0]))
-        runs.append(env.unwrapped.trajectory().samples)
-    assert np.array_equal(*runs)
-
-
-def test_law_bands_carry_the_body():
-    env = gymnasium.make("GAUGE/Turntable-1-metal").unwrapped
-    plate = env.experiment.scene.body("plate").pose.position_m
-    arm = np.hypot(*(1e-3 * env.band.mean[:, :2] - plate[:2]).T)
-    assert arm == pytest.approx(arm[0])
-    assert env.band.kind == "analytic"
-    holds = gymnasium.make("GAUGE/SlopeSlider-1-metal").unwrapped.band.mean
-    assert np.ptp(holds, axis=0) == pytest.approx(0.0, abs=1e-9)
-
-
-def test_scores_against_real_trials(rollout):
-    limits = {"wood": (0.45, 0.95), "plastic": (0.92, 1.10), "metal": (0.80, 0.78)}
-    for material, (rmse, dtw) in limits.items():
-        score = rollout(f"SlopeSlider-2-{material}")[2]["score"]
-        assert score.kind == "trials"
-        assert score.rmse_normalized <= rmse
-        assert score.dtw_normalized <= dtw
-
-
-def test_bouncing_ball_error_is_release_restitution_and_height(rollout):
-    calibrated = rollout("BouncingBall-rubber")[2]["score"]
-    effective = rollout("BouncingBall-rubber", parameters="effective")[2]["score"]
-    recorded = rollout("BouncingBall-rubber", parameters="recorded")[2]["score"]
-    assert calibrated.rmse_normalized <= 14.5
-    assert calibrated.time_offset_s == pytest.approx(0.056, abs=0.005)
-    assert calibrated.rmse_aligned < 0.55 * calibrated.rmse
-    assert effective.rmse_aligned <= 7.4
-    # Nearer to the mean than any real trial.
-    assert recorded.rmse_aligned_normalized <= 0.3
-    assert (
-        recorded.percentile,
-        effective.percentile,
-    ) == (0.0, 100.0)
-
-
-def test_slower_body_is_scored_as_slower(rollout):
-    signed = [
-        rollout("SlopeSlider-2-wood", parameters={"cube.friction": mu})[2][
-            "score"
-        ].signed_error[0]
-        for mu in (0.2, 0.4)
-    ]
-    assert signed[0] > 0.0 > signed[1]
