@@ -1,4 +1,4 @@
-"""Read and check one task file. `tests/experiments/task_file_rules.py` has the rules for those of the package."""
+"""Read and check one task file. `tests/experiments/test_task_files.py` has the rules for those of the package."""
 
 from pathlib import Path
 

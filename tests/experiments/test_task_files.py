@@ -1,34 +1,82 @@
-"""Task files: those of the package follow the rules, and a wrong one is an error that names file, key and reason."""
+"""A task file states the origin of every number, a wrong one is named with its key, and overrides change the scene.
 
+Closed forms check what velocities, gravity and starts of overrides do.
+"""
+
+import math
 import re
+import tomllib
+from typing import get_args
 
 import numpy as np
 import pytest
-from experiments.task_file_rules import faults_of
+from places import one_of_a_kind
 from texts import changed_text
 
-from gauge_envs import load_experiment, load_task
-from gauge_envs.errors import TaskFileError
+from gauge_envs import (
+    GaugeEnv,
+    beyond_variants,
+    load_experiment,
+    load_task,
+    variants,
+)
+from gauge_envs.backends import backend
+from gauge_envs.errors import ParameterError, TaskFileError
+from gauge_envs.experiments.scene_builder import SceneBuilder
+from gauge_envs.experiments.tables import Provenance
 from gauge_envs.experiments.task_files import task_spec
+from gauge_envs.experiments.task_format import NOT_STATED, TaskSpec
 from gauge_envs.experiments.variants import (
     INDEX_FILE,
     Collection,
     task_files,
     task_path,
-    variants,
 )
 from gauge_envs.files import data_folder
 
-FOUR_SUBTASKS = "{ 1 = 0.2, 2 = 0.2, 3 = 0.2, 4 = 0.2 }"
+SLIDE = "SlopeSlider-2-wood"
+ALL = [variant.name for variant in (*variants(), *beyond_variants())]
+
+
+# --- the files of the package ---
+
+
+def number_keys(value, key=""):
+    """Yield the dotted keys of the numbers, and of the lists of numbers, of a table."""
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from number_keys(inner, f"{key}.{name}" if key else name)
+    elif isinstance(value, list) and any(isinstance(one, dict) for one in value):
+        for index, inner in enumerate(value):
+            yield from number_keys(inner, f"{key}.{index}")
+    elif not isinstance(value, str | bool) and not (
+        isinstance(value, list) and all(isinstance(one, str) for one in value)
+    ):
+        yield key
+
+
+def faults_of(path):
+    """Yield what is wrong with the order, the name and the origins of the numbers of a task file."""
+    spec, raw = load_task(path), tomllib.loads(path.read_text())
+    if list(raw) != sorted(raw, key=list(TaskSpec.model_fields).index):
+        yield "the tables have another order than in docs/adding_an_experiment.md"
+    if path.stem != re.sub(r"(?<!^)(?=[A-Z])", "_", spec.family).lower():
+        yield "the file is not named after its family"
+    for table in (spec, *spec.subtasks.values()):
+        for name in {*table.frames, *table.initial} - {"all", *spec.materials}:
+            yield f"no material {name!r}"
+    for key, origin in spec.provenance.items():
+        if origin.partition(":")[0] not in get_args(Provenance):
+            yield f"provenance.{key}: {origin!r} is of no known kind"
+    numbers = {key: raw[key] for key in raw if key not in ("provenance", "revision")}
+    for key in number_keys(numbers):
+        if spec.provenance_of(key) == NOT_STATED:
+            yield f"{key}: a number without an entry in [provenance]"
 
 
 @pytest.mark.parametrize("path", task_files(), ids=lambda path: path.stem)
-def test_a_file_of_the_package_follows_the_rules(path):
-    assert faults_of(path) == []
-    spec = load_task(path)
-    for variant in spec.variants():
-        for name in ("calibrated", *spec.parameters):
-            assert load_experiment(variant, name).parameters == name
+def test_a_file_of_the_package_states_the_origin_of_every_number(path):
+    assert list(faults_of(path)) == []
 
 
 @pytest.mark.parametrize(
@@ -38,15 +86,12 @@ def test_a_file_of_the_package_follows_the_rules(path):
         ('"constants" = "metadata"\n', "", "a number without an entry"),
         ("[score]", "[initial.steel]\n\n[score]", "no material 'steel'"),
         ('family = "SlopeSlider"', 'family = "Slope"', "not named after its family"),
-        ("friction = 0.273673", f"friction = {FOUR_SUBTASKS}", "no subtask '4'"),
     ],
 )
 def test_the_rules_find_a_fault(old, new, fault, tmp_path):
     path = tmp_path / "slope_slider.toml"
-    text = task_path("SlopeSlider").read_text()
-    assert old in text
-    path.write_text(text.replace(old, new))
-    assert any(fault in found for found in faults_of(path))
+    changed_text(task_path("SlopeSlider"), (old, new), to=path)
+    assert any(fault in one for one in faults_of(path))
 
 
 def test_the_index_has_the_names_and_frames_of_the_task_files():
@@ -59,88 +104,188 @@ def test_the_index_has_the_names_and_frames_of_the_task_files():
                     f"{path.name},{one.family},{one.subtask or ''},{one.material},{collection},{spec.frame_count(one)}"
                     for one in spec.variants()
                 ]
-    index = data_folder("tasks") / INDEX_FILE
-    assert index.read_text().splitlines() == rows, "write these rows into the index"
-    assert len(variants()) == 75
+    assert (data_folder("tasks") / INDEX_FILE).read_text().splitlines() == rows
 
 
-def test_provenance_prefers_the_longest_match():
+def test_provenance_is_that_of_the_longest_matching_key():
     spec = task_spec("SlopeSlider")
     assert spec.provenance_of("initial.all.ground.position_m").startswith("video")
-    assert spec.provenance_of("subtasks.2.initial.wood.cube.position_m").startswith(
-        "metadata"
-    )
-    assert spec.provenance_of("constants.cube.wood.friction").startswith("metadata")
-    assert spec.provenance_of("colour") == "not stated"
+    start = spec.provenance_of("subtasks.2.initial.wood.cube.position_m")
+    assert start.startswith("metadata")
+    assert spec.provenance_of("colour") == NOT_STATED
 
 
-MOVES = "velocity_m_per_s = [1, 0, 0]"
-WRONG = [
-    ("SlopeSlider", 'title = "Slope slider"', 'titel = "x"', "title: missing key"),
-    ("SlopeSlider", "recorded = true", "recordet = true", "bodies.cube.recordet: unkn"),
-    ("SlopeSlider", "mass_kg = 0.0903", "mass_kg = -0.0903", "cube.wood.mass_kg: "),
-    ("SlopeSlider", "mass_kg = 0.0903", "mass_kg = nan", "constants.cube.wood.mass_kg"),
-    ("SlopeSlider", "friction = 0.273673", "fricton = 0.2", "wood.fricton: unknown key"),
-    ("SlopeSlider", "restitution = 0.223583", "restitution = 1.2", "restitution: "),
-    ("SlopeSlider", "[constants.cube]\nwood", "[constants.cube]\noak", "no material"),
-    ("SlopeSlider", "[constants.cube]", "[constants.cub]", "'cub' is not defined"),
-    ("SlopeSlider", "0.08, 0.12", "0.12, 0.08", "times_s[3]"),
-    ("SlopeSlider", '["cube", "board"]', '["cube", "bord"]', "'bord' is not defined"),
-    ("SlopeSlider", 'body = "board"', 'body = "bord"', "'bord' is not kinematic"),
-    ("SlopeSlider", "[0.0, 1.0, 0.0]", "[0.0, 1.0, 0.1]", "unit vector"),
-    ("SlopeSlider", "[0.05, 0.05, 0.05]", "[0.05, 0.05]", "bodies.cube.shape"),
-    ("SlopeSlider", "{ all = 9 }", "{ all = 1 }", "subtasks.1.frames"),
-    ("SlopeSlider", "{ all = 9 }", f"{{ all = {10**400} }}", "18000"),
-    ("SlopeSlider", "{ all = 9 }", "{ wood = 9 }", "no frame count for SlopeSlider-1"),
-    ("SlopeSlider", "initial.metal]", "initial.steel]", "no start of"),
-    ("SlopeSlider", 'board = "kinematic"', 'board = "dynamic"', "'board' is not kin"),
-    ("SlopeSlider", "values_deg", "values_m", "profile.0: values_deg is missing"),
-    ("NewtonsCradle", 'kind = "hinge"', 'kind = "hing"', "joints.0.kind"),
-    ("FoamStretching", "ratio = 0.23", "ratio = 0.52", "Poisson ratio 0.52"),
-    ("FoamStretching", "[0, 7, 8]", "[0, 7, 28]", "marker index 28 is out of range"),
-    ("FoamStretching", 'to = "base-1"', 'to = "wall"', "'wall' is not defined"),
-    ("StickStack", "used = 0.49", "used = 0.62", "Poisson ratio 0.62"),
-    ("BouncingBall", "ground = { position_m", f"ground = {{ {MOVES}, position_m", "'ground' is fixed and"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("family", "old", "new", "message"), WRONG)
+@pytest.mark.parametrize(
+    ("family", "old", "new", "message"),
+    [
+        ("SlopeSlider", "title = ", "titel = ", "title: missing key"),
+        ("SlopeSlider", "recorded = true", "recordet = true", "recordet: unkn"),
+        ("SlopeSlider", "mass_kg = 0.0903", "mass_kg = -0.0903", "cube.wood.mass_kg: "),
+        ("SlopeSlider", "restitution = 0.22", "restitution = 1.2", "restitution: "),
+        ("SlopeSlider", "[constants.cube]\nwood", "[constants.cube]\noak", "no mater"),
+        ("SlopeSlider", "0.08, 0.12", "0.12, 0.08", "times_s[3]"),
+        ("SlopeSlider", '["cube", "board"]', '["cube", "b"]', "'b' is not defined"),
+        ("SlopeSlider", '= "kinematic"', '= "dynamic"', "'board' is not kinematic"),
+        ("SlopeSlider", "[0.0, 1.0, 0.0]", "[0.0, 1.0, 0.1]", "unit vector"),
+        ("SlopeSlider", "{ all = 9 }", "{ all = 1 }", "subtasks.1.frames"),
+        ("SlopeSlider", "{ all = 9 }", "{ wood = 9 }", "no frame count for SlopeSli"),
+        ("SlopeSlider", "initial.metal]", "initial.steel]", "no start of"),
+        ("FoamStretching", "ratio = 0.23", "ratio = 0.5", "Poisson ratio 0.5"),
+        ("FoamStretching", "[0, 7, 8]", "[0, 7, 28]", "marker index 28 is out of"),
+        ("BouncingBall", "ground = { ", "ground = { velocity_m_per_s = [1, 0, 0], ", "'ground' is fixed and"),
+    ],
+)  # fmt: skip
 def test_a_wrong_file_names_file_key_and_reason(family, old, new, message, tmp_path):
     path = changed_text(task_path(family), (old, new), to=tmp_path / "edited.toml")
-    with pytest.raises(TaskFileError) as caught:
+    with pytest.raises(TaskFileError, match=re.escape(message)) as caught:
         load_task(path)
     assert str(caught.value).startswith(str(path))
-    assert message in str(caught.value)
 
 
-def test_flat_piece_encloses_no_volume(tmp_path):
-    text = task_path("SlopeContact").read_text()
-    flat = "pieces_m = [[[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 0.1, 0.0]]]"
-    path = tmp_path / "flat.toml"
-    path.write_text(
-        re.sub(r"pieces_m = \[\n.*?\n\]", flat, text, count=1, flags=re.DOTALL)
-    )
-    with pytest.raises(TaskFileError, match="no volume"):
+@pytest.mark.parametrize("is_complete", [True, False])
+def test_a_pair_without_constants_needs_friction_and_restitution(is_complete, tmp_path):
+    restitution = "restitution = 0.2\n" if is_complete else ""
+    numbers = f"friction = 0.1\n{restitution}"
+    pair = '[[contacts]]\nbodies = ["cube", "board"]\n'
+    change = (f'{pair}constants_of = "cube"\n', f"{pair}{numbers}")
+    path = changed_text(task_path("SlopeSlider"), change, to=tmp_path / "pair.toml")
+    if is_complete:
+        assert load_task(path).contacts[0].friction == 0.1
+        return
+    with pytest.raises(TaskFileError, match="both friction and restitution"):
         load_task(path)
 
 
-def test_plate_with_hole_has_the_area_of_the_ring():
-    shape = load_experiment("Funnel-satin").scene.body("board").shape
-    hole = np.pi * 0.10**2
-    # The hole is a circumscribed polygon of 32 sides, 0.3 % larger than the circle.
-    assert shape.volume_m3 == pytest.approx((0.25 - hole) * 0.012, rel=0.001)
+# --- overrides ---
 
 
-def test_a_task_file_states_a_velocity(tmp_path):
-    velocities = (
-        "velocity_m_per_s = [1.0, 0.0, -2.0], angular_velocity_deg_per_s = [0, 180, 0]"
-    )
+def built(name, overrides=()):
+    experiment = load_experiment(name)
+    builder = SceneBuilder(experiment.spec, experiment.variant, dict(overrides))
+    return builder, builder.build()
+
+
+@pytest.mark.parametrize("name", one_of_a_kind(ALL))
+def test_each_number_of_a_body_changes_the_scene_or_is_an_error(name):
+    builder, calibrated = built(name)
+    assert builder.read
+    for body, constants in builder.constants.items():
+        for constant, value in constants.items():
+            key = f"{body}.{constant}"
+            override = {key: 0.9 * (value or 0.0) or 0.1}
+            if key in builder.read:
+                assert built(name, override)[1] != calibrated, key
+            elif value is not None:
+                with pytest.raises(ParameterError, match="would change nothing") as no:
+                    load_experiment(name, override)
+                offered = str(no.value).rpartition(": ")[2].split(", ")
+                assert set(offered) <= builder.read
+    present = {builder.spec.entry(body.name) for body in calibrated.bodies}
+    for body in present | {body.name for body in calibrated.deformables}:
+        for field in builder.placements[body].model_dump(exclude_none=True):
+            value = np.asarray(getattr(builder.placements[body], field))
+            moved = {f"{body}.{field}": value + 0.01}
+            assert built(name, moved)[1] != calibrated, (body, field)
+
+
+@pytest.mark.parametrize("name", one_of_a_kind(ALL))
+def test_a_parameter_set_is_the_overrides_that_it_states(name):
+    for label in load_experiment(name).spec.parameters:
+        stated = load_experiment(name, label)
+        assert stated.parameters == label
+        assert load_experiment(name, dict(stated.overrides)).scene == stated.scene
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "message"),
+    [
+        (SLIDE, {"board.friction": 0.2}, "no motion depends on it.*: cube.friction$"),
+        ("Funnel-satin", {"air.density": 1.2}, "did you mean density_kg_per_m3"),
+        (SLIDE, {"air.density_kg_per_m3": 1.2}, "air acts on cloth, and the scene has"),
+        (SLIDE, {"cub.friction": 0.3}, "names no body of the scene.*did you mean cube"),
+        (SLIDE, {"cube.frction": 0.3}, "no constant of 'cube'; did you mean friction"),
+        (SLIDE, {"cube.friction": "0.3"}, "should be a valid number"),
+        (SLIDE, {"cube.friction": math.nan}, "should be a finite number"),
+        (SLIDE, {"cube.friction": -0.1}, "greater than or equal to 0"),
+        (SLIDE, {"cube.friction": None}, "is None: expected numbers"),
+        (SLIDE, {"cube.position_m": (0.0, 0.0)}, "position_m.2: missing number"),
+        (SLIDE, {"scene.gravity_m_per_s2": 0.0}, "should be greater than 0"),
+        (SLIDE, "efective", "no parameter set 'efective'; did you mean effective"),
+        (SLIDE, 3, "expected the name of a parameter set, as 'calibrated', or over"),
+        (
+            "TextileBending-rayon",
+            {"textile.velocity_m_per_s": (1.0, 0.0, 0.0)},
+            "'textile' is deformable and starts at rest",
+        ),
+    ],
+)
+def test_a_wrong_override_is_named(name, parameters, message):
+    with pytest.raises(ParameterError, match=message):
+        load_experiment(name, parameters)
+
+
+def test_overrides_and_task_files_state_starts_with_velocities(tmp_path):
+    overrides = {
+        "cube.friction": np.float32(0.3),
+        "cube.position_m": np.array([0.1, 0.4, 0.36]),
+        "cube.velocity_m_per_s": (0.1, 0, 0.2),
+    }
+    scene = load_experiment(SLIDE, overrides).scene
+    assert scene.contacts[0].friction == pytest.approx(0.3, rel=1e-7)
+    assert scene.body("cube").pose.position_m == (0.1, 0.4, 0.36)
+    assert scene.body("cube").linear_velocity_m_per_s == (0.1, 0.0, 0.2)
+    velocity = "velocity_m_per_s = [1, 0, -2], angular_velocity_deg_per_s = [0, 180, 0]"
     path = changed_text(
         task_path("BouncingBall"),
         ('"BouncingBall"', '"Thrown"'),
-        ("ball = { position_m", f"ball = {{ {velocities}, position_m"),
+        ("ball = { position_m", f"ball = {{ {velocity}, position_m"),
         to=tmp_path / "thrown.toml",
     )
     ball = load_experiment(str(path)).scene.body("ball")
     assert ball.linear_velocity_m_per_s == (1.0, 0.0, -2.0)
     assert ball.angular_velocity_rad_per_s == pytest.approx((0.0, np.pi, 0.0))
+
+
+def test_the_velocity_of_a_pendulum_follows_from_its_angular_velocity():
+    override = {"ball.angular_velocity_deg_per_s": (0.0, 90.0, 0.0)}
+    scene = load_experiment("Pendulum-metal", override).scene
+    ball, hinge = scene.body("ball"), scene.joints[0]
+    arm_m = np.subtract(ball.pose.position_m, hinge.anchor_m)
+    velocity = np.cross([0.0, 0.5 * math.pi, 0.0], arm_m)
+    assert ball.linear_velocity_m_per_s == pytest.approx(velocity)
+
+
+def test_gravity_and_start_change_the_motion():
+    """A slide in a sixth of the gravity is a sixth as long; one that starts 10 mm aside stays 10 mm aside."""
+
+    def path_mm(parameters):
+        env = GaugeEnv(SLIDE, parameters=parameters)
+        env.reset(seed=0)
+        for _ in range(18):
+            env.step(0)
+        return env.trajectory().samples
+
+    calibrated = path_mm("calibrated")
+    moon = path_mm({"scene.gravity_m_per_s2": 9.80665 / 6.0})
+    lengths = [np.linalg.norm(one[-1] - one[0]) for one in (calibrated, moon)]
+    assert lengths[1] == pytest.approx(lengths[0] / 6.0, rel=0.03)
+    x, y, z = load_experiment(SLIDE).scene.body("cube").pose.position_m
+    shift = path_mm({"cube.position_m": (x, y + 0.01, z)}) - calibrated
+    expected = np.broadcast_to([0.0, 10.0, 0.0], shift.shape)
+    assert shift == pytest.approx(expected, abs=0.05)
+
+
+@pytest.mark.parametrize("name", ["mujoco", "pybullet", "rapier"])
+def test_engines_fall_with_the_gravity_of_the_scene(name):
+    if name != "mujoco":
+        pytest.importorskip({"rapier": "rapier3d"}.get(name, name))
+    gravity = {"scene.gravity_m_per_s2": 1.6}
+    simulation = backend(name).build(
+        load_experiment("BouncingBall-rubber", gravity).scene
+    )
+    start_m = simulation.body_states(["ball"])[0, 0, 2]
+    for _ in range(36):
+        simulation.advance(1 / 180)
+    fallen_m = start_m - simulation.body_states(["ball"])[0, 0, 2]
+    simulation.close()
+    assert fallen_m == pytest.approx(0.5 * 1.6 * 0.2**2, rel=0.03)
