@@ -1,0 +1,292 @@
+"""An episode becomes a result file that is complete, reads back equal, and is resumed only for the very same episode.
+
+Faults of engines, disks and files cost their own episode and are named.
+"""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from episodes import run_to_end
+from interruption import interrupt_in_episode
+from sweep_workers import plain
+
+from gauge_envs import (
+    GaugeEnv,
+    ScoreEpisode,
+)
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+from gauge_envs.envs.rollout import Rollout
+from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError
+from gauge_envs.runs.batch import check_requests, run_many
+from gauge_envs.runs.episodes import episode_result, run_episode, run_episodes
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import Outcome
+from gauge_envs.runs.result_file import load_result, result_file_name, write_result
+from gauge_envs.runs.score_file import score_file
+
+NAME = "SlopeSlider-2-wood"
+THREE = [
+    RunRequest(f"SlopeSlider-2-{material}") for material in ("wood", "plastic", "metal")
+]
+
+
+@pytest.fixture(scope="module")
+def result():
+    return run_episode(RunRequest(NAME))
+
+
+@pytest.fixture
+def played(monkeypatch):
+    """The episodes that were run, as a list that grows."""
+    rollouts = []
+    play = Rollout.play
+
+    def counted(self):
+        rollouts.append(self)
+        play(self)
+
+    monkeypatch.setattr(Rollout, "play", counted)
+    return rollouts
+
+
+# --- requests ---
+
+
+@pytest.mark.parametrize(
+    "changes", [{"seed": "x"}, {"seed": -1}, {"repeats": 0}, {"jitter": 1}]
+)
+def test_an_impossible_request_is_an_error_at_once(changes):
+    with pytest.raises(ParameterError, match=f"{next(iter(changes))} is "):
+        RunRequest(NAME, **changes)
+
+
+@pytest.mark.parametrize("name", [NAME, "SlopeSlider-3-wood", "CubeToss-acrylic"])
+def test_a_run_is_the_episode_of_the_environment_with_its_arguments(name):
+    changes = {"settings": {"timestep_s": 1 / 3600}, "marker_proxy": "node"}
+    env = ScoreEpisode(GaugeEnv(name, **changes))
+    _, info = run_to_end(env, seed=3)
+    run = run_episode(RunRequest(name, seed=3, **changes))
+    assert plain(run) == plain(episode_result(env, info))
+    assert run.outcome is Outcome.FINISHED
+    assert run.driver_provenance == ("nominal" if "-3-" in name else None)
+
+
+def test_wrong_requests_and_folders_are_named_before_anything_runs(played):
+    for wrong in ({"parameters": "nonsense"}, {"settings": {"nope": 1}}):
+        with pytest.raises(ParameterError):
+            check_requests([replace(one, **wrong) for one in THREE])
+    with pytest.raises(UnknownNameError):
+        check_requests([replace(one, backend="warp") for one in THREE])
+    for out in ("/proc/nowhere", __file__, f"{__file__}/below"):
+        with pytest.raises(ResultFileError, match="cannot be written"):
+            run_many(THREE, out=Path(out))
+    assert played == []
+
+
+# --- results ---
+
+
+def test_a_file_read_back_is_the_same_result_and_scores_the_same(result, tmp_path):
+    file = tmp_path / result_file_name(result)
+    assert file.name == "SlopeSlider-2-wood.mujoco.calibrated.json"
+    write_result(result, file)
+    assert list(tmp_path.iterdir()) == [file]
+    assert load_result(file) == result
+    again = score_file(file)[0].score.to_dict()
+    for name, value in result.score.to_dict().items():
+        is_number = isinstance(value, float | tuple | list)
+        assert again[name] == (pytest.approx(value, rel=1e-12) if is_number else value)
+
+
+def test_file_names_differ_between_requests(result):
+    changes = [
+        {},
+        {"parameters": "effective"},
+        {"parameters": {"cube.friction": 0.3}},
+        {"parameters": {"cube.friction": 0.31}},
+        {"settings_given": {"iterations": 50}},
+        {"settings_given": {"iterations": 51}},
+        {"seed": 1},
+        {"jitter": {"trial": 0}},
+        {"backend": "newton"},
+    ]
+    names = {result_file_name(replace(result, **change)) for change in changes}
+    assert len(names) == len(changes)
+
+
+def test_repeats_have_noise_and_one_episode_has_none(result):
+    first, second = run_episodes(RunRequest(NAME, repeats=2))
+    assert not result.jitter and first.jitter and first.jitter == second.jitter
+    starts = {tuple(one.trajectory.samples[0]) for one in (result, first, second)}
+    assert len(starts) == 3
+
+
+def test_jobs_at_once_give_the_same_results_in_the_same_order(tmp_path):
+    sequential, parallel = (
+        list(run_many(THREE, jobs=jobs, out=tmp_path / str(jobs))) for jobs in (1, 2)
+    )
+    assert list(map(plain, sequential)) == list(map(plain, parallel))
+    names = [sorted(file.name for file in (tmp_path / n).iterdir()) for n in "12"]
+    assert names[0] == names[1]
+    assert len(names[0]) == 3
+
+
+@pytest.mark.usefixtures("rigid_only")
+def test_an_episode_that_cannot_run_does_not_stop_the_others(tmp_path, monkeypatch):
+    reset = SimulationMuJoCo.reset
+
+    def fails_for_plastic(self, *arguments):
+        if 0.1469 in self.model.body_mass.round(6):
+            raise RuntimeError("the engine gave up")
+        reset(self, *arguments)
+
+    monkeypatch.setattr(SimulationMuJoCo, "reset", fails_for_plastic)
+    results = list(run_many([RunRequest("FoamBending-soft"), *THREE], out=tmp_path))
+    outcomes = [one.outcome.value for one in results]
+    assert outcomes == ["declined", "finished", "failed", "finished"]
+    assert "deformable" in results[0].error
+    assert results[2].error == "RuntimeError: the engine gave up"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_divergence_is_a_result_without_a_score(monkeypatch, tmp_path):
+    states = SimulationMuJoCo.body_states
+
+    def exploding(self, names):
+        values = states(self, names)
+        if self.data.time > 0.2:
+            values[..., :3] = np.inf
+        return values
+
+    monkeypatch.setattr(SimulationMuJoCo, "body_states", exploding)
+    (result,) = run_many([RunRequest(NAME)], out=tmp_path)
+    assert result.outcome is Outcome.DIVERGED
+    assert result.frames < 19
+    assert "not finite" in result.diverged_reason
+    assert result.score.rmse is None
+    (file,) = tmp_path.iterdir()
+    assert load_result(file).diverged
+    assert "Infinity" not in file.read_text()
+
+
+# --- damaged files ---
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "reason"),
+    [
+        ("asset", {"edited": True}, "file"),
+        ("marker_proxy", "ghost", "marker_proxy is 'ghost'"),
+        ("frames", "many", "frames"),
+        ("score.kind", "gold", "score.kind is 'gold'"),
+        ("trajectory", None, "no trajectory"),
+        ("trajectory.samples", [], "times but 0 samples"),
+        ("id", "GAUGE/../../x", "unknown experiment"),
+        ("trajectory.later_samples", [[1e308] * 3] * 60, "amounts of at most 1e+12"),
+    ],
+)
+def test_a_damaged_result_is_named(key, value, reason, result, tmp_path):
+    content = json.loads(json.dumps(result.to_dict()))
+    place = content
+    *path, last = key.split(".")
+    for part in path:
+        place = place[part]
+    place[last] = value
+    (tmp_path / "a.json").write_text(json.dumps(content))
+    with pytest.raises(ResultFileError, match="not a result file") as caught:
+        load_result(tmp_path / "a.json")
+    assert reason in str(caught.value)
+
+
+def test_a_command_skips_a_damaged_result_and_shows_the_others(result, gauge, tmp_path):
+    folder = tmp_path / "results"
+    folder.mkdir()
+    damaged = result.to_dict() | {"parameters": {"ghost.friction": 1.0}}
+    for name, content in (("a", damaged), ("b", result.to_dict())):
+        (folder / f"{name}.json").write_text(json.dumps(content))
+    done = gauge("plot", folder, "--out", tmp_path / "figures")
+    assert done.exit_code == 1
+    assert "a.json" in done.stderr
+    assert list((tmp_path / "figures").glob("*.png"))
+
+
+def test_keys_of_release_0_3_that_are_gone_are_ignored(result, tmp_path):
+    old = json.loads(json.dumps(result.to_dict()))
+    old["scatter"] = {"unit": "mm", "run_count": 40, "spreads": [], "verdict": "none"}
+    old["score"]["explained"] = [{"name": "friction cube/board", "left": 0.5}]
+    (tmp_path / "old.json").write_text(json.dumps(old))
+    assert load_result(tmp_path / "old.json") == result
+
+
+def test_a_full_disk_leaves_no_result_file(tmp_path, monkeypatch, result):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("gauge_envs.files.Path.write_bytes", full)
+    with pytest.raises(ResultFileError, match="No space left"):
+        write_result(result, tmp_path / "a.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- resume ---
+
+
+def test_resume_continues_after_an_interrupt(tmp_path, monkeypatch, played):
+    with monkeypatch.context() as patched:
+        interrupt_in_episode(patched, 2)
+        with pytest.raises(KeyboardInterrupt):
+            list(run_many(THREE, out=tmp_path))
+    assert len(list(tmp_path.iterdir())) == 1
+    played.clear()
+    results = list(run_many(THREE, out=tmp_path, resume=True))
+    assert [one.outcome for one in results] == [Outcome.FINISHED] * 3
+    assert len(played) == 2
+    assert results == list(run_many(THREE, out=tmp_path, resume=True))
+    assert len(played) == 2
+    list(run_many(THREE, out=tmp_path))
+    assert len(played) == 5
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"seed": 1},
+        {"settings": {"iterations": 50}},
+        {"parameters": {"cube.friction": 0.3}},
+    ],
+)
+def test_resume_takes_no_result_of_another_request(tmp_path, played, changes):
+    list(run_many([RunRequest(NAME)], out=tmp_path))
+    for _ in range(2):
+        list(run_many([RunRequest(NAME, **changes)], out=tmp_path, resume=True))
+    assert len(played) == 2
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "note"),
+    [
+        ({"task_sha256": "0" * 64}, "task_sha256 differs"),
+        ({"seed": 5}, "seed differs"),
+        ({"versions": {"mujoco": "3.0.0"}}, "made with mujoco 3.0.0"),
+        ({"score": None}, "not a result file"),
+        (None, "not a result file"),
+    ],
+)
+def test_resume_runs_a_stale_or_damaged_result_again_and_says_so(
+    tmp_path, played, result, change, note
+):
+    file = tmp_path / result_file_name(result)
+    text = json.dumps(result.to_dict() | (change or {}))
+    file.write_text(text if change else text[: len(text) // 2])
+    notes = []
+    (again,) = run_many(
+        [RunRequest(NAME)], out=tmp_path, resume=True, notify=notes.append
+    )
+    assert len(played) == 1
+    (line,) = notes
+    assert note in line and file.name in line and "run again" in line
+    assert again.score == load_result(file).score == result.score
