@@ -16,7 +16,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import approval
-import fork_server
 import gymnasium
 import mujoco
 import numpy as np
@@ -32,7 +31,6 @@ from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.cli.app import app
 from gauge_envs.envs import arguments
 from gauge_envs.errors import MissingExtraError
-from gauge_envs.runs import isolation
 from gauge_envs.tools.catalog import listing
 
 
@@ -78,27 +76,11 @@ def pytest_collection_finish():
 
 
 @pytest.fixture(scope="session", autouse=True)
-def forked_children():
-    """Children of the package fork from a process that has its imports behind it, where the system has forks."""
-    with pytest.MonkeyPatch.context() as patch:
-        if sys.platform == "linux":
-            patch.setattr(isolation, "subprocess", fork_server.STAND_IN)
-        yield
-    fork_server.stop()
-
-
-@pytest.fixture(scope="session", autouse=True)
 def json_lines():
     """What commands print with `--json` follows their schemas."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(CliRunner, "invoke", check_invocation)
         yield
-
-
-@pytest.fixture
-def real_children(monkeypatch):
-    """Children of the package start from nothing, as they do for a user."""
-    monkeypatch.setattr(isolation, "subprocess", subprocess)
 
 
 @pytest.fixture(scope="session")
