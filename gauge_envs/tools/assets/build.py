@@ -6,6 +6,7 @@ copy of a USD layer or of an MJCF file can be the scene of an experiment (`exper
 
 import math
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -32,12 +33,9 @@ from gauge_envs.scene import (
     Sphere,
 )
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.meshes import hull_faces
+from gauge_envs.scene.meshes import PRISM_SIDES, hull_faces, prism
 from gauge_envs.tools.assets.export import mjcf_text, usd_layer_text
 from gauge_envs.tools.mjcf import NUMBER, expanded
-
-CYLINDER_SIDES = 96
-"""Sides of the prism that approximates a cylinder in an OBJ file."""
 
 SPHERE_SUBDIVISIONS = 3
 """Subdivisions of the icosahedron that approximates a sphere in an OBJ file: 642 vertices."""
@@ -215,54 +213,33 @@ def shape_to_obj(shape: Shape, name: str) -> str:
     Raises:
         ParameterError: The shape is a plane or a compound.
     """
-    pieces, note = _pieces(shape)
-    lines = [f"# {name}: volume {shape.volume_m3!r} m^3{note}", f"o {name}"]
+    lines = [f"# {name}: volume {shape.volume_m3!r} m^3", f"o {name}"]
     first = 1
-    for index, (points_m, faces) in enumerate(pieces):
+    for index, points_m in enumerate(_pieces_m(shape)):
         lines.append(f"g piece_{index}")
         # Adding zero removes the sign of negative zeros.
         lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in (points_m + 0.0).tolist()]
-        for face in faces:
+        for face in hull_faces(points_m):
             lines.append(f"f {' '.join(str(first + vertex) for vertex in face)}")
         first += len(points_m)
     return "\n".join(lines) + "\n"
 
 
-Polyhedron = tuple[FloatArray, list[tuple[int, ...]]]
-"""Vertices [m], shape [vertex_count, 3], and the indices of the vertices of each face."""
-
-
-def _pieces(shape: Shape) -> tuple[list[Polyhedron], str]:
-    """Return the convex pieces of a solid, and a note on its approximation."""
+def _pieces_m(shape: Shape) -> list[FloatArray]:
+    """Return the vertices of the convex pieces of a solid [m], each of shape [vertex_count, 3]."""
     match shape:
         case ConvexUnion():
-            points = [np.array(piece) for piece in shape.pieces_m]
-            return [(piece, hull_faces(piece)) for piece in points], ""
+            return [np.array(piece) for piece in shape.pieces_m]
         case Box():
-            return [(shape.corners_m, hull_faces(shape.corners_m))], ""
+            return [shape.corners_m]
         case Sphere():
             sphere = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS)
             radius_m = (shape.volume_m3 / sphere.volume) ** (1.0 / 3.0)
-            points_m = np.asarray(sphere.vertices) * radius_m
-            faces = [tuple(face) for face in sphere.faces.tolist()]
+            return [np.asarray(sphere.vertices) * radius_m]
         case Cylinder():
             # A regular n-gon has the area (n / 2) r^2 sin(2 pi / n).
-            angle = 2.0 * np.pi / CYLINDER_SIDES
+            angle = 2.0 * math.pi / PRISM_SIDES
             radius_m = shape.radius_m * math.sqrt(angle / math.sin(angle))
-            angles = angle * np.arange(CYLINDER_SIDES)
-            circle_m = radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
-            ends_m = [
-                np.insert(circle_m, 2, z_m, axis=1)
-                for z_m in (-0.5 * shape.length_m, 0.5 * shape.length_m)
-            ]
-            points_m = np.concatenate(ends_m)
-            faces = hull_faces(points_m)
-        case _:
-            kind = type(shape).__name__.lower()
-            raise ParameterError(
-                f"a {kind} is not one closed solid and has no OBJ file"
-            )
+            return _pieces_m(prism(replace(shape, radius_m=radius_m)))
     kind = type(shape).__name__.lower()
-    share = radius_m / shape.radius_m
-    note = f"; {kind} of radius {shape.radius_m!r} m, vertices at {share:.5f} of it"
-    return [(points_m, faces)], note
+    raise ParameterError(f"a {kind} is not one closed solid and has no OBJ file")

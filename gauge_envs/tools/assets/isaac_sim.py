@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 from pxr import Sdf, Usd, UsdPhysics, UsdShade, Vt
@@ -28,12 +27,7 @@ from gauge_envs.pages.document import save_file
 from gauge_envs.scene import Cloth, Deformable, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets.export import experiment_stage
-from gauge_envs.tools.usd import record_follower
-
-CONSTANTS: tuple[Literal["friction"], Literal["restitution"]] = (
-    "friction",
-    "restitution",
-)
+from gauge_envs.tools.usd import record_follower, write
 
 Prims = Mapping[str, Usd.Prim]
 """Prims of the bodies, by the name of the body."""
@@ -107,24 +101,15 @@ def isaac_sim_stage(experiment: Experiment) -> Usd.Stage:
     return stage
 
 
-def _write(prim: Usd.Prim, name: str, kind: str, value: Any) -> None:
-    """Write an attribute of a type of USD, as `uint`; those of this package are custom."""
-    type_name = Sdf.ValueTypeNames.Find(kind)
-    is_custom = name.startswith("gauge:")
-    attribute = prim.CreateAttribute(name, type_name, is_custom)
-    if kind == "token":
-        attribute.SetVariability(Sdf.VariabilityUniform)
-    attribute.Set(value)
-
-
 def _write_solver(stage: Usd.Stage, rate_hz: int, *, has_deformables: bool) -> None:
     """Write the step of PhysX, and that deformable bodies need the GPU."""
     prim = stage.GetPrimAtPath("/World/PhysicsScene")
     prim.AddAppliedSchema("PhysxSceneAPI")
-    _write(prim, "physxScene:timeStepsPerSecond", "uint", rate_hz)
+    write(prim, "physxScene:timeStepsPerSecond", rate_hz, "uint")
     if has_deformables:
-        _write(prim, "physxScene:enableGPUDynamics", "bool", True)
-        _write(prim, "physxScene:broadphaseType", "token", "GPU")
+        write(prim, "physxScene:enableGPUDynamics", True, "bool")
+        broadphase = write(prim, "physxScene:broadphaseType", "GPU", "token")
+        broadphase.SetVariability(Sdf.VariabilityUniform)
 
 
 def _write_deformable(prims: Prims, scene: Scene, body: Deformable) -> None:
@@ -142,9 +127,9 @@ def _write_deformable(prims: Prims, scene: Scene, body: Deformable) -> None:
     touches_itself = any(
         name in contact.first and name in contact.second for contact in scene.contacts
     )
-    _write(prim, "physxDeformableBody:selfCollision", "bool", touches_itself)
+    write(prim, "physxDeformableBody:selfCollision", touches_itself, "bool")
     prim.AddAppliedSchema("PhysxCollisionAPI")
-    _write(prim, "physxCollision:restOffset", "float", rest_offset_m)
+    write(prim, "physxCollision:restOffset", rest_offset_m, "float")
     collider = UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr()
     if not collider.Get():
         collider.Set(True)
@@ -163,16 +148,18 @@ def _write_body_constants(stage: Usd.Stage, scene: Scene, prims: Prims) -> None:
         for contact in reversed(scene.contacts)
         for name in (*contact.first, *contact.second)
     }
-    pairs = [pair_values(scene, constant) for constant in CONSTANTS]
     if all(
-        math.isclose(0.5 * sum(getattr(first[name], constant) for name in pair), value)
-        for constant, values in zip(CONSTANTS, pairs, strict=True)
-        for pair, value in values.items()
+        math.isclose(
+            sum(getattr(first[body], name) for body in pair),
+            2.0 * getattr(contact, name),
+        )
+        for contact in scene.contacts
+        for pair in scene.colliding_pairs(contact)
+        for name in ("friction", "restitution")
     ):
         return
-    friction_of, restitution_of = (
-        body_values(values, Combination.MEAN) for values in pairs
-    )
+    friction_of = body_values(pair_values(scene, "friction"), Combination.MEAN)
+    restitution_of = body_values(pair_values(scene, "restitution"), Combination.MEAN)
     deformables = [body.name for body in scene.deformables]
     materials: dict[tuple[float, float], str] = {}
     for body, friction in friction_of.items():
@@ -200,17 +187,17 @@ def _write_body_constants(stage: Usd.Stage, scene: Scene, prims: Prims) -> None:
 
 def _write_coefficients(prim: Usd.Prim, friction: float, restitution: float) -> None:
     """Write contact constants of a body, which follow from those of its pairs."""
-    physics = UsdPhysics.MaterialAPI.Apply(prim)
-    values = [
-        (physics.CreateRestitutionAttr(), restitution),
-        (physics.CreateStaticFrictionAttr(), friction),
-        (physics.CreateDynamicFrictionAttr(), friction),
+    UsdPhysics.MaterialAPI.Apply(prim)
+    values = {
+        "physics:restitution": restitution,
+        "physics:staticFriction": friction,
+        "physics:dynamicFriction": friction,
         # Materials of deformable bodies have them.
-        (prim.GetAttribute("omniphysics:staticFriction"), friction),
-        (prim.GetAttribute("omniphysics:dynamicFriction"), friction),
-    ]
-    for attribute, value in values:
-        if attribute:
+        "omniphysics:staticFriction": friction,
+        "omniphysics:dynamicFriction": friction,
+    }
+    for name, value in values.items():
+        if attribute := prim.GetAttribute(name):
             attribute.Set(value)
             record_follower(attribute, "the constants in /World/Contacts")
 
@@ -229,7 +216,5 @@ def _write_material_points(stage: Usd.Stage, scene: Scene, prims: Prims) -> None
     positions_m = np.asarray(scene.markers.positions_m)
     indices, weights = material_points(positions_m, nodes_m, bodies)
     prim = stage.GetPrimAtPath("/World/Markers")
-    vertices = Vt.Vec4iArray.FromNumpy(indices.astype(np.int32))
-    _write(prim, "gauge:isaac:nodes", "int4[]", vertices)
-    shares = Vt.Vec4dArray.FromNumpy(weights)
-    _write(prim, "gauge:isaac:weights", "double4[]", shares)
+    write(prim, "gauge:isaac:nodes", indices.tolist(), "int4[]")
+    write(prim, "gauge:isaac:weights", weights.tolist(), "double4[]")

@@ -38,7 +38,7 @@ from gauge_envs.scene.states import scene_at
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.tools.control.limit import FAILED, Ending, Limit, LimitReport
 from gauge_envs.tools.control.stage import Stage
-from gauge_envs.tools.control.tasks import EPISODE_STEPS
+from gauge_envs.tools.control.tasks import FAMILIES
 
 BOUNDS: Mapping[str, float] = {
     "_m_per_s": 2.0 * SPEED_LIMIT_M_PER_S,
@@ -82,7 +82,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         UNIT: Its unit; `1` for a ratio.
         LAW: The law, in words and symbols.
         SIGMA_SOURCE: Source of the limit's uncertainty.
-        FAMILY: Name of the task without its material, in `EPISODE_STEPS`.
+        FAMILY: Name of the task without its material, in `FAMILIES`.
         MUJOCO_TIMESTEPS_S: Time steps of the task in MuJoCo [s] by preset, in place of those of the preset;
             studies/steps has the rule that chose them.
         CAMERA: Entries of the camera that show all places to which actions bring bodies; empty for the scene's.
@@ -211,10 +211,6 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
     def _after_interval(self) -> Ending | None:
         """Read the world, which has advanced by 1/180 s; return the ending, if the episode ended in it."""
 
-    def _after_step(self) -> Ending | None:
-        """Return the ending, if the episode ended with the frame."""
-        return None
-
     @abstractmethod
     def _total_reward(self) -> float:
         """Return the sum of all rewards so far, up to a constant; `_ending` is known if the episode ended."""
@@ -246,7 +242,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
     @property
     def steps(self) -> int:
         """Steps of an episode, one for each frame after the first."""
-        return EPISODE_STEPS[self.FAMILY]
+        return FAMILIES[self.FAMILY][2]
 
     @property
     def duration_s(self) -> float:
@@ -340,7 +336,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
             ending = self._after_interval()
             if ending is not None:
                 return ending
-        return self._after_step()
+        return None
 
     def _observe(self) -> FloatArray:
         """Record and return the observation, and draw it if there is a window."""

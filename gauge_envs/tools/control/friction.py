@@ -13,7 +13,7 @@ from gauge_envs.scene.geometry import (
     rotation_matrices,
     unit_quaternions,
 )
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending
 from gauge_envs.tools.control.stage import Stage
@@ -123,10 +123,10 @@ class FrictionLimit(CubeLimit):
         self._cube_m: list[FloatArray] = []
         self._corners_on_carrier = self._corners()
 
-    def _after_interval(self) -> None:
+    def _after_interval(self) -> Ending | None:
         self._cube_m.append(self._state(CUBE)[:3])
-
-    def _after_step(self) -> Ending | None:
+        if len(self._cube_m) < SAMPLES_PER_FRAME:
+            return None
         self._used_now = float(self._friction_used().mean())
         self._cube_m = []
         before, self._corners_on_carrier = self._corners_on_carrier, self._corners()

@@ -7,13 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from gauge_envs.scene import Motion, Scene
-from gauge_envs.scene.geometry import (
-    FloatArray,
-    length_of,
-    quaternion_products,
-    quaternion_vectors,
-)
+from gauge_envs.scene import Motion, Pose, Scene
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.states import row_of
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.control.friction import CUBE, CubeLimit
@@ -164,9 +159,8 @@ class LeastTimeLimit(CubeLimit):
     @property
     def _yaw_rad(self) -> float:
         """Component along z of the cube's rotation vector since the start [rad]."""
-        back = self._start[3:7] * [1.0, -1.0, -1.0, -1.0]
-        rotation = quaternion_products(self._cube[3:7], back)
-        return float(quaternion_vectors(rotation[None])[0, 2])
+        start, now = Pose.of_state(self._start), Pose.of_state(self._cube)
+        return float((now.rotation * start.rotation.inv()).as_rotvec()[2])
 
     @property
     def _driven_from_cube_m(self) -> FloatArray:

@@ -6,27 +6,19 @@ from gauge_envs.errors import UnknownNameError
 
 CUBES = ("wood", "plastic", "metal")
 
-EPISODE_STEPS = {
-    "Turntable": 150,
-    "SlopeSlider": 150,
-    "Pendulum": 180,
-    "Carry": 90,
-    "Push": 60,
-    "Throw": 90,
-    "Fling": 120,
-}
-"""Steps of an episode of each family, 30 a second. Registration reads them without the modules of the tasks."""
-
 FAMILIES = {
-    "Turntable": ("friction:TurntableLimit", CUBES),
-    "SlopeSlider": ("friction:SlopeSliderLimit", CUBES),
-    "Pendulum": ("pendulum:PendulumLimit", ("metal",)),
-    "Carry": ("least_time:CarryLimit", CUBES),
-    "Push": ("least_time:PushLimit", CUBES),
-    "Throw": ("throw:ThrowLimit", ("rubber",)),
-    "Fling": ("fling:FlingLimit", ("satin",)),
+    "Turntable": ("friction:TurntableLimit", CUBES, 150),
+    "SlopeSlider": ("friction:SlopeSliderLimit", CUBES, 150),
+    "Pendulum": ("pendulum:PendulumLimit", ("metal",), 180),
+    "Carry": ("least_time:CarryLimit", CUBES, 90),
+    "Push": ("least_time:PushLimit", CUBES, 60),
+    "Throw": ("throw:ThrowLimit", ("rubber",), 90),
+    "Fling": ("fling:FlingLimit", ("satin",), 120),
 }
-"""Module and class of each family, and its materials."""
+"""Module and class of each family, its materials, and the steps of an episode, 30 a second.
+
+Registration reads them without the modules of the tasks.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,9 +50,9 @@ def control_tasks() -> tuple[ControlTask, ...]:
             name=f"{family}-Limit-{material}",
             entry_point=f"gauge_envs.tools.control.{entry_point}",
             material=material,
-            episode_steps=EPISODE_STEPS[family],
+            episode_steps=episode_steps,
         )
-        for family, (entry_point, materials) in FAMILIES.items()
+        for family, (entry_point, materials, episode_steps) in FAMILIES.items()
         for material in materials
     )
 

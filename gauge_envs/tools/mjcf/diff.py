@@ -12,9 +12,6 @@ DOUBLE_TOLERANCE = 1e-9
 SINGLE_TOLERANCE = 3e-7
 """Relative difference below which single-precision numbers, such as mesh vertices, are equal."""
 
-MAX_LISTED = 4
-"""Largest number of changed objects that are listed individually."""
-
 OBJECT_TYPES = {"jnt": "joint", "eq": "equality"}
 """MuJoCo's type of the named objects, by the prefix of their arrays where it is another one."""
 
@@ -88,11 +85,11 @@ def _object_changes(
             for name in shared
             if not is_same(values[rows[name]], expected[built_rows[name]])
         ]
-        listed = changed if len(changed) <= MAX_LISTED else changed[:1]
-        rest = f" and {len(changed) - 1} more" if len(listed) < len(changed) else ""
-        for name, old, new in listed:
+        if changed:
+            name, old, new = changed[0]
+            more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
             change = f"{format_value(old)} -> {format_value(new)}"
-            yield f"{name}{rest}: {array} {change}{', ...' if rest else ''}"
+            yield f"{name}{more}: {array} {change}{more and ', ...'}"
 
 
 def rows_by_name(model: mujoco.MjModel, kind: str) -> dict[str, int]:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
         from_usd as from_usd,
         read_usd as read_usd,
     )
+    from gauge_envs.tools.usd.target import write as write
     from gauge_envs.tools.usd.writer import (
         export_stage as export_stage,
         scene_stage as scene_stage,
@@ -24,6 +25,7 @@ else:
             ".isaac_fabric": ["surface_constants"],
             ".layer": ["record_follower"],
             ".reader": ["UsdScene", "from_usd", "read_usd"],
+            ".target": ["write"],
             ".writer": ["export_stage", "scene_stage", "to_usd"],
         },
         extra="usd",

@@ -1,11 +1,11 @@
 """Reader of rigid bodies of a USD stage: motion, shape, mass and start."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdPhysics
+from pxr import Usd, UsdGeom, UsdPhysics
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
@@ -26,7 +26,7 @@ from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, length_of, pose_distance, vector
 from gauge_envs.tools.usd.driven import read_driven
 from gauge_envs.tools.usd.layer import VELOCITIES, WRITTEN, body_velocities
-from gauge_envs.tools.usd.source import Source, StoredValue, is_written, single
+from gauge_envs.tools.usd.source import Source, StoredValue, single
 
 SAME_FRAME = 1e-9
 """Largest distance [m] and angle [rad] at which a collider's frame is that of its body."""
@@ -39,13 +39,6 @@ UNIFORM_RELATIVE = 0.01
 to the radius of gyration."""
 
 IDENTITY = Pose(position_m=(0.0, 0.0, 0.0))
-
-TO_Z = {
-    "X": np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
-    "Y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
-    "Z": np.eye(3),
-}
-"""Rotations from z to an axis."""
 
 APPROXIMATIONS = ("convexHull", "none", "meshSimplification", "convexDecomposition")
 """Approximations of meshes; all but the first keep the mesh's own shape, which must be convex."""
@@ -71,7 +64,6 @@ def read_body(
     prim: Usd.Prim,
     colliders: Sequence[Usd.Prim],
     name: str,
-    welded: Collection[Sdf.Path],
 ) -> tuple[RigidBody, Driver | None, float]:
     """Return a body, its driver, and the driver's index in the scene, infinite if the file has none.
 
@@ -80,9 +72,8 @@ def read_body(
         prim: Prim of the body.
         colliders: Prims of its geometry.
         name: Name of the body in the scene.
-        welded: Paths of the bodies that joints fix to the world.
     """
-    motion = _motion(source, prim, is_welded=prim.GetPath() in welded)
+    motion = _motion(source, prim)
     prim_pose, scale = source.frame(prim, Usd.TimeCode(source.start))
     solids = [_solid(source, prim, scale, collider) for collider in colliders]
     solid = _joined(source, solids)
@@ -118,10 +109,10 @@ def read_body(
     return body, driver, index
 
 
-def _motion(source: Source, prim: Usd.Prim, *, is_welded: bool) -> Motion:
+def _motion(source: Source, prim: Usd.Prim) -> Motion:
     """Return the motion in UsdPhysics; `gauge:motion` must not contradict it."""
     standard = Motion.FIXED
-    if source.is_rigid(prim) and not is_welded:
+    if source.is_rigid(prim):
         is_driven = UsdPhysics.RigidBodyAPI(prim).GetKinematicEnabledAttr().Get()
         standard = Motion.KINEMATIC if is_driven else Motion.DYNAMIC
     attribute = prim.GetAttribute("gauge:motion")
@@ -160,25 +151,15 @@ def _velocities(
     )
     arm_m = pose.rotation.apply(mass_properties(shape, 1.0)[0])
     world = np.array([centre_m_per_s - np.cross(spin_rad_per_s, arm_m), spin_rad_per_s])
-    exact = world.copy()
     doubles = [prim.GetAttribute(f"gauge:{name}") for name in VELOCITIES]
-    for row, double in enumerate(doubles):
-        if (value := source.numbers(double, (3,))) is not None:
-            exact[row] = value
     written = doubles[0].GetCustomDataByKey(WRITTEN)
-    is_authored = any(one.HasAuthoredValue() for one in attributes)
-    if not is_authored or is_written(standard, written):
-        return exact
-    as_standard = single(body_velocities(pose, shape, exact))
-    if is_written(as_standard, written):
+    if written is None:
         return world
-    if not is_written(exact, world):
-        raise source.fault(
-            prim,
-            f"its gauge: doubles say {exact.tolist()} (m/s, rad/s), and physics:velocity and physics:angularVelocity "
-            f"{world.tolist()}: make them agree",
-        )
-    return exact
+    exact = np.array([source.numbers(double, (3,)) for double in doubles])
+    as_standard = single(body_velocities(pose, shape, exact))
+    values = [StoredValue(as_standard, exact), StoredValue(standard, world)]
+    changed = source.changed(prim, values, written)
+    return exact if changed is None else changed.value
 
 
 # --- shapes ----------------------------------------------------------------------------------------------------------
@@ -234,7 +215,8 @@ def _solid(
     elif kind in ("Cylinder", "Plane"):
         geometry = UsdGeom.Cylinder(prim) or UsdGeom.Plane(prim)
         axis = geometry.GetAxisAttr().Get()
-        rotation = rotation @ TO_Z[axis]
+        # The rotation from z to the axis permutes the coordinates.
+        rotation = rotation @ np.roll(np.eye(3), "ZXY".index(axis), axis=0)
         shape = Plane()
         if kind == "Cylinder":
             along = "XYZ".index(axis)
@@ -246,8 +228,6 @@ def _solid(
             prim,
             f"is a collider of type {kind or 'none'}: Cube, Sphere, Cylinder, Plane and Mesh are expected",
         )
-    if kind != "Plane" and shape.volume_m3 <= 0.0:
-        raise source.fault(prim, f"has a size that is not positive: {shape}")
     pose = Pose.from_rotation(vector(offset_m), Rotation.from_matrix(rotation))
     if pose_distance(pose, IDENTITY) < SAME_FRAME:
         pose = IDENTITY
@@ -325,18 +305,14 @@ def _mass_kg(
 
 
 def _colliders_kg(source: Source, body: Usd.Prim, solids: Sequence[Solid]) -> float:
-    """Return the sum of the masses of colliders [kg], given or from densities in the precedence of UsdPhysics."""
+    """Return the mass of colliders [kg] from densities in the precedence of UsdPhysics: collider, body, material."""
     unit = source.kilograms / source.metres**3
-    volumes_m3 = np.array([solid.shape.volume_m3 for solid in solids])
     densities = []
     for solid in solids:
-        api, material = UsdPhysics.MassAPI(solid.prim), source.material(solid.prim)
-        holders = [api, UsdPhysics.MassAPI(body), UsdPhysics.MaterialAPI(material)]
+        material = UsdPhysics.MaterialAPI(source.material(solid.prim))
+        holders = [UsdPhysics.MassAPI(solid.prim), UsdPhysics.MassAPI(body), material]
         given = [
-            _authored(
-                source, api.GetMassAttr(), source.kilograms / solid.shape.volume_m3
-            ),
-            *(_authored(source, one.GetDensityAttr(), unit) for one in holders if one),
+            _authored(source, one.GetDensityAttr(), unit) for one in holders if one
         ]
         densities += [float(one.value) for one in given if one is not None][:1]
     if len(densities) < len(solids) or np.ptp(densities) > 1e-6 * max(densities):
@@ -344,7 +320,7 @@ def _colliders_kg(source: Source, body: Usd.Prim, solids: Sequence[Solid]) -> fl
             body,
             f"needs physics:mass, or one physics:density of all its colliders, which have {densities or 'none'}",
         )
-    return float(densities @ volumes_m3)
+    return sum(solid.shape.volume_m3 for solid in solids) * densities[0]
 
 
 def _authored(

@@ -6,7 +6,7 @@ import math
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations, product
+from itertools import combinations, combinations_with_replacement, product
 from typing import Any, Literal, NamedTuple
 
 from pxr import Sdf, Usd, UsdPhysics
@@ -16,6 +16,7 @@ from gauge_envs.tools.usd.layer import ARMS
 from gauge_envs.tools.usd.source import Source
 
 Pair = frozenset[str]
+FrictionKind = Literal["dynamic", "static"]
 Coefficient = tuple[float, str]
 """Friction or restitution of a material, and its combine mode."""
 
@@ -55,25 +56,17 @@ class Collider(NamedTuple):
     moves: bool
 
 
-class ContactOptions(NamedTuple):
-    """Properties of contacts that a USD file does not define; see `read_usd`."""
-
-    friction: Literal["dynamic", "static"] | None
-    mode: ContactMode | Mapping[tuple[str, str], ContactMode]
-    contacts: Sequence[Contact]
-
-
 def read_contacts(
     source: Source,
     bodies: Sequence[Collider],
-    options: ContactOptions,
+    friction: FrictionKind | None,
 ) -> tuple[Contact, ...]:
     """Return the contacts of a stage.
 
     Args:
         source: The stage.
         bodies: All bodies.
-        options: Properties of contacts that the file does not define.
+        friction: The coefficient that counts if static and dynamic friction of a material differ.
 
     `gauge:first` and `gauge:second` define the pairs of the bodies of this package's layers; UsdPhysics defines all
     others: all enabled colliders except filtered pairs.
@@ -96,11 +89,9 @@ def read_contacts(
                     f"{' and '.join(sorted(pair))} have a contact, but their colliders are filtered or disabled: edit "
                     "gauge:first and gauge:second",
                 )
-    known = {
-        pair for contact in (*contacts, *options.contacts) for pair in _pairs(contact)
-    }
-    added = _material_contacts(source, bodies, colliding - known, options)
-    return (*contacts, *added, *options.contacts)
+    known = {pair for contact in contacts for pair in _pairs(contact)}
+    added = _material_contacts(source, bodies, colliding - known, friction)
+    return (*contacts, *added)
 
 
 def _pairs(contact: Contact) -> set[Pair]:
@@ -204,57 +195,38 @@ def _filtered_paths(source: Source) -> Iterator[tuple[Sdf.Path, Sdf.Path]]:
         if joint and not joint.GetCollisionEnabledAttr().Get():
             bodies = joint.GetBody0Rel(), joint.GetBody1Rel()
             yield from product(*(body.GetTargets() for body in bodies))
-        if group := UsdPhysics.CollisionGroup(prim):
-            for path in group.GetFilteredGroupsRel().GetTargets():
-                other = UsdPhysics.CollisionGroup.Get(source.stage, path)
-                yield from product(_members(source, group), _members(source, other))
+    table = UsdPhysics.CollisionGroup.ComputeCollisionGroupTable(source.stage)
+    for pair in combinations_with_replacement(table.GetGroups(), 2):
+        if not table.IsCollisionEnabled(*pair):
+            yield from product(*(_members(source.stage, path) for path in pair))
 
 
-def _members(source: Source, group: UsdPhysics.CollisionGroup) -> list[Sdf.Path]:
-    """Return the paths that a collision group includes."""
-    collection = group.GetCollidersCollectionAPI()
-    if (
-        group.GetInvertFilteredGroupsAttr().Get()
-        or group.GetMergeGroupNameAttr().Get()
-        or collection.GetExcludesRel().GetTargets()
-    ):
-        raise source.fault(
-            group.GetPrim(),
-            "inverts, merges or excludes: collision groups with included colliders and filtered groups are read",
-        )
-    return collection.GetIncludesRel().GetTargets()
+def _members(stage: Usd.Stage, path: Sdf.Path) -> set[Sdf.Path]:
+    """Return the paths of the prims in a collision group."""
+    group = UsdPhysics.CollisionGroup.Get(stage, path)
+    query = group.GetCollidersCollectionAPI().ComputeMembershipQuery()
+    return Usd.CollectionAPI.ComputeIncludedPaths(query, stage)
 
 
 def _material_contacts(
     source: Source,
     bodies: Sequence[Collider],
     pairs: set[Pair],
-    options: ContactOptions,
+    friction_kind: FrictionKind | None,
 ) -> Iterator[Contact]:
     """Yield contacts for the pairs that only UsdPhysics defines; pairs with equal constants share a contact."""
     moving = {body.name for body in bodies if body.moves}
     touching = {name for pair in pairs for name in pair}
     constants = {
-        body.name: _body_constants(source, body, options)
+        body.name: _body_constants(source, body, friction_kind)
         for body in bodies
         if body.name in touching
     }
-    modes: dict[Pair, ContactMode] = {}
-    default = options.mode
-    if not isinstance(default, ContactMode):
-        modes = {frozenset(names): mode for names, mode in default.items()}
-        default = ContactMode.SUSTAINED
     kinds: dict[Contact, set[Pair]] = {}
     for pair in sorted(pairs, key=sorted):
         first, second = (constants[name] for name in pair)
         friction, restitution = map(_combined, first, second)
-        kind = Contact(
-            first=(),
-            second=(),
-            friction=friction,
-            restitution=restitution,
-            mode=modes.get(pair, default),
-        )
+        kind = Contact(first=(), second=(), friction=friction, restitution=restitution)
         kinds.setdefault(kind, set()).add(pair)
     for kind, alike in kinds.items():
         for group in _groups([body.name for body in bodies], alike, moving):
@@ -282,7 +254,7 @@ def _groups(
 
 
 def _body_constants(
-    source: Source, body: Collider, options: ContactOptions
+    source: Source, body: Collider, friction_kind: FrictionKind | None
 ) -> list[Coefficient]:
     """Return friction and restitution of a body."""
     materials = {*map(source.material, body.shapes)} - {None}
@@ -304,13 +276,13 @@ def _body_constants(
             material,
             "has neither physics:dynamicFriction nor physics:staticFriction: set one",
         )
-    if len({*values.values()}) == 2 and options.friction is None:
+    if len({*values.values()}) == 2 and friction_kind is None:
         raise source.fault(
             material,
             f"has different frictions, {values}, but a scene has one coefficient: make them equal, or choose "
             'friction="dynamic" or "static"',
         )
-    kind = f"{options.friction or 'dynamic'}Friction"
+    kind = f"{friction_kind or 'dynamic'}Friction"
     friction = values.get(kind, max(values.values()))
     coefficients = []
     for name, value in (("friction", friction), ("restitution", restitution)):

@@ -19,12 +19,11 @@ from gauge_envs.scene import (
     Region,
     SoftBody,
 )
-from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.usd.layer import (
-    AIR_KINDS,
     KINDS,
     MARKER_INDICES,
     OMNI_MATERIAL,
+    as_array,
 )
 from gauge_envs.tools.usd.source import Source
 
@@ -99,11 +98,11 @@ def _constant(source: Source, prim: Usd.Prim, name: str) -> float:
 
 def read_air(prim: Usd.Prim) -> Air | None:
     """Return the air of a PhysicsScene prim, which UsdPhysics has not; None without `gauge:air:` attributes."""
-    values: dict[str, Any] = {}
-    for attribute in prim.GetAuthoredPropertiesInNamespace(AIR_PREFIX):
-        name, value = attribute.GetName().removeprefix(AIR_PREFIX), attribute.Get()
-        values[name] = vector(value) if name in AIR_KINDS else value
-    return Air(**values) if values else None
+    values = {
+        attribute.GetName().removeprefix(AIR_PREFIX): as_array(attribute.Get()).tolist()
+        for attribute in prim.GetAuthoredPropertiesInNamespace(AIR_PREFIX)
+    }
+    return TypeAdapter(Air).validate_python(values) if values else None
 
 
 def read_attachment(source: Source, prim: Usd.Prim, names: Names) -> Attachment | None:
@@ -138,14 +137,11 @@ def read_markers(source: Source, names: Names) -> Markers | None:
         positions_m = source.edited(exact, [stored], (-1, 3))
         if positions_m is None:
             raise source.fault(prim, "has no points")
-        indices: dict[str, Any] = {}
+        values: dict[str, Any] = {
+            "bodies": source.targets(prim, "gauge:bodies", names),
+            "positions_m": positions_m.tolist(),
+        }
         for name, shape in MARKER_INDICES.items():
-            attribute = prim.GetAttribute(f"gauge:{name}")
-            rows = np.array(attribute.Get(), dtype=int).reshape(shape)
-            listed = rows.tolist()
-            indices[name] = tuple(listed if rows.ndim == 1 else map(tuple, listed))
-        return Markers(
-            bodies=source.targets(prim, "gauge:bodies", names),
-            positions_m=tuple(map(vector, positions_m)),
-            **indices,
-        )
+            indices = np.array(prim.GetAttribute(f"gauge:{name}").Get(), dtype=int)
+            values[name] = indices.reshape(shape).tolist()
+        return TypeAdapter(Markers).validate_python(values)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 from pxr import Usd
+from pydantic import TypeAdapter
 
 from gauge_envs.scene import Pose
 from gauge_envs.scene.drivers import Driver, DriverMotion
@@ -16,12 +18,12 @@ from gauge_envs.tools.bench.driver_fit import sampled_motions
 from gauge_envs.tools.usd.layer import (
     TEXT,
     WRITTEN,
-    DriverRecord,
     motions_digest,
     samples_digest,
 )
 from gauge_envs.tools.usd.source import Source
 
+MOTIONS = TypeAdapter(tuple[DriverMotion, ...])
 Track = dict[float, Pose]
 """Poses by time code."""
 
@@ -56,16 +58,18 @@ def read_driven(
     attribute = prim.GetAttribute("gauge:driver")
     if text := source.text(attribute):
         with source.errors_at(attribute):
-            record = DriverRecord.model_validate_json(text)
-        index, like = record.index, record.motions
+            record = json.loads(text)
+            index, like = record["index"], MOTIONS.validate_python(record["motions"])
         was = source.text(prim.GetAttribute("gauge:driver_provenance")) or "nominal"
         provenance = f"nominal: edited in {source.file.name}, was {was}"
-        if not samples or _digest(source, samples) == attribute.GetCustomDataByKey(
-            WRITTEN
-        ):
+        times_s = [source.seconds(code) for code in samples]
+        poses = [[*pose.position_m, *pose.quaternion] for pose in samples.values()]
+        if not samples or samples_digest(
+            times_s, np.array(poses)
+        ) == attribute.GetCustomDataByKey(WRITTEN):
             if motions_digest(text) == attribute.GetCustomDataByKey(TEXT):
                 provenance = was
-            driver = Driver(body=name, motions=record.motions, provenance=provenance)
+            driver = Driver(body=name, motions=like, provenance=provenance)
             return pose_at(Usd.TimeCode.Default()), driver, index
     track = _track(source, samples, pose_at)
     times_s = [source.seconds(code) for code in track]
@@ -73,13 +77,6 @@ def read_driven(
     motions = sampled_motions(start, times_s, list(track.values()), like=like)
     driver = Driver(body=name, motions=motions, provenance=provenance)
     return start, driver if motions else None, index
-
-
-def _digest(source: Source, samples: Track) -> str:
-    """Return the hash of time samples."""
-    times_s = [source.seconds(code) for code in samples]
-    poses = [[*pose.position_m, *pose.quaternion] for pose in samples.values()]
-    return samples_digest(times_s, np.array(poses))
 
 
 def _track(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import NamedTuple
 
@@ -56,17 +56,8 @@ def joint_prims(source: Source) -> list[Usd.Prim]:
     ]
 
 
-def welded_body(source: Source, joint: Usd.Prim) -> Sdf.Path | None:
-    """Return the path of the body that a fixed joint fixes to the world; None for other joints."""
-    if not joint.IsA(UsdPhysics.FixedJoint):
-        return None
-    return _ends(source, joint, fixed=())[1].body
-
-
-def _ends(
-    source: Source, prim: Usd.Prim, fixed: Collection[Sdf.Path]
-) -> tuple[_End, _End]:
-    """Return the ends of a joint in the world, or in one of the fixed bodies, and in its moving body."""
+def _ends(source: Source, prim: Usd.Prim) -> tuple[_End, _End]:
+    """Return the ends of a joint in the world, or in a fixed body, and in its moving body."""
     ends = []
     for side in (0, 1):
         paths = prim.GetRelationship(f"physics:body{side}").GetTargets()
@@ -74,7 +65,7 @@ def _ends(
         if paths and not space:
             raise source.fault(prim, f"joins {paths[0]}, which does not exist")
         owner, path = source.body_of(space), None
-        if owner and source.is_rigid(owner) and owner.GetPath() not in fixed:
+        if owner and source.is_rigid(owner):
             space, path = owner, owner.GetPath()
         position = prim.GetAttribute(f"physics:localPos{side}")
         rotation = prim.GetAttribute(f"physics:localRot{side}")
@@ -91,8 +82,8 @@ def _ends(
 
 def read_joint(
     source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]
-) -> Hinge | Tether | None:
-    """Return a hinge for a revolute joint, a tether for a distance joint, and None for a fixed joint.
+) -> Hinge | Tether:
+    """Return a hinge for a revolute joint, and a tether for a distance joint.
 
     The joint's end in the world is the anchor. Its end in the body must coincide with the anchor. An exception is an
     unedited joint of a layer of this package, because the body may have been moved.
@@ -105,10 +96,7 @@ def read_joint(
     Raises:
         AssetError: The joint is of another kind, joins two moving bodies, or has friction, limits or a motor.
     """
-    if prim.IsA(UsdPhysics.FixedJoint):
-        return None
-    fixed = [path for path, body in bodies.items() if body.motion is Motion.FIXED]
-    world, moving = _ends(source, prim, fixed)
+    world, moving = _ends(source, prim)
     assert moving.body is not None
     body = bodies[moving.body]
     hinge, tether = UsdPhysics.RevoluteJoint(prim), UsdPhysics.DistanceJoint(prim)
@@ -116,7 +104,7 @@ def read_joint(
         raise source.fault(
             prim,
             f"unsupported joint: {prim.GetTypeName()} of a {body.motion} body; revolute and distance joints of dynamic "
-            "bodies, and fixed joints, are read",
+            "bodies are read. To fix a body, set physics:rigidBodyEnabled to 0",
         )
     _check_free(source, prim)
     exact = prim.GetAttribute("gauge:anchor_m")
@@ -129,7 +117,13 @@ def read_joint(
     if tether:
         return _read_tether(source, tether, body, anchor_m, end_m)
     letter = hinge.GetAxisAttr().Get()
-    axis = _read_axis(source, prim, world, letter)
+    axis = _axis(source, world, letter)
+    double = prim.GetAttribute("gauge:axis")
+    exact_axis = source.numbers(double, (3,))
+    if exact_axis is not None and is_written(axis, double.GetCustomDataByKey(WRITTEN)):
+        length = length_of(exact_axis)
+        # An axis that is exact within the tolerance of `DriverMotion` keeps its digits.
+        axis = exact_axis if abs(length - 1.0) <= 1e-9 else exact_axis / length
     # If only the body of a layer of this package was moved, the anchor stays.
     ends = (moving.position, moving.rotation)
     if not exact or any(end.Get() != end.GetCustomDataByKey(WRITTEN) for end in ends):
@@ -192,20 +186,4 @@ def _axis(source: Source, end: _End, letter: str) -> FloatArray:
     """Return the direction of an axis of a frame in the world, a unit vector, shape [3]."""
     direction = hinge_axis(as_array(end.rotation.Get()), letter)
     tail, tip = source.to_world(end.space, np.array([np.zeros(3), direction]))
-    return _unit(tip - tail)
-
-
-def _read_axis(source: Source, prim: Usd.Prim, world: _End, letter: str) -> FloatArray:
-    """Return the axis of a hinge in the world: that of the joint's frame if it was edited, else `gauge:axis`."""
-    axis = _axis(source, world, letter)
-    double = prim.GetAttribute("gauge:axis")
-    exact = source.numbers(double, (3,))
-    if exact is not None and is_written(axis, double.GetCustomDataByKey(WRITTEN)):
-        axis = exact
-    return _unit(axis)
-
-
-def _unit(axis: FloatArray) -> FloatArray:
-    """Return a unit vector; one that is exact within the tolerance of `DriverMotion` keeps its digits."""
-    length = length_of(axis)
-    return axis if abs(length - 1.0) <= 1e-9 else axis / length
+    return (tip - tail) / length_of(tip - tail)

@@ -1,4 +1,4 @@
-"""Common parts of the writer and the reader of USD layers: names, records of written values, driver motions as JSON."""
+"""Common parts of the writer and the reader of USD layers: names, records of written values, velocities, hinges."""
 
 import hashlib
 import json
@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from pxr import Gf, Usd
-from pydantic import BaseModel, ConfigDict, NonNegativeInt
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import (
@@ -21,7 +20,6 @@ from gauge_envs.scene import (
     Vector,
     mass_properties,
 )
-from gauge_envs.scene.drivers import DriverMotion
 from gauge_envs.scene.geometry import FloatArray
 
 WRITTEN = "written"
@@ -165,24 +163,3 @@ def hinge_axis(quaternion: FloatArray, letter: str = "X") -> FloatArray:
     """Return the direction of an axis of an orientation w, x, y, z, shape [3]."""
     axes = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
     return axes[:, "XYZ".index(letter)]
-
-
-# --- driver motions as JSON ------------------------------------------------------------------------------------------
-
-
-class DriverRecord(BaseModel):
-    """Content of `gauge:driver` of a body as JSON, which preserves doubles exactly.
-
-    Attributes:
-        index: Index of the driver in its scene.
-        motions: Motions in the order in which they apply.
-    """
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-    index: NonNegativeInt
-    motions: tuple[DriverMotion, ...]
-
-    def to_json(self) -> str:
-        """Return the record as JSON."""
-        return json.dumps(self.model_dump(), allow_nan=False)

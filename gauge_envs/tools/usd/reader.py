@@ -10,15 +10,13 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
 
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
-    Contact,
-    ContactMode,
     Motion,
     Scene,
 )
@@ -26,7 +24,7 @@ from gauge_envs.scene.geometry import length_of
 from gauge_envs.tools.usd.bodies import read_body
 from gauge_envs.tools.usd.contacts import (
     Collider,
-    ContactOptions,
+    FrictionKind,
     is_enabled,
     read_contacts,
 )
@@ -37,7 +35,7 @@ from gauge_envs.tools.usd.deformables import (
     read_deformable,
     read_markers,
 )
-from gauge_envs.tools.usd.joints import joint_prims, read_joint, welded_body
+from gauge_envs.tools.usd.joints import joint_prims, read_joint
 from gauge_envs.tools.usd.layer import WRITTEN
 from gauge_envs.tools.usd.source import Source
 
@@ -69,34 +67,30 @@ def read_usd(
     path: str | Path,
     *,
     duration_s: float | None = None,
-    friction: Literal["dynamic", "static"] | None = None,
-    mode: ContactMode | Mapping[tuple[str, str], ContactMode] = ContactMode.SUSTAINED,
-    contacts: Sequence[Contact] = (),
+    friction: FrictionKind | None = None,
     unstated_duration_s: float | None = None,
 ) -> UsdScene:
     """Read the whole content of a USD file, written by `to_usd` or as plain UsdPhysics.
 
     A scene that `to_usd` wrote is restored exactly. If a number was edited in such a file, in the `gauge:` double or in
-    the standard attribute, the edited value counts. The keywords are for files of other tools.
+    the standard attribute, the edited value counts. The keywords are for files of other tools, whose contacts are all
+    sustained.
 
     Args:
         path: File of any format that USD reads.
         duration_s: Duration of the experiment [s], for files without `gauge:duration_s`. It replaces the start and end
             time codes of the file.
         friction: The coefficient that counts if static and dynamic friction of a material differ.
-        mode: Mode of contacts without `gauge:mode`: one for all, or one per pair of names and sustained for others.
-        contacts: Contacts that replace those of the file for their pairs.
         unstated_duration_s: Duration of a file that states none [s].
 
     Raises:
         AssetError: The file cannot be read, or holds what a scene does not have; the message names the prim.
     """
-    options = ContactOptions(friction=friction, mode=mode, contacts=contacts)
     source = Source(Path(path))
     with source.errors_at(""):
         names, scene = _read_scene(
             source,
-            options,
+            friction,
             duration_s=duration_s,
             unstated_duration_s=unstated_duration_s,
         )
@@ -131,7 +125,7 @@ def _physics(source: Source) -> UsdPhysics.Scene:
 
 
 def _read_scene(
-    source: Source, options: ContactOptions, **durations_s: float | None
+    source: Source, friction: FrictionKind | None, **durations_s: float | None
 ) -> tuple[dict[Sdf.Path, str], Scene]:
     """Return the names of all bodies by path, and the scene."""
     physics = _physics(source)
@@ -147,13 +141,8 @@ def _read_scene(
         if is_deformable(prim)
     }
     names = _names(source, [*rigid, *soft])
-    joints = joint_prims(source)
-    welded = {welded_body(source, joint) for joint in joints}
     results = source.read_each(
-        rigid,
-        lambda prim: read_body(
-            source, prim, rigid[prim], names[prim.GetPath()], welded
-        ),
+        rigid, lambda prim: read_body(source, prim, rigid[prim], names[prim.GetPath()])
     )
     bodies = {
         prim.GetPath(): body for prim, (body, _, _) in zip(rigid, results, strict=True)
@@ -169,8 +158,8 @@ def _read_scene(
         )
         for prim, shapes in (rigid | soft).items()
     ]
-    read_joints = source.read_each(
-        joints, lambda joint: read_joint(source, joint, bodies)
+    joints = source.read_each(
+        joint_prims(source), lambda joint: read_joint(source, joint, bodies)
     )
     attachments = source.read_each(
         source.prims(), lambda prim: read_attachment(source, prim, names)
@@ -182,9 +171,9 @@ def _read_scene(
                 soft, lambda prim: read_deformable(source, prim, names[prim.GetPath()])
             )
         ),
-        joints=tuple(joint for joint in read_joints if joint),
+        joints=tuple(joints),
         attachments=tuple(attachment for attachment in attachments if attachment),
-        contacts=read_contacts(source, colliders, options),
+        contacts=read_contacts(source, colliders, friction),
         drivers=tuple(driver for _, driver, _ in results if driver),
         markers=read_markers(source, names),
         duration_s=duration_s,
@@ -203,20 +192,13 @@ def _gravity_m_per_s2(source: Source, physics: UsdPhysics.Scene) -> float:
             "gravity must point down, against the up axis",
         )
     magnitude = physics.GetGravityMagnitudeAttr()
-    # Minus infinity, the fallback of the schema, stands for standard gravity.
-    is_stated = magnitude.Get() != -np.inf
-    stored = (
-        source.stored(magnitude, (), lambda value: value * source.metres)
-        if is_stated
-        else None
-    )
+    stored = None
+    # In UsdPhysics a negative number stands for standard gravity.
+    if magnitude.Get() >= 0.0:
+        stored = source.stored(magnitude, (), lambda value: value * source.metres)
     exact = physics.GetPrim().GetAttribute("gauge:gravity_m_per_s2")
     gravity = source.edited(exact, [stored])
-    if gravity is None:
-        return GRAVITY_M_PER_S2
-    if gravity < 0.0:
-        raise source.fault(magnitude, f"is {gravity} m/s^2: 0 or more is expected")
-    return float(gravity)
+    return GRAVITY_M_PER_S2 if gravity is None else float(gravity)
 
 
 def _duration_s(
@@ -246,17 +228,17 @@ def _duration_s(
 
 def _rigid_bodies(source: Source) -> dict[Usd.Prim, list[Usd.Prim]]:
     """Return rigid bodies in the stage's order with their colliders; one without a rigid body is a fixed body."""
-    found: dict[Usd.Prim, list[Usd.Prim]] = {}
+    colliders: dict[Usd.Prim, list[Usd.Prim]] = {}
     for prim in source.prims():
-        owner = source.body_of(prim)
-        if is_deformable(owner or prim):
+        body = source.body_of(prim)
+        if is_deformable(body or prim):
             continue
-        if owner == prim:
-            found.setdefault(prim, [])
+        if body == prim:
+            colliders.setdefault(prim, [])
         if prim.HasAPI(UsdPhysics.CollisionAPI):
-            found.setdefault(owner or prim, []).append(prim)
+            colliders.setdefault(body or prim, []).append(prim)
     bodies = {}
-    for prim, shapes in found.items():
+    for prim, shapes in colliders.items():
         if not shapes:
             raise source.fault(
                 prim,

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import AssetError, first_fault
 from gauge_envs.scene import Pose
-from gauge_envs.scene.geometry import FloatArray, length_of, vector
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.usd.layer import FOLLOWS, WRITTEN, as_array, digest
 
 Value = TypeVar("Value")
@@ -211,20 +211,25 @@ class Source:
         values = [value for value in stored if value is not None]
         if double is not None:
             values.insert(0, StoredValue(single(double), double))
-        written = exact.GetCustomDataByKey(WRITTEN)
-        changed = [value for value in values if not is_written(value.raw, written)]
-        if not changed:
+        first = self.changed(exact, values, exact.GetCustomDataByKey(WRITTEN))
+        if first is None:
             return double
-        first = changed[0]
-        for other in changed[1:]:
-            if not is_written(first.raw, other.raw):
-                raise self.fault(
-                    exact,
-                    f"was edited to {first.value}, and to {other.value} in a standard attribute: make them agree",
-                )
         if double is None or first.raw.shape != double.shape:
             return first.value
         return np.where(single(double) == first.raw, double, first.value)
+
+    def changed(
+        self, place: Usd.Object, values: Iterable[StoredValue], written: Any
+    ) -> StoredValue | None:
+        """Return the first value that was edited, or None; edited values must agree."""
+        edited = [value for value in values if not is_written(value.raw, written)]
+        for other in edited[1:]:
+            if not is_written(edited[0].raw, other.raw):
+                raise self.fault(
+                    place,
+                    f"was edited to {edited[0].value}, and to {other.value} in a standard attribute: make them agree",
+                )
+        return edited[0] if edited else None
 
     def check_derived(self, prim: Usd.Prim) -> None:
         """Check that no derived attribute of a prim was edited."""
@@ -313,8 +318,7 @@ class Source:
             length = length_of(quaternion)
             if abs(length - 1.0) > 1e-12:
                 quaternion = quaternion / length
-        w, x, y, z = quaternion.tolist()
-        pose = Pose(position_m=vector(position_m), quaternion=(w, x, y, z))
+        pose = Pose.of_state(np.concatenate([position_m, quaternion]))
         return pose, self.metres * scale
 
     def decomposed(

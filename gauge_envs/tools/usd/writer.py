@@ -10,6 +10,7 @@ the standard attribute, from which the reader detects the edited one. A derived 
 as the mesh of a cloth, contains its written value and the names of the attributes to edit instead.
 """
 
+import json
 from dataclasses import asdict
 from pathlib import Path
 
@@ -46,7 +47,6 @@ from gauge_envs.tools.usd.layer import (
     TEXT,
     VELOCITIES,
     WRITTEN,
-    DriverRecord,
     as_array,
     body_velocities,
     digest,
@@ -305,7 +305,8 @@ def _write_driver(
     translate, orient = UsdGeom.Xform(prim).GetOrderedXformOps()
     poses = driver.path(start, times_s)[:, :7]
     positions, quaternions = poses[:, :3], poses[:, 3:]
-    text = DriverRecord(index=index, motions=driver.motions).to_json()
+    motions = [asdict(motion) for motion in driver.motions]
+    text = json.dumps({"index": index, "motions": motions}, allow_nan=False)
     attribute = write(prim, "gauge:driver", text, "string")
     attribute.SetCustomDataByKey(TEXT, motions_digest(text))
     write(prim, "gauge:driver_provenance", driver.provenance, "string")

@@ -15,8 +15,6 @@ from gauge_envs.tools.control.play import play
 from gauge_envs.tools.control.throw import SPEED_M_PER_S, STROKE_M, highest_m
 
 THROW = "Throw-Limit-rubber"
-TRAINED_RATIO = 0.85
-"""Heights of 0.57 m: a ball that is never struck upwards stays below 0.26 m, a ratio of 0.39."""
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +22,7 @@ def env():
     return make(THROW, settings={"timestep_s": 1 / 1800})
 
 
-@pytest.mark.parametrize("restitution", [0.3, 0.576733, 0.9])
+@pytest.mark.parametrize("restitution", [0.3, 0.9])
 def test_height_is_the_best_of_all_places(restitution):
     """Against all combinations of 101 places at each of three impacts."""
     places = np.linspace(-STROKE_M, STROKE_M, 101)
@@ -69,13 +67,11 @@ def test_the_plate_is_no_faster_than_the_law_assumes(env):
     env.reset(seed=0)
     for _ in range(2):
         observation = env.step(np.ones(2))[0]
-    speeds = observation[
-        [env.OBSERVED.index(f"plate_velocity_{x}_m_per_s") for x in "xz"]
-    ]
-    assert speeds == pytest.approx(SPEED_M_PER_S)
+    first = env.OBSERVED.index("plate_velocity_x_m_per_s")
+    assert observation[first : first + 2] == pytest.approx(SPEED_M_PER_S)
 
 
-@pytest.mark.parametrize("aside_m", [0.0, 0.08, 0.103])
+@pytest.mark.parametrize("aside_m", [0.08, 0.103])
 def test_an_impact_at_an_edge_loses_the_ball(env, aside_m):
     """The law's policy, with the ball beside the middle of the plate by a distance."""
 
@@ -98,6 +94,7 @@ def test_a_short_training_learns_to_throw(tmp_path):
         first, *_, last = csv.DictReader(file)
     assert float(first["ratio"]) < 0.4
     assert float(last["success"]) == 1.0
-    assert TRAINED_RATIO < float(last["ratio"]) <= 1.0
+    # A ball that is never struck upwards stays below 0.26 m, a ratio of 0.39.
+    assert 0.85 < float(last["ratio"]) <= 1.0
     assert "the law:  10 of 10 succeed" in shown
     assert (tmp_path / f"{THROW}-0.zip").stat().st_size > 10_000
