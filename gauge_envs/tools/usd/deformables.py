@@ -19,11 +19,12 @@ from gauge_envs.scene import (
     Region,
     SoftBody,
 )
+from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.usd.layer import (
+    AIR_KINDS,
     KINDS,
     MARKER_INDICES,
     OMNI_MATERIAL,
-    as_array,
 )
 from gauge_envs.tools.usd.source import Source
 
@@ -98,11 +99,11 @@ def _constant(source: Source, prim: Usd.Prim, name: str) -> float:
 
 def read_air(prim: Usd.Prim) -> Air | None:
     """Return the air of a PhysicsScene prim, which UsdPhysics has not; None without `gauge:air:` attributes."""
-    values = {
-        attribute.GetName().removeprefix(AIR_PREFIX): as_array(attribute.Get()).tolist()
-        for attribute in prim.GetAuthoredPropertiesInNamespace(AIR_PREFIX)
-    }
-    return TypeAdapter(Air).validate_python(values) if values else None
+    values: dict[str, Any] = {}
+    for attribute in prim.GetAuthoredPropertiesInNamespace(AIR_PREFIX):
+        name, value = attribute.GetName().removeprefix(AIR_PREFIX), attribute.Get()
+        values[name] = vector(value) if name in AIR_KINDS else value
+    return Air(**values) if values else None
 
 
 def read_attachment(source: Source, prim: Usd.Prim, names: Names) -> Attachment | None:
