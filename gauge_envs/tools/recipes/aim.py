@@ -17,6 +17,7 @@ RANGES = {
     "friction": (0.01, 2.0),
     "restitution": (0.0, 1.0),
     "penetration_m": (1e-7, 0.01),
+    "stiffness_n_per_m": (1e-3, math.inf),
     "damping_n_s_per_m": (0.0, math.inf),
     "torsion_m": (1e-5, 0.01),
     "rolling_m": (1e-5, 0.01),
@@ -75,20 +76,15 @@ class Aim:
             raise ParameterError(
                 "damping determines the rebound of a stiffness: give a stiffness and no restitution"
             )
-        if self.stiffness_n_per_m is not None:
-            self._check_stiffness(self.stiffness_n_per_m)
-
-    def _check_stiffness(self, stiffness_n_per_m: float) -> None:
-        if self.penetration_m is not None:
+        if self.stiffness_n_per_m is not None and self.penetration_m is not None:
             raise ParameterError(
                 "stiffness and penetration both determine the depth at rest: give one of them"
             )
-        shallowest_m, deepest_m = RANGES["penetration_m"]
-        weight_n = self.mass_kg * GRAVITY_M_PER_S2
-        if not weight_n / deepest_m <= stiffness_n_per_m <= weight_n / shallowest_m:
+        low_m, high_m = RANGES["penetration_m"]
+        depth_m = self.depth_m()
+        if depth_m is not None and not low_m <= depth_m <= high_m:
             raise ParameterError(
-                f"stiffness_n_per_m {stiffness_n_per_m:g}: expected {weight_n / deepest_m:.3g} to "
-                f"{weight_n / shallowest_m:.3g} for {self.mass_kg:g} kg"
+                f"stiffness_n_per_m gives a depth of {depth_m:.3g} m: expected {low_m:g} to {high_m:g}"
             )
 
     @property

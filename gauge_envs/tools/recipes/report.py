@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 
-from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.pages.document import Document, Part
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.scene.fabrics import Fabric, bending_length_m
@@ -24,17 +23,21 @@ TITLES = {
 """Titles of values whose names carry a unit."""
 
 
-SHEAR_SHARE = "shear over real"
-"""Row with the shear stiffness of a mapped fabric over the measured one."""
-
-
 def _number(key: str, title: str, *, unit: str = "") -> Column:
-    return Column(key, title, lambda value: f"{value:.4g}", unit=unit, is_number=True)
+    return Column(key, title, _digits, unit=unit, is_number=True)
+
+
+def _digits(value: float) -> str:
+    return f"{value:.4g}"
 
 
 def _error_text(error: float) -> str:
     """Return an error; less than 1e-12 is rounding."""
     return f"{error:+.2g}" if abs(error) > 1e-12 else "0"
+
+
+COLUMNS = {"asked": _digits, "reached": _digits, "error": _error_text}
+"""Text of the values of each column of a recipe."""
 
 
 def recipe_document(
@@ -60,21 +63,14 @@ def recipe_document(
             # A stiffness asks for a depth, and a damping for a rebound.
             target = value - error
         rows.append({"name": name, "asked": target, "reached": value, "error": error})
-        rows[-1]["law"] = recipe.detail.get("mapping_gives", {}).get(name)
-    columns = (
-        _number("asked", "asked"),
-        _number("law", "law"),
-        _number("reached", "reached"),
-        Column("error", "error", _error_text, is_number=True),
-    )
-    shown = [
-        column
-        for column in columns
-        if any(column.value(row) is not None for row in rows)
+    columns = [Column("name", title, lambda name: TITLES.get(name, name))]
+    columns += [
+        Column(name, name, text, is_number=True)
+        for name, text in COLUMNS.items()
+        if any(row[name] is not None for row in rows)
     ]
-    value_name = Column("name", title, lambda name: TITLES.get(name, name))
     notes = ("", recipe.explanation)
-    parts.append(Table(columns=(value_name, *shown), rows=rows, notes=notes))
+    parts.append(Table(columns=tuple(columns), rows=rows, notes=notes))
     return Document(parts=parts, rows=[row])
 
 
@@ -135,10 +131,12 @@ def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
     known = {name: fabric_constants(fabric) for name, fabric in fabrics.items()}
     rows = []
     for engine, first in next(iter(known.values())).items():
-        for constant, unit in [*first.units.items(), (SHEAR_SHARE, "1")]:
+        for constant, unit in first.units.items():
             row = {"engine": engine, "constant": constant, "unit": unit}
             for name, by_engine in known.items():
-                row[name] = _cell(by_engine[engine], constant)
+                mapped = by_engine[engine]
+                mark = "*" if constant in mapped.replaced else ""
+                row[name] = f"{mapped.constants[constant]:.3g}{mark}"
             rows.append(row)
     table = Table(
         columns=(
@@ -159,13 +157,3 @@ def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
         for name, by_engine in known.items()
     }
     return Document(parts=(table,), rows=[constants])
-
-
-def _cell(mapped: FabricConstants, constant: str) -> str:
-    """Return a constant to three digits with a short exponent, and a mark if a fall-back sets it."""
-    if constant == SHEAR_SHARE:
-        measured_n_per_m = mapped.fabric.shear_stiffness_n_per_m
-        return f"{mapped.shear_stiffness_n_per_m / measured_n_per_m:.2g}"
-    digits = f"{mapped.constants[constant]:.3g}"
-    mark = "*" if constant in mapped.replaced else ""
-    return digits.replace("e+0", "e").replace("e-0", "e-") + mark

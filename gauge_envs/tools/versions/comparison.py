@@ -187,26 +187,23 @@ def field_changes(
         after: Fields of the second side.
         names: Names of objects by the prefix of their fields.
     """
-    for name, value in before.items():
-        other = after.get(name, value)
-        first, second = np.array(value), np.array(other)
-        change = FieldChange(field=name, where="", count=1, before=value, after=other)
-        if name.startswith("opt.") or first.shape != second.shape:
-            if value != other:
-                yield change
+    for name in sorted(before.keys() & after.keys()):
+        first, second = np.array(before[name]), np.array(after[name])
+        if first.shape != second.shape:
+            shapes = {"before": first.shape, "after": second.shape}
+            yield FieldChange(field=name, where="shape", count=1, **shapes)
             continue
         sizes = np.abs(first - second)
         sizes[np.isclose(first, second, rtol=FIELD_TOLERANCE, atol=1e-12)] = 0.0
         if np.any(sizes):
-            sizes = sizes.reshape(len(sizes), -1).max(axis=1)
-            row = int(np.argmax(sizes))
-            owners = names.get(name.partition("_")[0], [])
-            yield replace(
-                change,
+            row = int(np.unravel_index(np.argmax(sizes), sizes.shape)[0])
+            owners = names.get(name.partition("_")[0], [""])
+            yield FieldChange(
+                field=name,
                 where=owners[row] if len(owners) == len(sizes) else f"row {row}",
-                count=int(np.count_nonzero(sizes)),
-                before=value[row],
-                after=other[row],
+                count=len(np.unique(np.nonzero(sizes)[0])),
+                before=first[row].tolist(),
+                after=second[row].tolist(),
             )
 
 

@@ -45,10 +45,8 @@ ENUMS = {
     "solver": "mjtSolver",
     "cone": "mjtCone",
     "integrator": "mjtIntegrator",
-    "disableflags": "mjtDisableBit",
-    "enableflags": "mjtEnableBit",
 }
-"""Enumeration of each option whose numbers mean other things in other releases."""
+"""Enumeration of each option that has one."""
 
 PHYSICS = re.compile(
     r"(?!.*(adr|num|bvh|plugin|rgba|matid|group|user|sameframe|simple|rootid|weldid|treeid|jntid|dataid|Madr|texcoord|"
@@ -139,49 +137,35 @@ def set_options(model: Any, settings: Job) -> None:
         raise SystemExit(f"timestep={model.opt.timestep}: expected a positive number")
 
 
-def option_value(option: Any, name: str) -> list[Any]:
-    """Return an option as a list of numbers, or as names of an enumeration: that of the number, or of the set flags."""
-    value = getattr(option, name)
-    if name not in ENUMS:
-        return np.ravel(value).tolist()
-    members = getattr(mujoco, ENUMS[name]).__members__.items()
-    if not name.endswith("flags"):
-        return [key for key, number in members if int(number) == value]
-    # The last member, as mjNDISABLE, is the number of flags.
-    return [key for key, number in members if key[2] != "N" and int(number) & value]
-
-
 def compiled_fields(model: Any) -> Job:
-    """Return the options and the fields of the compiled model that the physics reads."""
+    """Return the rows of the options, and of the fields of the compiled model that the physics reads."""
     options = [name for name in dir(model.opt) if not name.startswith("_")]
-    fields = {f"opt.{name}": option_value(model.opt, name) for name in options}
-    for name in filter(PHYSICS.match, dir(model)):
-        fields[name] = np.asarray(getattr(model, name), dtype=float).tolist()
-    return fields
+    fields = {f"opt.{name}": [np.ravel(getattr(model.opt, name))] for name in options}
+    fields |= {name: getattr(model, name) for name in filter(PHYSICS.match, dir(model))}
+    return {name: np.asarray(fields[name], dtype=float).tolist() for name in fields}
+
+
+def names_of(objects: Callable[[int], Any], kind: str, count: int) -> list[str]:
+    """Return the names of objects; of a nameless object, its kind and index."""
+    return [objects(index).name or f"{kind} {index}" for index in range(count)]
 
 
 def object_names(model: Any) -> dict[str, list[str]]:
-    """Return the names of objects by the prefix of their compiled fields; of a nameless object, its kind and index."""
-    counts = {"body": model.nbody, "jnt": model.njnt, "geom": model.ngeom}
-    names = {
-        kind: [
-            getattr(model, kind)(index).name or f"{kind} {index}"
-            for index in range(count)
-        ]
-        for kind, count in counts.items()
-    }
-    bodies, joints, geoms = names["body"], names["jnt"], names["geom"]
+    """Return the names of bodies, geoms and degrees of freedom."""
+    bodies = names_of(model.body, "body", model.nbody)
+    geoms = names_of(model.geom, "geom", model.ngeom)
+    joints = names_of(model.jnt, "joint", model.njnt)
     for geom, body in enumerate(model.geom_bodyid):
         if geoms[geom] == f"geom {geom}":
             geoms[geom] += f" of {bodies[body]}"
-    names["dof"] = []
+    dofs = []
     for dof, joint in enumerate(model.dof_jntid):
         name = joints[joint]
         if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_FREE):
             is_rotation = dof - model.jnt_dofadr[joint] > 2
             name = "rotation" if is_rotation else "translation"
-        names["dof"].append(f"{name} of {bodies[model.dof_bodyid[dof]]}")
-    return names
+        dofs.append(f"{name} of {bodies[model.dof_bodyid[dof]]}")
+    return {"body": bodies, "geom": geoms, "dof": dofs}
 
 
 # --- motion ----------------------------------------------------------------------------------------------------------

@@ -40,18 +40,15 @@ def test_what_names_no_version_is_an_error_with_the_forms(text):
 
 
 @pytest.mark.parametrize(
-    ("subject", "texts", "message"),
+    ("subject", "texts"),
     [
-        ("SlopeSlider-2-wood", ("mujoco==3.3.0", "newton"), "releases of MuJoCo are"),
-        ("scene.xml", ("mujoco", "newton"), "on an id of this suite"),
-        ("scene.xml", ("mujoco", "mujoco:preset=training"), "on an id of this suite"),
+        ("SlopeSlider-2-wood", ("mujoco==3.3.0", "newton")),
+        ("scene.xml", ("mujoco", "mujoco:preset=training")),
     ],
 )
-def test_versions_that_cannot_be_compared(subject, texts, message):
-    sides = []
-    for text in texts:
-        sides += read_sides(text)
-    with pytest.raises(ParameterError, match=message):
+def test_engines_are_compared_with_each_other_on_ids(subject, texts):
+    sides = [side for text in texts for side in read_sides(text)]
+    with pytest.raises(ParameterError, match="on an id of this suite"):
         compares_motions(subject, sides)
 
 
@@ -126,12 +123,6 @@ class Made:
         self.model = mujoco.MjModel.from_xml_string(SCENE)
 
 
-class Changed(Made):
-    def __init__(self):
-        super().__init__()
-        self.model.body_mass[1] *= 2.0
-
-
 class Other(Made):
     """MuJoCo writes the model that it compiled last."""
 
@@ -140,13 +131,11 @@ class Other(Made):
         mujoco.MjModel.from_xml_string("<mujoco/>")
 
 
-@pytest.mark.parametrize(
-    ("name", "mass_kg"), [("made_model", 8.0), ("Made", 8.0), ("Changed", 16.0)]
-)
-def test_a_function_that_makes_a_model_is_a_subject(tmp_path, name, mass_kg):
+@pytest.mark.parametrize("name", ["made_model", "Made"])
+def test_a_function_that_makes_a_model_is_a_subject(tmp_path, name):
     file = read_subject(f"{__name__}:{name}", tmp_path)
     model = mujoco.MjModel.from_xml_path(str(file))
-    assert (model.body_mass[1], model.nv) == (pytest.approx(mass_kg), 7)
+    assert (model.body_mass[1], model.nv) == (pytest.approx(8.0), 7)
 
 
 @pytest.mark.parametrize(
@@ -156,41 +145,12 @@ def test_a_function_that_makes_a_model_is_a_subject(tmp_path, name, mass_kg):
         (f"{__name__}:nothing", "nothing"),
         (f"{__name__}:leaves", "SystemExit: 3"),
         ("absent.xml", "no such file"),
-        ("Absent-v0", "no environment of Gymnasium"),
-        ("FoamShearing-soft", "are not compared"),
         ("Turntable-1-wood", "are not compared"),
     ],
 )
 def test_what_is_no_subject(tmp_path, text, message):
     with pytest.raises(ParameterError, match=message):
         read_subject(text, tmp_path)
-
-
-LAYER = """#usda 1.0
-(
-    metersPerUnit = 1
-    upAxis = "Z"
-)
-def PhysicsScene "scene" {}
-def Cube "block" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI", "PhysicsMassAPI"])
-{
-    float physics:mass = 3
-    rel material:binding:physics = </wood>
-}
-def Material "wood" (prepend apiSchemas = ["PhysicsMaterialAPI"])
-{
-    float physics:dynamicFriction = 0.5
-    float physics:staticFriction = 0.5
-    float physics:restitution = 0
-}
-"""
-
-
-def test_a_usd_layer_is_a_subject(tmp_path):
-    layer = tmp_path / "block.usda"
-    layer.write_text(LAYER)
-    file = read_subject(str(layer), tmp_path)
-    assert mujoco.MjModel.from_xml_path(str(file)).body_mass[-1] == 3.0
 
 
 @pytest.mark.parametrize(
@@ -227,7 +187,7 @@ def test_a_wrong_setting_says_what_is_expected(settings, message):
 
 def test_a_worker_that_fails_says_why(tmp_path):
     model = tmp_path / "newer.xml"
-    model.write_text(SCENE.replace("<body", "<newer/><body"))
+    model.write_text("<mujoco><newer/></mujoco>")
     bench = Bench(title="newer.xml", job={"model": str(model)})
     with pytest.raises(VersionsError, match=r"old cannot run newer.xml: .*newer"):
         bench.work("run", [side("old")])

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from gauge_envs.backends.base import Backend
 from gauge_envs.backends.registry import backend
-from gauge_envs.errors import ParameterError, first_fault, nearest
+from gauge_envs.errors import ParameterError, first_fault
 from gauge_envs.tools.recipes.aim import Aim
 
 NAME = re.compile(r"(\w+)\s*=")
@@ -92,7 +92,7 @@ class ContactSettings(BaseModel, ABC):
             found = VALUE.findall(part)
             values[name] = tuple(found) if len(found) > 1 else "".join(found)
         is_repeated = 2 * len(values) < len(parts)
-        if not parts or start.strip() or is_repeated or "timestep_s" in values:
+        if not parts or start.strip() or is_repeated:
             raise ParameterError(
                 f"{cls.engine} contact {text!r}: expected names=values, each name once, as 'friction=0.5'"
             )
@@ -100,12 +100,9 @@ class ContactSettings(BaseModel, ABC):
             return cls.model_validate({**values, "timestep_s": timestep_s})
         except ValidationError as error:
             key, reason = first_fault(error, noun="setting")
-            place = f"{key!r}: " if key else ""
-            hint = ""
-            if reason == "unknown setting":
-                hint = f"; {nearest(key, cls.model_fields)}"
+            settings = ", ".join(cls.model_fields)
             raise ParameterError(
-                f"{cls.engine} contact: {place}{reason}{hint}"
+                f"{cls.engine} contact: {key!r}: {reason}; settings: {settings}"
             ) from None
 
     @classmethod
