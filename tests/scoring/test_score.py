@@ -65,6 +65,8 @@ def test_3_mm_from_a_solution_are_3_mm_over_its_uncertainty(name):
     assert score.rmse_95 == pytest.approx((max(3.0 - 1.96 * u, 0.0), 3.0 + 1.96 * u))
     assert score.primary_interval[1] == pytest.approx(3.0 / u + 1.96)
     assert score.verdict == ("outside" if 1.96 * u < 3.0 else "inside")
+    experiment = load_experiment(name)
+    assert "scattered" in still_score(experiment, band, is_moved=True).refused
     assert score_of(name)[1].verdict == "inside"
 
 
@@ -113,15 +115,12 @@ def test_every_id_scores_a_scene_in_which_nothing_moves(name):
     score = still_score(experiment, band)
     assert Score.from_dict(json.loads(json.dumps(score.to_dict()))) == score
     assert score.summary().endswith(".") and len(repr(score).splitlines()) <= 10
+    with pytest.raises(ValueError, match=r"0\.3 or earlier: `gauge score FILE`"):
+        Score.from_dict({"grade": "model", "unit": "mm^2"})
     if band is not None and not name.startswith("SlopeSlider-1"):
         assert score.verdict == "outside"
         distance = pytest.approx(band.zero_motion_distance, rel=0.2)
         assert score.distance == distance or score.primary.startswith("rmse")
-
-
-def test_a_score_of_an_old_version_says_how_to_make_it_again():
-    with pytest.raises(ValueError, match=r"0\.3 or earlier: `gauge score FILE`"):
-        Score.from_dict({"grade": "model", "unit": "mm^2"})
 
 
 @pytest.mark.parametrize(
@@ -150,19 +149,11 @@ def test_what_a_reference_cannot_judge_has_no_score_and_one_reason(
     assert score.refused == refusal(experiment, band)
     if part is None:
         assert score.refused is None and score.rmse is not None
+        # A scattered start is scored against trials alone.
+        assert still_score(experiment, band, is_moved=True).refused is None
     else:
         assert part in score.refused
         assert (score.rmse, score.verdict) == (None, "no reference")
-
-
-@pytest.mark.parametrize(
-    ("name", "is_refused"),
-    [("SlopeSlider-3-wood", True), ("SlopeSlider-2-wood", False)],
-)
-def test_a_scattered_start_is_scored_against_trials_alone(name, is_refused):
-    experiment = load_experiment(name)
-    score = still_score(experiment, reference_band(experiment), is_moved=True)
-    assert (score.refused is not None) == is_refused
 
 
 EVENT = Measured(value=1.19, unit="s", real=1.0, real_uncertainty=0.1)
