@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import Box, Pose
-from gauge_envs.scene.drivers import Driver, DriverMotion
+from gauge_envs.scene.drivers import Driver, DriverMotion, recorded_coordinates
 from gauge_envs.scene.prescribed_motion import PrescribedMotion
 from gauge_envs.scene.profiles import CosineProfile, SampledProfile, TrapezoidProfile
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
@@ -136,11 +136,9 @@ def test_each_interval_ends_where_the_next_one_begins(action):
     targets = np.concatenate(rows)
     assert ends_of(targets[:-1]) == pytest.approx(targets[1:, :7], abs=1e-12)
     times_s = SAMPLE_INTERVAL_S * np.arange(60)
-    coordinates = [[one.value(time) for one in driver.motions] for time in times_s]
-    coordinates = np.array(coordinates) + 0.3 * action * times_s[:, None]
-    rates = [[one.rate(time) for one in driver.motions] for time in times_s]
-    starts = np.tile(START, (60, 1))
-    states = driver.moved(starts, coordinates, np.array(rates) + 0.3 * action)
+    values, rates = recorded_coordinates(driver.motions, times_s)
+    values += 0.3 * action * times_s[:, None]
+    states = driver.moved(np.tile(START, (60, 1)), values, rates + 0.3 * action)
     assert targets[:, :7] == pytest.approx(states[:, :7], abs=1e-12)
     # Means over an interval, of which the acceleration is the change of velocity.
     gains = np.diff(states[:, 7:], axis=0) / SAMPLE_INTERVAL_S

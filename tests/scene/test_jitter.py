@@ -5,19 +5,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rigid import plane_deg, scene_of, solid
 from scipy.spatial.distance import pdist
 
 from gauge_envs import Jitter, load_experiment
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene import Motion, Plane, Pose, Tether
+from gauge_envs.scene import Box, Motion, Sphere, Tether
 from gauge_envs.scene.contact_faces import face_normal
 from gauge_envs.scene.jitter import JITTER_FORMAT, perturbed_states
 from gauge_envs.scene.states import scene_at
+from gauge_envs.tools.bench.parts import contact
 
 PUSHES = Jitter(velocity_m_per_s=0.2, angular_velocity_rad_per_s=0.5)
 
 
-def scene_of(name):
+def scene_named(name):
     return load_experiment(name).scene
 
 
@@ -38,7 +40,7 @@ def drawn(scene, name, jitter=PUSHES, count=500):
 
 
 def test_a_cube_on_a_slope_moves_along_it_and_rotates_about_its_normal():
-    scene = scene_of("SlopeSlider-2-wood")
+    scene = scene_named("SlopeSlider-2-wood")
     cube = scene.body("cube").pose
     normal = face_normal(cube)
     assert normal == pytest.approx([0.5, 0.0, math.sqrt(0.75)])
@@ -56,14 +58,14 @@ def test_a_cube_on_a_slope_moves_along_it_and_rotates_about_its_normal():
 
 
 def test_a_ball_in_the_air_moves_in_all_directions():
-    scene = scene_of("BouncingBall-rubber")
+    scene = scene_named("BouncingBall-rubber")
     shifts, _, linear, angular = drawn(scene, "ball", count=1000)
     for vectors, std in ((shifts, 1e-3), (linear, 0.2), (angular, 0.5)):
         assert vectors.std(axis=0) == pytest.approx([std] * 3, rel=0.07)
 
 
 def test_a_hinged_ball_rotates_about_its_hinge():
-    scene = scene_of("Pendulum-metal")
+    scene = scene_named("Pendulum-metal")
     (hinge,) = scene.joints
     arm = np.subtract(scene.body("ball").pose.position_m, hinge.anchor_m)
     shifts, turns, linear, angular = drawn(scene, "ball")
@@ -79,13 +81,12 @@ def test_a_hinged_ball_rotates_about_its_hinge():
 
 
 def test_a_tether_stays_tight():
-    scene = scene_of("WallBreaking-wood")
-    (tether,) = [one for one in scene.joints if isinstance(one, Tether)]
-    ball = scene.body(tether.body)
-    alone = replace(scene, bodies=(ball,), contacts=())
-    shifts, turns, linear, angular = drawn(alone, ball.name, count=100)
-    arm = np.subtract(ball.pose.position_m, tether.anchor_m)
-    arms, length = arm + shifts, np.linalg.norm(arm)
+    ball = solid("ball", Sphere(radius_m=0.05), (0.3, 0.0, 0.6))
+    tether = Tether(body="ball", anchor_m=(0.0, 0.0, 1.0), length_m=0.5)
+    shifts, turns, linear, angular = drawn(
+        scene_of(ball, joints=(tether,)), "ball", count=100
+    )
+    arms, length = np.add(shifts, [0.3, 0.0, -0.4]), 0.5
     assert np.linalg.norm(arms, axis=1) == pytest.approx(np.full(100, length))
     assert turns.std(axis=0) == pytest.approx([math.radians(0.5)] * 3, rel=0.25)
     assert np.abs((arms * linear).sum(axis=1)).max() < 1e-12
@@ -95,14 +96,14 @@ def test_a_tether_stays_tight():
 
 
 def test_what_is_fixed_or_driven_stays_and_free_cloth_keeps_its_plane():
-    scene = scene_of("RotatingBall-rayon")
+    scene = scene_named("RotatingBall-rayon")
     other = jittered(scene, Jitter(), seed=1)
     assert other.bodies == scene.bodies
     cloth, moved = scene.deformables[0].pose, other.deformables[0].pose
     assert moved.position_m[:2] != cloth.position_m[:2]
     assert moved.position_m[2] == pytest.approx(cloth.position_m[2], abs=1e-12)
     assert face_normal(moved) == pytest.approx(face_normal(cloth), abs=1e-12)
-    turntable = scene_of("Turntable-1-wood")
+    turntable = scene_named("Turntable-1-wood")
     for before, after in zip(
         turntable.bodies, jittered(turntable, PUSHES, seed=3).bodies, strict=True
     ):
@@ -123,7 +124,7 @@ def test_a_seed_has_one_start_which_does_not_depend_on_drawn_velocities(
 ):
     """The keys of sweeps hold the format: with the same one, old repeats would count as those of the new draw."""
     assert JITTER_FORMAT == 3
-    scene = scene_of(name)
+    scene = scene_named(name)
     for jitter in (Jitter(), PUSHES):
         moved = jittered(scene, jitter, seed=0).body(body)
         shift_m = np.subtract(moved.pose.position_m, scene.body(body).pose.position_m)
@@ -133,7 +134,7 @@ def test_a_seed_has_one_start_which_does_not_depend_on_drawn_velocities(
 
 def test_scatter_that_moves_nothing_or_is_no_number_is_refused():
     with pytest.raises(ParameterError, match="nothing to jitter"):
-        jittered(scene_of("CantileverBeam-soft"), Jitter(), seed=0)
+        jittered(scene_named("CantileverBeam-soft"), Jitter(), seed=0)
     for values in ({"position_m": -1e-3}, {"angle_rad": math.nan}):
         with pytest.raises(ParameterError, match="jitter"):
             Jitter(**values)
@@ -144,7 +145,7 @@ def test_scatter_that_moves_nothing_or_is_no_number_is_refused():
 @pytest.mark.parametrize("name", ["SlopeContact-wood", "SlopeContact-plastic"])
 def test_a_tetrahedron_on_a_seam_keeps_its_contact(name):
     """The face that cuts the corner of a cube off makes equal angles with its edges."""
-    scene = scene_of(name)
+    scene = scene_named(name)
     normal = np.array([math.sqrt(2.0), 0.0, 1.0]) / math.sqrt(3.0)
     shifts, turns, *_ = drawn(scene, "teh", Jitter())
     assert np.abs(shifts @ normal).max() < 1e-12
@@ -156,7 +157,7 @@ def test_a_tetrahedron_on_a_seam_keeps_its_contact(name):
 
 @pytest.mark.parametrize("count", [2, 12])
 def test_bricks_that_touch_move_as_one_rigid_body(count):
-    scene = scene_of("WallBreaking-wood")
+    scene = scene_named("WallBreaking-wood")
     bricks = [body.name for body in scene.bodies if body.name.startswith("brick")]
     left_out = bricks[count:]
     bodies = [body for body in scene.bodies if body.name not in left_out]
@@ -177,15 +178,10 @@ def test_bricks_that_touch_move_as_one_rigid_body(count):
 
 
 def test_a_body_in_a_corner_moves_along_it_and_does_not_rotate():
-    scene = replace(scene_of("SlopeSlider-2-wood"), drivers=())
-    cube, board = scene.body("cube"), scene.body("board")
-    floor = replace(board, shape=Plane(), pose=Pose(position_m=(0.0, 0.0, 0.0)))
-    upright = Pose.from_euler_deg((0.0, 0.0, 0.0), (0.0, 90.0, 0.0))
-    wall = replace(floor, name="wall", pose=upright)
-    half_m = 0.5 * cube.shape.size_m[0]
-    cube = replace(cube, pose=Pose(position_m=(half_m, 0.0, half_m)))
-    contact = replace(scene.contacts[0], first=("cube",), second=("board", "wall"))
-    corner = replace(scene, bodies=(cube, floor, wall), contacts=(contact,))
+    cube = solid("cube", Box(size_m=(0.05, 0.05, 0.05)), (0.025, 0.0, 0.025))
+    planes = plane_deg(), plane_deg(90.0, "wall")
+    contacts = [contact("cube", plane.name, friction=0.3) for plane in planes]
+    corner = scene_of(cube, *planes, contacts=tuple(contacts))
     shifts, turns, linear, angular = drawn(corner, "cube")
     for vectors, std in ((shifts, 1e-3), (linear, 0.2)):
         assert np.abs(vectors[:, [0, 2]]).max() < 1e-15

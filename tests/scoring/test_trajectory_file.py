@@ -74,9 +74,8 @@ def test_frames_between_samples_are_interpolated_and_counted(tmp_path):
     places = coulomb_slide(times)
     file = write_csv(tmp_path / "a.csv", places, header="time_s,x,y,z", times=times)
     read = read_trajectory(file, RESOLVED)
-    assert (
-        read.interpolated_frames == 12
-    )  # Every frame but those at multiples of 0.1 s.
+    # Every frame but those at multiples of 0.1 s.
+    assert read.interpolated_frames == 12
     at_frames = read.values[np.isin(read.times_s, TIMES)]
     np.testing.assert_allclose(at_frames, SLIDE, atol=0.04)  # a dt^2 / 8 = 0.032 mm
 
