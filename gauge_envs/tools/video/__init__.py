@@ -9,9 +9,7 @@ Example:
 from gauge_envs.tools.video.frames import FileFrames as FileFrames
 from gauge_envs.tools.video.scoring import (
     METRICS as METRICS,
-    PAPER_METRICS as PAPER_METRICS,
     VideoScore as VideoScore,
-    law_share as law_share,
     score as score,
     score_track as score_track,
 )
@@ -27,4 +25,3 @@ from gauge_envs.tools.video.track import (
     read_track as read_track,
     save_track as save_track,
 )
-from gauge_envs.tools.video.writer import film_writer as film_writer

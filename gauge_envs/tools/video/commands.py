@@ -130,7 +130,7 @@ def video_report(
 ) -> bool:
     """Score the videos of many models, and write a page with a table and pictures.
 
-    The pictures show what was followed; table.csv and table.tex hold the table. Exit code 1 when a video cannot be
+    The pictures show what was followed; table.csv holds the table. Exit code 1 when a video cannot be
     judged or a file is named otherwise; the others are on the page.
     """
     videos, others = report.find_videos(folder)
@@ -158,7 +158,6 @@ def video_report(
     lines = [{"model": model, **x.to_dict()} for model, _, _, x in clips if x]
     save_file(out / "results.json", json_text(lines))
     save_file(out / "table.csv", report.table_csv(table))
-    save_file(out / "table.tex", report.table_latex(table))
     print_document(report.summary_table(table), Format.TEXT)
     echo(page)
     return bool(errors)

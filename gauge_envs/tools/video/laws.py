@@ -15,12 +15,11 @@ Example:
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import brute, least_squares, minimize_scalar
 from scipy.signal import find_peaks
 
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.tools.video.tasks import Motion, VideoTask
 from gauge_envs.tools.video.track import Track
 
@@ -197,12 +196,8 @@ APEX_SEPARATION_S = 0.35
 MIN_APEX_RAD = 0.08
 """Smallest angle of an apex [rad]; hanging balls have none."""
 
-APEX_FALL, APEX_FALL_RAD = 0.1, 0.04
-"""Fall of the angle on both sides of an apex: relative to the apex, and at most [rad], a quarter of a ball. Balls that
-tremble fall less."""
-
-MAX_APEX_STEP = 2
-"""Largest number of frames from an apex to its neighbours."""
+APEX_FALL = 0.1
+"""Fall of the angle on both sides of an apex, relative to the apex. Balls that tremble fall less."""
 
 
 def displacement_px(track: Track, task: VideoTask) -> FloatArray:
@@ -254,9 +249,7 @@ def retained(track: Track, task: VideoTask) -> tuple[int, int] | None:
     return (first, last) if last - first >= WINDOW else None
 
 
-def _straight(
-    track: Track, task: VideoTask, rows: NDArray[np.intp]
-) -> tuple[int, int] | None:
+def _straight(track: Track, task: VideoTask, rows: IntArray) -> tuple[int, int] | None:
     """Return the first and last row of a slide or a fall, of those in which the object is found."""
     # A place that lasts one frame is an error of the tracker and no motion.
     along_px = median_filter(displacement_px(track, task)[rows], 3, mode="nearest")
@@ -268,16 +261,9 @@ def _straight(
     window_px = along_px - along_px[np.maximum(np.arange(len(rows)) - WINDOW, 0)]
     resting = np.flatnonzero(window_px[: established + 1] <= MOVING_PX)
     start = max(0, int(resting[-1]) - WINDOW)
-    rest_px, *later_px = along_px[start : start + 3]
-    # A shadow that appears after the first frame moves the place by a pixel, and not the places of the next frames.
-    if np.ptp(later_px) <= RELEASED_PX < abs(later_px[0] - rest_px) <= MOVING_PX:
-        rest_px = later_px[0]
-    away_px = along_px[start + 1 : established] - rest_px
+    away_px = along_px[start + 1 : established] - along_px[start]
     start += int(np.append(away_px > RELEASED_PX, True).argmax())
     end = len(rows) - 1
-    if task.motion is Motion.FALL and rows[-1] < len(track.frames) - 1:
-        # A ball that leaves the picture or hits the ground is shown in part by the last frame.
-        end -= 1
     for index in range(established, len(rows) - 1):
         if _stops(along_px, rows, index):
             # The exposure of the last frame before an impact may contain it.
@@ -294,7 +280,7 @@ def _straight(
     return (int(rows[start]), int(rows[end])) if end - start >= 3 else None
 
 
-def _stops(along_px: FloatArray, rows: NDArray[np.intp], index: int) -> bool:
+def _stops(along_px: FloatArray, rows: IntArray, index: int) -> bool:
     """Return whether a body loses most of its speed at once, by coming to rest or by an impact with a rebound."""
     earlier = np.arange(max(0, index - 2), index + 1)
     before_px = (np.diff(along_px[earlier]) / np.diff(rows[earlier])).max()
@@ -304,13 +290,11 @@ def _stops(along_px: FloatArray, rows: NDArray[np.intp], index: int) -> bool:
     return bool(after_px.max() <= IMPACT * before_px)
 
 
-def apices(
-    frames: NDArray[np.int64], angles_rad: FloatArray, fps: float
-) -> NDArray[np.intp]:
+def apices(frames: IntArray, angles_rad: FloatArray, fps: float) -> IntArray:
     """Return the rows of the apices of a ball that swings out, in order.
 
-    An apex is the largest angle within `APEX_SEPARATION_S` on both sides. The ball is seen next to it on both sides,
-    rises from below and falls again: balls that hang and tremble do not.
+    An apex is the largest angle within `APEX_SEPARATION_S` on both sides. The ball rises from below and falls again:
+    balls that hang and tremble do not.
 
     Args:
         frames: Numbers of the frames in which the ball was found, shape [frame_count].
@@ -327,12 +311,8 @@ def apices(
         prominence=0.0,
         wlen=2 * separation + 1,
     )
-    fall_rad = np.minimum(APEX_FALL * swing_rad[peaks], APEX_FALL_RAD)
-    is_swing = shape["prominences"] >= fall_rad
-    rows = np.searchsorted(frames, every_frame[peaks[is_swing]])
-    # A peak is neither the first nor the last row.
-    steps = np.diff(frames)
-    return rows[np.maximum(steps[rows - 1], steps[rows]) <= MAX_APEX_STEP]
+    is_swing = shape["prominences"] >= APEX_FALL * swing_rad[peaks]
+    return np.searchsorted(frames, every_frame[peaks[is_swing]])
 
 
 def peak(times_s: FloatArray, heights_m: FloatArray) -> float:

@@ -1,20 +1,18 @@
 """Score the motion in a video by the law of its task, with the uncertainty of the track carried into the result."""
 
 import math
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gauge_envs.errors import ParameterError, VideoError
+from gauge_envs.errors import ParameterError
 from gauge_envs.files import json_ready
+from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.tools.video import laws
-from gauge_envs.tools.video.frames import ArrayFrames, FileFrames, Frames
-from gauge_envs.tools.video.plane import metric_on_grid
+from gauge_envs.tools.video.frames import FileFrames
 from gauge_envs.tools.video.soundness import faults_of
 from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
@@ -22,13 +20,11 @@ from gauge_envs.tools.video.tracker import track_object
 
 Metrics: TypeAlias = dict[str, float]
 
-PAPER_METRICS = ("a", "qfi", "r2", "pd", "mte", "de")
-"""Metrics of GAUGE's paper under its names: acceleration [m/s^2] and QFI from the first retained frame on, R^2 and
-period [s] of a damped oscillation, momentum transfer, and dynamic error [N]."""
-
-METRICS = (*PAPER_METRICS, "acceleration_m_s2", "form")
-"""Names of all metrics, in the order of a result. The last two are the package's, of straight motions: acceleration
-from a release that is fitted, and the residual of the law relative to the displacement."""
+METRICS = ("a", "qfi", "r2", "pd", "mte", "de", "acceleration_m_s2", "form")
+"""Names of all metrics, in the order of a result. The first six are those of GAUGE's paper: acceleration [m/s^2] and QFI
+from the first retained frame on, R^2 and period [s] of a damped oscillation, momentum transfer, and dynamic error [N].
+The last two are the package's, of straight motions: acceleration from a release that is fitted, and the residual of the
+law relative to the displacement."""
 
 RELEASE_FRAMES = 6.0
 """Frames before and after the first retained one between which the release is searched."""
@@ -36,14 +32,15 @@ RELEASE_FRAMES = 6.0
 MAX_GRAVITY = 1.2
 """Largest gravity that a motion may need, relative to that of the Earth."""
 
-MIN_SLOPE = 0.1
-"""Smallest sine of a slope."""
-
 MIN_DISPLACEMENT = 1.0
 """Smallest displacement of a cube on a turntable of which a dynamic error says much, in its sizes."""
 
 SAMPLES = 200
 """Simulated tracks from which intervals are taken; a fifth of them for a pendulum."""
+
+SIZE_SIGMA_PX, PIVOT_SIGMA_PX = 0.5, 1.0
+"""Standard uncertainties of the length of the object in the first frame and of each coordinate of a pivot, which were
+read by eye [px]."""
 
 FRAMING_SIGMA = 0.005
 """Relative standard uncertainty of the pixel scale in addition to that of the measured length: depth and lens, from
@@ -88,22 +85,17 @@ class VideoScore:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result with the registration in place of the track, JSON-ready."""
-        registration = self.track.registration
-        values = vars(self) | {"registration": registration and asdict(registration)}
+        values = vars(self) | {"registration": asdict(self.track.registration)}
         del values["track"]
         ready: dict[str, Any] = json_ready(values)
         return ready
 
 
-def score(
-    frames: Path | str | Sequence[NDArray[np.uint8]] | NDArray[np.uint8],
-    fps: float | None = None,
-    task: str = "",
-) -> VideoScore:
+def score(path: Path | str, fps: float | None = None, task: str = "") -> VideoScore:
     """Track the object of a task through a video, and score its motion.
 
     Args:
-        frames: A video file, or pictures in red, green and blue of shape [height, width, 3] and type uint8.
+        path: The video.
         fps: Frames per second; the rate of the file if None.
         task: Id of a task, such as `SlopeSlider-2-wood`; see `gauge_envs.tools.video.video_tasks`.
 
@@ -113,39 +105,21 @@ def score(
         MissingExtraError: OpenCV is not installed.
     """
     chosen = video_task(task)
-    source: Frames
-    if isinstance(frames, str | Path):
-        source = FileFrames(Path(frames), fps=fps)
-    elif fps is None:
-        raise VideoError("frames: give fps, the frames per second")
-    else:
-        source = ArrayFrames(frames, fps=fps)
-    return score_track(track_object(source, chosen), chosen, name=source.name)
+    frames = FileFrames(Path(path), fps=fps)
+    return score_track(track_object(frames, chosen), chosen, name=frames.name)
 
 
 def score_track(track: Track, task: VideoTask, *, name: str = "track") -> VideoScore:
     """Score the motion of a track.
 
     Args:
-        track: The track, on the reference grid or in millimetres.
+        track: The track, on the reference grid.
         task: The task.
         name: Name of the result.
-
-    Raises:
-        VideoError: A track in millimetres has other axes or another unit.
     """
-    scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * task.size_sigma_px / task.size_px)
-    if track.is_metric and track.is_found.any():
-        track, task = metric_on_grid(track, task)
-        scale_sigma = 0.0
     span = laws.retained(track, task)
     faults = faults_of(track, task, span)
-    last_frame = track.frames[-1 if span is None else span[1]]
-    findings = [
-        event.text
-        for event in track.events
-        if event.is_note and event.first_frame <= last_frame
-    ]
+    findings = [*track.notes]
     values: Metrics = {}
     intervals: dict[str, tuple[float, float]] = {}
     if span is None:
@@ -153,10 +127,10 @@ def score_track(track: Track, task: VideoTask, *, name: str = "track") -> VideoS
     else:
         try:
             values = measure(track, task, span)
-            intervals = _intervals(track, task, span, values, scale_sigma)
+            intervals = _intervals(track, task, span, values)
+            findings += _findings(task, values)
         except ParameterError as error:
             findings.append(str(error))
-        findings += _findings(task, values)
     return VideoScore(
         video=name,
         task=task.id,
@@ -172,46 +146,17 @@ def score_track(track: Track, task: VideoTask, *, name: str = "track") -> VideoS
     )
 
 
-def law_share(result: VideoScore, task: VideoTask) -> float:
-    """Return how near a clip is to the law of its task, from 0 to 1; 0 where the track is not sound.
-
-    Args:
-        result: The result.
-        task: The task.
-    """
-    if not result.is_sound:
-        return 0.0
-    # A cube that stands still needs no force.
-    is_still = result.details.get("displacement_in_sizes", 1.0) < MIN_DISPLACEMENT
-    shares = []
-    for name in task.law.keys() - {"qfi"}:
-        value = result.metrics[name]
-        if value is None or is_still:
-            shares.append(0.0)
-        elif name == "de":
-            friction_n = task.friction * task.mass_kg * laws.GRAVITY_M_PER_S2
-            shares.append(friction_n / (friction_n + value))
-        else:
-            ratio = max(0.0, value) / task.law[name]
-            shares.append(min(ratio, 1.0 / max(ratio, 1.0)))
-    return float(np.mean(shares))
-
-
 def _findings(task: VideoTask, values: Metrics) -> list[str]:
     """Return observations that the metrics do not show."""
     findings = []
-    gravity_m_s2 = 0.0
     if task.direction is not None:
-        acceleration_m_s2 = values.get("acceleration_m_s2", 0.0)
-        gravity_m_s2 = acceleration_m_s2 / max(task.direction[1], MIN_SLOPE)
-    elif "pd" in values and task.pivot_px is not None:
-        length_m = math.dist(task.centre_px, task.pivot_px) * task.scale_m_per_px
-        gravity_m_s2 = (2.0 * math.pi / values["pd"]) ** 2 * length_m
-    gravity = gravity_m_s2 / laws.GRAVITY_M_PER_S2
-    if gravity > MAX_GRAVITY:
-        findings.append(
-            f"the motion needs {gravity:.1f} times gravity: the frame rate may be wrong, give --fps"
-        )
+        # The sine of a slope, or 1 of a fall.
+        slope = task.direction[1]
+        gravity = values["acceleration_m_s2"] / slope / laws.GRAVITY_M_PER_S2
+        if gravity > MAX_GRAVITY:
+            findings.append(
+                f"the motion needs {gravity:.1f} times gravity: the frame rate may be wrong, give --fps"
+            )
     displacement = values.get("displacement_in_sizes", 1.0)
     if displacement < MIN_DISPLACEMENT:
         findings.append(
@@ -276,7 +221,7 @@ def measure(
     return {"mte": float(np.mean(transfers))}
 
 
-def _straight_metrics(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> Metrics:
+def _straight_metrics(track: Track, task: VideoTask, rows: IntArray) -> Metrics:
     """Return the metrics of a slide or a fall by the paper's fit, and by a fit of the release."""
     times_s, scale = track.times_s, task.scale_m_per_px
     whole_m = laws.displacement_px(track.in_whole_px(), task) * scale
@@ -299,7 +244,7 @@ def _straight_metrics(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> 
     }
 
 
-def _found_rows(track: Track, first: int, last: int) -> NDArray[np.intp]:
+def _found_rows(track: Track, first: int, last: int) -> IntArray:
     """Return the rows between two rows, both included, in which the object was found."""
     return first + np.flatnonzero(track.is_found[first : last + 1])
 
@@ -312,10 +257,10 @@ def _intervals(
     task: VideoTask,
     span: tuple[int, int],
     nominal: Metrics,
-    scale_sigma: float,
 ) -> dict[str, tuple[float, float]]:
     """Return the 95 % interval of each metric, over simulated noise, scales, pivots and choices of the span."""
     rng = np.random.default_rng(0)
+    scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * SIZE_SIGMA_PX / task.size_px)
     swing, count = None, SAMPLES
     rows = _found_rows(track, *span)
     if task.motion is Motion.PENDULUM:
@@ -327,7 +272,7 @@ def _intervals(
     for _ in range(count):
         points_px = track.points_px + _errors_px(len(track.frames), noise_px, rng)
         if task.pivot_px is not None and task.motion is not Motion.TURN:
-            points_px += rng.normal(0.0, task.pivot_sigma_px, 2)
+            points_px += rng.normal(0.0, PIVOT_SIGMA_PX, 2)
         if swing is not None:
             # The residual of the law may come at any other time, with the other sign.
             residual_rad = swing.residuals_rad
@@ -347,14 +292,12 @@ def _intervals(
     if len(samples) < count // 2:
         return {}
     return {
-        name: _interval(name, value, [sample[name] for sample in samples], scale_sigma)
+        name: _interval(name, value, [sample[name] for sample in samples])
         for name, value in nominal.items()
     }
 
 
-def _errors_px(
-    count: int, sigma_px: float, rng: np.random.Generator
-) -> NDArray[np.float64]:
+def _errors_px(count: int, sigma_px: float, rng: np.random.Generator) -> FloatArray:
     """Return simulated errors of places [px], shape [count, 2]: noise in each frame, and errors that stay."""
     noise_px = rng.normal(0.0, sigma_px, (count, 2))
     knot_count = count // SLOW_FRAMES + 2
@@ -364,9 +307,7 @@ def _errors_px(
     return noise_px + np.transpose(slow_px)
 
 
-def _interval(
-    name: str, nominal: float, values: list[float], scale_sigma: float
-) -> tuple[float, float]:
+def _interval(name: str, nominal: float, values: list[float]) -> tuple[float, float]:
     if name == "pd":
         # Over less than a period, any noise lengthens it, that of the track too: the error has either sign.
         error = float(np.percentile(np.abs(np.subtract(values, nominal)), 95.0))
@@ -374,7 +315,4 @@ def _interval(
     # Noise only lengthens accelerations, so an error of 0 lies below all simulated ones.
     low = min(nominal, float(np.percentile(values, 2.5)))
     high = max(nominal, float(np.percentile(values, 97.5)))
-    if name == "de" and not scale_sigma:
-        # The noise of a measured track counts as force already. Simulated noise shows how much; it is reflected.
-        low = max(0.0, min(nominal, 2.0 * nominal - high))
     return low, high

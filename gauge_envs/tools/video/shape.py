@@ -1,24 +1,130 @@
-"""Detect an object of known outline and colour before a known background, in the frames of a video."""
+"""Detect an object of known outline and colour before a known background, in the frames of a video.
+
+No learned model is used, so a text prompt is not needed: the first frame of each task is known.
+"""
 
 import math
+from contextlib import suppress
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.video.frames import Picture, cv2
-from gauge_envs.tools.video.sight import (
-    BLACK_LEVEL,
-    COARSE,
-    Detection,
-    aligned,
-    colour_at,
-    likeness_of,
-    shrunk,
-    tint_of,
-    turned_square,
-)
+from gauge_envs.scene.geometry import BoolArray, FloatArray
+from gauge_envs.tools.video.frames import Gray, Picture, cv2
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
+
+COARSE = 0.25
+"""Scale at which the whole picture is searched and compared."""
+
+TINT, TINT_RANGE = 10.0, 20.0
+"""Difference of a colour, at any brightness, that is still the object's, and that at which likeness falls to 1/e."""
+
+
+class Detection(NamedTuple):
+    """Where the object may be in one frame.
+
+    Attributes:
+        place_px: Horizontal and vertical position [px], shape [2]; NaN when not found.
+        likeness: Likeness of shape and colour to the object in the first frame, from 0 to 1.
+        size_ratio: Apparent size relative to that in the first frame.
+        misfit: Difference from the shape in the first frame, in parts of the area.
+    """
+
+    place_px: FloatArray
+    likeness: float
+    size_ratio: float = math.nan
+    misfit: float = 0.0
+
+
+LOST = Detection(np.full(2, np.nan), 0.0)
+"""Detection of a frame in which the object is not seen."""
+
+
+def shrunk(picture: NDArray[Any]) -> Gray:
+    """Return a picture at the scale at which it is searched and compared."""
+    small = cv2.resize(
+        picture, None, fx=COARSE, fy=COARSE, interpolation=cv2.INTER_AREA
+    )
+    return np.asarray(small, dtype=np.float32)
+
+
+def aligned(
+    template: Gray,
+    window: Gray,
+    motion: int,
+    known: Gray | None = None,
+) -> tuple[float, FloatArray]:
+    """Return the largest correlation of a template with a wider window (Evangelidis and Psarakis, 2008).
+
+    Args:
+        template: The template, shape [side, side].
+        window: The window, with an equal margin on each side of the template.
+        motion: `cv2.MOTION_TRANSLATION` or `cv2.MOTION_EUCLIDEAN`.
+        known: Pixels of the window that count; None for all.
+
+    Returns:
+        The correlation, 0 where the search does not converge, and the matrix from the template to the window, shape
+        [2, 3].
+    """
+    warp = np.eye(2, 3, dtype=np.float32)
+    warp[:, 2] = (len(window) - len(template)) // 2
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-4)
+    mask = None if known is None else known.astype(np.uint8)
+    correlation = 0.0
+    # It does not converge where the window shows something else.
+    with suppress(cv2.error):
+        correlation, warp = cv2.findTransformECC(
+            template, window, warp, motion, stop, mask, 5
+        )
+    return correlation, np.asarray(warp, dtype=np.float64)
+
+
+def colour_at(
+    picture: NDArray[Any], place_px: FloatArray, size_px: float
+) -> FloatArray:
+    """Return the mean colour of the middle of an object, shape [3]."""
+    side = 2 * int(0.25 * size_px) + 1
+    middle = cv2.getRectSubPix(picture, (side, side), place_px.tolist())
+    return np.asarray(middle.mean(axis=(0, 1)))
+
+
+def tint_of(colour: FloatArray, known: FloatArray) -> float:
+    """Return the largest difference of a channel from a known colour at any brightness, in levels of 255."""
+    gain = np.clip(colour @ known / max(float(known @ known), 1.0), 0.5, 2.0)
+    return float(np.abs(colour - gain * known).max())
+
+
+def likeness_of(tint: float) -> float:
+    """Return the likeness of a colour that differs by a tint, from 0 to 1."""
+    return math.exp(-max(0.0, tint - TINT) / TINT_RANGE)
+
+
+def rotation_of(angle_rad: float) -> FloatArray:
+    """Return the matrix of a rotation, shape [2, 2]."""
+    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[cosine, -sine], [sine, cosine]])
+
+
+def turned_square(picture: Gray, pose: FloatArray, half: int) -> Gray:
+    """Return the square around a place that is rotated by an angle, shape [2 half + 1, 2 half + 1].
+
+    Args:
+        picture: The picture.
+        pose: Angle [rad] and place [px], shape [3].
+        half: Half of the side of the square [px].
+    """
+    matrix = np.column_stack([rotation_of(pose[0]), pose[1:]])
+    matrix[:, 2] -= matrix[:, :2] @ [half, half]
+    size = (2 * half + 1, 2 * half + 1)
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    edge = cv2.BORDER_REPLICATE
+    return np.asarray(
+        cv2.warpAffine(picture, matrix, size, flags=flags, borderMode=edge)
+    )
+
+
+# --- outlines --------------------------------------------------------------------------------------------------------
 
 REACH_PX = 8
 """Distance from a place found at the coarse scale within which it is refined [px]."""
@@ -76,11 +182,6 @@ class ShapeDetector:
         is_cradle = task.motion is Motion.CRADLE
         background = first if is_cradle else _background(first, last, task)
         self._background = background.astype(np.float32)
-        # Black bars beside the picture hide parts of the object, as its edge does, and so the centre of the rest is
-        # not that of the object.
-        rows, columns = np.nonzero(first.max(axis=2) > BLACK_LEVEL)
-        self._low_px = np.array([columns.min(), rows.min()]) + 0.5 * task.size_px
-        self._high_px = np.array([columns.max(), rows.max()]) - 0.5 * task.size_px
         contrast = self._background - self._colour.astype(np.float32)
         square = (contrast**2).sum(axis=2)
         self._known = (square > MIN_CONTRAST**2).astype(np.float32)
@@ -92,7 +193,7 @@ class ShapeDetector:
         if not is_cradle:
             self._take_first(self._covered(first))
 
-    def _take_first(self, covered: NDArray[np.float32]) -> None:
+    def _take_first(self, covered: Gray) -> None:
         """Take over the outline and the width of the object from the first frame, which shows its sides too."""
         first, known = self._cuts(covered, self._start_px, len(self._outline))
         self._outline = np.where(known > 0.5, first, self._outline)
@@ -124,12 +225,12 @@ class ShapeDetector:
         values = response[is_peak]
         half = 0.5 * round(COARSE * len(self._outline))
         return [
-            self._detection(picture, covered, (corners[one] + half) / COARSE - 0.5)
-            for one in np.argsort(-values)[:MAX_CANDIDATES]
+            self._detection(picture, covered, (corners[row] + half) / COARSE - 0.5)
+            for row in np.argsort(-values)[:MAX_CANDIDATES]
         ]
 
     def _detection(
-        self, picture: Picture, covered: NDArray[np.float32], coarse_px: FloatArray
+        self, picture: Picture, covered: Gray, coarse_px: FloatArray
     ) -> Detection:
         """Return the detection near a coarse place."""
         side = len(self._outline)
@@ -139,27 +240,24 @@ class ShapeDetector:
         place_px = middle_px + warp[:, 2] - REACH_PX
         cut, known = self._cuts(covered, place_px, side)
         value = float(_response(cut, known, self._outline, self._around)[0, 0])
-        is_whole = (self._low_px <= place_px) & (place_px <= self._high_px)
-        if value < MIN_RESPONSE or not is_whole.all():
-            return Detection()
+        # The edge of the picture hides parts of the object, and the centre of the rest is not that of the object.
+        edge_px = np.minimum(place_px, np.array(REFERENCE_SIZE_PX) - 1.0 - place_px)
+        if value < MIN_RESPONSE or edge_px.min() < 0.5 * self._size_px:
+            return LOST
         profile_px, is_known = self._profile(covered, place_px)
         moved_px = (place_px - self._start_px) @ self._direction
         place_px = place_px + self._added_share * moved_px * self._direction
         tint = tint_of(colour_at(picture, place_px, self._size_px), self._colour)
-        found = Detection(
-            place_px=place_px,
-            likeness=min(1.0, value) * likeness_of(tint),
-            tint=tint,
-        )
-        expected_px = self._profile_px[is_known]
+        likeness = min(1.0, value) * likeness_of(tint)
+        expected_px, seen_px = self._profile_px[is_known], profile_px[is_known]
         area_px2 = float(expected_px.sum())
-        if area_px2 > MIN_KNOWN_SHARE * self._size_px**2:
-            seen_px = profile_px[is_known]
-            found.size_ratio = math.sqrt(float(seen_px.sum()) / area_px2)
-            found.misfit = float(np.abs(seen_px - expected_px).sum()) / area_px2
-        return found
+        if area_px2 <= MIN_KNOWN_SHARE * self._size_px**2:
+            return Detection(place_px, likeness)
+        size_ratio = math.sqrt(float(seen_px.sum()) / area_px2)
+        misfit = float(np.abs(seen_px - expected_px).sum()) / area_px2
+        return Detection(place_px, likeness, size_ratio, misfit)
 
-    def _covered(self, picture: Picture) -> NDArray[np.float32]:
+    def _covered(self, picture: Picture) -> Gray:
         """Return the share of each pixel that the object covers; 0 where the background has its colour."""
         share = np.einsum("ijk,ijk->ij", self._background - picture, self._slope)
         share = (share - NOISE_SHARE) / (1.0 - 2.0 * NOISE_SHARE)
@@ -167,10 +265,10 @@ class ShapeDetector:
 
     def _cuts(
         self,
-        covered: NDArray[np.float32],
-        place_px: NDArray[np.floating],
+        covered: Gray,
+        place_px: FloatArray,
         side: int,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    ) -> tuple[Gray, Gray]:
         """Return squares around a place: what is covered, and where it is known."""
         size, place = (side, side), place_px.tolist()
         return (
@@ -179,8 +277,8 @@ class ShapeDetector:
         )
 
     def _profile(
-        self, covered: NDArray[np.float32], place_px: NDArray[np.floating]
-    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        self, covered: Gray, place_px: FloatArray
+    ) -> tuple[FloatArray, BoolArray]:
         """Return how much of each line along the motion is covered [px], and whether its background is known.
 
         The exposure smears an object along its motion only, so that each line along it is covered as much.
@@ -190,9 +288,7 @@ class ShapeDetector:
         is_known = lines[:, half - near : half + near + 1].mean(axis=1) > MIN_KNOWN_LINE
         return self._lines(covered, place_px).sum(axis=1), is_known
 
-    def _lines(
-        self, picture: NDArray[np.float32], place_px: NDArray[np.floating]
-    ) -> NDArray[np.float32]:
+    def _lines(self, picture: Gray, place_px: FloatArray) -> Gray:
         """Return a square around a place, with rows along the motion."""
         x, y = self._direction
         if self._task.pivot_px is not None:
@@ -201,15 +297,14 @@ class ShapeDetector:
         return turned_square(picture, pose, int(LINE * self._size_px))
 
 
-def _filled(task: VideoTask, share: float) -> NDArray[np.float32]:
+def _filled(task: VideoTask, share: float) -> Gray:
     """Return the filled outline of the object in a square, of a share of the size; its edge is soft."""
     half_px = math.ceil(0.5 * AROUND * task.size_px) + 2
     size_px = share * task.size_px
     filled = np.zeros((2 * half_px + 1, 2 * half_px + 1), np.float32)
     # OpenCV counts sixteenths of pixels.
-    if task.motion is Motion.SLIDE and task.direction is not None:
-        x, y = task.direction
-        box = ((half_px, half_px), (size_px, size_px), math.degrees(math.atan2(y, x)))
+    if task.motion is Motion.SLIDE:
+        box = ((half_px, half_px), (size_px, size_px), task.angle_deg)
         corners = np.rint(16.0 * cv2.boxPoints(box)).astype(np.int32)
         cv2.fillPoly(filled, [corners], 1.0, cv2.LINE_8, 4)
     else:
@@ -219,11 +314,11 @@ def _filled(task: VideoTask, share: float) -> NDArray[np.float32]:
 
 
 def _response(
-    covered: NDArray[np.float32],
-    known: NDArray[np.float32],
-    outline: NDArray[np.float32],
-    around: NDArray[np.float32],
-) -> NDArray[np.float32]:
+    covered: Gray,
+    known: Gray,
+    outline: Gray,
+    around: Gray,
+) -> Gray:
     """Return the covered share in the outline less the share around it, at each place of the known pixels."""
     shares, wholes = [], []
     for mask in (outline, around):
@@ -244,11 +339,11 @@ def _background(first: Picture, last: Picture, task: VideoTask) -> Picture:
     low, high = (start_px + HIDDEN * size_px * np.array([[-1.0], [1.0]])).astype(int)
     left, top = np.maximum(low, 0)
     hidden = np.s_[top : high[1], left : high[0]]
-    colour, later = (colour_at(one, start_px, size_px) for one in (first, last))
+    colour, later = (colour_at(frame, start_px, size_px) for frame in (first, last))
     if np.abs(colour - later).max() > CHANGED_LEVELS:
         background = first.copy()
         before, after = (
-            np.linalg.norm(one[hidden] - colour, axis=2) for one in (first, last)
+            np.linalg.norm(frame[hidden] - colour, axis=2) for frame in (first, last)
         )
         is_before = (before > after)[..., None]
         background[hidden] = np.where(is_before, first[hidden], last[hidden])

@@ -8,6 +8,7 @@ calibrated friction, and g. This package calls it the `law` of a task. Real tria
 """
 
 import csv
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
@@ -61,12 +62,10 @@ class VideoTask:
         motion: Kind of motion.
         size_m: Length that gives the scale: edge of a cube or diameter of a ball [m].
         size_px: The same length in the first frame [px].
-        size_sigma_px: Standard uncertainty of that length [px]: of one edge or diameter, read by eye.
         centre_px: Centre of the tracked object in the first frame [px], shape [2]: the face of a cube that looks at the
             camera, or a ball.
         direction: Unit vector of a straight motion in the picture, shape [2]; None for other motions.
         pivot_px: Pivot of a swing or of the turntable [px], shape [2]; None for straight motions.
-        pivot_sigma_px: Standard uncertainty of each coordinate of the pivot [px].
         rest_px: Position of the last ball of a cradle when it hangs [px], shape [2]; None for other motions.
         is_shiny: Whether lamps change the pattern of the object's face as it turns.
         release_height_m: Height from which the incoming ball of a cradle is released [m].
@@ -76,11 +75,9 @@ class VideoTask:
     motion: Motion
     size_m: float
     size_px: float
-    size_sigma_px: float = 0.5
     centre_px: tuple[float, float]
     direction: tuple[float, float] | None = None
     pivot_px: tuple[float, float] | None = None
-    pivot_sigma_px: float = 1.0
     rest_px: tuple[float, float] | None = None
     is_shiny: bool = False
     release_height_m: float = 0.0
@@ -108,6 +105,18 @@ class VideoTask:
     def scale_m_per_px(self) -> float:
         """Size of a pixel of the first frame at the depth of the object [m]."""
         return self.size_m / self.size_px
+
+    @property
+    def angle_deg(self) -> float:
+        """Angle of a straight motion in the picture, from the right downwards [degrees]."""
+        assert self.direction is not None
+        return math.degrees(math.atan2(*self.direction[::-1]))
+
+    @property
+    def arm_length_px(self) -> float:
+        """Length of the string or rod of a swing, or of the arm of a turntable [px]."""
+        assert self.pivot_px is not None
+        return math.dist(self.rest_px or self.centre_px, self.pivot_px)
 
     @property
     def mass_kg(self) -> float:

@@ -3,17 +3,20 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import constants
+from scipy.ndimage import binary_closing, maximum_filter1d
 
 from gauge_envs.errors import VideoError
-from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.video.camera import SceneWatch
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.tools.video.face import FaceDetector
-from gauge_envs.tools.video.frames import MIN_FRAMES, Frames, cadence_of
-from gauge_envs.tools.video.registration import registration_by_outline
-from gauge_envs.tools.video.shape import ShapeDetector
-from gauge_envs.tools.video.sight import Detection
+from gauge_envs.tools.video.frames import (
+    FileFrames,
+    Gray,
+    Picture,
+    cv2,
+    registration_by_outline,
+)
+from gauge_envs.tools.video.shape import LOST, Detection, ShapeDetector, shrunk
 from gauge_envs.tools.video.tasks import (
     PLATE_RADIUS_PX,
     REFERENCE_SIZE_PX,
@@ -21,6 +24,9 @@ from gauge_envs.tools.video.tasks import (
     VideoTask,
 )
 from gauge_envs.tools.video.track import Event, Track
+
+MIN_FRAMES = 8
+"""Smallest number of frames of a video that can be judged."""
 
 BEND, BEND_COST = 0.5, 0.4
 """Change of the velocity from frame to frame, in sizes, that costs `BEND_COST` of a likeness."""
@@ -41,10 +47,10 @@ CRADLE_BALLS = 5
 """Balls of the cradle."""
 
 
-def track_object(frames: Frames, task: VideoTask) -> Track:
+def track_object(frames: FileFrames, task: VideoTask) -> Track:
     """Return the track of the object of a task.
 
-    A first pass finds the motion of the camera, and a second one the object in frames from which it is subtracted.
+    A first pass compares the scene of each frame with the first one, and a second one finds the object.
 
     Args:
         frames: The video; its first frame is the task's known one, in any resolution, stretched, cropped or padded.
@@ -53,47 +59,45 @@ def track_object(frames: Frames, task: VideoTask) -> Track:
     Raises:
         VideoError: The video has too few frames.
     """
-    registration = registration_by_outline(next(frames.native()), task)
-    first = last = next(frames.pictures(registration))
+    picture = next(iter(frames))
+    registration = registration_by_outline(picture, task)
+    first = last = registration.applied(picture)
     watch = SceneWatch(first, _moving_part(task))
-    for last in frames.pictures(registration):
+    count = 0
+    for picture in frames:
+        last = registration.applied(picture)
         watch.look(last)
-    cadence = cadence_of(np.array(watch.differences), frames.fps, frames.times_s)
-    numbers = np.flatnonzero(cadence.is_new)
-    if len(numbers) < MIN_FRAMES:
+        count += 1
+    if count < MIN_FRAMES:
         raise VideoError(
-            f"{frames.name}: it has {len(numbers)} frames; a motion needs at least {MIN_FRAMES}"
+            f"{frames.name}: it has {count} frames; a motion needs at least {MIN_FRAMES}"
         )
     detector = (
         FaceDetector(first, task)
         if task.motion is Motion.TURN
-        else ShapeDetector(first, watch.steadied(last, -1), task)
+        else ShapeDetector(first, last, task)
     )
     candidates = [
-        detector.candidates(watch.steadied(picture, number))
-        for number, picture in enumerate(frames.pictures(registration))
-        if cadence.is_new[number]
+        detector.candidates(registration.applied(picture)) for picture in frames
     ]
-    path = followed(candidates, task, cadence.fps)
-    texts = {"registration": registration.problem, "cadence": cadence.text}
-    events = [
-        Event(kind=kind, text=text, is_note=kind == "cadence")
-        for kind, text in texts.items()
-        if text
-    ]
+    times_s, fps = np.arange(count) / frames.fps, frames.fps
+    if frames.times_s is not None and (np.diff(frames.times_s) > 0.0).all():
+        times_s = frames.times_s - frames.times_s[0]
+        fps = (count - 1) / float(times_s[-1])
+    path = followed(candidates, task, fps)
+    places_px, likeness, size_ratio, misfit = map(np.array, zip(*path, strict=True))
+    problems = [Event(registration.problem)] if registration.problem else []
     return Track(
-        frames=numbers,
-        fps=cadence.fps,
-        points_px=np.array([one.place_px for one in path]),
-        confidence=np.array([one.likeness for one in path]),
-        size_ratio=np.array([one.size_ratio for one in path]),
-        misfit=np.array([one.misfit for one in path]),
-        tint=np.array([one.tint for one in path]),
+        frames=np.arange(count),
+        times_s=times_s,
+        fps=fps,
+        points_px=places_px,
+        confidence=likeness,
+        size_ratio=size_ratio,
+        misfit=misfit,
         other_likeness=_other_likeness(candidates, path, task),
-        events=(*events, *watch.events()),
-        clock_s=cadence.times_s,
+        events=(*problems, *watch.events()),
         registration=registration,
-        moves=tuple(watch.moves[number] for number in numbers),
     )
 
 
@@ -108,7 +112,7 @@ def followed(
         fps: Frames per second.
     """
     if task.motion is Motion.TURN:
-        return [next(iter(found), Detection()) for found in candidates]
+        return [next(iter(detections), LOST) for detections in candidates]
     is_cradle = task.motion is Motion.CRADLE
     start_px = np.array(task.rest_px or task.centre_px)
     # A ball on wires that was released at the height of their ends passes its lowest point with twice gravity.
@@ -116,7 +120,7 @@ def followed(
     gravity_px = max_m_per_s2 / fps**2 / task.scale_m_per_px
     place_px, step_px, gap, seen = start_px, np.zeros(2), 1, 0
     path = []
-    for found in candidates:
+    for detections in candidates:
         bend_px = gap * max(BEND * task.size_px, gravity_px)
         if task.motion is Motion.FALL:
             # An impact turns the velocity.
@@ -128,12 +132,12 @@ def followed(
         if is_cradle and seen < 2:
             # The time of the strike between two frames is unknown, and so is the velocity of the first step.
             bend_px = MAX_STRUCK_STEP * max(task.size_px, gravity_px)
-        best, best_value = Detection(), 0.0
-        for one in found:
-            away_px = min(math.dist(one.place_px, place) for place in expected_px)
-            value = one.likeness - BEND_COST * (away_px / bend_px) ** 2
-            if value > best_value and _is_allowed(one, task):
-                best, best_value = one, value
+        best, best_value = LOST, 0.0
+        for detection in detections:
+            away_px = min(math.dist(detection.place_px, place) for place in expected_px)
+            value = detection.likeness - BEND_COST * (away_px / bend_px) ** 2
+            if value > best_value and _is_allowed(detection, task):
+                best, best_value = detection, value
         path.append(best)
         if best_value > 0.0:
             step_px, place_px = (best.place_px - place_px) / gap, best.place_px
@@ -156,13 +160,7 @@ def _arm_px(places_px: FloatArray, task: VideoTask) -> FloatArray:
 
 def _arc_error(detection: Detection, task: VideoTask) -> float:
     """Return the relative difference of the distance from the pivot, or from the row of pivots of a cradle."""
-    return abs(float(_arm_px(detection.place_px, task)) / _length_px(task) - 1.0)
-
-
-def _length_px(task: VideoTask) -> float:
-    """Return the length of the string or rod of a swing [px]."""
-    assert task.pivot_px is not None
-    return math.dist(task.rest_px or task.centre_px, task.pivot_px)
+    return abs(float(_arm_px(detection.place_px, task)) / task.arm_length_px - 1.0)
 
 
 def _is_allowed(detection: Detection, task: VideoTask) -> bool:
@@ -174,7 +172,7 @@ def _is_allowed(detection: Detection, task: VideoTask) -> bool:
     return is_out and _arc_error(detection, task) <= MAX_ARC_ERROR[task.motion]
 
 
-def _moving_part(task: VideoTask) -> NDArray[np.bool_]:
+def _moving_part(task: VideoTask) -> BoolArray:
     """Return where the picture changes on purpose, shape [480, 832].
 
     That is around the object's first place, on the plate of a turntable, and where the balls of a cradle swing.
@@ -183,7 +181,7 @@ def _moving_part(task: VideoTask) -> NDArray[np.bool_]:
     if task.motion is Motion.TURN:
         return _arm_px(places_px, task) < PLATE_RADIUS_PX
     if task.rest_px is not None:
-        return _arm_px(places_px, task) < _length_px(task) + task.size_px
+        return _arm_px(places_px, task) < task.arm_length_px + task.size_px
     away_px = np.linalg.norm(places_px - task.centre_px, axis=-1)
     return np.asarray(away_px < 1.2 * task.size_px)
 
@@ -192,14 +190,139 @@ def _other_likeness(
     candidates: list[list[Detection]], path: list[Detection], task: VideoTask
 ) -> FloatArray:
     """Return in each frame the likeness of another place that is most like the object, shape [frame_count]."""
-    largest = np.zeros(len(path))
-    for row, (found, chosen) in enumerate(zip(candidates, path, strict=True)):
-        for one in found:
-            is_near = math.dist(one.place_px, chosen.place_px) < task.size_px
+    largest = []
+    for detections, chosen in zip(candidates, path, strict=True):
+        likeness = 0.0
+        for detection in detections:
+            is_near = math.dist(detection.place_px, chosen.place_px) < task.size_px
             # Where the object cannot be, it is another one although the place of the object is unknown.
-            is_other = chosen.likeness > 0.0 or not _is_allowed(one, task)
+            is_other = chosen.likeness > 0.0 or not _is_allowed(detection, task)
             if task.motion is Motion.CRADLE:
-                is_other &= _arc_error(one, task) > MAX_NEIGHBOUR_ERROR
+                is_other &= _arc_error(detection, task) > MAX_NEIGHBOUR_ERROR
             if is_other and not is_near:
-                largest[row] = max(largest[row], one.likeness)
-    return largest
+                likeness = max(likeness, detection.likeness)
+        largest.append(likeness)
+    return np.array(largest)
+
+
+# --- the scene --------------------------------------------------------------------------------------------------------
+
+CHANGED_LEVELS = 30.0
+"""Difference of the brightness with which a place has changed since the first frame."""
+
+MAX_CHANGED_SHARE = 0.2
+"""Share of the picture that must change for the scene to be another one."""
+
+MAX_SHIFT_PX = 2.0
+"""Mean shift of the corners of the picture up to which a camera counts as still [px]. Sound published clips have up to
+1.8 px."""
+
+MAX_UNKNOWN_SHARE = 0.1
+"""Largest share of the frames in which the motion of the camera is not found."""
+
+MIN_POINTS, MIN_AGREEING_SHARE = 12, 0.4
+"""Smallest number of points of the scene, and their smallest share, that must agree on the motion of the camera."""
+
+MIN_MOTION_LEVELS = 12.0
+"""Largest difference of the brightness of two small pictures from which something moves."""
+
+MAX_REPEAT_SHARE = 0.25
+"""Largest difference of a repeated picture, relative to its neighbours; compression leaves up to a tenth."""
+
+MIN_REPEATS, MIN_REPEATING_SHARE = 3, 0.14
+"""Smallest number and share of the frames of a motion that must repeat a picture. A film of 25 pictures a second that
+is shown at 30 repeats 17 %; a pendulum is slow for one frame at each turning point."""
+
+
+class SceneWatch:
+    """Compare the scene of each frame with the first one.
+
+    Corners of the scene are followed by optical flow (Lucas and Kanade, 1981); a shift, a rotation and a scale are
+    fitted to them by random samples (RANSAC).
+
+    Args:
+        first: The first frame.
+        moving: Part of the picture that moves on purpose, shape [480, 832].
+    """
+
+    def __init__(self, first: Picture, moving: BoolArray) -> None:
+        self._grey = cv2.cvtColor(first, cv2.COLOR_BGR2GRAY)
+        self._is_still = shrunk(moving.astype(np.uint8)) == 0
+        mask = np.where(moving, 0, 255).astype(np.uint8)
+        points = cv2.goodFeaturesToTrack(self._grey, 150, 0.02, 12, mask=mask)
+        self._points = np.zeros((0, 1, 2), np.float32) if points is None else points
+        self._pictures: list[Gray] = []
+        self._shifts_px: list[float] = []
+
+    def look(self, picture: Picture) -> None:
+        """Keep a small picture of the next frame, and find how far its camera is from its first place."""
+        grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+        self._pictures.append(shrunk(grey))
+        self._shifts_px.append(self._shift_px(grey))
+
+    def events(self) -> list[Event]:
+        """Return what happened to the camera and the scene."""
+        pictures, shifts_px = np.array(self._pictures), np.array(self._shifts_px)
+        still = pictures[:, self._is_still]
+        changed = (np.abs(still - still[0]) > CHANGED_LEVELS).mean(axis=1)
+        steps = np.abs(np.diff(pictures, axis=0, prepend=pictures[:1])).max(axis=(1, 2))
+        is_unknown = np.isnan(shifts_px)
+        is_unknown &= is_unknown.mean() > MAX_UNKNOWN_SHARE
+        largest_px = np.nanmax(shifts_px, initial=0.0)
+        events = []
+        for text, is_seen in (
+            (
+                f"the scene is recomposed: up to {changed.max():.0%} of the picture differs from the first frame",
+                changed > MAX_CHANGED_SHARE,
+            ),
+            (
+                "the camera moves, or the background shows too little to tell that it stands",
+                is_unknown,
+            ),
+            (
+                f"the camera moves: the corners of the picture by up to {largest_px:.1f} px",
+                shifts_px > MAX_SHIFT_PX,
+            ),
+            (
+                "frames show the picture before again: give the video at its own frame rate",
+                _repeats(steps),
+            ),
+        ):
+            if is_seen.any():
+                first, last = np.flatnonzero(is_seen)[[0, -1]].tolist()
+                events.append(Event(f"{text} (frames {first} to {last})", first))
+        return events
+
+    def _shift_px(self, grey: Picture) -> float:
+        """Return the mean shift of the corners of the picture since the first frame [px]; NaN where it is unknown."""
+        if len(self._points) < MIN_POINTS:
+            return math.nan
+        moved, status, _ = cv2.calcOpticalFlowPyrLK(
+            self._grey, grey, self._points, None, winSize=(21, 21), maxLevel=3
+        )
+        is_found = status.ravel() == 1
+        if is_found.sum() < MIN_POINTS:
+            return math.nan
+        matrix, is_inlier = cv2.estimateAffinePartial2D(
+            self._points[is_found], moved[is_found], ransacReprojThreshold=1.5
+        )
+        if is_inlier.sum() < max(MIN_POINTS, MIN_AGREEING_SHARE * is_found.sum()):
+            return math.nan
+        width, height = REFERENCE_SIZE_PX
+        corners = np.array([[0, 0], [width, 0], [0, height], [width, height]])
+        shifts = corners @ matrix[:, :2].T + matrix[:, 2] - corners
+        return float(np.linalg.norm(shifts, axis=1).mean())
+
+
+def _repeats(steps: FloatArray) -> BoolArray:
+    """Return which frames repeat a picture while something moves; none unless they are many.
+
+    Args:
+        steps: Largest difference of the brightness of each frame from the one before, shape [frame_count].
+    """
+    # The grain of a body at rest is far below its motion.
+    min_motion = max(MIN_MOTION_LEVELS, MAX_REPEAT_SHARE * float(steps.max()))
+    is_moving = binary_closing(steps > min_motion, np.ones(5))
+    is_repeat = is_moving & (steps < MAX_REPEAT_SHARE * maximum_filter1d(steps, 5))
+    min_count = max(MIN_REPEATS, MIN_REPEATING_SHARE * is_moving.sum())
+    return np.asarray(is_repeat & (is_repeat.sum() >= min_count))
