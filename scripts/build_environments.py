@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from gymnasium import spaces
-from PIL import Image, ImageSequence
+from PIL import Image
 
 from gauge_envs import find_variant
 from gauge_envs.envs.env import GaugeEnv
@@ -27,7 +27,6 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.rendering.reference_path import reference_path, reference_words
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.reference import reference_kind
-from gauge_envs.tools.video import film_writer
 from scripts.environment_page import family_document
 from scripts.generated import ROOT, markdown_table
 
@@ -191,39 +190,29 @@ def draw(entry: Entry, file: Path) -> str:
         if isinstance(env.action_space, spaces.Discrete)
         else np.zeros(env.action_space.shape)
     )
-    with film_writer(file, size=SIZE, fps=FPS) as add:
-        for frame in range(last + 1):
-            if frame:
-                env.step(zero)
-            if frame % stride == 0:
-                picture = env.render()
-                assert picture is not None
-                # The last picture stays for a second.
-                for _ in range(round(FPS) if frame + stride > last else 1):
-                    add(picture)
+    pictures, durations_ms = [], []
+    for frame in range(last + 1):
+        if frame:
+            env.step(zero)
+        if frame % stride == 0:
+            picture = env.render()
+            assert picture is not None
+            pictures.append(Image.fromarray(picture))
+            # The last picture stays for a second.
+            durations_ms.append(1000 if frame + stride > last else round(1000 / FPS))
     env.close()
-    shrink(file)
-    return caption_of(entry, env.experiment, env.band)
-
-
-def shrink(file: Path) -> None:
-    """Write a film smaller, in place."""
-    frames, durations_ms = [], []
-    with Image.open(file) as picture:
-        for frame in ImageSequence.Iterator(picture):
-            frames.append(frame.convert("RGB"))
-            durations_ms.append(frame.info["duration"])
-    frames[0].save(
+    pictures[0].save(
         file,
         "WEBP",
         save_all=True,
-        append_images=frames[1:],
+        append_images=pictures[1:],
         duration=durations_ms,
         loop=0,
         quality=FILM_QUALITY,
         method=6,
         minimize_size=True,
     )
+    return caption_of(entry, env.experiment, env.band)
 
 
 def draw_missing() -> None:

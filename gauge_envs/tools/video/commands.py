@@ -130,8 +130,8 @@ def video_report(
 ) -> bool:
     """Score the videos of many models, and write a page with a table and pictures.
 
-    The pictures show what was followed; table.csv holds the table. Exit code 1 when a video cannot be
-    judged or a file is named otherwise; the others are on the page.
+    The pictures show what was followed; table.csv holds the table. Exit code 1 when a video cannot be judged or a file
+    is named otherwise; the others are on the page.
     """
     videos, others = report.find_videos(folder)
     errors = [

@@ -50,23 +50,19 @@ class FileFrames:
 
     Args:
         path: File that OpenCV can decode, such as MP4 or WebM.
-        fps: Frames per second, instead of the times in the file.
+        fps: Frames per second, instead of the rate of the file.
 
     Attributes:
-        name: Name for messages.
+        path: The file.
         fps: Frames per second.
         size_px: Width and height of the video [px].
-        times_s: Times at which the file shows its frames [s], shape [frame_count]. They are known after the first
-            read; None when they follow from the rate.
 
     Raises:
         VideoError: The file is missing or cannot be decoded, or its frame rate is out of range.
     """
 
     def __init__(self, path: Path, *, fps: float | None = None) -> None:
-        self._path, self._uses_file_times = path, fps is None
-        self.name = str(path)
-        self.times_s: FloatArray | None = None
+        self.path = path
         if not path.is_file():
             raise VideoError(f"{path}: there is no such file")
         capture = self._opened()
@@ -86,19 +82,15 @@ class FileFrames:
     def __iter__(self) -> Iterator[Picture]:
         """Yield all pictures in the size of the video."""
         capture = self._opened()
-        times_ms: list[float] = []
         is_read, picture = capture.read()
         while is_read:
-            times_ms.append(capture.get(cv2.CAP_PROP_POS_MSEC))
             yield picture
             is_read, picture = capture.read()
-        if self._uses_file_times:
-            self.times_s = 1e-3 * np.array(times_ms)
 
     def _opened(self) -> Any:
         # The error of this package says more than the warnings of OpenCV.
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-        return cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
+        return cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
 
 
 # --- the reference grid -----------------------------------------------------------------------------------------------

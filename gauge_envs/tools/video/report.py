@@ -53,7 +53,8 @@ VALUES_NOTE = (
     f"{VERDICT_NOTE} "
     "Mean over the clips (seeds) of a model whose track is sound, and their share. Interval of 95 %: of the mean by "
     "Student's t; of one clip, of simulated tracks. Metrics in capitals and a: as the paper defines them. Published: "
-    "GAUGE, arXiv 2608.05948, Table 3. Law: of the ideal motion with the calibrated constants, Table 3 again. The paper does not publish the frames of its fits."
+    "GAUGE, arXiv 2608.05948, Table 3. Law: of the ideal motion with the calibrated constants, Table 3 again. The "
+    "paper does not publish the frames of its fits."
 )
 
 VIDEO_SUFFIXES = (".mp4", ".webm", ".mkv", ".mov", ".avi")
@@ -264,7 +265,7 @@ def _picture(result: VideoScore, file: Path) -> Part:
 
 
 def save_overlay(source: FileFrames, result: VideoScore, path: Path) -> Path:
-    """Write a video with the track drawn into it, and return its path; its folder is created.
+    """Write a video with the track drawn into it, and return its path.
 
     Args:
         source: The video that was scored.
@@ -273,7 +274,6 @@ def save_overlay(source: FileFrames, result: VideoScore, path: Path) -> Path:
     """
     with needs_extra("a film", "video"):
         import imageio_ffmpeg
-    path.parent.mkdir(parents=True, exist_ok=True)
     writer = imageio_ffmpeg.write_frames(
         str(path), REFERENCE_SIZE_PX, fps=source.fps, ffmpeg_log_level="error"
     )

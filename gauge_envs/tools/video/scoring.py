@@ -21,10 +21,12 @@ from gauge_envs.tools.video.tracker import track_object
 Metrics: TypeAlias = dict[str, float]
 
 METRICS = ("a", "qfi", "r2", "pd", "mte", "de", "acceleration_m_s2", "form")
-"""Names of all metrics, in the order of a result. The first six are those of GAUGE's paper: acceleration [m/s^2] and QFI
-from the first retained frame on, R^2 and period [s] of a damped oscillation, momentum transfer, and dynamic error [N].
-The last two are the package's, of straight motions: acceleration from a release that is fitted, and the residual of the
-law relative to the displacement."""
+"""Names of all metrics, in the order of a result.
+
+The first six are those of GAUGE's paper: acceleration [m/s^2] and QFI from the first retained frame on, R^2 and period
+[s] of a damped oscillation, momentum transfer, and dynamic error [N]. The last two are the package's, of straight
+motions: acceleration from a release that is fitted, and the residual of the law relative to the displacement.
+"""
 
 RELEASE_FRAMES = 6.0
 """Frames before and after the first retained one between which the release is searched."""
@@ -106,7 +108,7 @@ def score(path: Path | str, fps: float | None = None, task: str = "") -> VideoSc
     """
     chosen = video_task(task)
     frames = FileFrames(Path(path), fps=fps)
-    return score_track(track_object(frames, chosen), chosen, name=frames.name)
+    return score_track(track_object(frames, chosen), chosen, name=str(path))
 
 
 def score_track(track: Track, task: VideoTask, *, name: str = "track") -> VideoScore:

@@ -17,6 +17,9 @@ from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
 COARSE = 0.25
 """Scale at which the whole picture is searched and compared."""
 
+BLACK_LEVEL = 16.0
+"""Largest brightness of black bars beside the picture, which a model may fill."""
+
 TINT, TINT_RANGE = 10.0, 20.0
 """Difference of a colour, at any brightness, that is still the object's, and that at which likeness falls to 1/e."""
 
@@ -182,6 +185,11 @@ class ShapeDetector:
         is_cradle = task.motion is Motion.CRADLE
         background = first if is_cradle else _background(first, last, task)
         self._background = background.astype(np.float32)
+        # Black bars beside the picture hide parts of the object, as its edge does, and so the centre of the rest is
+        # not that of the object.
+        rows, columns = np.nonzero(first.max(axis=2) > BLACK_LEVEL)
+        self._low_px = np.array([columns.min(), rows.min()])
+        self._high_px = np.array([columns.max(), rows.max()])
         contrast = self._background - self._colour.astype(np.float32)
         square = (contrast**2).sum(axis=2)
         self._known = (square > MIN_CONTRAST**2).astype(np.float32)
@@ -240,8 +248,7 @@ class ShapeDetector:
         place_px = middle_px + warp[:, 2] - REACH_PX
         cut, known = self._cuts(covered, place_px, side)
         value = float(_response(cut, known, self._outline, self._around)[0, 0])
-        # The edge of the picture hides parts of the object, and the centre of the rest is not that of the object.
-        edge_px = np.minimum(place_px, np.array(REFERENCE_SIZE_PX) - 1.0 - place_px)
+        edge_px = np.minimum(place_px - self._low_px, self._high_px - place_px)
         if value < MIN_RESPONSE or edge_px.min() < 0.5 * self._size_px:
             return LOST
         profile_px, is_known = self._profile(covered, place_px)

@@ -163,11 +163,12 @@ def read_track(
 
 def save_track(track: Track, path: Path) -> Path:
     """Write a track on the grid as the CSV that `read_track` reads, and return its path."""
-    text = "frame,time,x_grid,y_grid,size,confidence\n"
-    numbers = np.column_stack([track.points_px, track.size_ratio, track.confidence])
-    for frame, time_s, row in zip(track.frames, track.times_s, numbers, strict=True):
-        cells = ["" if np.isnan(value) else f"{value:.4f}" for value in row]
-        text += f"{frame},{time_s:.6f},{','.join(cells)}\n"
+    text = "frame,time,x_grid,y_grid\n"
+    places = zip(track.frames, track.times_s, *track.points_px.T, strict=True)
+    for frame, time_s, x_px, y_px in places:
+        # An empty cell where the object was not found.
+        cells = f"{x_px:.4f},{y_px:.4f}".replace("nan", "")
+        text += f"{frame},{time_s:.6f},{cells}\n"
     with os_errors(lambda cause: VideoError(f"{path}: cannot be written: {cause}")):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, text.encode())

@@ -70,7 +70,7 @@ def track_object(frames: FileFrames, task: VideoTask) -> Track:
         count += 1
     if count < MIN_FRAMES:
         raise VideoError(
-            f"{frames.name}: it has {count} frames; a motion needs at least {MIN_FRAMES}"
+            f"{frames.path}: it has {count} frames; a motion needs at least {MIN_FRAMES}"
         )
     detector = (
         FaceDetector(first, task)
@@ -80,17 +80,13 @@ def track_object(frames: FileFrames, task: VideoTask) -> Track:
     candidates = [
         detector.candidates(registration.applied(picture)) for picture in frames
     ]
-    times_s, fps = np.arange(count) / frames.fps, frames.fps
-    if frames.times_s is not None and (np.diff(frames.times_s) > 0.0).all():
-        times_s = frames.times_s - frames.times_s[0]
-        fps = (count - 1) / float(times_s[-1])
-    path = followed(candidates, task, fps)
+    path = followed(candidates, task, frames.fps)
     places_px, likeness, size_ratio, misfit = map(np.array, zip(*path, strict=True))
     problems = [Event(registration.problem)] if registration.problem else []
     return Track(
         frames=np.arange(count),
-        times_s=times_s,
-        fps=fps,
+        times_s=np.arange(count) / frames.fps,
+        fps=frames.fps,
         points_px=places_px,
         confidence=likeness,
         size_ratio=size_ratio,

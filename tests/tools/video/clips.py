@@ -1,18 +1,14 @@
 """Draw clips whose motion is known: simple scenes on the grid of the first frames, with blur, noise and compression."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from gauge_envs.tools.video import Track
+from gauge_envs.tools.video import Track, score
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, video_task
-
-Draw = Callable[[NDArray[np.uint8], NDArray[np.float64], float], None]
 
 SHIFT = 4
 """Fractions of pixels with which OpenCV draws: 1/16 px."""
@@ -26,15 +22,15 @@ RAMP_S = 0.4
 
 @dataclass(frozen=True)
 class Clip:
-    """Frames in red, green and blue, and the true values of the metrics."""
+    """Frames in blue, green and red, and the true values of the metrics."""
 
     task: str
-    frames: list[NDArray[np.uint8]]
+    frames: list[np.ndarray]
     fps: float
     truth: dict[str, float]
 
 
-def clip(name, rng, *, fps=30.0, noise=3.0, quality=80, calibration_sigma=0.0):
+def clip(name, rng, *, fps=30.0, calibration_sigma=0.0):
     """Return a clip of a task with random constants, a release between two frames, and the truth.
 
     With `calibration_sigma`, the true size of a pixel differs from the stated one by a random share of that size.
@@ -49,7 +45,7 @@ def clip(name, rng, *, fps=30.0, noise=3.0, quality=80, calibration_sigma=0.0):
     }
     scene = _scene(task, rng)
     frames = []
-    sheet = rng.normal(0.0, noise, scene.shape)
+    sheet = rng.normal(0.0, 3.0, scene.shape)
     for number in range(int(duration_s * fps)):
         exposed = np.zeros(scene.shape, dtype=np.float64)
         for part in range(EXPOSURES):
@@ -60,9 +56,25 @@ def clip(name, rng, *, fps=30.0, noise=3.0, quality=80, calibration_sigma=0.0):
         # One sheet of grain is shifted from frame to frame, which is cheaper than a new one.
         grain = np.roll(sheet, rng.integers(0, 400, 2), axis=(0, 1))
         frame = np.clip(exposed / EXPOSURES + grain, 0, 255).astype(np.uint8)
-        _, packed = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, quality])
-        frames.append(cv2.imdecode(packed, cv2.IMREAD_COLOR)[:, :, ::-1])
+        _, packed = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 80])
+        frames.append(cv2.imdecode(packed, cv2.IMREAD_COLOR))
     return Clip(task=name, frames=frames, fps=fps, truth=truth)
+
+
+def scored(frames, fps, task):
+    """Return the score of frames that are written to a film without loss."""
+    with TemporaryDirectory() as folder:
+        return score(written(frames, Path(folder, "film.avi"), fps, "FFV1"), None, task)
+
+
+def written(frames, path, fps=30.0, code="mp4v"):
+    """Write frames as a film, and return its path."""
+    size = frames[0].shape[1::-1]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), fps, size)
+    for frame in frames:
+        writer.write(np.ascontiguousarray(frame))
+    writer.release()
+    return path
 
 
 # --- motions: numbers over time, of a scalar or an array ----------------------------------------------------------
@@ -111,9 +123,8 @@ def motion_on_grid(task, rng):
         direction = np.array(task.direction)
 
         def straight(time_s):
-            bounce = 0.0 if is_slide else 0.6
-            way = slid_m(time_s, release, a, lasts, bounce)
-            return start + direction * way / scale, 31.6 if is_slide else 0.0
+            way = slid_m(time_s, release, a, lasts, 0.0 if is_slide else 0.6)
+            return start + direction * way / scale, 31.6
 
         rest = 0.3 if is_slide else 0.2
         return straight, {"acceleration_m_s2": a}, release + lasts + rest
@@ -202,15 +213,16 @@ def _draw(task, picture, place, angle_deg):
 
 def track_of(places_px, fps):
     """A track of these places on the reference grid, one in each frame."""
+    frames = np.arange(len(places_px))
     ones, zeros = np.ones(len(places_px)), np.zeros(len(places_px))
     return Track(
-        frames=np.arange(len(places_px)),
+        frames=frames,
+        times_s=frames / fps,
         fps=fps,
         points_px=places_px,
         confidence=ones,
         size_ratio=ones,
         misfit=zeros,
-        tint=zeros,
         other_likeness=zeros,
     )
 
@@ -221,16 +233,6 @@ def driven(name, a_m_s2, *, fps=30.0, release_s=10.3 / 30.0):
     since_s = np.maximum(np.arange(40) / fps - release_s, 0.0)[:, None]
     along_px = 0.5 * a_m_s2 * since_s**2 / task.scale_m_per_px
     return track_of(task.centre_px + along_px * np.array(task.direction), fps)
-
-
-def written(one, path, code="mp4v"):
-    """Write the frames of a clip as a film, and return its path."""
-    size = one.frames[0].shape[1::-1]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), one.fps, size)
-    for frame in one.frames:
-        writer.write(np.ascontiguousarray(frame[:, :, ::-1]))
-    writer.release()
-    return path
 
 
 def _disk(picture, place, radius, colour):

@@ -1,13 +1,12 @@
-"""Laws of the world-model track, against closed forms and other implementations."""
+"""Laws of the world-model track against closed forms, and the frames to which they apply."""
 
 import numpy as np
 import pytest
-from clips import driven, track_of
+from clips import track_of
 
 from gauge_envs.tools.video import video_task
 from gauge_envs.tools.video.laws import (
     apices,
-    displacement_px,
     dynamic_error,
     fit_constant_acceleration,
     fit_damped_oscillation,
@@ -19,11 +18,11 @@ TIMES_S = np.arange(40) / 30.0
 SLIDE = video_task("SlopeSlider-2-wood")
 
 
-@pytest.mark.parametrize("release_s", [0.31, 0.35, 0.42])
-def test_acceleration_and_a_release_between_two_frames_are_exact(release_s):
+def test_acceleration_and_a_release_between_two_frames_are_exact():
     paper = fit_constant_acceleration(TIMES_S, 0.01 + 0.5 * 2.58 * TIMES_S**2)
     assert paper.a_m_per_s2 == pytest.approx(2.58, rel=1e-12)
     assert paper.qfi == 0.0
+    release_s = 0.35
     moving_s = np.maximum(TIMES_S - release_s, 0.0)
     fit = fit_constant_acceleration(
         TIMES_S, 0.5 * 2.58 * moving_s**2, release_s=0.36, release_within_s=0.13
@@ -68,9 +67,7 @@ def test_dynamic_error_of_a_circle_is_the_centripetal_force_beyond_friction():
     assert force_n == pytest.approx(3.0)
 
 
-@pytest.mark.parametrize(
-    ("period_s", "damping"), [(1.06, 0.05), (0.4, 0.0), (6.0, -0.2), (2.3, 1.0)]
-)
+@pytest.mark.parametrize(("period_s", "damping"), [(1.06, 0.05), (6.0, -0.2)])
 def test_a_damped_oscillation_is_recovered_with_gaps(period_s, damping):
     times_s = np.delete(np.arange(150) / 25.0, np.arange(3, 150, 3))
     phase = 2.0 * np.pi / period_s * times_s
@@ -87,9 +84,6 @@ def test_an_apex_is_a_swing_that_is_seen_on_both_sides():
     assert list(apices(frames, swing, 30.0)) in ([7, 37], [8, 38])
     trembling = 0.1 + 0.005 * np.sin(0.27 * frames)
     assert not len(apices(frames, trembling, 30.0))
-    # The first frame after a gap is the highest that is left of this swing, and no apex.
-    seen = np.r_[0:2, 10:60]
-    assert list(apices(seen, swing[seen], 30.0)) in ([29], [30])
     # An apex lies between two frames.
     times_s = np.array([0.1, 0.2, 0.35])
     assert peak(times_s, 0.05 - 3.0 * (times_s - 0.22) ** 2) == pytest.approx(0.05)
@@ -112,34 +106,3 @@ def test_a_motion_ends_at_its_impact(restitution, name, a_m_s2, fps):
     track = track_of(task.centre_px + along_px * np.array(task.direction), fps)
     _, last = retained(track, task)
     assert since_s[last] < impact_s < since_s[last + 3]
-
-
-@pytest.mark.parametrize(
-    ("frames", "last"),
-    [
-        # A model that lets a cube falter for two frames is scored with that.
-        (np.r_[0:20, 20, 20, 20:28], 29),
-        # The cube stops in frame 25.
-        (np.r_[0:26, [25] * 6], 24),
-    ],
-)
-def test_a_stop_ends_a_slide_and_a_halt_does_not(frames, last):
-    along_px = displacement_px(driven(SLIDE.id, 2.5), SLIDE)[frames, None]
-    track = track_of(SLIDE.centre_px + along_px * np.array(SLIDE.direction), 30.0)
-    assert retained(track, SLIDE)[1] == pytest.approx(last, abs=1)
-
-
-def test_the_last_frame_of_a_ball_that_leaves_the_picture_does_not_count():
-    """It shows a part of the ball, whose centre is above that of the ball."""
-    ball = video_task("BouncingBall-rubber")
-    track = driven(ball.id, 9.81)
-    track.points_px[21:] = np.nan
-    assert retained(track, ball)[1] == 19
-
-
-def test_a_shadow_that_appears_after_the_first_frame_is_no_motion():
-    ball = video_task("BouncingBall-rubber")
-    still = driven(ball.id, 4.0, release_s=0.2)
-    shadowed = driven(ball.id, 4.0, release_s=0.2)
-    shadowed.points_px[1:, 1] += 1.0
-    assert retained(shadowed, ball) == retained(still, ball)

@@ -7,11 +7,10 @@ import pytest
 
 cv2 = pytest.importorskip("cv2")
 
-from clips import clip  # noqa: E402
+from clips import clip, scored  # noqa: E402
 
-from gauge_envs.tools.video import score, video_task  # noqa: E402
-from gauge_envs.tools.video.frames import Registration  # noqa: E402
-from gauge_envs.tools.video.registration import (  # noqa: E402
+from gauge_envs.tools.video import video_task  # noqa: E402
+from gauge_envs.tools.video.frames import (  # noqa: E402
     UNSEEN,
     registration_by_outline,
 )
@@ -26,8 +25,7 @@ LAYOUTS = {
 
 @cache
 def first_picture(task):
-    frame = clip(task, np.random.default_rng(1), fps=5.0).frames[0]
-    return np.ascontiguousarray(frame[:, :, ::-1])
+    return clip(task, np.random.default_rng(1), fps=5.0).frames[0]
 
 
 def laid_out(picture, method):
@@ -38,9 +36,7 @@ def laid_out(picture, method):
 
 
 @pytest.mark.parametrize("method", LAYOUTS)
-@pytest.mark.parametrize(
-    "task", ["SlopeSlider-2-wood", "Turntable-2-metal", "NewtonsCradle-metal"]
-)
+@pytest.mark.parametrize("task", ["SlopeSlider-2-wood", "NewtonsCradle-metal"])
 def test_the_outline_tells_how_a_picture_was_laid_out(task, method):
     picture = laid_out(first_picture(task), method)
     found = registration_by_outline(picture, video_task(task))
@@ -50,36 +46,17 @@ def test_the_outline_tells_how_a_picture_was_laid_out(task, method):
     assert numbers == pytest.approx(LAYOUTS[method][:4], abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    "task",
-    ["SlopeSlider-2-wood", "BouncingBall-rubber", "Turntable-2-metal"],
-)
+@pytest.mark.parametrize("task", ["BouncingBall-rubber", "Turntable-2-metal"])
 def test_an_object_at_another_place_is_doubtful(task):
     picture = cv2.resize(first_picture(task), None, fx=1.2, fy=1.2)[10:500, 50:930]
     moved = np.ascontiguousarray(picture)
     assert registration_by_outline(moved, video_task(task)).problem == UNSEEN
 
 
-@pytest.mark.parametrize("factor", [1.0, 2.5])
-def test_a_registration_puts_pixels_where_it_says(factor):
-    size = (round(560 * factor), round(752 * factor), 3)
-    picture = np.zeros(size, np.uint8)
-    middle = [round(300 * factor), round(200 * factor)]
-    cv2.circle(picture, middle, round(20 * factor), (255, 255, 255), -1)
-    scale, offset_px = 6 / 7 / factor, np.array([93.7, 2.0])
-    registration = Registration(
-        scale_x=scale, scale_y=scale, offset_x_px=93.7, offset_y_px=2.0, method="pad"
-    )
-    rows, columns = np.nonzero(registration.applied(picture)[:, :, 0] > 127)
-    found_px = np.array([columns.mean(), rows.mean()]) + 0.5
-    expected_px = scale * (np.array(middle) + 0.5) + offset_px
-    assert found_px == pytest.approx(expected_px, abs=0.1)
-
-
 def test_a_cropped_clip_gives_the_true_acceleration():
     one = clip("SlopeSlider-2-metal", np.random.default_rng(11))
-    frames = [laid_out(np.ascontiguousarray(frame), "crop") for frame in one.frames]
-    result = score(frames, one.fps, one.task)
+    frames = [laid_out(frame, "crop") for frame in one.frames]
+    result = scored(frames, one.fps, one.task)
     assert result.is_sound, result.reasons
     assert result.to_dict()["registration"]["method"] == "crop"
     truth = one.truth["acceleration_m_s2"]
