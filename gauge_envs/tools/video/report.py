@@ -168,8 +168,8 @@ def _metric_row(name: str, task: VideoTask, seeds: list[VideoScore | None]) -> R
     mean = float(np.mean(values)) if values else None
     low, high = None, None
     if len(values) > 1:
-        error = stats.sem(values)
-        low, high = stats.t.interval(0.95, len(values) - 1, mean, error)
+        half = stats.t.ppf(0.975, len(values) - 1) * stats.sem(values)
+        low, high = mean - half, mean + half
     elif values:
         # Of one clip, the interval is that of simulated tracks.
         low, high = sound[0].uncertainty[name] or (None, None)

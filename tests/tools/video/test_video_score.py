@@ -19,7 +19,6 @@ from gauge_envs.tools.video import (  # noqa: E402
     save_track,
     score_track,
     video_task,
-    video_tasks,
 )
 from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
 from gauge_envs.tools.video.report import (  # noqa: E402
@@ -77,10 +76,10 @@ def test_the_interval_of_a_film_contains_the_truth_and_a_wrong_rate_is_named(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", [task.id for task in video_tasks()])
+@pytest.mark.parametrize("task", [SLIDE.id, BALL.id, PLATE.id, CRADLE.id, PENDULUM.id])
 def test_intervals_contain_the_truth(task):
     contained = []
-    for seed in range(20):
+    for seed in range(10):
         # The standard uncertainty of the scale is 0.65 % for cubes and balls alike.
         film = clip(task, np.random.default_rng(seed), calibration_sigma=0.0065)
         result = scored(film.frames, film.fps, task)
