@@ -15,7 +15,6 @@ if TYPE_CHECKING:
         draw_experiment as draw_experiment,
     )
     from gauge_envs.tools.compare.ranks import (
-        PUBLISHED as PUBLISHED,
         KindComparison as KindComparison,
         KindScore as KindScore,
     )
@@ -34,7 +33,7 @@ else:
         {
             ".comparison": ["Cell", "Comparison", "ExperimentComparison", "compare"],
             ".experiment_figure": ["draw_experiment"],
-            ".ranks": ["PUBLISHED", "KindComparison", "KindScore"],
+            ".ranks": ["KindComparison", "KindScore"],
             ".report": ["distance_tables", "mean_rank_text", "short_tables"],
             ".reference": [
                 "coordinate_words",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -44,7 +44,13 @@ def compare(
 
     names, files = check_metrics(metric or ()), arguments.by_suffix(out, ".md", ".json")
     results, skipped = loaded_results(sources, corrected=corrected)
-    kept = _chosen([*results.values()], only or ["*"], backend or ["*"])
+    patterns = [short_id(pattern) for pattern in only or ["*"]]
+    kept = _matching(
+        [*results.values()], "experiment", patterns, lambda result: short_id(result.id)
+    )
+    kept = _matching(
+        kept, "backend", backend or ["*"], lambda result: result.backend or ""
+    )
     if not kept:
         raise ResultFileError("no result is left to compare; gauge run writes them")
     document = comparison_document(
@@ -57,27 +63,23 @@ def compare(
     return bool(skipped)
 
 
-def _chosen(
-    results: Sequence[Result], only: Sequence[str], backends: Sequence[str]
+def _matching(
+    results: Sequence[Result],
+    kind: str,
+    patterns: Sequence[str],
+    name_of: Callable[[Result], str],
 ) -> list[Result]:
-    """Return the results whose ids and engines match.
+    """Return the results whose names match a pattern.
 
     Raises:
-        UnknownNameError: A pattern or an engine matches no result.
+        UnknownNameError: A pattern matches no result.
     """
-    ids = [short_id(one.id) for one in results]
-    engines = [one.backend or "" for one in results]
-    patterns = [short_id(pattern) for pattern in only]
-    for kind, wanted, known in (
-        ("experiment of the results", patterns, ids),
-        ("backend of the results", backends, engines),
-    ):
-        for pattern in wanted:
-            if known and not fnmatch.filter(known, pattern):
-                raise UnknownNameError(kind, pattern, set(known))
+    names = {name_of(result) for result in results}
+    for pattern in patterns:
+        if names and not fnmatch.filter(names, pattern):
+            raise UnknownNameError(f"{kind} of the results", pattern, names)
     return [
-        one
-        for one, name, engine in zip(results, ids, engines, strict=True)
-        if any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)
-        and any(fnmatch.fnmatchcase(engine, pattern) for pattern in backends)
+        result
+        for result in results
+        if any(fnmatch.fnmatchcase(name_of(result), pattern) for pattern in patterns)
     ]

@@ -66,14 +66,6 @@ class ScoredExperiment:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExperimentRanks:
-    """Rank of each configuration with a score in the experiment `id`."""
-
-    id: str
-    ranks: Mapping[int, Mean]
-
-
-@dataclass(frozen=True, kw_only=True)
 class KindComparison:
     """Configurations with the same constants over the experiments of one kind of reference.
 
@@ -82,14 +74,14 @@ class KindComparison:
         constants: Name of the constants.
         ids: Experiments that all configurations have scored.
         scores: One entry for each configuration with a score of this kind.
-        experiments: Ranks in each experiment with a score.
+        ranks: Ranks in each experiment with a score, by id and index of the configuration.
     """
 
     kind: str
     constants: str
     ids: tuple[str, ...]
     scores: tuple[KindScore, ...]
-    experiments: tuple[ExperimentRanks, ...]
+    ranks: Mapping[str, Mapping[int, Mean]]
 
     @property
     def ranked(self) -> list[KindScore]:
@@ -152,11 +144,7 @@ def _compared(
         constants=constants,
         ids=tuple(one.id for one in common),
         scores=tuple(scores),
-        experiments=tuple(
-            ExperimentRanks(id=name, ranks=of_experiment)
-            for name, of_experiment in ranks.items()
-            if of_experiment
-        ),
+        ranks={name: places for name, places in ranks.items() if places},
     )
 
 

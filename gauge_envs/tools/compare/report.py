@@ -216,9 +216,9 @@ def _kind_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
                     "mean_rank": mean and mean.value,
                     "mean_rank_95": mean and mean.interval_95,
                     "ranks": {
-                        one.id: asdict(one.ranks[index])
-                        for one in kind.experiments
-                        if index in one.ranks
+                        name: asdict(ranks[index])
+                        for name, ranks in kind.ranks.items()
+                        if index in ranks
                     },
                 }
             )
@@ -389,15 +389,14 @@ def _rank_tables(comparison: Comparison) -> list[Table]:
     rows = [
         {
             "kind": kind.name,
-            "name": short_id(one.id),
+            "name": short_id(name),
             "ranks": [
-                rank_text(one.ranks.get(index))
-                for index in range(len(comparison.labels))
+                rank_text(ranks.get(index)) for index in range(len(comparison.labels))
             ],
         }
         for kind in comparison.kinds
-        for one in kind.experiments
-        if len(one.ranks) > 1
+        for name, ranks in kind.ranks.items()
+        if len(ranks) > 1
     ]
     if not rows:
         return []

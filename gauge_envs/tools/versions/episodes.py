@@ -143,7 +143,7 @@ def _distances(first: Result, second: Result) -> FloatArray:
 def _is_closest(result: Result, scores: ScoreComparison) -> bool:
     """Return whether a result is closer to the reference than the other one, beyond the uncertainty of the scores."""
     index = scores.configurations.index(RunConfiguration.of(result))
-    ranks = [each.ranks for kind in scores.kinds for each in kind.experiments]
+    ranks = [rank for kind in scores.kinds for rank in kind.ranks.values()]
     return any(
         len(rank) > 1 and index in rank and rank[index].interval_95[1] == 1.0
         for rank in ranks

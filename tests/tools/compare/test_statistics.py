@@ -58,8 +58,8 @@ def scored(*scores, name="exact", u=0.0):
 
 def ranks(experiment, count):
     (kind,) = compare_kind("analytic", [experiment], ["calibrated"] * count)
-    (one,) = kind.experiments
-    return [one.ranks[index].interval_95 for index in range(count)]
+    (places,) = kind.ranks.values()
+    return [places[index].interval_95 for index in range(count)]
 
 
 def test_ranks_are_those_of_scores_whose_differences_are_resolved():

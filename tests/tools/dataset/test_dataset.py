@@ -229,8 +229,9 @@ def test_rotations_are_counted_past_half_a_turn_and_noise_is_reported(tmp_path):
 @pytest.mark.slow
 def test_all_75_experiments_are_found_in_their_folders(tmp_path):
     names = [variant.name for variant in gauge_envs.variants()]
-    for name in names:
-        write_synthetic(tmp_path, name, (1.0, -1.0))
+    for number, name in enumerate(names):
+        amount = 1.0 + 1e-3 * number  # Copies of a trial count once.
+        write_synthetic(tmp_path, name, (amount, -amount))
     outcomes = imported(tmp_path)
     assert list(outcomes) == names
     assert all((one.used, one.left_out) == (2, 0) for one in outcomes.values())
