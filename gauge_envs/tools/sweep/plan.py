@@ -167,7 +167,8 @@ def _engine_runs(
             effective = settings
             if support:
                 effective = _effective_settings(engine, experiment, settings)
-            text = json.dumps(json_ready(content | {"settings": effective}))
+            content["settings"] = effective
+            text = json.dumps(json_ready(content), sort_keys=True)
             run = SweepRun(
                 request=replace(request, backend=backend, settings=settings or None),
                 experiment=experiment.name,

@@ -62,6 +62,12 @@ def test_a_wrong_file_is_named_with_key_and_reason(tmp_path, text, message):
 
 
 def test_names_of_files_follow_the_content(monkeypatch):
+    friction, mass = ("cube.friction", 0.3), ("cube.mass_kg", 0.1)
+    first, second = (
+        names(planned(parameters=[dict(pairs)]))
+        for pairs in ((friction, mass), (mass, friction))
+    )
+    assert first == second
     before = names(planned(repeats=2))
     assert names(planned(repeats=2)) == before
     for other in (
