@@ -91,14 +91,15 @@ def test_known_statistics_come_back(name, tmp_path):
 
 
 def test_missing_samples_are_left_out_of_mean_and_scatter(tmp_path):
-    amounts = np.array([*AMOUNTS, 2.0])
+    amounts = np.array([*AMOUNTS, 2.0, 3.0])
     synthetic = synthetic_trials(SLIDER, amounts)
     contents = synthetic.contents
-    contents[0]["cube"]["y"][3] = None  # one of five
-    for content in contents[:3]:
-        content["cube"]["z"][5] = float("nan")  # three of five
+    contents[0]["cube"]["y"][3] = None  # one of six
+    for content in contents[:4]:
+        content["cube"]["z"][5] = float("nan")  # four of six
     for key in "xyz":
-        contents[4]["cube"][key][8] = None  # one of five, whole
+        for content in contents[:3]:
+            content["cube"][key][8] = None  # three of six, whole
         for content in contents:
             content["cube"][key][7] = None  # all
     import_contents(tmp_path, SLIDER, contents)
@@ -106,7 +107,8 @@ def test_missing_samples_are_left_out_of_mean_and_scatter(tmp_path):
     start = start_mm(synthetic.experiment, "cube")
     assert_close(band.mean[3, 1], start[1] + amounts[1:].mean())
     assert_close(band.sigma[3, 1], amounts[1:].std(ddof=1))
-    # Two of five trials are a mean and no scatter.
+    # Half of the trials are enough for a scatter; two of six are a mean alone.
+    assert_close(band.sigma[8, 1], amounts[3:].std(ddof=1))
     assert_close(band.mean[5, 2], start[2])
     assert np.isnan(band.sigma[5]).tolist() == [False, False, True]
     assert np.isnan(band.mean[7]).all() and np.isnan(band.sigma[7]).all()
