@@ -8,6 +8,7 @@ import pytest
 from planted_models import side
 
 from gauge_envs.errors import ParameterError
+from gauge_envs.scene.jitter import Jitter
 from gauge_envs.tools.versions import environments, episodes
 from gauge_envs.tools.versions.episodes import compare_motions, compare_returns
 from gauge_envs.tools.versions.schema import Verdict
@@ -41,10 +42,12 @@ def test_a_release_of_an_engine_runs_in_a_process_that_imports_it(
 
 
 @pytest.mark.parametrize(
-    ("shift", "verdict"), [(1e-9, Verdict.SAME), (1.0, Verdict.DIFFERENT)]
+    ("shift", "verdict"), [(0.01, Verdict.SAME), (1.0, Verdict.DIFFERENT)]
 )
-def test_a_shift_as_small_as_rounding_is_noise(monkeypatch, shift, verdict):
-    """The unit of the shift is a millimeter."""
+def test_a_shift_as_small_as_the_jitter_is_noise(monkeypatch, shift, verdict):
+    """The unit of the shift is a millimeter, and the jitter is 0.01 mm."""
+    jitter = Jitter(position_m=1e-5, angle_rad=0.0)
+    monkeypatch.setattr(episodes, "JITTER", jitter)
     run = episodes._run
 
     def shifted(subject, side, *given):
@@ -90,14 +93,14 @@ def policy():
 def test_returns_of_a_policy_are_compared_seed_by_seed(tmp_path, monkeypatch, policy):
     """Three steps of reward action + seed - time step: the sides differ by 0.003 in each episode."""
     (tmp_path / "played.py").write_text(POLICY)
-    np.save(tmp_path / "actions.npy", np.array([[0.5], [0.25]]))
+    np.save(tmp_path / "actions.npy", np.array([[0.5], [0.25], [0.125]]))
     monkeypatch.chdir(tmp_path)
     sides = [side("old"), side("new", timestep=0.003)]
     options = {"policy": policy, "seed": 5}
     is_scripted = policy == "actions.npy"
     found = compare_returns("played:Counter", *sides, seeds=3, **options)
     # The policy adds 2 to an observation of -1, then to its own actions.
-    actions = 1.0 if is_scripted else 1.0 + 3.0 + 5.0
+    actions = 0.875 if is_scripted else 1.0 + 3.0 + 5.0
     assert found.returns[0].value == pytest.approx(3 * 6.0 + actions - 0.006, abs=1e-6)
     assert found.change.value == pytest.approx(-0.003)
     assert found.verdict is Verdict.DIFFERENT

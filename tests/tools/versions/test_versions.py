@@ -33,6 +33,13 @@ def test_a_version_is_identical_to_itself(tmp_path):
     assert "bit for bit" in comparison_document(found).parts[0].text
 
 
+def test_a_step_without_damping_changes_velocities_by_the_acceleration(tmp_path):
+    bench = Planted(tmp_path)
+    (run,) = bench.work("run", [side("old")])
+    (probe,) = bench.work("probe", [side("old")], run.arrays)
+    assert np.allclose(probe.arrays["step_acc"], probe.arrays["qacc"], atol=1e-8)
+
+
 def rounded(arrays):
     arrays["qacc"] *= 1.0 + 1e-12
 
