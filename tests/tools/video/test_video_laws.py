@@ -67,7 +67,7 @@ def test_dynamic_error_of_a_circle_is_the_centripetal_force_beyond_friction():
     assert force_n == pytest.approx(3.0)
 
 
-@pytest.mark.parametrize(("period_s", "damping"), [(1.06, 0.05), (6.0, -0.2)])
+@pytest.mark.parametrize(("period_s", "damping"), [(0.4, 0.0), (6.0, -0.2)])
 def test_a_damped_oscillation_is_recovered_with_gaps(period_s, damping):
     times_s = np.delete(np.arange(150) / 25.0, np.arange(3, 150, 3))
     phase = 2.0 * np.pi / period_s * times_s
