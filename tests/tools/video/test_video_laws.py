@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from clips import track_of
+from clips import driven, track_of
 
 from gauge_envs.tools.video import video_task
 from gauge_envs.tools.video.laws import (
     apices,
+    displacement_px,
     dynamic_error,
     fit_constant_acceleration,
     fit_damped_oscillation,
@@ -106,3 +107,10 @@ def test_a_motion_ends_at_its_impact(restitution, name, a_m_s2, fps):
     track = track_of(task.centre_px + along_px * np.array(task.direction), fps)
     _, last = retained(track, task)
     assert since_s[last] < impact_s < since_s[last + 3]
+
+
+def test_a_cube_that_falters_for_two_frames_slides_on():
+    frames = np.r_[0:21, 20, 20, 20:28]
+    along_px = displacement_px(driven(SLIDE.id, 2.5), SLIDE)[frames, None]
+    track = track_of(SLIDE.centre_px + along_px * np.array(SLIDE.direction), 30.0)
+    assert retained(track, SLIDE)[1] == len(frames) - 1
