@@ -143,12 +143,11 @@ def _is_same(text: str, expected: str) -> bool:
     text, expected = expanded(text), expanded(expected)
     if NUMBER.split(text) != NUMBER.split(expected):
         return False
-    numbers = np.array(NUMBER.findall(text), dtype=np.float64)
+    numbers, expected_numbers = (
+        np.array(NUMBER.findall(one), dtype=np.float64) for one in (text, expected)
+    )
     return np.allclose(
-        numbers,
-        np.array(NUMBER.findall(expected), dtype=np.float64),
-        rtol=RELATIVE_TOLERANCE,
-        atol=ABSOLUTE_TOLERANCE,
+        numbers, expected_numbers, rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE
     )
 
 

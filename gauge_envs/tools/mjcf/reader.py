@@ -130,9 +130,7 @@ def read_model(path: Path, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
     placed = _placed_scene(path, model, simulation.model, scene)
     intervals = round(placed.duration_s / DRIVE_INTERVAL_S)
     for motion in prescribed_motions(placed, placed.duration_s):
-        masses_kg = [one.body(motion.body).mass for one in (model, simulation.model)]
         rows = driver_rows(simulation, motion, intervals)
-        rows[:, 13:] *= masses_kg[0] / masses_kg[1]
         _check_rows(path, model, f"{DRIVER_PREFIX}{motion.body}", rows)
     changes = model_changes(model, simulation.model)
     return placed, (*changes, *_velocity_changes(scene, placed))
@@ -220,14 +218,16 @@ def _check_contents(
         reason = ""
         if name in rigid:
             is_hinged = name in scene.hinges
-            reason = _joint_fault(model, rigid[name], is_hinged=is_hinged)
+            reason = _joint_fault(model, built, rigid[name], is_hinged=is_hinged)
         elif not is_same(model.body(name).pos, built.body_pos[index]):
             reason = "nodes of a deformable body cannot be moved in MJCF: move the body in USD"
         if reason:
             raise AssetError(path, name, reason)
 
 
-def _joint_fault(model: mujoco.MjModel, body: RigidBody, *, is_hinged: bool) -> str:
+def _joint_fault(
+    model: mujoco.MjModel, built: mujoco.MjModel, body: RigidBody, *, is_hinged: bool
+) -> str:
     """Return what a rigid body of a file lacks or has in excess; empty for a body that fits."""
     if body.motion is Motion.FIXED:
         return ""
@@ -244,11 +244,12 @@ def _joint_fault(model: mujoco.MjModel, body: RigidBody, *, is_hinged: bool) -> 
         unsupported.append("its parent or second joint")
     if unsupported:
         return f"unsupported joint: remove {', '.join(unsupported)}: joints of a scene move freely to the world"
-    is_driven = body.motion is Motion.KINEMATIC
-    if is_driven and not np.all(model.body_inertia[number] == model.body_mass[number]):
-        return (
-            "its mass and its moments of inertia must be the same number: it is driven"
-        )
+    values = [
+        np.append(one.body(body.name).inertia, one.body(body.name).mass)
+        for one in (model, built)
+    ]
+    if body.motion is Motion.KINEMATIC and not is_same(*values):
+        return "its mass and its moments of inertia must be the same as in the export: it is driven"
     return ""
 
 
