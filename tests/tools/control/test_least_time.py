@@ -78,6 +78,15 @@ def test_push_at_the_law(material):
     assert 0.7 < paid <= 1.0
 
 
+def test_yaw_is_that_since_the_start():
+    env = made(CarryLimit)
+    observation, _ = env.reset(seed=0, options={"jitter": True})
+    assert abs(env._start[6]) > 1e-4
+    assert observation[env.OBSERVED.index("cube_yaw_rad")] == pytest.approx(
+        0.0, abs=1e-12
+    )
+
+
 @both
 @pytest.mark.parametrize(
     ("action", "ending"), [((0.0, 0.0), Ending.MISSED), ((1.0, 1.0), Ending.LOST)]
