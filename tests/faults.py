@@ -13,7 +13,6 @@ from gauge_envs.scene import (
     Box,
     Compound,
     Contact,
-    ContactMode,
     Hinge,
     Motion,
     Plane,
@@ -489,17 +488,6 @@ FAULTS = {
         caught_by="pucks-friction",
         says="the engine multiplies the values of two bodies",
         scene=change_contacts(_of_bodies),
-    ),
-    "restitution of sustained contacts": Fault(
-        caught_by="rebound-0.5",
-        says="a pair of the mode SUSTAINED",
-        scene=change_contacts(
-            lambda one: (
-                replace(one, mode=ContactMode.IMPACT, restitution=0.5)
-                if one.mode is ContactMode.SUSTAINED
-                else one
-            )
-        ),
     ),
     "friction 20 % low": Fault(
         caught_by="pucks-friction",

@@ -11,12 +11,18 @@ import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from scipy.integrate import solve_ivp
 
 from gauge_envs import load_experiment
 from gauge_envs.backends.genesis.fabrics import pbd_constants
 from gauge_envs.backends.mujoco.fabrics import flex_constants
 from gauge_envs.backends.newton.fabrics import vbd_constants
 from gauge_envs.backends.shared.pair_values import body_values, pair_values
+from gauge_envs.backends.shared.spring_damper import (
+    damping_ratio_of,
+    impact_speed_m_per_s,
+    spring_damper_restitution,
+)
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.scene import GRAVITY_M_PER_S2, Motion, Pose, Scene
@@ -305,6 +311,36 @@ def test_a_pair_has_one_contact():
     again = contact("board", "cube", friction=0.9)
     with pytest.raises(ParameterError, match="list the pair 'board' and 'cube'"):
         replace(scene, contacts=(*scene.contacts, again))
+
+
+# --- restitution as a damper -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("damping_ratio", [0.2, 1.0, 2.0])
+def test_a_damper_has_the_restitution_of_an_integrated_impact(damping_ratio):
+    """x'' + 2 z x' + x = 0 until the force is zero, from x = 0 at unit speed."""
+
+    def force(_, state):
+        return state[0] + 2.0 * damping_ratio * state[1]
+
+    force.terminal, force.direction = True, -1
+    impact = solve_ivp(
+        lambda time, state: [state[1], -force(time, state)],
+        (0.0, 20.0),
+        [0.0, 1.0],
+        events=force,
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    rebound = -impact.y_events[0][0, 1]
+    assert spring_damper_restitution(damping_ratio) == pytest.approx(rebound, rel=1e-6)
+    assert damping_ratio_of(rebound) == pytest.approx(damping_ratio, rel=1e-6)
+
+
+def test_an_impact_has_the_speed_of_the_fall():
+    scene = Scene(bodies=(ball("ball", (0.0, 0.0, 0.23)), ground()), duration_s=1.0)
+    expected = np.sqrt(2.0 * GRAVITY_M_PER_S2 * 0.2)
+    assert impact_speed_m_per_s(scene) == pytest.approx(expected)
 
 
 # --- pairs in engines ------------------------------------------------------------------------------------------------

@@ -17,7 +17,11 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
-from gauge_envs.backends.shared.soft_rows import SoftRow, TetrahedralMesh
+from gauge_envs.backends.shared.soft_rows import (
+    SoftRow,
+    TetrahedralMesh,
+    lame_constants,
+)
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
@@ -372,6 +376,8 @@ def test_tetrahedra_of_a_block_fill_it_and_have_a_closed_surface(cell_m):
     assert masses_kg.sum() == pytest.approx(100.0 * x * y * z)
     centre_m = masses_kg @ mesh.points_m / masses_kg.sum()
     assert centre_m == pytest.approx(np.array(bar.pose.position_m), abs=1e-9)
+    shear_pa, lame_pa = lame_constants(block(young_pa=100.0, poisson=0.2))
+    assert (shear_pa, lame_pa) == (pytest.approx(125 / 3), pytest.approx(250 / 9))
 
 
 # --- cloth -----------------------------------------------------------------------------------------------------------

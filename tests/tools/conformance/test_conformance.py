@@ -3,12 +3,13 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from faults import FAULTS, Fault, Faulty, Planted
 
 from gauge_envs.backends import Repeatability, Support, backend
 from gauge_envs.errors import BackendError, ParameterError, UnknownNameError
-from gauge_envs.tools.conformance import Status, check, checks, run_checks
+from gauge_envs.tools.conformance import Status, Tolerance, check, checks, run_checks
 from gauge_envs.tools.conformance.results import levels
 
 MUJOCO = backend("mujoco")
@@ -68,14 +69,13 @@ def test_the_sign_of_a_quaternion_is_no_fault():
 
 
 class AddsInAnyOrder(Planted):
-    """Its steps end in other last digits at each run, as those of kernels that add in any order."""
+    """Its steps end in random last digits, as those of kernels that add in any order."""
 
-    count = 0
+    random = np.random.default_rng(0)
 
     def advance(self, seconds):
         super().advance(seconds)
-        AddsInAnyOrder.count += 1
-        self.data.qvel[:] += 1e-9 * (-1.0) ** (AddsInAnyOrder.count // 3)
+        self.data.qvel[:] += 1e-9 * self.random.standard_normal(self.model.nv)
 
 
 @pytest.mark.parametrize(("kind", "is_bad"), [("bits", True), ("statistical", False)])
@@ -168,6 +168,11 @@ def test_a_result_is_json_and_has_its_numbers():
     assert abs(values["measured"] - values["expected"]) > values["width"]
     assert values["versions"] == MUJOCO.versions()
     assert values["settings"]["preset"] == "contact"
+
+
+def test_a_tolerance_has_an_absolute_and_a_relative_part():
+    tolerance = Tolerance("by hand", absolute=1.0, relative=0.1)
+    assert tolerance.width(-20.0) == pytest.approx(3.0)
 
 
 def test_settings_reach_the_engine_and_an_unknown_one_is_a_reason():
