@@ -108,6 +108,18 @@ def test_a_recording_of_a_driven_scene_is_compared_without_a_shift():
     assert score.percentile is None
 
 
+def test_two_trials_have_an_interval_of_students_t():
+    band, score = score_of("SiliconeBeam-0g-silicone", shift_mm=1.0)
+    assert len(band.trials) == 2
+    assert score.rmse_95[1] - score.rmse > 4.0 * band.standard_uncertainty
+
+
+def test_an_exact_pendulum_has_the_recorded_event_without_the_recorded_loss():
+    event = score_of("Pendulum-metal")[1].events["turning_ratio"]
+    assert event.value == pytest.approx(1.0, abs=0.01)
+    assert (event.real, event.is_inside) == (0.925, False)
+
+
 @pytest.mark.parametrize("name", one_of_a_kind(NAMES))
 def test_every_id_scores_a_scene_in_which_nothing_moves(name):
     experiment = load_experiment(name)
