@@ -22,7 +22,6 @@ from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Motion, Pose, Region,
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.tools.bench.parts import body, box, contact, fixed_box
-from gauge_envs.tools.bench.recording import record
 
 MUJOCO = backend("mujoco")
 INTERVAL_S = 1 / 180
@@ -224,35 +223,6 @@ def test_a_cube_on_cloth_holds_while_the_slope_is_less_than_friction():
     # On a rigid slope the best known real cubes leave room for 1.4 to 2.5 mm/s.
     assert abs(downhill_m[-1] - downhill_m[2]) / 0.2 < 0.002
     assert off_m.min() > -cloth.thickness_m
-
-
-@pytest.mark.parametrize("cell_m", [0.05, 0.025])
-def test_a_patch_of_cloth_is_as_soft_with_all_cells(cell_m):
-    """MuJoCo's regularization of a vertex' contact, over the number of vertices on an area."""
-    scene = on_a_slope(fabric("satin", (0.3, 0.15)))
-    simulation = MUJOCO.build(scene, {"cell_m": cell_m})
-    model, points = simulation.model, simulation._parts["textile"].points
-    # Vertices at the rim weigh half or a quarter.
-    vertex_kg = model.body_mass[points._bodies].max()
-    impedance = float(model.flex_solimp[0, 0])
-    softness = (1.0 - impedance) / (impedance * vertex_kg) * cell_m**2
-    assert softness == pytest.approx(0.0375)
-    assert model.flex_solimp[0, 1] == impedance
-
-
-def test_conjugate_gradients_move_cloth_like_newtons_method():
-    cloth = replace(FLING.deformables[0], size_m=(0.5, 0.1))
-    scene = replace(FLING, deformables=(cloth,), markers=None)
-
-    def swung_m(**settings):
-        simulation = MUJOCO.build(scene, settings)
-        return record(simulation, scene, 0.3).nodes_m["textile"][-1]
-
-    exact_m = swung_m(solver="Newton", tolerance=1e-12)
-    # A tenth of what half the step moves a flung cloth in 2 s, 0.5 mm.
-    assert np.abs(swung_m() - exact_m).max() < 5e-5
-    assert np.abs(swung_m(tolerance=1e-8) - exact_m).max() < 5e-6
-    assert np.abs(swung_m(iterations=1) - exact_m).max() > 5e-5
 
 
 def test_a_fold_is_found_although_flat_cloth_is_not_searched_for_contacts(monkeypatch):

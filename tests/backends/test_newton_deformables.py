@@ -18,7 +18,6 @@ from foam import (
     held,
 )
 from rigid import scene_of, target
-from scipy.interpolate import griddata
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import spsolve
 
@@ -189,29 +188,6 @@ def test_a_narrow_body_meets_cloth_between_its_vertices():
     assert sag_m(touching, full_surface=True) < 0.8 * free_m
     # With vertices alone the ball pokes through.
     assert sag_m(touching) == pytest.approx(free_m, rel=1e-6)
-
-
-@pytest.mark.slow
-def test_cloth_rests_on_cloth():
-    """A sheet falls on a taut one; both are of particles, which meet where the scene lists them with each other."""
-    taut = replace(fabric("uniform", (0.3, 0.3)), name="taut")
-    above = Pose(position_m=(0.004, 0.003, 0.02))
-    loose = replace(fabric("uniform", (0.15, 0.15), above), name="loose")
-    pairs = (("taut", "loose"), ("taut", "taut"), ("loose", "loose"))
-    scene = scene_of(
-        FRAME,
-        deformables=(taut, loose),
-        attachments=around("taut"),
-        contacts=tuple(contact(*pair, friction=0.3) for pair in pairs),
-    )
-    simulation = NEWTON.build(scene, {"timestep_s": 1 / 1440, "cell_m": CELL_M})
-    simulation.advance(0.3)
-    below_m, upper_m = (simulation.nodes(name)[0] for name in ("taut", "loose"))
-    surface_m = griddata(below_m[:, :2], below_m[:, 2], upper_m[:, :2])
-    gaps_m = upper_m[:, 2] - surface_m
-    assert 0.0005 < gaps_m.min() < gaps_m.max() < 0.003
-    _, passed_m = fallen(replace(scene, contacts=()), 0.2, "loose")
-    assert passed_m[:, 2].max() < -0.1
 
 
 # --- lines -----------------------------------------------------------------------------------------------------------
@@ -401,23 +377,22 @@ def test_blocks_of_a_row_collide_on_their_own(touching):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "settings", "frames", "moved_mm", "apart_mm"),
+    ("name", "frames", "moved_mm", "apart_mm"),
     [
         # Both solve the same elasticity, on cells of their own.
-        ("FoamStretching-soft", {}, 8, 1.0, 0.05),
-        ("FoamStretching-soft", {"preset": "mpm"}, 2, 0.3, 0.05),
+        ("FoamStretching-soft", 8, 1.0, 0.05),
         # The meshes are alike and the membranes' small-strain limits too; the rest is a step that is 3 times as short.
-        ("TextileFlinging-satin", {}, 15, 100.0, 0.5),
+        ("TextileFlinging-satin", 15, 100.0, 0.5),
         # Rubber, a hundred times as stiff as the foam, is rigid here and elastic there.
-        ("CantileverBeam-soft", {}, 4, 30.0, 0.5),
+        ("CantileverBeam-soft", 4, 30.0, 0.5),
     ],
 )
-def test_bodies_move_as_in_mujoco(rollout, name, settings, frames, moved_mm, apart_mm):
+def test_bodies_move_as_in_mujoco(rollout, name, frames, moved_mm, apart_mm):
     def distance_mm(one, other):
         return 1e3 * np.sqrt(np.square(one - other).sum(axis=-1).mean(axis=-1))
 
     options = {"frames": frames, "marker_proxy": "material"}
-    _, ours, _ = rollout(name, backend="newton", settings=settings, **options)
+    _, ours, _ = rollout(name, backend="newton", **options)
     _, theirs, _ = rollout(name, **options)
     assert distance_mm(ours.markers_m, ours.markers_m[:1])[-1] > moved_mm
     assert distance_mm(ours.markers_m, theirs.markers_m).max() < apart_mm

@@ -5,7 +5,6 @@ Expected values follow from Coulomb's law, springs, pendulums and free fall.
 
 from contextlib import closing
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pytest
@@ -25,8 +24,6 @@ from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Attachment,
     Box,
-    ConvexUnion,
-    Motion,
     Pose,
     Region,
     Rope,
@@ -168,35 +165,6 @@ def test_a_cube_that_a_bar_pushes_and_slips_along_stays_on_the_edge_of_the_frict
         speed = simulation.body_states(["cube"])[0, 0, 7:9]
     assert speed[0] == pytest.approx(velocity[0], rel=0.002)
     assert speed[1] / speed[0] == pytest.approx(-friction, rel=0.005)
-
-
-def test_gravity_does_not_move_a_driven_body_within_a_step():
-    """The plate would yield at g h = 54 mm/s, and the cube would sink until the correction of its depth is as fast."""
-    scene = scene_of(
-        solid("cube", Box(size_m=(0.1, 0.1, 0.1)), (0.0, 0.0, 0.05)),
-        driven_box("plate", (0.0, 0.0, -0.05), (0.1, 0.1, 0.1)),
-        contacts=(contact("cube", "plate", friction=0.5),),
-    )
-    rows = states(ENGINE, scene, ["cube"], 1.0, timestep_s=1 / 180)
-    assert rows[-1, 0, 2] == pytest.approx(0.05, abs=2e-5)
-
-
-def test_pieces_of_a_solid_carry_a_ball_between_them():
-    """A ball of radius 30 mm sinks by 30 - sqrt(30^2 - 10^2) mm into a gap of 20 mm."""
-    corners = np.array(list(product((0.0, 0.05), (-0.05, 0.05), (-0.02, 0.0))))
-    pieces = tuple(
-        tuple(map(tuple, (corners + np.array([shift_m, 0.0, 0.0])).tolist()))
-        for shift_m in (-0.06, 0.01)
-    )
-    rails = solid("rails", ConvexUnion(pieces_m=pieces), (0.0, 0.0, 0.5))
-    place_m = (0.0, 0.0, 0.5 + float(np.sqrt(0.03**2 - 0.01**2)))
-    scene = scene_of(
-        ball("ball", place_m),
-        replace(rails, motion=Motion.FIXED),
-        contacts=(contact("ball", "rails", friction=0.5),),
-    )
-    end = states(ENGINE, scene, ["ball"], 0.5)[-1, 0]
-    assert end[:3] == pytest.approx(place_m, abs=1e-4)
 
 
 def test_springs_of_contacts_carry_and_throw_back_a_cube():
