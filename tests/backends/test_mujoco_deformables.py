@@ -468,8 +468,8 @@ def test_blocks_of_unequal_length_move_like_the_same_row_in_equal_pieces():
             simulation.advance(0.05)
             return read()[0, 0]
 
-    unequal_m = end_m((0.15, arm), (0.05, heavy))
-    equal_m = end_m((0.05, arm), (0.05, arm), (0.05, arm), (0.05, heavy))
+    unequal_m = end_m((0.05, heavy), (0.15, arm))
+    equal_m = end_m((0.05, heavy), (0.05, arm), (0.05, arm), (0.05, arm))
     assert unequal_m == pytest.approx(equal_m, abs=1e-9)
     assert unequal_m[2] < -1e-3
 

@@ -23,6 +23,7 @@ from scipy.sparse.linalg import spsolve
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
+from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Motion, Pose, Region, Rod
 from gauge_envs.tools.bench.parts import ball, contact, fixed_box
@@ -31,8 +32,10 @@ newton = pytest.importorskip("newton")
 
 from gauge_envs.backends.newton.contacts import surface_contacts  # noqa: E402
 from gauge_envs.backends.newton.line import add_line  # noqa: E402
+from gauge_envs.backends.newton.mpm import fitted_voxel_m  # noqa: E402
 from gauge_envs.backends.newton.settings import (  # noqa: E402
     SettingsLines,
+    SettingsMPM,
     longest_timestep_s,
     settings_for,
 )
@@ -108,6 +111,31 @@ def test_a_sheet_between_two_walls_shears_under_its_weight():
     stiffness_n_per_m = cloth.shear_stiffness_n_per_m
     expected_m = weight_n_per_m2(cloth) * span_m**2 / (8.0 * stiffness_n_per_m)
     assert sunk_m == pytest.approx(expected_m, rel=0.01)
+
+
+def test_hinges_have_the_energy_of_the_bending_stiffness():
+    """A cylinder along warp. Newton's hinges are as stiff as they are long.
+
+    A square grid with diagonals therefore has the cell over the mean edge length, 0.88, of what its constant says.
+    """
+    cloth = fabric("satin", (0.5, 0.5))
+    simulation = NEWTON.build(scene_of(deformables=(cloth,)), {"cell_m": CELL_M})
+    model, curvature_per_m = simulation._stepper.model, 1e-2
+    places_m = model.particle_q.numpy().astype(float)
+    places_m[:, 2] = 0.5 * curvature_per_m * places_m[:, 0] ** 2
+    edges = model.edge_indices.numpy()
+    inner = (edges[:, :2] >= 0).all(axis=1)
+    a, b, c, d = places_m[edges[inner]].transpose(1, 0, 2)
+    first, second = np.cross(c - a, d - a), np.cross(d - b, c - b)
+    sines = np.linalg.norm(np.cross(first, second), axis=1)
+    angles_rad = np.arctan2(sines, (first * second).sum(axis=1))
+    hinges_n_m = model.edge_bending_properties.numpy()[inner, 0]
+    hinges_n_m = hinges_n_m * model.edge_rest_length.numpy()[inner]
+    plate_n_m = cloth.bend_stiffness_n_m_per_rad * 3.0 / (2.0 + np.sqrt(2.0))
+    expected_j = 0.5 * plate_n_m * curvature_per_m**2 * np.prod(cloth.size_m)
+    energy_j = 0.5 * hinges_n_m @ angles_rad**2
+    # A strip of half a cell at each side has no hinges.
+    assert energy_j == pytest.approx(expected_j, rel=1.2 * CELL_M / 0.5)
 
 
 @pytest.mark.slow
@@ -407,6 +435,18 @@ def material_points(voxel_m, step_s):
     scene = gripped(block(poisson=0.23, centre_m=tuple(centre_m.tolist())))
     settings = {"preset": "mpm", "cell_m": voxel_m, "timestep_s": step_s}
     return NEWTON.build(scene, settings), centre_m
+
+
+def test_voxels_end_at_the_grips():
+    """Planes of the grid lie half a voxel off its multiples, within a share of a voxel of both faces."""
+    foam, depth_m = block(centre_m=(0.41, 0.39, 0.13)), 0.01285
+    grips = [held(side, Motion.FIXED, depth_m) for side in ("low", "high")]
+    settings = SettingsMPM(preset="test", timestep_s=1 / 180, cell_m=0.018)
+    voxel_m = fitted_voxel_m(SoftRow.of([foam], {"foam": grips}), settings)
+    faces_m = 0.13 + np.array([-1.0, 1.0]) * (0.1 - depth_m)
+    planes = faces_m / voxel_m - 0.5
+    assert np.abs(planes - planes.round()).max() < 0.15
+    assert voxel_m == pytest.approx(0.018, rel=0.2)
 
 
 def test_points_have_the_mass_of_the_free_material_and_follow_linear_motion():
