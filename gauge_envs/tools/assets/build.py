@@ -5,7 +5,7 @@ copy of a USD layer or of an MJCF file can be the scene of an experiment (`exper
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -214,31 +214,35 @@ def shape_to_obj(shape: Shape, name: str) -> str:
     """
     lines = [f"# {name}: volume {shape.volume_m3!r} m^3", f"o {name}"]
     first = 1
-    for index, points_m in enumerate(_pieces_m(shape)):
+    for index, (points_m, faces) in enumerate(_pieces(shape)):
         lines.append(f"g piece_{index}")
         # Adding zero removes the sign of negative zeros.
         lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in (points_m + 0.0).tolist()]
-        for face in hull_faces(points_m):
+        for face in faces:
             lines.append(f"f {' '.join(str(first + vertex) for vertex in face)}")
         first += len(points_m)
     return "\n".join(lines) + "\n"
 
 
-def _pieces_m(shape: Shape) -> list[FloatArray]:
-    """Return the vertices of the convex pieces of a solid [m], each of shape [vertex_count, 3]."""
+def _pieces(shape: Shape) -> list[tuple[FloatArray, Sequence[Sequence[int]]]]:
+    """Return vertices [m], shape [vertex_count, 3], and faces of each convex piece of a solid."""
     match shape:
         case ConvexUnion():
-            return [np.array(piece) for piece in shape.pieces_m]
+            pieces_m = [np.array(piece) for piece in shape.pieces_m]
         case Box():
-            return [shape.corners_m]
+            pieces_m = [shape.corners_m]
         case Sphere():
             sphere = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS)
             radius_m = (shape.volume_m3 / sphere.volume) ** (1.0 / 3.0)
-            return [np.asarray(sphere.vertices) * radius_m]
+            return [(np.asarray(sphere.vertices) * radius_m, sphere.faces.tolist())]
         case Cylinder():
             # A regular n-gon has the area (n / 2) r^2 sin(2 pi / n).
             angle = 2.0 * math.pi / PRISM_SIDES
             radius_m = shape.radius_m * math.sqrt(angle / math.sin(angle))
-            return _pieces_m(prism(replace(shape, radius_m=radius_m)))
-    kind = type(shape).__name__.lower()
-    raise ParameterError(f"a {kind} is not one closed solid and has no OBJ file")
+            return _pieces(prism(replace(shape, radius_m=radius_m)))
+        case _:
+            kind = type(shape).__name__.lower()
+            raise ParameterError(
+                f"a {kind} is not one closed solid and has no OBJ file"
+            )
+    return [(piece_m, hull_faces(piece_m)) for piece_m in pieces_m]
