@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from dataset_writer import body_asset, trial_content, write_trial
 from episodes import run_to_end
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import SyncVectorEnv
 from scipy.spatial.transform import Rotation
 
@@ -19,7 +18,6 @@ from gauge_envs import GaugeEnv, Jitter, load_experiment, reference_band
 from gauge_envs.envs import trial_start
 from gauge_envs.envs.trial_start import trial_states
 from gauge_envs.errors import ParameterError
-from gauge_envs.experiments.resolve import with_trial
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.runs.episodes import episode_result, run_episodes
 from gauge_envs.runs.request import RunRequest
@@ -83,12 +81,6 @@ def test_starts_scatter_by_the_seed_before_and_after_an_autoreset(arguments, opt
     assert np.allclose(again, NOMINAL_MM, atol=1e-6) == (options is not None)
 
 
-def test_starts_stay_without_noise():
-    envs = gym.make_vec(f"GAUGE/{SLIDE}", num_envs=2)
-    starts = starts_of_episodes(envs, 2, seed=3)
-    assert np.allclose(starts, NOMINAL_MM, atol=1e-6)
-
-
 def test_seeds_mean_what_gymnasium_says():
     env = make(jitter="real")
     first, again = (
@@ -137,13 +129,6 @@ def test_an_episode_depends_on_its_seed_and_not_on_episodes_before(name):
     assert np.abs(states - nominal_states(scene)).max() > 1e-5
 
 
-def test_an_environment_with_noise_is_rebuilt_from_its_spec():
-    for noise in ("real", Jitter(position_m=0.003), {"angle_rad": 0.01}):
-        env = make(jitter=noise)
-        again = gym.make(EnvSpec.from_json(env.spec.to_json()))
-        assert np.array_equal(start_mm(again, seed=3), start_mm(env, seed=3))
-
-
 @pytest.mark.parametrize(
     ("name", "jitter", "message"),
     [
@@ -156,22 +141,6 @@ def test_an_environment_with_noise_is_rebuilt_from_its_spec():
 def test_noise_that_cannot_be_is_named(name, jitter, message):
     with pytest.raises(ParameterError, match=message):
         make(name, jitter=jitter)
-
-
-@pytest.mark.parametrize("task", ["Carry-Limit-wood", "Push-Limit-metal"])
-def test_a_control_task_keeps_its_distance_and_its_limit_from_a_start_with_noise(task):
-    env = make(task, jitter=Jitter(position_m=0.004))
-    for seed in range(2):
-        env.reset(seed=seed)
-        observation, *_ = env.step(np.zeros(2))
-        distance_m = np.hypot(*observation[:2])
-        assert distance_m == pytest.approx(env.unwrapped.DISTANCE_M, abs=1e-4)
-    env.reset(seed=7)
-    over = False
-    while not over:
-        *_, terminated, truncated, info = env.step(env.unwrapped.law_action(0.95))
-        over = terminated or truncated
-    assert info["limit"].ratio <= 1.02
 
 
 def test_a_throw_is_limited_by_the_height_that_it_starts_from():
@@ -237,8 +206,6 @@ def test_a_toss_with_a_start_of_the_user_has_no_reference():
     moved = load_experiment(TOSS, {"cube.position_m": (0.0, 0.0, 0.5)})
     assert reference_band(moved) is None
     assert reference_band(load_experiment(TOSS, {"cube.friction": 0.3})) is not None
-    with pytest.raises(ParameterError, match="no single-shot trials"):
-        with_trial(load_experiment(BALL), 0)
 
 
 # --- imported trials ---

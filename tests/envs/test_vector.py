@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
-from gymnasium.wrappers import TimeLimit
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from opengl import needs_opengl
 
@@ -135,8 +134,6 @@ def compare_world(batches, world, singles, tolerance):
         (BALL, {"kicked": 1}),
         ("StickStack-soft", {"count": 2, "steps": 3}),
         ("RotatingBall-rayon", {"count": 2, "steps": 2, "options": {"jitter": True}}),
-        pytest.param("NewtonsCradle-metal", NOISE, marks=SLOW),
-        pytest.param("Turntable-1-wood", NOISE, marks=SLOW),
     ],
 )
 def test_worlds_of_mujoco_are_single_environments(name, how):
@@ -197,18 +194,6 @@ def test_each_world_takes_its_own_seed():
     assert envs.unwrapped.seeds_used == (7, 8, 9)
     chosen = envs.reset(seed=[9, 7, 8], options={"jitter": True})[0]["bodies"]
     assert np.array_equal(chosen, together[[2, 0, 1]])
-
-
-def test_trajectories_of_worlds_end_where_their_episodes_do():
-    envs = make(SLIDE).unwrapped
-    envs.reset(seed=0)
-    envs.step(zeros(envs))
-    times_s, samples = envs.rollout.trajectories()
-    assert times_s[1] == pytest.approx(1 / 180)
-    assert samples.shape == (2, len(times_s), 3)
-    assert np.isfinite(samples[:, :7]).all()
-    assert np.isnan(samples[:, 7:]).all()
-    assert np.array_equal(samples[1, :7], envs.rollout.trajectory(1).samples)
 
 
 @needs_opengl
@@ -347,13 +332,3 @@ def test_bare_sub_environments_are_scored_unless_they_restart_at_once(vector):
     with pytest.raises(EpisodeError, match=r"gymnasium\.make"):
         run_to_end(envs)
     envs.close()
-
-
-def test_episodes_that_are_cut_short_have_no_score():
-    for autoreset in AutoresetMode:
-        makers = [lambda: TimeLimit(GaugeEnv(SLIDE), 5)] * 2
-        envs = ScoreEpisodes(SyncVectorEnv(makers, autoreset_mode=autoreset))
-        envs.reset(seed=0)
-        steps = run_to_end(envs)
-        assert len(steps) == 5
-        assert "score" not in steps[-1][4]

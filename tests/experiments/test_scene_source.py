@@ -6,7 +6,6 @@ The slide of a cube follows Coulomb's law; hashes are SHA-256 of the bytes of fi
 import hashlib
 import json
 from dataclasses import replace
-from itertools import pairwise
 
 import gymnasium
 import numpy as np
@@ -17,7 +16,6 @@ from pxr import Gf, Sdf, Usd, UsdUtils, Vt
 from gauge_envs import load_experiment, load_experiment_from_asset
 from gauge_envs.errors import AssetError, ParameterError
 from gauge_envs.experiments.variants import variants
-from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import (
@@ -190,11 +188,7 @@ def test_changes_name_what_was_changed():
         "contact cube/ground: restitution 0.223583 -> 0.5",
         "scene: gravity_m_per_s2 9.80665 -> 1.62",
     ]
-    names = [variant.name for variant in variants()][::9]
-    for one, other in pairwise(names):
-        scene = load_experiment(one).scene
-        assert list(scene_changes(scene, load_experiment(other).scene))
-        assert not list(scene_changes(scene, scene))
+    assert not list(scene_changes(scene, scene))
 
 
 # --- results ---
@@ -224,18 +218,6 @@ def test_an_edited_scene_is_another_configuration_and_a_shipped_layer_is_not(sli
     assert result_file_name(task) == result_file_name(same) != result_file_name(other)
     comparison = compare([task, same, other])
     assert [bool(one.asset) for one in comparison.configurations] == [False, True]
-
-
-def test_resume_takes_only_a_result_of_the_same_file(slippery, tmp_path):
-    def run(asset):
-        request = RunRequest(SLIDE, asset=asset)
-        return next(
-            run_many([request], out=tmp_path / "out", resume=True, notify=pytest.fail)
-        )
-
-    assert run(slippery).created == run(slippery).created
-    run(shipped(SLIDE))
-    assert len(list((tmp_path / "out").iterdir())) == 2
 
 
 def test_the_hash_covers_every_file_that_the_stage_is_composed_of(tmp_path):
@@ -294,18 +276,11 @@ def without_cube(stage):
             relationship.ClearTargets(True)
 
 
-def named(name):
-    """Return an edit that names another variant, or none."""
-
-    def change(stage):
-        layer = stage.GetRootLayer()
-        data = dict(layer.customLayerData)
-        data["gauge"] = {k: v for k, v in data["gauge"].items() if k != "variant"}
-        if name:
-            data["gauge"]["variant"] = name
-        layer.customLayerData = data
-
-    return change
+def renamed(stage):
+    layer = stage.GetRootLayer()
+    data = dict(layer.customLayerData)
+    data["gauge"] = data["gauge"] | {"variant": "SlopeSlider-2-metal"}
+    layer.customLayerData = data
 
 
 def longer(stage):
@@ -330,7 +305,7 @@ KINEMATIC = {"gauge__motion": "kinematic", "physics__kinematicEnabled": True}
     ("name", "change", "message"),
     [
         (SLIDE, without_cube, "cube: no body of that name, which SlopeSlider-2-wood"),
-        (SLIDE, named("SlopeSlider-2-metal"), "it is the scene of SlopeSlider-2-metal"),
+        (SLIDE, renamed, "it is the scene of SlopeSlider-2-metal"),
         (SLIDE, longer, "it lasts 2 s, but an episode of SlopeSlider-2-wood lasts 0.6"),
         (SLIDE, setting("cube", **KINEMATIC), "it must move under forces"),
         (SLIDE, massless, "/World/cube.*mass"),
@@ -346,11 +321,6 @@ def test_what_does_not_fit_the_id_is_named(name, change, message, edited):
     with pytest.raises(AssetError, match=message) as caught:
         load_experiment_from_asset(name, edited(name, change))
     assert f"{name}.usda" in str(caught.value)
-
-
-def test_a_layer_that_names_no_variant_may_stand_for_any_that_it_fits(edited):
-    layer = load_experiment_from_asset(SLIDE, edited("SlopeSlider-2-metal", named("")))
-    assert "cube: mass_kg 0.0903 -> 0.3397" in layer.asset.changes
 
 
 @pytest.mark.parametrize(

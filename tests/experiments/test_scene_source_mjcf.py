@@ -176,12 +176,6 @@ def test_a_start_velocity_of_a_file_is_read_into_the_scene(name, body, start, tm
         simulation.reset()
 
 
-def test_other_keyframes_have_no_effect(edited):
-    key = '<keyframe><key name="home" qvel="1 0 0 0 0 0"/></keyframe></mujoco>'
-    experiment = load_experiment_from_asset(SLIDE, edited(SLIDE, ("</mujoco>", key)))
-    assert experiment.scene.body("cube").starts_at_rest
-
-
 # --- what does not fit ---
 
 

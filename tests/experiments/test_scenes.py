@@ -20,14 +20,12 @@ from gauge_envs.observables.functions import (
     face_areas_mm2,
 )
 from gauge_envs.scene import (
-    Box,
     Cloth,
     ConvexUnion,
     Cylinder,
     Plane,
     Rod,
     Rope,
-    SoftBody,
     Sphere,
 )
 
@@ -248,61 +246,6 @@ def test_resting_bodies_touch_what_they_rest_on(name, pairs):
         assert abs(depth_m(*map(scene.body, pair))) < TOLERANCE_M, pair
 
 
-def half_size_m(body):
-    """Return the half extents of a deformable body along its own axes."""
-    if isinstance(body, Cloth):
-        return 0.5 * np.array([*body.size_m, 0.0])
-    if isinstance(body, SoftBody):
-        return 0.5 * np.asarray(body.shape.size_m)
-    sides = [2 * body.radius_m, 2 * body.radius_m]
-    along_x = isinstance(body, Rope)
-    extents = [body.length_m, *sides] if along_x else [*sides, body.length_m]
-    return 0.5 * np.array(extents)
-
-
-@pytest.mark.parametrize("name", one_of_a_kind(SOFT))
-def test_glued_ends_touch_what_they_are_glued_to(name):
-    scene = scene_of(name)
-    bodies = {body.name: body for body in (*scene.bodies, *scene.deformables)}
-    for attachment in scene.attachments:
-        body, support = bodies[attachment.deformable], bodies[attachment.to]
-        axis = "xyz".index(attachment.region.axis)
-        half_m = half_size_m(body)
-        end = Box(size_m=tuple(2.0 * half_m)).corners_m
-        if isinstance(body, Rope | Rod):
-            end[:, np.arange(3) != axis] = 0.0
-        end[:, axis] = half_m[axis] * (1 if attachment.region.side == "high" else -1)
-        local = support.pose.to_body(body.pose.to_world(end))
-        # Cloth has no shape.
-        shape = getattr(support, "shape", None) or Box(size_m=(*support.size_m, 0.0))
-        solids = shape.pieces_m if isinstance(shape, ConvexUnion) else [shape.corners_m]
-        planes = [ConvexHull(np.asarray(solid)).equations for solid in solids]
-        outside_m = min((local @ p[:, :3].T + p[:, 3]).max() for p in planes)
-        assert outside_m < TOLERANCE_M, attachment
-
-
-@pytest.mark.parametrize("name", one_of_a_kind(SOFT))
-def test_markers_lie_on_their_bodies_and_differ(name):
-    scene = scene_of(name)
-    if scene.markers is None:
-        assert experiment(name).recorded
-        return
-    positions_m = np.asarray(scene.markers.positions_m)
-    assert len(np.unique(positions_m, axis=0)) == len(positions_m)
-    distances = []
-    for body in scene.deformables:
-        if body.name not in scene.markers.bodies:
-            continue
-        beyond = np.abs(body.pose.to_body(positions_m)) - half_size_m(body)
-        if isinstance(body, Rod):
-            local = body.pose.to_body(positions_m)
-            beyond[:, 0] = np.linalg.norm(local[:, :2], axis=1) - body.radius_m
-            beyond[:, 1] = -np.inf
-        distances.append(np.abs(beyond.max(axis=1)))
-    assert len(distances) == len(scene.markers.bodies)
-    assert np.min(distances, axis=0).max() < TOLERANCE_M
-
-
 # --- markers as they are observed ---
 
 
@@ -348,20 +291,6 @@ def test_foam_is_twisted_about_its_own_axis():
     np.testing.assert_allclose(end.position_m, start.position_m, atol=1e-12)
     turned_deg = np.degrees((end.rotation * start.rotation.inv()).as_rotvec())
     np.testing.assert_allclose(turned_deg, [0.0, 0.0, -89.3], atol=0.1)
-
-
-@pytest.mark.parametrize(
-    ("name", "body", "mm_per_s"),
-    [
-        ("StickStack-soft", "base", 17.25),
-        ("TableclothPulling-metal", "rod", -37.0),
-    ],
-)
-def test_pulled_bodies_have_the_recorded_speed(name, body, mm_per_s):
-    places = [driven_pose(name, body, time_s).position_m for time_s in (1.5, 2.5)]
-    speed = 1e3 * np.subtract(places[1], places[0])
-    largest = speed[np.argmax(np.abs(speed))]
-    assert largest == pytest.approx(mm_per_s, rel=0.05)
 
 
 def test_the_turntable_repeats_the_recorded_strokes():

@@ -20,7 +20,6 @@ from gauge_envs import (
     load_task,
     variants,
 )
-from gauge_envs.backends import backend
 from gauge_envs.errors import ParameterError, TaskFileError
 from gauge_envs.experiments.scene_builder import SceneBuilder
 from gauge_envs.experiments.tables import Provenance
@@ -130,6 +129,7 @@ def test_provenance_is_that_of_the_longest_matching_key():
         ("SlopeSlider", "{ all = 9 }", "{ all = 1 }", "subtasks.1.frames"),
         ("SlopeSlider", "{ all = 9 }", "{ wood = 9 }", "no frame count for SlopeSli"),
         ("SlopeSlider", "initial.metal]", "initial.steel]", "no start of"),
+        ("SlopeSlider", 'constants_of = "cube"', "friction = 0.1", "both friction and"),
         ("FoamStretching", "ratio = 0.23", "ratio = 0.5", "Poisson ratio 0.5"),
         ("FoamStretching", "[0, 7, 8]", "[0, 7, 28]", "marker index 28 is out of"),
         ("BouncingBall", "ground = { ", "ground = { velocity_m_per_s = [1, 0, 0], ", "'ground' is fixed and"),
@@ -140,20 +140,6 @@ def test_a_wrong_file_names_file_key_and_reason(family, old, new, message, tmp_p
     with pytest.raises(TaskFileError, match=re.escape(message)) as caught:
         load_task(path)
     assert str(caught.value).startswith(str(path))
-
-
-@pytest.mark.parametrize("is_complete", [True, False])
-def test_a_pair_without_constants_needs_friction_and_restitution(is_complete, tmp_path):
-    restitution = "restitution = 0.2\n" if is_complete else ""
-    numbers = f"friction = 0.1\n{restitution}"
-    pair = '[[contacts]]\nbodies = ["cube", "board"]\n'
-    change = (f'{pair}constants_of = "cube"\n', f"{pair}{numbers}")
-    path = changed_text(task_path("SlopeSlider"), change, to=tmp_path / "pair.toml")
-    if is_complete:
-        assert load_task(path).contacts[0].friction == 0.1
-        return
-    with pytest.raises(TaskFileError, match="both friction and restitution"):
-        load_task(path)
 
 
 # --- overrides ---
@@ -273,19 +259,3 @@ def test_gravity_and_start_change_the_motion():
     shift = path_mm({"cube.position_m": (x, y + 0.01, z)}) - calibrated
     expected = np.broadcast_to([0.0, 10.0, 0.0], shift.shape)
     assert shift == pytest.approx(expected, abs=0.05)
-
-
-@pytest.mark.parametrize("name", ["mujoco", "pybullet", "rapier"])
-def test_engines_fall_with_the_gravity_of_the_scene(name):
-    if name != "mujoco":
-        pytest.importorskip({"rapier": "rapier3d"}.get(name, name))
-    gravity = {"scene.gravity_m_per_s2": 1.6}
-    simulation = backend(name).build(
-        load_experiment("BouncingBall-rubber", gravity).scene
-    )
-    start_m = simulation.body_states(["ball"])[0, 0, 2]
-    for _ in range(36):
-        simulation.advance(1 / 180)
-    fallen_m = start_m - simulation.body_states(["ball"])[0, 0, 2]
-    simulation.close()
-    assert fallen_m == pytest.approx(0.5 * 1.6 * 0.2**2, rel=0.03)

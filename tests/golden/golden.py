@@ -17,7 +17,6 @@ import numpy as np
 
 from gauge_envs import load_experiment
 from gauge_envs.experiments.task_files import fabrics
-from gauge_envs.tools.conformance import run_checks
 from gauge_envs.tools.recipes.fabrics import fabric_constants
 from gauge_envs.tools.sanity import check
 
@@ -129,15 +128,6 @@ def on_engine(name):
     return episode(name, engine=engine)
 
 
-def conformance(engine):
-    """Return verdict, value and tolerance of each check on an engine."""
-    names = tuple(read()["conformance"]["mujoco"])
-    return {
-        one.check: [one.status.value, one.measured, one.width]
-        for one in run_checks(engine, only=names)
-    }
-
-
 def sanity(target):
     """Return value, unit and verdict of each phenomenon of a training configuration."""
     names = tuple(read()["sanity"][target])
@@ -159,7 +149,6 @@ PARTS = {
     "jitter": jittered,
     "trial": trial,
     "engines": on_engine,
-    "conformance": conformance,
     "sanity": sanity,
     "fabrics": fabric,
 }
