@@ -47,7 +47,8 @@ def test_a_failure_of_an_engine_costs_one_episode(installed):
     installed(*CAUSES)
     requests = [RunRequest(PLASTIC, backend=engine) for engine in CAUSES]
     requests.insert(1, RunRequest(WOOD, backend="crash"))
-    results = list(run_many(requests, isolate=None, memory_limit_gb=0.8))
+    limits = {"memory_limit_gb": 0.8, "time_limit_s": 120.0}
+    results = list(run_many(requests, isolate=None, **limits))
     assert results.pop(1).outcome.value == "finished"
     for result, cause in zip(results, CAUSES.values(), strict=True):
         assert result.outcome.value == "failed"
