@@ -1,4 +1,4 @@
-"""Results of any configurations side by side: their scores, ranks and distances."""
+"""Compare results of any configurations: scores, ranks and distances."""
 
 import math
 from collections import Counter
@@ -50,9 +50,8 @@ class Cell:
     """Results of one configuration in one experiment.
 
     Attributes:
-        results: Repeats by seed, including those that were declined, failed or diverged.
-        deviations: Their deviations from the reference; None if a repeat has no score, because a mean without failures
-            would be too good.
+        results: Repeats by seed, including unsupported, failed and diverged ones.
+        deviations: Deviations from the reference. None if a repeat has no score: a mean without failures is too good.
     """
 
     results: tuple[Result, ...]
@@ -72,7 +71,7 @@ class Cell:
         return ScoreSpread.of(self.values(metric, normalized=normalized))
 
     def interval_95(self, metric: str) -> Interval | None:
-        """Return the 95 % interval of the mean of the normalized metric; None if a repeat with the metric has none."""
+        """Return the 95 % interval of the mean normalized metric; None if a repeat with the metric has no interval."""
         values, intervals = [], []
         for result in self.results:
             value = normalized_score(result.score, metric)
@@ -87,15 +86,17 @@ class Cell:
 
     @property
     def percentile(self) -> float | None:
-        """Percentage of real trials that are closer to their mean, as mean over the repeats that have it."""
+        """Percentage of real trials that are closer to their mean, averaged over the repeats that have it."""
         spread = ScoreSpread.of(result.score.percentile for result in self.results)
         return None if spread is None else spread.mean
 
     @property
     def verdict(self) -> str:
-        """Verdict of the repeats that finished: one word, or how often each occurs; empty without any."""
+        """Verdict of the finished repeats: a word, or the count of each; empty without finished repeats."""
         counts = Counter(
-            one.score.verdict for one in self.results if one.outcome is Outcome.FINISHED
+            result.score.verdict
+            for result in self.results
+            if result.outcome is Outcome.FINISHED
         )
         if len(counts) < 2:
             return "".join(counts)
@@ -108,7 +109,7 @@ class ExperimentComparison:
 
     Attributes:
         id: Gymnasium id.
-        kind: Kind of the reference; `none` also where it refuses to score any of the results.
+        kind: Kind of the reference; `none` also if the reference scores none of the results.
         unit: Unit of the observable.
         cells: Results in the order of `Comparison.configurations`; None for a configuration without this experiment.
         baselines: Published scatter of real trials and scores of three engines, by metric.
@@ -127,34 +128,42 @@ class ExperimentComparison:
 
     @property
     def is_solution(self) -> bool:
-        """Whether results are compared with the solution of their scene, and not with reality."""
+        """Whether the reference is a solution of the scene, not real trials."""
         return Kind(self.kind).is_solution
 
     @property
     def results(self) -> list[Result]:
         """All results."""
-        return [one for cell in self.cells if cell is not None for one in cell.results]
+        return [
+            result for cell in self.cells if cell is not None for result in cell.results
+        ]
 
     @property
     def primary(self) -> str:
-        """Metric that reports show first, as `Score.primary`; `rmse` without a score."""
-        primaries = (one.score.primary for one in self.results)
+        """Metric that reports show first (`Score.primary`); `rmse` without a score."""
+        primaries = (result.score.primary for result in self.results)
         return next(filter(None, primaries), "rmse")
 
     @cached_property
     def distances(self) -> tuple[Distance, ...]:
-        """Distance between each two configurations that ran it. They are computed when they are asked for."""
-        present = [(index, cell) for index, cell in enumerate(self.cells) if cell]
+        """Distance between each pair of configurations that ran the experiment, computed on first access."""
+        present = [
+            (first, first_cell)
+            for first, first_cell in enumerate(self.cells)
+            if first_cell
+        ]
         baseline = self.baselines.get("rmse")
         distances = (
-            trajectory_distance((index, other), cell.results, beside.results, baseline)
-            for (index, cell), (other, beside) in combinations(present, 2)
+            trajectory_distance(
+                (first, second), first_cell.results, second_cell.results, baseline
+            )
+            for (first, first_cell), (second, second_cell) in combinations(present, 2)
         )
         return tuple(filter(None, distances))
 
     def metrics(self, among: Iterable[str] = tuple(SCORE_METRICS)) -> list[str]:
-        """Return the metrics that a result has or whose published scores are comparable, the primary first."""
-        scores = [one.score for one in self.results]
+        """Return the metrics with a score or comparable published scores, the primary metric first."""
+        scores = [result.score for result in self.results]
         names = [
             name
             for name in among
@@ -164,15 +173,17 @@ class ExperimentComparison:
         return sorted(names, key=lambda name: name != self.primary)
 
     def unit_of(self, metric: str) -> str:
-        """Return the unit of a metric that is not normalized."""
+        """Return the unit of a metric before normalization."""
         if metric == OVER_U:
-            return next((one.score.distance_unit for one in self.results), self.unit)
+            return next(
+                (result.score.distance_unit for result in self.results), self.unit
+            )
         return SCORE_METRICS[metric].unit_of(self.unit)
 
     def published(self, metric: str) -> Mapping[str, float | None] | None:
-        """Return the published scores of a metric by engine; None where nothing comparable was published.
+        """Return the published scores of a metric by engine; None without comparable published scores.
 
-        The paper scored trajectories against the mean of real trials, so RMSE and DTW need a reference of that kind.
+        The paper scores trajectories against the mean of real trials: RMSE and DTW need the kind `trials`.
         Event metrics do not depend on the reference.
         """
         baseline = self.baselines.get(metric)
@@ -180,7 +191,7 @@ class ExperimentComparison:
         return baseline.engines if baseline is not None and is_comparable else None
 
     def scored(self) -> ScoredExperiment:
-        """Return the scores of this experiment for a comparison within its kind."""
+        """Return the scores of this experiment for ranking within its kind."""
         present = [(index, cell) for index, cell in enumerate(self.cells) if cell]
         return ScoredExperiment(
             id=self.id,
@@ -195,12 +206,12 @@ class ExperimentComparison:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Configurations side by side.
+    """Comparison of configurations.
 
     Attributes:
-        configurations: What was tested.
+        configurations: The tested configurations.
         experiments: Each experiment in all configurations, in the order of `gauge list`.
-        notes: Results that were left out, and files that do not belong together, a sentence each.
+        notes: A sentence for each group of results that is left out or inconsistent.
     """
 
     configurations: tuple[RunConfiguration, ...]
@@ -214,52 +225,58 @@ class Comparison:
 
     @cached_property
     def kinds(self) -> tuple[KindComparison, ...]:
-        """Ranks within each kind of reference; an experiment of several references is left out."""
+        """Ranks within each kind of reference; experiments with several references are left out."""
         groups = (
-            [one for one in self.experiments if one.kind == kind and _is_ranked(one)]
+            [
+                experiment
+                for experiment in self.experiments
+                if experiment.kind == kind and _is_ranked(experiment)
+            ]
             for kind in Kind
         )
-        return tuple(one for group in groups for one in self.compare_within(group))
+        return tuple(kind for group in groups for kind in self.compare_within(group))
 
     def compare_within(
         self, experiments: Sequence[ExperimentComparison]
     ) -> tuple[KindComparison, ...]:
-        """Return ranks in experiments of one kind, for each set of constants."""
+        """Return the ranks in experiments of one kind, for each set of constants."""
         if not experiments:
             return ()
-        scored = [one.scored() for one in experiments]
-        constants = [_constants(one) for one in self.configurations]
+        scored = [experiment.scored() for experiment in experiments]
+        constants = [_constants(configuration) for configuration in self.configurations]
         return compare_kind(experiments[0].kind, scored, constants)
 
 
 def _constants(configuration: RunConfiguration) -> str:
-    """Return the name of the constants of a configuration: its parameters, and the scene that it edits."""
+    """Return the name of the constants of a configuration: its parameters and its modified scene."""
     parts = configuration_parts(configuration, digits=17)
     return ", ".join(text for part, text in parts if part in ("parameters", "asset"))
 
 
-def _is_ranked(one: ExperimentComparison) -> bool:
+def _is_ranked(experiment: ExperimentComparison) -> bool:
     """Return whether all results of an experiment are scored against the same reference."""
     references = {
         (result.score.kind, *sorted(result.dataset.items()))
-        for result in one.results
+        for result in experiment.results
         if result.error is None
     }
     return len(references) <= 1
 
 
 def compare(results: Iterable[Result]) -> Comparison:
-    """Return a comparison of results of any experiments, engines, parameters, settings and seeds.
+    """Compare results of any experiments, engines, parameters, settings and seeds.
 
-    Of several results of one experiment the newest revision counts, and of one configuration and seed the latest; notes
-    report both.
+    The newest revision of each experiment counts, and the latest result of each configuration and seed. Notes name the
+    results that are left out.
     """
     given = sorted(results, key=lambda result: result.revision)
-    newest = {one.id: one.revision for one in given}
-    kept = [one for one in given if one.revision == newest[one.id]]
-    older = dict.fromkeys(one.id for one in given if one.revision < newest[one.id])
+    newest = {result.id: result.revision for result in given}
+    kept = [result for result in given if result.revision == newest[result.id]]
+    older = dict.fromkeys(
+        result.id for result in given if result.revision < newest[result.id]
+    )
     notes = [
-        f"{short_id(name)}: results of an older revision are left out; compare them apart"
+        f"{short_id(name)}: results of an older revision are left out; compare them separately"
         for name in older
     ]
     groups = group_by_configuration(kept)
@@ -285,9 +302,9 @@ def compare(results: Iterable[Result]) -> Comparison:
 
 def _experiment(name: str, cells: Sequence[Cell | None]) -> ExperimentComparison:
     """Return an experiment in all configurations."""
-    results = [one for cell in cells if cell is not None for one in cell.results]
+    results = [result for cell in cells if cell is not None for result in cell.results]
     ran = [result for result in results if result.error is None] or results
-    is_refused = all(one.score.refused is not None for one in ran)
+    is_refused = all(result.score.refused is not None for result in ran)
     return ExperimentComparison(
         id=name,
         kind=Kind.NONE.value if is_refused else ran[0].score.kind,
@@ -298,7 +315,7 @@ def _experiment(name: str, cells: Sequence[Cell | None]) -> ExperimentComparison
 
 
 def _cell(results: Sequence[Result], notes: list[str]) -> Cell:
-    """Return the latest result of each seed, and add what was left out to the notes."""
+    """Return the latest result of each seed; add a note if results are left out."""
     by_seed = {
         result.seed: result
         for result in sorted(results, key=lambda result: result.created)
@@ -314,12 +331,12 @@ def _cell(results: Sequence[Result], notes: list[str]) -> Cell:
 
 
 def _deviations(results: Sequence[Result], notes: list[str]) -> Deviations | None:
-    """Return the deviations of repeats; None without scores, with a note if they should have some."""
-    is_finished = all(one.outcome is Outcome.FINISHED for one in results)
-    scores = [one.score.primary_normalized for one in results]
+    """Return the deviations of repeats; None without scores. Add a note if stored scores cannot be reproduced."""
+    is_finished = all(result.outcome is Outcome.FINISHED for result in results)
+    scores = [result.score.primary_normalized for result in results]
     if not is_finished or None in scores:
         return None
-    refused = f"{short_id(results[0].id)}: not ranked, because its"
+    unranked = f"{short_id(results[0].id)}: not ranked, because its"
     try:
         experiment = recorded_experiment(results[0])
         band = reference_band(experiment)
@@ -328,24 +345,24 @@ def _deviations(results: Sequence[Result], notes: list[str]) -> Deviations | Non
         reference = choose_reference(results, band)
         deviations = Deviations.of(
             band,
-            [reference.deviation(one) for one in results],
-            [one.seed for one in results],
+            [reference.deviation(result) for result in results],
+            [result.seed for result in results],
             scale=_scale(experiment, band, results[0].score.primary),
         )
     except GaugeError as error:
-        notes.append(f"{refused} result cannot be scored again: {error}")
+        notes.append(f"{unranked} result cannot be scored again: {error}")
         return None
     stored = np.array(scores, dtype=np.float64)
     if np.allclose(deviations.scores, stored, rtol=1e-6, atol=1e-9):
         return deviations
     notes.append(
-        f"{refused} score was made against another reference or motion; run it again"
+        f"{unranked} score belongs to another reference or motion; run it again"
     )
     return None
 
 
 def _scale(experiment: Experiment, band: Band, primary: str | None) -> float:
-    """Return the distance of a normalized score of 1, in the unit of the band; NaN without one."""
+    """Return the distance with a normalized score of 1, in the unit of the band; NaN without a normalization."""
     if primary == OVER_U:
         return band.standard_uncertainty
     if primary == ALIGNED.key and band.trial_rmse_aligned is not None:
@@ -355,27 +372,30 @@ def _scale(experiment: Experiment, band: Band, primary: str | None) -> float:
 
 
 def _mismatches(results: Sequence[Result]) -> Iterator[str]:
-    """Yield a sentence for each way in which results do not belong together."""
+    """Yield a sentence for each inconsistency between results."""
     by_id: dict[str, list[Result]] = {}
-    for one in results:
-        by_id.setdefault(one.id, []).append(one)
+    for result in results:
+        by_id.setdefault(result.id, []).append(result)
     stale = [
         short_id(name)
-        for name, same in by_id.items()
-        if {one.task_sha256 for one in same} != {task_sha256(find_variant(name).family)}
+        for name, group in by_id.items()
+        if {result.task_sha256 for result in group}
+        != {task_sha256(find_variant(name).family)}
     ]
     if stale:
-        yield f"made from another task file than the installed one: {', '.join(stale)}"
-    packages = {one.versions.get("gauge-envs", "an unknown version") for one in results}
+        yield f"the task file differs from the installed one: {', '.join(stale)}"
+    packages = {
+        result.versions.get("gauge-envs", "an unknown version") for result in results
+    }
     if len(packages) > 1:
         yield f"scored by different versions of gauge-envs: {', '.join(sorted(packages))}"
-    for name, same in sorted(by_id.items()):
-        reasons = {one.score.refused for one in same} - {None}
+    for name, group in sorted(by_id.items()):
+        reasons = {result.score.refused for result in group} - {None}
         yield from (
             f"{short_id(name)}: {reason}" for reason in sorted(map(str, reasons))
         )
-        kinds = sorted({one.score.kind for one in same})
+        kinds = sorted({result.score.kind for result in group})
         if len(kinds) > 1:
             yield f"{short_id(name)}: scored against references of kind {' and '.join(kinds)}"
-        if len({tuple(sorted(one.dataset.items())) for one in same}) > 1:
-            yield f"{short_id(name)}: real trials or drivers are of different imports, or bundled"
+        if len({tuple(sorted(result.dataset.items())) for result in group}) > 1:
+            yield f"{short_id(name)}: real trials or prescribed motions come from different imports, or bundled"

@@ -20,21 +20,21 @@ MOTION_SHARE = 0.05
 class Distance:
     """Distance between the trajectories of two configurations, at the 30 Hz frames that both have.
 
-    The distance at a frame is Euclidean over all coordinates, as in E_RMSE. Repeats are compared seed by seed, or each
-    with each if the two configurations have no seed in common.
+    The distance at a frame is Euclidean over all coordinates, as in E_RMSE. Repeats with the same seed are compared.
+    Without a common seed, all pairs of repeats are compared.
 
     Attributes:
         first: Index of the first configuration.
         second: Index of the second configuration.
         unit: Unit of the lengths.
         rms: Root-mean-square distance over the common frames, mean and scatter over the pairs of repeats.
-        motion_rms: Root-mean-square displacement of both from their starts, over the same frames and pairs.
-        threshold: Distance from which trajectories count as apart.
-        threshold_is_scatter: Whether the threshold is the published mean RMSE of real trials; else it is `MOTION_SHARE`
-            of `motion_rms`.
-        apart_at_s: Time of the first frame at which any pair is apart [s]; None if there is no such frame.
+        motion_rms: Root-mean-square displacement of both from their initial states, over the same frames and pairs.
+        threshold: Distance above which trajectories count as apart.
+        threshold_is_scatter: Whether the threshold is the published mean RMSE of real trials. Otherwise it is
+            `MOTION_SHARE` times `motion_rms`.
+        apart_at_s: Time of the first frame at which a pair is apart [s]; None if no pair is apart.
         frames: Number of common frames of the shortest pair.
-        diverged: Whether one of the trajectories ended because it diverged.
+        diverged: Whether one of the trajectories diverged.
     """
 
     first: int
@@ -55,8 +55,8 @@ class Gap:
 
     Attributes:
         times_s: Times of the common frames [s], shape [frame_count].
-        distances: Distance at each, shape [frame_count].
-        motion_rms: Root-mean-square displacement of both from their starts.
+        distances: Distance at each frame, shape [frame_count].
+        motion_rms: Root-mean-square displacement of both from their initial states.
     """
 
     times_s: FloatArray
@@ -66,19 +66,19 @@ class Gap:
 
 def trajectory_distance(
     configurations: tuple[int, int],
-    some: Sequence[Result],
-    others: Sequence[Result],
+    first_results: Sequence[Result],
+    second_results: Sequence[Result],
     baseline: Baseline | None,
 ) -> Distance | None:
-    """Return the distance of two configurations in one experiment, or None if they share no frame.
+    """Return the distance between two configurations in one experiment; None without a common frame.
 
     Args:
         configurations: Indices of the two configurations.
-        some: Results of the first.
-        others: Results of the second.
-        baseline: Published RMSE of real trials; None if there is none.
+        first_results: Results of the first configuration.
+        second_results: Results of the second configuration.
+        baseline: Published RMSE of real trials, if any.
     """
-    gaps = trajectory_gaps(some, others)
+    gaps = trajectory_gaps(first_results, second_results)
     rms = ScoreSpread.of(_root_mean_square(gap.distances) for gap in gaps)
     if rms is None:
         return None
@@ -89,7 +89,7 @@ def trajectory_distance(
         for gap in gaps
         if (is_apart := gap.distances > threshold).any()
     ]
-    pairs = list(_pairs(some, others))
+    pairs = list(_pairs(first_results, second_results))
     return Distance(
         first=configurations[0],
         second=configurations[1],
@@ -104,11 +104,13 @@ def trajectory_distance(
     )
 
 
-def trajectory_gaps(some: Sequence[Result], others: Sequence[Result]) -> list[Gap]:
+def trajectory_gaps(
+    first_results: Sequence[Result], second_results: Sequence[Result]
+) -> list[Gap]:
     """Return the distance over time of each pair of repeats with common frames."""
     gaps = []
-    for one, other in _pairs(some, others):
-        trajectory, other_trajectory = one.trajectory, other.trajectory
+    for result, other_result in _pairs(first_results, second_results):
+        trajectory, other_trajectory = result.trajectory, other_result.trajectory
         assert trajectory is not None and other_trajectory is not None
         if trajectory.coordinates != other_trajectory.coordinates:
             continue
@@ -131,14 +133,14 @@ def _root_mean_square(lengths: FloatArray) -> float:
 
 
 def _pairs(
-    some: Sequence[Result], others: Sequence[Result]
+    first_results: Sequence[Result], second_results: Sequence[Result]
 ) -> Iterator[tuple[Result, Result]]:
-    """Yield results with trajectories by seed; without a common seed, each with each."""
+    """Yield pairs of results with trajectories: those with the same seed, or all pairs without a common seed."""
     first, second = (
-        {one.seed: one for one in results if one.trajectory is not None}
-        for results in (some, others)
+        {result.seed: result for result in results if result.trajectory is not None}
+        for results in (first_results, second_results)
     )
-    # Results of the same seed have the same jittered start, so only the configuration differs.
+    # Results with the same seed have the same initial-state noise, so only the configuration differs.
     common = first.keys() & second.keys()
     if common:
         yield from ((first[seed], second[seed]) for seed in first if seed in common)

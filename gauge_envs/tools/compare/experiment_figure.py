@@ -1,4 +1,4 @@
-"""Picture of one experiment (needs matplotlib): distance over time, and the coordinates that decide the score."""
+"""Draw one experiment (needs matplotlib): distance over time, and the coordinates that decide the score."""
 
 from __future__ import annotations
 
@@ -52,15 +52,15 @@ MAX_HEIGHT_IN = 13.2
 MAX_COORDINATES = 3
 """Largest number of coordinates that are drawn."""
 MAX_MOTION_S, WINDOW_S = 20.0, 10.0
-"""Of a longer motion, whose swings would fill a panel, the last seconds are drawn [s]."""
+"""Longest motion that is drawn whole, and length of the last part that is drawn otherwise [s]."""
 MAX_LINEAR_RATIO = 20.0
-"""Largest distance over the largest spread of the reference that a linear axis shows."""
+"""Largest ratio of distance to spread of the reference on a linear axis."""
 LOW_QUANTILE = 0.02
-"""Share of the distances that may be below a logarithmic axis: where curves cross, the distance is 0."""
+"""Share of the distances that may lie below a logarithmic axis: the distance is 0 where curves cross."""
 MIN_RANGE = 0.02
-"""Smallest range of a panel over that of the widest one, so that rounding errors do not fill a panel."""
+"""Smallest range of a panel, divided by the range of the widest panel. Rounding errors thus do not fill a panel."""
 MAX_RANGE = 10.0
-"""Largest distance from the reference that a panel shows, over the range of the reference: a diverged curve is cut."""
+"""Largest distance from the reference in a panel, divided by the range of the reference. It cuts diverged curves."""
 
 NARROW, WIDE = "#c4c4c4", "#e3e3e3"
 HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0}
@@ -68,7 +68,7 @@ HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0
 
 @dataclass(frozen=True)
 class Series:
-    """Results of one configuration in one experiment, and how they look."""
+    """Results of one configuration in one experiment, and the style of their curves."""
 
     label: str
     color: str
@@ -88,13 +88,13 @@ class Series:
             parts.append(f"{len(self.results)} repeats")
         if is_aligned(self.results[0]) and shift_s is not None:
             parts.append(f"shifted by {shift_s:+.3f} s")
-        if diverged := sum(one.diverged for one in self.results):
+        if diverged := sum(result.diverged for result in self.results):
             parts.append(f"{diverged} diverged")
         return ", ".join(filter(None, parts))
 
     @property
     def style(self) -> dict[str, Any]:
-        """How its curves look."""
+        """Matplotlib style of the curves."""
         is_single = len(self.results) == 1
         return {
             "color": self.color,
@@ -106,9 +106,9 @@ class Series:
 
 
 def save_figures(results: Sequence[Result], folder: Path) -> Iterator[Path]:
-    """Write one PNG for each experiment among the results, named after it.
+    """Write a PNG for each experiment of the results, named after the experiment.
 
-    A configuration has the same colour in all of them.
+    A configuration has the same colour in all pictures.
 
     Yields:
         Path of each picture, as soon as it is written.
@@ -125,16 +125,16 @@ def save_figures(results: Sequence[Result], folder: Path) -> Iterator[Path]:
 def draw_experiment(
     results: Sequence[Result], *, among: Sequence[Result] = ()
 ) -> Figure:
-    """Return the picture of one experiment: curves of all its results over its reference.
+    """Return the picture of one experiment: the curves of all results over the reference.
 
-    Results that differ in their seed alone are thin lines of one colour.
+    Results that differ only in their seed are thin lines of one colour.
 
     Args:
-        results: Results of one experiment that ran, one or more; their parameters, backends and seeds may differ.
-        among: All results that are shown together, which decide labels and colours; these alone where it is empty.
+        results: One or more finished or diverged results of one experiment, of any parameters, backends and seeds.
+        among: All results that are shown together; they decide labels and colours. Empty means `results`.
 
     Raises:
-        ShapeError: There are results of no or several experiments.
+        ShapeError: The results are not of exactly one experiment.
     """
     ids = {result.id for result in results}
     if len(ids) != 1:
@@ -142,11 +142,11 @@ def draw_experiment(
             f"results of one experiment are needed, got {', '.join(sorted(ids)) or 'none'}"
         )
     series = _series(results, among or results)
-    first_results = [one.results[0] for one in series]
+    first_results = [entry.results[0] for entry in series]
     experiment = recorded_experiment(first_results[0])
     band = judging_band(experiment, results)
     reference = choose_reference(
-        first_results, band, labels=[one.label for one in series]
+        first_results, band, labels=[entry.label for entry in series]
     )
     shares = _shares(reference, results)
     order = np.argsort(-shares, kind="stable")[:MAX_COORDINATES]
@@ -163,7 +163,7 @@ def draw_experiment(
         if len(shares) > 1 and shares.any():
             title += f": {shares[column]:.0%} of the squared distance"
         axes[-1].set_title(title, loc="left", fontsize=9)
-    # The band of real trials fills a panel; that of a solution may be narrower than rounding errors.
+    # The band of real trials fills a panel. The band of a solution may be narrower than rounding errors.
     if not reference.band.kind.is_real:
         _widen(axes)
     notes = wrap(" ".join(_notes(experiment, reference)), 195)
@@ -193,19 +193,19 @@ def _series(results: Sequence[Result], among: Sequence[Result]) -> list[Series]:
 
 
 def _shares(reference: Reference, results: Sequence[Result]) -> FloatArray:
-    """Return the share of each coordinate in the squared distance, mean over results, shape [C]; 0 without any."""
-    squares = [
-        np.nansum(np.square(reference.deviation(one)), axis=0) for one in results
+    """Return the mean share of each coordinate in the squared distance, shape [C]; 0 without a distance."""
+    sums = [
+        np.nansum(np.square(reference.deviation(result)), axis=0) for result in results
     ]
-    known = [one / one.sum() for one in squares if 0.0 < one.sum() < np.inf]
+    known = [squares / squares.sum() for squares in sums if 0 < squares.sum() < np.inf]
     return np.mean(known or [np.zeros(len(reference.band.coordinates))], axis=0)
 
 
 def _question(reference: Reference) -> str:
-    """Return what the picture answers, and what the distance is from. No picture mixes the two questions."""
+    """Return the question that the picture answers, and the origin of the distance."""
     distance = f"Distance from {reference.name}"
     if reference.scored is None:
-        return f"No reference: it is not known which motion is right. {distance}"
+        return f"No reference: the correct motion is unknown. {distance}"
     kind, count = reference.band.kind, reference.band.marker_count
     if count > 1:
         distance += f", root mean square over {count} markers"
@@ -214,7 +214,7 @@ def _question(reference: Reference) -> str:
 
 
 def _notes(experiment: Experiment, reference: Reference) -> Iterator[str]:
-    """Yield what curves and shades are, and where the reference is from."""
+    """Yield the meaning of curves and shades, and the source of the reference."""
     band, scored = reference.band, reference.scored
     kind = Kind.NONE if scored is None else scored.kind
     if not reference.is_start:
@@ -229,25 +229,25 @@ def _notes(experiment: Experiment, reference: Reference) -> Iterator[str]:
     if scored is not None:
         yield f"{scored.source[:1].upper()}{scored.source[1:]}."
     if experiment.driver_provenance:
-        yield f"Driver: {experiment.driver_provenance}."
+        yield f"Prescribed motion: {experiment.driver_provenance}."
 
 
 # --- distance over time ----------------------------------------------------------------------------------------------
 
 
 def _draw_distances(axis: Axes, series: Sequence[Series], reference: Reference) -> None:
-    """Draw the distance of each result from the reference; without one, from the first configuration."""
+    """Draw the distance of each result from the reference, or from the first configuration without a reference."""
     is_between = reference.scored is None and not reference.is_start
     if is_between:
         _draw_gaps(axis, series)
     else:
-        results = [result for one in series for result in one.results]
+        results = [result for entry in series for result in entry.results]
         _draw_spread(axis, reference, any(map(is_aligned, results)))
-        for one in series:
-            for number, result in enumerate(one.results):
+        for entry in series:
+            for number, result in enumerate(entry.results):
                 lengths = reference.lengths(reference.deviation(result))
-                label = None if number else one.legend
-                axis.plot(reference.times_s, lengths, label=label, **one.style)
+                label = None if number else entry.legend
+                axis.plot(reference.times_s, lengths, label=label, **entry.style)
     axis.set_ylabel(f"distance [{reference.band.unit}]")
     axis.set_xlabel("time [s]")
     axis.set_xlim(0.0, reference.end_s)
@@ -257,42 +257,42 @@ def _draw_distances(axis: Axes, series: Sequence[Series], reference: Reference) 
 
 
 def _draw_spread(axis: Axes, reference: Reference, aligned: bool) -> None:
-    """Draw the distance of real trials from the mean of the others; else the scatter, or u, of the reference."""
+    """Draw the distance of each real trial from the mean of the rest; otherwise the scatter or u of the reference."""
     times_s, scored = reference.times_s, reference.scored
     if scored is None:
         return
     of_trials = scored.trial_rmse_aligned if aligned else scored.trial_rmse
     if of_trials is not None:
-        label = "1: mean of the real trials, each from the mean of the others"
+        label = "score 1: mean distance of a real trial from the mean of the rest"
         height = np.full(len(times_s), of_trials.mean())
         axis.fill_between(times_s, height, facecolor=NARROW, label=label, zorder=1)
         return
     spread, factor = reference.lengths(reference.spread), reference.spread_factor
     is_solution = reference.band.kind.is_solution
     name = "u of the solution" if is_solution else "standard deviations of real trials"
-    for reach, shade in ((factor, WIDE), (1.0, NARROW)):
+    for multiple, shade in ((factor, WIDE), (1.0, NARROW)):
         axis.fill_between(
             times_s,
-            reach * spread,
+            multiple * spread,
             facecolor=shade,
-            label=f"{reach:g} {name}",
+            label=f"{multiple:g} {name}",
             zorder=1,
         )
     if is_solution:
         mean = reference.band.mean
         start = mean[int(reference.band.known.argmax())]
-        label = "a scene in which nothing moves"
+        label = "zero-motion baseline"
         still = reference.lengths(mean - start)
         axis.plot(times_s, still, color=REAL, lw=1.1, ls="--", label=label)
 
 
 def _draw_gaps(axis: Axes, series: Sequence[Series]) -> None:
-    """Draw the distance of each configuration from the first, and that of the real trials from their mean."""
-    first, *others = series
-    for one in others:
-        for number, gap in enumerate(trajectory_gaps(first.results, one.results)):
-            label = None if number else one.legend
-            axis.plot(gap.times_s, gap.distances, label=label, **one.style)
+    """Draw the distance of each configuration from the first, and the published distance of real trials."""
+    first, *rest = series
+    for entry in rest:
+        for number, gap in enumerate(trajectory_gaps(first.results, entry.results)):
+            label = None if number else entry.legend
+            axis.plot(gap.times_s, gap.distances, label=label, **entry.style)
     baseline = published_baselines(short_id(first.results[0].id)).get("rmse")
     if baseline is not None:
         label = "published distance of real trials from their mean"
@@ -300,7 +300,7 @@ def _draw_gaps(axis: Axes, series: Sequence[Series]) -> None:
 
 
 def _scale_distances(axis: Axes, reference: Reference) -> None:
-    """Choose a logarithmic axis for solutions, and where the spread of real trials would be a line on the axis."""
+    """Use a logarithmic axis for solutions, and if the spread of real trials is too small for a linear axis."""
     curves = [line.get_ydata() for line in axis.get_lines() if line.get_color() != REAL]
     distances = np.concatenate([np.zeros(1), *curves])
     largest = float(np.nanmax(distances))
@@ -328,13 +328,13 @@ def _draw_coordinate(
     if not reference.is_start:
         _draw_mean(axis, reference, column)
         low, high = axis.get_ylim()
-        reach = MAX_RANGE * (high - low)
-        limits = (low - reach, high + reach)
-    for one in series:
-        for result in one.results:
+        margin = MAX_RANGE * (high - low)
+        limits = (low - margin, high + margin)
+    for entry in series:
+        for result in entry.results:
             times_s, values = reference.motion(result)
             shown = (times_s >= start_s) & (times_s <= end_s + 1.0 / FRAME_RATE_HZ)
-            axis.plot(times_s[shown], values[shown, column], **one.style)
+            axis.plot(times_s[shown], values[shown, column], **entry.style)
     low, high = axis.get_ylim()
     axis.set_ylim(max(low, limits[0]), min(high, limits[1]))
     axis.set_xlim(start_s, end_s)
@@ -347,11 +347,11 @@ def _draw_mean(axis: Axes, reference: Reference, column: int) -> None:
     """Draw the mean of a coordinate and its spread; extrapolated parts are dotted and hatched."""
     band, times_s = reference.band, reference.times_s
     mean, spread = band.mean[:, column], reference.spread[:, column]
-    # Simulations lie on the line of a solution: it is wide and below them. A measured mean is above them.
+    # Curves of simulations cover a solution, so its line is wide and below them. A measured mean is above them.
     is_real = band.kind.is_real
     look: dict[str, Any] = {"color": REAL, "lw": 1.1 if is_real else 3.0}
     look["zorder"] = 5 if is_real else 2
-    # An extrapolated part reaches to the measured frames beside it.
+    # An extrapolated part extends to the neighbouring measured frames.
     extrapolated = np.convolve(~band.measured, [1, 1, 1], "same") > 0
     for flags, style, hatch in ((band.measured, "-", {}), (extrapolated, ":", HATCH)):
         for factor, shade in ((reference.spread_factor, WIDE), (1.0, NARROW)):
@@ -363,7 +363,7 @@ def _draw_mean(axis: Axes, reference: Reference, column: int) -> None:
 
 
 def _widen(axes: Sequence[Axes]) -> None:
-    """Give each panel a share of the range of the widest one."""
+    """Widen each panel to a share of the range of the widest panel."""
     limits = [axis.get_ylim() for axis in axes]
     min_range = MIN_RANGE * max(high - low for low, high in limits)
     for axis, (low, high) in zip(axes, limits, strict=True):

@@ -1,4 +1,4 @@
-"""One figure over all experiments of a comparison (needs matplotlib)."""
+"""Draw all experiments of a comparison in one figure (needs matplotlib)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ OVERVIEW = "overview"
 """Name of the picture of all experiments."""
 
 PRIMARY = "primary"
-"""Panel of the primary scores over real trials."""
+"""Panel of the primary scores, compared with real trials."""
 
 MARKERS = dict(zip(PUBLISHED_ENGINES, "s^D", strict=True))
 PUBLISHED_STYLE: dict[str, Any] = {"mfc": "none", "mec": "#707070", "ls": ""}
@@ -37,11 +37,11 @@ CROSS: dict[str, Any] = {"marker": "x", "mew": 1.8, "ls": ""}
 def save_comparison(
     results: Sequence[Result], folder: Path, *, metric: str | None = None
 ) -> Iterator[Path]:
-    """Write the pictures of `save_figures`, and one of all experiments with scores, `overview.png`.
+    """Write the pictures of `save_figures`, and `overview.png` with all scored experiments.
 
     Args:
         results: Results of any experiments and configurations.
-        folder: Where to, created if need be.
+        folder: Folder of the pictures, created if it does not exist.
         metric: Metric of the overview, as in `draw_overview`.
 
     Yields:
@@ -56,27 +56,30 @@ def save_comparison(
 def draw_overview(
     comparison: Comparison, *, metric: str | None = None
 ) -> Figure | None:
-    """Return dots of the score of every experiment over its scale, with their 95 % intervals.
+    """Draw the normalized score of every experiment as a dot with its 95 % interval.
 
-    Configurations are in colour. Published engines are in grey with the raw scores of kind `trials`, because these
-    alone have the same reference. Distances from solutions have a panel of their own.
+    Configurations are in colour. Published engines are in grey, with the raw scores of kind `trials`: only these have
+    the same reference. Distances from solutions have a separate panel.
 
     Args:
-        comparison: What `gauge_envs.tools.compare.comparison.compare` returns.
-        metric: A key of `pages.results.SCORE_METRICS`. None draws the primary score and the raw RMSE over real trials,
+        comparison: Result of `gauge_envs.tools.compare.comparison.compare`.
+        metric: A key of `pages.results.SCORE_METRICS`. None draws the primary score and the raw RMSE for real trials,
             and the distances from solutions.
 
     Returns:
-        The picture; None if no experiment has such a score.
+        The picture; None if no experiment has a score of this metric.
     """
     panels = [PRIMARY, "rmse", OVER_U] if metric is None else [metric]
     experiments = [
-        one
-        for one in comparison.experiments
-        if _has_diverged(one) or any(_has_score(one, panel) for panel in panels)
+        experiment
+        for experiment in comparison.experiments
+        if _has_diverged(experiment)
+        or any(_has_score(experiment, panel) for panel in panels)
     ]
     panels = [
-        panel for panel in panels if any(_has_score(one, panel) for one in experiments)
+        panel
+        for panel in panels
+        if any(_has_score(experiment, panel) for experiment in experiments)
     ]
     if not panels:
         return None
@@ -84,56 +87,60 @@ def draw_overview(
     axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for axis, panel in zip(axes, panels, strict=True):
         _draw_panel(axis, experiments, panel)
-    names = [f"{one.name}  ({one.kind})" for one in experiments]
+    names = [f"{experiment.name}  ({experiment.kind})" for experiment in experiments]
     axes[0].set_yticks(range(len(names)), names, fontsize=8)
     axes[0].set_ylim(len(names) - 0.5, -0.5)
     _add_legend(figure, axes[-1], comparison.labels)
     return figure
 
 
-def _metric_of(one: ExperimentComparison, panel: str) -> str | None:
-    """Return the metric of an experiment that a panel shows; None for a solution in the panel of real trials."""
+def _metric_of(experiment: ExperimentComparison, panel: str) -> str | None:
+    """Return the metric that a panel shows for an experiment; None for a solution in the panel of real trials."""
     if panel != PRIMARY:
         return panel
-    return None if one.is_solution else one.primary
+    return None if experiment.is_solution else experiment.primary
 
 
-def _published(one: ExperimentComparison, panel: str) -> dict[str, float]:
-    """Return the published scores of a panel by engine; a score of 0 has no place on a logarithmic axis."""
+def _published(experiment: ExperimentComparison, panel: str) -> dict[str, float]:
+    """Return the published scores of a panel by engine, without zeros: the axis is logarithmic."""
     if panel == PRIMARY or not SCORE_METRICS[panel].is_normalized:
         return {}
-    published = one.published(panel) or {}
+    published = experiment.published(panel) or {}
     return {engine: value for engine, value in published.items() if value}
 
 
-def _has_score(one: ExperimentComparison, panel: str) -> bool:
-    metric = _metric_of(one, panel)
-    cells = [cell for cell in one.cells if cell is not None and metric is not None]
+def _has_score(experiment: ExperimentComparison, panel: str) -> bool:
+    metric = _metric_of(experiment, panel)
+    cells = [
+        cell for cell in experiment.cells if cell is not None and metric is not None
+    ]
     scores = [cell.spread(metric or "", normalized=True) for cell in cells]
-    return any(scores) or bool(_published(one, panel))
+    return any(scores) or bool(_published(experiment, panel))
 
 
-def _has_diverged(one: ExperimentComparison) -> bool:
-    return any(cell is not None and cell.count(Outcome.DIVERGED) for cell in one.cells)
+def _has_diverged(experiment: ExperimentComparison) -> bool:
+    return any(
+        cell is not None and cell.count(Outcome.DIVERGED) for cell in experiment.cells
+    )
 
 
 def _draw_panel(
     axis: Axes, experiments: Sequence[ExperimentComparison], panel: str
 ) -> None:
     is_solution = panel == OVER_U
-    # The end of an interval at 0 has no place on a logarithmic axis: the bar reaches the edge.
+    # A logarithmic axis has no 0: an interval that ends at 0 extends to the edge.
     axis.set_xscale("log", nonpositive="clip")
     axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     line = COVERAGE_FACTOR if is_solution else 1.0
     axis.axvline(line, color=REAL, lw=1.2, ls="--", zorder=1)
-    for place, one in enumerate(experiments):
-        for engine, value in _published(one, panel).items():
+    for place, experiment in enumerate(experiments):
+        for engine, value in _published(experiment, panel).items():
             axis.plot(value, place, MARKERS[engine], **PUBLISHED_STYLE)
-        _draw_scores(axis, place, one, _metric_of(one, panel))
+        _draw_scores(axis, place, experiment, _metric_of(experiment, panel))
     is_ratio = panel in ("lsd", "mte", "pd")
-    label = f"over real trials, log scale;\n{'1 is ideal' if is_ratio else 'lower is closer'}; bars: 95 %"
+    label = f"divided by real trials, log scale;\n{'1 is ideal' if is_ratio else 'lower is closer'}; bars: 95 %"
     if is_solution:
-        label = f"over u of the solution, log scale;\nup to {line} u is inside"
+        label = f"divided by u of the solution, log scale;\nup to {line} u is inside"
     axis.set_xlabel(label, fontsize=9)
     title = "primary score" if panel == PRIMARY else SCORE_METRICS[panel].title
     title = f"{title[0].upper()}{title[1:]}"
@@ -143,14 +150,14 @@ def _draw_panel(
 
 
 def _draw_scores(
-    axis: Axes, place: int, one: ExperimentComparison, metric: str | None
+    axis: Axes, place: int, experiment: ExperimentComparison, metric: str | None
 ) -> None:
-    """Draw the configurations of an experiment below each other, so that equal scores do not hide each other."""
-    for index, cell in enumerate(one.cells):
+    """Draw the scores of an experiment, one configuration below the other, so that equal scores stay visible."""
+    for index, cell in enumerate(experiment.cells):
         if cell is None:
             continue
         color = OURS[index % len(OURS)]
-        height = place + 0.5 * ((index + 0.5) / len(one.cells) - 0.5)
+        height = place + 0.5 * ((index + 0.5) / len(experiment.cells) - 0.5)
         spread = metric and cell.spread(metric, normalized=True)
         interval = metric and cell.interval_95(metric)
         if interval:

@@ -23,7 +23,7 @@ def plot(
 ) -> bool:
     """Draw results: experiments over real bands, or a comparison.
 
-    --metric and --corrected go with compare. Exit code 1 when a damaged file was skipped.
+    --metric and --corrected need --kind compare. Exit code 1: a damaged file was skipped.
     """
     from gauge_envs.tools.compare.experiment_figure import save_figures
     from gauge_envs.tools.compare.overview_figure import save_comparison
@@ -32,16 +32,14 @@ def plot(
     if kind == "experiments":
         for option, is_given in (("metric", metric), ("no-corrected", not corrected)):
             if is_given:
-                raise ParameterError(
-                    f"--kind experiments does not use --{option}: leave it out, or use --kind compare"
-                )
+                raise ParameterError(f"--{option} needs --kind compare")
     names = check_metrics(metric) if metric else ()
     if len(names) > 1:
         raise ParameterError(
-            f"--metric {','.join(names)}: a picture shows one metric: name one"
+            f"--metric {','.join(names)}: a picture shows one metric; give one"
         )
-    found, skipped = loaded_results(sources, with_scene=True, corrected=corrected)
-    results = list(found.values())
+    loaded, skipped = loaded_results(sources, with_scene=True, corrected=corrected)
+    results = list(loaded.values())
     if kind == "experiments":
         files = save_figures(results, out)
     else:

@@ -1,11 +1,11 @@
-"""Ranks of configurations in each experiment, and over the experiments of one kind of reference.
+"""Rank configurations in each experiment, and over the experiments of one kind of reference.
 
-Kinds of reference answer different questions, so nothing is compared across them. Configurations are ranked among those
-with the same constants, because better constants would rank above better engines.
+Kinds of reference answer different questions, so scores are compared only within a kind. Only configurations with the
+same constants are ranked together: otherwise better constants would rank above better engines.
 
 A configuration ranks behind another when the 95 % interval of their difference excludes differences of at most
-`NEGLIGIBLE`. The interval of a rank reaches from the best to the worst rank among configurations that are not resolved,
-and its value is the middle. The mean rank over a kind counts each experiment the same.
+`NEGLIGIBLE`. Configurations whose difference is not resolved share an interval of ranks, from the best to the worst
+possible one. The value of a rank is the middle of its interval. All experiments of a kind have the same weight.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gauge_envs.scoring.score import Interval
 from gauge_envs.tools.compare.statistics import Deviations, difference_interval
 
 NEGLIGIBLE = 0.01
-"""Difference of normalized scores up to which two configurations tie: the last digit that tables show."""
+"""Largest difference of normalized scores of two tied configurations: the last digit in tables."""
 
 PUBLISHED = "calibrated"
 """Constants of configurations with the parameters that the benchmark publishes."""
@@ -37,12 +37,12 @@ class Mean:
 
 @dataclass(frozen=True, kw_only=True)
 class KindScore:
-    """One configuration over the experiments of a kind that all configurations have scored.
+    """Mean rank and score of one configuration over the experiments of a kind that all configurations share.
 
     Attributes:
         configuration: Index of the configuration.
-        mean_rank: Mean over the experiments of the rank in each; None without common experiments.
-        mean: Mean of the primary score. The experiment with the largest scores decides it, so it is no order.
+        mean_rank: Mean of the ranks in the experiments; None without common experiments.
+        mean: Mean of the primary scores. Large scores of one experiment dominate it, so it does not order engines.
     """
 
     configuration: int
@@ -56,8 +56,8 @@ class ScoredExperiment:
 
     Attributes:
         id: Gymnasium id.
-        deviations: Deviations by index of the configuration, of those with a score.
-        intervals: 95 % interval of the primary score by index of the configuration; None without one.
+        deviations: Deviations of the configurations with a score, by index.
+        intervals: 95 % interval of the primary score of each configuration, by index; None without an interval.
     """
 
     id: str
@@ -67,12 +67,12 @@ class ScoredExperiment:
 
 @dataclass(frozen=True, kw_only=True)
 class KindComparison:
-    """Configurations with the same constants over the experiments of one kind of reference.
+    """Ranks of configurations with the same constants in the experiments of one kind of reference.
 
     Attributes:
         kind: Kind of the references.
         constants: Name of the constants.
-        ids: Experiments that all configurations have scored.
+        ids: Experiments in which all configurations have a score.
         scores: One entry for each configuration with a score of this kind.
         ranks: Ranks in each experiment with a score, by id and index of the configuration.
     """
@@ -87,17 +87,18 @@ class KindComparison:
     def ranked(self) -> list[KindScore]:
         """The scores, lowest mean rank first."""
         return sorted(
-            self.scores, key=lambda one: one.mean_rank.value if one.mean_rank else 0.0
+            self.scores,
+            key=lambda score: score.mean_rank.value if score.mean_rank else 0.0,
         )
 
     @property
     def is_solution(self) -> bool:
-        """Whether its references are solutions of the scenes, and not reality."""
+        """Whether the references are solutions of the scenes, not real trials."""
         return Kind(self.kind).is_solution
 
     @property
     def name(self) -> str:
-        """Kind, and constants that are not the published ones."""
+        """Kind, with the constants unless they are the published ones."""
         is_published = self.constants == PUBLISHED
         return self.kind if is_published else f"{self.kind}, {self.constants}"
 
@@ -105,16 +106,16 @@ class KindComparison:
 def compare_kind(
     kind: str, experiments: Sequence[ScoredExperiment], constants: Sequence[str]
 ) -> tuple[KindComparison, ...]:
-    """Return a comparison for each set of constants, the published ones first.
+    """Return the ranks for each set of constants, the published constants first.
 
     Args:
         kind: Kind of the references.
-        experiments: Experiments of that kind.
+        experiments: Experiments of this kind.
         constants: Name of the constants of each configuration.
     """
     groups: dict[str, list[int]] = {}
     for index, name in enumerate(constants):
-        if any(index in one.deviations for one in experiments):
+        if any(index in experiment.deviations for experiment in experiments):
             groups.setdefault(name, []).append(index)
     names = sorted(groups, key=lambda name: (name != PUBLISHED, name))
     return tuple(_compared(kind, name, experiments, groups[name]) for name in names)
@@ -126,15 +127,21 @@ def _compared(
     experiments: Sequence[ScoredExperiment],
     members: Sequence[int],
 ) -> KindComparison:
-    """Return the comparison of configurations with the same constants."""
-    ranks = {one.id: _ranks(one, members) for one in experiments}
-    common = [one for one in experiments if len(ranks[one.id]) == len(members)]
+    """Return the ranks of configurations with the same constants."""
+    ranks = {experiment.id: _ranks(experiment, members) for experiment in experiments}
+    common = [
+        experiment
+        for experiment in experiments
+        if len(ranks[experiment.id]) == len(members)
+    ]
     scores = [KindScore(configuration=index) for index in members]
     if common:
         scores = [
             KindScore(
                 configuration=index,
-                mean_rank=_mean_rank([ranks[one.id][index] for one in common]),
+                mean_rank=_mean_rank(
+                    [ranks[experiment.id][index] for experiment in common]
+                ),
                 mean=_mean_score(common, index),
             )
             for index in members
@@ -142,14 +149,14 @@ def _compared(
     return KindComparison(
         kind=kind,
         constants=constants,
-        ids=tuple(one.id for one in common),
+        ids=tuple(experiment.id for experiment in common),
         scores=tuple(scores),
         ranks={name: places for name, places in ranks.items() if places},
     )
 
 
 def _ranks(experiment: ScoredExperiment, members: Sequence[int]) -> dict[int, Mean]:
-    """Return the rank of each of these configurations that has a score."""
+    """Return the rank of each configuration among `members` that has a score."""
     deviations = experiment.deviations
     scored = [index for index in members if index in deviations]
     best, worst = dict.fromkeys(scored, 1), dict.fromkeys(scored, len(scored))
@@ -171,19 +178,21 @@ def _ranks(experiment: ScoredExperiment, members: Sequence[int]) -> dict[int, Me
 
 
 def _mean_rank(ranks: Sequence[Mean]) -> Mean:
-    best, worst = np.mean([one.interval_95 for one in ranks], axis=0)
-    value = float(np.mean([one.value for one in ranks]))
+    best, worst = np.mean([rank.interval_95 for rank in ranks], axis=0)
+    value = float(np.mean([rank.value for rank in ranks]))
     return Mean(value=value, interval_95=(float(best), float(worst)))
 
 
 def _mean_score(experiments: Sequence[ScoredExperiment], index: int) -> Mean:
-    """Return the mean over experiments; their references are independent, so widths add in quadrature."""
-    scores = [float(one.deviations[index].scores.mean()) for one in experiments]
+    """Return the mean over experiments. References are independent, so interval widths add in quadrature."""
+    scores = [
+        float(experiment.deviations[index].scores.mean()) for experiment in experiments
+    ]
     mean = float(np.mean(scores))
     # A score without an interval counts as exact.
     intervals = [
-        one.intervals[index] or (score, score)
-        for one, score in zip(experiments, scores, strict=True)
+        experiment.intervals[index] or (score, score)
+        for experiment, score in zip(experiments, scores, strict=True)
     ]
     widths = np.subtract(intervals, np.transpose([scores]))
     below, above = np.linalg.norm(widths, axis=0) / len(scores)

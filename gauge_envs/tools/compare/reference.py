@@ -1,4 +1,4 @@
-"""What the results of one experiment are compared with: real trials, a solution, another engine, or their start."""
+"""References of the results of one experiment: real trials, a solution, another engine, or the initial state."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ NAMES = {
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Reference:
-    """What results are compared with.
+    """Reference of the results of one experiment.
 
     Attributes:
-        name: Its name, as `the mean of 20 real trials`.
-        band: Mean and spread in the compared coordinates. Its kind is `none` for another engine or the start.
-        scored: Band of the score, which has `band` itself or as its `points`; None without a reference.
-        is_start: Whether each result is compared with its own start.
+        name: Name, for example `the mean of 20 real trials`.
+        band: Mean and spread in the compared coordinates. The kind is `none` for another engine or the initial state.
+        scored: Band of the score; `band` is this band or its `points`. None if nothing is scored.
+        is_start: Whether each result is compared with its initial state.
     """
 
     name: str
@@ -44,18 +44,18 @@ class Reference:
 
     @property
     def spread(self) -> FloatArray:
-        """Scatter of real trials, or u of the solution, shape [frame_count, C]; 0 without one."""
+        """Scatter of real trials, or u of the solution, shape [frame_count, C]; 0 without a scored reference."""
         uncertainty = self.band.uncertainty if self.band.kind.is_solution else None
         return self.band.sigma if uncertainty is None else uncertainty
 
     @property
     def spread_factor(self) -> float:
-        """Half width of the wide shaded area over `spread`: two standard deviations, or the 95 % interval of u."""
+        """Half width of the wide shaded area divided by `spread`: two standard deviations, or the 95 % factor of u."""
         return COVERAGE_FACTOR if self.band.kind.is_solution else 2.0
 
     @property
     def end_s(self) -> float:
-        """Last time at which it is known [s]."""
+        """Last time at which the reference is known [s]."""
         last = np.flatnonzero(self.band.known)[-1:]
         return max(last.sum() / FRAME_RATE_HZ, 1e-3)
 
@@ -65,9 +65,9 @@ class Reference:
         return np.arange(len(self.band.mean)) / FRAME_RATE_HZ
 
     def lengths(self, values: FloatArray) -> FloatArray:
-        """Return the Euclidean length of values at each frame, shape [frame_count]; NaN where nothing is known.
+        """Return the Euclidean length of values at each frame, shape [frame_count]; NaN at unknown frames.
 
-        Of markers, it is the root mean square over them.
+        For markers, it is the root mean square over the markers.
         """
         if self.scored is None:
             return np.asarray(np.linalg.norm(values, axis=1))
@@ -78,8 +78,8 @@ class Reference:
     def motion(self, result: Result) -> tuple[FloatArray, FloatArray]:
         """Return times [s], shape [sample_count], and the compared coordinates, shape [sample_count, C].
 
-        A result whose primary score is aligned is shifted by its time offset. Both arrays are empty where the result
-        does not have the compared markers or coordinates.
+        A result with an aligned primary score is shifted by its time offset. Both arrays are empty if the result lacks
+        the compared markers or coordinates.
         """
         recorded = recorded_of(result)
         width = len(self.band.coordinates)
@@ -102,7 +102,7 @@ class Reference:
         return shown_s, interpolated(shown_s - offset_s, times_s, projected)
 
     def deviation(self, result: Result) -> FloatArray:
-        """Return a result minus the reference, shape [frame_count, C]; NaN where one of them is not known."""
+        """Return a result minus the reference, shape [frame_count, C]; NaN where either is unknown."""
         mean = self.band.mean
         values = np.full(mean.shape, np.nan)
         numbers, rows = recorded_frames(*self.motion(result))
@@ -114,11 +114,11 @@ class Reference:
 def choose_reference(
     results: Sequence[Result], band: Band | None, *, labels: Sequence[str] = ()
 ) -> Reference:
-    """Return what results of one experiment are compared with.
+    """Return the reference of results of one experiment.
 
     Args:
         results: First result of each configuration, one or more.
-        band: Reference of the experiment, if it has one.
+        band: Reference band of the experiment, if any.
         labels: Label of each configuration.
     """
     if band is not None:
@@ -139,25 +139,25 @@ def choose_reference(
     )
     if len(results) > 1:
         return Reference(name=labels[0], band=plain)
-    return Reference(name="the start", band=plain, is_start=True)
+    return Reference(name="the initial state", band=plain, is_start=True)
 
 
 def judging_band(experiment: Experiment, results: Iterable[Result]) -> Band | None:
-    """Return the reference of an experiment; None without one, or if it refuses to score each of the results."""
-    refused = all(one.score.refused is not None for one in results)
+    """Return the reference band of an experiment; None without one, or if it scores none of the results."""
+    refused = all(result.score.refused is not None for result in results)
     return None if refused else reference_band(experiment)
 
 
 def is_aligned(result: Result) -> bool:
-    """Return whether the primary score of a result is that after release alignment."""
+    """Return whether the primary score of a result is the score after release alignment."""
     return result.score.primary == ALIGNED.key
 
 
 def recorded_of(result: Result) -> RecordedTrajectory:
-    """Return the trajectory of a result that ran.
+    """Return the trajectory of a result.
 
     Raises:
-        ShapeError: It did not run.
+        ShapeError: The result has no trajectory.
     """
     if result.trajectory is None:
         raise ShapeError(f"{result.id} has no trajectory: {result.error}")
@@ -165,7 +165,7 @@ def recorded_of(result: Result) -> RecordedTrajectory:
 
 
 def coordinate_words(name: str) -> str:
-    """Return the name of a coordinate as people write it: `marker 3, z` for `marker-3.z`."""
+    """Return a coordinate name in words: `marker 3, z` for `marker-3.z`."""
     stem, dot, axis = name.rpartition(".")
     plain = (
         (stem or name).replace("face_area", "face").replace("line_curvature", "bend")

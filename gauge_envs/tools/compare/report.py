@@ -1,12 +1,14 @@
-"""Report of a comparison: tables of scores, ranks and distances, and JSON rows."""
+"""Report a comparison: the answer, tables of scores, ranks and distances, and JSON rows."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
+from itertools import chain
 from typing import Any
 
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.files import json_ready
-from gauge_envs.pages.document import Document, Paragraph
+from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.results import (
     PLAIN,
     SCORE_METRICS,
@@ -38,26 +40,31 @@ NAME = Column("name", "experiment")
 REFERENCE = Column("kind", "reference", place=Place.HEADING)
 
 INTERVAL_NOTE = (
-    "[low, high]: 95 % interval. *: outside the scatter of real trials, or of what a "
-    "solution leaves open."
+    "[low, high]: 95 % interval. *: outside the scatter of real trials, or the uncertainty of "
+    "a solution."
 )
 
 SCALE_NOTE = (
-    "Scores are over the mean of real trials (RMSE, DTW), over the real value (LSD, MTE, PD), or over u, the standard "
-    "uncertainty of a solution. EL: 0 is ideal."
+    "RMSE and DTW are divided by the mean of real trials; LSD, MTE and PD by the real value. EL: 0 is ideal. "
+    "Distances from a solution are divided by u, its standard uncertainty."
 )
 
 RANK_NOTE = (
-    "Best to worst rank among configurations with the same constants. Two rank apart where the 95 % interval of their "
-    f"difference excludes differences of at most {NEGLIGIBLE} of the scale. They share the errors of the reference, "
-    "which cancel in a difference."
+    "Best to worst rank among configurations with the same constants. Two scores are distinguishable if the 95 % "
+    f"interval of their difference excludes differences up to {NEGLIGIBLE}. Errors of the reference cancel in a "
+    "difference."
 )
 
-MEAN_RANK_NOTE = "Each experiment counts the same. [low, high]: mean of the best and of the worst ranks."
+MEAN_RANK_NOTE = "All experiments have the same weight. [low, high]: mean of the best and mean of the worst ranks."
+
+NO_RANKS = "No ranks: they need two configurations with the same constants and scores of one experiment."
+
+MIN_RANKED = 3
+"""Smallest number of experiments whose mean rank the short report shows."""
 
 DISTANCE_NOTE = (
-    "Root mean square over common frames of the Euclidean distance over all coordinates, and of the displacement from "
-    "the start. Neither shows which engine is right. Threshold: published mean RMSE of real trials; "
+    "Distance between trajectories and displacement from the initial state: root mean squares over common frames. "
+    "Neither shows which engine is right. Threshold: published mean RMSE of real trials; "
     f"*: not published, {MOTION_SHARE:.0%} of the motion."
 )
 
@@ -67,7 +74,7 @@ PHYSICS = {
     "own options": "(its own options)",
     "corrected": "(corrected by this package)",
 }
-"""Whose physics an engine shows, by `RunConfiguration.physics`."""
+"""Note on the physics of an engine, by `RunConfiguration.physics`."""
 
 CELL_NOTES = {
     "-": "-: not run, or not published",
@@ -80,7 +87,7 @@ CELL_NOTES = {
 
 
 def check_metrics(names: Iterable[str]) -> tuple[str, ...]:
-    """Return names of metrics without repetition, or all metrics if none is given."""
+    """Return the names of metrics without repetition; all metrics if none is given."""
     chosen = tuple(dict.fromkeys(names))
     for name in chosen:
         if name not in SCORE_METRICS:
@@ -95,27 +102,26 @@ def comparison_document(
     is_wide: bool = False,
     with_rows: bool = True,
 ) -> Document:
-    """Return scores and ranks within each kind of reference, and distances without a reference.
+    """Return the answer, scores and ranks for each kind of reference, and distances without a reference.
 
-    Its rows are the scores of each experiment and the ranks within each kind; `record` states which.
+    The rows are the scores of each experiment and the ranks within each kind; `record` names the type of a row.
 
     Args:
         comparison: The comparison.
-        metrics: Metrics to show. Of all metrics a terminal shows the primary one of each experiment.
-        is_wide: Whether a terminal shows what Markdown has: all metrics, published engines, and ranks in each
+        metrics: Metrics to show. For all metrics, a terminal shows the primary metric of each experiment.
+        is_wide: Whether a terminal shows the same as Markdown: all metrics, published engines, and ranks in each
             experiment.
-        with_rows: Whether the document has JSON rows, which need the distance between each two configurations.
+        with_rows: Whether the document has JSON rows, which need the distance between each pair of configurations.
     """
-    if not comparison.experiments:
-        return Document(parts=(Paragraph("no results to compare"),), rows=[])
-    ranking = _mean_rank_tables(comparison)
+    answers = [Paragraph(answer, Tone.ANSWER) for answer in _answers(comparison)]
     distances = distance_tables(comparison.experiments, comparison.labels)
     chosen = None if metrics == ALL_METRICS else metrics
-    short = [_score_table(comparison, chosen), *ranking, *distances]
-    full = [
+    short: list[Part] = [*answers, *short_tables(comparison, chosen), *distances]
+    full: list[Part] = [
+        *answers,
         _score_table(comparison, metrics, is_full=True),
         *_rank_tables(comparison),
-        *ranking,
+        *_mean_rank_tables(comparison),
         *distances,
     ]
     rows: list[dict[str, Any]] = []
@@ -126,11 +132,44 @@ def comparison_document(
     return Document(parts=full if is_wide else short, rows=rows, markdown=full)
 
 
-def short_tables(comparison: Comparison) -> list[Table]:
-    """Return the primary score of each experiment, and the ranks within each kind."""
+def short_tables(
+    comparison: Comparison, metrics: Sequence[str] | None = None
+) -> list[Table]:
+    """Return the score of each experiment, and mean ranks within kinds of `MIN_RANKED` or more experiments.
+
+    Args:
+        comparison: The comparison.
+        metrics: Metrics to show; None for the primary metric of each experiment.
+    """
     if not comparison.experiments:
         return []
-    return [_score_table(comparison, None), *_mean_rank_tables(comparison)]
+    ranks = _mean_rank_tables(comparison, min_experiments=MIN_RANKED)
+    return [_score_table(comparison, metrics), *ranks]
+
+
+def _answers(comparison: Comparison) -> Iterator[str]:
+    """Yield on how many experiments the best configuration is distinguishable, for each set of constants."""
+    rankings: dict[str, list[Mapping[int, Mean]]] = {}
+    for kind in comparison.kinds:
+        ranked = [ranks for ranks in kind.ranks.values() if len(ranks) > 1]
+        rankings.setdefault(kind.constants, []).extend(ranked)
+    if not any(rankings.values()):
+        yield NO_RANKS
+    for ranked in filter(None, rankings.values()):
+        firsts = Counter(
+            comparison.labels[index]
+            for ranks in ranked
+            for index, rank in ranks.items()
+            if rank.interval_95 == (1.0, 1.0)
+        )
+        labels = [comparison.labels[index] for index in sorted(set(chain(*ranked)))]
+        answer = f"{' and '.join(labels)} are not distinguishable"
+        if len(labels) > 2:
+            answer = f"None of {len(labels)} configurations ranks first alone"
+        shared = len(ranked) - firsts.total()
+        answer += f" on {shared} of {counted(len(ranked), 'experiment')}"
+        wins = [f"{label} ranks first on {count}" for label, count in firsts.items()]
+        yield f"{'; '.join([answer, *wins])}."
 
 
 # --- JSON ------------------------------------------------------------------------------------------------------------
@@ -141,31 +180,35 @@ def comparison_rows(
 ) -> list[dict[str, Any]]:
     """Return a JSON-ready object for each experiment and metric.
 
-    An experiment without any of the metrics has one object, whose `metric` is None.
+    An experiment without these metrics has one object with `metric` None.
     """
     labels = comparison.labels
     rows = []
-    for one in comparison.experiments:
+    for experiment in comparison.experiments:
         distances = [
-            asdict(far) | {"first": labels[far.first], "second": labels[far.second]}
-            for far in one.distances
+            asdict(distance)
+            | {"first": labels[distance.first], "second": labels[distance.second]}
+            for distance in experiment.distances
         ]
-        names: list[str | None] = [*one.metrics(metrics)]
+        names: list[str | None] = [*experiment.metrics(metrics)]
         for metric in names or [None]:
-            baseline = one.baselines.get(metric or "")
+            baseline = experiment.baselines.get(metric or "")
             rows.append(
                 {
-                    "id": one.id,
-                    "kind": one.kind,
+                    "id": experiment.id,
+                    "kind": experiment.kind,
                     "metric": metric,
-                    "unit": metric and one.unit_of(metric),
+                    "unit": metric and experiment.unit_of(metric),
                     "real": baseline and {"mean": baseline.mean, "std": baseline.std},
-                    "published": metric and one.published(metric),
+                    "published": metric and experiment.published(metric),
                     "configurations": [
                         {"label": label, **asdict(configuration)}
                         | _cell_row(cell or Cell(results=()), metric)
                         for label, configuration, cell in zip(
-                            labels, comparison.configurations, one.cells, strict=True
+                            labels,
+                            comparison.configurations,
+                            experiment.cells,
+                            strict=True,
                         )
                     ],
                     "distances": distances,
@@ -180,8 +223,8 @@ def _cell_row(cell: Cell, metric: str | None) -> dict[str, Any]:
     return {
         "outcomes": [result.outcome.value for result in cell.results],
         "reasons": [
-            one.error or one.diverged_reason or one.score.refused
-            for one in cell.results
+            result.error or result.diverged_reason or result.score.refused
+            for result in cell.results
         ],
         "seeds": [result.seed for result in cell.results],
         "raw": _spread_row(cell, metric, normalized=False),
@@ -197,7 +240,7 @@ def _cell_row(cell: Cell, metric: str | None) -> dict[str, Any]:
 def _spread_row(
     cell: Cell, metric: str | None, *, normalized: bool
 ) -> dict[str, Any] | None:
-    """Return mean and scatter of a metric over the repeats, with their values."""
+    """Return mean, scatter and values of a metric over the repeats."""
     spread = metric and cell.spread(metric, normalized=normalized)
     if not metric or not spread:
         return None
@@ -235,12 +278,12 @@ def _kind_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
 
 
 def score_cell_text(cell: Cell, metric: str, unit: str) -> str:
-    """Return the mean of a metric over repeats, as `0.41 [0.17, 1.43] +- 0.05 (3)`; empty without a score.
+    """Return the mean of a metric over repeats, for example `0.41 [0.17, 1.43] +- 0.05 (3)`; empty without a score.
 
     Args:
         cell: Repeats of a configuration.
         metric: A key of `SCORE_METRICS`.
-        unit: Unit of a score that has no scale.
+        unit: Unit of a score without normalization.
     """
     spread = cell.spread(metric, normalized=True)
     if spread is not None:
@@ -258,23 +301,28 @@ def score_cell_text(cell: Cell, metric: str, unit: str) -> str:
 def _score_table(
     comparison: Comparison, metrics: Sequence[str] | None, *, is_full: bool = False
 ) -> Table:
-    """Return a row for each experiment and metric, a column for each configuration.
+    """Return a table with a row for each experiment and metric, and a column for each configuration.
 
     Args:
         comparison: The comparison.
-        metrics: Metrics to show; None for the primary one of each experiment.
-        is_full: Whether verdicts are words, and published engines are columns.
+        metrics: Metrics to show; None for the primary metric of each experiment.
+        is_full: Whether to show verdicts in words and published engines as columns.
     """
     kinds = list(Kind)
     rows = []
-    for one in sorted(
-        comparison.experiments, key=lambda one: kinds.index(Kind(one.kind))
+    for experiment in sorted(
+        comparison.experiments,
+        key=lambda experiment: kinds.index(Kind(experiment.kind)),
     ):
         names: list[str | None] = [
-            name for name in one.metrics(metrics or ALL_METRICS) if _is_shown(one, name)
+            name
+            for name in experiment.metrics(metrics or ALL_METRICS)
+            if _is_shown(experiment, name)
         ]
         shown = names if metrics else names[:1]
-        rows += [_score_row(one, name, is_full=is_full) for name in shown or [None]]
+        rows += [
+            _score_row(experiment, name, is_full=is_full) for name in shown or [None]
+        ]
     columns = _label_columns(comparison, "scores")
     if is_full:
         columns += [
@@ -293,38 +341,47 @@ def _score_table(
     )
 
 
-def _is_shown(one: ExperimentComparison, metric: str) -> bool:
-    """Return whether a table shows a metric: RMSE and DTW from a solution have no scale, and its distance says it."""
-    return not one.is_solution or metric == OVER_U or SCORE_METRICS[metric].is_event
+def _is_shown(experiment: ExperimentComparison, metric: str) -> bool:
+    """Return whether a table shows a metric. The distance from a solution replaces RMSE and DTW."""
+    return (
+        not experiment.is_solution or metric == OVER_U or SCORE_METRICS[metric].is_event
+    )
 
 
 def _score_row(
-    one: ExperimentComparison, metric: str | None, *, is_full: bool
+    experiment: ExperimentComparison, metric: str | None, *, is_full: bool
 ) -> dict[str, Any]:
     title = "-" if metric is None else SCORE_METRICS[metric].title
     return {
-        "kind": f"{one.kind}: {KIND_NOTES[Kind(one.kind)]}",
-        "name": one.name,
+        "kind": f"{experiment.kind}: {KIND_NOTES[Kind(experiment.kind)]}",
+        "name": experiment.name,
         "metric": title,
-        "is_primary": metric in (one.primary, None),
-        "scores": [_score_text(one, cell, metric, is_full) for cell in one.cells],
-        "published": metric and one.published(metric),
+        "is_primary": metric in (experiment.primary, None),
+        "scores": [
+            _score_text(experiment, cell, metric, is_full) for cell in experiment.cells
+        ],
+        "published": metric and experiment.published(metric),
     }
 
 
 def _score_text(
-    one: ExperimentComparison, cell: Cell | None, metric: str | None, is_full: bool
+    experiment: ExperimentComparison,
+    cell: Cell | None,
+    metric: str | None,
+    is_full: bool,
 ) -> str:
-    """Return the score of a configuration, or why it has none."""
+    """Return the score of a configuration, or the reason for a missing score."""
     if cell is None:
         return "-"
-    parts = [score_cell_text(cell, metric, one.unit_of(metric))] if metric else []
+    parts = (
+        [score_cell_text(cell, metric, experiment.unit_of(metric))] if metric else []
+    )
     for outcome in (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED):
         count = cell.count(outcome)
         is_all = count == len(cell.results)
         parts.append(f"{'' if is_all else f'{count} '}{outcome}" if count else "")
     text = ", ".join(filter(None, parts))
-    if metric not in (one.primary, None) or cell.verdict in ("", "no reference"):
+    if metric not in (experiment.primary, None) or cell.verdict in ("", "no reference"):
         return text or "no score"
     if is_full or not text:
         return f"{text} {cell.verdict}".strip()
@@ -332,7 +389,7 @@ def _score_text(
 
 
 def _label_columns(comparison: Comparison, key: str) -> list[Column]:
-    """Return a column for each configuration, of a list of texts in each row."""
+    """Return a column for each configuration; each row has a list of texts under `key`."""
     return [
         Column(
             f"{key}.{index}",
@@ -345,7 +402,7 @@ def _label_columns(comparison: Comparison, key: str) -> list[Column]:
 
 
 def _score_notes(comparison: Comparison, used: Iterable[str]) -> Iterator[str]:
-    """Yield what one needs to read the table of scores: only what occurs in it is explained."""
+    """Yield the notes of the table of scores, for the texts that occur in it."""
     yield SCALE_NOTE
     yield INTERVAL_NOTE
     meanings = [
@@ -360,8 +417,11 @@ def _score_notes(comparison: Comparison, used: Iterable[str]) -> Iterator[str]:
 
 
 def _configuration_notes(configurations: Sequence[RunConfiguration]) -> Iterator[str]:
-    """Yield what all configurations share, and whose physics and which versions they are."""
-    exact = [configuration_parts(one, digits=17) for one in configurations]
+    """Yield the common parts of all configurations, and the versions and physics of the engines."""
+    exact = [
+        configuration_parts(configuration, digits=17)
+        for configuration in configurations
+    ]
     if len(exact) > 1:
         shared = [
             text
@@ -375,8 +435,8 @@ def _configuration_notes(configurations: Sequence[RunConfiguration]) -> Iterator
         if PLAIN[1] not in shared:
             yield "Parameters are calibrated unless given."
     engines = dict.fromkeys(
-        f"{versions_text(one) or one.backend or 'file'} {PHYSICS[one.physics]}".strip()
-        for one in configurations
+        f"{versions_text(item) or item.backend or 'file'} {PHYSICS[item.physics]}".strip()
+        for item in configurations
     )
     yield f"Engines: {'; '.join(engines)}."
 
@@ -385,7 +445,7 @@ def _configuration_notes(configurations: Sequence[RunConfiguration]) -> Iterator
 
 
 def _rank_tables(comparison: Comparison) -> list[Table]:
-    """Return the ranks in each experiment; empty without any."""
+    """Return the table of ranks in each experiment; empty without ranks."""
     rows = [
         {
             "kind": kind.name,
@@ -398,46 +458,46 @@ def _rank_tables(comparison: Comparison) -> list[Table]:
         for name, ranks in kind.ranks.items()
         if len(ranks) > 1
     ]
-    if not rows:
-        return []
     columns = _label_columns(comparison, "ranks")
-    return [
-        Table(
-            title="Ranks in each experiment",
-            columns=(REFERENCE, NAME, *columns),
-            rows=rows,
-            notes=(RANK_NOTE,),
-        )
-    ]
+    return _unless_empty(
+        title="Ranks in each experiment",
+        columns=(REFERENCE, NAME, *columns),
+        rows=rows,
+        notes=(RANK_NOTE,),
+    )
 
 
-def _mean_rank_tables(comparison: Comparison) -> list[Table]:
-    """Return the mean ranks within each kind of reference; empty without any."""
+def _mean_rank_tables(
+    comparison: Comparison, *, min_experiments: int = 1
+) -> list[Table]:
+    """Return the table of mean ranks within each kind of reference; empty without ranks."""
     rows = [
         {
             "kind": f"{kind.name}, {counted(len(kind.ids), 'experiment')}",
-            "label": comparison.labels[one.configuration],
-            "mean_rank": one.mean_rank,
+            "label": comparison.labels[score.configuration],
+            "mean_rank": score.mean_rank,
         }
         for kind in comparison.kinds
-        for one in kind.ranked
-        if len(kind.scores) > 1 and one.mean_rank is not None
+        if len(kind.ids) >= min_experiments
+        for score in kind.ranked
+        if len(kind.scores) > 1 and score.mean_rank is not None
     ]
-    if not rows:
-        return []
     rank = Column("mean_rank", "mean rank", mean_rank_text, is_number=True)
-    return [
-        Table(
-            title="Mean rank within each kind of reference",
-            columns=(REFERENCE, Column("label", "configuration"), rank),
-            rows=rows,
-            notes=(MEAN_RANK_NOTE,),
-        )
-    ]
+    return _unless_empty(
+        title="Mean rank within each kind of reference",
+        columns=(REFERENCE, Column("label", "configuration"), rank),
+        rows=rows,
+        notes=(MEAN_RANK_NOTE,),
+    )
+
+
+def _unless_empty(**content: Any) -> list[Table]:
+    """Return a table of this content; empty without rows."""
+    return [Table(**content)] if content["rows"] else []
 
 
 def rank_text(rank: Mean | None) -> str:
-    """Return the best and the worst rank of a configuration in an experiment."""
+    """Return the best and the worst rank of a configuration in an experiment, for example `2-3`."""
     if rank is None:
         return "-"
     low, high = (round(end) for end in rank.interval_95)
@@ -452,45 +512,41 @@ def mean_rank_text(mean: Mean) -> str:
 def distance_tables(
     experiments: Iterable[ExperimentComparison], labels: Sequence[str]
 ) -> list[Table]:
-    """Return how far engines are from each other in experiments without a reference; empty without such a distance."""
+    """Return the table of distances between engines in experiments without a reference; empty without distances."""
     rows = [
         {
-            "name": one.name,
-            "between": f"{labels[far.first]} : {labels[far.second]}",
-            **_distance_texts(far),
+            "name": experiment.name,
+            "between": f"{labels[distance.first]} : {labels[distance.second]}",
+            **_distance_texts(distance),
         }
-        for one in experiments
-        if one.kind == Kind.NONE
-        for far in one.distances
+        for experiment in experiments
+        if experiment.kind == Kind.NONE
+        for distance in experiment.distances
     ]
-    if not rows:
-        return []
     titles = ("distance", "motion", "threshold", "first exceeded")
     numbers = (Column(title, title, is_number=True) for title in titles)
-    return [
-        Table(
-            title="Distances between engines, without a reference",
-            columns=(NAME, Column("between", "between"), *numbers),
-            rows=rows,
-            notes=(DISTANCE_NOTE,),
-        )
-    ]
+    return _unless_empty(
+        title="Distances between engines, without a reference",
+        columns=(NAME, Column("between", "between"), *numbers),
+        rows=rows,
+        notes=(DISTANCE_NOTE,),
+    )
 
 
-def _distance_texts(far: Distance) -> dict[str, str]:
+def _distance_texts(distance: Distance) -> dict[str, str]:
     texts = {
-        "distance": quantity_text(far.rms.mean),
-        "motion": f"{quantity_text(far.motion_rms)} {far.unit}",
-        "threshold": f"{quantity_text(far.threshold)} {far.unit}",
+        "distance": quantity_text(distance.rms.mean),
+        "motion": f"{quantity_text(distance.motion_rms)} {distance.unit}",
+        "threshold": f"{quantity_text(distance.threshold)} {distance.unit}",
         "first exceeded": "never",
     }
-    if far.rms.std is not None:
-        texts["distance"] += f" +- {quantity_text(far.rms.std)}"
-    texts["distance"] += f" {far.unit}"
-    if not far.threshold_is_scatter:
+    if distance.rms.std is not None:
+        texts["distance"] += f" +- {quantity_text(distance.rms.std)}"
+    texts["distance"] += f" {distance.unit}"
+    if not distance.threshold_is_scatter:
         texts["threshold"] += " *"
-    if far.apart_at_s is not None:
-        texts["first exceeded"] = f"{far.apart_at_s:.2f} s"
-    if far.diverged:
+    if distance.apart_at_s is not None:
+        texts["first exceeded"] = f"{distance.apart_at_s:.2f} s"
+    if distance.diverged:
         texts["first exceeded"] += ", diverged"
     return texts

@@ -1,4 +1,4 @@
-"""What `gauge compare` prints with `--json`, a line each; `record` states which."""
+"""JSON lines of `gauge compare --json`; `record` names the type of each line."""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, TypedDict
@@ -19,7 +19,7 @@ class RealFacts(TypedDict):
 
 
 class Values(TypedDict):
-    """Value of each repeat; null for one without the metric."""
+    """Value of each repeat; null for a repeat without the metric."""
 
     values: Sequence[float | None]
 
@@ -28,16 +28,16 @@ SpreadFacts = Annotated[ScoreSpread, Form(more=Values)]
 
 
 class CellFacts(TypedDict):
-    """What a configuration gave in an experiment.
+    """Results of a configuration in an experiment.
 
     Attributes:
         label: Name of the configuration in tables.
         outcomes: How each repeat ended.
-        reasons: Why it was declined, failed or diverged, or why its reference does not score it.
+        reasons: Why a repeat was unsupported, failed or diverged, or why its reference does not score it.
         seeds: Seed of each repeat.
-        raw: The metric in its unit.
-        normalized: The metric over that of real trials, or over u of a solution.
-        normalized_95: 95 % interval of the mean of it.
+        raw: Metric in its unit.
+        normalized: Metric divided by its value for real trials, or by u of a solution.
+        normalized_95: 95 % interval of the mean of `normalized`.
         percentile: Percentage of real trials that are closer to their mean, by the primary distance.
         verdicts: `inside`, `outside` or `no reference`, of each repeat.
         settings: Numerical settings of the engine.
@@ -76,14 +76,14 @@ class ExperimentLine(TypedDict):
     Attributes:
         record: `experiment`.
         id: Gymnasium id.
-        kind: What the reference is.
+        kind: Kind of the reference.
         metric: Name of the metric; null without a score.
-        unit: Its unit.
+        unit: Unit of the metric.
         real: Scores of real trials.
         published: Published scores by engine.
-        configurations: What each configuration gave.
+        configurations: Results of each configuration.
         distances: Distances between trajectories of two configurations.
-        notes: What was left out.
+        notes: Results that are left out or inconsistent.
     """
 
     record: Literal["experiment"]
@@ -103,8 +103,8 @@ class RankedFacts(TypedDict):
 
     Attributes:
         label: Name of the configuration in tables.
-        mean_rank: Mean of the ranks over the experiments that all have.
-        mean_rank_95: Its 95 % interval.
+        mean_rank: Mean of the ranks in the experiments of all configurations.
+        mean_rank_95: 95 % interval of the mean rank.
         ranks: Rank in each experiment, by id.
     """
 
@@ -119,9 +119,9 @@ class KindLine(TypedDict):
 
     Attributes:
         record: `kind`.
-        kind: Name of the kind.
+        kind: Kind of the references.
         constants: Constants that the configurations share.
-        ids: Experiments that count.
+        ids: Experiments in which all configurations have a score.
         configurations: Ranks of each configuration.
     """
 

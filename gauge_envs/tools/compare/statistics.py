@@ -1,11 +1,11 @@
-"""Statistics of repeats: mean and standard deviation, intervals, and the difference between two configurations.
+"""Statistics of repeats: mean, standard deviation, intervals, and differences between two configurations.
 
 All configurations of an experiment share the error e of its reference. Of two deviations a and b from the reference,
 
     |a - e|^2 - |b - e|^2 = |a|^2 - |b|^2 - 2 e (a - b),
 
-which is linear in e and has no bias. Divided by |a| + |b| it is the observed difference |a| - |b| and its error, which
-is at most 2 |e|. A time shift with the smallest distance changes nothing of first order.
+which is linear in e and has no bias. Divided by |a| + |b|, it is the observed difference |a| - |b| plus an error of at
+most 2 |e|. The time shift has the smallest distance, so it has no first-order effect.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class ScoreSpread:
 
     @classmethod
     def of(cls, values: Iterable[float | None]) -> ScoreSpread | None:
-        """Return the spread of the values that are not None; None without any."""
+        """Return the spread of the values that are not None; None without values."""
         known = [value for value in values if value is not None]
         if not known:
             return None
@@ -51,14 +51,14 @@ class ScoreSpread:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Deviations:
-    """Deviations of the repeats of a configuration from a reference, and the error of the reference, over its scale.
+    """Deviations of repeats from a reference and the error of the reference, divided by the scale of scores.
 
     Attributes:
         seeds: Seed of each repeat.
-        vectors: Deviations, whose norms are the primary scores, shape [repeat_count, entry_count].
-        trials: Part of each real trial in the error of their mean: (trial - mean) / sqrt(N (N - 1)), shape
+        vectors: Deviations, shape [repeat_count, entry_count]. Their norms are the primary scores.
+        trials: Contribution of each real trial to the error of the mean, (trial - mean) / sqrt(N (N - 1)), shape
             [trial_count, entry_count]. It has no rows without single trials.
-        shared: Standard uncertainty that all trials share, shape [coordinate_count, entry_count].
+        shared: Standard uncertainty common to all trials, shape [coordinate_count, entry_count].
         uncertainty: Standard uncertainty of a reference without single trials.
     """
 
@@ -88,7 +88,7 @@ class Deviations:
             band: Reference of the score.
             deviations: Deviation of each repeat in the compared coordinates, shape [frame_count, C].
             seeds: Seed of each repeat.
-            scale: Distance of a score of 1, in the unit of the band.
+            scale: Distance with a score of 1, in the unit of the band.
         """
         compared = band.compared
         known = np.isfinite(compared.mean)
@@ -101,18 +101,18 @@ class Deviations:
                 shared = (np.nan_to_num(band.uncertainty) * axes)[:, known] / size
         return cls(
             seeds=tuple(seeds),
-            vectors=np.array([one[known] for one in deviations]) / size,
+            vectors=np.array([deviation[known] for deviation in deviations]) / size,
             trials=trials,
             shared=shared,
             uncertainty=band.standard_uncertainty / scale,
         )
 
     def half_width(self, direction: FloatArray) -> float:
-        """Return half the width of the 95 % interval of the reference's error along a vector of shape [entry_count].
+        """Return half the 95 % interval of the reference error along a vector of shape [entry_count].
 
-        With single trials it is that of Student's t for the mean of their components. Consecutive trials that are alike
-        count as fewer: AR(1), whose lag correlation has the bias 1/N. Otherwise the error may have any direction, and
-        all of it is along the vector.
+        With single trials, it is Student's interval for the mean of their components. Correlated consecutive trials
+        count as fewer trials: AR(1), with a bias of 1/N of the lag correlation. Without single trials, the direction of
+        the error is unknown, so all of it counts along the vector.
         """
         count = len(self.trials)
         if not count:
@@ -127,7 +127,7 @@ class Deviations:
 
 
 def _errors_of_mean(trials: FloatArray) -> FloatArray:
-    """Return (trial - mean) / sqrt(N (N - 1)) of trials of shape [N, T, C]; 0 where a trial is not known."""
+    """Return (trial - mean) / sqrt(N (N - 1)) for trials of shape [N, T, C]; 0 where a trial is unknown."""
     known = np.isfinite(trials)
     count = np.maximum(known.sum(axis=0), 1)
     residuals = trials - np.nansum(trials, axis=0) / count
@@ -136,15 +136,15 @@ def _errors_of_mean(trials: FloatArray) -> FloatArray:
 
 
 def _student_t(count: int) -> float:
-    """Return the half width of the 95 % interval of a mean of values over its standard error."""
-    # A comparison without repeats or trials needs no SciPy, whose import is slow.
+    """Return half the 95 % interval of a mean of values, divided by its standard error."""
+    # The import of SciPy is slow; comparisons without repeats or trials do not need it.
     from scipy.special import stdtrit
 
     return float(stdtrit(count - 1, 0.975))
 
 
 def mean_half_width(values: Sequence[float] | FloatArray) -> float:
-    """Return half the width of the 95 % interval of a mean over repeats; 0 for a single repeat."""
+    """Return half the 95 % interval of a mean over repeats; 0 for a single repeat."""
     count = len(values)
     if count < 2:
         return 0.0
@@ -156,8 +156,8 @@ def repeats_interval(
 ) -> Interval:
     """Return the 95 % interval of the mean of normalized scores over repeats.
 
-    The repeats share the reference, so the mean of their intervals is the interval of their mean. Their scatter adds
-    in quadrature on each side.
+    The repeats share the reference, so the interval of their mean is the mean of their intervals. The scatter of
+    repeats adds in quadrature on each side.
 
     Args:
         values: Score of each repeat, at least one.
@@ -170,10 +170,9 @@ def repeats_interval(
 
 
 def difference_interval(first: Deviations, second: Deviations) -> Interval:
-    """Return the 95 % interval of the mean score of the first configuration minus that of the second.
+    """Return the 95 % interval of the first mean score minus the second mean score.
 
-    Repeats are paired by seed, and repeats with a seed that only one of the two has are left out. Without a common
-    seed, each repeat is paired with each.
+    Repeats are paired by seed; repeats without a partner are left out. Without a common seed, all pairs count.
     """
     places = {seed: place for place, seed in enumerate(second.seeds)}
     pairs = [(i, places[seed]) for i, seed in enumerate(first.seeds) if seed in places]

@@ -1,4 +1,4 @@
-"""Engines side by side: repeats and configurations, scores, ranks, and distances against closed forms."""
+"""Compare engines: repeats and configurations, scores, ranks, and distances against closed forms."""
 
 import json
 from dataclasses import replace
@@ -22,6 +22,7 @@ from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import Score, score_trajectory
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.compare.overview_figure import draw_overview
+from gauge_envs.tools.compare.report import comparison_document
 
 SLIDER, PLASTIC, FOAM, CRADLE, TURNED = (
     "SlopeSlider-2-wood",
@@ -35,7 +36,7 @@ RATE_HZ = 180
 
 
 def recorded(speed_mm_per_s, start_mm, seconds):
-    """A recorded trajectory of one cube that moves along x."""
+    """Return the trajectory of a cube that moves along x."""
     times_s = np.arange(round(seconds * RATE_HZ) + 1) / RATE_HZ
     samples = np.zeros((len(times_s), 3))
     samples[:, 0] = start_mm + speed_mm_per_s * times_s
@@ -57,7 +58,7 @@ def made(
     seconds=1.0,
     **changes,
 ):
-    """A result as an engine would leave it; rmse is the normalized one."""
+    """Return a result of an engine; `rmse` is normalized."""
     family = name.split("-")[0]
     score = Score(
         kind=KINDS[name],
@@ -102,7 +103,7 @@ def test_the_latest_result_of_a_seed_and_the_newest_revision_count():
     assert "the latest of each counts" in comparison.notes[0]
     newer = replace(new, revision=old.revision + 1, parameters="effective")
     both = compare([old, newer])
-    assert [one.parameters for one in both.configurations] == ["effective"]
+    assert [item.parameters for item in both.configurations] == ["effective"]
     assert f"{SLIDER}: results of an older revision are left out" in both.notes[0]
 
 
@@ -118,7 +119,7 @@ def test_results_that_do_not_belong_together_are_reported():
     notes = " ".join(
         compare([made(task_sha256="0" * 64), made(PLASTIC, versions=older)]).notes
     )
-    assert f"another task file than the installed one: {SLIDER}" in notes
+    assert f"the task file differs from the installed one: {SLIDER}" in notes
     assert "different versions of gauge-envs: 0.0.1, " in notes
     assert compare([made(), made(PLASTIC)]).notes == ()
 
@@ -128,12 +129,12 @@ def test_results_that_do_not_belong_together_are_reported():
 
 @pytest.fixture(scope="module")
 def real():
-    """Results of MuJoCo, by variant."""
+    """Return results of MuJoCo, by variant."""
     return {name: run_episode(RunRequest(name)) for name in (SLIDER, PLASTIC, TURNED)}
 
 
 def altered(result, scale, **changes):
-    """A result whose displacements are scaled, scored again."""
+    """Return a result with scaled displacements and a new score."""
     trajectory = result.trajectory
     start = trajectory.samples[0]
     moved = replace(
@@ -149,25 +150,31 @@ def altered(result, scale, **changes):
 
 
 def as_newton(result, **changes):
-    """The same result under another engine's name."""
+    """Return the same result under the name of another engine."""
     engine = {"backend": "newton", "versions": {"newton": "1.0", **versions()}}
     return replace(result, **engine, **changes)
 
 
 def ranks(kind):
-    return [one.mean_rank.interval_95 for one in kind.scores]
+    return [score.mean_rank.interval_95 for score in kind.scores]
+
+
+def answer(results):
+    return comparison_document(compare(results)).parts[0].text
 
 
 def test_kinds_are_ranked_apart_and_equal_motions_tie(real):
     both = [*real.values(), *map(as_newton, real.values())]
     trials, analytic = compare(both).kinds
-    assert [one.kind for one in (trials, analytic)] == ["trials", "analytic"]
+    assert [trials.kind, analytic.kind] == ["trials", "analytic"]
     assert trials.ids == (f"GAUGE/{SLIDER}", f"GAUGE/{PLASTIC}")
     assert ranks(trials) == ranks(analytic) == [(1, 2), (1, 2)]
     aligned = [real[name].score.rmse_aligned_normalized for name in (SLIDER, PLASTIC)]
     assert trials.scores[0].mean.value == pytest.approx(np.mean(aligned))
     solved = real[TURNED].score.over_uncertainty
     assert analytic.scores[0].mean.value == pytest.approx(solved)
+    shared = "mujoco and newton are not distinguishable on 3 of 3 experiments."
+    assert answer(both) == shared
 
 
 def test_a_large_difference_ranks(real):
@@ -176,9 +183,14 @@ def test_a_large_difference_ranks(real):
     # The mean rank is over experiments that all configurations have scored.
     assert trials.ids == (f"GAUGE/{SLIDER}",)
     assert ranks(trials) == [(1, 1), (2, 2)]
+    third = replace(wrong, backend="rapier", versions={"rapier": "1.0"})
+    results = [real[SLIDER], wrong, third, *map(as_newton, [real[TURNED]])]
+    best = "None of 3 configurations ranks first alone on 0 of 1 experiment; mujoco ranks first on 1."
+    assert answer(results) == best
+    assert answer([real[SLIDER]]).startswith("No ranks")
 
 
-def test_a_score_that_is_not_of_its_trajectory_is_not_ranked(real):
+def test_a_score_that_differs_from_its_trajectory_is_not_ranked(real):
     score = replace(real[SLIDER].score, rmse_aligned_normalized=0.3)
     comparison = compare([replace(real[SLIDER], score=score), as_newton(real[SLIDER])])
     assert len(comparison.kinds[0].scores) == 1
@@ -194,8 +206,8 @@ def distance(*results):
     return far
 
 
-def test_a_drift_crosses_the_published_scatter_of_real_trials_when_it_should():
-    # 60 mm/s apart reach the published 24.27 mm after 0.4045 s, so at the 13th frame, 0.4333 s.
+def test_a_drift_exceeds_the_published_scatter_of_real_trials_at_the_expected_time():
+    # A drift of 60 mm/s exceeds the published 24.27 mm after 0.4045 s: at frame 13, 0.4333 s.
     far = distance(made(FOAM), made(FOAM, backend="newton", speed=60.0))
     assert far.threshold == 24.27
     assert far.apart_at_s == pytest.approx(13 / 30)
@@ -205,7 +217,7 @@ def test_a_drift_crosses_the_published_scatter_of_real_trials_when_it_should():
 
 
 def test_without_a_published_scatter_the_threshold_is_a_share_of_the_motion():
-    # x = v t and 1.1 v t are apart by 5 % of the root mean square of both motions once 0.1 v t is.
+    # The distance of x = v t and x = 1.1 v t is 0.1 v t.
     far = distance(
         made(CRADLE, speed=100.0), made(CRADLE, backend="newton", speed=110.0)
     )
@@ -223,9 +235,9 @@ def test_only_common_finite_frames_count():
     lost.trajectory.samples[RATE_HZ * 3 // 10 + 1 :] = np.nan
     far = distance(made(FOAM, seconds=2.0), lost)
     assert (far.rms.mean, far.frames, far.diverged) == (10.0, 10, True)
-    other = made(FOAM, backend="newton")
-    renamed = replace(other.trajectory, coordinates=["ball.x", "ball.y", "ball.z"])
-    results = [made(FOAM), replace(other, trajectory=renamed)]
+    result = made(FOAM, backend="newton")
+    renamed = replace(result.trajectory, coordinates=["ball.x", "ball.y", "ball.z"])
+    results = [made(FOAM), replace(result, trajectory=renamed)]
     assert compare(results).experiments[0].distances == ()
 
 
@@ -241,7 +253,7 @@ def test_repeats_are_compared_seed_by_seed():
     assert (apart.rms.mean, apart.rms.count) == ((203.0 + 103.0) / 2, 2)
 
 
-def test_the_overview_shows_published_engines_with_raw_scores_of_trials_alone(real):
+def test_the_overview_shows_published_engines_only_with_raw_scores_of_trials(real):
     primary, raw, solved = (
         {
             float(line.get_xdata()[0])
@@ -266,7 +278,7 @@ def write(folder, *results):
         write_result(result, folder / result_file_name(result))
 
 
-def test_each_outcome_stands_in_the_tables(gauge, tmp_path):
+def test_the_tables_show_each_outcome(gauge, tmp_path):
     loss = Measured(value=0.19, unit="s", real=0.38)
     write(
         tmp_path,
@@ -279,7 +291,7 @@ def test_each_outcome_stands_in_the_tables(gauge, tmp_path):
         made(CRADLE, score=Score(kind="none", unit="mm", events={"lsd": loss})),
     )
     (tmp_path / "cut.json").write_text("{")
-    # A file that is given twice counts once.
+    # The folder is given twice; each file counts once.
     result = gauge("compare", ".", ".", "--format", "markdown", "--metric=rmse,lsd")
     assert result.exit_code == 1
     assert "cut.json: not a result file" in result.stderr
@@ -298,12 +310,12 @@ def test_each_outcome_stands_in_the_tables(gauge, tmp_path):
 
 
 def test_results_are_chosen_by_id_engine_and_correction(gauge, tmp_path):
-    # Rapier has no corrections, and out_of_box leaves MuJoCo as it is delivered; MuJoCo's default preset is corrected.
+    # Rapier has no corrections, nor does the preset out_of_box. The default preset of MuJoCo is corrected.
     plain = made(settings_given={"preset": "out_of_box"})
     write(tmp_path, made(), made(backend="rapier"), plain)
     result = gauge("compare", ".", "--json", "--no-corrected")
     first = json.loads(result.stdout.splitlines()[0])
-    labels = [one["label"] for one in first["configurations"]]
+    labels = [item["label"] for item in first["configurations"]]
     assert labels == ["mujoco, preset=out_of_box", "rapier"]
     assert gauge("compare", ".", "--only", "Slope*", "-b", "mujoco").exit_code == 0
     for words, name in (
@@ -312,6 +324,6 @@ def test_results_are_chosen_by_id_engine_and_correction(gauge, tmp_path):
         ([".", "--metric=rsme"], "'rsme'"),
         (["nowhere"], "nowhere"),
     ):
-        refused = gauge("compare", *words)
-        assert refused.exit_code == 2
-        assert name in refused.stderr
+        rejected = gauge("compare", *words)
+        assert rejected.exit_code == 2
+        assert name in rejected.stderr

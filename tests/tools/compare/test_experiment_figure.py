@@ -1,4 +1,4 @@
-"""The picture of one experiment: it fits on a screen, and its curves are those of the scores."""
+"""The picture of one experiment fits on a screen, and its curves agree with the scores."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from gauge_envs.tools.compare.experiment_figure import draw_experiment, save_fig
 
 
 def drifting(name, *, speed=1.0, refused=None, **changes):
-    """A result without a score, whose coordinates grow and whose markers are 30 mm too high at one place."""
+    """Return a result without a score; its coordinates grow and one marker is 30 mm too high."""
     experiment = load_experiment(name)
     band = reference_band(experiment)
     times_s = np.arange((experiment.frame_count - 1) * 6 + 1) / 180
@@ -45,7 +45,7 @@ def drifting(name, *, speed=1.0, refused=None, **changes):
 
 
 def curves_of(figure):
-    """Heights of the curves of results in the panel of distances."""
+    """Return the curves of results in the panel of distances."""
     return [
         np.asarray(line.get_ydata(), dtype=float)
         for line in figure.axes[0].get_lines()
@@ -62,7 +62,6 @@ def test_the_curve_of_a_result_is_its_distance(name, tmp_path):
     result = run_episode(RunRequest(name))
     figure = draw_experiment([result])
     assert figure.get_figheight() * 120 <= 1600
-    # A picture answers one question: how far from reality, or from the solution of the scene.
     is_solution = name == "Turntable-1-wood"
     question = QUESTIONS["verification" if is_solution else "validation"]
     assert question in figure.get_suptitle()
@@ -72,7 +71,7 @@ def test_the_curve_of_a_result_is_its_distance(name, tmp_path):
     assert root_mean_square == pytest.approx(result.score.distance, rel=1e-3)
     if result.score.primary == "rmse_aligned":
         assert any("shifted by +0.00" in text for text in legend_of(figure))
-        # Below it, up to where a score is 1.
+        # The shaded area ends at a score of 1.
         height_mm = reference_band(load_experiment(name)).trial_rmse_aligned.mean()
         shade = figure.axes[0].collections[0].get_paths()[0].vertices[:, 1].max()
         assert shade == pytest.approx(height_mm)
@@ -83,14 +82,13 @@ def test_the_curve_of_a_result_is_its_distance(name, tmp_path):
 def test_the_distance_of_markers_is_their_root_mean_square():
     figure = draw_experiment([drifting("TextileFlinging-nylon")])
     (curve_mm,) = curves_of(figure)
-    # 30 mm of one marker of 63; positions in files have four digits.
+    # One of 63 markers is 30 mm off; positions in files have four digits.
     assert np.nanmax(curve_mm) == pytest.approx(30.0 / np.sqrt(63), rel=1e-3)
     titles = [axis.get_title(loc="left") for axis in figure.axes]
     assert "marker 0, z [mm]: 100% of the squared distance" in titles
 
 
 def test_engines_without_a_reference_are_drawn_by_their_distance():
-    # A cube of another friction is not the one that was solved.
     name, refused = "SlopeSlider-3-wood", "no score: it differs"
     still = drifting(name, speed=0.0, refused=refused)
     repeats = [

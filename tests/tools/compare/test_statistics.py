@@ -22,7 +22,7 @@ AXIS = np.full((FRAMES, 3), [1.0, 0.0, 0.0])
 
 
 def band_of(mean, *, kind=Kind.TRIALS, trials=None, u=None):
-    """A reference with three coordinates."""
+    """Return a reference with three coordinates."""
     return Band(
         kind=kind,
         unit="mm",
@@ -39,12 +39,12 @@ def band_of(mean, *, kind=Kind.TRIALS, trials=None, u=None):
 
 
 def deviations(band, *motions, seeds=None):
-    apart = [one - band.mean for one in motions]
+    apart = [motion - band.mean for motion in motions]
     return Deviations.of(band, apart, seeds or range(len(apart)), scale=1.0)
 
 
 def scored(*scores, name="exact", u=0.0):
-    """Configurations off by these distances along one axis, against a reference with a standard uncertainty."""
+    """Return configurations at these distances along one axis from a reference with standard uncertainty u."""
     band = band_of(0.0 * AXIS, kind=Kind.ANALYTIC, u=u)
     known = {index: score for index, score in enumerate(scores) if score is not None}
     return ScoredExperiment(
@@ -62,45 +62,47 @@ def ranks(experiment, count):
     return [places[index].interval_95 for index in range(count)]
 
 
-def test_ranks_are_those_of_scores_whose_differences_are_resolved():
+def test_ranks_differ_only_for_resolved_differences():
     near = 1.0 + 0.9 * NEGLIGIBLE
     assert ranks(scored(3.0, near, 1.0, near), 4) == [(4, 4), (1, 3), (1, 3), (1, 3)]
-    # Whether 1 or 2 is closer depends on whether the error exceeds 1.5 u, which has a chance of 7 %.
+    # 2 is closer than 1 if the error exceeds 1.5 u, with a probability of 7 %.
     assert ranks(scored(1.0, 2.0, 6.0, u=1.0), 3) == [(1, 2), (1, 2), (3, 3)]
 
 
-def test_experiments_count_the_same_and_constants_are_ranked_apart():
+def test_experiments_have_equal_weight_and_constants_are_ranked_apart():
     usual = [scored(1.0, 2.0, name=name) for name in ("a", "b", "c")]
     large, partial = scored(100.0, 50.0, name="d"), scored(9.0, None)
     (kind,) = compare_kind("analytic", [*usual, large, partial], ["calibrated"] * 2)
     # Scores fifty times larger do not decide, and an experiment without a score does not count.
     assert kind.ids == ("a", "b", "c", "d")
-    assert [one.mean.value for one in kind.scores] == [103.0 / 4, 56.0 / 4]
+    assert [score.mean.value for score in kind.scores] == [103.0 / 4, 56.0 / 4]
     # References are independent: the widths of their intervals add in quadrature.
     width = np.sqrt(3.0 + 100.0**2) / 4
     ends = 103.0 / 4 - 0.1 * width, 103.0 / 4 + 0.2 * width
     assert kind.scores[0].mean.interval_95 == pytest.approx(ends)
-    assert [one.mean_rank.value for one in kind.ranked] == [1.25, 1.75]
+    assert [score.mean_rank.value for score in kind.ranked] == [1.25, 1.75]
     constants = ("calibrated", "effective", "calibrated", "effective")
     kinds = compare_kind("analytic", [scored(2.0, 0.2, 1.0, 0.1)], constants)
-    assert [one.name for one in kinds] == ["analytic", "analytic, effective"]
-    order = [[one.configuration for one in kind.ranked] for kind in kinds]
+    assert [kind.name for kind in kinds] == ["analytic", "analytic, effective"]
+    order = [[score.configuration for score in kind.ranked] for kind in kinds]
     assert order == [[2, 0], [3, 1]]
 
 
 @pytest.mark.parametrize(
-    ("count", "correlation", "least"),
+    ("count", "correlation", "min_coverage"),
     [(5, 0.0, 0.92), (20, 0.0, 0.92), (20, 0.6, 0.84)],
 )
-def test_the_interval_of_a_difference_covers_the_true_one(count, correlation, least):
-    """Two fixed simulations of a fall; trials scatter in their release and sideways, consecutive ones alike or not."""
+def test_the_interval_of_a_difference_covers_the_true_difference(
+    count, correlation, min_coverage
+):
+    """Two fixed simulations of a fall are compared; trials scatter in their release and sideways."""
     random = np.random.default_rng([count, int(10 * correlation)])
     times_s = np.arange(FRAMES)[:, None] / 30
     fall_mm = -4905.0 * np.square(times_s) * [0.0, 0.3, 1.0]
     velocity_mm_per_s = np.gradient(fall_mm, times_s[:, 0], axis=0)
     modes = np.array([0.004 * velocity_mm_per_s, 5.0 * AXIS])
     motions = fall_mm + 8.0 * AXIS, 0.98 * fall_mm + 30.0 * AXIS
-    true = [np.square(one - fall_mm).sum() / FRAMES for one in motions]
+    true = [np.square(motion - fall_mm).sum() / FRAMES for motion in motions]
     covered = 0
     for _ in range(WORLDS):
         weights = random.standard_normal((count, 2))
@@ -109,16 +111,16 @@ def test_the_interval_of_a_difference_covers_the_true_one(count, correlation, le
             weights[place] += correlation * weights[place - 1]
         trials = fall_mm + np.einsum("nk,ktc->ntc", weights, modes)
         band = band_of(trials.mean(axis=0), trials=trials)
-        one, other = (deviations(band, motion) for motion in motions)
-        low, high = difference_interval(one, other)
-        sum_mm = one.scores[0] + other.scores[0]
+        first, second = (deviations(band, motion) for motion in motions)
+        low, high = difference_interval(first, second)
+        sum_mm = first.scores[0] + second.scores[0]
         covered += low <= (true[0] - true[1]) / sum_mm <= high
-    # Trials that are like the one before cover less, as in the interval of a single score.
-    assert least <= covered / WORLDS <= 0.98
+    # The coverage of correlated trials is lower, as in the interval of a single score.
+    assert min_coverage <= covered / WORLDS <= 0.98
 
 
-def test_engines_as_far_from_a_solution_are_rarely_resolved():
-    """The error of the solution has the size u and any direction; 8 u off is resolved from exact."""
+def test_engines_at_equal_distance_from_a_solution_are_rarely_resolved():
+    """The error of the solution has the size u and any direction. A distance of 8 u differs from an exact motion."""
     random = np.random.default_rng(5)
     apart, resolved = 0, 0
     for _ in range(300):
@@ -126,13 +128,13 @@ def test_engines_as_far_from_a_solution_are_rarely_resolved():
         basis = np.sqrt(FRAMES) * basis.T.reshape(-1, FRAMES, 3)
         error = random.standard_normal() * basis[0]
         band = band_of(error, kind=Kind.NUMERICAL, u=1.0)
-        one, two, exact = (
+        first, second, exact = (
             deviations(band, motion)
             for motion in (8.0 * basis[0], 8.0 * basis[1], 0.0 * basis[0])
         )
-        low, high = difference_interval(one, two)
+        low, high = difference_interval(first, second)
         apart += low > 0.0 or high < 0.0
-        resolved += difference_interval(one, exact)[0] > 0.0
+        resolved += difference_interval(first, exact)[0] > 0.0
     assert apart / 300 <= 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / 300)
     assert resolved / 300 > 0.9
 
@@ -142,8 +144,8 @@ def test_repeats_are_paired_by_seed_and_their_scatter_counts():
     ours = deviations(band, AXIS, 2.0 * AXIS, 3.0 * AXIS, seeds=[1, 2, 3])
     theirs = deviations(band, 2.5 * AXIS, 3.5 * AXIS, seeds=[2, 3])
     assert difference_interval(ours, theirs) == pytest.approx((-0.5, -0.5))
-    others = deviations(band, 2.5 * AXIS, 3.5 * AXIS, seeds=[8, 9])
-    low, high = difference_interval(ours, others)
+    unpaired = deviations(band, 2.5 * AXIS, 3.5 * AXIS, seeds=[8, 9])
+    low, high = difference_interval(ours, unpaired)
     assert (low + high) / 2 == pytest.approx(-1.0)
     # Student's t of two and three repeats, in quadrature: 12.706 sqrt(0.5 / 2) and 4.303 sqrt(1 / 3).
     assert (high - low) / 2 == pytest.approx(
@@ -158,7 +160,7 @@ def test_the_interval_of_a_mean_over_repeats_covers_the_true_mean():
         for _ in range(1000):
             scores = 2.0 + shared * random.standard_normal()
             scores = scores + single * random.standard_normal(count)
-            ends = [(one - 1.96 * shared, one + 1.96 * shared) for one in scores]
+            ends = [(score - 1.96 * shared, score + 1.96 * shared) for score in scores]
             low, high = repeats_interval([*scores], ends)
             covered += low <= 2.0 <= high
         # A true 95 % of 1000 is 0.93 to 0.97 in 99 of 100 runs; the sum of a t and a normal in quadrature is wider.
