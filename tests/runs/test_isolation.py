@@ -214,7 +214,7 @@ def run_in_a_fork(folder):
     with open(os.devnull, "w") as nothing:  # noqa: PTH123
         os.dup2(nothing.fileno(), 1)
         os.dup2(nothing.fileno(), 2)
-    app(["run", "SlopeSlider-*", "--repeats=2", "--resume", "--out", str(folder)])
+    app(["run", "SlopeSlider-2-*", "--repeats=2", "--resume", "--out", str(folder)])
 
 
 @pytest.mark.slow
@@ -227,9 +227,9 @@ def test_kills_at_random_moments_lose_double_and_cut_no_result(tmp_path):
     whole.join()
     duration_s = time.monotonic() - start_s
     expected = contents(tmp_path / "whole")
-    assert len(expected) == 18
+    assert len(expected) == 6
     kills = between = 0
-    while kills < 50:
+    while kills < 20:
         folder = tmp_path / f"round-{kills}"
         exitcode = None
         while exitcode != 0:
@@ -244,4 +244,4 @@ def test_kills_at_random_moments_lose_double_and_cut_no_result(tmp_path):
             assert results.items() <= expected.items()
             between += 0 < len(results) < len(expected)
         assert contents(folder) == expected
-    assert between > 5
+    assert between > 2
