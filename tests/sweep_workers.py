@@ -1,4 +1,4 @@
-"""Workers of sweeps in the process of the tests."""
+"""Workers of sweeps in the test process."""
 
 import json
 from dataclasses import replace
@@ -22,7 +22,7 @@ needs_rapier = pytest.mark.skipif(
 
 
 class HereWorker:
-    """A worker in this process, which counts what it runs."""
+    """A worker in this process that records its requests."""
 
     def __init__(self):
         self.requests = []
@@ -38,7 +38,7 @@ class HereWorker:
 
 
 class Mortal:
-    """A worker process that dies where one of some seeds runs."""
+    """A worker process that dies at one of the given seeds."""
 
     def __init__(self, *seeds):
         self._seeds = set(seeds)
@@ -55,7 +55,7 @@ class Mortal:
 
 
 def mortal_worker(*seeds):
-    """A worker whose process dies where one of some seeds runs."""
+    """Return a worker whose process dies at one of the given seeds."""
     worker = ProcessWorker(Limits())
     worker._process = Mortal(*seeds)  # type: ignore[assignment]
     return worker
@@ -66,7 +66,7 @@ def planned(**values):
 
 
 def swept(plan, folder, *workers, retry_failed=False, notify=lambda text: None):
-    """The results of what is left of a plan, as the command runs it."""
+    """Run the rest of a plan like the command, and return its results."""
     done = {
         name
         for name, outcome in earlier_outcomes(folder, notify).items()
@@ -77,21 +77,21 @@ def swept(plan, folder, *workers, retry_failed=False, notify=lambda text: None):
 
 
 def plain(result):
-    """A result without the times of its making, to the last bit."""
+    """Return a result as JSON without its run times."""
     return json.dumps(replace(result, wall_s=None, cpu_s=None, created="").to_dict())
 
 
 def contents(folder):
-    """The results of a folder by file name; each must be complete."""
+    """Return the results of a folder by file name."""
     return {file.name: plain(load_result(file)) for file in folder.glob("*.json")}
 
 
 def outcomes(folder):
-    """The outcomes that the files of a folder state."""
+    """Return the outcomes of the files of a folder."""
     return sorted(earlier_outcomes(folder, pytest.fail).values())
 
 
 def children(pid):
-    """Processes that any thread of a process has started."""
+    """Return the child processes of all threads of a process."""
     files = Path(f"/proc/{pid}/task").glob("*/children")
     return [int(word) for file in files for word in file.read_text().split()]

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from gauge_envs.runs.request import RunRequest
     from gauge_envs.runs.result import Result
 
-FEW_EPISODES = 20
-"""Most episodes of rigid bodies that run in this process by default."""
+MAX_LOCAL_EPISODES = 20
+"""Maximum number of rigid episodes that run in this process by default."""
 
 
 def run(
@@ -76,9 +76,8 @@ def run(
 ) -> bool:
     """Run experiments, score each against its reference, and write a result file for each.
 
-    The pattern '*' is all. Engines of other packages always run in another process. Exit code 1 when an
-    episode failed or diverged, or when an experiment given by its id was declined. Experiments of a pattern may be
-    declined.
+    The pattern '*' matches all. Engines of other packages run in another process. Exit code 1: an episode failed or
+    diverged, or an experiment given by its id is unsupported. Experiments of a pattern may be unsupported.
     """
     from gauge_envs.experiments.variants import is_glob, matching_variants
     from gauge_envs.runs.batch import check_requests, run_many
@@ -89,14 +88,14 @@ def run(
 
     if not ids:
         raise ParameterError(
-            "nothing to run: give ids, or patterns as '*'; gauge list shows them"
+            "nothing to run: give ids or patterns such as '*'; gauge list shows them"
         )
     scatter = arguments.parsed_jitter(jitter)
     if repeats == 1 and scatter is not None and not any(scatter.to_dict().values()):
         scatter = None
     if seed and scatter is None and repeats == 1:
         note(
-            f"--seed {seed} changes nothing: the start does not scatter. Add --jitter real."
+            f"--seed {seed} changes nothing: the initial state has no noise. Add --jitter real."
         )
     constants = arguments.parsed_parameters(parameters) or "calibrated"
     settings = arguments.parsed_settings(changes)
@@ -137,7 +136,7 @@ def run(
             results.append(result)
     except ResultFileError:
         message(
-            f"stopped: {_totals(results, out)}; --resume continues from there when the cause is gone"
+            f"stopped: {_totals(results, out)}; fix the cause, then --resume continues"
         )
         raise
     if form is not Format.JSON:
@@ -158,10 +157,10 @@ def run(
 
 
 def _default_jobs(requests: Sequence[RunRequest]) -> int:
-    """Return the number of processors; 1 for a few rigid episodes, which end before another process has started."""
+    """Return the number of processors; 1 for a few rigid episodes, which take less time than the start of a process."""
     episodes = sum(request.repeats for request in requests)
-    is_long = episodes > FEW_EPISODES or any(
-        one.calibrated_experiment().scene.deformables for one in requests
+    is_long = episodes > MAX_LOCAL_EPISODES or any(
+        request.calibrated_experiment().scene.deformables for request in requests
     )
     return processors() if is_long else 1
 
@@ -179,7 +178,7 @@ def score(
     ],
     name: Annotated[
         str | None,
-        arguments.experiment("Experiment, if the file does not state it."),
+        arguments.experiment("Experiment, if the file does not name it."),
     ] = None,
     parameters: arguments.Parameters = None,
     use: arguments.Use = None,
@@ -188,8 +187,8 @@ def score(
 ) -> None:
     """Score a trajectory from your own simulator; no engine is needed.
 
-    It is g(t) in the observable's unit, mm for positions. Columns are the coordinates that `gauge show ID` lists.
-    Without a `time_s` column, rows are 30 Hz frames. The id may be a task file.
+    The trajectory is g(t) in the observable's unit, mm for positions. Its columns are the coordinates in
+    `gauge show ID`. Without a `time_s` column, rows are 30 Hz frames. The id may be a task file.
     """
     from gauge_envs.runs.score_file import score_file
     from gauge_envs.tools.run.report import summary_document

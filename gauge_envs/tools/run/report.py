@@ -1,4 +1,4 @@
-"""Scores of results on one screen, all their numbers as details, and what was not run and why."""
+"""Summarize scores on one screen, with details, and give the reasons for missing results."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -25,12 +25,12 @@ from gauge_envs.scoring.estimates import Measured
 from gauge_envs.scoring.score import OVER_U, Score
 
 MAX_EXPLAINED = 5
-"""Up to this number of results, each has lines below its row."""
+"""Maximum number of results with explanations below their rows."""
 
 EQUAL_SHARE = 0.1
-"""Largest difference of an engine and an exact solution that are equally far from real trials, over the distance.
+"""Largest relative difference between the distances of an engine and an exact solution that count as equal.
 
-A distance that is shorter than the mean distance of real trials counts as that."""
+The difference is divided by the distance, at least by the mean distance of real trials."""
 
 NOTE = (
     "Distances are divided by the mean distance of real trials, or by u, the standard uncertainty. "
@@ -48,7 +48,7 @@ COLUMNS = (
     Column("motion", "motion", place=Place.BELOW),
     Column("cause", "cause", place=Place.BELOW),
 )
-"""Columns of the summary; the table leaves out a column without any value."""
+"""Columns of the summary; empty columns are left out."""
 
 PHRASES = {
     "friction": "slides as with friction {}",
@@ -62,22 +62,22 @@ PHRASES = {
     "mte": "passes on {} of the momentum",
     "el": "loses {} of the energy",
 }
-"""What a motion does, by estimate or event."""
+"""Description of a motion, by estimate or event."""
 
 TONES = {
     Outcome.DIVERGED: Tone.ERROR,
     Outcome.FAILED: Tone.ERROR,
     Outcome.DECLINED: Tone.WARNING,
 }
-"""Outcomes whose reasons are reported."""
+"""Outcomes with reported reasons, and the tone of each."""
 
 
 def summary_document(results: Sequence[Result], *, details: bool = False) -> Document:
-    """Return a row for each result with what its motion implies, and what was not run and why.
+    """Return a row and an explanation for each result, and the reasons for missing results.
 
     Args:
         results: The results.
-        details: Whether to add all numbers of the scores.
+        details: Whether to show all numbers of the scores.
     """
     ran = [result for result in results if result.error is None]
     summary = _summary(ran, details=details) if ran else ()
@@ -85,7 +85,7 @@ def summary_document(results: Sequence[Result], *, details: bool = False) -> Doc
 
 
 def _summary(results: Sequence[Result], *, details: bool) -> Iterator[Part]:
-    """Yield what the results share, a row for each, and their details."""
+    """Yield the common configuration, a row for each result, and the details."""
     parts = [
         [text for _, text in configuration_parts(RunConfiguration.of(result))]
         + ([f"seed {result.seed}"] if result.seed else [])
@@ -133,12 +133,12 @@ def _row(result: Result, *, is_explained: bool) -> dict[str, Any]:
         row["motion"] = "; ".join(filter(None, texts))
         row["cause"] = score.refused or cause_text(score)
         if result.is_edited and score.refused is None:
-            row["cause"] = f"edited: {shortened(result.asset['changes'])}"
+            row["cause"] = f"modified: {shortened(result.asset['changes'])}"
     return row
 
 
 def motion_text(score: Score) -> str | None:
-    """Return the estimate or event that is farthest from its real value over u; without real values the first one."""
+    """Return the estimate or event with the largest deviation from its real value in u, or the first one."""
     quantities = {**score.estimates, **score.events}
     if not quantities:
         return None
@@ -152,14 +152,14 @@ def motion_text(score: Score) -> str | None:
         text = phrase.format(with_unit(value, quantity.unit))
     if quantity.real is None:
         return text
-    # Estimates and published metrics are of several trials, and other events of one recording.
+    # Estimates and published metrics come from several trials; the remaining events come from one recording.
     is_of_trials = name in score.estimates or name in METRICS
     owner = "real trials" if is_of_trials else "the recording"
     return f"{text}; {owner} {_real_text(quantity)}"
 
 
 def _deviation(quantity: Measured) -> float:
-    """Return the deviation from the real value over its standard uncertainty; negative if that is unknown."""
+    """Return the deviation from the real value, divided by its standard uncertainty; negative if unknown."""
     if quantity.real is None:
         return -2.0
     if not quantity.real_uncertainty:
@@ -170,12 +170,12 @@ def _deviation(quantity: Measured) -> float:
 
 
 def _rounded(value: float, uncertainty: float | None) -> str:
-    """Return a value to the first digit of its uncertainty, or the second if the first is 1."""
+    """Return a value rounded to the first digit of its uncertainty, or to the second digit if the first is 1."""
     if not uncertainty:
         return score_text(value)
     exponent = math.floor(math.log10(uncertainty))
-    first_digit_is_one = uncertainty < 2.0 * 10.0**exponent
-    decimals = max(0, int(first_digit_is_one) - exponent)
+    is_leading_one = uncertainty < 2.0 * 10.0**exponent
+    decimals = max(0, int(is_leading_one) - exponent)
     return f"{value:.{decimals}f}"
 
 
@@ -189,7 +189,7 @@ def _real_text(quantity: Measured) -> str:
 
 
 def cause_text(score: Score) -> str | None:
-    """Return whether the engine or the constants cause the distance; None without an exact solution."""
+    """Return the cause of the distance, engine or constants; None without an exact solution."""
     engine, exact = score.primary_normalized, score.exact
     if engine is None or exact is None:
         return None
@@ -205,7 +205,7 @@ def cause_text(score: Score) -> str | None:
 
 
 def _details(score: Score) -> dict[str, str]:
-    """Return all numbers of a score, by their names there."""
+    """Return all numbers of a score by name."""
     facts = {
         key: ", ".join(map(digits_text, np.atleast_1d(value)))
         for key, value in score.to_dict().items()
@@ -219,7 +219,7 @@ def _details(score: Score) -> dict[str, str]:
 
 
 def _outcomes(results: Sequence[Result]) -> Iterator[Paragraph]:
-    """Yield a line for each reason: a backend declines many experiments for the same one."""
+    """Yield a line for each reason, with the experiments that it applies to."""
     for outcome, tone in TONES.items():
         ids_of: dict[str, list[str]] = {}
         for result in results:

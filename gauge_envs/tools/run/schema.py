@@ -1,4 +1,4 @@
-"""What `gauge run`, `gauge score` and `gauge sweep` print with `--json`, and the content of a result file."""
+"""JSON lines of `gauge run`, `gauge score` and `gauge sweep`, and the content of a result file."""
 
 from typing import Annotated
 
@@ -6,7 +6,7 @@ from gauge_envs.cli.schemas import Form
 from gauge_envs.runs.result import Result
 
 RunLine = Annotated[Result, Form(without=("trajectory",))]
-"""A result without what is long: the trajectory, and the scene and the experiment of the asset."""
+"""A result without its trajectory, and without the scene and the experiment of its asset."""
 
 ResultFile = Result
-"""All of a result."""
+"""A complete result."""

@@ -1,1 +1,1 @@
-"""Sweeps: many engines, settings, parameters and experiments, planned as a table, and resumable."""
+"""Run resumable sweeps over engines, settings, parameters and experiments."""

@@ -52,7 +52,7 @@ def sweep(
         list[str] | None,
         arguments.option(
             arguments.NUMERICS,
-            "Values of a setting, as timestep_s=1/1800,1/3600 or mujoco.iterations=10,50.",
+            "Values of a setting: timestep_s=1/1800,1/3600 or mujoco.iterations=10,50.",
             "--set",
             metavar=arguments.ASSIGNED,
             show_default="those of the engine",
@@ -73,7 +73,7 @@ def sweep(
         int | None,
         arguments.option(
             arguments.NUMERICS,
-            "Episodes of each combination, from starts that scatter.",
+            "Episodes of each combination, with initial-state noise.",
             "--repeats",
             min=1,
             show_default="1",
@@ -128,9 +128,9 @@ def sweep(
 ) -> bool:
     """Run engines, settings and experiments in all combinations; continue an earlier run.
 
-    Episodes whose results are in the folder do not run again. --timeout and --memory are those of the worker processes;
-    with --isolate each task has a process of its own. Exit code 1 when an episode failed or diverged, or when an
-    experiment given by its id was declined.
+    Episodes with results in the folder do not run again. --timeout and --memory limit the worker processes; with
+    --isolate each task runs in a separate process. Exit code 1: an episode failed or diverged, or an experiment given
+    by its id is unsupported.
     """
     from gauge_envs.experiments.variants import is_glob
     from gauge_envs.runs.isolation import TIME_LIMIT_S
@@ -196,7 +196,7 @@ def sweep(
     outcomes = {outcome for _, outcome in counts}
     if Outcome.FAILED in outcomes:
         message(
-            "causes of failures are in the folder failed; --retry-failed runs them again"
+            "the folder failed has the causes of failures; --retry-failed runs these episodes again"
         )
     named = {short_id(name) for name in spec.variants if not is_glob(name)}
     is_declined = any(run.declined and run.experiment in named for run in runs)
@@ -206,17 +206,17 @@ def sweep(
 def _spec(
     file: Path | None, changes: Sequence[str] | None, **options: object
 ) -> SweepSpec:
-    """Return the sweep of a file, whose keys the options replace unless they are None."""
+    """Return the sweep of a file; options other than None replace its keys."""
     from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
 
     values = {} if file is None else load_sweep_file(file)
     values |= {key: value for key, value in options.items() if value is not None}
     if "variants" not in values:
         raise ParameterError(
-            "nothing to run: give a sweep file, or experiments, as --only 'SlopeSlider-2-*'"
+            "nothing to run: give a sweep file or experiments, for example --only 'SlopeSlider-2-*'"
         )
     settings = values.setdefault("settings", {})
-    # The name of a setting may begin with an engine and a dot.
+    # The name of a setting may have the prefix of an engine: mujoco.iterations.
     for name, listed in arguments.assigned("--set", changes or ()).items():
         engine, dot, key = name.rpartition(".")
         table = settings.setdefault(engine, {}) if dot else settings
@@ -227,7 +227,7 @@ def _spec(
 def _workers(
     ray: str | None, count: int | None, limits: Limits
 ) -> Sequence[RequestWorker]:
-    """Return the workers, whose processes start with their first tasks."""
+    """Return the workers; each process starts with its first task."""
     if ray is not None:
         from gauge_envs.tools.sweep.machines import ray_workers
 

@@ -1,10 +1,10 @@
-"""The folder of a sweep: a file for each episode, those without a result apart.
+"""Run a sweep in a folder, with a file for each episode.
 
-DIR/SlopeSlider-2-wood.mujoco.e8ec72ec30333307.json     the episode ran; `diverged` counts
-DIR/failed/...json                                      an error or the end of its process prevented it
-DIR/declined/...json                                    the engine or the experiment cannot do it
+DIR/SlopeSlider-2-wood.mujoco.e8ec72ec30333307.json     the episode finished or diverged
+DIR/failed/...json                                      an error occurred or the process ended
+DIR/declined/...json                                    the engine or the experiment does not support it
 
-The files alone state what is done: a sweep goes on with the episodes that have none.
+A sweep continues with the episodes that have no file.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ def _folders(path: Path) -> list[Path]:
 
 
 def earlier_outcomes(path: Path, notify: Callable[[str], None]) -> dict[str, Outcome]:
-    """Return the outcomes of the episodes of a folder by the names of their files.
+    """Return the outcomes of the episodes in a folder, by file name.
 
     Args:
-        path: The folder, which need not exist.
-        notify: Receives a sentence for each damaged file, whose episode is left out.
+        path: The folder; it may be missing.
+        notify: Receives a sentence for each damaged file, which is left out.
     """
     outcomes = {}
     for folder in _folders(path):
@@ -47,11 +47,11 @@ def earlier_outcomes(path: Path, notify: Callable[[str], None]) -> dict[str, Out
 def run_sweep(
     tasks: Sequence[SweepRun], workers: Sequence[RequestWorker], path: Path
 ) -> Generator[Result, None, None]:
-    """Run tasks on workers at once, and yield each result after the results of its task are written.
+    """Run tasks on workers in parallel, and yield the results of a task after writing them.
 
     Args:
         tasks: The tasks.
-        workers: The workers, which are closed at the end.
+        workers: The workers; they are closed at the end.
         path: Folder of the result files, created if it does not exist.
 
     Example:
@@ -73,7 +73,7 @@ def run_sweep(
         for result, name in zip(results, task.file_names, strict=True):
             write_result(result, path / SUBFOLDERS.get(result.outcome, "") / name)
             if result.outcome is not Outcome.FAILED:
-                # An earlier attempt may have failed.
+                # Remove the result of an earlier failed attempt.
                 (path / "failed" / name).unlink(missing_ok=True)
         return results
 

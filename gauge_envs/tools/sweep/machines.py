@@ -11,15 +11,14 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
 
 MAX_LOSSES = 3
-"""Actors that a request may lose before it counts as failed."""
+"""Number of lost actors after which a request fails."""
 
 
 class RayWorker:
-    """A worker in an actor of a Ray cluster, which keeps its engine.
+    """A worker in an actor of a Ray cluster; the actor keeps its engine.
 
-    Inside, a `ProcessWorker` runs the requests: an engine that crashes costs its episode there, as on one machine. If
-    the actor itself dies, as with its machine, the request runs again in a new one, which Ray places where there is
-    room.
+    The actor runs requests in a `ProcessWorker`: a crash of the engine loses only its episode. If the actor or its
+    machine dies, the request runs again in a new actor on any free machine.
 
     Args:
         limits: Limits of the process.
@@ -53,7 +52,7 @@ class RayWorker:
         return results_without_run(request, Outcome.FAILED, reason)
 
     def kill(self) -> None:
-        """End the actor at once and for good."""
+        """End the actor immediately, without a replacement."""
         self._is_killed = True
         self.close()
 
@@ -65,13 +64,13 @@ class RayWorker:
 
 
 def ray_workers(address: str, count: int | None, limits: Limits) -> list[RayWorker]:
-    """Connect to a Ray cluster and return its workers, one for each of its processors by default.
+    """Connect to a Ray cluster and return its workers.
 
     Args:
-        address: `local` starts Ray on this machine; `auto` takes the cluster that this machine is part of; else the
-            address of a cluster.
-        count: Number of workers, or None.
-        limits: Limits of their processes.
+        address: `local` starts Ray on this machine; `auto` uses the cluster of this machine; otherwise the address of
+            a cluster.
+        count: Number of workers; None for one per processor.
+        limits: Limits of the worker processes.
     """
     with needs_extra("a sweep on many machines", "ray"):
         import ray
@@ -81,7 +80,7 @@ def ray_workers(address: str, count: int | None, limits: Limits) -> list[RayWork
         "logging_level": "ERROR",
     }
     if address == "local":
-        # Ray on this machine alone needs no token, and would write one into the home folder.
+        # Local Ray needs no token; without this variable it writes one into the home folder.
         os.environ.setdefault("RAY_AUTH_MODE", "disabled")
         options |= {"include_dashboard": False, "num_cpus": count}
     try:

@@ -1,4 +1,4 @@
-"""Plan of a sweep: every episode once, with the name of its result file, before anything runs."""
+"""Plan a sweep: list every episode once, with the name of its result file, before a run."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ MAX_EPISODES = 1_000_000
 """Largest number of episodes of an engine."""
 
 KEY_LENGTH = 16
-"""Hexadecimal digits of a key in a file name: among a million episodes, two share them with a probability of 3e-8."""
+"""Hexadecimal digits of a key in a file name. A million episodes collide with a probability of 3e-8."""
 
 
 @dataclass(frozen=True)
 class SweepRun:
-    """Episodes of one experiment on one engine, with one choice of parameters and settings and consecutive seeds.
+    """Episodes with consecutive seeds of one experiment, engine and choice of parameters and settings.
 
     Attributes:
-        request: The request, with the jitter that applies.
+        request: The request, with the effective jitter.
         experiment: Name of the experiment.
-        sha256: Hash of the content that the episodes share.
+        sha256: Hash of the common content of the episodes.
         shares_worlds: Whether the repeats run as worlds of one simulation.
-        declined: Why no episode can run; None if the plan knows no reason.
+        declined: Reason why no episode can run, if known.
         duration_s: Simulated time of an episode [s].
     """
 
@@ -63,7 +63,7 @@ class SweepRun:
 
     @property
     def file_names(self) -> list[str]:
-        """Names of the result files, one an episode."""
+        """Names of the result files, one for each episode."""
         keys = [
             hashlib.sha256(f"{self.sha256}:{seed}".encode()).hexdigest()[:KEY_LENGTH]
             for seed in self.request.seeds
@@ -77,10 +77,10 @@ def episode_count(runs: Iterable[SweepRun]) -> int:
 
 
 def plan_sweep(spec: SweepSpec) -> list[SweepRun]:
-    """Return the runs of a sweep, each content once, grouped by engine and experiment. No simulation is built.
+    """Return the runs of a sweep without repetition, grouped by engine and experiment. This builds no simulation.
 
     Raises:
-        ParameterError: The sweep is too large, or an engine or all experiments refuse a value.
+        ParameterError: The sweep is too large, or an engine or all experiments reject a value.
         UnknownNameError: An engine or experiment does not exist.
     """
     variants = dict.fromkeys(chain.from_iterable(map(matching_variants, spec.variants)))
@@ -91,7 +91,7 @@ def plan_sweep(spec: SweepSpec) -> list[SweepRun]:
         choice_count = prod(map(len, lists.values()))
         if choice_count * len(subjects) * spec.repeats > MAX_EPISODES:
             raise ParameterError(
-                f"the sweep has more than {MAX_EPISODES:,} episodes: shorten its lists, or split it"
+                f"the sweep has more than {MAX_EPISODES:,} episodes: shorten its lists or split it"
             )
         choices = [
             dict(zip(lists, values, strict=True)) for values in product(*lists.values())
@@ -102,14 +102,14 @@ def plan_sweep(spec: SweepSpec) -> list[SweepRun]:
 
 
 Subject = tuple[RunRequest, Experiment, str | None]
-"""A request; its experiment, or the calibrated one if it does not take the parameters; and why it does not."""
+"""A request, its experiment, and the reason why the parameters are rejected; the experiment is then calibrated."""
 
 
 def _subjects(spec: SweepSpec, variants: Iterable[Variant]) -> list[Subject]:
     """Return each experiment with each choice of parameters.
 
     Raises:
-        ParameterError: No experiment takes a choice of parameters.
+        ParameterError: All experiments reject a choice of parameters.
     """
     jitter = None if spec.jitter is None else Jitter(**spec.jitter)
     subjects: list[Subject] = []
@@ -122,14 +122,14 @@ def _subjects(spec: SweepSpec, variants: Iterable[Variant]) -> list[Subject]:
             jitter=jitter,
         )
         request = replace(request, jitter=request.scatter)
-        refusal = None
+        reason = None
         try:
             experiment = request.experiment()
         except ParameterError as error:
-            experiment, refusal = request.calibrated_experiment(), str(error)
-        subjects.append((request, experiment, refusal))
+            experiment, reason = request.calibrated_experiment(), str(error)
+        subjects.append((request, experiment, reason))
     for index in range(len(spec.parameters)):
-        reasons = [reason for *_, reason in subjects[index :: len(spec.parameters)]]
+        reasons = [cause for *_, cause in subjects[index :: len(spec.parameters)]]
         if all(reasons):
             raise ParameterError(reasons[0])
     return subjects
@@ -138,12 +138,12 @@ def _subjects(spec: SweepSpec, variants: Iterable[Variant]) -> list[Subject]:
 def _engine_runs(
     backend: str, subjects: Sequence[Subject], choices: Sequence[Mapping[str, Any]]
 ) -> list[SweepRun]:
-    """Return the runs of an engine, which is asked for its versions, and whether it can build each experiment.
+    """Return the runs of an engine, with its versions and its support for each experiment.
 
     Args:
         backend: Name of the engine.
         subjects: The experiments.
-        choices: Settings that replace those of the presets.
+        choices: Settings that replace settings of the presets.
     """
     engine = backend_for(backend, None)
     shares_worlds = (
@@ -151,7 +151,7 @@ def _engine_runs(
         and type(engine).build_worlds is not Backend.build_worlds
     )
     runs = []
-    for request, experiment, refusal in subjects:
+    for request, experiment, reason in subjects:
         support = support_of(backend, experiment.scene, experiment.model_file)
         jitter = request.jitter
         content = {
@@ -174,7 +174,7 @@ def _engine_runs(
                 experiment=experiment.name,
                 sha256=hashlib.sha256(text.encode()).hexdigest(),
                 shares_worlds=shares_worlds,
-                declined="; ".join(support.missing) or refusal,
+                declined="; ".join(support.missing) or reason,
                 duration_s=experiment.scene.duration_s,
             )
             runs.append(run)
@@ -184,20 +184,20 @@ def _engine_runs(
 def _effective_settings(
     engine: Backend, experiment: Experiment, settings: Mapping[str, Any]
 ) -> Mapping[str, Any]:
-    """Return all settings of an engine; those that were given where it does not tell.
+    """Return all settings of an engine; only the given settings if the engine does not resolve them.
 
     Raises:
-        ParameterError: The engine refuses one.
+        ParameterError: The engine rejects a setting.
     """
     try:
         with engine_call(engine.name, "resolved_settings"):
             resolved = engine.resolved_settings(experiment.scene, settings)
     except UnsupportedSceneError:
-        # The preset is one of other scenes: the episode will be declined.
+        # The preset does not apply to this scene: the episode is unsupported.
         return settings
     except GaugeError as error:
         raise ParameterError(
-            f"{experiment.name} on {engine.name}: {error}. A setting or preset of one engine belongs in its own table, "
+            f"{experiment.name} on {engine.name}: {error}. Put a setting or preset of one engine in the table "
             f"[settings.{engine.name}]"
         ) from None
     return settings if resolved is None else resolved
@@ -206,40 +206,40 @@ def _effective_settings(
 def remaining_tasks(
     runs: Iterable[SweepRun], done: Container[str]
 ) -> Iterator[SweepRun]:
-    """Yield the episodes without a file as tasks, which one call runs.
+    """Yield the episodes without a file as tasks; one call runs a task.
 
-    Repeats on an engine that builds them as worlds of one simulation form one task; other episodes are tasks of their
-    own.
+    If the engine builds repeats as worlds of one simulation, consecutive repeats are one task. Otherwise each episode
+    is a task.
 
     Args:
         runs: The plan.
-        done: Names of the files that exist.
+        done: Names of the existing files.
     """
     for run in runs:
         names = zip(run.request.seeds, run.file_names, strict=True)
         seeds = np.array([seed for seed, name in names if name not in done])
         max_step = 1 if run.shares_worlds else 0
-        starts = np.flatnonzero(np.diff(seeds) > max_step) + 1
-        for part in np.split(seeds, starts):
+        splits = np.flatnonzero(np.diff(seeds) > max_step) + 1
+        for part in np.split(seeds, splits):
             if part.size:
                 request = replace(run.request, seed=int(part[0]), repeats=len(part))
                 yield replace(run, request=request)
 
 
 def part_of(runs: list[SweepRun], text: str) -> list[SweepRun]:
-    """Return one of several parts of a plan. Neighbouring runs stay together, since they share engine and experiment.
+    """Return a part of a plan. Neighbouring runs have the same engine and experiment, so they stay together.
 
     Args:
         runs: The plan.
-        text: Number of the part, from 0, and number of parts, as `0/16`.
+        text: Number of the part, from 0, and number of parts: `0/16`.
 
     Raises:
-        ParameterError: There is no such part.
+        ParameterError: The part does not exist.
     """
     match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
     number, count = map(int, match.groups()) if match else (0, 0)
     if number >= count:
         raise ParameterError(
-            f"--shard {text!r}: expected NUMBER/COUNT with NUMBER from 0 to COUNT - 1, as 0/16"
+            f"--shard {text!r}: expected NUMBER/COUNT with NUMBER from 0 to COUNT - 1, for example 0/16"
         )
     return runs[number * len(runs) // count : (number + 1) * len(runs) // count]

@@ -1,4 +1,4 @@
-"""Tables of sweeps: the plan and the outcomes."""
+"""Report the plan and the outcomes of a sweep."""
 
 from collections import Counter
 from collections.abc import Container, Iterable, Iterator, Sequence
@@ -19,17 +19,17 @@ COUNTS = {
     "declined": "declined",
     "simulated_s": "simulated [s]",
 }
-"""Titles of the numbers of a plan."""
+"""Numbers of a plan and their titles."""
 
 
 def plan_document(runs: Sequence[SweepRun], done: Container[str]) -> Document:
     """Return the episodes of a plan and those that are left, for each engine.
 
-    Its rows are those of the engines and experiments.
+    The JSON rows have the numbers for each engine and experiment.
 
     Args:
         runs: The plan, grouped by engine and experiment.
-        done: Names of the result files that exist.
+        done: Names of the existing result files.
     """
     numbers = [
         Column(key, title, digits_text, is_number=True) for key, title in COUNTS.items()
@@ -44,7 +44,7 @@ def plan_document(runs: Sequence[SweepRun], done: Container[str]) -> Document:
 def _rows(
     runs: Iterable[SweepRun], done: Container[str], *keys: str
 ) -> Iterator[dict[str, Any]]:
-    """Yield the counts of neighbouring runs that share some attributes."""
+    """Yield the counts of neighbouring runs with equal attributes `keys`."""
     for _, group in groupby(runs, attrgetter(*keys)):
         members = list(group)
         first = members[0]
@@ -64,7 +64,7 @@ def _rows(
 def outcome_table(
     runs: Iterable[SweepRun], counts: Counter[tuple[str, Outcome]]
 ) -> Table:
-    """Return the number of episodes of each outcome, a row for each engine of a plan."""
+    """Return the number of episodes of each outcome, with a row for each engine."""
     columns = [Column(outcome, outcome, is_number=True) for outcome in Outcome]
     return Table(
         columns=(Column("backend", "engine"), *columns),

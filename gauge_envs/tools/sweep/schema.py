@@ -1,4 +1,4 @@
-"""What `gauge sweep` prints with `--json`, a line each."""
+"""JSON lines of `gauge sweep --json`."""
 
 from typing import Annotated, TypedDict
 
@@ -7,17 +7,17 @@ from gauge_envs.runs.result import Result
 
 
 class PlanLine(TypedDict):
-    """Episodes of an engine and an experiment that a plan has, with `--dry-run`.
+    """Planned episodes of an engine and an experiment, with `--dry-run`.
 
     Attributes:
         backend: Name of the engine.
         experiment: Name of the experiment.
         runs: Number of combinations.
         episodes: Number of episodes.
-        declined: Number of episodes that the engine cannot run.
-        reason: Why it cannot.
-        left: Number of episodes that are not done.
-        simulated_s: Simulated time of those that are left and not declined [s].
+        declined: Number of unsupported episodes.
+        reason: Why they are unsupported.
+        left: Number of remaining episodes.
+        simulated_s: Simulated time of the remaining supported episodes [s].
     """
 
     backend: str

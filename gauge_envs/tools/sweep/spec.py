@@ -1,4 +1,4 @@
-"""What a sweep covers: the model of a sweep file, and the same from keywords.
+"""Read the content of a sweep from a file or from keywords.
 
 A sweep file::
 
@@ -12,7 +12,7 @@ A sweep file::
     [settings.mujoco]
     iterations = [10, 50]
 
-The episodes are the product of all lists. A list in a table of one engine replaces the common list of that setting.
+The episodes are the product of all lists. A list in the table of an engine replaces the common list of this setting.
 """
 
 from __future__ import annotations
@@ -41,22 +41,22 @@ Names = Annotated[list[str], Field(min_length=1)]
 JitterKey = Literal[
     "position_m", "angle_rad", "velocity_m_per_s", "angular_velocity_rad_per_s"
 ]
-"""Standard deviations of start poses and velocities; see `gauge_envs.Jitter`."""
+"""Standard deviations of initial poses and velocities; see `gauge_envs.Jitter`."""
 
 
 class SweepSpec(BaseModel):
-    """What a sweep covers. Its episodes are the product of its lists.
+    """Content of a sweep. The episodes are the product of its lists.
 
     Attributes:
         backends: Names of engines.
         variants: Ids, patterns such as `SlopeSlider-2-*`, or task files.
-        presets: Presets of every engine; None for the preset that each engine chooses for a scene.
+        presets: Presets of every engine; None for the default preset of each engine and scene.
         parameters: Parameter sets, or tables of overrides such as `{"cube.friction" = 0.3}`.
-        repeats: Episodes of each combination, with seeds from `seed` on.
+        repeats: Episodes of each combination; the seeds begin with `seed`.
         seed: Seed of the first repeat.
-        jitter: Standard deviations of the start; None is the default jitter for repeats, and the calibrated start for
+        jitter: Standard deviations of the initial state. None means the default jitter for repeats, and no jitter for
             a single episode.
-        settings: A list of values for each numerical setting; or, under the name of an engine, such a table for it.
+        settings: A list of values for each numerical setting, and a table of such lists under the name of an engine.
     """
 
     model_config = ConfigDict(
@@ -77,18 +77,18 @@ class SweepSpec(BaseModel):
         for name, values in self.settings.items():
             if isinstance(values, dict) != (name in self.backends):
                 raise ValueError(
-                    f"settings.{name}: a table belongs to an engine of backends, and a list to a setting"
+                    f"settings.{name}: expected a table for an engine of backends, or a list for a setting"
                 )
             lists = values if isinstance(values, dict) else {name: values}
             for key, choices in lists.items():
                 if not isinstance(choices, list) or not choices:
                     raise ValueError(
-                        f"settings: {key}: a list of one or more values is expected, as [0.001, 0.002]"
+                        f"settings: {key}: expected a list of one or more values, for example [0.001, 0.002]"
                     )
         return self
 
     def setting_lists(self, backend: str) -> dict[str, list[Any]]:
-        """Return the values of each setting for an engine: the common ones, replaced by those of its own table."""
+        """Return the values of each setting for an engine. The table of the engine replaces common values."""
         lists: dict[str, Any] = {"preset": self.presets} if self.presets else {}
         for name, values in self.settings.items():
             if name not in self.backends:
@@ -98,7 +98,7 @@ class SweepSpec(BaseModel):
 
 
 def sweep_spec(values: dict[str, Any], file: Path | None = None) -> SweepSpec:
-    """Return the sweep of keywords, which are the keys of a sweep file.
+    """Return the sweep of keywords, the keys of a sweep file.
 
     Args:
         values: The keywords.
@@ -106,7 +106,7 @@ def sweep_spec(values: dict[str, Any], file: Path | None = None) -> SweepSpec:
 
     Raises:
         ParameterError: A value is wrong.
-        SweepFileError: The same, for the values of a file.
+        SweepFileError: A value of a file is wrong.
     """
     try:
         return SweepSpec.model_validate(values)
@@ -125,7 +125,7 @@ def load_sweep_file(path: Path) -> dict[str, Any]:
     Paths of task files are relative to the folder of the file.
 
     Returns:
-        Its keys and values, for `sweep_spec`.
+        Keys and values for `sweep_spec`.
 
     Raises:
         SweepFileError: The file cannot be read, or a value is wrong.

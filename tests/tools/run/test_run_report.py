@@ -1,4 +1,4 @@
-"""`gauge run` fits a screen, says what a motion implies, and separates the engine from the constants."""
+"""The summary of `gauge run` fits a screen, explains motions, and separates engine errors from constants."""
 
 from dataclasses import replace
 
@@ -66,11 +66,11 @@ def shown(results, *, width=120, details=False):
         (NONE, None),
     ],
 )
-def test_the_quantity_that_is_farthest_from_reality_is_stated(score, text):
+def test_the_summary_shows_the_quantity_farthest_from_reality(score, text):
     assert motion_text(score) == text
 
 
-def test_events_of_recordings_and_events_that_do_not_happen_are_stated():
+def test_the_summary_shows_events_of_recordings_and_missing_events():
     swing = Measured(value=2.5, unit="Hz", real=1.68, real_uncertainty=0.08)
     score = replace(NONE, events={"swing_frequency_hz": swing})
     assert motion_text(score) == "swings at 2.50 Hz; the recording 1.68 +- 0.08 Hz"
@@ -101,7 +101,7 @@ def test_an_exact_solution_separates_engine_and_constants(engine, percentile, ca
     assert cause_text(replace(score, exact=None)) is None
 
 
-def test_many_results_have_rows_alone():
+def test_many_results_have_rows_without_explanations():
     text = shown([result(SLIDE, seed=seed) for seed in range(20)])
     assert len(text.splitlines()) <= 25
     assert "seed 19" in text
@@ -109,16 +109,16 @@ def test_many_results_have_rows_alone():
 
 
 def test_five_ids_fit_a_screen():
-    others = [result(SWING, backend="newton")] * 4
-    lines = shown([result(SLIDE), *others], width=80).splitlines()
+    swings = [result(SWING, backend="newton")] * 4
+    lines = shown([result(SLIDE), *swings], width=80).splitlines()
     assert len(lines) <= 28
     assert max(map(len, lines)) <= 80
     assert sum("outside" in line for line in lines) == 5
-    # What all share stands once, above.
+    # The common configuration is the first line.
     assert lines[0] == "calibrated"
 
 
-def test_a_refusal_and_a_divergence_are_stated():
+def test_the_summary_gives_reasons_for_rejected_and_diverged_results():
     reason = "no score: the trials reference is of the real scene"
     refused = result(replace(NONE, kind="trials", refused=reason))
     diverged = result(NONE, diverged=True, outcome=Outcome.DIVERGED)
@@ -128,7 +128,7 @@ def test_a_refusal_and_a_divergence_are_stated():
     assert "diverged" in text
 
 
-def test_a_score_of_few_frames_says_so():
+def test_the_summary_reports_scores_of_few_frames():
     few = replace(SWING, compared_frames=6)
     assert "s; compared at 6 of 302 frames" in shown([result(few, frames=302)])
     assert "compared at" not in shown([result(few, frames=6)])

@@ -1,4 +1,4 @@
-"""Sweeps that are killed at random moments: the same bits, nothing lost, nothing twice."""
+"""Killed sweeps lose no episode, repeat no episode, and give the same bits."""
 
 import contextlib
 import os
@@ -38,7 +38,7 @@ def test_kills_of_parent_and_workers_lose_nothing_and_nothing_runs_twice(tmp_pat
             time.sleep(moments.uniform(0.01, 0.1))
             if len(list(folder.glob("*.json"))) < len(before) + 3:
                 continue
-            # A child may end before it is killed; the next one is then taken.
+            # A child may end before the kill; then the next child is killed.
             with contextlib.suppress(ProcessLookupError, IndexError):
                 pid = process.pid if victim == "parent" else children(process.pid)[0]
                 os.kill(pid, signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""Sweep files and plans: each content once, names that follow the content, and the place of each mistake."""
+"""A plan has each content once, file names depend on the content, and errors name the wrong key."""
 
 import pytest
 from sweep_workers import planned
@@ -48,11 +48,14 @@ def test_a_table_of_an_engine_replaces_the_common_list(tmp_path):
     [
         ("backends = [", "not a TOML file"),
         (SLIDE + "backend = ['mujoco']", "backend: unknown key; keys: backends"),
-        (SLIDE + "[settings]\ntimestep_s = 0.1", "timestep_s: a list of one or more"),
-        (SLIDE + "[settings.bullet]\niterations = [1]", "settings.bullet: a table"),
+        (SLIDE + "[settings]\ntimestep_s = 0.1", "timestep_s: expected a list"),
+        (
+            SLIDE + "[settings.bullet]\niterations = [1]",
+            "settings.bullet: expected a table",
+        ),
     ],
 )
-def test_a_wrong_file_is_named_with_key_and_reason(tmp_path, text, message):
+def test_an_error_names_the_wrong_file_key_and_reason(tmp_path, text, message):
     file = tmp_path / "sweep.toml"
     file.write_text(text)
     with pytest.raises(SweepFileError) as caught:
@@ -61,7 +64,7 @@ def test_a_wrong_file_is_named_with_key_and_reason(tmp_path, text, message):
     assert message in str(caught.value)
 
 
-def test_names_of_files_follow_the_content(monkeypatch):
+def test_file_names_depend_on_the_content(monkeypatch):
     friction, mass = ("cube.friction", 0.3), ("cube.mass_kg", 0.1)
     first, second = (
         names(planned(parameters=[dict(pairs)]))
@@ -70,19 +73,19 @@ def test_names_of_files_follow_the_content(monkeypatch):
     assert first == second
     before = names(planned(repeats=2))
     assert names(planned(repeats=2)) == before
-    for other in (
+    for change in (
         {"variants": ["SlopeSlider-2-metal"]},
         {"parameters": [{"cube.friction": 0.3}]},
         {"seed": 5},
         {"jitter": {"position_m": 0.002}},
         {"settings": {"timestep_s": [1 / 3600]}},
     ):
-        assert not before & names(planned(**{"repeats": 2} | other))
+        assert not before & names(planned(**{"repeats": 2} | change))
     monkeypatch.setattr(BackendMuJoCo, "versions", lambda self: {"mujoco": "99.0"})
     assert not before & names(planned(repeats=2))
 
 
-def test_settings_that_resolve_to_the_same_run_once():
+def test_equal_resolved_settings_run_once():
     default = settings_for(load_experiment(WOOD).scene)
     steps = [default.timestep_s, 1 / 3600, 1 / 3600]
     plan = planned(settings={"timestep_s": steps, "iterations": [default.iterations]})
@@ -90,7 +93,7 @@ def test_settings_that_resolve_to_the_same_run_once():
     assert names(planned()) < names(plan)
 
 
-def test_only_engines_that_advance_worlds_at_once_run_repeats_together():
+def test_only_engines_with_batched_worlds_run_repeats_together():
     pytest.importorskip("newton")
     plan = planned(backends=["mujoco", "newton"], repeats=4)
     seeds = [list(task.request.seeds) for task in remaining_tasks(plan, ())]
@@ -102,7 +105,7 @@ def test_only_engines_that_advance_worlds_at_once_run_repeats_together():
     assert tasks[0].file_names == newton.file_names[:2]
 
 
-def test_too_many_combinations_are_refused():
+def test_too_many_combinations_are_rejected():
     settings = {name: list(range(1001)) for name in ("iterations", "timestep_s")}
     with pytest.raises(ParameterError, match="more than 1,000,000 episodes"):
         planned(settings=settings)

@@ -1,4 +1,4 @@
-"""`gauge sweep`: results are those of `gauge run`, nothing runs twice or is lost, and exit codes state the outcome."""
+"""`gauge sweep` gives the results of `gauge run`, runs each episode once, and returns the outcome as exit code."""
 
 import json
 from contextlib import closing
@@ -34,7 +34,7 @@ timestep_s = [{1 / 360!r}, {1 / 720!r}]
 
 
 @needs_rapier
-def test_results_are_those_of_gauge_run_bit_for_bit(tmp_path):
+def test_results_equal_results_of_gauge_run_bit_for_bit(tmp_path):
     plan = planned(backends=["mujoco", "rapier"], settings=QUICK)
     results = swept(plan, tmp_path, HereWorker(), HereWorker())
     requests = [
@@ -49,7 +49,7 @@ def test_results_are_those_of_gauge_run_bit_for_bit(tmp_path):
 # --- resuming ---
 
 
-def test_nothing_runs_twice(tmp_path):
+def test_each_episode_runs_once(tmp_path):
     plan = planned(repeats=2, settings=QUICK)
     tasks = list(remaining_tasks(plan, ()))
     with closing(run_sweep(tasks, [HereWorker()], tmp_path)) as finished:
@@ -60,7 +60,7 @@ def test_nothing_runs_twice(tmp_path):
     assert len(swept(plan, tmp_path, again)) == len(again.requests) == 3
     assert len(contents(tmp_path)) == 4
     assert file.stat().st_mtime_ns == written_ns
-    # A longer sweep takes what is there.
+    # A longer sweep keeps the existing results.
     longer = planned(variants=[WOOD, METAL], repeats=3, settings=QUICK)
     assert len(swept(longer, tmp_path)) == 12 - 4
 
@@ -76,7 +76,7 @@ def test_a_damaged_result_runs_again(tmp_path):
     assert file.name in note
 
 
-def test_failures_run_again_on_request(tmp_path):
+def test_retry_failed_runs_failures_again(tmp_path):
     plan = planned()
     (result,) = swept(plan, tmp_path, mortal_worker(0))
     assert result.error == "died"
@@ -91,7 +91,7 @@ def test_failures_run_again_on_request(tmp_path):
 
 @pytest.fixture
 def gauge(gauge, tmp_path, monkeypatch):
-    """Runs the command in a folder with `sweep.toml`, on workers in this process."""
+    """Run the command in a folder with `sweep.toml`, on workers in this process."""
     (tmp_path / "sweep.toml").write_text(FILE)
     monkeypatch.setattr(command, "_workers", lambda *arguments: [HereWorker()])
     return gauge
@@ -101,7 +101,7 @@ def lines(result):
     return [json.loads(line) for line in result.stdout.splitlines()]
 
 
-def test_a_sweep_is_planned_and_run_in_parts(gauge, tmp_path):
+def test_a_sweep_runs_in_parts_after_a_plan(gauge, tmp_path):
     steps = f"timestep_s={1 / 360!r},{1 / 720!r}"
     words = [f"--only={WOOD}", "--repeats=2", "--set", steps, "--out", "out"]
     plan = gauge("sweep", *words, "--dry-run")
@@ -121,7 +121,7 @@ def test_a_sweep_is_planned_and_run_in_parts(gauge, tmp_path):
     assert table[-1].split()[:2] == ["mujoco", "4"]
 
 
-def test_ctrl_c_keeps_what_is_complete(gauge, tmp_path, monkeypatch):
+def test_ctrl_c_keeps_complete_results(gauge, tmp_path, monkeypatch):
     class Interrupted(HereWorker):
         def run(self, request):
             if len(self.requests) == 2:
@@ -136,7 +136,7 @@ def test_ctrl_c_keeps_what_is_complete(gauge, tmp_path, monkeypatch):
 
 
 @needs_rapier
-def test_a_declined_id_has_exit_code_1(gauge, tmp_path):
+def test_an_unsupported_id_has_exit_code_1(gauge, tmp_path):
     options = ["--backend=rapier", "--repeats=1", "--out", "out"]
     assert gauge("sweep", "--only=FoamBending-soft", *options).exit_code == 1
     assert len(list((tmp_path / "out/declined").glob("*.json"))) == 1
@@ -155,10 +155,8 @@ def test_a_declined_id_has_exit_code_1(gauge, tmp_path):
         ("sweep.toml --repeats=1000000000", "more than 1,000,000 episodes"),
     ],
 )
-def test_a_wrong_request_is_refused_before_anything_runs(
-    gauge, tmp_path, words, message
-):
-    refused = gauge("sweep", *words.split())
-    assert refused.exit_code == 2
-    assert message in refused.stderr
+def test_a_wrong_request_is_rejected_before_the_run(gauge, tmp_path, words, message):
+    rejected = gauge("sweep", *words.split())
+    assert rejected.exit_code == 2
+    assert message in rejected.stderr
     assert not (tmp_path / "sweep").exists()
