@@ -1,4 +1,4 @@
-"""Recipes: contact settings of an engine for a measured behaviour, and back, by simulation."""
+"""Find contact settings of an engine for a measured behaviour, and the behaviour of settings, by simulation."""
 
 from typing import TYPE_CHECKING
 

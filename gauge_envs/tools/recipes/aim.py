@@ -1,4 +1,4 @@
-"""What a recipe is asked for: the behaviour of a contact, the mass of the body and the time step."""
+"""Describe the requested behaviour of a contact, the mass of the body and the time step."""
 
 import math
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 
 FREE_FRICTION = 0.5
-"""Coefficient of friction with which a contact is built and measured when none is asked for."""
+"""Coefficient of friction of the simulated contact if none is requested."""
 
 RANGES = {
     "friction": (0.01, 2.0),
@@ -25,25 +25,25 @@ RANGES = {
     "mass_kg": (1e-3, 1e4),
     "timestep_s": (5e-5, 0.05),
 }
-"""Values that the scenes measure.
+"""Smallest and largest values that the scenes can measure.
 
-The plate tips at a friction of 4, and is 0.03 m thick. A ball with more torsional or rolling friction slides and does
-not roll. A recipe takes minutes at shorter time steps; at longer ones a ball falls 0.1 m in a step.
+The plate is 0.03 m thick and tips at a friction of 4. A ball with more torsional or rolling friction slides instead of
+rolling. A recipe takes minutes at shorter time steps; at longer time steps a ball falls 0.1 m in a step.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Aim:
-    """Behaviour of a contact that settings are to give; None for what does not matter.
+    """Requested behaviour of a contact; None for a value that does not matter.
 
     Attributes:
-        friction: Coulomb coefficient, static and dynamic, of a body that holds contact.
-        restitution: Rebound over impact speed.
+        friction: Coulomb coefficient, static and dynamic, of a body in sustained contact.
+        restitution: Rebound speed divided by impact speed.
         penetration_m: Largest depth of the plate at rest on four corners [m].
-        stiffness_n_per_m: Weight of the plate over its depth at rest [N/m]. None gives a contact as hard as it gets.
-        damping_n_s_per_m: Damping beside this stiffness [N s/m], in place of the restitution.
-        torsion_m: Torque of friction about the normal, over the normal force [m].
-        rolling_m: Torque against rolling, over the normal force [m].
+        stiffness_n_per_m: Weight of the plate divided by its depth at rest [N/m]. None gives the hardest contact.
+        damping_n_s_per_m: Damping in addition to this stiffness [N s/m], instead of the restitution.
+        torsion_m: Torque of friction about the normal, divided by the normal force [m].
+        rolling_m: Torque against rolling, divided by the normal force [m].
         creep_m_s: Largest speed on a slope of half the friction [m/s].
         mass_kg: Mass of the body [kg].
         timestep_s: Time step of the engine [s].
@@ -74,11 +74,11 @@ class Aim:
             self.stiffness_n_per_m is None or self.restitution is not None
         ):
             raise ParameterError(
-                "damping determines the rebound of a stiffness: give a stiffness and no restitution"
+                "damping needs a stiffness, and replaces the restitution: give a stiffness and no restitution"
             )
         if self.stiffness_n_per_m is not None and self.penetration_m is not None:
             raise ParameterError(
-                "stiffness and penetration both determine the depth at rest: give one of them"
+                "stiffness and penetration both determine the depth at rest: give only one"
             )
         low_m, high_m = RANGES["penetration_m"]
         depth_m = self.depth_m()
@@ -89,18 +89,18 @@ class Aim:
 
     @property
     def sliding_friction(self) -> float:
-        """Coefficient of friction with which the contact is built and measured."""
+        """Coefficient of friction of the simulated contact."""
         return FREE_FRICTION if self.friction is None else self.friction
 
     def depth_m(self, margin: float = 1.0) -> float | None:
-        """Return the depth at rest [m]: that of the stiffness, or a share of the largest allowed one."""
+        """Return the depth at rest [m] of the stiffness, or `margin` times the largest allowed depth."""
         if self.stiffness_n_per_m is not None:
             return self.mass_kg * GRAVITY_M_PER_S2 / self.stiffness_n_per_m
         return None if self.penetration_m is None else margin * self.penetration_m
 
     @property
     def rebound(self) -> float | None:
-        """Restitution that is asked for, or that of the spring and damper."""
+        """Requested restitution, or the restitution of the spring and damper."""
         if self.damping_n_s_per_m is None or self.stiffness_n_per_m is None:
             return self.restitution
         critical_n_s_per_m = 2.0 * math.sqrt(self.stiffness_n_per_m * self.mass_kg)
@@ -108,12 +108,12 @@ class Aim:
 
     @property
     def damping_ratio(self) -> float:
-        """Damping ratio of a spring and damper with the asked rebound; 1 without one."""
+        """Damping ratio of a spring and damper with the requested rebound; 1 without a rebound."""
         return 1.0 if self.rebound is None else damping_ratio_of(self.rebound)
 
     @property
     def targets(self) -> dict[str, float | None]:
-        """Values that the scenes measure against, by the names of measured values; None for what does not matter."""
+        """Target of each measured value, by name; None for a value that does not matter."""
         turning = {"torsion_m": self.torsion_m, "rolling_m": self.rolling_m}
         return {
             "friction": self.friction,

@@ -1,4 +1,4 @@
-"""Recipes of fabrics: an engine's constants for a measured fabric, and the stiffness that a simulated strip has."""
+"""Convert measured fabrics to engine constants, and measure the stiffness of simulated strips."""
 
 import math
 import time
@@ -23,25 +23,25 @@ from gauge_envs.tools.recipes.search import Recipe, difference
 from gauge_envs.tools.usd import surface_constants
 
 ISAAC = "isaac"
-"""Engine whose constants are printed; this package does not run Isaac Sim."""
+"""Engine with a mapping but without a simulation: this package does not run Isaac Sim."""
 
-NOTHING_LOST = "Simulated strips reach the stretch and bending stiffness, the engine's law the shear stiffness."
+NOTHING_LOST = "Simulated strips have the stretch and bending stiffness; the engine's law has the shear stiffness."
 
 BENT_SHARE = 0.2
-"""Free length of the cantilever over that of the conformance check, so that a soft fabric swings within a second."""
+"""Free length of the cantilever, divided by the length of the conformance check: soft fabrics swing within 1 s."""
 
 CELLS = 6
 """Cells along the free length, as in the conformance check."""
 
 STIFFNESSES = ("stretch_n_per_m", "shear_n_per_m", "bend_n_m", "bending_length_m")
-"""Names of the measured constants that a simulation can give."""
+"""Names of the constants that a simulation can measure."""
 
 TOLERANCES = {"stretch_n_per_m": 0.02, "bend_n_m": 0.2}
-"""Relative error of a strip that counts as none, as in the conformance checks."""
+"""Largest accepted relative error of a strip, as in the conformance checks."""
 
 
 def fabric_constants(fabric: Fabric) -> dict[str, FabricConstants]:
-    """Return a fabric in the constants of each engine that has a mapping, simulated or not, by name of the engine."""
+    """Return the constants of a fabric for each engine with a mapping, by name of the engine."""
     constants = {ISAAC: surface_constants(fabric)}
     for name in backend_names():
         mapped = backend_class(name).fabric_constants(fabric)
@@ -53,13 +53,13 @@ def fabric_constants(fabric: Fabric) -> dict[str, FabricConstants]:
 def fabric_recipe(
     name: str, fabric: Fabric, engine: str, timestep_s: float | None = None
 ) -> Recipe:
-    """Return a fabric in an engine's constants, and the stiffness that simulated strips have with them.
+    """Return a fabric in the constants of an engine, and the stiffness of simulated strips.
 
     Args:
         name: Name of the fabric.
-        fabric: Its measured constants.
+        fabric: Measured constants of the fabric.
         engine: Name of the engine.
-        timestep_s: Time step [s]; None for the default of the engine's backend, which depends on the fabric.
+        timestep_s: Time step [s]; None for the default of the backend, which depends on the fabric.
 
     Raises:
         MissingExtraError: The engine is not installed.
@@ -88,7 +88,7 @@ def fabric_recipe(
         strips, notes = _strips(lab, fabric)
         reached |= strips
         texts += notes
-        # That of the hanging strip, which is the last.
+        # The last simulation is the hanging strip.
         step_s = lab.settings_in_force.get("timestep_s")
     error = {name: difference(reached[name], targets[name]) for name in reached}
     misses = [
@@ -96,7 +96,7 @@ def fabric_recipe(
         for name, share in TOLERANCES.items()
         if abs(error[name] or 0.0) > share * targets[name]
     ]
-    texts += [f"{name}: the simulated strip does not reach it." for name in misses]
+    texts += [f"{name}: the simulated strip misses this value." for name in misses]
     assignments = (
         f"{name} = {value:.6g}  # {mapped.units[name]}\n"
         for name, value in mapped.constants.items()
@@ -121,7 +121,7 @@ def fabric_recipe(
 
 
 def _strips(lab: Lab, fabric: Fabric) -> tuple[dict[str, float], list[str]]:
-    """Return the stiffness of simulated strips, without those that diverge or move on, and why these have none."""
+    """Return the stiffness of simulated strips, and reasons for strips that diverge or do not settle."""
     free_m = BENT_SHARE * BENT_FREE_M
     bent = cantilever_strip(fabric, free_m, height_m=0.0)
     strips: tuple[tuple[str, Scene, Any, dict[str, Any]], ...] = (
@@ -147,7 +147,7 @@ def _strips(lab: Lab, fabric: Fabric) -> tuple[dict[str, float], list[str]]:
 
 
 def _measured_constants(fabric: Fabric) -> dict[str, float]:
-    """Return measured constants by name, and the bending length (D / (areal density g))^(1/3) [m]."""
+    """Return the measured constants by name, with the bending length (D / (areal density g))^(1/3) [m]."""
     hinge = fabric.bend_stiffness_n_m_per_rad
     return {
         "stretch_n_per_m": fabric.stretch_stiffness_n_per_m,

@@ -1,6 +1,6 @@
-"""Pairs of materials whose friction and restitution were measured, with source and uncertainty.
+"""Measured pairs of materials: friction and restitution with source and uncertainty.
 
-All numbers are those of the task files; materials.csv says where they stand.
+The numbers come from the task files; materials.csv names the place of each pair.
 """
 
 import csv
@@ -19,15 +19,15 @@ class MaterialPair:
     """Measured contact of two materials.
 
     Attributes:
-        name: Name, as `wood-on-wood`.
+        name: Name, for example `wood-on-wood`.
         what: The two bodies.
-        friction: Coefficient of friction; None if none was measured.
-        friction_std: Standard uncertainty of `friction`; None if none is published.
+        friction: Coefficient of friction; None if it was not measured.
+        friction_std: Standard uncertainty of `friction`; None if it is not published.
         restitution: Coefficient of restitution.
-        restitution_std: Standard uncertainty of `restitution`; None if none is published.
+        restitution_std: Standard uncertainty of `restitution`; None if it is not published.
         mass_kg: Mass of the real body [kg].
-        source: Where the numbers come from.
-        uncertainty_sources: Where each uncertainty comes from.
+        source: Source of the numbers.
+        uncertainty_sources: Source of each uncertainty.
     """
 
     name: str
@@ -43,9 +43,9 @@ class MaterialPair:
 
 @cache
 def _places() -> dict[str, dict[str, str]]:
-    """Return the two bodies of each pair in words, the family of its task file, and the body in it, by name.
+    """Return the two bodies of each pair in words, the family of its task file, and its body, by name.
 
-    The name begins with the material of the body.
+    The name of a pair begins with the material of the body.
     """
     text = Path(__file__).with_name("materials.csv").read_text()
     return {row["name"]: row for row in csv.DictReader(text.splitlines())}
@@ -59,14 +59,14 @@ def material_pairs() -> tuple[MaterialPair, ...]:
 def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
     """Return a pair of materials.
 
-    A pair `-recorded` has the restitution of recorded trials, which is the set `effective` of the task file.
+    A pair `-recorded` has the restitution of recorded trials, the set `effective` of the task file.
 
     Args:
         name: Name of the pair.
-        also: Further names that a message about an unknown one offers.
+        also: Extra names for the message about an unknown name.
 
     Raises:
-        UnknownNameError: There is no such pair.
+        UnknownNameError: The pair does not exist.
     """
     places = _places()
     if name not in places:
@@ -77,7 +77,7 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
     constants = spec.constants_of(body, material, None)
     friction, restitution = constants["friction"], constants["restitution"]
     mass_kg = constants["mass_kg"]
-    assert restitution is not None and mass_kg is not None, "task files state both"
+    assert restitution is not None and mass_kg is not None, "task files have both"
     source = spec.provenance_of(f"constants.{body}.{material}")
     friction_std = restitution_std = None
     sources = []
@@ -90,7 +90,7 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
         restitution = spec.parameters["effective"].values[f"{body}.restitution"]
         source += f"; restitution: {spec.provenance_of('parameters.effective')}"
     elif family == "BouncingBall":
-        # Only the ball's published restitution was compared with trials.
+        # Only the published restitution of the ball is compared with trials.
         restitution_std = uncertainties.RESTITUTION_SHARE * restitution
         sources.append(f"restitution: {uncertainties.RESTITUTION_SOURCE}")
     publications = filter(None, (spec.source.metadata, spec.source.paper))

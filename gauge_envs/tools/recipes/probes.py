@@ -1,7 +1,7 @@
-"""Scenes in which a contact is measured on any engine: drop, slide, hop, creep, rest and turning.
+"""Measure a contact on any engine in scenes: drop, slide, hop, creep, rest and turning.
 
 A plate of 120 mm rests, creeps and slides, and balls of 30 mm radius drop, all of the requested mass. One plate slides
-without turning, others may tip, hop and spin. The scenes go through the contract of backends alone.
+without turning; the remaining plates may tip, hop and spin. The scenes use only the contract of backends.
 """
 
 import math
@@ -30,35 +30,37 @@ from gauge_envs.tools.conformance import Lab
 from gauge_envs.tools.recipes.engines.base import ContactSettings
 
 PLATE_M = (0.12, 0.12, 0.03)
-"""Edges of the plate [m]. It tips only where friction exceeds 4."""
+"""Edges of the plate [m]. It tips only if the friction exceeds 4."""
 
 PLATE_CONTACTS = 4
-"""Corners on which the plate rests."""
+"""Number of corners on which the plate rests."""
 
 DROP_M = 0.2
-"""Height of the drop [m], which gives 2 m/s."""
+"""Height of the drop [m]; the impact speed is 2 m/s."""
 
 BALL_COUNT = 8
-"""Balls that drop from slightly different heights, so that steps meet their impacts in different phases."""
+"""Number of balls. Their heights differ slightly, so that impacts have different phases within a step."""
 
 BALL_DISTANCE_M, PLATE_DISTANCE_M = 0.2, 0.3
 """Distance of neighbouring balls and plates [m]."""
 
 SLIDE_BEYOND_DEG = 10.0
-"""Slope of the slide beyond the friction angle [degrees]."""
+"""Slope of the slide minus the friction angle [degrees]."""
 
 CREEP_SHARE = 0.5
-"""Slope of the creep over the coefficient of friction: half of what friction holds."""
+"""Slope of the creep, divided by the coefficient of friction."""
 
 TURN_DEG = 30.0
-"""Turn of the edges of a plate against the slope [degrees]: then one corner carries most, and engines that choose the
-tangents of contacts by the axes of the world have no axis along the slope."""
+"""Rotation of the edges of a plate from the slope [degrees].
+
+One corner then carries most of the load, and no axis of the world, a tangent of contacts in some engines, is along the
+slope."""
 
 HOP_TURNS_DEG = (0.0, 15.0, 30.0, 45.0)
-"""Turns of the edges of plates that can hop [degrees]."""
+"""Rotations of the edges of plates that can hop [degrees]."""
 
 HOP_TIPS_RAD = np.outer((-1e-3, 1e-3), (1.0, 2.0, 0.0)) / math.sqrt(5.0)
-"""Their tips at the start, as rotation vectors along no edge or diagonal [rad]: if level, rounding decides on hops."""
+"""Initial tips of these plates, as rotation vectors [rad]. On level plates, rounding errors would decide on hops."""
 
 GYRATION_M = 100.0
 """Radius of gyration of a plate that cannot turn [m]: a friction of 2 turns it by 0.0002 degrees in a slide."""
@@ -67,10 +69,10 @@ SLIDE_S, CREEP_S, REST_S = 0.5, 1.0, 2.0
 """Simulated times [s]."""
 
 SLIDE_FROM_S, CREEP_FROM_S, REST_FROM_S = 0.1, 0.5, 1.8
-"""Start of the part that is measured [s]."""
+"""Start of the measured part [s]."""
 
 SAMPLE_S = 1e-3
-"""Desired time between samples [s]; a step that is longer is the time between samples."""
+"""Time between samples [s], unless the time step is longer."""
 
 NAMES = (
     "friction",
@@ -79,27 +81,27 @@ NAMES = (
     "penetration_m",
     "creep_m_s",
 )
-"""Names of what is reported of all settings; `friction` is the friction of bodies that hold contact."""
+"""Names of the values of all settings; `friction` is the friction of bodies in sustained contact."""
 
 TURNING = {"torsion_m": SPIN, "rolling_m": ROLL}
-"""Axis about which a ball turns against each friction that settings may have."""
+"""Rotation axis of a ball for each optional friction."""
 
 LEVEL = Rotation.identity()
 
 
 def drop_heights_m(timestep_s: float) -> FloatArray:
-    """Return the height of each drop [m]: each ball falls on for another part of a step."""
+    """Return the height of each drop [m]; each ball falls for a different part of its last step."""
     step_m = G * fall_s(DROP_M, G) * timestep_s
     return DROP_M + step_m * np.arange(BALL_COUNT) / BALL_COUNT
 
 
 def _lean(slope_rad: float, turn_deg: float = 0.0) -> Rotation:
-    """Return the rotation of a plane that falls along x, and whose axes are turned about its normal."""
+    """Return the rotation of a plane that descends along x, with its axes rotated about its normal."""
     return Rotation.from_euler("zy", [math.radians(turn_deg), slope_rad])
 
 
 def _spread(name: str, values: Sequence[float]) -> dict[str, float]:
-    """Return the mean, the smallest and the largest of the values that one quantity has in different starts."""
+    """Return mean, minimum and maximum of a quantity over different initial states."""
     return {
         name: float(np.mean(values)),
         f"{name}_low": min(values),
@@ -109,7 +111,7 @@ def _spread(name: str, values: Sequence[float]) -> dict[str, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class Probe:
-    """Measures contact settings on their engine. Each scene returns its values by name.
+    """Measure contact settings on their engine; each scene returns its values by name.
 
     Attributes:
         settings: The settings.
@@ -120,13 +122,13 @@ class Probe:
     mass_kg: float
 
     def _slide_lean(self, turn_deg: float = 0.0) -> Rotation:
-        """Return the rotation of a plane that is steeper than the friction angle."""
+        """Return the rotation of a plane steeper than the friction angle."""
         friction_angle_rad = math.atan(self.settings.sliding_friction)
         slope_rad = friction_angle_rad + math.radians(SLIDE_BEYOND_DEG)
         return _lean(slope_rad, turn_deg)
 
     def slide(self) -> dict[str, float]:
-        """Return the friction of plates that cannot turn, which is the friction of their contacts."""
+        """Return the friction of plates that cannot turn, equal to the friction of their contacts."""
         frictions = []
         for turn_deg in (0.0, TURN_DEG):
             lean = self._slide_lean(turn_deg)
@@ -141,17 +143,18 @@ class Probe:
         Their contacts slide in different directions, and parts of the friction cancel.
         """
         lean = self._slide_lean()
-        turns = [
+        rotations = [
             Rotation.from_rotvec(tip) * Rotation.from_euler("z", turn_rad)
             for turn_rad, tip in product(np.radians(HOP_TURNS_DEG), HOP_TIPS_RAD)
         ]
         plates = [
-            self._plate(lean, place, turn) for place, turn in enumerate(turns, start=-4)
+            self._plate(lean, place, rotation)
+            for place, rotation in enumerate(rotations, start=-4)
         ]
         return _spread("friction_hopping", self._frictions(plates, lean))
 
     def creep(self) -> dict[str, float]:
-        """Return the speed [m/s] of a plate on a slope that friction holds."""
+        """Return the speed [m/s] of a plate on a slope below the friction angle."""
         lean = _lean(math.atan(CREEP_SHARE * self.settings.sliding_friction), TURN_DEG)
         plate = self._plate(lean)
         rollout = self._rollout([plate], lean, CREEP_S)
@@ -159,7 +162,7 @@ class Probe:
         return {"creep_m_s": speed}
 
     def rest(self) -> dict[str, float]:
-        """Return depth [m] and its drift [m/s] of a plate let go just where it touches the ground."""
+        """Return depth [m] and its drift [m/s] of a plate released at the surface of the ground."""
         plate = self._plate(LEVEL)
         rollout = self._rollout([plate], LEVEL, REST_S)
         settled = rollout.between(REST_FROM_S, math.inf)
@@ -186,16 +189,16 @@ class Probe:
         return _spread("restitution", restitutions)
 
     def turning(self) -> dict[str, float]:
-        """Return torsional and rolling friction [m] where the settings have them, from the spin that a ball loses.
+        """Return torsional and rolling friction [m] from the spin loss of a ball, if the settings have them.
 
-        The law stops the ball after 0.5 s.
+        In theory, the ball stops after 0.5 s.
         """
         values = {}
         for name, axis in TURNING.items():
             expected_m = getattr(self.settings, name)
             if not expected_m:
                 continue
-            # Torque over the normal force, for a loss of spin of 1 rad/s^2.
+            # Torque divided by the normal force, for a spin loss of 1 rad/s^2.
             arm_m = INERTIA_SHARES[axis] * RADIUS_M**2 / G
             spin_rad_per_s = SLIDE_S * expected_m / arm_m * np.array(axis)
             velocity_m_per_s = (RADIUS_M * spin_rad_per_s[1], 0.0, 0.0)
@@ -214,18 +217,18 @@ class Probe:
         ]
 
     def _plate(
-        self, lean: Rotation, place: int = 0, turn: Rotation = LEVEL
+        self, lean: Rotation, place: int = 0, rotation: Rotation = LEVEL
     ) -> RigidBody:
-        """Return a turned plate that touches a leaning plane, at a place across the slope."""
-        height_m = 0.5 * float(np.abs(turn.as_matrix()[2]) @ PLATE_M)
+        """Return a rotated plate that touches an inclined plane, at a place across the slope."""
+        height_m = 0.5 * float(np.abs(rotation.as_matrix()[2]) @ PLATE_M)
         position_m = lean.apply([0.0, place * PLATE_DISTANCE_M, height_m])
-        pose = Pose.from_rotation(vector(position_m), lean * turn)
+        pose = Pose.from_rotation(vector(position_m), lean * rotation)
         return body(f"plate{place:+d}", Box(size_m=PLATE_M), pose, mass_kg=self.mass_kg)
 
     def _rollout(
         self, bodies: Sequence[RigidBody], lean: Rotation, seconds: float
     ) -> Recording:
-        """Record bodies on a leaning plane.
+        """Record bodies on an inclined plane.
 
         Raises:
             DivergedError: The engine failed, or a body left the scene.
@@ -233,17 +236,17 @@ class Probe:
         """
         settings = self.settings
         names = tuple(body.name for body in bodies)
-        # Engines without a coefficient of restitution rebound by their constants.
+        # Engines without a coefficient of restitution rebound by contact constants.
         restitution = getattr(settings, "restitution", None)
         friction = settings.sliding_friction
-        touch = replace(
+        pair = replace(
             contact(names, "ground", friction=friction, restitution=restitution),
             torsion_m=settings.torsion_m,
             rolling_m=settings.rolling_m,
         )
         pose = Pose.from_rotation((0.0, 0.0, 0.0), lean)
         plane = replace(ground(), pose=pose)
-        scene = Scene(bodies=(*bodies, plane), contacts=(touch,), duration_s=seconds)
+        scene = Scene(bodies=(*bodies, plane), contacts=(pair,), duration_s=seconds)
         step_s = settings.timestep_s
         interval_s = step_s * max(1, round(SAMPLE_S / step_s))
         lab = Lab(settings.backend(), settings.backend_settings(self.mass_kg))
@@ -260,7 +263,7 @@ class Probe:
 
 
 def measured(settings: ContactSettings, mass_kg: float) -> dict[str, float]:
-    """Simulate all scenes, and return their values by name, with those of `NAMES`.
+    """Simulate all scenes, and return their values by name.
 
     Args:
         settings: The settings.

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 
 FABRICS_FAMILY = "TextileFlinging"
-"""Family whose task file has the six calibrated fabrics of the benchmark; other families repeat its constants."""
+"""Family whose task file has the six calibrated fabrics of the benchmark."""
 
 TIMESTEP = "--set timestep_s=0.002"
 BODY = {"mass_kg": "--mass 0.5", "timestep_s": TIMESTEP}
-"""Example of each option that all contacts need, by name."""
+"""Example of each required option of contacts, by name."""
 
 
 def known_fabrics() -> Mapping[str, Fabric]:
@@ -51,26 +51,24 @@ def recipe(
     ] = None,
     restitution: Annotated[
         float | None,
-        _asked("--restitution", "", "Rebound over impact speed, as 0.6."),
+        _asked("--restitution", "", "Rebound speed / impact speed, as 0.6."),
     ] = None,
     penetration_m: Annotated[
         float | None, _asked("--penetration", "m", "Largest depth at rest.")
     ] = None,
     stiffness_n_per_m: Annotated[
-        float | None, _asked("--stiffness", "N/m", "Weight over depth at rest.")
+        float | None, _asked("--stiffness", "N/m", "Weight / depth at rest.")
     ] = None,
     damping_n_s_per_m: Annotated[
-        float | None, _asked("--damping", "N s/m", "Damping beside the stiffness.")
+        float | None, _asked("--damping", "N s/m", "Damping, with --stiffness.")
     ] = None,
     torsion_m: Annotated[
         float | None,
-        _asked(
-            "--torsion", "m", "Torque of friction about the normal over normal force."
-        ),
+        _asked("--torsion", "m", "Torque of friction about the normal / normal force."),
     ] = None,
     rolling_m: Annotated[
         float | None,
-        _asked("--rolling", "m", "Torque against rolling over normal force."),
+        _asked("--rolling", "m", "Torque against rolling / normal force."),
     ] = None,
     creep_m_s: Annotated[
         float | None,
@@ -81,7 +79,7 @@ def recipe(
     ] = None,
     engine: Annotated[
         str | None,
-        arguments.backend("Engine, which must be given; also isaac for a fabric."),
+        arguments.backend("Engine (required); also isaac for a fabric."),
     ] = None,
     changes: Annotated[
         list[str] | None,
@@ -96,20 +94,20 @@ def recipe(
         str | None,
         arguments.option(
             arguments.SELECTION,
-            "Settings, as 'solref=0.02 1': report what they give.",
+            "Settings, as 'solref=0.02 1': report their behaviour.",
             metavar="TEXT",
         ),
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
-    """Give contact settings of an engine for a measured behaviour, and what they reach.
+    """Find contact settings of an engine for a measured behaviour, and measure what they reach.
 
-    With --explain, report the behaviour of given settings. The settings are simulated in a slide, a drop, at rest and
-    on a slope; those of a fabric in a hanging and in a bending strip. Exit code 1 when the simulation diverges. A value
-    that the engine cannot reach is no failure: the nearest one is given, with the reason.
+    With --explain, report the behaviour of given settings. Contacts are simulated in a slide, a drop, at rest and on a
+    slope; fabrics in a hanging and a bending strip. If the engine cannot reach a value, the recipe has the nearest
+    value and the reason. Exit code 1: the simulation diverges.
     """
     if engine is None:
-        raise ParameterError("--backend is missing: add it, as --backend mujoco")
+        raise ParameterError("--backend is missing: for example --backend mujoco")
     wanted = {
         "friction": friction,
         "restitution": restitution,
@@ -135,18 +133,18 @@ def recipe(
 
     print_document(recipe_document(result, pair), form)
     if form is not Format.JSON:
-        # A terminal's width must not wrap or cut what is to be pasted.
+        # Do not wrap or cut the snippet at the width of the terminal.
         echo(f"\npaste\n{result.snippet}", nl=False)
     return result.diverges
 
 
 def _timestep(changes: Sequence[str] | None) -> dict[str, float]:
-    """Return the time step [s] of `--set`, the only setting that a recipe does not find itself."""
+    """Return the time step [s] of `--set`, the only setting that a recipe takes."""
     settings = arguments.parsed_settings(changes) or {}
     for name, value in settings.items():
         if name != "timestep_s" or not isinstance(value, int | float):
             raise ParameterError(
-                f"--set {name}={value}: a recipe takes the time step alone, as {TIMESTEP}"
+                f"--set {name}={value}: a recipe takes only the time step, for example {TIMESTEP}"
             )
     return settings
 
@@ -154,15 +152,15 @@ def _timestep(changes: Sequence[str] | None) -> dict[str, float]:
 def _check_alone(
     subject: str, given: Iterable[str], allowed: Mapping[str, str]
 ) -> None:
-    """Raise an error if a request has options that do not go with its subject."""
+    """Raise an error if a request has options that its subject does not take."""
     if set(given) - allowed.keys():
         raise ParameterError(
-            f"{subject} goes with {' and '.join(allowed.values())} alone: leave the others out"
+            f"{subject} takes only {' and '.join(allowed.values())}: leave out the rest"
         )
 
 
 def _check_body(given: Mapping[str, float]) -> None:
-    """Raise an error if a request has no mass or no time step."""
+    """Raise an error if a request lacks the mass or the time step."""
     missing = [example for name, example in BODY.items() if name not in given]
     if missing:
         raise ParameterError(f"the request is incomplete: add {' '.join(missing)}")
@@ -171,7 +169,7 @@ def _check_body(given: Mapping[str, float]) -> None:
 def _contact(
     engine: str, material: str | None, given: dict[str, float]
 ) -> tuple[MaterialPair | None, Recipe]:
-    """Return a measured pair of materials, if one is asked for, and a recipe for its behaviour or the given one."""
+    """Return the requested pair of materials, if any, and a recipe for its behaviour or the given behaviour."""
     from gauge_envs.tools.recipes import Aim, engine_settings, find_recipe
     from gauge_envs.tools.recipes.materials import find_material
 
@@ -186,7 +184,7 @@ def _contact(
         given = measured | given
     if not given.keys() - {"damping_n_s_per_m", *BODY}:
         raise ParameterError(
-            "nothing is asked: add --friction 0.4, --restitution 0.6, --penetration or --stiffness"
+            "no behaviour is requested: add --friction 0.4, --restitution 0.6, --penetration or --stiffness"
         )
     _check_body(given)
     return pair, find_recipe(settings, Aim(**given))
@@ -195,7 +193,7 @@ def _contact(
 def _explained(
     engine: str, text: str, material: str | None, given: Mapping[str, float]
 ) -> Recipe:
-    """Return what settings give."""
+    """Return the behaviour of settings."""
     from gauge_envs.tools.recipes import engine_settings
     from gauge_envs.tools.recipes.search import explain
 
@@ -214,10 +212,7 @@ def _fabric(engine: str, name: str, given: Mapping[str, float]) -> Recipe:
 
 
 def recipe_fabrics(form: arguments.Form = Format.TEXT) -> None:
-    """Show the six fabrics in every engine's constants, and what is lost.
-
-    Each has the stiffness that its constants give.
-    """
+    """Show the six fabrics in the constants of every engine."""
     from gauge_envs.tools.recipes.report import constants_document
 
     print_document(constants_document(known_fabrics()), form)

@@ -1,4 +1,4 @@
-"""Recipes, and measured materials and fabrics, as tables."""
+"""Report recipes, and measured materials and fabrics, as tables."""
 
 from collections.abc import Mapping, Sequence
 
@@ -32,22 +32,22 @@ def _digits(value: float) -> str:
 
 
 def _error_text(error: float) -> str:
-    """Return an error; less than 1e-12 is rounding."""
+    """Return the text of an error; errors below 1e-12 are rounding."""
     return f"{error:+.2g}" if abs(error) > 1e-12 else "0"
 
 
 COLUMNS = {"asked": _digits, "reached": _digits, "error": _error_text}
-"""Text of the values of each column of a recipe."""
+"""Columns of a recipe, and the function that formats their values."""
 
 
 def recipe_document(
     recipe: Recipe, material: MaterialPair | str | None = None
 ) -> Document:
-    """Return what was asked and reached, and the reason of a miss.
+    """Return requested and reached values, and the reasons of misses.
 
     Args:
         recipe: The recipe.
-        material: The measured pair that was asked for, which stands above, or the name of the fabric.
+        material: The requested pair, which is shown above, or the name of the fabric.
     """
     row, parts, title = vars(recipe), list[Part](), recipe.engine
     if isinstance(material, MaterialPair):
@@ -60,7 +60,7 @@ def recipe_document(
     for name, value in recipe.reached.items():
         target, error = recipe.asked.get(name), recipe.error.get(name)
         if value is not None and error is not None:
-            # A stiffness asks for a depth, and a damping for a rebound.
+            # A stiffness determines a depth, and a damping determines a rebound.
             target = value - error
         rows.append({"name": name, "asked": target, "reached": value, "error": error})
     columns = [Column("name", title, lambda name: TITLES.get(name, name))]
@@ -75,10 +75,10 @@ def recipe_document(
 
 
 def material_table(pairs: Sequence[MaterialPair]) -> Table:
-    """Return the measured pairs with standard uncertainties; a list shows their sources with `--format wide`."""
+    """Return the measured pairs with standard uncertainties; `--format wide` shows the sources of a list."""
     is_list = len(pairs) > 1
     sources = {source: None for pair in pairs for source in pair.uncertainty_sources}
-    notes = ("", "A dash is a number that was not measured or published.", *sources)
+    notes = ("", "-: not measured or not published.", *sources)
     return Table(
         columns=(
             Column("name", "material"),
@@ -99,7 +99,7 @@ def material_table(pairs: Sequence[MaterialPair]) -> Table:
 
 
 def fabric_table(known: Mapping[str, Fabric]) -> Table:
-    """Return the measured fabrics with what was measured."""
+    """Return the measured fabrics with their constants."""
     return Table(
         columns=(
             Column("name", "fabric"),
@@ -124,9 +124,9 @@ def fabric_table(known: Mapping[str, Fabric]) -> Table:
 
 
 def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
-    """Return the constants of every fabric in every engine's terms, and what is lost.
+    """Return the constants of every fabric for every engine.
 
-    Its row has the constants by fabric, engine and constant.
+    The JSON row has the constants by fabric, engine and constant.
     """
     known = {name: fabric_constants(fabric) for name, fabric in fabrics.items()}
     rows = []
@@ -148,8 +148,8 @@ def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
         rows=rows,
         notes=(
             "",
-            "* A fall-back sets this constant: gauge recipe FABRIC -b ENGINE says why. All mappings give the measured "
-            "stretch stiffness. --format wide shows the units.",
+            "* A fall-back sets this constant; gauge recipe FABRIC -b ENGINE gives the reason. All mappings have the "
+            "measured stretch stiffness. --format wide shows the units.",
         ),
     )
     constants = {

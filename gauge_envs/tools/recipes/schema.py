@@ -1,4 +1,4 @@
-"""What `gauge recipe` and `gauge list materials` print with `--json`, a line each."""
+"""JSON lines of `gauge recipe` and `gauge list materials`."""
 
 from collections.abc import Mapping
 from typing import Annotated, NotRequired, TypedDict
@@ -9,10 +9,10 @@ from gauge_envs.tools.recipes.search import Recipe
 
 
 class Subject(TypedDict):
-    """What was asked for by name.
+    """Subject of a request by name.
 
     Attributes:
-        material: The measured pair that was asked for, or the name of the fabric.
+        material: The requested pair, or the name of the fabric.
     """
 
     material: NotRequired[MaterialPair | str]
@@ -30,9 +30,9 @@ class FabricFacts(TypedDict):
 
     Attributes:
         name: Name of the fabric.
-        stretch: Stiffness of stretching [N/m].
-        shear: Stiffness of shear [N/m].
-        bend: Stiffness of bending [N m/rad].
+        stretch: Stretch stiffness [N/m].
+        shear: Shear stiffness [N/m].
+        bend: Bending stiffness [N m/rad].
         density: Areal density [kg/m^2].
         length: Bending length [m].
     """

@@ -1,6 +1,6 @@
-"""Find contact settings that give a behaviour, and the behaviour that settings give.
+"""Find contact settings for a behaviour, and the behaviour of settings.
 
-A closed form of the engine proposes settings, and a search improves them on the simulated value.
+A closed form of the engine proposes settings, and a search corrects them by simulations.
 """
 
 import time
@@ -20,7 +20,7 @@ from gauge_envs.tools.recipes.probes import (
 )
 
 RESTITUTION_TOLERANCE = 0.01
-"""Error of a restitution that counts as none, as in the conformance checks of rebounds."""
+"""Largest accepted error of a restitution, as in the conformance checks of rebounds."""
 
 SHARES = {
     "friction": 0.005,
@@ -28,45 +28,45 @@ SHARES = {
     "torsion_m": 0.01,
     "rolling_m": 0.01,
 }
-"""Relative error that counts as none; that of the depth at rest is for a stiffness."""
+"""Largest accepted relative errors; the error of the depth at rest applies to a requested stiffness."""
 
 CREEP_MARGIN = 1.2
-"""Factor on the ratio of impedances that an asked creep needs."""
+"""Safety factor on the ratio of impedances for a requested creep."""
 
 MAX_TRIALS = 8
-"""Most simulations of one search."""
+"""Maximum number of simulations of a search."""
 
 MAX_STIFFENING = 3.0
-"""Largest factor on a stiffness between two trials."""
+"""Largest change of a stiffness between two trials, as a factor."""
 
 SIMULATED = ("friction", "stretch_n_per_m", "bend_n_m")
-"""Values that every simulation of a contact or a fabric reaches, unless it diverges."""
+"""Values that every simulation of a contact or a fabric has, unless it diverges."""
 
 MEASURED_IN = (
-    "Balls drop from 0.2 m onto one contact. A plate of 0.12 m rests on four contacts, creeps on a slope of half the "
-    "friction, and slides 10 degrees beyond the friction angle, without turning and free to hop."
+    "Balls drop from 0.2 m onto one contact. A plate of 0.12 m rests on four contacts, and creeps on a slope of half "
+    "the friction. It slides 10 degrees above the friction angle, without turning and free to hop."
 )
-"""The scenes in words."""
+"""Description of the scenes."""
 
 Numbers = Mapping[str, float | None]
-"""Values by name; None for what was not asked, does not apply or was not measured."""
+"""Values by name; None if not requested, not applicable or not measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """Settings of an engine for a contact or a fabric, and what they reach in simulation.
+    """Settings of an engine for a contact or a fabric, and the simulated values.
 
     Attributes:
         engine: Name of the engine.
-        asked: What was asked, by name; null for what was not.
+        asked: Requested values by name; null without a request.
         settings: Settings of the engine.
-        snippet: The same in the engine's own language.
-        reached: Measured values by name.
-        error: Reached less asked values.
-        misses: Names of the asked values that are not reached.
-        detail: What the reached values leave out.
+        snippet: Settings in the language of the engine.
+        reached: Simulated values by name.
+        error: Reached minus requested values.
+        misses: Names of the requested values that are not reached.
+        detail: Extra simulated values.
         wall_s: Wall time of the simulations [s].
-        explanation: Why a value is not reached.
+        explanation: Why values are not reached.
         versions: Versions of the engine's packages.
     """
 
@@ -84,16 +84,16 @@ class Recipe:
 
     @property
     def diverges(self) -> bool:
-        """Whether a simulation has no friction or no stiffness, which each reaches unless it diverges."""
+        """Whether a simulation diverges: it then lacks friction or stiffness."""
         simulated = [self.reached.get(name, 0.0) for name in SIMULATED]
         return bool(self.versions) and None in simulated
 
 
 def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
-    """Return the settings of an engine that come nearest to a behaviour, with what they give.
+    """Return the settings of an engine that are nearest to a behaviour, with the simulated values.
 
-    A closed form of the engine is the first proposal. What it misses is sought along one number of it, first the depth
-    of a soft contact, then the restitution. The coefficient of friction is the asked one.
+    A closed form of the engine is the first proposal. A search corrects first the stiffness of a soft contact, then the
+    restitution. The coefficient of friction equals the requested one.
 
     Args:
         engine: Class of the engine's settings.
@@ -113,7 +113,7 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
 
 
 def explain(settings: ContactSettings, mass_kg: float) -> Recipe:
-    """Return what contact settings reach.
+    """Return the simulated behaviour of contact settings.
 
     Args:
         settings: The settings.
@@ -129,7 +129,7 @@ def explain(settings: ContactSettings, mass_kg: float) -> Recipe:
 
 
 def _simulated(settings: ContactSettings, aim: Aim, start_s: float) -> Recipe:
-    """Return what settings reach of an aim, by simulations since a time of the clock [s]."""
+    """Return the recipe of settings for an aim; `start_s` is the clock time at which the search starts [s]."""
     versions = settings.backend().versions()
     values, misses = dict[str, float](), list[str]()
     try:
@@ -158,14 +158,14 @@ def _simulated(settings: ContactSettings, aim: Aim, start_s: float) -> Recipe:
 
 
 def difference(value: float | None, target: float | None) -> float | None:
-    """Return a value less its target; None without one of them."""
+    """Return a value minus its target; None if either is missing."""
     return None if value is None or target is None else value - target
 
 
 def _misses(aim: Aim, values: Mapping[str, float]) -> list[str]:
-    """Return the names of the values that an aim asks for and that are not reached.
+    """Return the names of the requested values that are not reached.
 
-    A creep and an allowed depth may be smaller than asked.
+    Creep and allowed depth may be smaller than requested.
     """
     limits = {"creep_m_s"}
     if aim.stiffness_n_per_m is None:
@@ -183,23 +183,23 @@ def _misses(aim: Aim, values: Mapping[str, float]) -> list[str]:
 
 
 def _explanation(settings: ContactSettings, aim: Aim, misses: Sequence[str]) -> str:
-    """Return why values are missed; without a miss, how they were measured."""
+    """Return why values are missed; without a request, how values are measured."""
     if misses:
         limits = settings.limits
         return " ".join(
             f"{name}: {limits.get(name, 'not reached')}." for name in misses
         )
     is_asked = any(target is not None for target in aim.targets.values())
-    return "All asked values are reached." if is_asked else MEASURED_IN
+    return "All requested values are reached." if is_asked else MEASURED_IN
 
 
 # --- search ----------------------------------------------------------------------------------------------------------
 
 
 def _searched(engine: type[ContactSettings], aim: Aim) -> ContactSettings:
-    """Return the settings that come nearest to an aim.
+    """Return the settings that are nearest to an aim.
 
-    Creep is inversely proportional to MuJoCo's ratio of impedances, where an engine has one.
+    Creep is inversely proportional to MuJoCo's ratio of impedances, if the engine has it.
 
     Raises:
         DivergedError: A simulation diverged.
@@ -220,9 +220,9 @@ def _creep_m_s(settings: ContactSettings, aim: Aim) -> float:
 
 
 def _stiffened(engine: type[ContactSettings], aim: Aim) -> Aim:
-    """Return an aim whose stiffness gives, on a soft contact, the depth at rest of the asked one.
+    """Return an aim with a corrected stiffness, so that a soft contact has the requested depth at rest.
 
-    The depth is about inversely proportional to the stiffness.
+    The depth is nearly inversely proportional to the stiffness.
     """
     stiffness_n_per_m = aim.stiffness_n_per_m
     if stiffness_n_per_m is None or not engine.is_soft:
@@ -234,7 +234,7 @@ def _stiffened(engine: type[ContactSettings], aim: Aim) -> Aim:
         probe = Probe(settings=engine.aimed(candidate), mass_kg=aim.mass_kg)
         ratio = probe.rest()["penetration_m"] / asked_depth_m
         trials[abs(ratio - 1.0)] = candidate
-        # The search for the restitution changes the depth a little.
+        # The search for the restitution slightly changes the depth.
         if abs(ratio - 1.0) < 0.5 * SHARES["penetration_m"]:
             break
         stiffness_n_per_m *= min(max(ratio, 1.0 / MAX_STIFFENING), MAX_STIFFENING)
@@ -242,9 +242,9 @@ def _stiffened(engine: type[ContactSettings], aim: Aim) -> Aim:
 
 
 def _rebounding(engine: type[ContactSettings], aim: Aim) -> Aim:
-    """Return an aim whose restitution gives the asked one.
+    """Return an aim with a corrected restitution, so that the simulation has the requested restitution.
 
-    Each trial corrects the restitution by the error of the last, or halves the range that the trials leave.
+    Each trial corrects the restitution by the last error, or halves the remaining range.
     """
     asked = aim.rebound
     if asked is None:

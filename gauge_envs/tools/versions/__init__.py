@@ -1,4 +1,4 @@
-"""Two releases of an engine on one model: what changed, and which side is right."""
+"""Compare two releases of an engine on one model: what changed, and which side is right."""
 
 from typing import TYPE_CHECKING
 

@@ -21,8 +21,8 @@ def backend_versions(
         str,
         typer.Argument(
             metavar="SUBJECT",
-            help="Model file (MJCF, URDF, USD), id of this suite or of Gymnasium, module:function that makes an "
-            "environment or a model.",
+            help="Model file (MJCF, URDF, USD), id of this suite or of Gymnasium, or module:function that returns "
+            "an environment or a model.",
         ),
     ],
     versions: Annotated[
@@ -30,16 +30,16 @@ def backend_versions(
         typer.Argument(
             metavar=arguments.SIDE,
             show_default=False,
-            help="Two versions, as mujoco==3.3.0, or a range, as mujoco==3.1.0..4.0.0; mujoco is what is installed "
-            "here. Settings may follow, as mujoco==4.0.0:jacobian=dense, or stand alone, as iterations=4. On an id, "
-            "engines as newton:preset=training or rapier==0.36.0.",
+            help="Two versions, as mujoco==3.3.0, or a range, as mujoco==3.1.0..4.0.0; mujoco is the installed "
+            "version. Settings may follow, as mujoco==4.0.0:jacobian=dense, or stand alone, as iterations=4. An id "
+            "also takes engines, as newton:preset=training or rapier==0.36.0.",
         ),
     ] = None,
     python: Annotated[
         list[Path] | None,
         arguments.option(
             arguments.NUMERICS,
-            "Interpreter that has MuJoCo, as one more version: nothing is installed for it.",
+            "Interpreter with MuJoCo, as a version without installation.",
             metavar="FILE",
         ),
     ] = None,
@@ -47,7 +47,7 @@ def backend_versions(
         Path | None,
         arguments.option(
             arguments.SCENE,
-            "Saved states: .npz with qpos, a row each, and qvel, act, ctrl and time if they are known.",
+            "Saved states: .npz with a row for each state of qpos, and optionally qvel, act, ctrl and time.",
             metavar="FILE",
         ),
     ] = None,
@@ -55,7 +55,7 @@ def backend_versions(
         str | None,
         arguments.option(
             arguments.SCENE,
-            "Compare return and success: of the policy that module:function returns, or of actions (.npy).",
+            "Compare return and success of a policy (module:function) or of actions (.npy).",
             metavar="POLICY",
         ),
     ] = None,
@@ -64,7 +64,7 @@ def backend_versions(
         int,
         arguments.option(
             arguments.NUMERICS,
-            "Steps of each motion: the start, keyframes, random controls, a push.",
+            "Steps of each motion: initial state, keyframes, random controls, push.",
             min=1,
         ),
     ] = 500,
@@ -73,7 +73,7 @@ def backend_versions(
         bool,
         arguments.option(
             arguments.SELECTION,
-            "Find the release of the range with which the difference came.",
+            "Find the release of the range that introduced the difference.",
             "--bisect",
         ),
     ] = False,
@@ -81,19 +81,19 @@ def backend_versions(
         bool,
         arguments.option(
             arguments.NUMERICS,
-            "Whether environments stay in the cache for the next time.",
+            "Keep environments in the cache.",
             "--keep/--clean",
         ),
     ] = True,
     out: Annotated[
-        list[Path] | None, arguments.target("The same as .md or .json.")
+        list[Path] | None, arguments.target("Report as .md or .json.")
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Compare releases of MuJoCo on your model, settings or engines: what changed, and which side is right.
 
-    Each release runs in a Python environment of its own, which is installed into a cache, 160 MB each. Exit code 1 when
-    two versions differ by more than the noise of the model.
+    Each release runs in a separate Python environment of 160 MB, installed into a cache. Exit code 1: the versions
+    differ by more than the noise of the model.
     """
     from gauge_envs.tools.versions import report
     from gauge_envs.tools.versions.comparison import compare, find_change
@@ -109,17 +109,17 @@ def backend_versions(
 
     files = arguments.by_suffix(out, ".md", ".json")
     sides = [side for text in versions or () for side in read_sides(text)]
-    # The interpreter of a virtual environment is a link, which must not be resolved.
+    # The interpreter of a virtual environment is a link: do not resolve it.
     for path in python or ():
         sides.append(Side(title=str(path), python=str(path.absolute()), settings={}))
     if len(sides) != 2:
         raise ParameterError(
-            f"two versions are compared, {len(sides)} are given: write as in gauge backend versions {subject} "
+            f"expected two versions, got {len(sides)}: for example gauge backend versions {subject} "
             "mujoco==3.3.0 mujoco==4.0.0"
         )
     if bisect and not all(side.requirement.startswith("mujoco") for side in sides):
         raise ParameterError(
-            "--bisect needs a range of releases, as mujoco==3.1.0..4.0.0"
+            "--bisect needs a range of releases, for example mujoco==3.1.0..4.0.0"
         )
     used = [*sides]
     try:

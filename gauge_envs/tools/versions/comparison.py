@@ -1,4 +1,4 @@
-"""Compare two versions of MuJoCo on one model: what one step from the same states changes, and which side is right."""
+"""Compare one step of two MuJoCo versions from the same states, and decide which side is right."""
 
 from __future__ import annotations
 
@@ -31,37 +31,37 @@ from gauge_envs.tools.versions.schema import (
 )
 
 MIN_LIMIT = 1e-6
-"""Smallest difference of accelerations that counts, over the larger one. With constraints the limit is at least the
-square root of the solver's tolerance, 1e-4 by default."""
+"""Smallest relevant difference of accelerations, divided by the larger one. With constraints, the limit is at least
+the square root of the solver's tolerance, 1e-4 by default."""
 
 NOISE_FACTOR = 10.0
-"""Differences below this multiple of the noise of a state do not count."""
+"""Differences below this multiple of the noise of a state are ignored."""
 
 ROUNDING = 1e-7
-"""Relative difference of accelerations that is rounding."""
+"""Largest relative difference of accelerations by rounding."""
 
 DEPTH_TOLERANCE_M = 1e-7
-"""Difference of depths that counts [m]; convex solvers stop at 1e-6."""
+"""Smallest relevant difference of depths [m]; convex solvers stop at 1e-6."""
 
 FIELD_TOLERANCE = 1e-9
-"""Relative difference of a compiled number that counts."""
+"""Smallest relevant relative difference of a compiled number."""
 
-SOLVER_LAW = "the solver reaches the solution of the engine's own equations (dense Newton, 1000 iterations)"
+SOLVER_LAW = "the solver reaches the solution of the engine's equations (dense Newton, 1000 iterations)"
 SOLVER_LIMIT = 1e-3
-"""Distance from that solution that counts, over the acceleration."""
+"""Smallest relevant distance from this solution, divided by the acceleration."""
 
-DEPTH_LAW = "boxes are as deep in each other as their geometry says"
+DEPTH_LAW = "contact depths of boxes agree with their geometry"
 DEPTH_LIMIT = 0.1
-"""Miss of a depth that counts, over the depth: of nearly equal depths an engine may take the second."""
+"""Smallest relevant relative error of a depth. An engine may choose another face with a nearly equal depth."""
 
 MIN_DEPTH_M = 1e-5
-"""Depth from which it is judged [m]; less is the tolerance of convex solvers."""
+"""Smallest depth to which the law applies [m]; convex solvers have a larger tolerance."""
 
 LAW_RATIO = 10.0
-"""A side is right if the other side misses the law by more than this multiple."""
+"""A side is right if the error of the other side is more than this multiple of its error."""
 
 MAX_SOLVED = 24
-"""States in which both sides also solve their equations exactly."""
+"""Maximum number of states in which both sides also solve their equations exactly."""
 
 BOX = float(mujoco.mjtGeom.mjGEOM_BOX)
 
@@ -77,10 +77,10 @@ EXACT = {
 
 
 def compare(bench: Bench, before: Side, after: Side) -> Comparison:
-    """Return what differs between two versions on the model of a bench.
+    """Return the differences between two versions on the model of a bench.
 
     Raises:
-        VersionsError: An environment cannot be made, or a version cannot run the model.
+        VersionsError: The installation of an environment fails, or a version cannot run the model.
     """
     sides = (before, after)
     runs, states = _runs(bench, sides)
@@ -121,17 +121,17 @@ def compare(bench: Bench, before: Side, after: Side) -> Comparison:
 def find_change(
     bench: Bench, releases: Sequence[Side]
 ) -> tuple[list[Side], list[Release]]:
-    """Return two neighboring releases between which the difference of the ends of a range came.
+    """Return the two neighbouring releases between which a difference appears.
 
-    A release belongs to the end whose accelerations are nearer to its accelerations, in the states that both ends
-    visit. If the range has several changes, this finds one of them.
+    A release belongs to the end of the range with the nearer accelerations, in the states that both ends visit. If the
+    range has several changes, this finds one of them.
 
     Args:
         bench: The bench.
-        releases: The releases, the oldest first.
+        releases: The releases, oldest first.
 
     Returns:
-        The two releases, which are the ends if these do not differ; and the releases that were tried, in their order.
+        The two releases, or the ends of the range if these do not differ; and the tested releases in their order.
     """
     low, high = 0, len(releases) - 1
     ends = (releases[low], releases[high])
@@ -139,7 +139,7 @@ def find_change(
     first, last = bench.work("probe", ends, states)
 
     def attempt(side: Side, probe: Output) -> Release:
-        """Return how far a release is from both ends."""
+        """Return the distances of a release from both ends."""
         from_first, from_last = Gap(first, probe).distance, Gap(probe, last).distance
         like = "first" if from_first <= from_last else "last"
         return Release(
@@ -160,7 +160,7 @@ def find_change(
 
 
 def _runs(bench: Bench, sides: Sequence[Side]) -> tuple[list[Output], Arrays]:
-    """Move the model on both sides, and return the states of both, which must fit both."""
+    """Run the model on both sides, and return the outputs and the states of both sides."""
     runs = bench.work("run", sides)
     before, after = (run.description["sizes"] for run in runs)
     if before != after:
@@ -180,7 +180,7 @@ def _runs(bench: Bench, sides: Sequence[Side]) -> tuple[list[Output], Arrays]:
 def field_changes(
     before: Mapping[str, Any], after: Mapping[str, Any], names: Mapping[str, list[str]]
 ) -> Iterator[FieldChange]:
-    """Yield the compiled fields of two sides that differ: the row that differs most, and how many differ.
+    """Yield the differing compiled fields of two sides: the row with the largest difference, and the number of rows.
 
     Args:
         before: Fields of the first side.
@@ -211,28 +211,28 @@ def field_changes(
 
 
 class Gap:
-    """Differences of what two sides compute from the same states.
+    """Differences between the outputs of two sides from the same states.
 
     Args:
-        before, after: What each side computed.
+        before, after: Output of each side.
 
     Attributes:
-        outputs: What each side computed.
+        outputs: Output of each side.
         sides: Arrays of each side.
         touching: Sorted distances of contacts [m] by pair of geoms, for each state and side.
-        relative: Difference of the accelerations over the larger one, shape [states].
-        noise: What a velocity 1e-10 apart and a solver without its warm start change, on the quieter side,
+        relative: Difference of the accelerations, divided by the larger one, shape [states].
+        noise: Change by a velocity difference of 1e-10 or a cold start of the solver, on the quieter side,
             shape [states].
-        limit: Difference that counts, shape [states].
-        differs: Where the difference counts, shape [states].
-        worst: Indices of the states where it counts, the largest difference first.
+        limit: Smallest relevant difference, shape [states].
+        differs: Whether the difference exceeds the limit, shape [states].
+        worst: Indices of the states where the difference exceeds the limit, largest difference first.
     """
 
     def __init__(self, before: Output, after: Output) -> None:
         self.outputs = (before, after)
         self.sides = (before.arrays, after.arrays)
-        self.touching = [each.description["touching"] for each in self.outputs]
-        # At rest the acceleration is 0; the acceleration without constraints, gravity, remains.
+        self.touching = [output.description["touching"] for output in self.outputs]
+        # At rest, the acceleration is 0, but the acceleration without constraints is gravity.
         accelerations = [
             *self.pair("qacc"),
             *self.pair("smooth"),
@@ -241,7 +241,7 @@ class Gap:
         scale = np.fmax.reduce(np.linalg.norm(accelerations, axis=2), initial=1e-9)
         differences = [np.subtract(*self.pair(name)) for name in ("qacc", "step_acc")]
         distances = np.linalg.norm(differences, axis=2) / scale
-        # Where one side is not a number, the distance is at its maximum.
+        # If one side is NaN, the distance is at its maximum.
         self.relative = np.nan_to_num(distances, nan=2.0).max(axis=0)
         self.noise = np.fmin(*self.pair("noise")) / scale
         limits = [NOISE_FACTOR * self.noise, *self.pair("solver_error")]
@@ -257,7 +257,7 @@ class Gap:
 
     @property
     def is_identical(self) -> bool:
-        """Whether both sides computed the same bits."""
+        """Whether both sides compute the same bits."""
         before, after = self.touching
         names = ("qacc", "step_acc")
         return before == after and all(
@@ -266,12 +266,12 @@ class Gap:
 
     @property
     def distance(self) -> float:
-        """Root mean square of the differences that count."""
+        """Root mean square of the differences above the limit."""
         counted = np.where(self.differs, np.minimum(self.relative, 2.0), 0.0)
         return float(np.sqrt(np.mean(counted**2)))
 
     def is_close(self, name: str, index: int) -> bool:
-        """Return whether both sides computed the same in a state, up to rounding."""
+        """Return whether both sides agree in a state, up to rounding."""
         first, second = (values[index] for values in self.pair(name))
         size = max(np.linalg.norm(first), np.linalg.norm(second))
         return bool(np.linalg.norm(first - second) <= ROUNDING * size)
@@ -280,12 +280,12 @@ class Gap:
 def _parting(
     gap: Gap, index: int, states: Arrays, names: Mapping[str, list[str]]
 ) -> Parting:
-    """Return how two sides differ in a state.
+    """Return the difference of two sides in a state.
 
     Args:
         gap: The differences.
         index: The state.
-        states: Segment and step of each state, and the side that visits it, `of`.
+        states: Segment and step of each state; `of` is the side that visits it.
         names: Names of geoms and degrees of freedom.
     """
     quantity, detail = _cause(gap, index, names["geom"])
@@ -308,7 +308,7 @@ def _parting(
 
 
 def _cause(gap: Gap, index: int, geoms: list[str]) -> tuple[Quantity, str]:
-    """Return what differs first in the order of computation, and both values in words."""
+    """Return the quantity that differs first in the order of computation, and both values in words."""
     before, after = (touching[index] for touching in gap.touching)
     for pair in sorted({*before, *after}, key=_geoms):
         first, second = before.get(pair, []), after.get(pair, [])
@@ -326,7 +326,7 @@ def _cause(gap: Gap, index: int, geoms: list[str]) -> tuple[Quantity, str]:
     if not gap.is_close("qacc", index):
         first, second = gap.pair("iterations")
         counts = f"{first[index]} and {second[index]}"
-        text = f"equal contacts and other forces; the solver took {counts} iterations"
+        text = f"equal contacts, different forces; the solver took {counts} iterations"
         return Quantity.CONSTRAINT, text
     return Quantity.STEP, "equal accelerations; the velocities after the step differ"
 
@@ -346,12 +346,12 @@ def _rulings(
     states: Arrays,
     fields: Mapping[str, Any],
 ) -> Iterator[Ruling]:
-    """Yield each law that applies, and by how much each side misses it in the states that differ most.
+    """Yield each applicable law with the error of each side, in the states that differ most.
 
     Args:
         bench: The bench.
         sides: Both sides.
-        gap: What both sides compute.
+        gap: Differences of both sides.
         states: The states.
         fields: Compiled fields of the first side.
     """
@@ -372,7 +372,7 @@ def _rulings(
 def _ruling(
     law: str, misses: FloatArray, limit: float, sides: Sequence[Side]
 ) -> Ruling:
-    """Return which side keeps a law, from misses of shape [2, states]."""
+    """Return the side that satisfies a law, from errors of shape [2, states]."""
     before, after = misses.max(axis=1).tolist()
     right = ""
     if max(before, after) > max(limit, LAW_RATIO * min(before, after)):
@@ -384,7 +384,7 @@ def _ruling(
 def _depth_misses(
     gap: Gap, states: Sequence[int], fields: Mapping[str, Any]
 ) -> Iterator[FloatArray]:
-    """Yield by how much each side misses the depth of a pair of boxes, over it."""
+    """Yield the relative error of each side in the depth of a pair of boxes."""
     positions_m, rotations = (gap.sides[0][f"geom_x{name}"] for name in ("pos", "mat"))
     for index in states:
         contacts = [touching[index] for touching in gap.touching]
@@ -402,15 +402,17 @@ def _depth_misses(
             ]
             true_m = depth_m(*boxes)
             if true_m > MIN_DEPTH_M:
-                given_m = np.array([-min(each.get(pair, [0.0])) for each in contacts])
-                yield np.abs(given_m - true_m) / true_m
+                depths_m = np.array(
+                    [-min(distances_m.get(pair, [0.0])) for distances_m in contacts]
+                )
+                yield np.abs(depths_m - true_m) / true_m
 
 
 def depth_m(first: FloatArray, second: FloatArray) -> float:
-    """Return how far two convex bodies must move apart to touch no more [m]; negative if they do not touch.
+    """Return the depth of two convex bodies in each other [m]; negative without contact.
 
-    The Minkowski difference of two bodies that touch contains the origin. The depth is the distance of the origin from
-    its nearest face (Cameron 1997).
+    The Minkowski difference of touching bodies contains the origin. The depth is the distance from the origin to the
+    nearest face (Cameron 1997).
 
     Args:
         first: Corners of the first body [m], shape [n, 3].

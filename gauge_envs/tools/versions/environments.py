@@ -1,4 +1,4 @@
-"""Python environments of releases in a cache, and the processes that run a side in them."""
+"""Install releases into cached Python environments, and run processes in them."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.versions.schema import Side
 
 TAG = f"-{sys.implementation.cache_tag}-{sysconfig.get_platform()}"
-"""End of the name of an environment: a cache in a shared home folder serves several machines."""
+"""Suffix of an environment: several machines may share the cache in a home folder."""
 
 PYTHON = "Scripts/python.exe" if sys.platform == "win32" else "bin/python"
-"""Place of the interpreter in an environment."""
+"""Path of the interpreter in an environment."""
 
 NUMPY_2_SINCE = (3, 2)
-"""First release of MuJoCo whose wheels were built for NumPy 2. Older ones crash with it."""
+"""First release of MuJoCo built for NumPy 2. Older releases crash with NumPy 2."""
 
-# With -I, paths of the user's environment do not belong to the new one.
+# -I excludes the paths of the user's environment.
 PIP = ("-I", "-m", "pip", "--no-input", "--disable-pip-version-check", "--retries", "2")
 
 WORKER = Path(__file__).with_name("worker.py")
@@ -44,7 +44,7 @@ WORKER = Path(__file__).with_name("worker.py")
 PROCESS_VARIABLES = {
     "OMP_NUM_THREADS": "1",
     "MUJOCO_GL": "disable",
-    # The folder of the worker has modules with common names.
+    # The folder of the worker has modules with common names; keep it off the path.
     "PYTHONSAFEPATH": "1",
 }
 
@@ -52,14 +52,14 @@ Arrays: TypeAlias = Mapping[str, FloatArray]
 
 
 class VersionsError(GaugeError, RuntimeError):
-    """An environment cannot be made, or a version cannot run a model; the message names both and the cause."""
+    """An installation fails, or a version cannot run a model; the message names the cause."""
 
 
 # --- environments ----------------------------------------------------------------------------------------------------
 
 
 def environment_folder(requirement: str) -> Path:
-    """Return the folder of the environment of a requirement, which need not exist.
+    """Return the folder of the environment of a requirement, installed or not.
 
     The variable `GAUGE_CACHE_DIR` replaces the user's cache folder.
     """
@@ -69,20 +69,20 @@ def environment_folder(requirement: str) -> Path:
 
 
 def version_key(version: str) -> tuple[int, ...]:
-    """Return the numbers of a version, by which versions sort."""
+    """Return the numbers of a version as a sort key."""
     return tuple(map(int, re.findall(r"\d+", version)))
 
 
 def make_environment(requirement: str) -> Path:
-    """Return the folder of the environment of a requirement, and install it if it is not in the cache.
+    """Return the environment folder of a requirement; install it if it is not in the cache.
 
-    A second command waits.
+    A parallel command waits for the installation.
 
     Args:
-        requirement: Package with an exact version, as `mujoco==3.3.0`.
+        requirement: Package with an exact version, for example `mujoco==3.3.0`.
 
     Raises:
-        VersionsError: There is no such version, no network, or no space.
+        VersionsError: The version does not exist, or the network or disk space is missing.
     """
     folder = environment_folder(requirement)
     advice = "set GAUGE_CACHE_DIR to a folder with space"
@@ -100,32 +100,35 @@ def remove_environment(requirement: str) -> None:
 
 
 def _install(requirement: str, folder: Path) -> None:
-    """Install a requirement next to a folder, and move it there."""
+    """Install a requirement into a folder; an interrupted installation leaves no folder."""
     package, _, version = requirement.partition("==")
     packages = [requirement]
     if package == "mujoco":
         is_old = version_key(version) < NUMPY_2_SINCE
-        # Other packages of the user may need the NumPy that is installed here.
+        # Packages of the user may need the installed NumPy.
         packages.append("numpy<2" if is_old else f"numpy=={np.__version__}")
-    message(f"{' and '.join(packages)}: installed into {folder}")
-    # The Python of an old environment may be gone.
+    message(f"{' and '.join(packages)}: installing into {folder}")
+    # An old environment may lack its Python.
     shutil.rmtree(folder, ignore_errors=True)
     with TemporaryDirectory(dir=folder.parent) as parent:
         part = Path(parent) / "environment"
         install: list[str | Path] = [part / PYTHON, *PIP, "install"]
         if uv := shutil.which("uv"):
-            # The seed has pip, which lists the releases of a range.
+            # --seed installs pip, which lists the releases of a range.
             run([uv, "venv", "--seed", "--python", sys.executable, part], requirement)
             install = [uv, "pip", "install", "--python", part / PYTHON]
         else:
             venv.create(part, with_pip=True)
         install += ["--only-binary", ":all:", *packages]
-        run(install, f"{requirement} cannot be installed; --python FILE names one")
+        run(
+            install,
+            f"{requirement} cannot be installed; --python FILE uses an existing environment",
+        )
         part.rename(folder)
 
 
 def released_versions(requirement: str) -> list[str]:
-    """Return the versions of the package of a requirement in the package index, the oldest first.
+    """Return the versions of a package in the package index, oldest first.
 
     Raises:
         VersionsError: The index does not answer.
@@ -143,20 +146,20 @@ def released_versions(requirement: str) -> list[str]:
 def run(
     command: Sequence[str | Path], problem: str, variables: Mapping[str, str] = {}
 ) -> str:
-    """Return what a command prints.
+    """Run a command and return its output.
 
     Args:
         command: The command.
-        problem: What its failure means.
-        variables: Variables that are added to the environment.
+        problem: Begin of the error message.
+        variables: Extra environment variables.
 
     Raises:
-        VersionsError: It failed; the message has the last error that it prints.
+        VersionsError: The command fails; the message has its last error.
     """
     env = {**os.environ, **variables}
     with os_errors(lambda cause: VersionsError(f"{problem}: {command[0]}: {cause}")):
         done = subprocess.run(command, capture_output=True, text=True, env=env)
-    # A traceback ends with the exception, whose message may have several lines.
+    # A traceback ends with the exception; its message may have several lines.
     cause = re.split(r"^(?=\w[\w.]*: )", done.stderr, flags=re.M)[-1]
     if done.returncode < 0:
         cause = f"it crashes ({signal.Signals(-done.returncode).name})"
@@ -166,15 +169,15 @@ def run(
 
 
 def run_python(side: Side, words: Sequence[str | Path], title: str) -> None:
-    """Run Python with the packages of a side before those of the user, and wait for it.
+    """Run Python to its end, with the packages of a side before the packages of the user.
 
     Args:
         side: The side.
         words: Arguments of Python.
-        title: What runs, for messages.
+        title: Name of the program, for messages.
 
     Raises:
-        VersionsError: It failed.
+        VersionsError: Python fails.
     """
     variables = dict(PROCESS_VARIABLES)
     if side.requirement:
@@ -188,7 +191,7 @@ def run_python(side: Side, words: Sequence[str | Path], title: str) -> None:
 
 
 class Output(NamedTuple):
-    """What a worker wrote: a description of the model, and arrays."""
+    """Output of a worker: a description of the model, and arrays."""
 
     description: Mapping[str, Any]
     arrays: Arrays
@@ -196,11 +199,11 @@ class Output(NamedTuple):
 
 @dataclass(kw_only=True)
 class Bench:
-    """What is compared: a model or an environment.
+    """Runs tasks on a model or an environment.
 
     Attributes:
-        title: Its name, as the user gave it.
-        job: Entries of every job.
+        title: Name of the model or environment, as given by the user.
+        job: Common entries of every job.
     """
 
     title: str
@@ -209,7 +212,7 @@ class Bench:
     def work(
         self, task: str, sides: Sequence[Side], states: Arrays | None = None
     ) -> list[Output]:
-        """Do a task on each side, two sides at a time.
+        """Run a task on each side, two sides at a time.
 
         Args:
             task: Task of the worker.
@@ -217,7 +220,7 @@ class Bench:
             states: States of a probe.
 
         Raises:
-            VersionsError: An environment cannot be made, or a version cannot run the model.
+            VersionsError: The installation of an environment fails, or a version cannot run the model.
         """
         with TemporaryDirectory(prefix="gauge-versions-") as folder:
             shared = {**self.job, "task": task, "states": f"{folder}/states.npz"}
@@ -228,7 +231,7 @@ class Bench:
             ]
             with ThreadPoolExecutor(2) as pool:
                 list(pool.map(self.execute, sides, jobs))
-            # NumPy parses the headers of arrays with `ast`, which is not safe in threads of Python 3.11.
+            # NumPy parses array headers with `ast`, which is not thread-safe in Python 3.11.
             return [_output(job["out"]) for job in jobs]
 
     def execute(self, side: Side, job: Mapping[str, Any]) -> None:
@@ -237,7 +240,7 @@ class Bench:
 
 
 def _output(file: str) -> Output:
-    """Return what a worker wrote into a file."""
+    """Return the output of a worker from its file."""
     with np.load(file) as stored:
         arrays = dict(stored)
     return Output(json.loads(str(arrays.pop("description"))), arrays)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from gauge_envs.tools.compare import Comparison as ScoreComparison
 
 JITTER = Jitter(position_m=1e-9, angle_rad=0.0)
-"""A change of the initial position that nobody would call another one."""
+"""Negligible change of the initial position."""
 
 
 # --- motions of an experiment ----------------------------------------------------------------------------------------
@@ -49,11 +49,11 @@ def compare_motions(
     *,
     seed: int,
 ) -> tuple[MotionComparison, ScoreComparison]:
-    """Return where two motions of an experiment differ first, and the scores of both.
+    """Return the first difference of two motions of an experiment, and the scores of both.
 
     Args:
         subject: Id of the experiment.
-        before: First side: an engine with settings, or a release of an engine.
+        before: First side: an engine with settings or a release of an engine.
         after: Second side.
         seed: Seed of the runs.
 
@@ -69,8 +69,8 @@ def compare_motions(
         results.append(plain)
     distances = _distances(*results)
     count = min(map(len, (distances, *noises)))
-    # Chaos that grew stays in what follows.
-    noise = np.max([each[:count] for each in noises], axis=(0, 2))
+    # Chaotic growth persists, so the noise never decreases.
+    noise = np.max([changes[:count] for changes in noises], axis=(0, 2))
     noise = np.maximum.accumulate(noise)
     trajectory = _trajectory(results[0])
     times_s, positions = trajectory.arrays()
@@ -107,7 +107,7 @@ def compare_motions(
 
 
 def _run(subject: str, side: Side, seed: int, jitter: Jitter | None) -> Result:
-    """Run an experiment; with a release of an engine, by `gauge run` in a process that imports it."""
+    """Run an experiment; a release of an engine runs by `gauge run` in a process that imports it."""
     request = RunRequest(
         subject, backend=side.engine, settings=side.settings, seed=seed, jitter=jitter
     )
@@ -136,12 +136,12 @@ def _distances(first: Result, second: Result) -> FloatArray:
     """Return the distance of each coordinate of two motions at their common times."""
     motions = [_trajectory(result).arrays()[1] for result in (first, second)]
     count = min(map(len, motions))
-    # Where one side is not a number, the distance is infinite.
+    # If one side is NaN, the distance is infinite.
     return np.nan_to_num(np.abs(motions[0][:count] - motions[1][:count]), nan=np.inf)
 
 
 def _is_closest(result: Result, scores: ScoreComparison) -> bool:
-    """Return whether a result is closer to the reference than the other one, beyond the uncertainty of the scores."""
+    """Return whether a result is closer to the reference than the other result, beyond the uncertainty."""
     index = scores.configurations.index(RunConfiguration.of(result))
     ranks = [rank for kind in scores.kinds for rank in kind.ranks.values()]
     return any(
@@ -162,19 +162,19 @@ def compare_returns(
     seeds: int,
     seed: int,
 ) -> ReturnComparison:
-    """Return what a policy reaches on two sides, from the same seeds.
+    """Return the returns and successes of a policy on two sides, from the same seeds.
 
     Args:
-        subject: Id of Gymnasium or of this suite, or `module:function` that makes an environment.
+        subject: Id of Gymnasium or of this suite, or `module:function` that returns an environment.
         before: First side.
         after: Second side.
-        policy: `module:function` that returns a policy, or a file .npy of actions, a row each.
+        policy: `module:function` that returns a policy, or a file .npy with a row for each action.
         seeds: Number of episodes.
-        seed: Seed of the first.
+        seed: Seed of the first episode.
 
     Raises:
-        ParameterError: The policy is neither.
-        VersionsError: A side cannot play the episodes.
+        ParameterError: The policy is invalid.
+        VersionsError: A side cannot run the episodes.
     """
     sides = (before, after)
     for side in sides:
@@ -194,10 +194,12 @@ def compare_returns(
     change = _mean(second - first)
     success: tuple[Estimate | None, Estimate | None] = (None, None)
     success_change = None
-    successes, others = (output.arrays["successes"] for output in outputs)
-    if not np.isnan([successes, others]).any():
-        success = (_share(successes), _share(others))
-        success_change = _mean(others - successes)
+    first_successes, second_successes = (
+        output.arrays["successes"] for output in outputs
+    )
+    if not np.isnan([first_successes, second_successes]).any():
+        success = (_share(first_successes), _share(second_successes))
+        success_change = _mean(second_successes - first_successes)
     verdict = Verdict.SAME
     if np.array_equal(first, second):
         verdict = Verdict.IDENTICAL
@@ -218,7 +220,7 @@ def compare_returns(
 
 
 def _mean(values: FloatArray) -> Estimate:
-    """Return the mean over seeds with the interval of Student's t; a single value has no interval."""
+    """Return the mean over seeds with Student's interval; a single value has no interval."""
     mean, count = float(np.mean(values)), len(values)
     if count < 2:
         return Estimate(value=mean)
@@ -227,7 +229,7 @@ def _mean(values: FloatArray) -> Estimate:
 
 
 def _share(values: FloatArray) -> Estimate:
-    """Return the share of successes with the exact interval of Clopper and Pearson."""
+    """Return the share of successes with its exact interval (Clopper and Pearson)."""
     share = binomtest(int(np.sum(values)), len(values))
     interval = share.proportion_ci()
     return Estimate(
@@ -236,7 +238,7 @@ def _share(values: FloatArray) -> Estimate:
 
 
 def _excludes_zero(change: Estimate | None) -> bool:
-    """Return whether an interval is without 0."""
+    """Return whether an interval excludes 0."""
     if change is None or change.low is None or change.high is None:
         return False
     return change.low * change.high > 0.0

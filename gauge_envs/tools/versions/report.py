@@ -1,4 +1,4 @@
-"""Reports of a comparison: the answer, and what a maintainer needs to see."""
+"""Report a comparison: the answer, and the details for a maintainer."""
 
 from __future__ import annotations
 
@@ -28,31 +28,31 @@ DIFFER = {
 
 
 def comparison_document(comparison: Comparison) -> Document:
-    """Return the answer, where the sides differ first and most, the tables of differences, and which side is right."""
+    """Return the answer, the first and largest difference, the tables of differences, and which side is right."""
     titles = (comparison.before, comparison.after)
     answer = (
         f"{' and '.join(titles)} {DIFFER[comparison.verdict]} on {comparison.subject}: in {comparison.differing} of "
-        f"{counted(comparison.states, 'state')} one step from the same state gives other accelerations, by up to "
+        f"{counted(comparison.states, 'state')} one step from the same state gives different accelerations, by up to "
         f"{100.0 * comparison.largest:.3g} %."
     )
     unknown = [
-        f"{title} does not know, and runs without: {', '.join(dropped)}."
+        f"{title} ignores unknown attributes: {', '.join(dropped)}."
         for title, dropped in zip(titles, comparison.dropped, strict=True)
         if dropped
     ]
-    right = "No law that was checked shows which side is right."
+    right = "No checked law shows which side is right."
     if comparison.right:
         right = f"{comparison.right} is right, by the laws above."
     parts: list[Part] = [
         _table(
-            "Releases that were tried",
+            "Tested releases",
             comparison.tried,
             "release from_first from_last like",
         ),
         Paragraph(answer, Tone.ANSWER),
         _table("Compiled fields", comparison.fields, "field where count before after"),
         _table(
-            "Laws: the largest miss of each side, as a fraction",
+            "Laws: largest relative error of each side",
             comparison.rulings,
             "law before after states right",
         ),
@@ -67,26 +67,27 @@ def comparison_document(comparison: Comparison) -> Document:
 
 
 def _differences(comparison: Comparison) -> list[str]:
-    """Return where the sides differ first and most."""
-    # Where the first difference is the largest one, the second name is overwritten.
+    """Return the first and the largest difference of the sides."""
+    # If the first difference is also the largest, the name `first` replaces `largest`.
     partings = {comparison.worst: "largest", comparison.first: "first"}
     return [
-        f"{name}: step {each.step} of {each.segment}, a state of {each.of}; {each.quantity}: {each.detail}; "
-        f"{each.where}: {each.acceleration_before:.5g} and {each.acceleration_after:.5g} (m/s^2 or rad/s^2)"
-        for each, name in reversed(partings.items())
-        if each
+        f"{name}: step {parting.step} of {parting.segment}, a state of {parting.of}; "
+        f"{parting.quantity}: {parting.detail}; "
+        f"{parting.where}: {parting.acceleration_before:.5g} and {parting.acceleration_after:.5g} (m/s^2 or rad/s^2)"
+        for parting, name in reversed(partings.items())
+        if parting
     ]
 
 
 def motions_document(comparison: MotionComparison, scores: ScoreComparison) -> Document:
-    """Return where two motions differ first, and the scores of both."""
+    """Return the first difference of two motions, and the scores of both."""
     from gauge_envs.tools.compare import short_tables
 
     unit = comparison.unit
     answer = (
         f"{comparison.before} and {comparison.after} {DIFFER[comparison.verdict]} in the motion of "
         f"{comparison.subject}: the largest difference is {quantity_text(comparison.largest)} {unit} (noise: "
-        f"{quantity_text(comparison.noise)} {unit}, from an initial position 1e-9 m apart)."
+        f"{quantity_text(comparison.noise)} {unit}, from an initial position shifted by 1e-9 m)."
     )
     if comparison.first_s is not None:
         answer += (
@@ -101,14 +102,14 @@ def motions_document(comparison: MotionComparison, scores: ScoreComparison) -> D
 
 
 def returns_document(comparison: ReturnComparison) -> Document:
-    """Return what a policy reaches on both sides."""
+    """Return the returns and successes of a policy on both sides."""
     rows = [
         ("return", *comparison.returns, comparison.change),
         ("success", *comparison.success, comparison.success_change),
     ]
     names = ("name", "before", "after", "change")
     table = _table(
-        "Means with 95 % intervals; the change is seed by seed",
+        "Means with 95 % intervals; changes are paired by seed",
         [dict(zip(names, row, strict=True)) for row in rows],
         "name before after change",
     )
@@ -122,13 +123,13 @@ def returns_document(comparison: ReturnComparison) -> Document:
 
 
 def _table(title: str, rows: Sequence[Any], names: str) -> Table:
-    """Return a table of values by their names."""
+    """Return a table with a column for each name."""
     columns = [Column(name, name.replace("_", " "), _text) for name in names.split()]
     return Table(title=title, columns=tuple(columns), rows=rows)
 
 
 def _text(value: Any) -> str:
-    """Return a value of a row: a number, an estimate, or a list."""
+    """Return the text of a number, an estimate or a list."""
     if isinstance(value, Estimate):
         interval = None if value.low is None else (value.low, value.high or 0.0)
         return interval_text(value.value, interval, lambda number: f"{number:.4g}")

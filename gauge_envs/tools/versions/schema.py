@@ -1,4 +1,4 @@
-"""What `gauge backend versions` prints with `--json`, an object for each pair of sides."""
+"""JSON object of `gauge backend versions --json`."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class Estimate:
 
     Attributes:
         value: The mean.
-        low: Lower end; None with a single episode, which has no interval.
-        high: Upper end; None with a single episode.
+        low: Lower end; None for a single episode.
+        high: Upper end; None for a single episode.
     """
 
     value: float
@@ -34,7 +34,7 @@ class Verdict(StrEnum):
 
 
 class Quantity(StrEnum):
-    """What differs first between two versions from the same state, in the order in which an engine computes it."""
+    """First differing quantity of two versions from the same state, in the order of computation."""
 
     CONTACTS = "contact count"
     DEPTH = "contact depth"
@@ -45,14 +45,14 @@ class Quantity(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Side:
-    """One of the versions.
+    """One of the compared versions.
 
     Attributes:
-        title: As the user gave it.
-        requirement: Package of its environment, as `mujoco==3.3.0`; empty for what is installed.
-        python: Interpreter of the user, or None for the one that runs here.
+        title: Name given by the user.
+        requirement: Package of the environment, for example `mujoco==3.3.0`; empty for the installed package.
+        python: Interpreter of the user; None for the current interpreter.
         engine: Engine of this package that runs an experiment of the suite; empty for a release of MuJoCo.
-        settings: Settings of the engine that differ from those of the model.
+        settings: Settings of the engine that replace settings of the model.
     """
 
     title: str
@@ -64,18 +64,18 @@ class Side:
 
 @dataclass(frozen=True, kw_only=True)
 class Parting:
-    """Where two versions differ, from one state.
+    """Difference of two versions from one state.
 
     Attributes:
-        segment: Segment of the motion, as `push`.
+        segment: Segment of the motion, for example `push`.
         step: Step of the segment.
         of: Version whose motion visits the state.
-        quantity: What differs first in the order of computation.
-        detail: That quantity in words, on both sides.
-        where: Body or joint whose acceleration differs most.
-        acceleration: Difference of the accelerations over the larger one.
-        limit: Difference above which it counts: ten times the noise at this state.
-        acceleration_before, acceleration_after: Acceleration there [m/s^2 or rad/s^2].
+        quantity: First differing quantity in the order of computation.
+        detail: Quantity in words, on both sides.
+        where: Body or joint with the largest difference of acceleration.
+        acceleration: Difference of the accelerations, divided by the larger one.
+        limit: Smallest relevant difference: ten times the noise at this state.
+        acceleration_before, acceleration_after: Acceleration of this body or joint [m/s^2 or rad/s^2].
         contacts_before, contacts_after: Number of contacts.
         iterations_before, iterations_after: Iterations of the constraint solver.
         warnings_before, warnings_after: Number of warnings of the engine.
@@ -101,13 +101,13 @@ class Parting:
 
 @dataclass(frozen=True, kw_only=True)
 class FieldChange:
-    """A field of the compiled model that differs.
+    """A differing field of the compiled model.
 
     Attributes:
-        field: Its name, as `geom_solref`.
-        where: The row that differs most, as `geom floor`; empty for a field of the whole model.
-        count: Rows that differ.
-        before, after: Value there; None where the version lacks the field.
+        field: Name of the field, for example `geom_solref`.
+        where: Row with the largest difference, for example `geom floor`; empty for a field of the whole model.
+        count: Number of differing rows.
+        before, after: Value of this row; None if the version lacks the field.
     """
 
     field: str
@@ -119,13 +119,13 @@ class FieldChange:
 
 @dataclass(frozen=True, kw_only=True)
 class Ruling:
-    """A law that says which side is right.
+    """A law that decides which side is right.
 
     Attributes:
         law: The law.
-        before, after: By how much each side misses it, as a fraction.
-        states: States in which the law applies.
-        right: Title of the side that keeps it; empty where both do or both fail.
+        before, after: Relative error of each side.
+        states: Number of states to which the law applies.
+        right: Title of the side that satisfies the law; empty if both do or both fail.
     """
 
     law: str
@@ -137,12 +137,12 @@ class Ruling:
 
 @dataclass(frozen=True, kw_only=True)
 class Release:
-    """A release that a bisection tried.
+    """A release tested by a bisection.
 
     Attributes:
-        release: The requirement, as `mujoco==3.4.0`.
-        from_first, from_last: Largest difference of accelerations from each end of the range.
-        like: `first` or `last`: the end that it is nearer to.
+        release: Requirement, for example `mujoco==3.4.0`.
+        from_first, from_last: Distance of the accelerations from each end of the range.
+        like: Nearer end: `first` or `last`.
     """
 
     release: str
@@ -153,26 +153,26 @@ class Release:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """What two versions make of one model.
+    """Comparison of two versions on one model.
 
     Attributes:
-        subject: The model, as the user named it.
+        subject: Model, as given by the user.
         before, after: Titles of the versions.
         versions: Version of the engine on each side.
         verdict: Whether they differ.
-        states: States that were computed on both sides.
-        differing: Those in which the accelerations differ by more than the limit.
-        largest: Largest difference of accelerations over the larger one.
-        noise: Median over the states of the noise: what a start that is 1e-10 apart, or a solver without its warm
-            start, changes.
-        first: Where they differ first; None if they do not.
-        worst: Where they differ most; None if they do not.
-        fields: Compiled fields that differ.
-        new_fields: Compiled fields and flags that one side alone has.
-        dropped: Attributes of the model file that each side does not know, and runs without.
-        rulings: Laws that were applied.
-        right: Title of the side that is right; empty if nothing here can tell.
-        tried: Releases that a bisection tried, in their order; empty without one.
+        states: Number of states computed on both sides.
+        differing: Number of states with accelerations that differ by more than the limit.
+        largest: Largest difference of accelerations, divided by the larger one.
+        noise: Median noise over the states: the change by a velocity difference of 1e-10, or by a cold start of the
+            solver.
+        first: First difference; None without one.
+        worst: Largest difference; None without one.
+        fields: Differing compiled fields.
+        new_fields: Compiled fields and flags of only one side.
+        dropped: Unknown attributes of the model file that each side ignores.
+        rulings: Applied laws.
+        right: Title of the side that is right; empty if no law decides.
+        tried: Releases tested by a bisection, in their order; empty without a bisection.
     """
 
     subject: str
@@ -196,19 +196,19 @@ class Comparison:
 
 @dataclass(frozen=True, kw_only=True)
 class MotionComparison:
-    """Two motions of an experiment of the suite.
+    """Comparison of two motions of an experiment of the suite.
 
     Attributes:
-        subject: The experiment, as the user named it.
+        subject: Experiment, as given by the user.
         before, after: Titles of the sides.
         verdict: Whether they differ by more than ten times the noise.
         unit: Unit of the coordinates.
-        first_s: Time at which they differ first [s]; None if they do not.
-        coordinate: Coordinate that differs first, as `x of the cube`.
-        difference: Difference of the coordinate then.
+        first_s: Time of the first difference [s]; None without one.
+        coordinate: Coordinate that differs first, for example `x of the cube`.
+        difference: Difference of this coordinate at this time.
         largest: Largest difference of a coordinate in the whole motion.
-        noise: What an initial position 1e-9 m apart changes until then, on the noisier side.
-        right: Title of the side that is closer to the reference by more than its uncertainty; empty if none is.
+        noise: Change by a shift of the initial position by 1e-9 m until then, on the noisier side.
+        right: Title of the side that is closer to the reference beyond its uncertainty; empty without one.
     """
 
     subject: str
@@ -226,18 +226,18 @@ class MotionComparison:
 
 @dataclass(frozen=True, kw_only=True)
 class ReturnComparison:
-    """A policy in an environment on two sides, from the same seeds.
+    """Comparison of a policy in an environment on two sides, from the same seeds.
 
     Attributes:
-        subject: The environment, as the user named it.
+        subject: Environment, as given by the user.
         before, after: Titles of the sides.
-        verdict: Whether returns or successes differ in the mean over seeds: the interval of the change is without 0.
+        verdict: Whether mean returns or successes differ: the interval of the change excludes 0.
         versions: Version of the engine on each side.
         seeds: Number of seeds.
         returns: Sum of rewards of an episode on each side.
-        change: Difference of the returns, seed by seed.
-        success: Share of episodes that succeed on each side; None where the environment does not say.
-        success_change: Difference of the successes; None likewise.
+        change: Difference of the returns, paired by seed.
+        success: Share of successful episodes on each side; None if the environment does not report success.
+        success_change: Difference of the successes; None if the environment does not report success.
     """
 
     subject: str

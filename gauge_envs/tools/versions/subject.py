@@ -1,4 +1,4 @@
-"""What a command compares: two sides, on a model file, an id, a USD layer, or what a function makes."""
+"""Read the two sides and the subject of a comparison: a model file, id, USD layer, or function."""
 
 from __future__ import annotations
 
@@ -35,34 +35,34 @@ PACKAGES = {
     "physx": "sapien",
     "pybullet": "pybullet",
 }
-"""Package on the index of each engine whose releases are compared."""
+"""Package of each engine with releases that can be compared."""
 
 RELEASES = re.compile(r"([\w-]+)==(\d[\w.]*?)(?:\.\.(\d[\w.]*))?")
 
 SETTING = re.compile(r"(\w+)=(?!=)")
 
 FORMS = (
-    "mujoco==3.3.0, mujoco==3.1.0..4.0.0, mujoco for what is installed here, another engine of this package or its "
+    "mujoco==3.3.0, mujoco==3.1.0..4.0.0, mujoco for the installed version, another engine of this package or its "
     "release, or settings as iterations=4; settings may follow a side, as mujoco==4.0.0:jacobian=dense"
 )
 
 MODEL_FILES = (".xml", ".mjcf", ".urdf")
 
 MODEL_ATTRIBUTES = ("model", "sim.model._model", "physics.model._model", "mj_model")
-"""Attributes of an environment that hold its compiled model."""
+"""Attributes of an environment that may have its compiled model."""
 
 COMPARED = ("body_mass", "geom_size", "geom_friction", "dof_damping")
-"""Fields by which a file is the model of an environment."""
+"""Fields that identify the model of an environment."""
 
 
 # --- sides -----------------------------------------------------------------------------------------------------------
 
 
 def read_sides(text: str) -> list[Side]:
-    """Return the side that a text names, or both ends of a range of releases.
+    """Return the side named by a text, or both ends of a range of releases.
 
     Args:
-        text: In one of `FORMS`.
+        text: Text in one of the `FORMS`.
 
     Raises:
         ParameterError: The text names no side.
@@ -71,7 +71,7 @@ def read_sides(text: str) -> list[Side]:
     head, _, changes = text.partition(":")
     setting = SETTING.match(head)
     if setting and setting[1] not in engines:
-        # Settings alone belong to what is installed here.
+        # Settings without an engine apply to the installed MuJoCo.
         head, changes = "mujoco", text
     values = arguments.split_values(changes) if changes else []
     settings = arguments.parsed_settings(values) or {}
@@ -79,10 +79,12 @@ def read_sides(text: str) -> list[Side]:
         return [Side(title=text, engine=head, settings=settings)]
     release = RELEASES.fullmatch(head)
     name, *versions = release.groups() if release else ("",)
-    engine = {PACKAGES[each]: each for each in PACKAGES}.get(name, name)
+    engine = {PACKAGES[engine_name]: engine_name for engine_name in PACKAGES}.get(
+        name, name
+    )
     if engine not in PACKAGES:
         raise ParameterError(
-            f"{text!r} is no side: expected {FORMS}; engines: {', '.join(engines)}"
+            f"unknown version {text!r}: expected {FORMS}; engines: {', '.join(engines)}"
         )
     return [
         Side(
@@ -101,10 +103,10 @@ def is_suite_id(subject: str) -> bool:
 
 
 def compares_motions(subject: str, sides: Sequence[Side]) -> bool:
-    """Return whether whole motions of an experiment are compared: a side cannot compute a step of a MuJoCo model.
+    """Return whether to compare whole motions, because a side cannot compute a step of a MuJoCo model.
 
     Raises:
-        ParameterError: One side needs whole motions, and the other side or the subject has none.
+        ParameterError: One side needs whole motions, which the other side or the subject cannot give.
     """
     needs_motion = [
         side.title
@@ -116,9 +118,8 @@ def compares_motions(subject: str, sides: Sequence[Side]) -> bool:
     is_suite = is_suite_id(subject)
     if needs_motion and (releases or not is_suite):
         raise ParameterError(
-            f"{subject} and {needs_motion[0]}: other engines and their settings are compared with each other on an id "
-            "of this suite; releases of MuJoCo are compared with each other and with mujoco, on its own options, as "
-            "iterations=4"
+            f"{subject} and {needs_motion[0]}: compare other engines and their settings with each other on an id of "
+            "this suite; compare releases of MuJoCo with each other and with mujoco and its options, as iterations=4"
         )
     if needs_motion or releases or not is_suite:
         return bool(needs_motion)
@@ -129,10 +130,10 @@ def compares_motions(subject: str, sides: Sequence[Side]) -> bool:
 
 
 def releases_between(sides: Sequence[Side]) -> list[Side]:
-    """Return the releases from one version to another, both included, as the package index lists them.
+    """Return the releases of the package index from one version to another, both included.
 
     Raises:
-        ParameterError: There are fewer than two.
+        ParameterError: The range has fewer than two releases.
         VersionsError: The index does not answer.
     """
     first, last = sides
@@ -165,11 +166,11 @@ def bench(
     steps: int = 500,
     seed: int = 0,
 ) -> Iterator[Bench]:
-    """Open a bench for a model, whose files are removed at the end.
+    """Open a bench for a model; its files are removed at the end.
 
     Args:
         subject: The model, as `read_subject` reads it.
-        states: NPZ of saved states, which replace the motions; or None.
+        states: NPZ of saved states that replace the motions, or None.
         steps: Steps of each motion.
         seed: Seed of controls and pushes.
     """
@@ -184,16 +185,16 @@ def read_subject(text: str, folder: Path) -> Path:
     """Return the model file of a subject.
 
     Args:
-        text: Model file, USD layer, id of this suite or of Gymnasium, or `module:function` of a function that returns
-            an environment or a model.
-        folder: Folder of files that are written.
+        text: Model file, USD layer, id of this suite or of Gymnasium, or `module:function` that returns an environment
+            or a model.
+        folder: Folder of written files.
 
     Raises:
-        ParameterError: The text names no model.
+        ParameterError: The text does not name a model.
     """
     suffix = Path(text).suffix.lower()
     if suffix in (*MODEL_FILES, *SCENE_SUFFIXES) and not Path(text).is_file():
-        raise ParameterError(f"{text}: there is no such file")
+        raise ParameterError(f"{text}: no such file")
     if suffix in MODEL_FILES:
         return Path(text)
     file = folder / "subject.xml"
@@ -214,51 +215,53 @@ def _scene_text(text: str) -> str:
         with needs_extra("a USD layer", "usd"):
             from gauge_envs.tools.usd import read_usd
 
-            # Only the motion of driven bodies, which is refused below, has a duration.
+            # Only prescribed motions have a duration, and they are rejected below.
             scene = read_usd(text, unstated_duration_s=1.0).scene
     if scene.deformables or scene.drivers:
         raise ParameterError(
-            f"{text}: releases of MuJoCo are not compared on deformable or driven bodies: "
+            f"{text}: releases of MuJoCo are not compared on deformable or driven bodies; "
             "give engines or settings of mujoco"
         )
     return scene_mjcf_text(scene, text, frame_count=1)
 
 
 def _made(text: str) -> Any:
-    """Return what a function makes, or the environment of an id of Gymnasium."""
+    """Return the result of a function, or the environment of an id of Gymnasium."""
     module, _, function = text.partition(":")
     sys.path.insert(0, "")
     try:
-        # What it prints is no output of the command.
+        # Keep its prints out of the output of the command.
         with redirect_stdout(sys.stderr):
             if not function:
                 return gymnasium.make(text)
             return getattr(importlib.import_module(module), function)()
     except (Exception, SystemExit) as error:  # The user's code raises any kind.
         raise ParameterError(
-            f"{text!r} is no file, no id of this suite, no environment of Gymnasium, and no module:function: "
+            f"{text!r} is not a file, an id of this suite, an environment of Gymnasium, or module:function: "
             f"{type(error).__name__}: {error}"
         ) from error
 
 
-def _model_file(title: str, made: Any, file: Path) -> Path:
-    """Return the model file of what a function made: that of the environment, or `file`, which is written."""
-    if isinstance(made, mujoco.MjSpec):
-        made = mujoco.MjModel.from_xml_string(made.to_xml())
-    env = getattr(made, "unwrapped", made)
+def _model_file(title: str, returned: Any, file: Path) -> Path:
+    """Return the model file of an environment; if it has none, write its model to `file`."""
+    if isinstance(returned, mujoco.MjSpec):
+        returned = mujoco.MjModel.from_xml_string(returned.to_xml())
+    env = getattr(returned, "unwrapped", returned)
     candidates = [env]
     for attribute in MODEL_ATTRIBUTES:
         with suppress(AttributeError):
             candidates.append(attrgetter(attribute)(env))
-    models = [each for each in candidates if isinstance(each, mujoco.MjModel)]
+    models = [
+        candidate for candidate in candidates if isinstance(candidate, mujoco.MjModel)
+    ]
     if not models:
         raise ParameterError(
-            f"{title} is {type(env).__qualname__}, which has no MuJoCo model: give its model file"
+            f"{title} is {type(env).__qualname__} without a MuJoCo model: give its model file"
         )
     path = Path(getattr(env, "fullpath", file))
     if _is_same(path, models[0]):
         return path
-    # MuJoCo cannot save each model, and saves the one that it compiled last.
+    # MuJoCo saves only the model that it compiled last.
     with suppress(mujoco.FatalError):
         mujoco.mj_saveLastXML(str(file), models[0])
     if not _is_same(file, models[0]):
@@ -269,7 +272,7 @@ def _model_file(title: str, made: Any, file: Path) -> Path:
 
 
 def _is_same(file: Path, model: mujoco.MjModel) -> bool:
-    """Return whether a file is a model, but for the six digits that MuJoCo saves."""
+    """Return whether a file has a model, up to the six digits that MuJoCo saves."""
     with suppress(ValueError):
         loaded = mujoco.MjModel.from_xml_path(str(file))
         pairs = [(getattr(loaded, name), getattr(model, name)) for name in COMPARED]

@@ -1,13 +1,13 @@
 """Run a model in one release of MuJoCo: `python worker.py JOB`.
 
-The process has the packages of the release, and not this package. It needs MuJoCo 3.0 or later and NumPy.
+The process imports the release and NumPy, not this package. It needs MuJoCo 3.0 or later.
 The job is a JSON object. Its `task` is one of:
 
-- `run`: move `model` with `settings` from its initial states, and write the states that it visits.
+- `run`: simulate `model` with `settings` from its initial states, and write the visited states.
 - `probe`: compute one step from each state of the file `states`.
-- `play`: play `episodes` of the environment `subject` with `policy` from `seed`, in the user's Python.
+- `play`: run `episodes` of the environment `subject` with `policy` from `seed`, in the user's Python.
 
-The worker writes arrays to the file `out`, and among them `description`, the text of a JSON object.
+The worker writes arrays to the file `out`; the array `description` is the text of a JSON object.
 """
 
 import importlib
@@ -38,7 +38,7 @@ STATE = (
     "qacc_warmstart",
     "time",
 )
-"""Values of a state; a file of saved states needs `qpos` alone."""
+"""Values of a state; a file of saved states needs only `qpos`."""
 
 ENUMS = {
     "jacobian": "mjtJacobian",
@@ -46,45 +46,45 @@ ENUMS = {
     "cone": "mjtCone",
     "integrator": "mjtIntegrator",
 }
-"""Enumeration of each option that has one."""
+"""Enumerations of options."""
 
 PHYSICS = re.compile(
     r"(?!.*(adr|num|bvh|plugin|rgba|matid|group|user|sameframe|simple|rootid|weldid|treeid|jntid|dataid|Madr|texcoord|"
     r"flatskin))(qpos0|qpos_spring|body_|jnt_|dof_|geom_|mesh_(scale|pos|quat|inertia)|hfield_size|pair_|exclude_|eq_|"
     r"tendon_|wrap_|actuator_|key_|flex_|flexedge_)"
 )
-"""Compiled fields that the physics reads, without those that only say where something is stored."""
+"""Compiled fields with physical values, without addresses and counts."""
 
 UNKNOWN = re.compile(
     r"(?:: '|Error: )(?P<word>\w+)"
     r"(?:'\s+Element '(?P<tag>\w+)'| is only available for .*\s+Element name '(?P<name>.*)', id)"
 )
-"""Messages of MuJoCo on an attribute, or on a value of one, that the release does not know for this element."""
+"""Messages of MuJoCo about an unknown attribute or value of an element."""
 
 PERTURBATION = 1e-10
-"""Change of velocities that no release would make on purpose [m/s, rad/s]."""
+"""Negligible change of velocities [m/s, rad/s]."""
 
 CONTROL_INTERVAL_S = 0.1
 """Time for which random controls are constant [s]."""
 
 CONTROL_ROWS = 6001
-"""Number of random controls that are drawn; the random push comes after them."""
+"""Number of random controls that are drawn before the random push."""
 
 PUSH_M_PER_S = 0.5
 """Standard deviation of the velocities of a push [m/s or rad/s]."""
 
-MAX_STARTS = 4
-"""Keyframes, or saved states, from which the model moves."""
+MAX_INITIAL_STATES = 4
+"""Maximum number of keyframes or saved states from which the model moves."""
 
 
 # --- the model -------------------------------------------------------------------------------------------------------
 
 
 def load_model(job: Job) -> tuple[Any, list[str]]:
-    """Compile the model of a job with its settings, without the attributes that the release does not know.
+    """Compile the model of a job with its settings, without attributes that the release does not know.
 
     Returns:
-        The compiled model, and the attributes that were left out, as `option apirate="100"`.
+        The compiled model, and the removed attributes, for example `option apirate="100"`.
     """
     path = Path(job["model"])
     root = ElementTree.parse(path).getroot()
@@ -102,14 +102,14 @@ def load_model(job: Job) -> tuple[Any, list[str]]:
             if not unknown:
                 raise
             dropped += unknown
-            # The names of meshes are relative to the folder of the model.
+            # Mesh files are relative to the folder of the model.
             os.chdir(path.parent)
     set_options(model, job["settings"])
     return model, dropped
 
 
 def remove_unknown(root: Any, message: str) -> list[str]:
-    """Remove the attributes from an XML tree that a message of MuJoCo rejects, and return them."""
+    """Remove the attributes that a message of MuJoCo rejects from an XML tree, and return them."""
     rejected = UNKNOWN.search(message)
     removed: list[str] = []
     if rejected is None:
@@ -124,7 +124,7 @@ def remove_unknown(root: Any, message: str) -> list[str]:
 
 
 def set_options(model: Any, settings: Job) -> None:
-    """Write options into a model; a word stands for the number of its enumeration."""
+    """Write options into a model; names of enumerations are allowed."""
     for name, value in settings.items():
         members = getattr(mujoco, ENUMS[name]).__members__ if name in ENUMS else {}
         numbers = {key.partition("_")[2].lower(): int(members[key]) for key in members}
@@ -138,7 +138,7 @@ def set_options(model: Any, settings: Job) -> None:
 
 
 def compiled_fields(model: Any) -> Job:
-    """Return the rows of the options, and of the fields of the compiled model that the physics reads."""
+    """Return the rows of the options and of the physical fields of the compiled model."""
     options = [name for name in dir(model.opt) if not name.startswith("_")]
     fields = {f"opt.{name}": [np.ravel(getattr(model.opt, name))] for name in options}
     fields |= {name: getattr(model, name) for name in filter(PHYSICS.match, dir(model))}
@@ -146,7 +146,7 @@ def compiled_fields(model: Any) -> Job:
 
 
 def names_of(objects: Callable[[int], Any], kind: str, count: int) -> list[str]:
-    """Return the names of objects; of a nameless object, its kind and index."""
+    """Return the names of objects; an object without a name has its kind and index."""
     return [objects(index).name or f"{kind} {index}" for index in range(count)]
 
 
@@ -172,7 +172,7 @@ def object_names(model: Any) -> dict[str, list[str]]:
 
 
 def set_state(data: Any, state: Job) -> None:
-    """Write a state into data that were reset."""
+    """Write a state into reset data."""
     for name in state:
         setattr(data, name, state[name])
 
@@ -183,7 +183,7 @@ def get_state(data: Any) -> Job:
 
 
 def default_segments(model: Any, steps: int, seed: int) -> Iterator[Segment]:
-    """Yield motions from the initial state and keyframes, with random controls, and after a push."""
+    """Yield motions from the initial state and keyframes, with random controls, and with a push."""
     random = np.random.RandomState(seed)
     data = mujoco.MjData(model)
     is_limited = np.array(model.actuator_ctrllimited, dtype=bool).ravel()
@@ -192,7 +192,7 @@ def default_segments(model: Any, steps: int, seed: int) -> Iterator[Segment]:
     state = get_state(data)
     state["ctrl"] = np.clip(np.zeros(model.nu), low, high)
     yield "start", state, None
-    for key in range(min(model.nkey, MAX_STARTS)):
+    for key in range(min(model.nkey, MAX_INITIAL_STATES)):
         mujoco.mj_resetDataKeyframe(model, data, key)
         state = get_state(data)
         yield f"keyframe {model.key(key).name or key}", state, None
@@ -215,7 +215,7 @@ def load_states(model: Any, file: str) -> list[Job]:
     if size != model.nq or {shape[0] for shape in shapes.values()} != {count}:
         raise SystemExit(
             f"saved states have the shapes {shapes}; expected qpos with {model.nq} columns and a row for each state, "
-            "and as many rows of each other array"
+            "and the same number of rows in the other arrays"
         )
     return [{name: rows[name][index] for name in rows} for index in range(count)]
 
@@ -233,14 +233,16 @@ def move(model: Any, job: Job, segment: Segment) -> Iterator[Job]:
 
 
 def run(job: Job) -> tuple[Job, Job]:
-    """Move the model through its segments; return a description of the model, and the states that it visits."""
+    """Run the segments of a model; return a description of the model and the visited states."""
     model, dropped = load_model(job)
     saved: list[Job] = []
     segments = default_segments(model, job["steps"], job["seed"])
     if job["saved"]:
         saved = load_states(model, job["saved"])
-        starts = range(0, len(saved), -(-len(saved) // MAX_STARTS))
-        segments = ((f"settle from state {i}", saved[i], None) for i in starts)
+        indices = range(0, len(saved), -(-len(saved) // MAX_INITIAL_STATES))
+        segments = (
+            (f"settle from state {index}", saved[index], None) for index in indices
+        )
     states = [state for segment in segments for state in move(model, job, segment)]
     blank = {**get_state(mujoco.MjData(model)), "segment": "saved states"}
     states += [{**blank, **row, "step": step} for step, row in enumerate(saved)]
@@ -255,7 +257,7 @@ def run(job: Job) -> tuple[Job, Job]:
 
 
 def stacked(rows: list[Job]) -> Job:
-    """Return the values of all rows by name, as arrays with a row each."""
+    """Return the values of all rows as arrays by name."""
     return {name: np.array([state[name] for state in rows]) for name in rows[0]}
 
 
@@ -263,7 +265,7 @@ def stacked(rows: list[Job]) -> Job:
 
 
 def contacts(data: Any) -> dict[str, list[float]]:
-    """Return the sorted distances [m] of the contacts of each pair of rigid geoms, as `0 3`."""
+    """Return the sorted distances [m] of the contacts of each pair of rigid geoms, such as `0 3`."""
     contact = data.contact
     geoms = np.sort([np.ravel(contact.geom1), np.ravel(contact.geom2)], axis=0)
     pairs: dict[str, list[float]] = {}
@@ -274,7 +276,7 @@ def contacts(data: Any) -> dict[str, list[float]]:
 
 
 def accelerations(model: Any, data: Any, state: Job) -> Any:
-    """Return the accelerations of a state, which stays in the data of the model."""
+    """Write a state into the data of a model, and return its accelerations."""
     mujoco.mj_resetData(model, data)
     set_state(data, state)
     mujoco.mj_forward(model, data)
@@ -282,29 +284,29 @@ def accelerations(model: Any, data: Any, state: Job) -> Any:
 
 
 def probe_state(model: Any, data: Any, state: Job, change: Any) -> Job:
-    """Return what one step from a state computes, and what its accelerations are with a velocity that differs.
+    """Return the results of one step from a state, and the noise of its accelerations.
 
     Args:
         model: The model.
-        data: Its data, which are overwritten.
-        state: The state, which alone decides: with its saved warm start.
+        data: Data of the model; they are overwritten.
+        state: The state, with its saved warm start.
         change: Change of the velocity, shape [nv].
     """
     velocity = state["qvel"]
     cold = {name: state[name] for name in state if name != "qacc_warmstart"}
-    starts = (cold, {**state, "qvel": velocity + change})
-    changed = [accelerations(model, data, start) for start in starts]
+    states = (cold, {**state, "qvel": velocity + change})
+    changed = [accelerations(model, data, changed_state) for changed_state in states]
     acceleration = accelerations(model, data, state)
     noise = np.linalg.norm(changed - acceleration, axis=1).max()
     probed = {
         "qacc": acceleration,
-        # A change that is not a number hides each difference.
+        # NaN counts as infinite noise.
         "noise": np.nan_to_num(noise, nan=np.inf),
         "smooth": np.array(data.qacc_smooth),
         "iterations": int(np.max(data.solver_niter, initial=0)),
         "contacts": data.ncon,
         "touching": contacts(data),
-        # The solver stops when its cost, a square of accelerations, falls by less than the tolerance.
+        # The solver stops if its cost, a squared acceleration, improves by less than the tolerance.
         "solver_error": np.sqrt(model.opt.tolerance) if data.nefc else 0.0,
         "geom_xpos": np.array(data.geom_xpos),
         "geom_xmat": np.array(data.geom_xmat),
@@ -332,18 +334,18 @@ def probe(job: Job) -> tuple[Job, Job]:
 
 
 def call(text: str) -> Any:
-    """Return what a function of `module:function` returns."""
+    """Call `module:function` and return its result."""
     module, _, function = text.partition(":")
     return getattr(importlib.import_module(module), function)()
 
 
 def make_policy(text: str) -> Callable[[Any, int], Any]:
-    """Return the action of an observation and a step, by a policy `module:function` or a file of actions."""
+    """Return a function of observation and step, from a policy `module:function` or a file of actions."""
     if text.endswith(".npy"):
         rows = np.load(text)
         return lambda observation, step: rows[min(step, len(rows) - 1)]
     policy = call(text)
-    # Stable-Baselines3 returns the action with a state.
+    # Stable-Baselines3 returns a pair of action and state.
     predict = getattr(policy, "predict", policy)
 
     def act(observation: Any, step: int) -> Any:
@@ -354,8 +356,8 @@ def make_policy(text: str) -> Callable[[Any, int], Any]:
 
 
 def play(job: Job) -> tuple[Job, Job]:
-    """Return return and success of an episode from each seed; NaN where the environment states no success."""
-    # The user's modules are in the working folder.
+    """Return return and success of an episode for each seed; NaN if the environment reports no success."""
+    # Modules of the user are in the working folder.
     sys.path.insert(0, "")
     subject, act = job["subject"], make_policy(job["policy"])
     is_function = ":" in subject and "/" not in subject
@@ -384,7 +386,7 @@ TASKS = {"run": run, "probe": probe, "play": play}
 
 
 def main(text: str) -> None:
-    """Do a job."""
+    """Run a job."""
     job = json.loads(text)
     description, arrays = TASKS[job["task"]](job)
     np.savez(job["out"], description=json.dumps(description), **arrays)

@@ -1,7 +1,7 @@
-"""Loops in the engines themselves, built from the snippet of a recipe and nothing else of this package.
+"""Simulations in plain engines that use only the snippet of a recipe.
 
-A function with the name of an engine returns the places of a body at each step of half a second. `slide` and `rebound`
-read friction and restitution from them.
+The function of each engine returns the positions of a body at each step of half a second. `slide` and `rebound` compute
+friction and restitution from them.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ G = 9.80665
 RADIUS_M, DROP_M = 0.03, 0.2
 DURATION_S = 0.5
 PHASES = 4
-"""Drops from heights that differ by less than the fall of a step."""
+"""Number of drops; their heights differ by less than the fall of a step."""
 HALF_PLATE_M = (0.06, 0.06, 0.015)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Foot:
-    """A box or, without a size, a ball above the plane z = 0, which starts at rest."""
+    """A box or, without a size, a ball at rest above the plane z = 0."""
 
     mass_kg: float
     step_s: float
@@ -31,7 +31,7 @@ class Foot:
 
 
 def slide(loop, snippet, friction, mass_kg, step_s):
-    """Return friction over normal force of a plate, from its mean accelerations along and off the slope after 0.1 s."""
+    """Return the friction of a plate, from its mean accelerations along and off the slope after 0.1 s."""
     slope_rad = math.atan(friction) + math.radians(10.0)
     down, into = G * math.sin(slope_rad), G * math.cos(slope_rad)
     foot = Foot(
@@ -49,7 +49,7 @@ def slide(loop, snippet, friction, mass_kg, step_s):
 
 
 def rebound(loop, snippet, mass_kg, step_s):
-    """Return the mean restitution of drops: root of the second peak's height over the first one's."""
+    """Return the mean restitution of drops: the square root of the ratio of the second to the first height."""
     restitutions = []
     for phase in range(PHASES):
         drop = DROP_M + math.sqrt(2.0 * G * DROP_M) * step_s * phase / PHASES
@@ -61,14 +61,14 @@ def rebound(loop, snippet, mass_kg, step_s):
 
 
 def names_of(snippet):
-    """Names that a snippet of Python defines."""
+    """Return the names that a snippet of Python defines."""
     names = {}
     exec(snippet, names)
     return names
 
 
 def stepped_places(foot, step, place):
-    """Return the place before each step and after the last one, shape [count, 3]."""
+    """Return the positions before each step and after the last step, shape [count, 3]."""
     places = [np.array(place(), dtype=float)]
     for _ in range(round(DURATION_S / foot.step_s)):
         step()
@@ -77,7 +77,7 @@ def stepped_places(foot, step, place):
 
 
 def mujoco(snippet, foot):
-    """MuJoCo, from MJCF."""
+    """Simulate in MuJoCo, from MJCF."""
     import mujoco as mj
 
     half = " ".join(map(str, foot.half_m))
@@ -99,7 +99,7 @@ def mujoco(snippet, foot):
 
 
 def rapier(snippet, foot):
-    """Rapier, from Python."""
+    """Simulate in Rapier, from Python."""
     import rapier3d as rp
 
     names = names_of(snippet)
@@ -121,7 +121,7 @@ def rapier(snippet, foot):
 
 
 def physx(snippet, foot):
-    """SAPIEN, from Python, whose configurations are global."""
+    """Simulate in SAPIEN, from Python; its configurations are global."""
     import sapien
 
     before = sapien.physx.get_scene_config()
@@ -147,7 +147,7 @@ def physx(snippet, foot):
 
 
 def pybullet(snippet, foot):
-    """PyBullet, from Python."""
+    """Simulate in PyBullet, from Python."""
     import pybullet as pb
 
     names = names_of(snippet)

@@ -1,4 +1,4 @@
-"""What recipes measure and propose, against MuJoCo's documented contact equation."""
+"""Compare measured and proposed values of recipes with documented contact equations."""
 
 import math
 
@@ -17,8 +17,8 @@ MUJOCO = engine_settings("mujoco")
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.9, 1.0, 2.0])
-def test_the_restitution_of_a_spring_and_damper_is_that_of_its_motion(ratio):
-    """By steps of the equation x'' = -x - 2 z x', until the force is zero."""
+def test_the_restitution_of_a_spring_and_damper_agrees_with_its_motion(ratio):
+    """Integrate x'' = -x - 2 z x' until the force is zero."""
     position, speed, step = 0.0, 1.0, 1e-4
     while (force := position + 2.0 * ratio * speed) > 0.0:
         speed -= step * force
@@ -30,8 +30,8 @@ def test_the_restitution_of_a_spring_and_damper_is_that_of_its_motion(ratio):
 @pytest.mark.parametrize(
     ("impedance", "impratio", "time_s"), [(0.9, 3.0, 0.02), (0.5, 1.0, 0.05)]
 )
-def test_depth_and_creep_are_those_of_mujocos_equation(impedance, impratio, time_s):
-    """With n contacts (1 - d) g = n k r, and damping balances the soft share of the load on a slope."""
+def test_depth_and_creep_agree_with_mujocos_equation(impedance, impratio, time_s):
+    """On n contacts, (1 - d) g = n k r. On a slope, damping balances the soft share of the load."""
     text = f"solref={time_s} 1 solimp={impedance} {impedance} 0.001 cone=elliptic impratio={impratio} friction=0.5"
     reached = explain(MUJOCO.parsed(text, 0.002), 2.0).reached
     depth_m = (1.0 - impedance) * G * time_s**2 / 4.0
@@ -43,7 +43,7 @@ def test_depth_and_creep_are_those_of_mujocos_equation(impedance, impratio, time
 
 
 class ImplicitDrop:
-    """Drops by the implicit scheme of Drake, which its backend repeats for all phases."""
+    """Drops by the implicit scheme of Drake, averaged over all phases."""
 
     def __init__(self, settings, mass_kg):
         constants = settings.backend_settings(mass_kg)
@@ -63,13 +63,13 @@ class ImplicitDrop:
 def test_the_search_reaches_a_restitution_by_the_scheme_of_drake(
     monkeypatch, restitution, step_s
 ):
-    """At 0.1 plain corrections overshoot, so that the search must halve its range."""
+    """At 0.1, plain corrections overshoot, so the search must halve its range."""
     monkeypatch.setattr(search, "Probe", ImplicitDrop)
     drake = engine_settings("drake")
     aim = Aim(restitution=restitution, mass_kg=0.5, timestep_s=step_s)
     if restitution > 0.5:
         proposed = drake.aimed(aim)
-        # The steps alone dissipate enough.
+        # Implicit steps dissipate enough without relaxation.
         assert proposed.relaxation_time == pytest.approx(0.0, abs=1e-9)
         first = ImplicitDrop(proposed, 0.5).restitution
         assert first == pytest.approx(restitution, abs=0.05)

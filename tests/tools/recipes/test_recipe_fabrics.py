@@ -1,4 +1,4 @@
-"""Recipes of fabrics: what simulated strips reach, a planted fault, and a snippet in a plain loop of MuJoCo."""
+"""Recipes of fabrics: simulated strips, a planted fault, and a snippet in plain MuJoCo."""
 
 import mujoco
 import numpy as np
@@ -17,11 +17,11 @@ G = 9.80665
 
 @pytest.fixture(scope="module")
 def recipe():
-    """Satin in MuJoCo."""
+    """Return the recipe of satin in MuJoCo."""
     return fabric_recipe("satin", SATIN, "mujoco")
 
 
-def test_strips_of_satin_reach_what_was_measured(recipe):
+def test_strips_of_satin_reach_the_measured_stiffness(recipe):
     assert not recipe.misses and recipe.explanation == NOTHING_LOST
     assert recipe.reached["stretch_n_per_m"] == pytest.approx(STRETCH, rel=0.02)
     bend = SATIN.bend_stiffness_n_m_per_rad
@@ -29,34 +29,36 @@ def test_strips_of_satin_reach_what_was_measured(recipe):
 
 
 def test_a_fabric_of_isaac_is_not_simulated():
-    found = fabric_recipe("satin", SATIN, "isaac")
-    assert set(found.reached.values()) == {None}
-    assert "does not simulate" in found.explanation
+    recipe = fabric_recipe("satin", SATIN, "isaac")
+    assert set(recipe.reached.values()) == {None}
+    assert "does not simulate" in recipe.explanation
 
 
 @pytest.mark.slow
-def test_a_fabric_says_what_its_mapping_loses():
-    """One modulus of Newton gives the stretch and, at a third and more of it, a shear that satin does not have."""
+def test_the_recipe_of_a_fabric_names_the_loss_of_its_mapping():
+    """Newton has one modulus for stretch and shear, so the shear of satin is too stiff."""
     pytest.importorskip("newton")
-    found = fabric_recipe("satin", SATIN, "newton")
-    shear = found.settings["tri_ke"]
-    assert found.reached["stretch_n_per_m"] == pytest.approx(STRETCH, rel=0.02)
+    recipe = fabric_recipe("satin", SATIN, "newton")
+    shear = recipe.settings["tri_ke"]
+    assert recipe.reached["stretch_n_per_m"] == pytest.approx(STRETCH, rel=0.02)
     words = f"shear: {shear:.4g} N/m instead of {SATIN.shear_stiffness_n_per_m:.4g}"
-    assert words in found.explanation
-    assert f"tri_ke={shear:.6g}" in found.snippet
+    assert words in recipe.explanation
+    assert f"tri_ke={shear:.6g}" in recipe.snippet
 
 
-def test_a_membrane_of_half_the_stiffness_is_found(monkeypatch):
-    """A planted fault in the engine."""
-    kept = mujoco_cloth._membrane
-    monkeypatch.setattr(mujoco_cloth, "_membrane", lambda *given: 0.5 * kept(*given))
-    found = fabric_recipe("satin", SATIN, "mujoco")
-    assert found.misses == ["stretch_n_per_m"]
-    assert found.reached["stretch_n_per_m"] == pytest.approx(0.5 * STRETCH, rel=0.02)
+def test_a_membrane_of_half_the_stiffness_is_a_miss(monkeypatch):
+    """Plant a fault in the engine."""
+    membrane = mujoco_cloth._membrane
+    monkeypatch.setattr(
+        mujoco_cloth, "_membrane", lambda *arguments: 0.5 * membrane(*arguments)
+    )
+    recipe = fabric_recipe("satin", SATIN, "mujoco")
+    assert recipe.misses == ["stretch_n_per_m"]
+    assert recipe.reached["stretch_n_per_m"] == pytest.approx(0.5 * STRETCH, rel=0.02)
 
 
 def test_the_snippet_stretches_in_a_plain_loop_of_mujoco(recipe):
-    """Sag of a strip of a plain flex over that of springs in a row, which have the mass of its vertices."""
+    """Compare the sag of a plain flex strip with a row of springs that has the mass of its vertices."""
     columns, rows, cell = 13, 4, 0.025
     width = (rows - 1) * cell
     mass = SATIN.areal_density_kg_per_m2 * (columns - 1) * cell * width
@@ -73,13 +75,13 @@ def test_the_snippet_stretches_in_a_plain_loop_of_mujoco(recipe):
     for _ in range(2000):
         mujoco.mj_step(model, data)
         ends.append(float((data.flexvert_xpos[last, 0] - start[last]).mean()))
-    # The spring of column i carries the columns below it, each of which has an equal share of the mass.
+    # The spring of column i carries the columns below; all columns have equal mass.
     load = mass * G * sum(range(1, columns)) / columns
     expected = load * cell / (STRETCH * width)
     share = float(hann_mean(np.array(ends))) / expected
     assert share == pytest.approx(1.0, rel=0.02)
 
 
-def test_an_engine_without_cloth_says_which_have_some():
+def test_an_engine_without_cloth_is_an_error_with_the_supported_engines():
     with pytest.raises(ParameterError, match="choose one of"):
         fabric_recipe("satin", SATIN, "pybullet")

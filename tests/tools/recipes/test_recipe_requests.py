@@ -1,4 +1,4 @@
-"""Requests of recipes: what is reached beside friction and rebound, materials, wrong requests."""
+"""Requests of recipes: reached values, materials, wrong requests."""
 
 import json
 import math
@@ -21,12 +21,12 @@ from gauge_envs.tools.recipes import Aim, engine_settings, find_recipe
 from gauge_envs.tools.recipes.materials import material_pairs
 
 GOOD = "--backend=mujoco --friction=0.4 --mass=0.5 --set=timestep_s=0.002"
-"""A request that is met; a word replaces an earlier one of the same name."""
+"""A valid request; a later option replaces an earlier option of the same name."""
 
 
 @pytest.fixture
 def values(gauge):
-    """The line of a recipe as JSON."""
+    """Return the JSON object of a recipe."""
 
     def run(words):
         result = gauge("recipe", *shlex.split(words), "--json")
@@ -42,19 +42,19 @@ def searched(engine="mujoco", **asked):
 
 
 def test_a_recipe_is_one_json_object(values):
-    found = values("--backend mujoco --restitution=0.6 --mass=0.5 --set=timestep_s=0.002")  # fmt: skip
-    # Friction, depth and creep are not asked.
-    assert found["error"]["friction"] is found["asked"]["friction"] is None
-    assert found["reached"]["friction"] == pytest.approx(0.5, rel=0.02)
-    away = found["reached"]["restitution"] - 0.6
-    assert found["error"]["restitution"] == pytest.approx(away, abs=1e-9)
-    assert abs(away) < 0.01 and found["misses"] == []
+    recipe = values("--backend mujoco --restitution=0.6 --mass=0.5 --set=timestep_s=0.002")  # fmt: skip
+    # Friction, depth and creep are not requested.
+    assert recipe["error"]["friction"] is recipe["asked"]["friction"] is None
+    assert recipe["reached"]["friction"] == pytest.approx(0.5, rel=0.02)
+    away = recipe["reached"]["restitution"] - 0.6
+    assert recipe["error"]["restitution"] == pytest.approx(away, abs=1e-9)
+    assert abs(away) < 0.01 and recipe["misses"] == []
 
 
-def test_torsional_and_rolling_friction_are_those_of_a_plain_ball():
-    """The pasted pair slows a ball in plain MuJoCo by 5/2 and 5/7 g arm / r^2."""
-    found = searched(friction=0.5, torsion_m=0.002, rolling_m=0.001, mass_kg=0.2)
-    assert not found.misses and set(found.error) >= {"torsion_m", "rolling_m"}
+def test_torsional_and_rolling_friction_agree_with_a_plain_ball():
+    """In plain MuJoCo, the snippet slows a ball by 5/2 g arm / r^2 and 5/7 g arm / r^2."""
+    recipe = searched(friction=0.5, torsion_m=0.002, rolling_m=0.001, mass_kg=0.2)
+    assert not recipe.misses and set(recipe.error) >= {"torsion_m", "rolling_m"}
 
     def losses(snippet):
         model = mujoco.MjModel.from_xml_string(
@@ -73,17 +73,17 @@ def test_torsional_and_rolling_friction_are_those_of_a_plain_ball():
         return rates
 
     expected = [2.5 * G * 0.002 / 0.05**2, G * 0.001 / 1.4 / 0.05**2]
-    assert losses(found.snippet) == pytest.approx(expected, rel=0.01)
+    assert losses(recipe.snippet) == pytest.approx(expected, rel=0.01)
 
 
-def test_a_creep_that_is_asked_is_not_exceeded():
+def test_the_requested_creep_is_not_exceeded():
     asked = {"friction": 0.5, "mass_kg": 0.2}
     free_m_per_s = searched(**asked).reached["creep_m_s"]
-    found = searched(**asked, creep_m_s=2.5e-6)
-    assert not found.misses and found.reached["creep_m_s"] < 2.5e-6 < free_m_per_s
+    recipe = searched(**asked, creep_m_s=2.5e-6)
+    assert not recipe.misses and recipe.reached["creep_m_s"] < 2.5e-6 < free_m_per_s
 
 
-def test_an_engine_without_torsional_friction_says_so():
+def test_an_engine_without_torsional_friction_is_unsupported():
     pytest.importorskip("rapier3d")
     with pytest.raises(DeclinedError, match="torsional friction"):
         searched("rapier", torsion_m=0.002)
@@ -91,55 +91,55 @@ def test_an_engine_without_torsional_friction_says_so():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["newton", "pybullet", "genesis"])
-def test_torsional_and_rolling_friction_of_other_engines(engine):
+def test_engines_reach_torsional_and_rolling_friction(engine):
     pytest.importorskip(engine)
     asked = {"friction": 0.5, "mass_kg": 0.2, "torsion_m": 0.002}
     assert not searched(engine, **asked, rolling_m=0.001).misses
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])
-def test_an_example_of_the_page_is_what_the_command_prints(place, gauge):
+def test_the_command_prints_the_examples_of_the_page(place, gauge):
     page = (ROOT / "docs" / "recipes.md").read_text()
     command, printed = re.findall(
         r"```sh\n([^\n]*)\n```\n\n```text\n(.*?)```", page, re.DOTALL
     )[place]
     # The page leaves out the wall time.
     output = gauge(*shlex.split(command)[1:]).output
-    found = re.sub(r"\d+\.\d s\n", "", output).split()
-    assert found[: len(printed.split())] == printed.split()
+    words = re.sub(r"\d+\.\d s\n", "", output).split()
+    assert words[: len(printed.split())] == printed.split()
 
 
 def test_a_stiffness_is_reached_as_a_depth_and_a_damping_as_a_rebound():
-    """For 0.5 kg on 5000 N/m and 20 N s/m."""
-    found = searched(stiffness_n_per_m=5000.0, damping_n_s_per_m=20.0)
+    """The body has 0.5 kg, on 5000 N/m and 20 N s/m."""
+    recipe = searched(stiffness_n_per_m=5000.0, damping_n_s_per_m=20.0)
     ratio = 20.0 / (2.0 * math.sqrt(5000.0 * 0.5))
-    assert found.reached["penetration_m"] == pytest.approx(0.5 * G / 5000.0, rel=0.01)
+    assert recipe.reached["penetration_m"] == pytest.approx(0.5 * G / 5000.0, rel=0.01)
     rebound = spring_damper_restitution(ratio)
-    assert found.reached["restitution"] == pytest.approx(rebound, abs=0.01)
-    assert not found.misses
+    assert recipe.reached["restitution"] == pytest.approx(rebound, abs=0.01)
+    assert not recipe.misses
 
 
 def test_a_miss_has_its_reason():
-    """At 10 ms MuJoCo rebounds with 0.6 or rests 10 micrometres deep, not both; without a rebound it rests there."""
+    """With steps of 10 ms, MuJoCo reaches a restitution of 0.6 or a depth of 10 micrometres, not both."""
     asked = {"penetration_m": 1e-5, "timestep_s": 0.01}
     assert searched(**asked).reached["penetration_m"] <= 1e-5
-    found = searched(**asked, restitution=0.6)
-    assert found.misses == ["penetration_m"]
-    assert "impedance d is at most 0.9999" in found.explanation
+    recipe = searched(**asked, restitution=0.6)
+    assert recipe.misses == ["penetration_m"]
+    assert "impedance d is at most 0.9999" in recipe.explanation
 
 
 # --- materials -------------------------------------------------------------------------------------------------------
 
 
-def test_a_material_is_looked_up_in_the_task_files(values):
-    found = values("wood-on-wood --set=timestep_s=0.002 --backend mujoco")
+def test_the_values_of_a_material_come_from_the_task_files(values):
+    recipe = values("wood-on-wood --set=timestep_s=0.002 --backend mujoco")
     (pair,) = [pair for pair in material_pairs() if pair.name == "wood-on-wood"]
     for key in ("friction", "restitution", "mass_kg"):
-        assert found["asked"][key] == getattr(pair, key)
-    assert found["material"]["friction_std"] == pair.friction_std > 0.0
+        assert recipe["asked"][key] == getattr(pair, key)
+    assert recipe["material"]["friction_std"] == pair.friction_std > 0.0
 
 
-def test_materials_are_listed_with_their_sources(gauge):
+def test_the_list_of_materials_has_sources(gauge):
     lines = gauge("list", "materials", "--json").stdout.splitlines()
     names = [json.loads(line)["name"] for line in lines]
     assert names[-6:] == [*fabrics("TextileFlinging")]
@@ -155,22 +155,22 @@ def test_materials_are_listed_with_their_sources(gauge):
     ("words", "message"),
     [
         ("--restitution=1.5", "restitution 1.5: expected 0 to 1"),
-        ("--set=iterations=3", "takes the time step alone"),
+        ("--set=iterations=3", "takes only the time step"),
         ("--stiffness=3", "depth of 1.63 m: expected 1e-07 to 0.01"),
         ("--damping=3", "give a stiffness"),
         ("wood-on-wod", "did you mean wood-on-wood"),
-        ("satin", "leave the others out"),
-        ("'--explain=solref=1 1'", "leave the others out"),
+        ("satin", "leave out the rest"),
+        ("'--explain=solref=1 1'", "leave out the rest"),
     ],
 )
-def test_a_wrong_request_ends_with_its_reason(words, message, gauge):
+def test_a_wrong_request_is_an_error_with_the_reason(words, message, gauge):
     result = gauge("recipe", *shlex.split(f"{GOOD} {words}"))
     assert result.exit_code == 2
     assert message in " ".join(result.output.split())
 
 
 @pytest.mark.parametrize("option", ["--backend", "--mass", "--set"])
-def test_a_request_that_is_incomplete_names_what_is_missing(option, gauge):
+def test_an_incomplete_request_is_an_error_with_the_missing_option(option, gauge):
     words = [word for word in GOOD.split() if not word.startswith(option)]
     result = gauge("recipe", *words)
     assert result.exit_code == 2 and option in result.output
@@ -185,28 +185,28 @@ def test_a_request_that_is_incomplete_names_what_is_missing(option, gauge):
         ("solref=0.02 1 solref=0.01 1", "each name once"),
     ],
 )
-def test_wrong_settings_are_refused(text, message):
+def test_wrong_settings_are_rejected(text, message):
     with pytest.raises(ParameterError, match=message):
         engine_settings("mujoco").parsed(text, 0.002)
 
 
 def test_a_divergence_is_an_outcome_with_its_cause(monkeypatch, gauge):
-    """A planted fault: damping that reverses and doubles the speed at each step."""
+    """Plant a damping that reverses and doubles the speed at each step."""
     cls = engine_settings("mujoco")
-    kept = cls.aimed
+    aimed = cls.aimed
 
     def unstable(aim):
-        return kept(aim).model_copy(update={"solref": (-1e7, -5.0 / aim.timestep_s)})
+        return aimed(aim).model_copy(update={"solref": (-1e7, -5.0 / aim.timestep_s)})
 
     monkeypatch.setattr(cls, "aimed", unstable)
     result = gauge("recipe", *GOOD.split(), "--json")
     assert result.exit_code == 1
-    found = json.loads(result.stdout)
-    assert set(found["reached"].values()) == {None}
-    assert "diverges" in found["explanation"]
+    recipe = json.loads(result.stdout)
+    assert set(recipe["reached"].values()) == {None}
+    assert "diverges" in recipe["explanation"]
 
 
-def test_a_terminal_does_not_cut_what_is_to_be_pasted(values):
+def test_a_narrow_terminal_does_not_cut_the_snippet(values):
     words = ["recipe", "satin", "--backend", "isaac"]
     text = CliRunner(env={"COLUMNS": "40"}).invoke(app, words).stdout
     assert text.endswith(values("satin --backend isaac")["snippet"])

@@ -1,4 +1,4 @@
-"""Snippets of recipes give what is said in a plain loop of the engine."""
+"""Snippets of recipes reach the reported values in the plain engine."""
 
 import pytest
 from plain_loops import LOOPS, rebound, slide
@@ -15,18 +15,18 @@ MODULES = {
 
 
 @pytest.mark.parametrize("engine", MODULES)
-def test_the_snippet_gives_what_is_said_and_what_is_asked(engine):
+def test_the_snippet_reaches_reported_and_requested_values(engine):
     pytest.importorskip(MODULES[engine])
     aim = Aim(
         friction=FRICTION, restitution=RESTITUTION, mass_kg=MASS_KG, timestep_s=STEP_S
     )
-    found = find_recipe(engine_settings(engine), aim)
-    assert not found.misses
-    assert found.reached["friction"] == pytest.approx(FRICTION, rel=0.005)
-    assert found.reached["restitution"] == pytest.approx(RESTITUTION, abs=0.01)
+    recipe = find_recipe(engine_settings(engine), aim)
+    assert not recipe.misses
+    assert recipe.reached["friction"] == pytest.approx(FRICTION, rel=0.005)
+    assert recipe.reached["restitution"] == pytest.approx(RESTITUTION, abs=0.01)
     loop = LOOPS[engine]
-    friction = slide(loop, found.snippet, FRICTION, MASS_KG, STEP_S)
-    restitution = rebound(loop, found.snippet, MASS_KG, STEP_S)
-    # The plain plate has its edges along the slope, and starts level; single drops scatter between phases.
-    assert friction == pytest.approx(found.reached["friction"], rel=0.005)
-    assert restitution == pytest.approx(found.reached["restitution"], abs=0.01)
+    friction = slide(loop, recipe.snippet, FRICTION, MASS_KG, STEP_S)
+    restitution = rebound(loop, recipe.snippet, MASS_KG, STEP_S)
+    # The plain plate is level, with edges along the slope. Single drops scatter between phases.
+    assert friction == pytest.approx(recipe.reached["friction"], rel=0.005)
+    assert restitution == pytest.approx(recipe.reached["restitution"], abs=0.01)

@@ -1,4 +1,4 @@
-"""A small scene, and a bench that changes what one side computes."""
+"""A small scene, and a bench that changes the results of one side."""
 
 import json
 import sys
@@ -25,7 +25,7 @@ def side(title, **settings):
 
 
 class Planted(Bench):
-    """A bench whose worker runs in this process, and that changes what the side `new` computes.
+    """A bench with a worker in this process; it changes the results of the side `new`.
 
     Args:
         folder: Folder of all files.

@@ -1,4 +1,4 @@
-"""What is compared, and on what: versions, environments of releases, models, saved states."""
+"""Sides and subjects of a comparison: versions, environments of releases, models, saved states."""
 
 import subprocess
 import sys
@@ -34,7 +34,7 @@ def test_versions_are_read():
 
 
 @pytest.mark.parametrize("text", ["mujco==3.3.0", "mujoco=3.3.0", "mujoco>=3"])
-def test_what_names_no_version_is_an_error_with_the_forms(text):
+def test_an_unknown_version_is_an_error_with_the_forms(text):
     with pytest.raises(ParameterError, match="expected mujoco=="):
         read_sides(text)
 
@@ -57,7 +57,7 @@ def test_engines_are_compared_with_each_other_on_ids(subject, texts):
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
-    """Return a folder of environments, into which `pip` of a test installs."""
+    """Return the folder of environments; installations use `pip` of the test."""
     monkeypatch.setenv("GAUGE_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(environments.shutil, "which", lambda name: None)
 
@@ -74,22 +74,24 @@ def pip(monkeypatch, output, error=""):
     monkeypatch.setattr(environments.subprocess, "run", lambda *words, **more: done)
 
 
-def test_an_installation_that_fails_says_why_and_leaves_nothing(cache, monkeypatch):
+def test_a_failed_installation_gives_the_reason_and_leaves_no_folder(
+    cache, monkeypatch
+):
     pip(monkeypatch, "", "WARNING: retry\nERROR: No matching distribution found")
     with pytest.raises(VersionsError, match=r"mujoco==9.9.0 .*--python.*No matching"):
         environments.make_environment("mujoco==9.9.0")
-    assert [each.name for each in cache.iterdir()] == [".lock"]
+    assert [path.name for path in cache.iterdir()] == [".lock"]
 
 
-def test_an_environment_is_made_once(cache, monkeypatch, capsys):
+def test_an_environment_is_installed_once(cache, monkeypatch, capsys):
     pip(monkeypatch, "")
     folder = environments.make_environment("mujoco==3.1.0")
     # Wheels of this release need an older NumPy.
-    assert "mujoco==3.1.0 and numpy<2: installed" in capsys.readouterr().err
-    assert {each.name for each in cache.iterdir()} == {".lock", folder.name}
+    assert "mujoco==3.1.0 and numpy<2: installing" in capsys.readouterr().err
+    assert {path.name for path in cache.iterdir()} == {".lock", folder.name}
     environments.make_environment("mujoco==3.1.0")
     assert not capsys.readouterr().err
-    # The Python of an environment may have been removed.
+    # Without its Python, the environment is installed again.
     (folder / "bin" / "python").unlink()
     environments.make_environment("mujoco==3.1.0")
     assert (folder / "bin" / "python").exists()
@@ -100,7 +102,10 @@ def test_an_environment_is_made_once(cache, monkeypatch, capsys):
 def test_a_range_has_the_releases_of_the_index_between_its_ends(cache, monkeypatch):
     pip(monkeypatch, "mujoco (4.0.0)\nAvailable versions: 3.10.0, 3.9.0, 3.3.0\n")
     releases = releases_between(read_sides("mujoco==3.9..3.10.0"))
-    assert [each.title for each in releases] == ["mujoco==3.9.0", "mujoco==3.10.0"]
+    assert [release.title for release in releases] == [
+        "mujoco==3.9.0",
+        "mujoco==3.10.0",
+    ]
     with pytest.raises(ParameterError, match=r"newest are 3\.3\.0, 3\.9\.0, 3\.10\.0"):
         releases_between(read_sides("mujoco==3.3.1..3.8"))
 
@@ -117,14 +122,14 @@ def leaves():
 
 
 class Made:
-    """An environment that holds a compiled model."""
+    """An environment with a compiled model."""
 
     def __init__(self):
         self.model = mujoco.MjModel.from_xml_string(SCENE)
 
 
-class Other(Made):
-    """MuJoCo writes the model that it compiled last."""
+class Replaced(Made):
+    """An environment whose model is not the last model that MuJoCo compiled."""
 
     def __init__(self):
         super().__init__()
@@ -132,7 +137,7 @@ class Other(Made):
 
 
 @pytest.mark.parametrize("name", ["made_model", "Made"])
-def test_a_function_that_makes_a_model_is_a_subject(tmp_path, name):
+def test_a_function_that_returns_a_model_is_a_subject(tmp_path, name):
     file = read_subject(f"{__name__}:{name}", tmp_path)
     model = mujoco.MjModel.from_xml_path(str(file))
     assert (model.body_mass[1], model.nv) == (pytest.approx(8.0), 7)
@@ -141,14 +146,14 @@ def test_a_function_that_makes_a_model_is_a_subject(tmp_path, name):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (f"{__name__}:Other", "cannot save the model"),
+        (f"{__name__}:Replaced", "cannot save the model"),
         (f"{__name__}:nothing", "nothing"),
         (f"{__name__}:leaves", "SystemExit: 3"),
         ("absent.xml", "no such file"),
         ("Turntable-1-wood", "are not compared"),
     ],
 )
-def test_what_is_no_subject(tmp_path, text, message):
+def test_an_invalid_subject_is_an_error(tmp_path, text, message):
     with pytest.raises(ParameterError, match=message):
         read_subject(text, tmp_path)
 
@@ -161,7 +166,7 @@ def test_what_is_no_subject(tmp_path, text, message):
         {"qpos": np.zeros((2, 8)), "qvel": np.zeros((3, 7))},
     ],
 )
-def test_states_that_do_not_fit_the_model_are_refused(tmp_path, arrays):
+def test_states_that_do_not_fit_the_model_are_rejected(tmp_path, arrays):
     saved = tmp_path / "states.npz"
     np.savez(saved, **arrays)
     with pytest.raises(SystemExit, match="expected qpos with 8 columns"):
@@ -180,12 +185,12 @@ def test_states_that_do_not_fit_the_model_are_refused(tmp_path, arrays):
         ({"timestep": 0.0}, "positive"),
     ],
 )
-def test_a_wrong_setting_says_what_is_expected(settings, message):
+def test_a_wrong_setting_is_an_error_with_the_expected_value(settings, message):
     with pytest.raises(SystemExit, match=message):
         worker.set_options(mujoco.MjModel.from_xml_string("<mujoco/>"), settings)
 
 
-def test_a_worker_that_fails_says_why(tmp_path):
+def test_a_failed_worker_gives_the_reason(tmp_path):
     model = tmp_path / "newer.xml"
     model.write_text("<mujoco><newer/></mujoco>")
     bench = Bench(title="newer.xml", job={"model": str(model)})
@@ -193,7 +198,7 @@ def test_a_worker_that_fails_says_why(tmp_path):
         bench.work("run", [side("old")])
 
 
-def test_an_attribute_that_a_release_lacks_is_left_out_and_listed(tmp_path):
+def test_an_unknown_attribute_is_removed_and_listed(tmp_path):
     text = SCENE.replace("<option", '<option newer="1"')
     model = tmp_path / "scene.xml"
     model.write_text(text.replace("timestep", 'cone="round" timestep'))
@@ -202,8 +207,8 @@ def test_an_attribute_that_a_release_lacks_is_left_out_and_listed(tmp_path):
     assert compiled.opt.timestep == 0.004
 
 
-def test_an_attribute_that_a_release_has_for_other_actuators_is_left_out():
-    """MuJoCo 4 writes `input` for all actuators; MuJoCo 3.12 knows it for some."""
+def test_an_attribute_of_some_actuators_is_removed_from_the_rest():
+    """MuJoCo 4 writes `input` for all actuators; MuJoCo 3.12 supports it for some."""
     text = '<mujoco><general name="a" input="pos"/><general name="b" input="pos"/></mujoco>'
     root = worker.ElementTree.fromstring(text)
     message = (

@@ -1,4 +1,4 @@
-"""Two versions on one model: a planted change is found first, equal versions are the same, the right side is named."""
+"""Compare two versions on one model: planted changes are detected, equal versions agree, the right side is named."""
 
 import json
 
@@ -25,15 +25,19 @@ def compared(folder, *planted, **options):
 
 
 def test_a_version_is_identical_to_itself(tmp_path):
-    found = compared(tmp_path)
-    assert found.verdict is Verdict.IDENTICAL
-    # The start, random controls and a push, as each side visits them.
-    assert (found.states, found.differing, found.first) == (2 * 3 * 20, 0, None)
-    assert found.fields == ()
-    assert "bit for bit" in comparison_document(found).parts[0].text
+    comparison = compared(tmp_path)
+    assert comparison.verdict is Verdict.IDENTICAL
+    # Each side visits the initial state, random controls and a push.
+    assert (comparison.states, comparison.differing, comparison.first) == (
+        2 * 3 * 20,
+        0,
+        None,
+    )
+    assert comparison.fields == ()
+    assert "bit for bit" in comparison_document(comparison).parts[0].text
 
 
-def test_a_step_without_damping_changes_velocities_by_the_acceleration(tmp_path):
+def test_a_step_without_damping_adds_the_acceleration_to_velocities(tmp_path):
     bench = Planted(tmp_path)
     (run,) = bench.work("run", [side("old")])
     (probe,) = bench.work("probe", [side("old")], run.arrays)
@@ -45,8 +49,8 @@ def rounded(arrays):
 
 
 def test_rounding_is_no_difference(tmp_path):
-    found = compared(tmp_path, rounded)
-    assert (found.verdict, found.differing) == (Verdict.SAME, 0)
+    comparison = compared(tmp_path, rounded)
+    assert (comparison.verdict, comparison.differing) == (Verdict.SAME, 0)
 
 
 def scaled_constraint(arrays):
@@ -61,16 +65,18 @@ def fewer_contacts(arrays):
 
 def deeper(arrays):
     for pairs in arrays["touching"]:
-        pairs |= {pair: [each - 1e-3 for each in pairs[pair]] for pair in pairs}
+        pairs |= {
+            pair: [distance_m - 1e-3 for distance_m in pairs[pair]] for pair in pairs
+        }
     arrays["qacc"] *= 1.1
 
 
-def other_smooth(arrays):
+def changed_smooth(arrays):
     arrays["smooth"][:, 6] += 1.0
     arrays["qacc"][:, 6] += 1.0
 
 
-def other_integration(arrays):
+def changed_integration(arrays):
     arrays["step_acc"][3:, 2] += 1.0
 
 
@@ -80,16 +86,16 @@ def other_integration(arrays):
         (scaled_constraint, 7, Quantity.CONSTRAINT),
         (fewer_contacts, 5, Quantity.CONTACTS),
         (deeper, 0, Quantity.DEPTH),
-        (other_smooth, 0, Quantity.SMOOTH),
-        (other_integration, 3, Quantity.STEP),
+        (changed_smooth, 0, Quantity.SMOOTH),
+        (changed_integration, 3, Quantity.STEP),
     ],
 )
-def test_the_first_step_and_quantity_of_a_planted_change_are_named(
+def test_the_report_names_the_first_step_and_quantity_of_a_planted_change(
     tmp_path, plant, step, quantity
 ):
-    found = compared(tmp_path, plant)
-    assert found.verdict is Verdict.DIFFERENT
-    first = found.first
+    comparison = compared(tmp_path, plant)
+    assert comparison.verdict is Verdict.DIFFERENT
+    first = comparison.first
     assert (first.segment, first.step, first.quantity) == ("start", step, quantity)
     if plant is scaled_constraint:
         assert first.where == "elbow of arm"
@@ -103,14 +109,16 @@ def unsolved(arrays):
 
 
 def test_the_side_that_reaches_the_solution_of_its_equations_is_right(tmp_path):
-    found = compared(tmp_path, unsolved)
-    assert [ruling.right for ruling in found.rulings] == ["old"]
-    assert found.right == "old"
+    comparison = compared(tmp_path, unsolved)
+    assert [ruling.right for ruling in comparison.rulings] == ["old"]
+    assert comparison.right == "old"
 
 
 def halved(arrays):
     for pairs in arrays["touching"]:
-        pairs |= {pair: [each / 2.0 for each in pairs[pair]] for pair in pairs}
+        pairs |= {
+            pair: [distance_m / 2.0 for distance_m in pairs[pair]] for pair in pairs
+        }
     arrays["qacc"] *= 1.1
 
 
@@ -118,49 +126,51 @@ BLOCK = '<geom name="block" type="box" size="1 1 0.05" pos="0 0 -0.04"/><body'
 SUNK = SCENE.replace("<body", BLOCK, 1).replace("0.0999", "0.1")
 
 
-def test_the_side_whose_boxes_are_as_deep_as_their_geometry_is_right(tmp_path):
-    """A box in a box, planted at half of its depth."""
-    found = compared(tmp_path, halved, model=SUNK, steps=5)
-    (ruling,) = [ruling for ruling in found.rulings if "as deep" in ruling.law]
+def test_the_side_with_the_geometric_depth_of_boxes_is_right(tmp_path):
+    """The side `new` halves the depth of a box in a box."""
+    comparison = compared(tmp_path, halved, model=SUNK, steps=5)
+    (ruling,) = [
+        ruling for ruling in comparison.rulings if "contact depths" in ruling.law
+    ]
     assert ruling.right == "old"
     assert ruling.before < 1e-6
     assert ruling.after == pytest.approx(0.5, rel=1e-6)
 
 
-def test_another_default_is_a_changed_field_and_no_law_decides(tmp_path):
+def test_a_changed_default_is_a_changed_field_that_no_law_decides(tmp_path):
     new = SCENE.replace('name="box" type', 'name="box" solref="0.021 1" type').replace(
         "<option", '<option><flag gravity="disable"/></option><option'
     )
-    found = compared(tmp_path, None, new, steps=3)
-    changes = {each.field: each for each in found.fields}
+    comparison = compared(tmp_path, None, new, steps=3)
+    changes = {change.field: change for change in comparison.fields}
     assert changes["opt.disableflags"].after == [
         float(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     ]
     change = changes["geom_solref"]
     assert (change.where, change.count) == ("box", 1)
     assert (change.before, change.after) == ([0.02, 1.0], [0.021, 1.0])
-    assert (found.verdict, found.right) == (Verdict.DIFFERENT, "")
-    last = comparison_document(found).parts[-1]
-    assert "No law that was checked" in last.text
+    assert (comparison.verdict, comparison.right) == (Verdict.DIFFERENT, "")
+    last = comparison_document(comparison).parts[-1]
+    assert "No checked law" in last.text
 
 
 def test_a_saved_state_is_compared_and_moves(tmp_path):
-    """A shelf that one side lacks: the box falls there with g."""
+    """One side lacks the shelf, so the box falls with g."""
     shelf = '<geom name="shelf" type="box" size="0.3 0.3 0.01" pos="0 0 0.51"/><body name="box"'
     model = SCENE.replace('<body name="box"', shelf).replace("0.0999", "0.6199")
     gone = model.replace('name="shelf"', 'name="shelf" contype="0" conaffinity="0"')
     saved = tmp_path / "saved.npz"
     np.savez(saved, qpos=mujoco.MjModel.from_xml_string(model).qpos0[None])
-    found = compared(tmp_path, None, gone, model=model, saved=saved)
-    assert found.states == 2 * (20 + 1)
-    first = found.first
+    comparison = compared(tmp_path, None, gone, model=model, saved=saved)
+    assert comparison.states == 2 * (20 + 1)
+    first = comparison.first
     assert (first.segment, first.step) == ("settle from state 0", 0)
     assert (first.quantity, first.contacts_after) == (Quantity.CONTACTS, 0)
-    assert found.worst.acceleration_after == pytest.approx(-9.81)
+    assert comparison.worst.acceleration_after == pytest.approx(-9.81)
 
 
 class Releases(Planted):
-    """Releases of which the fifth and later ones differ."""
+    """Releases that differ from the fifth release on."""
 
     def plant_of(self, side):
         return scaled_constraint if side.title >= "new5" else None
@@ -170,8 +180,10 @@ def test_a_bisection_names_the_neighbors(tmp_path):
     releases = [side(f"new{number}") for number in range(8)]
     bench = Releases(tmp_path)
     neighbors, tried = find_change(bench, releases)
-    assert [each.title for each in neighbors] == ["new4", "new5"]
-    assert [each.like for each in tried] == sorted(each.like for each in tried)
+    assert [release.title for release in neighbors] == ["new4", "new5"]
+    assert [release.like for release in tried] == sorted(
+        release.like for release in tried
+    )
 
 
 def test_the_command_runs_a_process_for_each_side(tmp_path):
@@ -189,10 +201,12 @@ def test_the_command_runs_a_process_for_each_side(tmp_path):
 
 
 def test_a_depth_is_the_shortest_displacement_in_any_frame():
-    """A corner of a box turned by 45 degrees reaches 0.1 sqrt(2)."""
-    turn = Rotation.from_rotvec([0.0, 0.0, np.pi / 4])
+    """The corner of a box rotated by 45 degrees is at 0.1 sqrt(2)."""
+    rotation = Rotation.from_rotvec([0.0, 0.0, np.pi / 4])
     first = corners_m([0.1, 0.2, 0.3], np.zeros(3), np.eye(3))
-    second = corners_m([0.1, 0.1, 0.1], np.array([0.24, 0.0, 0.0]), turn.as_matrix())
+    second = corners_m(
+        [0.1, 0.1, 0.1], np.array([0.24, 0.0, 0.0]), rotation.as_matrix()
+    )
     frame = Rotation.from_rotvec([0.3, -0.5, 0.2])
     for bodies in ((first, second), (frame.apply(second), frame.apply(first))):
         assert depth_m(*bodies) == pytest.approx(0.1 * 2**0.5 - 0.14, abs=1e-12)

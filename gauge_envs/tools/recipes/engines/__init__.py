@@ -1,4 +1,4 @@
-"""Contact settings of each engine in its own terms."""
+"""Contact settings of each engine, under the names of the engine."""
 
 from importlib import import_module
 
@@ -16,11 +16,11 @@ CLASSES = {
     "drake": "DrakeSettings",
     "genesis": "GenesisSettings",
 }
-"""Class of each engine in the module of its name, which is imported when it is used."""
+"""Class of each engine, in the module with the name of the engine. Modules are imported on use."""
 
 
 def engine_names() -> tuple[str, ...]:
-    """Return the names of engines that recipes are written for, installed or not."""
+    """Return the names of engines with recipes, installed or not."""
     return tuple(CLASSES)
 
 
@@ -28,7 +28,7 @@ def engine_settings(name: str) -> type[ContactSettings]:
     """Return the class of an engine's contact settings.
 
     Raises:
-        UnknownNameError: No recipes are written for the engine.
+        UnknownNameError: The engine has no recipes.
     """
     if name not in CLASSES:
         raise UnknownNameError("engine", name, CLASSES)

@@ -1,4 +1,4 @@
-"""What an engine adds to a recipe: its contact settings, their first proposal, and a snippet to paste."""
+"""Base class of contact settings: parse, propose, simulate, and print as a snippet."""
 
 import re
 from abc import ABC, abstractmethod
@@ -13,39 +13,40 @@ from gauge_envs.errors import ParameterError, first_fault
 from gauge_envs.tools.recipes.aim import Aim
 
 NAME = re.compile(r"(\w+)\s*=")
-"""A name before an equals sign."""
+"""Name before an equals sign."""
 
 VALUE = re.compile(r"[^\s,\"'()\[\]]+")
-"""A value between blanks, commas, quotes and brackets."""
+"""Value between blanks, commas, quotes and brackets."""
 
 NonNegative = Annotated[float, Field(ge=0.0)]
 
 
 def rounded(value: Any) -> Any:
-    """Return a number to six digits, which is what a snippet prints, or a tuple of such numbers."""
+    """Return a number, or a tuple of numbers, rounded to the six digits of a snippet."""
     if isinstance(value, tuple):
         return tuple(map(rounded, value))
     return float(f"{value:g}") if isinstance(value, float) else value
 
 
 def numbers(values: Iterable[float], separator: str = " ") -> str:
-    """Return numbers as a snippet prints them."""
+    """Return the text of numbers in a snippet."""
     return separator.join(f"{value:g}" for value in values)
 
 
 class ContactSettings(BaseModel, ABC):
-    """Contact settings of one engine, under its own names. Defaults are those of the engine.
+    """Contact settings of one engine, with its names and defaults.
 
-    A field `restitution` is a coefficient of the engine. Without one, contacts rebound by their constants.
+    If the engine has a coefficient of restitution, it is the field `restitution`. Otherwise contact constants determine
+    rebounds.
 
     Attributes:
         engine: Name of the engine.
         is_soft: Whether a setting determines the depth at rest.
-        restitution_range: Smallest and largest restitution that settings can aim at.
-        friction_field: Field that is the coefficient of friction of the pair.
-        preset: Preset of the backend on which the settings are built.
-        natives: Settings of the backend, by the fields that state them.
-        limits: What the engine itself limits in `restitution`, `friction` or `penetration_m`.
+        restitution_range: Smallest and largest restitution of settings.
+        friction_field: Field with the coefficient of friction of the pair.
+        preset: Preset of the backend that the settings modify.
+        natives: Settings of the backend, by field.
+        limits: Why the engine misses `restitution`, `friction` or `penetration_m`.
         timestep_s: Time step [s].
         torsion_m: Torsional friction [m].
         rolling_m: Rolling friction [m].
@@ -77,24 +78,24 @@ class ContactSettings(BaseModel, ABC):
 
     @classmethod
     def parsed(cls, text: str, timestep_s: float) -> Self:
-        """Return the settings that a text gives, as `solref=0.02 1 solimp=0.9 0.95 0.001`; others are the engine's.
+        """Return the settings in a text such as `solref=0.02 1 solimp=0.9 0.95 0.001`; the rest have defaults.
 
         Args:
-            text: Names and values. Blanks or commas separate values, which may stand in quotes as in XML.
+            text: Names and values. Blanks or commas separate values; quotes are allowed, as in XML.
             timestep_s: Time step [s].
 
         Raises:
-            ParameterError: The text has another form, or the engine has no such setting.
+            ParameterError: The text has a wrong form, or a setting does not exist.
         """
         start, *parts = NAME.split(text)
         values: dict[str, Any] = {}
         for name, part in zip(parts[::2], parts[1::2], strict=True):
-            found = VALUE.findall(part)
-            values[name] = tuple(found) if len(found) > 1 else "".join(found)
+            matches = VALUE.findall(part)
+            values[name] = tuple(matches) if len(matches) > 1 else "".join(matches)
         is_repeated = 2 * len(values) < len(parts)
         if not parts or start.strip() or is_repeated:
             raise ParameterError(
-                f"{cls.engine} contact {text!r}: expected names=values, each name once, as 'friction=0.5'"
+                f"{cls.engine} contact {text!r}: expected names=values, each name once, for example 'friction=0.5'"
             )
         try:
             return cls.model_validate({**values, "timestep_s": timestep_s})
@@ -107,7 +108,7 @@ class ContactSettings(BaseModel, ABC):
 
     @classmethod
     def aimed(cls, aim: Aim) -> Self:
-        """Return the settings that are to give a behaviour, by a closed form."""
+        """Return the proposed settings for a behaviour, by a closed form."""
         return cls.model_validate(
             {
                 "timestep_s": aim.timestep_s,
@@ -121,11 +122,11 @@ class ContactSettings(BaseModel, ABC):
     @classmethod
     @abstractmethod
     def constants(cls, aim: Aim) -> dict[str, Any]:
-        """Return the other fields for a behaviour, by a closed form."""
+        """Return the remaining fields for a behaviour, by a closed form."""
 
     @abstractmethod
     def snippet(self) -> str:
-        """Return the settings in the engine's own language."""
+        """Return the settings in the language of the engine."""
 
     @property
     def sliding_friction(self) -> float:
@@ -133,6 +134,6 @@ class ContactSettings(BaseModel, ABC):
         return float(getattr(self, self.friction_field))
 
     def backend_settings(self, mass_kg: float) -> dict[str, Any]:
-        """Return the settings of the backend, for a body of a mass [kg]."""
+        """Return the settings of the backend for a body with this mass [kg]."""
         given = {setting: getattr(self, name) for name, setting in self.natives.items()}
         return {"preset": self.preset, **given}

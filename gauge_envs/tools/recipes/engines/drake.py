@@ -1,4 +1,4 @@
-"""Drake's point contact: stiffness and dissipation of geometries."""
+"""Contact settings of Drake: point contact with stiffness and dissipation of geometries."""
 
 import math
 from typing import Any, ClassVar
@@ -11,30 +11,30 @@ from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings, NonNegative
 
 MAX_RATE = 0.5
-"""Largest natural frequency times the step of a contact that rebounds; above it a rebound depends on its phase most."""
+"""Largest natural frequency times the step of a rebounding contact; above, rebounds depend strongly on the phase."""
 
 MAX_IMPACT_S = 0.1
-"""Longest impact [s], pi over the natural frequency. At 2 m/s a body then sinks in by 63 mm."""
+"""Longest impact [s]: pi divided by the natural frequency. At 2 m/s, a body then sinks in by 63 mm."""
 
 RIGID_RATE = 1.0
-"""Natural frequency times the step of a contact without rebound, as in the backend's sustained contacts."""
+"""Natural frequency times the step of a contact without rebound, as in sustained contacts of the backend."""
 
 MAX_RELAXATION_STEPS = 100.0
 """Largest relaxation time [steps]."""
 
 MIN_RESTITUTION = 1e-3
-"""Restitution that stands for none."""
+"""Restitution of a contact without rebound."""
 
 MARGIN = 0.8
-"""Share of the allowed depth that settings aim at."""
+"""Target depth, as a share of the allowed depth."""
 
 
 class DrakeSettings(ContactSettings):
-    """Contact properties of a body, on ground that is much stiffer. The contact approximation is SAP.
+    """Contact properties of a body on much stiffer ground. The contact approximation is SAP.
 
     Attributes:
         friction: Static and dynamic coefficient of friction.
-        point_contact_stiffness: Stiffness of all contact points of the body together [N/m].
+        point_contact_stiffness: Total stiffness of all contact points of the body [N/m].
         relaxation_time: Relaxation time of the pair [s].
     """
 
@@ -42,11 +42,11 @@ class DrakeSettings(ContactSettings):
     is_soft = True
     preset = "point"
     limits: ClassVar = {
-        "restitution": "Drake has no coefficient of restitution: a rebound is a spring, and Drake's implicit steps "
-        "dissipate the more, the stiffer the spring is for the step",
-        "penetration_m": "Drake's contact is a spring: its depth at rest is the weight over the stiffness, and a "
-        "rebound needs a soft spring",
-        "friction": "On a contact that is soft for the step, the plate has not settled within the slide",
+        "restitution": "Drake has no coefficient of restitution: a rebound is a spring, and implicit steps dissipate "
+        "more for stiffer springs",
+        "penetration_m": "Drake's contact is a spring: its depth at rest is weight / stiffness, and a rebound needs a "
+        "soft spring",
+        "friction": "On a soft contact, the plate does not settle within the slide",
     }
 
     friction: NonNegative = 0.0
@@ -55,12 +55,12 @@ class DrakeSettings(ContactSettings):
 
     @classmethod
     def constants(cls, aim: Aim) -> dict[str, Any]:
-        """Return the hardest contact that rebounds enough in Drake's implicit steps, with the dissipation left.
+        """Return the hardest contact that rebounds enough in Drake's implicit steps, with the remaining dissipation.
 
-        In an impact, half a period of a spring, implicit steps alone leave exp(-pi r / 2) of the speed, where r is the
-        natural frequency times the step (Hairer and Wanner, Solving Ordinary Differential Equations II, IV.3: the
-        implicit Euler method multiplies an oscillation by 1 / sqrt(1 + r^2) in a step). The damping ratio is half the
-        relaxation time times the natural frequency.
+        An impact is half a period of a spring. Implicit Euler steps multiply an oscillation by 1 / sqrt(1 + r^2), where
+        r is the natural frequency times the step (Hairer and Wanner, Solving Ordinary Differential Equations II, IV.3).
+        An impact then leaves exp(-pi r / 2) of the speed. The damping ratio is half the relaxation time times the
+        natural frequency.
         """
         rate, ratio = 0.0, 1.0
         depth_m = aim.depth_m(MARGIN)
@@ -73,8 +73,8 @@ class DrakeSettings(ContactSettings):
         else:
             restitution = max(aim.rebound, MIN_RESTITUTION)
             if not is_stiff:
-                wanted = min(-2.0 * math.log(restitution) / math.pi, MAX_RATE)
-                rate = max(rate, wanted, math.pi * aim.timestep_s / MAX_IMPACT_S)
+                rebound_rate = min(-2.0 * math.log(restitution) / math.pi, MAX_RATE)
+                rate = max(rate, rebound_rate, math.pi * aim.timestep_s / MAX_IMPACT_S)
             left = restitution * math.exp(0.5 * math.pi * rate)
             ratio = damping_ratio_of(left)
         relaxation_steps = min(2.0 * ratio / rate, MAX_RELAXATION_STEPS)
@@ -84,7 +84,7 @@ class DrakeSettings(ContactSettings):
         }
 
     def backend_settings(self, mass_kg: float) -> dict[str, Any]:
-        """Return point contact with SAP; the stiffness is that of the mass."""
+        """Return point contact with SAP, with the rate of the stiffness and the mass."""
         frequency_per_s = math.sqrt(self.point_contact_stiffness / mass_kg)
         return {
             **super().backend_settings(mass_kg),
@@ -102,14 +102,14 @@ from pydrake.multibody.plant import ContactModel, CoulombFriction, DiscreteConta
 TIME_STEP = {self.timestep_s:.9g}  # AddMultibodyPlantSceneGraph(builder, TIME_STEP)
 
 def properties(point_count=1, is_ground=False):
-    # Drake gives a pair of geometries one contact point: put spheres at the corners of a box.
+    # A pair of geometries has one contact point in Drake: put spheres at the corners of a box.
     friction = CoulombFriction({self.friction:g}, {self.friction:g})
     stiffness = 1e20 if is_ground else {self.point_contact_stiffness:g} / point_count
-    found = ProximityProperties()
-    AddContactMaterial(found, point_stiffness=stiffness, friction=friction)
-    relaxation = 0.0 if is_ground else {self.relaxation_time:g}  # those of a pair add up
-    found.AddProperty("material", "relaxation_time", relaxation)
-    return found
+    contact = ProximityProperties()
+    AddContactMaterial(contact, point_stiffness=stiffness, friction=friction)
+    relaxation = 0.0 if is_ground else {self.relaxation_time:g}  # the times of a pair add up
+    contact.AddProperty("material", "relaxation_time", relaxation)
+    return contact
 
 def set_contact(plant):
     plant.set_contact_model(ContactModel.kPoint)

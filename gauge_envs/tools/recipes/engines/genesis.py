@@ -1,4 +1,4 @@
-"""Genesis's contact settings: the friction of materials, and the constants of the constraint solver."""
+"""Contact settings of Genesis: friction of materials, and constants of the constraint solver."""
 
 import math
 from typing import Any, ClassVar, Self
@@ -14,34 +14,35 @@ from gauge_envs.tools.recipes.engines.mujoco import (
 )
 
 IMPACT_STEPS = 16.0
-"""Steps that half a period of a contact's spring lasts: with fewer, rebounds depend on the phase of the impact."""
+"""Steps in half a period of the contact spring. With fewer steps, rebounds depend on the phase of the impact."""
 
 HARD_STEPS = 9.0
-"""The same without a rebound."""
+"""Steps in half a period of a contact without rebound."""
 
 MIN_IMPACT_STEPS = 4.0
-"""Steps of the hardest spring that steps resolve."""
+"""Steps in half a period of the hardest resolved spring."""
 
 MAX_IMPACT_S = 0.09
-"""Longest half period [s]. At 2 m/s a body then sinks in by 57 mm; the balls of the drop, of 60 mm, fall through the
-ground if they sink in by more than their diameter."""
+"""Longest half period [s]. At 2 m/s, a body then sinks in by 57 mm. Balls that sink in by more than their diameter,
+60 mm, fall through the ground."""
 
 HARD_IMPEDANCE = 0.95
 """Impedance of a contact without rebound."""
 
 SOFT_IMPEDANCE = 0.5
-"""Impedance of a contact that rebounds or has a given stiffness. It bears a body at a depth near that of the fall in a
-step. With 0.9999, which bears it at the surface, a plate on a contact with restitution 0.6 and steps of 2 ms hops
-without end, and creeps at 3.5 mm/s."""
+"""Impedance of a contact that rebounds or has a given stiffness. The depth at rest is near the fall in a step.
+
+With 0.9999, the body rests at the surface, but a plate with restitution 0.6 and steps of 2 ms never stops hopping and
+creeps at 3.5 mm/s."""
 
 MIN_RATIO = 1e-3
 """Smallest damping ratio of an impact."""
 
 MIN_TIME_STEPS = 2.0
-"""Time constant to which Genesis raises shorter ones [steps]."""
+"""Smallest time constant in Genesis [steps]; it raises shorter ones."""
 
 SolParams = tuple[float, float, float, float, float, float, float]
-"""Time constant [s], damping ratio, and impedance: least, greatest, width [m], midpoint, power."""
+"""Time constant [s], damping ratio, and impedance: minimum, maximum, width [m], midpoint, power."""
 
 SHAPE = (0.001, 0.5, 2.0)
 """Width [m], midpoint and power of an impedance that is constant in depth."""
@@ -52,7 +53,7 @@ class GenesisSettings(ContactSettings):
 
     Attributes:
         friction: Coefficient of friction.
-        sol_params: Time constant [s], damping ratio, and impedance: least, greatest, width [m], midpoint, power.
+        sol_params: Time constant [s], damping ratio, and impedance: minimum, maximum, width [m], midpoint, power.
     """
 
     engine = "genesis"
@@ -63,8 +64,8 @@ class GenesisSettings(ContactSettings):
         "impratio": "impratio",
     }
     limits: ClassVar = {
-        "restitution": "Genesis has no coefficient of restitution, and raises the time constant of a contact to two "
-        "steps: a rebound is a damped spring that lasts several steps",
+        "restitution": "Genesis has no coefficient of restitution: a rebound is a damped spring over several steps, "
+        "because the time constant of a contact is at least two steps",
         "penetration_m": ConstraintSettings.limits["penetration_m"].replace(
             "MuJoCo", "Genesis"
         ),
@@ -85,7 +86,7 @@ class GenesisSettings(ContactSettings):
     @model_validator(mode="before")
     @classmethod
     def _defaults_of_cone(cls, values: dict[str, Any]) -> dict[str, Any]:
-        """With the elliptic cone, Genesis has other defaults for the resolution and the ratio of impedances."""
+        """Add the defaults of the elliptic cone for the resolution and the ratio of impedances."""
         if values.get("friction_cone") == "elliptic":
             return {"contact_resolution": "signorini", "impratio": 100.0, **values}
         return values
@@ -98,13 +99,13 @@ class GenesisSettings(ContactSettings):
             )
         if self.sol_params[5:] != SHAPE[1:]:
             raise ValueError(
-                "midpoint and power must be those of Genesis, 0.5 and 2: others are not measured"
+                "midpoint and power must be 0.5 and 2, the defaults of Genesis"
             )
         return self
 
     @classmethod
     def constants(cls, aim: Aim) -> dict[str, Any]:
-        """Return the spring of a stiffness, or one that steps resolve, with the damping of the rebound."""
+        """Return the spring of the stiffness, or a spring that steps resolve, with the damping of the rebound."""
         spring_per_s = spring_frequency_per_s(aim)
         steps = IMPACT_STEPS if aim.rebound else HARD_STEPS
         steps = max(min(steps, MAX_IMPACT_S / aim.timestep_s), MIN_IMPACT_STEPS)

@@ -1,4 +1,4 @@
-"""MuJoCo's contact settings, and those of the engines that run its equations."""
+"""Contact settings of MuJoCo, and of engines that solve its equations."""
 
 import math
 from collections.abc import Callable
@@ -13,58 +13,57 @@ from gauge_envs.tools.recipes.engines.base import ContactSettings, numbers
 from gauge_envs.tools.recipes.probes import PLATE_CONTACTS
 
 SETTLE_S = 0.2
-"""Time constant with which a resting body of a one-step impact returns to its depth [s], where the step allows it."""
+"""Time constant for the return of a body to its depth at rest, after a one-step impact [s]."""
 
 MAX_STIFFNESS = 0.02
-"""Largest dimensionless stiffness of a one-step impact. It scatters the restitution by as much between phases."""
+"""Largest dimensionless stiffness of a one-step impact, equal to the scatter of the restitution between phases."""
 
 MAX_IMPEDANCE = 0.9999
 """MuJoCo's limit of the impedance, mjMAXIMP."""
 
 TANGENTIAL_SHARE, BOUNCY_TANGENTIAL_SHARE = 0.2, 0.3
-"""Share of the sliding speed that friction of a one-step impact takes in a step, below Coulomb's limit; and that of
-bouncy contacts.
+"""Share of the sliding speed that friction of a one-step impact removes in a step, below Coulomb's limit.
 
-The elliptic cone solves friction and normal force together: the more of the speed friction is to take, the more it
-lifts a sliding body. With friction 0.4, restitution 0.6 and a step of 5 ms a plate hops by 14 mm at a share of 1, by
-0.8 mm at 0.2 and by 0.1 mm at 0.05, where friction is 5 % too low. A smaller share also creeps more, and takes less
-speed and spin in an oblique impact.
+The second value is for bouncy contacts. The elliptic cone solves friction and normal force together, so a larger share
+lifts a sliding body more. A plate with friction 0.4, restitution 0.6 and a step of 5 ms hops by 14 mm at a share of 1,
+and by 0.8 mm at 0.2. At 0.05 it hops by 0.1 mm, but friction is 5 % too low. A smaller share also creeps more, and
+removes less speed and spin in an oblique impact.
 """
 
 BOUNCY_RESTITUTION = 0.7
 """Restitution above which a contact is bouncy."""
 
 SOFT_IMPEDANCE = 0.5
-"""Impedance of a contact with a given stiffness. Slides are within 0.3 % of Coulomb's law; with 0.1 they are 5 to 10 %
-off at some steps, as softness also acts on friction."""
+"""Impedance of a contact with a given stiffness. Slides are within 0.3 % of Coulomb's law. With 0.1, the error is 5 to
+10 % at some steps, because softness also acts on friction."""
 
 SOFT_IMPRATIO = 100.0
-"""Ratio of frictional to normal impedance of such a contact, which creeps ten times slower than with 10."""
+"""Ratio of frictional to normal impedance of such a contact; it creeps ten times slower than with 10."""
 
 RESOLVED_RATE = 0.3
-"""Largest natural frequency times the step of a contact that is a spring; its impact then lasts ten steps."""
+"""Largest natural frequency times the step of a spring contact; an impact then lasts ten steps."""
 
 DEFAULT_TIME_S = 0.02
-"""MuJoCo's default time constant [s]. Bodies on much shorter ones hop while they slide."""
+"""MuJoCo's default time constant [s]. With much shorter ones, sliding bodies hop."""
 
 DAMPED_STEPS = 10.0
-"""Fewest steps of a time constant whose damping is kept in the tangential directions: a plate at 4 m/s hops by 4 mm."""
+"""Minimum time constant [steps] for full tangential damping: a plate at 4 m/s then hops by 4 mm."""
 
 DEFAULT_SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
 """MuJoCo's impedance."""
 
 MARGIN = 0.8
-"""Share of the allowed depth that settings aim at."""
+"""Target depth, as a share of the allowed depth."""
 
 
 def _with_shape(solimp: Any) -> Any:
-    """Return an impedance with MuJoCo's default for what MJCF leaves out."""
+    """Return an impedance with MuJoCo's defaults for missing values."""
     is_single = isinstance(solimp, str)
     return solimp if is_single else (*solimp, *DEFAULT_SOLIMP[len(solimp) :])
 
 
 def _first(coefficients: Any) -> Any:
-    """Return the coefficient of sliding, which is the first of up to five in MJCF."""
+    """Return the sliding coefficient, the first of up to five in MJCF."""
     return coefficients[0] if isinstance(coefficients, tuple) else coefficients
 
 
@@ -85,8 +84,8 @@ class ConstraintSettings(ContactSettings):
         "solimp": "contact_solimp",
     }
     limits: ClassVar = {
-        "restitution": "MuJoCo has no coefficient of restitution: a contact equation that is evaluated once a step "
-        "determines the rebound by its damping",
+        "restitution": "MuJoCo has no coefficient of restitution: the damping of a contact equation, evaluated once "
+        "a step, determines the rebound",
         "friction": "MuJoCo solves friction and normal force together as one soft constraint",
         "penetration_m": "MuJoCo's contact is soft: its depth at rest is (1 - d) g / (d k) on one contact, and its "
         "impedance d is at most 0.9999",
@@ -100,7 +99,7 @@ class ConstraintSettings(ContactSettings):
 
     @property
     def condim(self) -> int:
-        """MuJoCo's dimension of contacts that resist what the settings resist."""
+        """MuJoCo's contact dimension for sliding, torsional and rolling friction of the settings."""
         if self.rolling_m:
             return 6
         return 4 if self.torsion_m else 3
@@ -111,7 +110,7 @@ class MuJoCoSettings(ConstraintSettings):
 
     Attributes:
         friction: Sliding coefficient of the pair.
-        solreffriction: As `solref` in the tangential directions; zeros stand for `solref`.
+        solreffriction: Same as `solref` in the tangential directions; zeros mean `solref`.
     """
 
     engine = "mujoco"
@@ -125,7 +124,7 @@ class MuJoCoSettings(ConstraintSettings):
 
     @classmethod
     def constants(cls, aim: Aim) -> dict[str, Any]:
-        """Return one of three kinds: hard without rebound, one step that reverses the speed, spring and damper."""
+        """Return a hard contact without rebound, a one-step impact, or a spring and damper."""
         return contact_of(aim)
 
     def snippet(self) -> str:
@@ -151,14 +150,14 @@ def contact_of(aim: Aim) -> dict[str, Any]:
     if frequency_per_s is not None:
         contact = _spring(aim, frequency_per_s)
     elif aim.rebound:
-        contact = _one_step(aim, aim.rebound)
+        contact = _single_step(aim, aim.rebound)
     else:
         contact = _hard(aim)
     return {"integrator": "implicitfast", "cone": "elliptic", **contact}
 
 
 def spring_frequency_per_s(aim: Aim) -> float | None:
-    """Return the natural frequency of a contact with a stiffness [1/s]; None without one that steps resolve."""
+    """Return the natural frequency of a contact [1/s]; None without a stiffness or if steps do not resolve it."""
     if aim.stiffness_n_per_m is None:
         return None
     stiffness_n_per_m = (1.0 - SOFT_IMPEDANCE) * aim.stiffness_n_per_m / PLATE_CONTACTS
@@ -168,12 +167,12 @@ def spring_frequency_per_s(aim: Aim) -> float | None:
 
 
 def impedance_of(aim: Aim, usual: float, exact: Callable[[float], float]) -> float:
-    """Return the impedance for the depth of an aim: that of a stiffness, and at least the usual one for an allowed one.
+    """Return the impedance for the depth of an aim; an allowed depth needs at least the usual impedance.
 
     Args:
         aim: The aim.
         usual: Impedance without a depth.
-        exact: Impedance for the depth at rest times the number of contacts, over gravity [s^2].
+        exact: Function of (depth at rest) (number of contacts) / gravity [s^2] that returns the impedance.
     """
     depth_m = aim.depth_m(MARGIN)
     if depth_m is None:
@@ -186,8 +185,8 @@ def impedance_of(aim: Aim, usual: float, exact: Callable[[float], float]) -> flo
 def _hard(aim: Aim) -> dict[str, Any]:
     """Return a critically damped contact with MuJoCo's time constant, and an impedance for the depth.
 
-    At long steps its damping would take the sliding speed in a step or two, and what slides at 4 m/s would hop by
-    58 mm. Less damping in the tangential directions hops by 3 mm; `impratio` makes up for the creep.
+    At long steps, full damping would stop a sliding body in two steps, and a body at 4 m/s would hop by 58 mm. With less
+    tangential damping, it hops by 3 mm; `impratio` compensates the creep.
     """
     time_s = max(DEFAULT_TIME_S, 2.0 * aim.timestep_s)
     # On n contacts the depth is (1 - d) g T^2 / n for a constant impedance d.
@@ -204,12 +203,12 @@ def _hard(aim: Aim) -> dict[str, Any]:
     return contact
 
 
-def _one_step(aim: Aim, restitution: float) -> dict[str, Any]:
-    """Return a contact that turns the speed v into -e v in one step, as the MuJoCo backend's impacts."""
+def _single_step(aim: Aim, restitution: float) -> dict[str, Any]:
+    """Return a contact that reverses the speed v to -e v in one step, as impacts of the MuJoCo backend."""
     step_s = aim.timestep_s
     stiffness = min(step_s * (1.0 + restitution) / SETTLE_S, MAX_STIFFNESS)
     stiffness_per_s2 = stiffness / step_s**2
-    # And (1 - d) g / (n d k) for a constant stiffness k.
+    # The depth is (1 - d) g / (n d k) for a constant stiffness k.
     impedance = impedance_of(
         aim, 0.99, lambda load_s2: 1.0 / (1.0 + load_s2 * stiffness_per_s2)
     )
@@ -225,8 +224,8 @@ def _one_step(aim: Aim, restitution: float) -> dict[str, Any]:
 
 
 def _spring(aim: Aim, frequency_per_s: float) -> dict[str, Any]:
-    """Return a spring and damper of a natural frequency [1/s], which many steps resolve."""
-    # More damping than stops the body in a step turns into a rebound.
+    """Return a spring and damper with a natural frequency [1/s] that many steps resolve."""
+    # Damping that more than stops the body in a step causes a rebound.
     damping_per_s = min(2.0 * aim.damping_ratio * frequency_per_s, 1.0 / aim.timestep_s)
     return {
         "solref": (-(frequency_per_s**2), -damping_per_s),

@@ -13,13 +13,13 @@ from gauge_envs.tools.recipes.engines.mujoco import (
 
 
 class NewtonSettings(ConstraintSettings):
-    """Settings of SolverMuJoCo, and material of the shape that has priority.
+    """Settings of SolverMuJoCo, and material of the shape with priority.
 
     Newton's solver turns `ke` and `kd` of shapes into the `solref` 2 / kd and kd / (2 sqrt(ke)).
 
     Attributes:
         mu: Coefficient of friction.
-        kf: Friction gain [N s/m]; negative for friction with the damping of the contact.
+        kf: Friction gain [N s/m]; a negative value means the damping of the contact.
         solref: Time constant [s] and damping ratio; or the negative stiffness [1/s^2] and damping [1/s] per mass.
         solimp: Impedance: d0, dwidth, width [m], midpoint, power.
     """
@@ -33,8 +33,8 @@ class NewtonSettings(ConstraintSettings):
         "kf": "contact_kf_n_s_per_m",
     }
     limits: ClassVar = ConstraintSettings.limits | {
-        "restitution": "Newton's restitution has no effect in its MuJoCo solver: a contact equation that is evaluated "
-        "once a step determines the rebound by its damping"
+        "restitution": "Newton's restitution has no effect in its MuJoCo solver: the damping of a contact equation, "
+        "evaluated once a step, determines the rebound"
     }
 
     integrator: Literal["euler", "implicitfast"] = "euler"
@@ -45,7 +45,7 @@ class NewtonSettings(ConstraintSettings):
 
     @classmethod
     def constants(cls, aim: Aim) -> dict[str, Any]:
-        """Return MuJoCo's settings, with the friction gain that has the damping of their tangential directions."""
+        """Return MuJoCo's settings, with a friction gain equal to their tangential damping."""
         contact = contact_of(aim)
         gain_n_s_per_m = -1.0
         if "solreffriction" in contact:

@@ -1,4 +1,4 @@
-"""SAPIEN's PhysX: materials of shapes and the scene's contact options."""
+"""Contact settings of SAPIEN's PhysX: materials of shapes, and options of the scene."""
 
 from typing import Any, ClassVar, Self
 
@@ -9,15 +9,15 @@ from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings, NonNegative
 
 THRESHOLD_STEPS = 4.0
-"""Bounce threshold over the speed that a resting body gains in a step."""
+"""Bounce threshold, divided by the speed that a resting body gains in a step."""
 
 
 class PhysXSettings(ContactSettings):
-    """Material of both shapes, which PhysX averages, and options of the scene.
+    """Material of both shapes (PhysX averages them), and options of the scene.
 
     Attributes:
         static_friction: Coefficient of static friction.
-        dynamic_friction: Coefficient of dynamic friction; this package's materials have both equal.
+        dynamic_friction: Coefficient of dynamic friction, equal to the static one.
         restitution: Coefficient of restitution.
     """
 
@@ -45,16 +45,16 @@ class PhysXSettings(ContactSettings):
     solver_velocity_iterations: int = 1
 
     @model_validator(mode="after")
-    def _one_friction(self) -> Self:
+    def _check_friction(self) -> Self:
         if self.static_friction != self.dynamic_friction:
             raise ValueError(
-                "static_friction and dynamic_friction must be equal: other materials are not measured"
+                "static_friction and dynamic_friction must be equal: different values are not supported"
             )
         return self
 
     @classmethod
     def constants(cls, aim: Aim) -> dict[str, Any]:
-        """Return the coefficients themselves, and a bounce threshold just above a resting body's speed."""
+        """Return the requested coefficients, and a bounce threshold just above the speed of a resting body."""
         return {
             "static_friction": aim.sliding_friction,
             "restitution": aim.rebound or 0.0,

@@ -1,4 +1,4 @@
-"""PyBullet's dynamics of two bodies, and parameters of its world."""
+"""Contact settings of PyBullet: dynamics of two bodies, and parameters of the world."""
 
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -9,21 +9,21 @@ from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings, NonNegative
 
 THRESHOLD_STEPS = 4.0
-"""Threshold of rebounds over the speed that a resting body gains in a step."""
+"""Threshold of rebounds, divided by the speed that a resting body gains in a step."""
 
 
 Zero = Annotated[float, Field(ge=0.0, le=0.0)]
 
 
 class PyBulletSettings(ContactSettings):
-    """Settings of the body and of the world. The ground has friction 1 and restitution 1, as Bullet multiplies.
+    """Settings of the body and of the world. Bullet multiplies coefficients, so the ground has friction and restitution 1.
 
     Attributes:
         lateralFriction: Coefficient of friction of the body.
         restitution: Coefficient of restitution of the body.
         contactProcessingThreshold: Distance below which contacts act [m]: 0, or Bullet's default, which brakes bodies
-            shortly before they touch.
-        useMaximalCoordinates: Whether free bodies have maximal coordinates; by default they have reduced ones.
+            shortly before contact.
+        useMaximalCoordinates: Whether free bodies have maximal coordinates instead of reduced coordinates.
         useSplitImpulse: Whether penetrations are corrected without a change of velocity.
     """
 
@@ -39,9 +39,9 @@ class PyBulletSettings(ContactSettings):
         "contactSlop": "contact_slop",
     }
     limits: ClassVar = {
-        "penetration_m": "Contacts of this recipe are rigid: this package does not measure PyBullet's contactStiffness",
-        "restitution": "Bullet takes the speed of approach at the start of a step, and multiplies the coefficients "
-        "of the two bodies",
+        "penetration_m": "Contacts of this recipe are rigid: PyBullet's contactStiffness is not supported",
+        "restitution": "Bullet uses the speed of approach at the start of a step, and multiplies the coefficients of "
+        "the two bodies",
     }
 
     lateralFriction: NonNegative = 0.5  # noqa: N815
@@ -56,7 +56,7 @@ class PyBulletSettings(ContactSettings):
 
     @classmethod
     def constants(cls, aim: Aim) -> dict[str, Any]:
-        """Return the restitution itself, with contacts that act when bodies touch."""
+        """Return the requested restitution, with contacts that act only on touching bodies."""
         threshold_m_per_s = THRESHOLD_STEPS * GRAVITY_M_PER_S2 * aim.timestep_s
         return {
             "restitution": aim.rebound or 0.0,
@@ -87,7 +87,7 @@ class PyBulletSettings(ContactSettings):
         return f"""\
 import pybullet
 
-# Of createMultiBody. With 0, PyBullet's default and the only choice for links of a robot, bodies rebound differently.
+# For createMultiBody. Bodies rebound differently with 0, PyBullet's default and the only choice for links of a robot.
 COORDINATES = dict(useMaximalCoordinates={self.useMaximalCoordinates:d})
 
 def set_contact(foot, floor, client=0):

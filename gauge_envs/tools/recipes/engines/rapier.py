@@ -1,4 +1,4 @@
-"""Rapier's collider coefficients and integration parameters."""
+"""Contact settings of Rapier: coefficients of colliders, and integration parameters."""
 
 import math
 from typing import Any, ClassVar
@@ -8,14 +8,14 @@ from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings, NonNegative
 
 MARGIN = 0.5
-"""Share of the allowed depth that settings aim at: a plate on four points sinks by 1.66 times g / (2 pi f)^2."""
+"""Target depth, as a share of the allowed depth: a plate on four points sinks by 1.66 times g / (2 pi f)^2."""
 
 DEFAULT_FREQUENCY_HZ = 60.0
 """Rapier's natural frequency of a contact with a fixed collider [Hz]."""
 
 
 class RapierSettings(ContactSettings):
-    """Coefficients of both colliders, and parameters of the world. Contacts are with a fixed or driven collider.
+    """Coefficients of both colliders, and parameters of the world. The second collider is fixed or driven.
 
     Attributes:
         friction: Coefficient of friction.
@@ -32,7 +32,7 @@ class RapierSettings(ContactSettings):
         "allowed_linear_error": "allowed_linear_error_m",
     }
     limits: ClassVar = {
-        "penetration_m": "Rapier's contact is a spring of a natural frequency, and its solver limits how hard it is",
+        "penetration_m": "Rapier's contact is a spring with a natural frequency, and the solver limits its stiffness",
         "restitution": "Rapier rebounds from the speed of approach in a substep",
     }
 
@@ -45,7 +45,7 @@ class RapierSettings(ContactSettings):
 
     @classmethod
     def constants(cls, aim: Aim) -> dict[str, Any]:
-        """Return the restitution itself, and a frequency of the contact for the depth: (2 pi f)^2 = g / depth."""
+        """Return the requested restitution, and the contact frequency for the depth: (2 pi f)^2 = g / depth."""
         contact = {"restitution": aim.rebound or 0.0}
         depth_m = aim.depth_m(MARGIN)
         if depth_m is not None:
@@ -58,7 +58,7 @@ class RapierSettings(ContactSettings):
         return contact
 
     def backend_settings(self, mass_kg: float) -> dict[str, Any]:
-        """Return the settings of a world whose bodies do not sleep."""
+        """Return the settings of a world without sleeping bodies."""
         return {**super().backend_settings(mass_kg), "sleep": False}
 
     def snippet(self) -> str:
