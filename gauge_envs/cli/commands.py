@@ -142,14 +142,14 @@ BUNDLED = (
     Command(
         "recipe",
         "recipes.recipe_command:recipe",
-        "Give contact settings of an engine for a measured behaviour, and what they reach.",
+        "Find contact settings of an engine for a measured behaviour, and measure what they reach.",
         line="recipes.schema:RecipeLine",
         version=2,
     ),
     Command(
         "recipe fabrics",
         "recipes.recipe_command:recipe_fabrics",
-        "Show the six fabrics in every engine's constants, and what is lost.",
+        "Show the six fabrics in the constants of every engine.",
         line="recipes.schema:FabricsLine",
     ),
     Command(

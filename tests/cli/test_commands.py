@@ -257,7 +257,7 @@ sweep --backend mujoco -> nothing to run
 sanity -> no target is given
 sanity HalfCheetah-v5 --pair floor -> the names of two geoms
 recipe --friction 0.3 -> --backend is missing
-recipe --damping 1 --backend mujoco -> nothing is asked
+recipe --damping 1 --backend mujoco -> no behaviour is requested
 recipe satin wood-on-wood -> wood-on-wood
 """
 """Requests with a mistake, and what their message must name."""

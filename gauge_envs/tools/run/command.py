@@ -136,7 +136,7 @@ def run(
             results.append(result)
     except ResultFileError:
         message(
-            f"stopped: {_totals(results, out)}; fix the cause, then --resume continues"
+            f"stopped: {_totals(results, out)}; --resume continues when the cause is fixed"
         )
         raise
     if form is not Format.JSON:

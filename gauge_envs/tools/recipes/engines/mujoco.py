@@ -185,8 +185,8 @@ def impedance_of(aim: Aim, usual: float, exact: Callable[[float], float]) -> flo
 def _hard(aim: Aim) -> dict[str, Any]:
     """Return a critically damped contact with MuJoCo's time constant, and an impedance for the depth.
 
-    At long steps, full damping would stop a sliding body in two steps, and a body at 4 m/s would hop by 58 mm. With less
-    tangential damping, it hops by 3 mm; `impratio` compensates the creep.
+    At long steps, full damping would stop a sliding body in two steps, and a body at 4 m/s would hop by 58 mm. With
+    less tangential damping, it hops by 3 mm; `impratio` compensates the creep.
     """
     time_s = max(DEFAULT_TIME_S, 2.0 * aim.timestep_s)
     # On n contacts the depth is (1 - d) g T^2 / n for a constant impedance d.

@@ -16,7 +16,7 @@ Zero = Annotated[float, Field(ge=0.0, le=0.0)]
 
 
 class PyBulletSettings(ContactSettings):
-    """Settings of the body and of the world. Bullet multiplies coefficients, so the ground has friction and restitution 1.
+    """Settings of the body and of the world. Bullet multiplies coefficients: friction and restitution of ground are 1.
 
     Attributes:
         lateralFriction: Coefficient of friction of the body.
