@@ -23,10 +23,10 @@ QUESTIONS = {
 """What references answer. No table, axis or rank mixes the two."""
 
 KIND_NOTES = {
-    Kind.TRIALS: "mean and scatter per frame over real trials",
+    Kind.TRIALS: "mean and standard deviation of the real trials at each frame",
     Kind.RECORDING: "one recorded real trial, with the published scatter",
-    Kind.ANALYTIC: "closed form of the calibrated scene; it says nothing of reality",
-    Kind.NUMERICAL: "refined solution of the calibrated scene; it says nothing of reality",
+    Kind.ANALYTIC: "closed form of the calibrated scene. The score is the error of the engine",
+    Kind.NUMERICAL: "refined solution of the calibrated scene. The score is the error of the engine",
     Kind.NONE: "no reference motion; events may have real values",
 }
 
