@@ -6,14 +6,16 @@ import inspect
 import re
 import shlex
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 from places import ROOT
 from programs import printed
 from texts import fenced
+from typer.testing import CliRunner
 
 from gauge_envs.cli import commands as command_table
-from gauge_envs.cli.app import load_command
+from gauge_envs.cli.app import app, load_command
 from gauge_envs.cli.commands import help_lines
 
 DOCS = ROOT / "docs"
@@ -170,6 +172,21 @@ def test_python_blocks_run_and_print_what_they_state(
     stated = re.findall(r"^ *print\(.*\)  # (.*)$", code, flags=re.MULTILINE)
     assert stated
     assert capsys.readouterr().out.splitlines() == stated
+    check_scores_of_written_files(page)
+
+
+def check_scores_of_written_files(page):
+    """Run `gauge score` on the files that a page has written; it shows their first lines and the output after it."""
+    text = page.read_text()
+    for name, rest in re.findall(r"^gauge score (\S+)(.*)$", text, flags=re.MULTILINE):
+        if not Path(name).is_file():
+            continue
+        shown = re.findall(r"^```text\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+        head, output = shown[-2:]
+        assert Path(name).read_text().startswith(head)
+        run = CliRunner().invoke(app, ["score", name, *shlex.split(rest)])
+        assert run.exit_code == 0, run.output
+        assert output in run.stdout
 
 
 # --- commands --------------------------------------------------------------------------------------------------------
