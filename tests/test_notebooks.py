@@ -86,9 +86,9 @@ def test_training_setup():
     found = run(ROOT / "examples" / "notebooks" / "training_setup.ipynb")
     before = {row.phenomenon: row.verdict.value for row in found["before"].rows}
     assert (
-        before["foot-creep"] == before["creep-wood"] == before["rest-height"] == "wrong"
+        before["foot-creep"] == before["creep-wood"] == before["rest-height"] == "failed"
     )
-    assert {row.verdict.value for row in found["after"].rows} == {"inside"}
+    assert {row.verdict.value for row in found["after"].rows} == {"passed"}
 
 
 def test_trials_to_settings():

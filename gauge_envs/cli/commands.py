@@ -125,9 +125,9 @@ BUNDLED = (
     Command(
         "sanity",
         "sanity.sanity_command:sanity",
-        "Report what is wrong in a training configuration, and the change of settings that corrects most.",
-        line="sanity.lines:SanityLine",
-        version=6,
+        "Check the physics of a training configuration, and print the best fix of its settings.",
+        line="sanity.schema:SanityLine",
+        version=7,
     ),
     Command(
         "sanity probe",
@@ -137,7 +137,7 @@ BUNDLED = (
     Command(
         "list phenomena",
         "sanity.sanity_command:list_phenomena",
-        line="sanity.lines:PhenomenonLine",
+        line="sanity.schema:PhenomenonLine",
     ),
     Command(
         "recipe",

@@ -1,18 +1,18 @@
-"""Sanity check of a training configuration: which physics it gets wrong, and which change of settings corrects most.
+"""Sanity check of a training configuration: which checks of its physics fail, and which change of settings fixes most.
 
 A target passes through the modules in this order, which `run` calls.
 
 1. `stacks`: a reader returns a `TrainingConfiguration`, with the target's own model where it has one.
-2. `itself` and `robot` run and judge this model; `rows` defines their rows.
+2. `itself` and `robot` run and check this model; `rows` defines their checks.
 3. `phenomena` are scenes of measured objects; `measure` runs them by `scenario`, and gives verdicts.
-4. `cure` applies documented changes and measures again; `mended` writes the changed file.
+4. `fix` applies documented changes and runs the checks again; `fix_file` writes the fixed file.
 5. `report` prints one screen; `comparison` compares two reports.
 
 Example:
     >>> from gauge_envs.tools.sanity import check
     >>> report = check("mujoco", only=["rebound"])
     >>> [row.verdict.value for row in report.rows]
-    ['inside']
+    ['passed']
 """
 
 from typing import TYPE_CHECKING
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sanity.comparison import difference as difference
     from gauge_envs.tools.sanity.model import (
         ContactGroup as ContactGroup,
-        Cure as Cure,
+        Fix as Fix,
         Need as Need,
         PartOutcome as PartOutcome,
         PhenomenonResult as PhenomenonResult,
@@ -48,7 +48,7 @@ else:
             ".comparison": ["difference"],
             ".model": [
                 "ContactGroup",
-                "Cure",
+                "Fix",
                 "Need",
                 "PartOutcome",
                 "PhenomenonResult",

@@ -1,4 +1,4 @@
-"""List documented changes of settings that may correct flagged rows, in a fixed order of cost."""
+"""List documented changes of settings that may resolve failed checks, in a fixed order of cost."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ RECOMMENDED_PHYSX: Settings = {
 """The same for PhysX."""
 
 FEW_ITERATIONS = {"iterations": 4, "ls_iterations": 20}
-"""Least iterations of MuJoCo's Newton solver with which bodies slide as they should."""
+"""Fewest iterations of MuJoCo's Newton solver with which bodies slide by Coulomb's law."""
 
 CANDIDATES: Mapping[str, Sequence[Settings]] = {
     "mujoco": (
@@ -71,7 +71,7 @@ CANDIDATES: Mapping[str, Sequence[Settings]] = {
         MARGIN,
         {"condim": 3},
         *CONTACTS,
-        *(ELLIPTIC | one for one in ({}, *CONTACTS)),
+        *(ELLIPTIC | contact for contact in ({}, *CONTACTS)),
         ELLIPTIC | {"impratio": 10.0},
         ELLIPTIC | {"impratio": 10.0} | MARGIN,
         DAMPED,
@@ -92,16 +92,16 @@ CANDIDATES: Mapping[str, Sequence[Settings]] = {
 }
 """Changes that are tried, the cheapest first, by backend."""
 
-AT_LEAST = ("iterations", "ls_iterations", "position_iterations", "velocity_iterations")
-"""Settings of which the target keeps larger values."""
+RAISED = ("iterations", "ls_iterations", "position_iterations", "velocity_iterations")
+"""Settings that a change only raises."""
 
-AT_MOST = ("timestep_s", "condim", "tolerance", "sleep_tolerance")
-"""Settings of which the target keeps smaller values."""
+LOWERED = ("timestep_s", "condim", "tolerance", "sleep_tolerance")
+"""Settings that a change only lowers."""
 
 ABSENT = {"contact_margin_m": 0.0, "refsafe": True, "condim": 3}
-"""Values in effect where a target states none."""
+"""Effective values where a target gives none."""
 
-ROW_CANDIDATES: Mapping[str, Sequence[Settings]] = {
+MODEL_CANDIDATES: Mapping[str, Sequence[Settings]] = {
     "model-sleep": ({"sleep_tolerance": 1e-5}, {"sleep": False}),
     "model-constraints": (
         STIFF_EQUALITY,
@@ -117,46 +117,48 @@ ROW_CANDIDATES: Mapping[str, Sequence[Settings]] = {
         (DAMPED, ACCURATE),
     ),
 }
-"""Changes that may correct a row on the target's own model, the cheapest first; a smaller step may correct each."""
+"""Changes that may resolve a check of the target's own model, the cheapest first; a smaller step may resolve each."""
 
 
 def candidates_of(
     configuration: TrainingConfiguration, dialect: Dialect, row: str = ""
 ) -> list[dict[str, Any]]:
-    """Return the changes that differ from the settings of a configuration and that its dialect can state.
+    """Return the changes that differ from the settings of a configuration and that its dialect can write.
 
     Args:
         configuration: The configuration.
         dialect: Dialect of the target.
-        row: Id of the row on the target's own model that they are for; those for measured objects if empty.
+        row: Id of the check of the target's own model that they are for; empty for those of measured objects.
     """
     sets = [configuration.settings, *configuration.contact_sets.values()]
-    several = ROW_CANDIDATES.get(row, ())
+    candidates = MODEL_CANDIDATES.get(row, ())
     if not row:
-        several = CANDIDATES.get(configuration.backend, ())
+        candidates = CANDIDATES.get(configuration.backend, ())
         if sets[0].get("iterations", math.inf) < FEW_ITERATIONS["iterations"]:
             # Other changes let a body slide that starts to move, and not one that has rested.
-            several = [{**FEW_ITERATIONS, **one} for one in several]
-    if several and configuration.is_model:
+            candidates = [FEW_ITERATIONS | {**change} for change in candidates]
+    if candidates and configuration.is_model:
         step_s = configuration.settings["timestep_s"]
-        several = [*several, *({"timestep_s": step_s * r} for r in (0.5, 0.25))]
-    new_ones: list[dict[str, Any]] = []
-    for changes in several:
+        smaller = [{"timestep_s": step_s * factor} for factor in (0.5, 0.25)]
+        candidates = [*candidates, *smaller]
+    new_changes: list[dict[str, Any]] = []
+    for changes in candidates:
         new = {
             name: value
             for name, value in changes.items()
-            if dialect.writes(name) and any(_is_new(name, value, one) for one in sets)
+            if dialect.writes(name)
+            and any(_is_new(name, value, settings) for settings in sets)
         }
-        if new and new not in new_ones:
-            new_ones.append(new)
-    return new_ones
+        if new and new not in new_changes:
+            new_changes.append(new)
+    return new_changes
 
 
 def _is_new(name: str, value: Any, settings: Settings) -> bool:
     """Return whether a value differs from that of a setting, and is no step back."""
     was = settings.get(name, ABSENT.get(name))
-    if name in AT_LEAST:
+    if name in RAISED:
         return bool(value > (math.inf if was is None else was))
-    if name in AT_MOST:
+    if name in LOWERED:
         return was is None or bool(value < was)
     return (tuple(was) if isinstance(was, list) else was) != value

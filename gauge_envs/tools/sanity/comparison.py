@@ -1,4 +1,4 @@
-"""Compare two reports row by row, and a report with the JSON of an earlier run.
+"""Compare the checks of two reports, and a report with the JSON of an earlier run.
 
 Example:
     >>> from gauge_envs.tools.sanity import check
@@ -8,18 +8,20 @@ Example:
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gauge_envs.cli.output import note
 from gauge_envs.errors import TargetError
 from gauge_envs.files import json_document, os_errors
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import counted, quantity_text, with_unit
 from gauge_envs.tools.sanity.model import (
-    INSIDE_WITHIN,
+    MAX_PASSED,
+    RENAMED_VERDICTS,
     PhenomenonResult,
     Report,
     Verdict,
@@ -28,10 +30,10 @@ from gauge_envs.tools.sanity.model import (
 # --- an earlier run --------------------------------------------------------------------------------------------------
 
 GROWTH = 1.0
-"""Growth of a deviation, in half-widths of the interval of reality, from which on a flagged row is a regression."""
+"""Growth of the deviation of a failed check or warning that is a regression, in half-widths of the interval."""
 
 Baseline = Mapping[tuple[str, str], float]
-"""Deviation of each part of each row of an earlier run, by the row's id and the part's name."""
+"""Deviation of each part of each check of an earlier run, by the id of the check and the name of the part."""
 
 
 def read_baseline(path: Path) -> dict[tuple[str, str], float]:
@@ -46,48 +48,54 @@ def read_baseline(path: Path) -> dict[tuple[str, str], float]:
     with os_errors(lambda cause: TargetError(f"{path}: cannot be read: {cause}")):
         content = path.read_bytes()
     try:
-        lines = [json_document(line) for line in content.splitlines() if line.strip()]
-        deviations = {
-            (row["phenomenon"], part["name"]): _deviation(part)
-            for row in lines
+        rows = [json_document(line) for line in content.splitlines() if line.strip()]
+        parts = {
+            (row["phenomenon"], part["name"]): part
+            for row in rows
             if "phenomenon" in row
             for part in row["parts"]
         }
+        deviations = {key: _deviation(part) for key, part in parts.items()}
     except (TypeError, ValueError, KeyError) as error:
         raise TargetError(
             f"{path}: expected the output of this version's gauge sanity TARGET --json: {error}"
         ) from None
     if not deviations:
         raise TargetError(
-            f"{path}: has no row; write it with gauge sanity TARGET --json > {path}"
+            f"{path}: has no check; write it with gauge sanity TARGET --json > {path}"
         )
+    if any(part["verdict"] in RENAMED_VERDICTS for part in parts.values()):
+        note(f"{path} has verdicts of a version before 1.0, which are read until 1.2")
     return deviations
 
 
 def _deviation(part: dict[str, Any]) -> float:
     """Return the deviation of a stored part; JSON has null for an infinite one."""
-    if not Verdict(part["verdict"]).is_off:
-        return INSIDE_WITHIN
+    verdict = RENAMED_VERDICTS.get(part["verdict"], part["verdict"])
+    if not Verdict(verdict).is_off:
+        return MAX_PASSED
     return math.inf if part["deviation"] is None else float(part["deviation"])
 
 
-def regressions(report: Report, baseline: Baseline, *, least: Verdict) -> list[str]:
-    """Return in words each flagged part of a row that is farther from reality than in the baseline.
+def regressions(
+    report: Report, baseline: Baseline, *, verdicts: Collection[Verdict]
+) -> list[str]:
+    """Return a sentence for each part of a check that is farther from reality than in the baseline.
 
-    Farther is by more than a half-width of the interval, or out of the interval. What the baseline does not have is
-    compared with `inside`.
+    Farther is by more than a half-width of the interval, or out of the interval. A part that the baseline does not
+    have counts as passed there.
 
     Args:
         report: The report.
         baseline: Deviations of the earlier run.
-        least: Least bad verdict that counts.
+        verdicts: Verdicts that count.
     """
     worse = []
     for row in report.flags.values():
         for part in row.parts:
-            before = baseline.get((row.phenomenon, part.name), INSIDE_WITHIN)
-            is_farther = part.deviation > before + GROWTH or before <= INSIDE_WITHIN
-            if part.verdict in (Verdict.WRONG, least) and is_farther:
+            before = baseline.get((row.phenomenon, part.name), MAX_PASSED)
+            is_farther = part.deviation > before + GROWTH or before <= MAX_PASSED
+            if part.verdict in verdicts and is_farther:
                 value = with_unit(_value_text(part.value), row.unit)
                 worse.append(
                     f"{row.phenomenon}, {part.name or 'all contacts'}: {value}, {part.deviation:.3g} half-widths from "
@@ -101,10 +109,10 @@ def regressions(report: Report, baseline: Baseline, *, least: Verdict) -> list[s
 
 @dataclass(frozen=True, kw_only=True)
 class DifferenceRow:
-    """One row of two reports.
+    """A check of two reports.
 
     Attributes:
-        id: Id of the row.
+        id: Id of the check.
         title: Title.
         unit: Unit of both values; `1` for a pure number.
         first: Value of the first target; None when not measured.
@@ -126,22 +134,22 @@ class DifferenceRow:
     @property
     def is_measured(self) -> bool:
         """Whether both targets were measured."""
-        return Verdict.DECLINED not in (self.first_verdict, self.second_verdict)
+        return Verdict.NOT_MEASURED not in (self.first_verdict, self.second_verdict)
 
     @property
-    def is_wrong(self) -> bool:
-        """Whether one of the two is wrong."""
-        return Verdict.WRONG in (self.first_verdict, self.second_verdict)
+    def is_failed(self) -> bool:
+        """Whether a target failed the check."""
+        return Verdict.FAILED in (self.first_verdict, self.second_verdict)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """The rows of two reports that apply to at least one of their targets.
+    """The checks of two reports that apply to a target or to both.
 
     Attributes:
         first: Name of the first target.
         second: Name of the second target.
-        rows: The rows, in the order of the reports.
+        rows: The checks, in the order of the reports.
     """
 
     first: str
@@ -150,25 +158,25 @@ class Difference:
 
 
 def difference(first: Report, second: Report) -> Difference:
-    """Return the rows of two reports beside each other."""
-    others = {row.phenomenon: row for row in second.rows}
+    """Return the checks of two reports side by side."""
+    second_rows = {row.phenomenon: row for row in second.rows}
     pairs = [
-        (row, others[row.phenomenon])
+        (row, second_rows[row.phenomenon])
         for row in first.rows
-        if row.phenomenon in others and (row.applies or others[row.phenomenon].applies)
+        if row.phenomenon in second_rows
     ]
     return Difference(
         first=first.configuration.name,
         second=second.configuration.name,
-        rows=tuple(_row(*pair) for pair in pairs),
+        rows=tuple(_row(*pair) for pair in pairs if any(row.applies for row in pair)),
     )
 
 
 def _row(first: PhenomenonResult, second: PhenomenonResult) -> DifferenceRow:
     is_changed = first.verdict is not second.verdict
     if first.configured is not None and second.configured is not None:
-        apart = abs(first.configured - second.configured)
-        is_changed |= apart > first.reality.tolerance
+        difference = abs(first.configured - second.configured)
+        is_changed |= difference > first.reality.tolerance
     return DifferenceRow(
         id=first.phenomenon,
         title=first.title,
@@ -182,9 +190,9 @@ def _row(first: PhenomenonResult, second: PhenomenonResult) -> DifferenceRow:
 
 
 def difference_document(compared: Difference) -> Document:
-    """Return how many rows differ, and the table; its JSON rows are both names, then each row."""
+    """Return how many checks differ, and the table; its JSON rows are both names, then each check."""
     changed = [row.id for row in compared.rows if row.is_changed]
-    text = f"{len(changed)} of {counted(len(compared.rows), 'row')} change"
+    text = f"{len(changed)} of {counted(len(compared.rows), 'check')} change"
     if changed:
         text += f": {', '.join(changed)}"
     table = Table(

@@ -46,7 +46,7 @@ class ProbeError(Exception):
 # --- a compiled model of MuJoCo as MJCF ------------------------------------------------------------------------------
 
 SPELLED = {"euler": "Euler", "rk4": "RK4", "pgs": "PGS", "cg": "CG", "newton": "Newton"}
-"""Values of attributes that have capital letters."""
+"""Values of attributes with capital letters."""
 
 # Attributes of each element. Each is an array of its name behind the prefix of the element, or the arrays behind `=`.
 # Behind a colon stands the enumeration of its values, or the kind of object that it refers to.
@@ -104,7 +104,7 @@ def constant(kind: str, value: Any) -> str:
 
 
 def name_of(model: Any, kind: str, index: Any) -> str:
-    """Return the name of an object; whatever another element refers to has one."""
+    """Return the name of an object."""
     return getattr(model, kind)(int(index)).name
 
 
@@ -113,8 +113,8 @@ def attributes(model: Any, prefix: str, index: int, table: str) -> dict[str, str
     written = {}
     for entry in table.split():
         source, _, kind = entry.partition(":")
-        name, _, others = source.partition("=")
-        arrays = [f"{prefix}_{array}" for array in (others or name).split("+")]
+        name, _, names = source.partition("=")
+        arrays = [f"{prefix}_{array}" for array in (names or name).split("+")]
         values = [getattr(model, key)[index] for key in arrays if hasattr(model, key)]
         if name == "name":
             written[name] = name_of(model, prefix, index)
@@ -187,13 +187,13 @@ def add_options(root: ET.Element, model: Any) -> None:
             option.set("actuatorgroupdisable", text(groups))
         elif not entry.startswith("_") and not entry.endswith("flags"):
             option.set(entry, text(value))
-    for bits, stated, effects in (
+    for bits, values, effects in (
         (mujoco.mjtDisableBit, model.opt.disableflags, ("enable", "disable")),
         (mujoco.mjtEnableBit, model.opt.enableflags, ("disable", "enable")),
     ):
         for name, bit in bits.__members__.items():
             if "_" in name:
-                flags[name[7:].lower()] = effects[bool(stated & int(bit))]
+                flags[name[7:].lower()] = effects[bool(values & int(bit))]
     ET.SubElement(option, "flag", flags)
 
 
@@ -281,26 +281,26 @@ def of_actuator(element: ET.Element, model: Any, index: int) -> None:
             element.set(key, name_of(model, what, end))
 
 
-# --- what a target is ------------------------------------------------------------------------------------------------
+# --- targets ---------------------------------------------------------------------------------------------------------
 
 MODEL_PLACES = (
     "mj_model _mj_model model _model sim.mj_model sim.model physics.model.ptr physics.model physics.model._model "
     "env.mj_model _env.mj_model unwrapped.model unwrapped.mj_model unwrapped.sim.mj_model"
 )
-"""Attributes that hold the compiled model of an environment."""
+"""Attributes with the compiled model of an environment."""
 
 SKIPS = (
     "frame_skip n_substeps _n_substeps _n_sub_steps cfg.decimation decimation "
     "unwrapped.frame_skip"
 )
-"""Attributes that hold the steps of the engine for one action."""
+"""Attributes with the steps of the engine for one action."""
 
 ENGINES = {"mjlab": "MuJoCo Warp", "newton": "MuJoCo Warp", "mujoco_playground": "MJX"}
 """Engine that runs the model in training, by the package of the target."""
 
 
-def found(value: Any, place: str) -> Any:
-    """Return the attribute or entry at a place such as `sim.cfg`; None where there is none."""
+def value_at(value: Any, place: str) -> Any:
+    """Return the attribute or entry at a place such as `sim.cfg`; None without one."""
     for name in [part for part in place.split(".") if part]:
         try:
             value = value[name] if isinstance(value, dict) else getattr(value, name)
@@ -316,7 +316,7 @@ def kind_of(value: Any) -> str:
 
 def first(target: Any, places: str, fits: Any) -> Any:
     """Return a target, or its first attribute of some places, for which a function is true; None without one."""
-    values = (found(target, place) for place in ("", *places.split()))
+    values = (value_at(target, place) for place in ("", *places.split()))
     return next(filter(fits, values), None)
 
 
@@ -327,7 +327,7 @@ def is_model(value: Any) -> bool:
 
 def is_isaac_lab(value: Any) -> bool:
     """Return whether a value is a configuration of Isaac Lab; version 3 has no `physx`."""
-    return found(value, "sim.physx") or found(value, "sim.physics_material")
+    return value_at(value, "sim.physx") or value_at(value, "sim.physics_material")
 
 
 def is_sim_config(value: Any) -> bool:
@@ -336,10 +336,10 @@ def is_sim_config(value: Any) -> bool:
 
 
 def mujoco_model(target: Any) -> Any:
-    """Return the compiled model that a target is or holds; None where there is none."""
+    """Return the compiled model of a target; None without one."""
     if kind_of(target).endswith(".MjSpec"):
         return target.compile()
-    if found(target, "sim.mujoco") and found(target, "scene.entities"):
+    if value_at(target, "sim.mujoco") and value_at(target, "scene.entities"):
         # A task's configuration of mjlab; no simulation is started.
         from mjlab.scene import Scene
 
@@ -357,7 +357,7 @@ def capture_mujoco(target: Any) -> dict[str, Any] | None:
     import mujoco
 
     engine = ENGINES.get(kind_of(target).split(".")[0], "MuJoCo")
-    if found(target, "_config.impl") == "warp":
+    if value_at(target, "_config.impl") == "warp":
         engine = "MuJoCo Warp"
     notes = [
         f"the file has no {part} of the model"
@@ -379,20 +379,20 @@ def capture_settings(target: Any) -> dict[str, Any] | None:
     cfg = first(target, "cfg unwrapped.cfg", is_isaac_lab)
     if cfg is not None:
         return {"kind": "isaac_lab", "data": cfg}
-    task = found(target, "_default_sim_config")
+    task = value_at(target, "_default_sim_config")
     if isinstance(task, property):
-        # A task of ManiSkill states its settings without being started.
+        # A task of ManiSkill gives its settings without being started.
         target = task.__get__(object())
     cfg = first(target, "sim_config unwrapped.sim_config", is_sim_config)
     if cfg is not None:
         return {"kind": "maniskill", "data": cfg}
-    options = found(target, "options") or target
-    parts = {part: found(options, part) for part in ("sim", "rigid")}
+    options = value_at(target, "options") or target
+    parts = {part: value_at(options, part) for part in ("sim", "rigid")}
     return {"kind": "genesis", "data": parts} if all(parts.values()) else None
 
 
 def plain(value: Any) -> Any:
-    """Return a value of another type than JSON's in its types."""
+    """Return a value that JSON lacks as a type of JSON."""
     if isinstance(value, enum.Enum):
         return value.name
     if callable(value):
@@ -410,13 +410,13 @@ def save(target: Any, file: str) -> None:
     """Write an environment, a model or a configuration to a file for `gauge sanity`.
 
     Raises:
-        ProbeError: The target holds no model and no settings that are known.
+        ProbeError: The target has no model and no known settings.
     """
     captured = capture_mujoco(target) or capture_settings(target)
     kind = kind_of(target)
     if captured is None:
         raise ProbeError(
-            f"{kind} holds no mujoco.MjModel, Isaac Lab cfg, SimConfig or Genesis options: give that object itself"
+            f"{kind} has no mujoco.MjModel, Isaac Lab cfg, SimConfig or Genesis options: give that object itself"
         )
     head = {"format": FORMAT, "version": VERSION, "source": kind}
     content = json.dumps({**head, **captured}, default=plain, skipkeys=True)

@@ -75,11 +75,11 @@ def hop_mm(measurements: Measurements, settings: Settings) -> float:
     """
     rollout = measurements.outcome(run_scenario, SLIDE, settings)
     if isinstance(rollout, Measured):
-        return math.nan if rollout.verdict is Verdict.DECLINED else math.inf
+        return math.nan if rollout.verdict is Verdict.NOT_MEASURED else math.inf
     stops_m = [rollout.displacement(name)[-1, 0] for name in NAMES[:2]]
     if not np.allclose(stops_m, STOP_M, rtol=STOP_TOLERANCE):
         return math.inf
-    heights_m = [lowest_m(rollout, one.name, one.shape.corners_m) for one in CUBES]
+    heights_m = [lowest_m(rollout, cube.name, cube.shape.corners_m) for cube in CUBES]
     return 1e3 * max(float((height - height[0]).max()) for height in heights_m)
 
 

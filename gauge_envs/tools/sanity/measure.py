@@ -15,7 +15,7 @@ from gauge_envs.tools.bench.recording import (
     raised_at,
 )
 from gauge_envs.tools.sanity.model import (
-    VISIBLE_WITHIN,
+    MAX_WARNING,
     Need,
     PhenomenonResult,
     Settings,
@@ -25,12 +25,12 @@ from gauge_envs.tools.sanity.model import (
 from gauge_envs.tools.sanity.phenomena import GRASP, phenomenon as phenomenon_of
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.rows import NotApplicableError
-from gauge_envs.tools.sanity.scenario import Scenario, run_scenario, settings_in_force
+from gauge_envs.tools.sanity.scenario import Scenario, effective_settings, run_scenario
 
-FAILURE_DEVIATION = 2.0 * VISIBLE_WITHIN
-"""Least deviation of a failure of another kind; half of it is at the limit of `wrong`."""
+FAILURE_DEVIATION = 2.0 * MAX_WARNING
+"""Smallest deviation of a failure of another kind, twice the largest deviation of a warning."""
 
-OF_CONTACTS = (
+CONTACT_PREFIXES = (
     "contact_",
     "condim",
     "cone",
@@ -39,7 +39,7 @@ OF_CONTACTS = (
     "rolling_",
     "o_friction",
 )
-"""Starts of names of settings without effect where nothing can touch."""
+"""Prefixes of settings that have no effect where nothing can touch."""
 
 
 class TimeLimitError(GaugeError):
@@ -55,7 +55,7 @@ class Measured:
         deviation: Distance from reality in half-widths of its interval; infinite when nothing was measured.
         verdict: The verdict.
         remark: Why nothing was measured, or a failure that no real trial shows; empty otherwise.
-        rollout: The rollout; None when the backend declined or the rollout diverged.
+        rollout: The rollout; None when the scene is unsupported or the rollout diverged.
     """
 
     value: float | None = None
@@ -87,7 +87,7 @@ class Measurements:
         self.engine, self.versions = self._backend.name, self._backend.versions()
 
     def measure(self, phenomenon: Phenomenon, settings: Settings) -> Measured:
-        """Measure a phenomenon; an outcome also exists when the backend declines or the rollout diverges."""
+        """Measure a phenomenon; an outcome also exists when the scene is unsupported or the rollout diverges."""
         outcome = self.outcome(run_scenario, phenomenon.scenario, settings)
         return outcome if isinstance(outcome, Measured) else judged(phenomenon, outcome)
 
@@ -103,12 +103,12 @@ class Measurements:
             TimeLimitError: The time is used up, and a simulation would start.
         """
         touches = scenario.scene.contacts
-        stated = [
-            item
-            for item in sorted(settings.items())
-            if touches or not item[0].startswith(OF_CONTACTS)
+        effective = [
+            (name, value)
+            for name, value in sorted(settings.items())
+            if touches or not name.startswith(CONTACT_PREFIXES)
         ]
-        key = function.__name__, scenario.name, str(stated)
+        key = function.__name__, scenario.name, str(effective)
         if key not in self._known:
             if function is run_scenario and time.monotonic() >= self._ends_s:
                 raise TimeLimitError("the time limit is reached")
@@ -119,14 +119,14 @@ class Measurements:
         try:
             return function(self._backend, *arguments)
         except DeclinedError as error:
-            return Measured(verdict=Verdict.DECLINED, remark=str(error))
+            return Measured(verdict=Verdict.NOT_MEASURED, remark=str(error))
         except DivergedError as error:
             remark = f"diverged: {error}"
         # Engines raise exceptions of any kind; other scenes may run.
         except Exception as error:
             raised = f"{type(error).__name__}: {error}{raised_at(error)}"
             remark = f"the engine raised {raised}"
-        return Measured(verdict=Verdict.WRONG, remark=remark)
+        return Measured(verdict=Verdict.FAILED, remark=remark)
 
 
 def judged(phenomenon: Phenomenon, rollout: Recording) -> Measured:
@@ -135,9 +135,9 @@ def judged(phenomenon: Phenomenon, rollout: Recording) -> Measured:
     remark = phenomenon.failure(rollout)
     if not math.isfinite(value):
         remark = remark or "it does not happen"
-        return Measured(verdict=Verdict.WRONG, remark=remark, rollout=rollout)
-    least = FAILURE_DEVIATION if remark else 0.0
-    deviation = max(abs(value - reality.value) / reality.tolerance, least)
+        return Measured(verdict=Verdict.FAILED, remark=remark, rollout=rollout)
+    minimum = FAILURE_DEVIATION if remark else 0.0
+    deviation = max(abs(value - reality.value) / reality.tolerance, minimum)
     return Measured(
         value=value,
         deviation=deviation,
@@ -147,7 +147,7 @@ def judged(phenomenon: Phenomenon, rollout: Recording) -> Measured:
     )
 
 
-# --- rows of a report ------------------------------------------------------------------------------------------------
+# --- results --------------------------------------------------------------------------------------------------------
 
 
 def result_of(
@@ -156,13 +156,13 @@ def result_of(
     default: Measured | None,
     **details: Any,
 ) -> PhenomenonResult:
-    """Return the row of a phenomenon.
+    """Return the result of a check.
 
     Args:
         phenomenon: The phenomenon.
         configured: Outcome in the configuration.
         default: Outcome with the backend's default; None when there is none.
-        details: Further attributes of the row.
+        details: Further attributes of the result.
     """
     return PhenomenonResult(
         phenomenon=phenomenon.id,
@@ -173,16 +173,18 @@ def result_of(
         default=None if default is None else default.value,
         configured=configured.value,
         verdict=configured.verdict,
-        default_verdict=Verdict.DECLINED if default is None else default.verdict,
+        default_verdict=Verdict.NOT_MEASURED if default is None else default.verdict,
         remark=configured.remark,
         **details,
     )
 
 
-NO_ROBOT = "the target states no geoms of a robot, so it has no foot"
-"""Reason why rows on a foot do not apply to settings without a model."""
+NO_ROBOT = "the target gives no geoms of a robot, so it has no foot"
+"""Reason why checks of a foot do not apply to settings without a model."""
 
-NO_IMPACT = "the target states no impact constant: its contacts are critically damped or stiffer"
+NO_IMPACT = (
+    "the target gives no impact constant: its contacts are critically damped or stiffer"
+)
 """Reason why a rebound does not count."""
 
 Sets = Mapping[str, Settings]
@@ -276,26 +278,28 @@ def _impact(
     phenomenon: Phenomenon,
     sets: Sets,
 ) -> tuple[Sets, str]:
-    """Return the sets that state a constant for an impact, or all and why the impact is advisory."""
+    """Return the sets that give a constant for an impact, or all and why the impact is advisory."""
     if reason := configuration.inapplicable.get(Need.REBOUND):
         return sets, reason
-    stating = {}
+    bouncing = {}
     for geoms, settings in sets.items():
-        force = measurements.outcome(settings_in_force, phenomenon.scenario, settings)
-        if isinstance(force, Measured) or _states_impact(force):
-            stating[geoms] = settings
-    return (stating, "") if stating else (sets, NO_IMPACT)
+        effective = measurements.outcome(
+            effective_settings, phenomenon.scenario, settings
+        )
+        if isinstance(effective, Measured) or _has_rebound(effective):
+            bouncing[geoms] = settings
+    return (bouncing, "") if bouncing else (sets, NO_IMPACT)
 
 
-def _states_impact(force: Settings) -> bool:
+def _has_rebound(effective: Settings) -> bool:
     """Return whether contacts have a rebound: one solref without it replaces an engine's restitution."""
-    if force.get("newton_material"):
+    if effective.get("newton_material"):
         return False
-    if "impact_steps" in force:
+    if "impact_steps" in effective:
         # Genesis: without a recipe for impacts, all contacts have the damping of lasting ones.
-        damping = force["sustained_dampratio"]
-        return force["impact_steps"] is not None or bool(damping < 1.0)
-    first, second = force.get("contact_solref") or (1.0, 0.0)
+        damping = effective["sustained_dampratio"]
+        return effective["impact_steps"] is not None or bool(damping < 1.0)
+    first, second = effective.get("contact_solref") or (1.0, 0.0)
     # In the direct format, minus stiffness and damping, the damping ratio is b / (2 sqrt(k)).
     return bool(second < 1.0 if first > 0.0 else -second < 2.0 * (-first) ** 0.5)
 
@@ -304,5 +308,8 @@ def worst_of(outcomes: Mapping[str, Measured]) -> tuple[str, Measured]:
     """Return the geoms and the outcome that is farthest from reality; of those that were not measured if all."""
     return max(
         outcomes.items(),
-        key=lambda item: (item[1].verdict is not Verdict.DECLINED, item[1].deviation),
+        key=lambda item: (
+            item[1].verdict is not Verdict.NOT_MEASURED,
+            item[1].deviation,
+        ),
     )

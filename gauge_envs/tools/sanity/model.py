@@ -1,10 +1,11 @@
-"""Define the parts of a sanity check: configuration, verdicts, phenomena in reality and in simulation, and the cure."""
+"""Define the parts of a sanity check: configuration, verdicts, results of checks, and the fix."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from enum import StrEnum
+from enum import EnumType, StrEnum
 from typing import Any, TypeAlias
 
 from scipy.special import stdtrit
@@ -17,53 +18,87 @@ Settings: TypeAlias = Mapping[str, Any]
 """Settings by name. A value is a number, a truth value, a text, a list, or None for what is not set."""
 
 WARNED = "MuJoCo warns:"
-"""Start of a note on the user's file, which is shown even where nothing is flagged."""
+"""First words of a note on the user's file, which is shown even where all checks pass."""
 
-INSIDE_WITHIN = 1.0
-"""Largest deviation of the verdict `inside`, in half-widths of the interval of reality."""
+MAX_PASSED = 1.0
+"""Largest deviation of a check that passes, in half-widths of the interval of reality."""
 
-VISIBLE_WITHIN = 2.5
-"""Largest deviation of the verdict `visible`, in half-widths of the interval of reality."""
+MAX_WARNING = 2.5
+"""Largest deviation of a warning, in half-widths of the interval of reality."""
 
 COVERAGE = 0.95
-"""Share of further real trials that the interval of a measured row covers."""
+"""Share of further real trials that the interval of a measured quantity covers."""
 
-ONE_RECORDING_FACTOR = 2.0
-"""Half-width of the interval of one recording, in standard uncertainties."""
+RECORDING_FACTOR = 2.0
+"""Half-width of the interval of a single recording, in standard uncertainties."""
+
+RENAMED_VERDICTS = {
+    "inside": "passed",
+    "visible": "warning",
+    "wrong": "failed",
+    "declined": "not measured",
+}
+"""Verdicts by their names before 1.0, which are read until 1.2."""
 
 
-class Verdict(StrEnum):
+def _warn_renamed(old: str, new: str, stacklevel: int = 3) -> None:
+    text = f"`{old}` is now `{new}`; the old name is read until 1.2"
+    warnings.warn(text, DeprecationWarning, stacklevel=stacklevel)
+
+
+class _VerdictType(EnumType):
+    """Type of `Verdict`, which also has the names before 1.0, such as `Verdict.WRONG`."""
+
+    def __getattr__(cls, name: str) -> Any:
+        if name.lower() not in RENAMED_VERDICTS:
+            raise AttributeError(name)
+        new = RENAMED_VERDICTS[name.lower()]
+        _warn_renamed(name, new)
+        return cls(new)
+
+
+class Verdict(StrEnum, metaclass=_VerdictType):
     """Distance between a measured value and reality, in half-widths of the interval of reality."""
 
-    INSIDE = "inside"
+    PASSED = "passed"
     """In the interval: a real trial could give this value, or the law is met within its tolerance."""
-    VISIBLE = "visible"
+    WARNING = "warning"
     """Outside of the interval, by at most 2.5 half-widths from its centre: a careful observer sees the difference."""
-    WRONG = "wrong"
+    FAILED = "failed"
     """Farther away, or a failure of another kind, such as divergence."""
-    DECLINED = "declined"
-    """Not measured: it does not apply to the target, or could not run; `PhenomenonResult.applies` tells which."""
+    NOT_MEASURED = "not measured"
+    """The check does not apply to the target, or cannot run; `PhenomenonResult.applies` tells which."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> Verdict | None:
+        """Return a verdict by its value before 1.0, such as `Verdict("wrong")`."""
+        new = RENAMED_VERDICTS.get(str(value))
+        if new is None:
+            return None
+        # Python's `Enum` makes two calls in between.
+        _warn_renamed(str(value), new, stacklevel=5)
+        return cls(new)
 
     @property
     def is_off(self) -> bool:
-        """Whether it is visible or wrong."""
-        return self in (Verdict.VISIBLE, Verdict.WRONG)
+        """Whether it is a warning or a failure."""
+        return self in (Verdict.WARNING, Verdict.FAILED)
 
     @classmethod
     def of(cls, deviation: float) -> Verdict:
         """Return the verdict of a distance from reality, in half-widths of its interval."""
-        if deviation <= INSIDE_WITHIN:
-            return cls.INSIDE
-        return cls.VISIBLE if deviation <= VISIBLE_WITHIN else cls.WRONG
+        if deviation <= MAX_PASSED:
+            return cls.PASSED
+        return cls.WARNING if deviation <= MAX_WARNING else cls.FAILED
 
 
 class RealityKind(StrEnum):
-    """What a row is compared with."""
+    """What a check compares with."""
 
     MEASURED = "measured"
     """Real trials: their mean, scatter and number."""
     LAW = "law"
-    """A law of mechanics, with a tolerance whose reason is stated."""
+    """A law of mechanics, with a tolerance and its reason."""
 
 
 class Need(StrEnum):
@@ -76,7 +111,7 @@ class Need(StrEnum):
     SPACE = "space"
     """Motion in space, not in a plane along an axis of the world."""
     REBOUND = "rebound"
-    """A restitution; without it, rows on impacts are advice."""
+    """A restitution; without it, checks of impacts are advice."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,8 +123,8 @@ class ContactGroup:
         pair_count: Number of pairs of geoms.
         constants: Effective constants of a contact by MuJoCo's names: `condim`, `friction`, `solref`, ...
         is_used: Whether the experiments run with these constants.
-        is_held: Whether a hand holds a body with these constants, and grasps run with them.
-        is_point: Whether the fingertips that hold it are round, and touch it at one point each.
+        is_held: Whether a hand grasps a body with these constants.
+        is_point: Whether the fingertips that grasp it are round, and touch it at a point each.
         settings: Settings of the backend that give all contacts these constants.
     """
 
@@ -116,12 +151,12 @@ class TrainingConfiguration:
         contact_groups: Contact constants of a model: those on ground first, then by the number of pairs.
         notes: Properties that are not carried over, or that need attention.
         inapplicable: Needs of phenomena that the target does not meet, with the reason.
-        gravity_m_per_s2: Gravity of the target [m/s^2], shape [3]; None when the target states none.
+        gravity_m_per_s2: Gravity of the target [m/s^2], shape [3]; None when it is unknown.
         up: Unit vector away from the ground, shape [3].
         is_model: Whether it was read from a MuJoCo model, for which this package recommends settings as a whole.
-        foot_geometry: Foot of the robot; None when the target has none, or does not state it.
+        foot_geometry: Foot of the robot; None when the target has none, or does not describe it.
         language: Name of the dialect in which changes are written; see `gauge_envs.tools.sanity.stacks`.
-        robot: The target's own model, a `Robot`, which reports do not hold; None when it is not known.
+        robot: The target's own model, a `Robot`, which JSON leaves out; None when it is unknown.
     """
 
     name: str
@@ -141,20 +176,23 @@ class TrainingConfiguration:
     robot: Any = field(default=None, compare=False)
 
     def of_hand(self, *, is_flat: bool) -> TrainingConfiguration | None:
-        """Return this with the contacts of a hand alone in use, if there is one; of its flat pads, or None without."""
-        if not any(one.is_held for one in self.contact_groups):
+        """Return the configuration with the contacts of a hand alone in use; unchanged without a hand.
+
+        Args:
+            is_flat: Whether only contacts of flat pads count; the result is None for a hand without them.
+        """
+        if not any(group.is_held for group in self.contact_groups):
             return self
-        used_groups = [
-            replace(one, is_used=one.is_held and not (is_flat and one.is_point))
-            for one in self.contact_groups
-        ]
-        if not any(one.is_used for one in used_groups):
-            return None
-        return replace(self, contact_groups=tuple(used_groups))
+        groups = tuple(
+            replace(group, is_used=group.is_held and not (is_flat and group.is_point))
+            for group in self.contact_groups
+        )
+        is_any = any(group.is_used for group in groups)
+        return replace(self, contact_groups=groups) if is_any else None
 
     @property
     def contact_sets(self) -> dict[str, dict[str, Any]]:
-        """Settings for each set of contact constants that is judged, by its geoms; one without name if unknown."""
+        """Settings of each set of contact constants that is checked, by its geoms, which may be unknown."""
         sets: dict[str, dict[str, Any]] = {}
         contact = {name for group in self.contact_groups for name in group.settings}
         options = {
@@ -205,7 +243,7 @@ class Reality:
         """
         if trial_count == 1:
             factor, rationale = (
-                ONE_RECORDING_FACTOR,
+                RECORDING_FACTOR,
                 "two standard uncertainties of one recording",
             )
         else:
@@ -226,7 +264,7 @@ class Reality:
     def law(
         cls, value: float, tolerance: float, source: str, rationale: str
     ) -> Reality:
-        """Return what a law states, with a tolerance and its reason."""
+        """Return the value of a law, with a tolerance and its reason."""
         return cls(
             kind=RealityKind.LAW,
             value=value,
@@ -236,13 +274,23 @@ class Reality:
         )
 
 
+def _renamed(old: str, new: str) -> property:
+    """Return an attribute by its name before 1.0, which is read until 1.2."""
+
+    def read(instance: Any) -> Any:
+        _warn_renamed(old, new)
+        return getattr(instance, new)
+
+    return property(read, doc=f"`{new}` by its name before 1.0.")
+
+
 @dataclass(frozen=True, kw_only=True)
 class ChangePart:
-    """A part of a change, such as one attribute.
+    """A part of a fix, such as an attribute.
 
     Attributes:
         text: The part in the target's language, such as `<option cone="elliptic"/>`.
-        corrects: Ids of the flagged rows that are inside after this part alone.
+        corrects: Ids of the failed checks and warnings that pass after this part alone.
     """
 
     text: str
@@ -250,36 +298,32 @@ class ChangePart:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cure:
-    """The change of a few settings that corrects most flagged rows, as measured.
+class Fix:
+    """The change of a few settings that resolves most failed checks and warnings, as measured.
 
     Attributes:
         changes: Changed settings with their new values.
-        line: The change in the target's language, and what it corrects.
-        flag_count: Number of visible or wrong rows before the change.
-        mended: Value of each of these rows that is inside after the change; None where it was not measured.
+        line: The change in the target's language, and what it resolves.
+        flag_count: Number of failed checks and warnings before the change.
+        fixed: Value of each of these checks that passes after the change; None where it was not measured.
         lines: The change as lines of a diff, which start with `- ` or `+ `.
-        parts: The parts of the change, each with what it corrects alone.
+        parts: The parts of the change, each with what it resolves alone.
         speed_ratio: Simulated time of the target in a second after the change, over that before; None if not measured.
     """
 
     changes: Settings
     line: str
     flag_count: int
-    mended: Mapping[str, float | None] = field(default_factory=dict)
+    fixed: Mapping[str, float | None] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
     parts: tuple[ChangePart, ...] = ()
     speed_ratio: float | None = None
-
-    @property
-    def mended_count(self) -> int:
-        """Number of flagged rows that are inside after the change."""
-        return len(self.mended)
+    mended = _renamed("mended", "fixed")
 
 
 @dataclass(frozen=True, kw_only=True)
 class PartOutcome:
-    """Outcome of a row for one part: a set of contact constants, or a joint, a link or a pair of geoms of the robot.
+    """Outcome of a check for one part: a set of contact constants, or a joint, a link or a pair of geoms of the robot.
 
     Attributes:
         name: The part; for contact constants, the geoms that touch with them.
@@ -298,7 +342,7 @@ class PartOutcome:
 
 @dataclass(frozen=True, kw_only=True)
 class PhenomenonResult:
-    """Result of one phenomenon.
+    """Result of one check.
 
     Attributes:
         phenomenon: Id, such as `creep-wood`.
@@ -312,11 +356,11 @@ class PhenomenonResult:
         default_verdict: Verdict of the backend's default.
         remark: Why it was not measured, or how it failed; empty otherwise.
         advisory: Why the verdict does not count for the whole configuration; empty when it counts.
-        applies: Whether the phenomenon applies to the target.
-        geoms: Geoms whose contact constants decide the row; empty when all contacts have the same.
-        parts: Outcome for each part that the row judges; empty when it judges one alone.
-        consequence: What a flag means for a policy, in one sentence; empty when the title says it.
-        place: Element of the target that decides a row on its own model, with file and line; empty otherwise.
+        applies: Whether the check applies to the target.
+        geoms: Geoms whose contact constants decide the verdict; empty when all contacts have the same.
+        parts: Outcome for each part that is checked; empty when nothing was measured.
+        consequence: What a failure means for a policy, in one sentence; empty when the title says it.
+        place: Element of the target's own model that decides the verdict, with file and line; empty otherwise.
     """
 
     phenomenon: str
@@ -327,7 +371,7 @@ class PhenomenonResult:
     default: float | None = None
     configured: float | None = None
     verdict: Verdict
-    default_verdict: Verdict = Verdict.DECLINED
+    default_verdict: Verdict = Verdict.NOT_MEASURED
     remark: str = ""
     advisory: str = ""
     applies: bool = True
@@ -337,13 +381,13 @@ class PhenomenonResult:
     place: str = ""
 
     @property
-    def is_own(self) -> bool:
-        """Whether the row is on the target itself, and runs none of the suite's experiments."""
+    def is_on_target(self) -> bool:
+        """Whether the check is on the target itself, and runs none of the suite's experiments."""
         return not self.experiment
 
     @property
     def is_flag(self) -> bool:
-        """Whether the row is visible or wrong, and counts."""
+        """Whether the check is a warning or failed, and counts."""
         return self.verdict.is_off and not self.advisory
 
     @property
@@ -353,7 +397,7 @@ class PhenomenonResult:
 
     @property
     def effect(self) -> float | None:
-        """Difference between this configuration and reality, in the row's unit; None when nothing was measured."""
+        """Difference between this configuration and reality, in the unit of the check; None if not measured."""
         return None if self.configured is None else self.configured - self.reality.value
 
     def to_dict(self) -> dict[str, Any]:
@@ -367,63 +411,64 @@ class Report:
 
     Attributes:
         configuration: The checked configuration.
-        rows: One result for each phenomenon, in a fixed order.
+        rows: Result of each check, in a fixed order.
         versions: Versions of the engine's packages, of gauge-envs and of its dependencies.
         wall_s: Time that the check took [s].
-        cure: The change that mends most rows; None when no row is flagged or no change mends one.
+        fix: The change that resolves most failed checks and warnings; None when no change resolves one.
         tried: Changes that were tried and not chosen, and how far each came.
-        trade: The best of these with its price, when no change corrects a row without harm; empty otherwise.
+        trade: The best of these with its price, when no change resolves a check without harm; empty otherwise.
         unstated: Properties that the target's model leaves open, in one sentence; empty for none.
         notes: What limits the check, such as an expired time limit.
-        asked: Ids of rows that were asked for one by one.
+        asked: Ids of checks that were requested by their full id.
     """
 
     configuration: TrainingConfiguration
     rows: tuple[PhenomenonResult, ...]
     versions: Mapping[str, str]
     wall_s: float
-    cure: Cure | None = None
+    fix: Fix | None = None
     tried: tuple[str, ...] = ()
     trade: str = ""
     unstated: str = ""
     notes: tuple[str, ...] = ()
     asked: tuple[str, ...] = ()
+    cure = _renamed("cure", "fix")
 
     @property
     def flags(self) -> dict[str, PhenomenonResult]:
-        """Rows that are visible or wrong, and count, by id."""
+        """Failed checks and warnings that count, by id."""
         return {row.phenomenon: row for row in self.rows if row.is_flag}
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """Ids of rows that apply, or were asked for by name, and were not measured; all rows when none was measured."""
-        declined = [row for row in self.rows if row.verdict is Verdict.DECLINED]
-        every = len(declined) == len(self.rows)
+        """Ids of checks that apply, or were requested by id, and were not measured; all ids when none was measured."""
+        missing = [row for row in self.rows if row.verdict is Verdict.NOT_MEASURED]
+        is_all = len(missing) == len(self.rows)
         return tuple(
-            r.phenomenon
-            for r in declined
-            if every or r.applies or r.phenomenon in self.asked
+            row.phenomenon
+            for row in missing
+            if is_all or row.applies or row.phenomenon in self.asked
         )
 
     @property
     def counts(self) -> dict[str, int]:
-        """Numbers of rows that were measured, that apply and were declined, and that do not apply."""
-        missing = [row for row in self.rows if row.verdict is Verdict.DECLINED]
+        """Numbers of checks that were measured, that apply and were not measured, and that do not apply."""
+        missing = [row for row in self.rows if row.verdict is Verdict.NOT_MEASURED]
         inapplicable = sum(not row.applies for row in missing)
         return {
             "measured": len(self.rows) - len(missing),
-            "declined": len(missing) - inapplicable,
+            "not_measured": len(missing) - inapplicable,
             "not_applicable": inapplicable,
         }
 
     @property
     def worst(self) -> Verdict:
-        """The worst verdict of all rows that count; `declined` only when nothing was measured."""
-        order = (Verdict.WRONG, Verdict.VISIBLE, Verdict.INSIDE)
-        found = {Verdict.INSIDE if row.advisory else row.verdict for row in self.rows}
-        return next(
-            (verdict for verdict in order if verdict in found), Verdict.DECLINED
-        )
+        """The worst verdict of all checks that count; `not measured` only when nothing was measured."""
+        order = (Verdict.FAILED, Verdict.WARNING, Verdict.PASSED)
+        verdicts = {
+            Verdict.PASSED if row.advisory else row.verdict for row in self.rows
+        }
+        return next(filter(verdicts.__contains__, order), Verdict.NOT_MEASURED)
 
     def to_dict(self) -> dict[str, Any]:
         """Return all attributes, JSON-ready, without the target's own model."""
@@ -435,3 +480,10 @@ class Report:
             "unmeasured": list(self.unmeasured),
             "counts": self.counts,
         }
+
+
+def flags_text(rows: Sequence[PhenomenonResult]) -> str:
+    """Return what failed checks and warnings are called together, such as `failed checks`."""
+    verdicts = {row.verdict for row in rows}
+    nouns = {Verdict.FAILED: "failed checks", Verdict.WARNING: "warnings"}
+    return " and ".join(noun for verdict, noun in nouns.items() if verdict in verdicts)

@@ -1,4 +1,4 @@
-"""Print a sanity check on one screen, its details, and the table of rows."""
+"""Print a sanity check on one screen, its details, and the table of all checks."""
 
 from __future__ import annotations
 
@@ -17,18 +17,22 @@ from gauge_envs.tools.sanity.model import (
     Report,
     TrainingConfiguration,
     Verdict,
+    flags_text,
 )
-from gauge_envs.tools.sanity.own_rows import ROWS
 from gauge_envs.tools.sanity.phenomena import phenomena
+from gauge_envs.tools.sanity.rows import ROWS
 from gauge_envs.tools.sanity.selection import selection
-from gauge_envs.tools.sanity.target_checks import STATED_ROWS
+from gauge_envs.tools.sanity.target_checks import NUMBER_ROWS
 
-MAX_OWN_FLAGS, MAX_OBJECT_FLAGS = 3, 4
-"""Largest numbers of flags on the target itself and on measured objects that the screen shows; of more, it shows a flag
-less and names the others. With these numbers a report has at most 25 lines of 100 characters."""
+MAX_TARGET_FLAGS, MAX_OBJECT_FLAGS = 3, 4
+"""Largest numbers of problems of the target itself and of measured objects that the screen shows.
+
+A problem is a failed check or a warning. Of more problems, the screen shows one fewer and names the rest.
+A report then has at most 25 lines of 100 characters.
+"""
 
 SAME_SPEED = 0.25
-"""Change of the number of steps a second that a short measurement does not resolve."""
+"""Relative change of the speed that a short measurement does not resolve."""
 
 MAX_DIFF_LINES = 6
 """Largest number of lines of a change that the screen shows."""
@@ -37,22 +41,14 @@ MAX_NAMES = 3
 """Largest number of names in a sentence."""
 
 GUIDE = "docs/sanity.md"
-"""Page that explains the rows."""
+"""Page that explains the checks."""
 
 STYLES = {
-    Verdict.INSIDE: "green",
-    Verdict.VISIBLE: "yellow",
-    Verdict.WRONG: "bold red",
-    Verdict.DECLINED: "dim",
+    Verdict.PASSED: "green",
+    Verdict.WARNING: "yellow",
+    Verdict.FAILED: "bold red",
+    Verdict.NOT_MEASURED: "dim",
 }
-
-LABELS = {
-    Verdict.WRONG: "to mend",
-    Verdict.VISIBLE: "to look at",
-    Verdict.INSIDE: "fine",
-    Verdict.DECLINED: "not measured",
-}
-"""Verdicts in the words of the screen."""
 
 DEFAULT_OPTIONS = {
     "cone": "pyramidal",
@@ -63,32 +59,32 @@ DEFAULT_OPTIONS = {
     "noslip_iterations": 0,
     "timestep_s": 0.002,
 }
-"""Options of MuJoCo's that decide contacts, at their defaults."""
+"""Options of MuJoCo that decide contacts, at their defaults."""
 
 
 def sanity_document(
-    report: Report, *, details: bool = False, every: bool = False
+    report: Report, *, details: bool = False, is_all: bool = False
 ) -> Document:
-    """Return a sanity check: one screen with the flags, or more.
+    """Return a sanity check: one screen with the problems, or more.
 
-    Its JSON rows are the configuration with the worst verdict, then each row.
+    Its JSON rows are the configuration with the worst verdict, then each check.
 
     Args:
         report: The report.
         details: Whether to show what was read, the sources of reality and the changes that were tried.
-        every: Whether to show the table of all rows.
+        is_all: Whether to show the table of all checks.
     """
     whole = report.to_dict()
     rows = whole.pop("rows")
     parts = [
         Paragraph(answer_text(report), Tone.ANSWER),
-        *_own_flags(report),
+        *_target_flags(report),
         *_object_flags(report),
         *_change(report, details=details),
         *_notes(report, details=details),
     ]
     table = _all_rows(report)
-    if every:
+    if is_all:
         parts.append(table)
     if details:
         parts += _details(report)
@@ -97,19 +93,17 @@ def sanity_document(
 
 
 def answer_text(report: Report) -> str:
-    """Return how many rows are to mend, to look at, fine, and not measured."""
+    """Return how many checks failed, warn, passed, and were not measured."""
     verdicts = [row.verdict for row in report.flags.values()]
-    fine = sum(
-        row.verdict is not Verdict.DECLINED and not row.is_flag for row in report.rows
-    )
-    if not report.counts["measured"]:
+    measured = report.counts["measured"]
+    if not measured:
         reasons = dict.fromkeys(row.remark for row in report.rows if row.remark)
         text = f"nothing was measured: {'; '.join([*reasons][:MAX_NAMES])}"
         return f"{report.configuration.name}: {text}"
     texts = [
-        f"{verdicts.count(Verdict.WRONG)} to mend",
-        f"{verdicts.count(Verdict.VISIBLE)} to look at",
-        f"{fine} fine",
+        f"{counted(verdicts.count(Verdict.FAILED), 'check')} failed",
+        counted(verdicts.count(Verdict.WARNING), "warning"),
+        f"{measured - len(verdicts)} passed",
     ]
     missing = report.unmeasured
     if missing:
@@ -120,14 +114,11 @@ def answer_text(report: Report) -> str:
 def phenomena_table(
     *, include_deformables: bool = False, only: Sequence[str] = ()
 ) -> Table:
-    """Return the rows that a sanity check can have: ids, titles, kinds and reality."""
+    """Return all checks: ids, titles, kinds and reality."""
     chosen = selection(only, include_deformables=include_deformables)
-    known = [(row.phenomenon, row.title, row.reality, row.unit) for row in STATED_ROWS]
-    known += [(row.id, row.title, row.reality, row.unit) for row in ROWS.values()]
-    known += [
-        (row.id, row.title, row.reality, row.unit)
-        for row in phenomena(include_deformables=True)
-    ]
+    checks: dict[str, Any] = {row.phenomenon: row for row in NUMBER_ROWS}
+    checks |= {row.id: row for row in phenomena(include_deformables=True)}
+    checks |= ROWS
     return Table(
         columns=(
             Column("id", "id"),
@@ -141,15 +132,14 @@ def phenomena_table(
         rows=[
             {
                 "id": name,
-                "title": title,
-                "kind": reality.kind.value,
-                "reality": reality_text(reality, unit),
-                "trial_count": reality.trial_count,
-                "source": reality.source,
-                "rationale": reality.rationale,
+                "title": checks[name].title,
+                "kind": checks[name].reality.kind.value,
+                "reality": reality_text(checks[name].reality, checks[name].unit),
+                "trial_count": checks[name].reality.trial_count,
+                "source": checks[name].reality.source,
+                "rationale": checks[name].reality.rationale,
             }
-            for name, title, reality, unit in known
-            if name in chosen
+            for name in chosen
         ],
     )
 
@@ -157,35 +147,33 @@ def phenomena_table(
 # --- flags -----------------------------------------------------------------------------------------------------------
 
 
-def _sorted_flags(report: Report, *, is_own: bool) -> list[PhenomenonResult]:
-    """Return the flagged rows on the target itself or on measured objects, those to mend first."""
-    flags = [row for row in report.flags.values() if row.is_own == is_own]
-    return sorted(flags, key=lambda row: row.verdict is not Verdict.WRONG)
+def _sorted_flags(report: Report, *, is_on_target: bool) -> list[PhenomenonResult]:
+    """Return the problems of the target itself or of measured objects, failed checks first."""
+    flags = [row for row in report.flags.values() if row.is_on_target == is_on_target]
+    return sorted(flags, key=lambda row: row.verdict is not Verdict.FAILED)
 
 
-def _own_flags(report: Report) -> list[Part]:
-    """Return three lines for each flag on the target itself: what it is, its numbers, its place and the change."""
-    flags = _sorted_flags(report, is_own=True)
+def _target_flags(report: Report) -> list[Part]:
+    """Return three lines for each problem of the target itself: its title, its numbers, its place with the fix."""
+    flags = _sorted_flags(report, is_on_target=True)
     lines: list[Part] = []
-    shown, more = _shown(flags, MAX_OWN_FLAGS)
+    shown, more = _shown(flags, MAX_TARGET_FLAGS)
     for row in shown:
         limit = reality_text(row.reality, row.unit)
-        style = Tone.ERROR if row.verdict is Verdict.WRONG else Tone.WARNING
+        style = Tone.ERROR if row.verdict is Verdict.FAILED else Tone.WARNING
         numbers = f"{measured_text(row)}, {limit}"
         texts = [": ".join(filter(None, (numbers, row.remark)))]
         texts += filter(None, [_place_text(report, row)])
-        lines.append(
-            Paragraph(f"{LABELS[row.verdict]}: {row.title} ({row.phenomenon})", style)
-        )
+        lines.append(Paragraph(f"{row.verdict}: {row.title} ({row.phenomenon})", style))
         lines += [Paragraph(f"  {text}") for text in texts]
     return lines + more
 
 
 def _shown(
-    flags: Sequence[PhenomenonResult], largest: int
+    flags: Sequence[PhenomenonResult], maximum: int
 ) -> tuple[Sequence[PhenomenonResult], list[Part]]:
-    """Return the flags that the screen shows, and a line that names the others."""
-    count = largest if len(flags) <= largest else largest - 1
+    """Return the problems that the screen shows, and a line that names the rest."""
+    count = maximum if len(flags) <= maximum else maximum - 1
     left = [row.phenomenon for row in flags[count:]]
     if not left:
         return flags, []
@@ -194,28 +182,28 @@ def _shown(
 
 
 def _place_text(report: Report, row: PhenomenonResult) -> str:
-    """Return where a row is off, and which part of the change corrects it, or what the flag means."""
+    """Return the place of a problem, and the part of the fix that resolves it, or what the problem means."""
     texts = [f"at {row.place}"] if row.place else []
-    if report.cure is not None and row.phenomenon in report.cure.mended:
+    if report.fix is not None and row.phenomenon in report.fix.fixed:
         parts = [
-            part.text for part in report.cure.parts if row.phenomenon in part.corrects
+            part.text for part in report.fix.parts if row.phenomenon in part.corrects
         ]
-        texts.append(f"change: {parts[0] if parts else 'all lines below together'}")
+        texts.append(f"fix: {parts[0] if parts else 'all lines below together'}")
     elif row.consequence:
         texts.append(row.consequence)
     return "; ".join(texts)
 
 
 def _object_flags(report: Report) -> list[Part]:
-    """Return a line for each flag on measured objects; one line in all for MuJoCo's default contact."""
-    flags = _sorted_flags(report, is_own=False)
+    """Return a line for each problem of measured objects; a single line for MuJoCo's default contact."""
+    flags = _sorted_flags(report, is_on_target=False)
     if not flags:
         return []
     if _has_default_contact(report.configuration):
         worst = flags[0]
         text = (
-            f"{LABELS[worst.verdict]}: MuJoCo's default contact, as in any file that gives no solref, solimp and cone: "
-            f"{counted(len(flags), 'row')} on measured objects, as {worst.phenomenon} with "
+            f"{worst.verdict}: MuJoCo's default contact, which a file has without solref, solimp and cone: "
+            f"{len(flags)} {flags_text(flags)} of measured objects, such as {worst.phenomenon} with "
             f"{with_unit(measured_text(worst), worst.unit)}, real {reality_text(worst.reality, worst.unit)}"
         )
         return [Paragraph(text, Tone.WARNING)]
@@ -229,7 +217,7 @@ def _object_flags(report: Report) -> list[Part]:
 
 
 def _has_default_contact(checked: TrainingConfiguration) -> bool:
-    """Return whether all contacts that are judged have MuJoCo's default constants and options."""
+    """Return whether all checked contacts have MuJoCo's default constants and options."""
     if not checked.is_model:
         return False
     constants = default_contact_settings()
@@ -244,11 +232,12 @@ def _has_default_contact(checked: TrainingConfiguration) -> bool:
 
 
 def _change(report: Report, *, details: bool) -> list[Part]:
-    """Return the change of settings that corrects most, as a diff, and what each part corrects alone."""
-    change = report.cure
+    """Return the best fix as a diff, with what each part resolves alone."""
+    change = report.fix
     if change is None:
         return [Paragraph(report.trade)] if report.trade else []
-    text = f"Change: corrects {change.mended_count} of {change.flag_count}"
+    text = f"Best fix: resolves {len(change.fixed)} of {len(report.flags)} "
+    text += flags_text([*report.flags.values()])
     if change.speed_ratio is not None:
         ratio = change.speed_ratio
         is_same = abs(ratio - 1.0) < SAME_SPEED
@@ -260,10 +249,10 @@ def _change(report: Report, *, details: bool) -> list[Part]:
         Paragraph(text, Tone.ANSWER),
         *(Paragraph(f"  {line}") for line in diff[:count]),
     ]
-    if left := len(diff[count:]):
-        lines.append(Paragraph(f"  and {left} more lines, which --fix writes"))
+    if hidden_count := len(diff[count:]):
+        lines.append(Paragraph(f"  and {hidden_count} more lines, which --fix writes"))
     alone = [
-        f"{part.text} corrects {first_names(part.corrects, MAX_NAMES)}"
+        f"{part.text} resolves {first_names(part.corrects, MAX_NAMES)}"
         for part in change.parts
         if part.corrects
     ]
@@ -294,13 +283,15 @@ def _notes(report: Report, *, details: bool) -> list[Part]:
         lines.append(Paragraph(report.unstated, Tone.NOTE))
     if report.flags and not details:
         lines.append(
-            Paragraph(f"--all, --details show more; {GUIDE} explains", Tone.NOTE)
+            Paragraph(
+                f"--all and --details show more; {GUIDE} explains the checks", Tone.NOTE
+            )
         )
     return lines
 
 
 def _details(report: Report) -> list[Part]:
-    """Return what was read, the sources of the flagged rows, and the changes that were tried."""
+    """Return what was read, the sources of the problems, and the changes that were tried."""
     checked = report.configuration
     parts: list[Part] = [Heading("Read"), Facts(_facts(checked))]
     for row in report.flags.values():
@@ -352,7 +343,7 @@ def setting_text(value: Any) -> str:
 
 
 def _all_rows(report: Report) -> Table:
-    """Return the table of all rows that apply."""
+    """Return the table of all checks that apply."""
     remark = Column("", "remark", _remark_text, place=Place.BELOW, wide_only=True)
     rows = [row for row in report.rows if row.applies]
     return Table(columns=(*COLUMNS, VERDICT, remark), rows=rows)
@@ -369,7 +360,7 @@ def reality_text(reality: Reality, unit: str) -> str:
 
 
 def measured_text(row: PhenomenonResult) -> str:
-    """Return the measured value of a row; what it is instead where there is none."""
+    """Return the measured value; what it is instead where there is none."""
     if row.configured is not None:
         return quantity_text(row.configured)
     return "no value" if row.verdict.is_off else "-"
@@ -381,12 +372,12 @@ def preset_text(row: PhenomenonResult) -> str:
 
 
 def verdict_text(row: PhenomenonResult) -> str:
-    """Return the verdict in the words of the screen; `advice` for a row that does not count."""
-    return "advice" if row.advisory and row.verdict.is_off else LABELS[row.verdict]
+    """Return the verdict; `advice` for a check that does not count."""
+    return "advice" if row.advisory and row.verdict.is_off else row.verdict.value
 
 
 def _remark_text(row: PhenomenonResult) -> str:
-    """Return the place, the remark and why a row does not count."""
+    """Return the place, the remark and why the verdict does not count."""
     advice = row.advisory if row.verdict.is_off else ""
     return "; ".join(filter(None, (row.geoms or row.place, row.remark, advice)))
 
@@ -394,10 +385,10 @@ def _remark_text(row: PhenomenonResult) -> str:
 VERDICT = Column("", "", verdict_text, style=_style)
 
 COLUMNS = (
-    Column("phenomenon", "row"),
+    Column("phenomenon", "check"),
     Column("title", "quantity", wide_only=True),
     Column("", "real", lambda row: reality_text(row.reality, row.unit)),
     Column("", "here", measured_text, is_number=True, style=_style),
     Column("", "preset", preset_text, is_number=True),
 )
-"""Columns of tables of rows."""
+"""Columns of tables of checks."""

@@ -1,4 +1,6 @@
-"""A row on the target's own model: limits, source and words stand above the function that measures it.
+"""A check of the target's own model: limits, source and texts stand above the function that measures it.
+
+In code, a row is a check with its result.
 
 Example:
     ```python
@@ -8,7 +10,7 @@ Example:
         unit="1",
         interval=(0.0, 0.02),
         source="angular momentum of a free body is conserved",
-        consequence="What is thrown or falls stops to turn in the air.",
+        consequence="What is thrown or falls stops turning in the air.",
     )
     def spin(robot: Robot) -> Finding: ...
     ```
@@ -19,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -40,27 +42,27 @@ Place = tuple[str, int]
 """Kind of an element of the model, such as `joint`, and its id in the compiled model."""
 
 WHOLE = "the model"
-"""Part of a row that judges the model as a whole."""
+"""Part of a check of the model as a whole."""
 
 
 class NotApplicableError(Exception):
-    """A row does not apply to a model; the message is the reason."""
+    """A check does not apply to a model; the message is the reason."""
 
 
 class NotMeasuredError(Exception):
-    """A row applies to a model and cannot be measured; the message is the reason."""
+    """A check applies to a model and cannot be measured; the message is the reason."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What a row measured.
+    """What a check measures.
 
     Attributes:
         value: The value of the part that decides; not finite for a motion that diverges.
         remark: What happens there, with its numbers and the names of the user's elements, in one phrase.
         place: Element of the model that decides the value; None for the model as a whole.
-        parts: Value of each part that the row judges, by its name; empty for the model as a whole.
-        is_usual: Whether the limit that it breaks says what is usual: the row is then visible at most.
+        parts: Value of each part that is checked, by its name; empty for the model as a whole.
+        is_usual: Whether the violated limit says what is usual: the verdict is then a warning at worst.
     """
 
     value: float
@@ -72,16 +74,16 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A row on the target's own model.
+    """A check of the target's own model.
 
     Attributes:
         id: Its id.
         title: Phrase that names the quantity.
         unit: Unit of the value; `1` for a pure number.
         interval: Limits of the value.
-        source: Where the limits come from.
-        consequence: What a flag means for a policy, in one sentence.
-        is_usual: Whether the limits say what is usual: the row is then visible at most.
+        source: Source of the limits.
+        consequence: What a failure means for a policy, in one sentence.
+        is_usual: Whether the limits say what is usual: the verdict is then a warning at worst.
         measure: Function that measures a model. It raises `NotApplicableError` or `NotMeasuredError` with a reason.
     """
 
@@ -114,7 +116,7 @@ class Row:
         )
 
     def deviation(self, value: float) -> float:
-        """Return the ratio by which a value is beyond the limits; 1 between them, infinite for another sign."""
+        """Return the ratio of a value to the limit that it violates; 1 between them, infinite for another sign."""
         low, high = self.interval
         if value < min(low, 0.0) or not np.isfinite(value):
             return math.inf
@@ -122,79 +124,67 @@ class Row:
 
 
 ROWS: dict[str, Row] = {}
-"""Rows by their id, in the order in which their modules were imported."""
+"""Checks by their id."""
 
 
 def row(
-    name: str,
-    *,
-    title: str,
-    unit: str,
-    interval: tuple[float, float],
-    source: str,
-    consequence: str,
-    is_usual: bool = False,
+    name: str, **attributes: Any
 ) -> Callable[[Callable[[Robot], Finding]], Callable[[Robot], Finding]]:
-    """Return a decorator that registers the function of a row; see `Row` for the arguments."""
+    """Return a decorator that registers the function of a check; see `Row` for the attributes."""
 
     def register(measure: Callable[[Robot], Finding]) -> Callable[[Robot], Finding]:
-        ROWS[name] = Row(
-            id=name,
-            title=title,
-            unit=unit,
-            interval=interval,
-            source=source,
-            consequence=consequence,
-            is_usual=is_usual,
-            measure=measure,
-        )
+        ROWS[name] = Row(id=name, measure=measure, **attributes)
         return measure
 
     return register
 
 
 def row_result(row: Row, robot: Robot | None) -> PhenomenonResult:
-    """Return the result of a row: visible up to 2.5 times its limits, wrong beyond.
+    """Return the result of a check: a warning up to 2.5 times its limits, failed beyond.
 
     Args:
-        row: The row.
-        robot: The target's own model; None where it is not known.
+        row: The check.
+        robot: The target's own model; None where it is unknown.
     """
     result = PhenomenonResult(
         phenomenon=row.id,
         title=row.title,
         unit=row.unit,
         reality=row.reality,
-        verdict=Verdict.DECLINED,
+        verdict=Verdict.NOT_MEASURED,
     )
     try:
         if robot is None:
             raise NotApplicableError("the target's own model is not read")
-        found = robot.finding(row)
+        finding = robot.finding(row)
     except (NotApplicableError, NotMeasuredError, mujoco.FatalError) as reason:
         applies = not isinstance(reason, NotApplicableError)
         return replace(result, remark=str(reason), applies=applies)
 
     def judged(value: float) -> Verdict:
         verdict = Verdict.of(row.deviation(value))
-        is_usual = row.is_usual or found.is_usual
-        return Verdict.VISIBLE if is_usual and verdict.is_off else verdict
+        is_usual = row.is_usual or finding.is_usual
+        return Verdict.WARNING if is_usual and verdict.is_off else verdict
 
-    verdict = judged(found.value)
+    def finite(value: float) -> float | None:
+        return value if np.isfinite(value) else None
+
+    verdict = judged(finding.value)
+    parts = finding.parts or {WHOLE: finding.value}
     return replace(
         result,
-        configured=found.value if np.isfinite(found.value) else None,
+        configured=finite(finding.value),
         verdict=verdict,
-        remark=found.remark,
-        place="" if found.place is None else robot.place_text(found.place),
+        remark=finding.remark,
+        place="" if finding.place is None else robot.place_text(finding.place),
         consequence=row.consequence if verdict.is_off else "",
         parts=tuple(
             PartOutcome(
                 name=part,
-                value=value if np.isfinite(value) else None,
+                value=finite(value),
                 verdict=judged(value),
                 deviation=row.deviation(value),
             )
-            for part, value in (found.parts or {WHOLE: found.value}).items()
+            for part, value in parts.items()
         ),
     )

@@ -1,4 +1,4 @@
-"""Run a sanity check: the target's own model, then measured objects with its settings, then the change of settings."""
+"""Run a sanity check: the target's own model, then measured objects with its settings, then the search for a fix."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import versions
-from gauge_envs.tools.sanity.cure import find_cure
+from gauge_envs.tools.sanity.fix import find_fix
 from gauge_envs.tools.sanity.measure import (
     Measured,
     Measurements,
@@ -19,7 +19,7 @@ from gauge_envs.tools.sanity.measure import (
     worst_of,
 )
 from gauge_envs.tools.sanity.model import (
-    Cure,
+    Fix,
     PartOutcome,
     PhenomenonResult,
     Report,
@@ -27,8 +27,9 @@ from gauge_envs.tools.sanity.model import (
     Verdict,
 )
 from gauge_envs.tools.sanity.phenomena import GRASP, phenomenon
+from gauge_envs.tools.sanity.robot.joints import unstated
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
-from gauge_envs.tools.sanity.selection import OWN_IDS, selection
+from gauge_envs.tools.sanity.selection import TARGET_IDS, selection
 from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
 from gauge_envs.tools.sanity.target_checks import target_rows
 
@@ -46,25 +47,25 @@ def check(
     explain: bool = True,
     notify: Callable[[PhenomenonResult], None] | None = None,
 ) -> Report:
-    """Return what physics a training configuration gets wrong, and which change of its settings corrects most.
+    """Check the physics of a training configuration, and find the change of its settings that fixes most.
 
     Args:
         target: A `TrainingConfiguration`, or a target of `gauge_envs.tools.sanity.configuration`.
-        only: Ids of rows or patterns such as `creep-*`; when empty, all rows on the target's own model and on rigid
-            bodies, and those on grasps if the target is a model with a hand.
-        include_deformables: Whether to measure rows on grasps, a wall and deformable bodies too.
-        time_limit_s: Time after which no simulation starts [s]; rows that are not measured by then are declined. None
-            for no limit.
-        explain: Whether to find the change that corrects most.
-        notify: Function that is called with each row as soon as it is complete.
+        only: Ids of checks or patterns such as `creep-*`; when empty, all checks of the target's own model and of rigid
+            bodies, and those of grasps if the target is a model with a hand.
+        include_deformables: Whether to check grasps, a wall and deformable bodies too.
+        time_limit_s: Time after which no simulation starts [s]; the checks that are left are not measured. None for
+            no limit.
+        explain: Whether to find the best fix.
+        notify: Function that is called with each result as soon as it is complete.
 
     Returns:
-        The report: rows on the target's own model, then rows on measured objects, in a fixed order.
+        The report: checks of the target's own model, then of measured objects, in a fixed order.
 
     Raises:
-        UnknownNameError: There is no such backend, or a pattern matches no row.
+        UnknownNameError: There is no such backend, or a pattern matches no check.
         MissingExtraError: The backend's engine is not installed.
-        ParameterError: The backend refuses the settings for every scene.
+        ParameterError: The backend rejects the settings for every scene.
     """
     started = time.perf_counter()
     configuration = configuration_of(target)
@@ -73,7 +74,7 @@ def check(
     if has_hand and not only and not include_deformables:
         chosen = (*chosen, *GRASP)
     rows = target_rows(configuration, chosen, notify)
-    search: tuple[Cure | None, tuple[str, ...], str] | None = None
+    search: tuple[Fix | None, tuple[str, ...], str] = (None, (), "")
     measurements = Measurements(configuration.backend, time_limit_s=time_limit_s)
     objects = _object_rows(measurements, configuration, chosen, notify)
     is_cut_short = any(row.remark == NO_TIME for row in objects)
@@ -82,8 +83,8 @@ def check(
     rows += objects
     if explain:
         try:
-            words = dialect(configuration.language)
-            search = find_cure(configuration, words, measurements, rows)
+            language = dialect(configuration.language)
+            search = find_fix(configuration, language, measurements, rows)
         except TimeLimitError:
             is_cut_short = True
     notes = []
@@ -96,23 +97,23 @@ def check(
             for group in configuration.contact_groups
             if group.is_point and group.constants["condim"] == 3
         ]
-    change, tried, trade = search or (None, (), "")
+    fix, tried, trade = search
     return Report(
         configuration=configuration,
         rows=tuple(rows),
         versions={**measurements.versions, **versions()},
         wall_s=time.perf_counter() - started,
-        cure=change,
+        fix=fix,
         tried=tried,
         trade=trade,
-        unstated=_unstated(configuration),
+        unstated="" if configuration.robot is None else unstated(configuration.robot),
         notes=tuple(notes),
         asked=tuple(name for name in chosen if name in only),
     )
 
 
 NO_TIME = "not measured within the time limit"
-"""Reason of a row for which the time did not suffice."""
+"""Reason of a check for which the time did not suffice."""
 
 
 def _object_rows(
@@ -121,19 +122,21 @@ def _object_rows(
     chosen: Sequence[str],
     notify: Callable[[PhenomenonResult], None] | None,
 ) -> list[PhenomenonResult]:
-    """Return the chosen rows on measured objects; the preset is measured where a row is off."""
+    """Return the chosen checks of measured objects; the preset is measured where a check does not pass."""
     rows = []
     for name in chosen:
-        if name in OWN_IDS:
+        if name in TARGET_IDS:
             continue
         subject = subject_of(measurements, configuration, phenomenon(name))
         try:
             outcomes = subject.measured()
-            is_off = any(out.verdict is not Verdict.INSIDE for out in outcomes.values())
+            is_off = any(
+                outcome.verdict is not Verdict.PASSED for outcome in outcomes.values()
+            )
             preset = measurements.measure(subject.phenomenon, {}) if is_off else None
             rows.append(_object_row(subject, outcomes, preset))
         except TimeLimitError:
-            unmeasured = Measured(verdict=Verdict.DECLINED, remark=NO_TIME)
+            unmeasured = Measured(verdict=Verdict.NOT_MEASURED, remark=NO_TIME)
             rows.append(result_of(subject.phenomenon, unmeasured, None))
         if notify is not None:
             notify(rows[-1])
@@ -143,22 +146,22 @@ def _object_rows(
 def _object_row(
     subject: Subject, outcomes: dict[str, Measured], preset: Measured | None
 ) -> PhenomenonResult:
-    """Return the row of the worst set of contact constants, with an outcome for each set."""
+    """Return the result of the worst set of contact constants, with an outcome for each set."""
     phenomenon = subject.phenomenon
     if not outcomes:
-        unmeasured = Measured(verdict=Verdict.DECLINED, remark=subject.inapplicable)
+        unmeasured = Measured(verdict=Verdict.NOT_MEASURED, remark=subject.inapplicable)
         return result_of(phenomenon, unmeasured, preset, applies=False)
     geoms, worst = worst_of(outcomes)
-    # What an engine cannot simulate at all is no part of a check.
+    # A scene that the engine cannot simulate at all is not checked.
     is_unknown = preset is not None and {worst.verdict, preset.verdict} == {
-        Verdict.DECLINED
+        Verdict.NOT_MEASURED
     }
     return result_of(
         phenomenon,
         worst,
         preset,
         applies=not is_unknown,
-        # A rollout that diverges is wrong whatever the target states.
+        # A rollout that diverges fails even where the check is advice.
         advisory="" if worst.rollout is None else subject.advisory,
         geoms=geoms if len(outcomes) > 1 else "",
         parts=tuple(
@@ -179,19 +182,11 @@ def _check_accepted(
     engine: str,
     rows: Sequence[PhenomenonResult],
 ) -> None:
-    """Raise an error where the engine refuses the settings in each scene that it simulates with its preset."""
+    """Raise an error where the engine rejects the settings in each scene that it simulates with its preset."""
     applying = [row for row in rows if row.applies]
-    is_refused = all(row.verdict is Verdict.DECLINED for row in applying)
-    if is_refused and any(row.default is not None for row in applying):
+    is_rejected = all(row.verdict is Verdict.NOT_MEASURED for row in applying)
+    if is_rejected and any(row.default is not None for row in applying):
         cause = applying[0].remark
         raise ParameterError(
-            f"{configuration.name}: {engine} refuses these settings: {cause}"
+            f"{configuration.name}: {engine} rejects these settings: {cause}"
         )
-
-
-def _unstated(configuration: TrainingConfiguration) -> str:
-    """Return in one sentence what the target's model leaves open."""
-    return ""
-    from gauge_envs.tools.sanity.robot.joints import unstated
-
-    return unstated(configuration.robot)

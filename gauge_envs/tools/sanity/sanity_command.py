@@ -16,30 +16,47 @@ from gauge_envs.cli.output import (
     Format,
     Progress,
     message,
+    note,
     print_document,
 )
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
-    from gauge_envs.tools.sanity import Report
+    from gauge_envs.tools.sanity import Report, Verdict
     from gauge_envs.tools.sanity.comparison import Baseline
 
 
 class FailOn(StrEnum):
-    """Least bad verdict with which a sanity check fails."""
+    """Mildest verdict that gives the exit code 1."""
 
-    WRONG = "wrong"
-    VISIBLE = "visible"
+    FAILED = "failed"
+    WARNING = "warning"
     NEVER = "never"
 
 
+RENAMED = {"wrong": FailOn.FAILED, "visible": FailOn.WARNING}
+"""Values of `--fail-on` by their names before 1.0, which are read until 1.2."""
+
+
+def read_fail_on(text: str) -> FailOn:
+    """Return a value of `--fail-on`."""
+    if text in RENAMED:
+        new = RENAMED[text]
+        note(f"--fail-on {text} is now --fail-on {new}; the old name is read until 1.2")
+        return new
+    if text not in {*FailOn}:
+        raise typer.BadParameter(f"{text!r}: expected {', '.join(FailOn)}")
+    return FailOn(text)
+
+
 FailOnOption = Annotated[
-    FailOn | None,
+    FailOn,
     arguments.option(
         arguments.SELECTION,
-        "Exit code 1 when a row is at least as bad; with --against, when one of two that differ is.",
-        show_default="visible",
+        "Exit code 1 for this verdict or a worse one; with --against, for checks that differ.",
+        metavar="|".join(FailOn),
+        parser=read_fail_on,
     ),
 ]
 
@@ -58,7 +75,7 @@ FixOption = Annotated[
     Path | None,
     arguments.option(
         arguments.OUTPUT,
-        "Write the model file with the change of settings, checked again.",
+        "Write the model file with the fix, and check it again.",
         metavar="OUT.xml",
     ),
 ]
@@ -66,7 +83,7 @@ FixOption = Annotated[
 
 OutOption = Annotated[
     list[Path] | None,
-    arguments.target("Tables (.md) or rows (.json)."),
+    arguments.target("Tables (.md) or results (.json)."),
 ]
 
 
@@ -93,47 +110,49 @@ def sanity(
         str | None,
         arguments.option(
             arguments.SCENE,
-            "Check this target too, and print the rows of both beside each other.",
+            "Check this target too, and print both side by side.",
             metavar="TARGET",
         ),
     ] = None,
     timeout: Annotated[
         float | None,
         arguments.timeout(
-            "Start no simulation after this time; decline other rows.",
+            "Start no simulation after this time.",
             "no limit",
             is_positive=False,
         ),
     ] = None,
     only: arguments.Only = None,
-    fail_on: FailOnOption = None,
+    fail_on: FailOnOption = FailOn.WARNING,
     baseline: BaselineOption = None,
     fix: FixOption = None,
-    every: Annotated[
+    is_all: Annotated[
         bool,
-        arguments.option(arguments.OUTPUT, "Also the table of all rows.", "--all"),
+        arguments.option(
+            arguments.OUTPUT, "Also print the table of all checks.", "--all"
+        ),
     ] = False,
     details: Annotated[
         bool,
         arguments.option(
             arguments.OUTPUT,
-            "Also what was read, sources, and the changes that were tried.",
+            "Also print settings, sources, and the changes that were tried.",
             "--details",
         ),
     ] = False,
     out: OutOption = None,
     form: arguments.Form = Format.TEXT,
 ) -> int:
-    """Report what is wrong in a training configuration, and the change of settings that corrects most.
+    """Check the physics of a training configuration, and print the best fix of its settings.
 
     Runs the target's own model, then measured objects with its numerical settings, and compares both with mechanics and
-    real trials; gauge list phenomena shows all rows. A wall and deformable bodies are checked where a pattern of --only
-    is '*' or names them alone. Exit code 0 when all that was asked for was measured and passed, 1 for a row as bad as
-    --fail-on names or farther from reality than in --baseline, 3 when rows were not measured.
+    real trials; gauge list phenomena shows all checks. A wall and deformable bodies are checked where a pattern of
+    --only is '*' or names them alone. Exit code 0 when all checks were measured and passed, 1 for a verdict of
+    --fail-on or a value farther from reality than in --baseline, 3 when checks were not measured.
     """
     from gauge_envs.tools.sanity import check, configuration
     from gauge_envs.tools.sanity.comparison import read_baseline
-    from gauge_envs.tools.sanity.mended import check_can_mend, write_mended
+    from gauge_envs.tools.sanity.fix_file import check_can_fix, write_fix
     from gauge_envs.tools.sanity.report import sanity_document
     from gauge_envs.tools.sanity.selection import chooses_deformables, selection
 
@@ -155,53 +174,62 @@ def sanity(
         return _compare(target, against, options, fail_on, files, form)
     earlier = None if baseline is None else read_baseline(baseline)
     if fix is not None:
-        check_can_mend(fix)
+        check_can_fix(fix)
     geoms = None if pair is None else tuple(pair)
     if geoms is not None and len(geoms) != 2:
         raise ParameterError(
             f"--pair {','.join(geoms)}: expected the names of two geoms, as floor,foot"
         )
     checked = configuration(target, pair=geoms)
-    with Progress("rows", len(selection(**chosen))) as progress:
+    with Progress("checks", len(selection(**chosen))) as progress:
         report = check(
             checked,
             notify=lambda row: progress.advance(row.phenomenon),
             time_limit_s=timeout,
             **chosen,
         )
-    document = sanity_document(report, details=details, every=every)
+    document = sanity_document(report, details=details, is_all=is_all)
     print_document(document, form, files=files)
     if fix is not None:
-        message(write_mended(report, fix), "fix")
-    if _is_bad(report, fail_on or FailOn.VISIBLE, earlier):
+        message(write_fix(report, fix), "fix")
+    if _fails(report, _verdicts(fail_on), earlier):
         return EXIT_FAILED
     return EXIT_INCOMPLETE if report.unmeasured else 0
 
 
-def _is_bad(report: Report, fail_on: FailOn, baseline: Baseline | None) -> bool:
-    """Return whether a row is as bad as `fail_on`, and with a baseline, worse than there; regressions are printed."""
+def _verdicts(fail_on: FailOn) -> set[Verdict]:
+    """Return the verdicts that give the exit code 1."""
     from gauge_envs.tools.sanity import Verdict
+
+    verdicts = {
+        FailOn.NEVER: [],
+        FailOn.FAILED: [Verdict.FAILED],
+        FailOn.WARNING: [Verdict.FAILED, Verdict.WARNING],
+    }
+    return set(verdicts[fail_on])
+
+
+def _fails(report: Report, verdicts: set[Verdict], baseline: Baseline | None) -> bool:
+    """Return whether a check has one of the verdicts, and with a baseline, is worse than there; print regressions."""
     from gauge_envs.tools.sanity.comparison import regressions
 
-    least = Verdict.WRONG if fail_on is FailOn.WRONG else Verdict.VISIBLE
-    if baseline is not None:
-        worse = regressions(report, baseline, least=least)
-        for text in worse:
-            message(text, "regression")
-        return bool(worse)
-    bad = {Verdict.WRONG, least} if fail_on is not FailOn.NEVER else set()
-    return any(row.verdict in bad for row in report.flags.values())
+    if baseline is None:
+        return any(row.verdict in verdicts for row in report.flags.values())
+    worse = regressions(report, baseline, verdicts=verdicts)
+    for text in worse:
+        message(text, "regression")
+    return bool(worse)
 
 
 def _compare(
     first: str,
     second: str,
     options: dict[str, Any],
-    fail_on: FailOn | None,
+    fail_on: FailOn,
     files: Mapping[str, Path],
     form: Format,
 ) -> int:
-    """Print the rows of two targets beside each other, and return the exit code."""
+    """Print the checks of two targets side by side, and return the exit code."""
     from gauge_envs.tools.sanity import check, difference
     from gauge_envs.tools.sanity.comparison import difference_document
 
@@ -209,8 +237,8 @@ def _compare(
     compared = difference(*reports)
     print_document(difference_document(compared), form, files=files)
     changed = [row for row in compared.rows if row.is_changed]
-    if fail_on is FailOn.WRONG:
-        changed = [row for row in changed if row.is_wrong]
+    if fail_on is FailOn.FAILED:
+        changed = [row for row in changed if row.is_failed]
     if changed and fail_on is not FailOn.NEVER:
         return EXIT_FAILED
     is_measured = any(row.is_measured for row in compared.rows)
@@ -218,7 +246,7 @@ def _compare(
 
 
 def list_phenomena(patterns: Sequence[str]) -> list[Table]:
-    """Return the table of rows, those of a wall and of deformable bodies only for patterns that choose them."""
+    """Return the table of checks, those of a wall and of deformable bodies only for patterns that choose them."""
     from gauge_envs.tools.sanity.report import phenomena_table
     from gauge_envs.tools.sanity.selection import chooses_deformables
 

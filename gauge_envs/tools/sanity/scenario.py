@@ -18,7 +18,7 @@ from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.recording import DeclinedError, Recording, record
 from gauge_envs.tools.sanity.model import Settings
 
-FEWEST_SAMPLES = 5
+MIN_SAMPLES = 5
 """A scene with fewer samples shows no motion."""
 
 TRIAL_VARIANT = "BouncingBall-rubber"
@@ -33,11 +33,11 @@ class Scenario:
         name: Unique name, by which rollouts are cached.
         variant: Variant of the suite, such as `SlopeSlider-1-wood`.
         seconds: Simulated time [s].
-        given: Scene in place of that of the variant; None for the variant's.
+        given: Scene in place of the variant's scene; None for the latter.
         interval_s: Longest time between samples, unless a step is longer [s].
         recorded: Further arguments of `record`, such as when a simulation ends early. By default, no nodes are kept.
         engine_settings: Settings that belong to the scene, by name of the backend; those of a configuration come first.
-        wrenches: Force and torque on each body that is pushed all the time [N, N m], shape [6].
+        wrenches: Constant force and torque on each body that is pushed [N, N m], shape [6].
         released: Bodies that rest on a fixed one at the start. They start apart by the margin of a configuration, at
             which they settle; from a touching pose they would be thrown up.
     """
@@ -59,7 +59,7 @@ class Scenario:
 
     @cached_property
     def scene(self) -> Scene:
-        """The scene, driven as the task file states."""
+        """The scene, with the prescribed motions of the task file."""
         return self.given or load_experiment(self.variant).scene
 
     def scene_with(self, settings: Settings) -> Scene:
@@ -92,18 +92,18 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Re
         settings: Settings of the backend; the backend's default for the scene completes them.
 
     Raises:
-        DeclinedError: The backend cannot build the scene, or the step is too long for it.
+        DeclinedError: The scene is unsupported, or the step is too long for it.
         DivergedError: The engine fails, or a body leaves what the scene allows.
     """
     if settings.get("timestep_s") is None:
-        # A stated step gives every rollout of the scenario the same sampling rule.
-        force = settings_in_force(backend, scenario, settings)
-        step = {k: v for k, v in force.items() if k == "timestep_s"}
+        # A given step gives every rollout of the scenario the same sampling rule.
+        effective = effective_settings(backend, scenario, settings)
+        step = {k: v for k, v in effective.items() if k == "timestep_s"}
         settings = {**settings, **step}
     with closing(_built(backend, scenario, settings)) as simulation:
         interval_s = simulation.settings.get("drive_interval_s", SAMPLE_INTERVAL_S)
         seconds = scenario.seconds
-        if interval_s > seconds / FEWEST_SAMPLES:
+        if interval_s > seconds / MIN_SAMPLES:
             long = (
                 f"a step of {interval_s:g} s is too long for a scene of {seconds:g} s"
             )
@@ -121,7 +121,7 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Re
         )
 
 
-def settings_in_force(
+def effective_settings(
     backend: Backend, scenario: Scenario, settings: Settings
 ) -> dict[str, Any]:
     """Return every numerical setting that a scenario would run with, those of the preset included."""
@@ -137,7 +137,7 @@ def _built(backend: Backend, scenario: Scenario, settings: Settings) -> Simulati
     given = {**scenario.engine_settings.get(backend.name, {}), **given}
     try:
         return backend.build(scenario.scene_with(settings), given)
-    # Engines refuse combinations of settings by exceptions of any kind; another scene may accept them.
+    # Engines reject combinations of settings by exceptions of any kind; another scene may accept them.
     except Exception as error:
         kind = "" if isinstance(error, ParameterError) else f"{type(error).__name__}: "
         raise DeclinedError((f"{kind}{error}",)) from error
@@ -147,7 +147,7 @@ def check_settings(name: str, settings: Settings) -> None:
     """Build a scene with settings of a backend.
 
     Raises:
-        GaugeError: The backend refuses them.
+        GaugeError: The backend rejects them.
         TargetError: The engine raises an error of another kind.
     """
     # An action of an environment takes a whole number of steps, so the step serves as the interval of the suite.

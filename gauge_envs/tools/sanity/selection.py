@@ -1,17 +1,34 @@
-"""Ids of all rows of a sanity check, in their order, and their choice by patterns."""
+"""Ids of all checks in their order, and their choice by patterns."""
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 
 from gauge_envs.errors import UnknownNameError
-from gauge_envs.tools.sanity.own_rows import ROWS
+from gauge_envs.tools.sanity.itself import free_rows, rest_rows
 from gauge_envs.tools.sanity.phenomena import GRASP, RIGID, SLOW
+from gauge_envs.tools.sanity.robot import (
+    ground_rows,
+    joint_rows,
+    mass_rows,
+    rollout,
+)
+from gauge_envs.tools.sanity.rows import ROWS
+
+MODEL_CHECKS = (rest_rows, free_rows, ground_rows, joint_rows, mass_rows, rollout)
+"""Modules with the checks of the target's own model, in their order."""
 
 GRAVITY_ID, CONTROL_ID = "gravity", "control-step"
-"""Rows on what a target gives as numbers."""
+"""Checks of numbers that a target gives."""
 
-OWN_IDS = (*ROWS, GRAVITY_ID, CONTROL_ID)
-"""Rows on the target itself, which run none of the suite's experiments."""
+MODEL_IDS = tuple(
+    row.id
+    for module in MODEL_CHECKS
+    for row in ROWS.values()
+    if row.measure.__module__ == module.__name__
+)
+
+TARGET_IDS = (*MODEL_IDS, GRAVITY_ID, CONTROL_ID)
+"""Checks of the target itself, which run none of the suite's experiments."""
 
 SIMULATED_IDS = frozenset(
     {
@@ -21,23 +38,23 @@ SIMULATED_IDS = frozenset(
         *("robot-torque", "robot-drive"),
     }
 )
-"""Rows that run the target's own model, so that settings of the engine can change them."""
+"""Checks that run the target's own model, so that settings of the engine can change them."""
 
 
 def selection(
     only: Sequence[str] = (), *, include_deformables: bool = False
 ) -> tuple[str, ...]:
-    """Return ids of rows in a fixed order: all, or those that match one of the patterns.
+    """Return ids of checks in a fixed order: all, or those that match a pattern.
 
     Args:
-        only: Ids or patterns such as `creep-*`, also several in one text with commas; all when empty.
-        include_deformables: Whether to include rows on grasps, a wall and deformable bodies.
+        only: Ids or patterns such as `creep-*`, also several in a text with commas; all when empty.
+        include_deformables: Whether to include checks of grasps, a wall and deformable bodies.
 
     Raises:
-        UnknownNameError: A pattern matches no row.
+        UnknownNameError: A pattern matches no check.
     """
     more = (*GRASP, *SLOW) if include_deformables else ()
-    known = (*OWN_IDS, *RIGID, *more)
+    known = (*TARGET_IDS, *RIGID, *more)
     patterns = [part.strip() for text in only for part in text.split(",")]
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in known):
@@ -50,7 +67,7 @@ def selection(
 
 
 def chooses_deformables(only: Sequence[str]) -> bool:
-    """Return whether a pattern chooses a wall or deformable bodies: it is `*`, or matches no other row."""
+    """Return whether a pattern chooses a wall or deformable bodies: it is `*`, or matches no other check."""
     rigid = selection()
     return any(
         pattern == "*" or not any(fnmatchcase(name, pattern) for name in rigid)

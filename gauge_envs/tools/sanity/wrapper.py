@@ -1,4 +1,4 @@
-"""Check an environment when it is made, and warn of the physics that it gets wrong."""
+"""Check an environment when it is made, and warn of failed checks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gauge_envs.tools.sanity.run import check
 
 
 class SanityWarning(UserWarning):
-    """A sanity check of an environment has flags."""
+    """An environment does not pass all checks."""
 
 
 _REPORTS: dict[str, Report] = {}
@@ -21,7 +21,7 @@ _REPORTS: dict[str, Report] = {}
 
 
 class SanityWrapper(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
-    """Check an environment once in each process, and warn with the flags and the change that corrects most.
+    """Check an environment once in each process, and warn with the failed checks and the best fix.
 
     Attributes:
         report: The report of the check.
@@ -39,7 +39,7 @@ class SanityWrapper(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
 
         Args:
             env: The environment, which has a MuJoCo model or is one of this package.
-            only: Ids of rows or patterns such as `creep-*`; all when empty.
+            only: Ids of checks or patterns such as `creep-*`; all when empty.
 
         Raises:
             TargetError: The environment has no model that can be checked.
@@ -52,7 +52,7 @@ class SanityWrapper(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
         self.report = _REPORTS[key]
         if self.report.flags:
             names = ", ".join(self.report.flags)
-            change = self.report.cure
-            advice = "" if change is None else f"; change {change.line}"
+            fix = self.report.fix
+            advice = "" if fix is None else f"; best fix: {fix.line}"
             text = f"{answer_text(self.report)} ({names}){advice}"
             warnings.warn(text, SanityWarning, stacklevel=2)

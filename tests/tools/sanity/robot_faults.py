@@ -1,4 +1,4 @@
-"""A mistake in a quadruped with position servos for each row on robots."""
+"""A mistake in a quadruped with position servos for each check of robots."""
 
 from quadruped import quadruped_xml
 
@@ -6,7 +6,7 @@ JOINT = 'armature="0.005" damping="0.5" frictionloss="0.2"'
 
 
 def good_xml():
-    """Return the quadruped of 12 kg with servos of 80 N m/rad and a keyframe, which has no flag."""
+    """Return the quadruped of 12 kg with servos of 80 N m/rad and a keyframe, which passes all checks."""
     text = quadruped_xml(friction=0.8).replace('armature="0.005"', JOINT)
     servos = "".join(
         f'<position joint="{leg}_{joint}" kp="80" kv="2" forcerange="-40 40"/>'
@@ -55,7 +55,7 @@ FAULTS = {
         'kv="2"',
         'kv="0"',
     ),
-    ("robot-coupling", "beside its coupling"): ("<keyframe>", COUPLED),
+    ("robot-coupling", "off its coupling"): ("<keyframe>", COUPLED),
     ("robot-free", "in the air"): ("<freejoint/>", '<joint type="free"/>'),
     ("robot-feet", "FL_foot"): (
         'name="FL_foot"',
@@ -65,7 +65,7 @@ FAULTS = {
         'name="FL_foot"',
         'name="FL_foot" condim="1" priority="1"',
     ),
-    ("robot-friction", "floor states"): (
+    ("robot-friction", "floor has friction"): (
         'name="floor"',
         'name="floor" friction="0.1 0.005 0.0001"',
     ),
@@ -74,11 +74,11 @@ FAULTS = {
         '<geom condim="4" friction="0.4 0.5',
     ),
 }
-"""Texts of the good quadruped and what replaces them, by the row that finds it and a part of its remark."""
+"""Texts of the good quadruped and what replaces them, by the check that detects it and a part of its remark."""
 
 
 def faulty_xml(key):
-    """Return the quadruped with the mistake that a row finds."""
+    """Return the quadruped with the mistake that a check detects."""
     text, texts = good_xml(), FAULTS[key]
     for old, new in zip(texts[::2], texts[1::2], strict=True):
         assert old in text, old

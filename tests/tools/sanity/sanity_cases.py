@@ -1,7 +1,5 @@
 """Training settings and known motions that several tests of the sanity check use."""
 
-import json
-
 import numpy as np
 
 from gauge_envs.tools.bench.recording import Recording
@@ -18,7 +16,7 @@ CHEETAH = {
 
 
 def moved(scenario, times_s, markers_m=None, **displacements_m):
-    """Return a rollout with given markers and displacements of bodies [m], shape [sample_count, 3]; others rest.
+    """Return a rollout with given markers and displacements of bodies [m], shape [sample_count, 3]; other bodies rest.
 
     A hyphen in the name of a body is an underscore in the keyword.
     """
@@ -35,20 +33,3 @@ def moved(scenario, times_s, markers_m=None, **displacements_m):
     return Recording(
         scene=scenario.scene, times_s=times_s, states=states, markers_m=markers
     )
-
-
-def read_text(*read):
-    """Return what was read of targets as a text to approve."""
-    lines = []
-    for one in read:
-        values = {
-            "target": [one.name, one.backend, one.language],
-            "frame_skip": one.frame_skip,
-            "gravity_m_per_s2": one.gravity_m_per_s2,
-            "settings": one.settings,
-            "origins": one.origins,
-            "contacts": [group.geoms for group in one.contact_groups],
-            "notes": one.notes,
-        }
-        lines.append(json.dumps(values, indent=1))
-    return "\n".join(lines)

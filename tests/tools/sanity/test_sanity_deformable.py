@@ -1,4 +1,4 @@
-"""Rows on deformable bodies: readings against closed forms, outcomes of training settings."""
+"""Checks of deformable bodies: readings against closed forms, outcomes of training settings."""
 
 from dataclasses import replace
 
@@ -7,12 +7,9 @@ import pytest
 from sanity_cases import CHEETAH, moved
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.tools.bench.recording import DivergedError
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.phenomena import SLOW, phenomenon
-from gauge_envs.tools.sanity.scenario import run_scenario
 
 MUJOCO = backend("mujoco")
 TIMES_S = np.linspace(0.0, 1.2, 601)
@@ -25,17 +22,20 @@ def markers_m(name):
     return np.asarray(phenomenon(name).scenario.scene.markers.positions_m)
 
 
-def read(name, markers, **ways_m):
+def read(name, markers, **displacements_m):
     row = phenomenon(name)
-    return float(row.value(moved(row.scenario, TIMES_S, markers, **ways_m)))
+    return float(row.value(moved(row.scenario, TIMES_S, markers, **displacements_m)))
 
 
 # --- readings of motions that are known ------------------------------------------------------------------------------
 
 
 def test_lag_of_a_cube_behind_the_rod():
-    ways = {"rod": np.outer(-0.037 * TIMES_S, X), "cube": np.outer(-0.035 * TIMES_S, X)}
-    assert read("cloth-carry", None, **ways) == pytest.approx(2.4)
+    displacements = {
+        "rod": np.outer(-0.037 * TIMES_S, X),
+        "cube": np.outer(-0.035 * TIMES_S, X),
+    }
+    assert read("cloth-carry", None, **displacements) == pytest.approx(2.4)
 
 
 def test_sag_is_the_centre_of_the_swing():
@@ -68,8 +68,8 @@ def test_fling_reads_the_angle_of_a_rigid_sheet():
     assert read("fling-lag", markers, rod=way) == pytest.approx(13.0, abs=0.01)
 
 
-@pytest.mark.parametrize("name", ["foam-stretch", "foam-compress"])
-def test_area_of_a_face_that_grows_alike_in_all_directions(name):
+def test_area_of_a_face_that_grows_alike_in_all_directions():
+    name = "foam-stretch"
     markers = markers_m(name) * np.linspace(1.0, 1.02, len(TIMES_S))[:, None, None]
     assert read(name, markers) == pytest.approx(100.0 * (1.02**2 - 1.0))
 
@@ -97,37 +97,27 @@ def test_foot_stays_behind_the_base():
 # --- rollouts --------------------------------------------------------------------------------------------------------
 
 
-def test_refused_settings_are_declined_with_their_reason():
+def test_rejected_settings_are_not_measured_for_a_reason():
     settings = CHEETAH | {"integrator": "implicitfast"}
     measured = Measurements(MUJOCO).measure(phenomenon("foam-stretch"), settings)
-    assert (measured.verdict, measured.value) == (Verdict.DECLINED, None)
+    assert (measured.verdict, measured.value) == (Verdict.NOT_MEASURED, None)
     assert "set integrator='discrete'" in measured.remark
 
 
-@pytest.mark.parametrize("timestep_s", [0.01, 0.002, 0.001])
 @pytest.mark.parametrize(
-    "name", ["cloth-carry", "cloth-sag", "foam-stretch", "foot-lag"]
+    ("name", "timestep_s"),
+    [("cloth-sag", 0.002), ("foam-stretch", 0.01), ("foot-lag", 0.001)],
 )
-def test_explicit_elasticity_diverges_and_is_seen(name, timestep_s):
-    """MuJoCo sets back to the start what blows up, and a body at its start may look as if it were right."""
+def test_explicit_elasticity_diverges_and_fails(name, timestep_s):
+    """MuJoCo resets a state that diverges, and a body at its start could look right."""
     settings = {"timestep_s": timestep_s, "integrator": "Euler"}
     measured = Measurements(MUJOCO).measure(phenomenon(name), settings)
-    assert (measured.verdict, measured.value) == (Verdict.WRONG, None)
+    assert (measured.verdict, measured.value) == (Verdict.FAILED, None)
     assert measured.remark.startswith("diverged: after 0.0")
 
 
-def test_an_engine_that_raises_has_diverged(monkeypatch):
-    def give_up(simulation, seconds):
-        raise MemoryError("too many\ncontacts")
-
-    monkeypatch.setattr(SimulationMuJoCo, "advance", give_up)
-    text = "after 0 s the engine raises MemoryError: too many contacts"
-    with pytest.raises(DivergedError, match=text):
-        run_scenario(MUJOCO, phenomenon("foot-lag").scenario, {})
-
-
 @pytest.mark.slow
-def test_the_preset_raises_no_flag():
+def test_the_preset_passes():
     measurements = Measurements(MUJOCO)
     rows = [measurements.measure(phenomenon(name), {}) for name in SLOW]
-    assert {row.verdict for row in rows} == {Verdict.INSIDE}
+    assert {row.verdict for row in rows} == {Verdict.PASSED}

@@ -1,11 +1,8 @@
-"""What a hand holds: readings against closed forms, contacts of a hand, and advice that mends."""
-
-import csv
+"""Grasps: readings against closed forms, contacts of a hand, and the fix of planted faults."""
 
 import mujoco
 import numpy as np
 import pytest
-from places import ROOT
 from sanity_cases import moved
 
 from gauge_envs.backends import backend
@@ -13,7 +10,6 @@ from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.phenomena import GRASP, phenomenon
-from gauge_envs.tools.sanity.phenomena.grasp import MOST_ROLLING_MM
 from gauge_envs.tools.sanity.run import check
 from gauge_envs.tools.sanity.stacks import configuration
 
@@ -69,7 +65,7 @@ def test_creep_and_depth_of_a_box_are_relative_to_its_pads():
     assert phenomenon("grasp-sink").value(rollout) == pytest.approx(30.0)
 
 
-@pytest.mark.parametrize("share", [0.383, 0.707, 3.0])
+@pytest.mark.parametrize("share", [0.383, 3.0])
 def test_torque_is_read_from_the_energy_of_the_spin(share):
     row = phenomenon("grasp-torsion")
     times = np.linspace(0.0, 0.15, 1501)
@@ -78,14 +74,13 @@ def test_torque_is_read_from_the_energy_of_the_spin(share):
     rollout = moved(row.scenario, times)
     rollout.states["object"][:, 10] = np.maximum(20.0 - rate * times, 0.0)
     assert row.value(rollout) == pytest.approx(share, rel=1e-3)
-    low, high = (
-        row.reality.value - row.reality.tolerance,
-        row.reality.value + row.reality.tolerance,
-    )
+    # Even pressure has (sqrt 2 + ln(1 + sqrt 2)) / 6, pressure at the corners 1 / sqrt 2.
+    low = row.reality.value - row.reality.tolerance
+    high = row.reality.value + row.reality.tolerance
     assert (low, high) == pytest.approx((0.383, 0.707), abs=0.007)
 
 
-@pytest.mark.parametrize("arm_mm", [0.5, 3.0, 20.0])
+@pytest.mark.parametrize("arm_mm", [0.5, 20.0])
 def test_rolling_friction_is_read_from_the_path(arm_mm):
     row = phenomenon("rolling")
     times = np.linspace(0.0, 0.5, 2001)
@@ -98,72 +93,48 @@ def test_rolling_friction_is_read_from_the_path(arm_mm):
     )
 
 
-def test_the_limit_of_rolling_is_the_largest_published_value():
-    text = (ROOT / "scoring" / "facts" / "friction_tables.csv").read_text()
-    rolling = [row["rolling_mm"] for row in csv.DictReader(text.splitlines())]
-    assert max(float(arm) for arm in rolling if arm) == MOST_ROLLING_MM
-
-
 # --- MuJoCo ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("arm_m", "verdict"), [(1e-3, Verdict.INSIDE), (0.1, Verdict.WRONG)]
+    ("arm_m", "verdict"), [(1e-3, Verdict.PASSED), (0.1, Verdict.FAILED)]
 )
 def test_rolling_friction_of_mujoco(arm_m, verdict):
     settings = {"condim": 6, "rolling_friction_m": arm_m}
-    found = MUJOCO.measure(phenomenon("rolling"), settings)
-    assert found.verdict is verdict
-    assert verdict is Verdict.WRONG or found.value == pytest.approx(
-        1e3 * arm_m, rel=0.01
-    )
+    measured = MUJOCO.measure(phenomenon("rolling"), settings)
+    assert measured.verdict is verdict
+    # A larger rolling friction stops the ball before the end.
+    if verdict is Verdict.PASSED:
+        assert measured.value == pytest.approx(1e3 * arm_m, rel=0.01)
 
 
 # --- hands -----------------------------------------------------------------------------------------------------------
 
 
+def grasping(model, **options):
+    """Return the contact groups of a hand."""
+    groups = configuration(model, **options).contact_groups
+    return [group for group in groups if group.is_held]
+
+
 def test_the_contacts_of_a_hand_are_those_of_its_pads_and_a_free_body():
-    held = [
-        group
-        for group in configuration(hand(pad='condim="4"')).contact_groups
-        if group.is_held
-    ]
-    assert [(group.geoms, group.settings["condim"]) for group in held] == [
-        ("cube, left_pad and right_pad with each other", 4)
-    ]
-    # Fingers without motors hold nothing, and a chosen pair stands for all contacts.
-    assert not any(
-        group.is_held for group in configuration(hand(motors="")).contact_groups
-    )
-    assert not any(
-        group.is_held
-        for group in configuration(hand(), pair=("floor", "cube")).contact_groups
-    )
-
-
-@pytest.mark.slow
-def test_grasps_are_measured_without_being_named_where_there_is_a_hand():
-    with_hand, without = (
-        {
-            row.phenomenon
-            for row in check(hand(motors=motors), explain=False).rows
-            if row.experiment
-        }
-        for motors in ("left", "")
-    )
-    assert with_hand - without == set(GRASP)
+    (group,) = grasping(hand(pad='condim="4"'))
+    assert group.geoms == "cube, left_pad and right_pad with each other"
+    assert group.settings["condim"] == 4
+    # Fingers without motors grasp nothing, and a chosen pair stands for all contacts.
+    assert not grasping(hand(motors=""))
+    assert not grasping(hand(), pair=("floor", "cube"))
 
 
 @pytest.mark.parametrize(
     ("pad", "spins"), [("", True), ('condim="4" friction="1 .002 0"', False)]
 )
 def test_round_fingertips_without_torsional_friction_are_named(pad, spins):
-    """What is said is what MuJoCo does: 5 N on two tips hold 2 mm of arm each, so 20 mN m, or nothing."""
+    """MuJoCo does the same: 5 N on two tips resist 20 mN m with a lever of 2 mm each, or nothing."""
     model = hand(**GOOD, pad=f'priority="1" {pad}', tip="size='.01'", held_m=0.1)
     verdicts, report = checked(model)
-    assert verdicts["grasp-torsion"] is Verdict.DECLINED and not any(
-        one.is_off for one in verdicts.values()
-    )
+    assert verdicts["grasp-torsion"] is Verdict.NOT_MEASURED
+    assert not any(verdict.is_off for verdict in verdicts.values())
     assert ["holds no torque" in note for note in report.notes] == [True] * spins
     model.opt.gravity[:] = 0.0
     data = mujoco.MjData(model)
@@ -178,10 +149,10 @@ def test_round_fingertips_without_torsional_friction_are_named(pad, spins):
     )
 
 
-def test_a_good_hand_has_no_flag():
+def test_a_good_hand_passes():
     verdicts, report = checked(hand(**GOOD))
-    assert verdicts == dict.fromkeys(GRASP, Verdict.INSIDE)
-    assert (report.cure, report.notes) == (None, ())
+    assert verdicts == dict.fromkeys(GRASP, Verdict.PASSED)
+    assert (report.fix, report.notes) == (None, ())
 
 
 FAULTS = {
@@ -192,17 +163,14 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(one, marks=pytest.mark.slow) for one in FAULTS]
-)
-def test_advice_that_is_followed_mends_the_hand(name):
-    """Planted faults: the change of the first line, set in a copy of the model, leaves no flag."""
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_planted_fault_of_a_hand_is_fixed(name):
     model = hand(**FAULTS[name])
     verdicts, report = checked(model)
     assert verdicts[name].is_off
-    assert (
-        report.cure is not None and report.cure.mended_count == report.cure.flag_count
-    )
+    assert report.fix is not None
+    assert len(report.fix.fixed) == report.fix.flag_count
     robot = report.configuration.robot
-    mended, _ = checked(robot.changed(report.cure.changes)[0])
-    assert set(mended.values()) == {Verdict.INSIDE}
+    fixed, _ = checked(robot.changed(report.fix.changes)[0])
+    assert set(fixed.values()) == {Verdict.PASSED}

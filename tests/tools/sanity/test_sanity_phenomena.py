@@ -1,4 +1,4 @@
-"""Rows on measured objects: readings against closed forms, rollouts at a configuration's own step, verdicts."""
+"""Checks of measured objects: realities, readings against closed forms, rollouts at a configuration's own step."""
 
 from dataclasses import replace
 
@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 from sanity_cases import CHEETAH, moved
-from wobbling import WobblingBackend, told
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
@@ -22,48 +21,74 @@ from gauge_envs.tools.sanity.scenario import run_scenario
 MUJOCO = backend("mujoco")
 ALONG, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 
+# id, value and half-width of the interval of reality
+REALITIES = """
+foot-creep         0         1.4111
+foot-push          0.48192   0.082014
+foot-slide         2.7194    0.082014
+foot-landing-depth 0         9
+foot-rebound       0         0.2
+foot-rest          0         0.2
+creep-wood         0         1.4111
+creep-plastic      0         2.5323
+creep-metal        0         1.7037
+rest-height        0         0.5
+release            0         0.5
+slide-wood         2.7194    0.082014
+slide-plastic      2.8979    0.16123
+slide-metal        2.6029    0.17345
+slide-turned       2.7194    0.082014
+rebound            0.73693   0.0047673
+rebound-slow       0.73693   0.02
+momentum           0.9302    0.052974
+period             1.2303    0.012303
+energy             0         0.01
+carry-wood         0         2.0236
+carry-plastic      0         2.6013
+carry-metal        0         2.9526
+seam               6.5       1
+point              0         1
+grasp-creep        0         10
+grasp-sink         0         200
+grasp-torsion      0.545     0.16845
+rolling            0         7
+wall-sag           0         1
+wall-drift         0         1
+cloth-carry        0.2       16
+cloth-sag          1.12      0.22401
+fling-lag          17.1      6.8
+foam-stretch       2.7       5
+foam-compress      -5.5      5
+rope-length        0         2
+foot-lag           2.5       2.8868
+"""
 
-def value(name, settings):
-    measured = Measurements(MUJOCO).measure(phenomenon(name), settings)
-    assert measured.value is not None, measured.remark
-    return measured.value
+
+def test_the_values_of_reality_and_their_intervals_stay():
+    table = [line.split() for line in REALITIES.strip().splitlines()]
+    expected = {name: pytest.approx([float(v), float(w)], 1e-4) for name, v, w in table}
+    rows = phenomena(include_deformables=True)
+    assert {
+        row.id: [row.reality.value, row.reality.tolerance] for row in rows
+    } == expected
 
 
-def read(name, times, **ways_m):
-    """Outcome of a row for displacements [m]."""
+def read(name, times, **displacements_m):
+    """Outcome of a check for given displacements [m]."""
     row = phenomenon(name)
-    return judged(row, moved(row.scenario, times, **ways_m))
+    return judged(row, moved(row.scenario, times, **displacements_m))
 
 
-def of_board(name, axis):
-    """An axis of the board's frame in the world."""
+def on_board(name, axis):
+    """Return an axis of the board's frame in the world."""
     return phenomenon(name).scenario.scene.body("board").pose.rotation.apply(axis)
-
-
-LONG = ("period", "energy", "wall-sag", "wall-drift", "foot-lag")
-"""Phenomena whose scenes are long, or have many bodies or several markers."""
-
-
-def test_numbers_of_all_phenomena_are_the_approved_ones(approved):
-    """Of an engine whose bodies move as stated functions of the time, so that no physics and no rounding matters."""
-    lines = []
-    for row in phenomena(include_deformables=True):
-        lines.append(f"{row.id}: {told(row.reality)}")
-        lines.append(f"  {told(row.needs)} {row.is_impact}")
-        if row.id not in LONG:
-            rollout = run_scenario(WobblingBackend(), row.scenario, {})
-            lines.append(f"  {told(replace(judged(row, rollout), rollout=None))}")
-    approved("sanity/phenomena", "\n".join(dict.fromkeys(lines)))
 
 
 # --- rollouts --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("step", "interval"),
-    [(0.01, 0.01), (0.003, 0.003), (0.0007, 0.0014), (1 / 9000, 0.002)],
-)
-def test_runs_at_its_own_step(step, interval):
+@pytest.mark.parametrize(("step", "interval"), [(0.01, 0.01), (0.0007, 0.0014)])
+def test_a_scene_runs_at_the_step_of_the_configuration(step, interval):
     scenario = replace(phenomenon("rebound").scenario, seconds=0.2)
     settings = {"timestep_s": step, "integrator": "Euler"}
     rollout = run_scenario(MUJOCO, scenario, settings)
@@ -75,7 +100,7 @@ def test_runs_at_its_own_step(step, interval):
     np.testing.assert_allclose(fall, 0.5 * G * step**2 * steps * (steps + 1), atol=1e-9)
 
 
-def test_declined_and_diverged_are_outcomes():
+def test_rejected_settings_and_divergence_are_outcomes():
     row = phenomenon("creep-wood")
     with pytest.raises(DeclinedError, match="unknown setting"):
         run_scenario(MUJOCO, row.scenario, {"colour": "red"})
@@ -85,68 +110,61 @@ def test_declined_and_diverged_are_outcomes():
     with pytest.raises(DivergedError, match="m/s"):
         run_scenario(MUJOCO, row.scenario, loose)
     measured = Measurements(MUJOCO).measure(row, loose)
-    assert (measured.verdict, measured.value) == (Verdict.WRONG, None)
+    assert (measured.verdict, measured.value) == (Verdict.FAILED, None)
     assert measured.remark.startswith("diverged")
 
 
-def test_an_engine_that_raises_is_wrong(monkeypatch):
+def test_an_engine_that_raises_fails(monkeypatch):
     def give_up(simulation, names):
         raise MemoryError("full")
 
     monkeypatch.setattr(SimulationMuJoCo, "body_states", give_up)
     measured = Measurements(MUJOCO).measure(phenomenon("rebound"), {})
-    assert (measured.verdict, measured.value) == (Verdict.WRONG, None)
+    assert (measured.verdict, measured.value) == (Verdict.FAILED, None)
     assert measured.remark.startswith("the engine raised MemoryError: full")
 
 
-# --- readings of motions that are known ------------------------------------------------------------------------------
+# --- readings of known motions ---------------------------------------------------------------------------------------
 
 
 def test_creep_counts_after_settling():
     times = np.linspace(0.0, 1.0, 401)
-    way = 0.002 * (1.0 - np.exp(-times / 0.02)) + 0.007 * times
-    outcome = read(
-        "creep-wood", times, cube=np.outer(way, of_board("creep-wood", ALONG))
-    )
-    assert outcome.value == pytest.approx(7.0, abs=1e-3)
+    path = 0.002 * (1.0 - np.exp(-times / 0.02)) + 0.007 * times
+    cube = np.outer(path, on_board("creep-wood", ALONG))
+    assert read("creep-wood", times, cube=cube).value == pytest.approx(7.0, abs=1e-3)
 
 
 def test_resting_height_is_along_the_normal():
     times = np.linspace(0.0, 1.0, 101)
-    sunk = np.outer(np.where(times > 0.0, -0.0012, 0.0), of_board("rest-height", UP))
+    sunk = np.outer(np.where(times > 0.0, -0.0012, 0.0), on_board("rest-height", UP))
     flat = read("rest-height", times).value
     assert flat == pytest.approx(0.0, abs=2e-3)
     assert read("rest-height", times, cube=sunk).value - flat == pytest.approx(-1.2)
 
 
-@pytest.mark.parametrize(
-    ("material", "friction"),
-    [("wood", 0.257145), ("plastic", 0.236133), ("metal", 0.270867)],
-)
-def test_slide_reads_acceleration_and_no_speed(material, friction):
-    name = f"slide-{material}"
+def test_a_slide_is_read_as_acceleration_without_speed():
     times = np.linspace(0.0, 0.5, 126)
-    law = phenomenon(name).reality.value
-    for share, speed in ((1.0, 0.0), (1.0, 0.06), (1.2, 0.0)):
-        way = speed * times + 0.5 * share * law * times**2
-        outcome = read(name, times, cube=np.outer(way, of_board(name, ALONG)))
-        assert outcome.value == pytest.approx(share * law)
-    # Real slides show a friction of their own, and the cube has it.
-    assert law == pytest.approx(G * (0.5 - friction * np.sqrt(0.75)), rel=2e-3)
+    law = phenomenon("slide-wood").reality.value
+    for share, speed in ((1.0, 0.06), (1.2, 0.0)):
+        path = speed * times + 0.5 * share * law * times**2
+        cube = np.outer(path, on_board("slide-wood", ALONG))
+        value = read("slide-wood", times, cube=cube).value
+        assert value == pytest.approx(share * law)
+    # Real slides show a friction of 0.257, and the cube has it.
+    assert law == pytest.approx(G * (0.5 - 0.257145 * np.sqrt(0.75)), rel=2e-3)
 
 
-@pytest.mark.parametrize("restitution", [0.2, 0.577, 0.9])
-@pytest.mark.parametrize("interval", [0.002, 0.01])
+@pytest.mark.parametrize(("restitution", "interval"), [(0.2, 0.002), (0.9, 0.01)])
 def test_rebound_of_an_ideal_ball(restitution, interval):
     times = np.arange(0.0, 0.85, interval)
     scene = phenomenon("rebound").scenario.scene
     ground_m = scene.body("ground").pose.position_m[2] + 0.03
-    ways = {}
+    displacements = {}
     for ball in scene.dynamic_bodies:
         drop = ball.pose.position_m[2] - ground_m
-        way = _bounces_m(times, drop, restitution) - drop
-        ways[ball.name.replace("-", "_")] = np.outer(way, UP)
-    outcome = read("rebound", times, **ways)
+        rise = _bounces_m(times, drop, restitution) - drop
+        displacements[ball.name.replace("-", "_")] = np.outer(rise, UP)
+    outcome = read("rebound", times, **displacements)
     assert outcome.value == pytest.approx(restitution, rel=2e-3)
 
 
@@ -177,31 +195,29 @@ def test_only_the_last_ball_may_leave():
     bad = read("momentum", times, ball_1=fallen, ball_4=0.5 * swing, ball_5=swing)
     assert not good.remark and bad.remark.startswith("2 of 5 balls swing out")
     # The momentum alone would be as in reality.
-    assert (bad.value, bad.verdict) == (good.value, Verdict.WRONG)
+    assert (bad.value, bad.verdict) == (good.value, Verdict.FAILED)
 
 
 def test_depth_of_a_point_in_the_recess():
     scene = phenomenon("point").scenario.scene
     tip = scene.body("pyramid").pose.to_world(np.array([0.0, 0.0, -0.075]))
     floor = scene.body("squarebase").pose.position_m[2] - 0.0125
-    way = np.outer([0.0, 1.0], (floor - tip[2] - 0.0031) * UP)
-    assert read("point", np.array([0.0, 0.1]), pyramid=way).value == pytest.approx(3.1)
+    fall = np.outer([0.0, 1.0], (floor - tip[2] - 0.0031) * UP)
+    assert read("point", np.array([0.0, 0.1]), pyramid=fall).value == pytest.approx(3.1)
 
 
 # --- reality ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("material", "printed"), [("wood", 0.59), ("plastic", 1.90), ("metal", 0.86)]
-)
-def test_creep_bound_is_the_displacement_that_one_digit_hides(material, printed):
-    way = creep_bound_mm_per_s(f"SlopeSlider-1-{material}") * 8 / 30
-    assert way**2 / (24.0 * printed) == pytest.approx(PRINTED_MM)
+def test_creep_bound_is_the_displacement_that_one_digit_hides():
+    printed = 0.59
+    path = creep_bound_mm_per_s("SlopeSlider-1-wood") * 8 / 30
+    assert path**2 / (24.0 * printed) == pytest.approx(PRINTED_MM)
     frames = np.zeros((301, 3))
-    frames[:, 0] = printed + way * np.linspace(-0.5, 0.5, 301)
+    frames[:, 0] = printed + path * np.linspace(-0.5, 0.5, 301)
     mean = np.zeros_like(frames)
-    apart = trajectory_rmse(frames, mean) - trajectory_dtw(frames, mean)
-    assert apart == pytest.approx(PRINTED_MM, rel=0.15)
+    difference = trajectory_rmse(frames, mean) - trajectory_dtw(frames, mean)
+    assert difference == pytest.approx(PRINTED_MM, rel=0.15)
 
 
 def test_interval_covers_further_trials():
@@ -211,6 +227,14 @@ def test_interval_covers_further_trials():
         reality = Reality.measured(mean, scatter, 7, "normal")
         hits += abs(further - reality.value) <= reality.tolerance
     assert hits / 8_000 == pytest.approx(0.95, abs=0.006)
+
+
+@pytest.mark.parametrize(
+    ("deviation", "verdict"),
+    [(1.0, "passed"), (1.01, "warning"), (2.5, "warning"), (2.51, "failed")],
+)
+def test_the_verdict_of_a_deviation(deviation, verdict):
+    assert Verdict.of(deviation) == verdict
 
 
 # --- engines ---------------------------------------------------------------------------------------------------------
@@ -230,38 +254,17 @@ def test_creep_of_half_cheetah_is_mujocos():
     early = float(data.qpos[0])
     mujoco.mj_step(model, data, nstep=50)
     plain = 1e3 * (float(data.qpos[0]) - early) / 0.5
-    assert value("creep-wood", CHEETAH) == pytest.approx(plain, rel=0.02)
+    measured = Measurements(MUJOCO).measure(phenomenon("creep-wood"), CHEETAH)
+    assert measured.value == pytest.approx(plain, rel=0.02)
     assert 50.0 < plain < 65.0
 
 
-OUT_OF_BOX = {
-    "creep-wood": 0.699,
-    "creep-metal": 0.725,
-    "rest-height": -0.00308,
-    "slide-wood": 2.72,
-    "slide-turned": 3.35,
-    "rebound": 0.0,
-    "rebound-slow": 0.0,
-    "momentum": 0.237,
-    "carry-wood": 1.87,
-    "seam": 5.79,
-    "point": 5.6,
-}
-"""Numbers of MuJoCo's documented defaults, in the unit of each row."""
-
-
-@pytest.mark.parametrize("name", OUT_OF_BOX)
-def test_numbers_of_mujoco_out_of_the_box(name):
-    number = value(name, {"preset": "out_of_box"})
-    assert number == pytest.approx(OUT_OF_BOX[name], rel=0.01, abs=1e-4)
-
-
-def test_three_per_cent_of_a_slide_are_visible():
+def test_a_friction_that_is_four_percent_too_small_is_a_warning():
     slide = phenomenon("slide-wood")
     measured = Measurements(MUJOCO).measure(slide, {"friction_scale": 0.96})
     faster = 0.04 * 0.257145 * G * np.sqrt(0.75)
     assert measured.value == pytest.approx(slide.reality.value + faster, rel=0.002)
-    assert measured.verdict is Verdict.VISIBLE
+    assert measured.verdict is Verdict.WARNING
 
 
 LONGER = ("energy", "period", "carry-plastic", "carry-metal")
@@ -275,9 +278,9 @@ LONGER = ("energy", "period", "carry-plastic", "carry-metal")
         pytest.param("newton", (), marks=pytest.mark.slow),
     ],
 )
-def test_the_default_of_a_backend_raises_no_flag(name, skipped):
+def test_the_preset_of_an_engine_passes(name, skipped):
     pytest.importorskip(name)
     measurements = Measurements(backend(name))
     rows = [phenomenon(row) for row in RIGID if row not in skipped]
-    off = [row.id for row in rows if measurements.measure(row, {}).verdict.is_off]
-    assert len(rows) > 15 and off == []
+    failed = [row.id for row in rows if measurements.measure(row, {}).verdict.is_off]
+    assert len(rows) > 15 and failed == []

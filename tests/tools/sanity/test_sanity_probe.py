@@ -94,7 +94,7 @@ def file(tmp_path, original):
 
 
 def facts(target):
-    """Everything that is read of a target, but how it is called, and the model."""
+    """Everything that is read of a target except its name and the model."""
     read = dataclasses.asdict(dataclasses.replace(configuration(target), robot=None))
     return {key: read[key] for key in read if key not in ("name", "source")}
 
@@ -126,7 +126,7 @@ def test_the_program_is_python_3_8_and_imports_only_the_standard_library():
     assert not any(words in PROGRAM for words in later)
 
 
-def test_a_file_gives_the_rows_of_the_target_digit_by_digit(tmp_path):
+def test_a_file_gives_the_results_of_the_target_digit_by_digit(tmp_path):
     done = run_program(tmp_path, "HalfCheetah-v5")
     assert done.stdout.split() == ["HalfCheetah-v5.gaugeprobe.json"], done.stderr
     saved = tmp_path / done.stdout.strip()
@@ -135,25 +135,16 @@ def test_a_file_gives_the_rows_of_the_target_digit_by_digit(tmp_path):
     assert rows(saved, *only) == rows("HalfCheetah-v5", *only)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "name", "skip"),
-    [
-        (("model.xml",), "model.xml", None),
-        (("robots:make",), "robots_make", None),
-        (("robots:SPEC",), "robots_SPEC", None),
-        (("robots:Env(3)", "--out", "own.json"), "own", 3),
-    ],
-)
-def test_forms_of_targets(tmp_path, arguments, name, skip):
+def test_python_of_a_module_is_a_target(tmp_path):
     (tmp_path / "model.xml").write_text(HARD)
     (tmp_path / "robots.py").write_text(
-        "import mujoco\nSPEC = mujoco.MjSpec.from_file('model.xml')\n\ndef make():\n    return SPEC.compile()\n\n"
-        "class Env:\n    def __init__(self, skip):\n        self.frame_skip, self.mj_model = skip, make()\n",
+        "import mujoco\n\nclass Env:\n    def __init__(self, skip):\n        self.frame_skip = skip\n"
+        "        self.mj_model = mujoco.MjModel.from_xml_path('model.xml')\n",
     )
-    done = run_program(tmp_path, *arguments)
+    done = run_program(tmp_path, "robots:Env(3)", "--out", "env.json")
     assert done.returncode == 0, done.stderr
     read = configuration(tmp_path / done.stdout.strip())
-    assert (read.name, read.frame_skip) == (name, skip)
+    assert (read.name, read.frame_skip) == ("env", 3)
     assert read.settings == configuration(tmp_path / "model.xml").settings
 
 
@@ -188,7 +179,7 @@ def test_a_file_of_another_version_says_so(file):
     file.write_text(json.dumps(document))
     notes = "; ".join(configuration(file).notes)
     for note in (
-        f"training runs with MuJoCo 3.2.0; the rows are measured with MuJoCo {mujoco.__version__}",
+        f"training runs with MuJoCo 3.2.0; the checks run with MuJoCo {mujoco.__version__}",
         "has no later of <option>, which is 1 in training",
         "training runs on MJX",
         "from the probe",

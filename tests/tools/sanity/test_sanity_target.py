@@ -6,15 +6,13 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
-from sanity_cases import read_text
+from sanity_cases import CHEETAH
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
-from gauge_envs.backends.mujoco.settings import PRESETS, SettingsMuJoCo
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.bench.model_settings import COLUMNS, contact_pairs
 from gauge_envs.tools.sanity.itself.runs import start_data
-from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks import configuration
 
 # Every rule by which MuJoCo lets geoms collide or mixes their constants; all of it lies in one heap.
@@ -50,17 +48,17 @@ HEAP = """
 """
 
 
-def built(experiment, settings=None, engine="mujoco"):
-    """Return the simulation of an experiment with settings."""
-    return backend(engine).build(load_experiment(experiment).scene, settings)
+def built(experiment, settings):
+    """Return MuJoCo's simulation of an experiment with settings."""
+    return backend("mujoco").build(load_experiment(experiment).scene, settings)
 
 
 def heap(*, option="", flag=""):
     return mujoco.MjModel.from_xml_string(HEAP.format(option=option, flag=flag))
 
 
-def found_contacts(model, data):
-    """Constants of the contacts that MuJoCo makes now, by the geoms; those in which nothing can move left out."""
+def made_contacts(data):
+    """Constants of the contacts that MuJoCo makes, by their geoms, without those in which nothing can move."""
     contacts = {}
     for contact in data.contact:
         if contact.exclude != 3:
@@ -100,7 +98,7 @@ def test_pairs_are_those_that_mujoco_makes_of_a_heap(option, flag):
     model = heap(option=option, flag=flag)
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data)
-    made, read = found_contacts(model, data), read_contacts(model)
+    made, read = made_contacts(data), read_contacts(model)
     assert len(made) > 20
     assert made.keys() == read.keys()
     for geoms, constants in made.items():
@@ -123,8 +121,16 @@ def test_a_gap_is_the_sum_of_both():
         ].item() == pytest.approx(0.05)
 
 
-def test_half_cheetah(approved):
-    approved("sanity/read_half_cheetah", read_text(configuration("HalfCheetah-v5")))
+def test_half_cheetah():
+    read = configuration("HalfCheetah-v5")
+    assert {name: read.settings[name] for name in CHEETAH} == {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in CHEETAH.items()
+    }
+    assert (read.backend, read.language, read.frame_skip) == ("mujoco", "mjcf", 5)
+    assert read.gravity_m_per_s2 == (0.0, 0.0, -9.81)
+    assert read.origins["timestep_s"] == "option"
+    assert read.origins["contact_solref"].startswith("floor with torso, head, bthigh")
 
 
 def test_every_option_of_a_model_reaches_the_built_model():
@@ -161,7 +167,7 @@ def test_contact_constants_of_a_model_reach_every_contact():
     np.testing.assert_allclose(reached.pair_friction[:, 2:], others)
 
 
-def test_groups_that_differ_are_reported_and_can_be_picked():
+def test_contact_groups_are_read_and_a_pair_is_chosen():
     model = heap()
     groups = configuration(model).contact_groups
     assert sum(group.pair_count for group in groups) == len(contact_pairs(model).geoms)
@@ -172,19 +178,11 @@ def test_groups_that_differ_are_reported_and_can_be_picked():
         configuration(model, pair=("floor", "nose"))
     with pytest.raises(TargetError, match="'a1' and 'c' cannot collide"):
         configuration(model, pair=("a1", "c"))
-    with pytest.raises(TargetError, match="pairs of geoms are those of a MuJoCo model"):
-        configuration("mujoco", pair=("a", "b"))
     model = heap(option="o_friction='.1 .2 .3 .4 .5'", flag="override='enable'")
     assert configuration(model).settings["o_friction"] == [0.1, 0.2, 0.3, 0.4, 0.5]
 
 
-def test_a_medium_is_not_carried_over():
-    model = mujoco.MjModel.from_xml_string("<mujoco><option density='1000'/></mujoco>")
-    (note,) = mujoco_configuration(model, name="model", source="test").notes
-    assert "medium" in note
-
-
-def test_the_contact_of_a_free_ball_is_not_that_of_resting_objects():
+def test_contacts_of_a_free_ball_are_not_used_for_resting_objects():
     body = '<body pos="0 0 1"><freejoint/><geom type="{}" size=".1 .1 .1" solref="{} 1"/></body>'
     floor = '<geom type="plane" size="1 1 1"/>'
     bodies = floor + body.format("box", 0.02) + body.format("sphere", 0.5)
@@ -193,17 +191,6 @@ def test_the_contact_of_a_free_ball_is_not_that_of_resting_objects():
     )
     (settings,) = configuration(model).contact_sets.values()
     assert settings["contact_solref"] == [0.02, 1.0]
-
-
-def test_the_out_of_box_preset_is_what_a_model_has_that_states_nothing():
-    model = mujoco.MjModel.from_xml_string(
-        "<mujoco><worldbody><geom size='1'/><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
-    )
-    read = configuration(model).settings
-    assert (
-        SettingsMuJoCo(preset="out_of_box", drive_interval_s=0.002, **read)
-        == PRESETS["out_of_box"]
-    )
 
 
 # --- kinds of targets ------------------------------------------------------------------------------------------------
@@ -231,7 +218,7 @@ def test_files_backends_and_objects(tmp_path):
 
 
 @pytest.mark.parametrize("key", ["", "<keyframe><key name='home'/></keyframe>"])
-def test_rows_on_a_model_start_in_the_state_of_its_data(key):
+def test_checks_of_a_model_start_in_the_state_of_its_data(key):
     model = mujoco.MjModel.from_xml_string(
         f"<mujoco><worldbody><body><freejoint/><geom size='.1'/></body></worldbody>{key}</mujoco>"
     )
@@ -242,14 +229,18 @@ def test_rows_on_a_model_start_in_the_state_of_its_data(key):
     assert start_data(configuration(model).robot.model).qpos[2] == 0.0
 
 
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
 @pytest.mark.parametrize(
-    ("name", "text"),
+    ("name", "text", "encoding"),
     [
-        ("a.toml", 'backend = "mujoco"\npreset = "stack"\n[settings]\nimpratio = 5.0'),
+        (
+            "a.toml",
+            'backend = "mujoco"\npreset = "stack"\n[settings]\nimpratio = 5.0',
+            "utf-8-sig",
+        ),
         (
             "a.json",
             '{"backend": "mujoco", "preset": "stack", "settings": {"impratio": 5}}',
+            "utf-16",
         ),
     ],
 )
@@ -295,8 +286,6 @@ def arm(mesh="tetra.obj", geom='size=".1"', more=""):
             arm("parts/base.stl"),
             r'a\.xml:3: mesh "base" needs .*parts/base\.stl, which is not there: copy it there, or set meshdir',
         ),
-        ("a.xml", arm("/home/ann/base.stl"), "a.xml:3: .*not one of another machine"),
-        ("a.xml", arm(r"C:\ann\base.stl"), "a.xml:3: .*not one of another machine"),
         ("a.xml", arm("pointer.stl"), r"a\.xml:3: .*is a pointer of Git LFS"),
         (
             "a.urdf",
@@ -304,52 +293,25 @@ def arm(mesh="tetra.obj", geom='size=".1"', more=""):
             "</collision></link></robot>",
             "a.urdf:2: <mesh> needs .*without package://",
         ),
-        ("a.xml", arm(geom='size=".1"')[:120], r"a\.xml:6: the XML is not well-formed"),
         ("a.xml", arm(geom='size=".1'), r"a\.xml:[67]: the XML is not well-formed"),
         ("a.xml", arm(geom='siz=".1"'), "a.xml:6: <geom>: unrecognized .*'siz'"),
-        ("a.xml", arm(geom='size="a"'), "a.xml:6: <geom>: bad format .*'size'"),
-        (
-            "a.xml",
-            arm(geom='size=".1" mass="0"'),
-            'a.xml:6: body "arm": mass and inertia .*: give it a geom with mass',
-        ),
-        (
-            "a.xml",
-            arm(more='\n<actuator><motor name="m" joint="elbow"/></actuator>'),
-            "a.xml:8: motor \"m\": .*'elbow'",
-        ),
-        (
-            "a.xml",
-            arm(more='\n<include file="absent.xml"/>'),
-            r"a\.xml:8: <include> needs .*absent\.xml, which is not there: copy it",
-        ),
         (
             "a.xml",
             arm(more='\n<include file="part.xml"/>'),
             r"part\.xml:3: <geom>: unrecognized attribute: 'hue'",
         ),
-        ("a.xml", "<html/>", "starts with <mujoco>"),
         ("a.xml", "", "a.xml: is empty"),
-        ("a.xml", "<mujoco/>".encode("utf-16"), "is in UTF-16.*: save it as UTF-8"),
         (
             "a.urdf",
             "<robot xmlns:xacro='x'><link name='b'><inertial><mass value='${m}'/></inertial></link></robot>",
             r"run xacro a\.urdf > robot\.urdf",
         ),
-        ("a.toml", "backend = ", r"a\.toml: Invalid value"),
-        ("a.toml", "preset = 'contact'", "backend: missing key"),
         ("a.toml", "backend = 'mujoco'\nsetings = {}", "setings: unknown key; keys:"),
         ("a.toml", 'backend = "mujoco"\n[settings]\ncone = "round"', "given: 'round'"),
-        ("a.json", "[1]", "the file is .1., and a table"),
         (
             "a.json",
             '{"sim": {"dt": []}, "rigid": {}}',
             "sim.dt is .., and a number",
-        ),
-        (
-            "a.json",
-            '{"sim": {"gravity": [0, 0, "down"]}, "rigid": {}}',
-            "sim.gravity is .*down.*, and 3 numbers",
         ),
     ],
 )
@@ -363,22 +325,17 @@ def test_a_file_that_cannot_be_read_names_the_line_and_what_to_do(
     (tmp_path / "part.xml").write_text(
         "<mujoco>\n<worldbody>\n<geom hue='1'/></worldbody></mujoco>"
     )
-    path = tmp_path / name
-    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    (tmp_path / name).write_text(text)
     with pytest.raises(TargetError, match=message):
-        configuration(path)
+        configuration(tmp_path / name)
 
 
 @pytest.mark.parametrize(
     ("target", "message"),
     [
         ("Nope-v1", r"'Nope-v1': gymnasium.make fails: .*Nope.*; give a Gymnasium id"),
-        (
-            "CartPole-v1",
-            r"CartPole-v1 is gymnasium\..*, which has no MuJoCo model; give",
-        ),
+        ("CartPole-v1", r"CartPole-v1 is .*, which has no MuJoCo model; give"),
         ("nowhere.xml", "nowhere.xml: there is no such file"),
-        ("absent/env.yaml", "env.yaml: there is no such file"),
         (".", "has no params/env.yaml: give the file of a model"),
         (3, "int cannot be checked; give a Gymnasium id"),
     ],

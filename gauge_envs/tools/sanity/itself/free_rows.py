@@ -1,4 +1,4 @@
-"""Rows on a finite state, conserved quantities of free motion, the solver, and what the file states without effect."""
+"""Checks of a finite state, conserved quantities of free motion, the solver, and values without effect."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.itself.rest_rows import name_of, objects
+from gauge_envs.tools.sanity.itself.rest_rows import objects
 from gauge_envs.tools.sanity.itself.runs import (
     REST_S,
     STATE,
@@ -25,13 +25,14 @@ from gauge_envs.tools.sanity.robot.robot import (
     disable_bit,
     joints_of,
     joints_of_motors,
+    name_of,
 )
 from gauge_envs.tools.sanity.rows import Finding, NotApplicableError, Place, row
 
 CONSERVED = 0.05
-"""Change of angular momentum, over its size, that counts as none."""
+"""Largest relative change of angular momentum that passes."""
 
-FLIGHT_S, TURN_RAD_PER_S, ROBOT_RAD_PER_S = 2.0, 2.0 * np.pi, 3.0
+FLIGHT_S, OBJECT_RAD_PER_S, ROBOT_RAD_PER_S = 2.0, 2.0 * np.pi, 3.0
 """Time of a flight [s], and the spin of an object, one turn in a second, and of a robot with joints [rad/s]."""
 
 
@@ -53,7 +54,7 @@ def _flight(model: mujoco.MjModel, joints: list[int]) -> tuple[FloatArray, float
     data, roots = start_data(model), model.jnt_bodyid[joints]
     data.qvel[:] = 0.0
     is_alone = np.isin(roots, objects(model))
-    rates = np.where(is_alone, TURN_RAD_PER_S, ROBOT_RAD_PER_S) / np.sqrt(3.0)
+    rates = np.where(is_alone, OBJECT_RAD_PER_S, ROBOT_RAD_PER_S) / np.sqrt(3.0)
     data.qvel[model.jnt_dofadr[joints, None] + [3, 4, 5]] = rates[:, None]
 
     def momenta() -> FloatArray:
@@ -77,7 +78,7 @@ def _flight(model: mujoco.MjModel, joints: list[int]) -> tuple[FloatArray, float
     consequence="What is thrown or jumps turns faster or slower than in reality.",
 )
 def spin(robot: Robot) -> Finding:
-    """Return the change of angular momentum of free bodies without contact, that a refined run does not show."""
+    """Return the change of angular momentum of free bodies without contact that a refined run does not show."""
     model = robot.model
     free = np.flatnonzero(joints_of(model, "FREE")).tolist()
     if not free:
@@ -91,16 +92,16 @@ def spin(robot: Robot) -> Finding:
     number, change = int(changes.argmax()), float(changes.max())
     body = int(model.jnt_bodyid[free[number]])
     if change > CONSERVED and _flight(refined(flying), free)[0][number] > 0.5 * change:
-        raise NotApplicableError("other forces act on what is free in flight")
+        raise NotApplicableError("other forces act on free bodies in flight")
     return Finding(
         value=change,
         place=("body", body),
-        remark=f"angular momentum of {name_of(robot, 'body', body)} is {100.0 * change:.3g} % off {text}",
+        remark=f"angular momentum of {name_of(robot.model, 'body', body)} is {100.0 * change:.3g} % off {text}",
     )
 
 
 SINE_S, SINE_SHARE, SINE_RAD = 1.0, 0.25, 0.2
-"""Period of sines of the commands [s], and their amplitude over the range of a command; of one without a range."""
+"""Period of sinusoidal commands [s]; their amplitude over the range of a command, and without a range [rad]."""
 
 
 @row(
@@ -112,7 +113,7 @@ SINE_S, SINE_SHARE, SINE_RAD = 1.0, 0.25, 0.2
     consequence="Training meets NaN or is reset in each episode.",
 )
 def holds(robot: Robot) -> Finding:
-    """Return the time for which the state stays finite at rest, then while its commands follow one sine."""
+    """Return the time for which the state stays finite at rest, then while its commands follow a sine."""
     model = robot.model
     diverged_s, motion = rest(robot, is_refined=False).diverged_s, "at rest"
     data = start_data(model)
@@ -146,10 +147,10 @@ ENERGY_S = 1.0
     consequence="The policy is paid for motions that the engine feeds.",
 )
 def energy(robot: Robot) -> Finding:
-    """Return the growth of kinetic and potential energy from the first tenth of a free motion to the highest one."""
+    """Return the growth of energy from the first tenth of a free motion to the tenth with the highest energy."""
     leave_to(robot, "robot-holds")
     bare = _in_flight(robot.model, "limit", "equality")
-    # MuJoCo's energy has no term for what carries a body against gravity. Of servos the damping is left.
+    # MuJoCo's energy has no term for gravity compensation. Servos keep only their damping.
     bare.body_gravcomp[:] = 0.0
     bare.actuator_gainprm[:], bare.actuator_biasprm[:, :2] = 0.0, 0.0
     bare.actuator_forcerange[:] = [-1e9, 1e9]
@@ -205,8 +206,8 @@ def solver(robot: Robot) -> Finding:
         vectors = finer.qacc - [rough.qacc, finer.qacc_smooth]
         squares += np.einsum("ni,ij,nj->n", vectors, mass, vectors)
     # Forces that accelerate nothing by 1 % of gravity are noise.
-    least = 1e-4 * GRAVITY_M_PER_S2**2 * float(model.body_mass.sum()) * SOLVED_STATES
-    value = float(np.sqrt(max(squares[0], 0.0) / max(squares[1], least)))
+    minimum = 1e-4 * GRAVITY_M_PER_S2**2 * float(model.body_mass.sum()) * SOLVED_STATES
+    value = float(np.sqrt(max(squares[0], 0.0) / max(squares[1], minimum)))
     name = mujoco.mjtSolver(model.opt.solver).name.removeprefix("mjSOL_")
     return Finding(
         value=value,
@@ -216,26 +217,26 @@ def solver(robot: Robot) -> Finding:
 
 
 ROLLING = 1e-4
-"""Rolling friction of a geom that states none [m]."""
+"""Default rolling friction of a geom [m]."""
 
 FLAT = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_MESH))
 """Types of geoms that do not roll."""
 
 LINK_SHARE = 0.2
-"""Mass of a link, over its parent's, below which its weight needs no compensation."""
+"""Mass of a link over its parent's mass below which its weight needs no compensation."""
 
 
 @row(
     "model-stated",
-    title="statements of the file without effect",
+    title="values of the file without effect",
     unit="1",
     interval=(0.0, 0.5),
     source="MuJoCo: rolling friction acts with condim 6; gravcomp of a body does not reach its children",
     consequence="The model does not do what its file says.",
     is_usual=True,
 )
-def stated(robot: Robot) -> Finding:
-    """Return how many elements state what does not act."""
+def without_effect(robot: Robot) -> Finding:
+    """Return the number of elements with a value that has no effect."""
     remarks = {**_idle_rolling(robot), **_half_carried(robot)}
     return Finding(
         value=float(len(remarks)),
@@ -245,7 +246,7 @@ def stated(robot: Robot) -> Finding:
 
 
 def _idle_rolling(robot: Robot) -> dict[Place, str]:
-    """Return geoms of round free bodies that state a rolling friction which none of their contacts has."""
+    """Return geoms of round free bodies with a rolling friction that acts in none of their contacts."""
     model = robot.model
     bodies, condims = model.geom_bodyid, np.zeros(model.ngeom)
     np.maximum.at(condims, robot.pairs.geoms, robot.pairs.constants[:, :1])
@@ -254,17 +255,20 @@ def _idle_rolling(robot: Robot) -> dict[Place, str]:
     is_idle &= ~np.isin(bodies, bodies[np.isin(model.geom_type, FLAT)])
     idle: dict[Place, str] = {}
     for geom in np.flatnonzero(is_idle).tolist():
-        rolling_m, name = model.geom_friction[geom, 2], name_of(robot, "geom", geom)
+        rolling_m, name = (
+            model.geom_friction[geom, 2],
+            name_of(robot.model, "geom", geom),
+        )
         idle["geom", geom] = (
-            f"rolling friction {rolling_m:g} is stated for {name}, and condim {condims[geom]:g} ignores it"
+            f"{name} has rolling friction {rolling_m:g}, which condim {condims[geom]:g} ignores"
         )
     return idle
 
 
 def _half_carried(robot: Robot) -> dict[Place, str]:
-    """Return links on hinges of motors that feel the links' weight, next to a link that is carried against gravity.
+    """Return links without gravity compensation on driven hinges that carry their weight, next to a link that has it.
 
-    The first hinge of many arms is upright and feels none.
+    An upright hinge, the first one of many arms, carries no weight.
     """
     model, parents = robot.model, robot.model.body_parentid
     joints, is_carried = joints_of_motors(model), model.body_gravcomp > 0.0
@@ -276,7 +280,7 @@ def _half_carried(robot: Robot) -> dict[Place, str]:
         link = next((int(link) for link in near if is_carried[link]), 0)
         if link and model.body_mass[body] > LINK_SHARE * model.body_mass[link]:
             idle["body", body] = (
-                f"gravcomp {model.body_gravcomp[link]:g} is stated for {name_of(robot, 'body', link)}, not for "
-                f"{name_of(robot, 'body', body)} ({model.body_mass[body]:.3g} kg)"
+                f"gravcomp {model.body_gravcomp[link]:g} acts on {name_of(model, 'body', link)}, not on "
+                f"{name_of(robot.model, 'body', body)} ({model.body_mass[body]:.3g} kg)"
             )
     return idle

@@ -1,4 +1,4 @@
-"""Rows on the model at rest: overlap, constraints that open, sleep, motion that a finer run does not show, cloth."""
+"""Checks of the model at rest: overlap, constraints that open, sleep, motion that a finer run does not show, cloth."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from gauge_envs.tools.sanity.itself.runs import (
     leave_to,
     settled,
 )
-from gauge_envs.tools.sanity.robot.robot import Robot, joints_of
+from gauge_envs.tools.sanity.robot.robot import Robot, joints_of, name_of
 from gauge_envs.tools.sanity.rows import Finding, NotApplicableError, row
 
 NOTHING = Finding(value=0.0)
-"""What a row finds where nothing is off."""
+"""Finding of a model without a fault."""
 
 
 def worst(findings: list[Finding]) -> Finding:
@@ -28,22 +28,13 @@ def worst(findings: list[Finding]) -> Finding:
     return max([NOTHING, *findings], key=attrgetter("value"))
 
 
-def name_of(robot: Robot, kind: str, number: int) -> str:
-    """Return the name of an element; of a body without a name that of its first geom; else kind and number."""
-    model, code = robot.model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
-    name: str | None = mujoco.mj_id2name(model, code, number)
-    if kind == "body" and not name and model.body_geomnum[number]:
-        name = model.geom(model.body_geomadr[number]).name
-    return name or f"{kind} {number}"
-
-
 def body_size_m(model: mujoco.MjModel, body: int) -> float:
-    """Return the edge of the cube whose bounding sphere is that of a body [m]; infinite for one without bounds."""
+    """Return the edge of the cube with the bounding sphere of a body [m]; infinite for a body without bounds."""
     collides = model.geom_contype | model.geom_conaffinity != 0
     radii_m = np.where(model.geom_rbound, model.geom_rbound, np.inf)
     radii_m += np.linalg.norm(model.geom_pos - model.body_ipos[body], axis=-1)
-    of_body = radii_m[collides & (model.geom_bodyid == body)]
-    return float(2.0 / np.sqrt(3.0) * max(of_body, default=np.inf))
+    body_radii_m = radii_m[collides & (model.geom_bodyid == body)]
+    return float(2.0 / np.sqrt(3.0) * max(body_radii_m, default=np.inf))
 
 
 def objects(model: mujoco.MjModel) -> list[int]:
@@ -57,7 +48,7 @@ def objects(model: mujoco.MjModel) -> list[int]:
 TOWER = 20.0
 """Load of a contact over the weight of its lighter side, up to which softness is a setting of all contacts.
 
-The lowest of twenty equal blocks carries as much. The row on the sink at rest judges the setting itself.
+The lowest of twenty equal blocks carries as much. The check rest-height covers the setting itself.
 """
 
 
@@ -70,7 +61,7 @@ The lowest of twenty equal blocks carries as much. The row on the sink at rest j
     consequence="Stacks sink into each other and are lower than in reality.",
 )
 def overlap(robot: Robot) -> Finding:
-    """Return the largest depth of contacts whose load is many times what their lighter body weighs.
+    """Return the largest depth of contacts whose load is many times the weight of their lighter body.
 
     A contact of MuJoCo with impedance d and stiffness k carries the force m d k r / (1 - d) at a depth r, with the
     mass m that it accelerates ("Computation", constraint model): d k r / (1 - d) over gravity is load over weight.
@@ -78,7 +69,7 @@ def overlap(robot: Robot) -> Finding:
     run, findings = settled(robot), []
     model, data = run.model, run.data
     trees, speeds = model.body_treeid, run.speeds_mm_per_s
-    # What moves alone and without a motor: free bodies, and those on a slide or a hinge of their own.
+    # Loose bodies move alone and without a motor: free bodies, and bodies on a single slide or hinge.
     is_loose = (trees >= 0) & (model.tree_bodynum[trees] == 1)
     is_loose &= ~np.isin(trees, list(robot.driven_trees))
     gravity = float(np.linalg.norm(model.opt.gravity)) or np.inf
@@ -96,8 +87,8 @@ def overlap(robot: Robot) -> Finding:
                 Finding(
                     value=depth_m / size_m,
                     place=("body", small),
-                    remark=f"{name_of(robot, 'body', small)} ({model.body_mass[small]:.3g} kg) overlaps "
-                    f"{name_of(robot, 'body', large)}{mass} by {1e3 * depth_m:.3g} mm of its {1e3 * size_m:.3g}",
+                    remark=f"{name_of(robot.model, 'body', small)} ({model.body_mass[small]:.3g} kg) overlaps "
+                    f"{name_of(robot.model, 'body', large)}{mass} by {1e3 * depth_m:.3g} mm of its {1e3 * size_m:.3g}",
                 )
             )
     return worst(findings)
@@ -113,12 +104,12 @@ PARTS = {
     "mjCNSTR_LIMIT_JOINT": "joint",
     "mjCNSTR_LIMIT_TENDON": "tendon",
 }
-"""What equalities join and limits stop, by MuJoCo's name of their type."""
+"""Elements that equalities join and limits stop, by MuJoCo's name of their type."""
 
 SOFT_S, HARD = 0.02, 0.9
-"""Time constant of constraints by default [s]: who states a longer one, or a stiffness, may mean a spring.
+"""Default time constant [s] and impedance of constraints.
 
-So may who states an impedance below the default.
+A longer time constant, a stiffness or a smaller impedance may mean a spring.
 """
 
 
@@ -156,9 +147,9 @@ def constraints(robot: Robot) -> Finding:
 
 
 def _part(model: mujoco.MjModel, kind: int, number: int) -> tuple[str, list[int]]:
-    """Return what a constraint joins or stops, and its ids; nothing for what is no part of the machine.
+    """Return the kind of element that a constraint joins or stops, and the ids; no kind for one outside the machine.
 
-    A body that code places may lead parts into limits. Couplings of a motor have another row.
+    A body that code places may lead parts into limits. Couplings of a motor have another check.
     """
     if kind != EQUALITY:
         name = mujoco.mjtConstraint(kind).name
@@ -179,7 +170,7 @@ def _opening(
 ) -> tuple[float, str]:
     """Return a residual over the size of the larger body, the length of a tendon or the range of a slide.
 
-    That of a hinge is in radians.
+    The residual of a hinge is in radians.
     """
     model, first = robot.model, ends[0]
     units, text = ("m", "N"), "off its range or coupling"
@@ -192,7 +183,7 @@ def _opening(
         size = np.ptp(model.jnt_range[first])
     else:
         size, units = 1.0, ("rad", "N m")
-    names = " and ".join(name_of(robot, noun, end) for end in ends)
+    names = " and ".join(name_of(robot.model, noun, end) for end in ends)
     remark = f"{names}: {residual:.3g} {units[0]} {text} under {force:.3g} {units[1]}"
     return residual / float(size or model.stat.meansize), remark
 
@@ -215,23 +206,23 @@ def sleeping(robot: Robot) -> Finding:
         paths = finer.points_m[:, body]
         moved_m = float(np.linalg.norm(paths[-1] - paths[begin], axis=-1).max())
         speed = 1e3 * moved_m / (run.sample_s * max(SAMPLES - 1 - begin, LATE))
-        # Where the two runs differ before the body sleeps, chaos parted them.
+        # Chaos separates two runs that differ before the body sleeps.
         if np.abs(paths[begin] - run.points_m[begin, body]).max() < SAME_M:
             findings.append(
                 Finding(
                     value=speed,
                     place=("body", body),
-                    remark=f"{name_of(robot, 'body', body)} sleeps; awake it moves at {speed:.3g} mm/s",
+                    remark=f"{name_of(robot.model, 'body', body)} sleeps; awake it moves at {speed:.3g} mm/s",
                 )
             )
     return worst(findings)
 
 
 SAME_M = 1e-3
-"""Distance up to which two runs are in one place [m]."""
+"""Distance up to which two runs agree [m]."""
 
 STILL_MM_PER_S, RESTING_MM_PER_S = 1.0, 10.0
-"""Speeds below which all of a tree counts as at rest in the refined run, and a body in the run of the model [mm/s]."""
+"""Speeds at rest [mm/s]: of each body of a tree in the refined run, and of a body in the run of the model."""
 
 
 @row(
@@ -243,9 +234,9 @@ STILL_MM_PER_S, RESTING_MM_PER_S = 1.0, 10.0
     consequence="What rests creeps or hops, so that stances and grasps drift.",
 )
 def creep(robot: Robot) -> Finding:
-    """Return the largest speed of a body that rests in the refined run, from whose state the run of the model goes on.
+    """Return the largest speed of a body that rests in the refined run.
 
-    The common state leaves out that piles and falls end differently with each step.
+    The run of the model starts from the late state of the refined run: piles and falls end differently with each step.
     """
     leave_to(robot, "model-solver")
     finer, model = settled(robot, is_refined=True), robot.model
@@ -261,17 +252,19 @@ def creep(robot: Robot) -> Finding:
     return Finding(
         value=float(speeds[body]),
         place=("body", body),
-        remark=f"{name_of(robot, 'body', body)} moves at {speeds[body]:.3g} mm/s; with a finer step it rests "
+        remark=f"{name_of(robot.model, 'body', body)} moves at {speeds[body]:.3g} mm/s; with a finer step it rests "
         f"({still[body]:.2g} mm/s)",
     )
 
 
 def _worst_flex(robot: Robot, ratios: FloatArray, text: str) -> Finding:
-    """Return the largest ratio that a flex has for a tenth of the run, with a text of it."""
-    often = np.quantile(ratios, 0.9, axis=0)
-    flex = int(often.argmax())
-    ratio = float(often[flex])
-    return Finding(value=ratio, remark=text.format(name_of(robot, "flex", flex), ratio))
+    """Return the largest ratio that a flex has for a tenth of the run, with its text."""
+    quantiles = np.quantile(ratios, 0.9, axis=0)
+    flex = int(quantiles.argmax())
+    ratio = float(quantiles[flex])
+    return Finding(
+        value=ratio, remark=text.format(name_of(robot.model, "flex", flex), ratio)
+    )
 
 
 @row(
@@ -283,7 +276,7 @@ def _worst_flex(robot: Robot, ratios: FloatArray, text: str) -> Finding:
     consequence="Cloth flows like rubber, so that a grasp lifts a part of it.",
 )
 def cloth(robot: Robot) -> Finding:
-    """Return the strain of the edges of flexes whose length an equality holds."""
+    """Return the strain of the edges of flexes whose length an equality keeps."""
     stretches = settled(robot).stretches
     if not robot.model.flex_edgeequality.any():
         raise NotApplicableError("the model has no flex whose edges keep their length")

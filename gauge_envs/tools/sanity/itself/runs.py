@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.robot.joints import servos
+from gauge_envs.tools.sanity.robot.joints import hold_position
 from gauge_envs.tools.sanity.robot.robot import Robot, disable_bit, once
 from gauge_envs.tools.sanity.rows import ROWS, NotApplicableError
 
@@ -23,16 +23,16 @@ MAX_STEPS = 4000
 """Steps after which a run of a model with a step below 0.5 ms ends."""
 
 SAMPLES, LATE = 100, 25
-"""Samples of a run, and of its end, in which what is at rest is judged."""
+"""Samples of a run, and of its end, in which motion at rest is read."""
 
 REFINEMENT, SMALL_NV, LARGE_NV, FINE_S = 10, 60, 100, 5e-5
 """Refinement of step and solver; degrees of freedom from which on a step is refined by 4, and not at all.
 
-A step is refined by no more than down to 50 us [s], but by two.
+The refined step is at least 50 us [s], or half of the step if that is smaller.
 """
 
 RESOLVED_RAD = 0.2
-"""Angle by which the stiffest contact with a stated stiffness swings in a refined step [rad].
+"""Angle by which the stiffest contact with a given stiffness swings in a refined step [rad].
 
 A semi-implicit step h holds a swing of angular frequency w up to h w = 2. Several contacts carry a body, each with a
 stiffness over an impedance below 1, so that w is a few times as high.
@@ -41,7 +41,7 @@ stiffness over an impedance below 1, so that w is a few times as high.
 SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-"""All that a step depends on."""
+"""Components of the state on which a step depends."""
 
 
 class Run:
@@ -114,9 +114,9 @@ class Run:
         return 1e3 * np.sqrt((velocities**2).sum(-1).mean((0, 2)))
 
 
-def seconds(model: mujoco.MjModel, longest_s: float) -> float:
-    """Return the time of a run: shorter with small steps [s]."""
-    return min(longest_s, MAX_STEPS * float(model.opt.timestep))
+def seconds(model: mujoco.MjModel, maximum_s: float) -> float:
+    """Return the time of a run, which is shorter with small steps [s]."""
+    return min(maximum_s, MAX_STEPS * float(model.opt.timestep))
 
 
 def has_diverged(data: mujoco.MjData) -> bool:
@@ -133,11 +133,7 @@ def start_data(model: mujoco.MjModel) -> mujoco.MjData:
     data.time = 0.0
     mujoco.mj_forward(model, data)
     if not data.ctrl.any():
-        # A servo's force is gain * control + bias[0] + bias[1] * length: here it is 0.
-        servo = servos(model) & (model.actuator_gainprm[:, 0] != 0.0)
-        bias = model.actuator_biasprm[servo]
-        forces = bias[:, 0] + bias[:, 1] * data.actuator_length[servo]
-        data.ctrl[servo] = -forces / model.actuator_gainprm[servo, 0]
+        hold_position(model, data)
         mujoco.mj_forward(model, data)
     return data
 
@@ -171,12 +167,12 @@ def refined(model: mujoco.MjModel) -> mujoco.MjModel:
     arrays = [getattr(finer, name) for name in dir(finer) if "solref" in name]
     constants_s = [array.reshape(-1, 2)[:, 0] for array in arrays]
     factor = REFINEMENT if model.nv <= SMALL_NV else 4
-    stiffness = -min(several.min(initial=0.0) for several in constants_s)
+    stiffness = -min(array.min(initial=0.0) for array in constants_s)
     factor = max(factor, step_s * np.sqrt(stiffness) / RESOLVED_RAD)
     finer.opt.timestep = step_s / np.clip(round(step_s / FINE_S), 2, factor)
     if not model.opt.disableflags & disable_bit("refsafe"):
-        for several in [*constants_s, finer.opt.o_solref[:1]]:
-            several[(several > 0.0) & (several < 2.0 * step_s)] = 2.0 * step_s
+        for times_s in [*constants_s, finer.opt.o_solref[:1]]:
+            times_s[(times_s > 0.0) & (times_s < 2.0 * step_s)] = 2.0 * step_s
     return finer
 
 
@@ -190,7 +186,7 @@ def rest(robot: Robot, *, is_refined: bool) -> Run:
 
 
 def settled(robot: Robot, *, is_refined: bool = False) -> Run:
-    """Return such a run; rows on rest do not apply to one that diverges."""
+    """Return such a run; checks at rest do not apply where it diverges."""
     run = rest(robot, is_refined=is_refined)
     if np.isfinite(run.diverged_s):
         raise NotApplicableError(
@@ -200,6 +196,6 @@ def settled(robot: Robot, *, is_refined: bool = False) -> Run:
 
 
 def leave_to(robot: Robot, name: str) -> None:
-    """Raise `NotApplicableError` where another row has the cause of a fault."""
+    """Raise `NotApplicableError` where another check has the cause of a fault."""
     if ROWS[name].deviation(robot.finding(ROWS[name]).value) > 1.0:
         raise NotApplicableError(f"{name} has the cause")

@@ -1,4 +1,4 @@
-"""Phenomena of real objects in GAUGE's experiments, each with one number, its scatter and its source."""
+"""Phenomena of real objects in GAUGE's experiments, each with a number, its scatter and its source."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _TABLES = tomllib.loads(
 )
 
 RIGID: Mapping[str, Sequence[str]] = _TABLES["rigid"]
-"""Module, function and argument of the phenomena of rigid bodies by id, in the order of their rows."""
+"""Module, function and argument of the phenomena of rigid bodies by id, in their order."""
 
 GRASP: Mapping[str, Sequence[str]] = _TABLES["grasp"]
-"""The same for what a hand holds; measured of a model that has a hand, or by name."""
+"""The same for grasps; checked where a model has a hand, or by name."""
 
 SLOW: Mapping[str, Sequence[str]] = _TABLES["slow"]
-"""The same for rows that take longer: a wall, deformable bodies; measured by name alone."""
+"""The same for checks that take longer, of a wall and deformable bodies; checked by name alone."""
 
 
 @cache
@@ -34,7 +34,7 @@ def phenomenon(name: str, foot: FootGeometry | None = None) -> Phenomenon:
 
     Args:
         name: The id.
-        foot: Foot of the target, for rows that need one; that of a small quadruped if None.
+        foot: Foot of the target, for checks that need one; the foot of a small quadruped if None.
     """
     module, function, *arguments = {**RIGID, **GRASP, **SLOW}[name]
     make = getattr(import_module(f"{__name__}.{module}"), function)
@@ -44,6 +44,6 @@ def phenomenon(name: str, foot: FootGeometry | None = None) -> Phenomenon:
 
 
 def phenomena(*, include_deformables: bool = False) -> tuple[Phenomenon, ...]:
-    """Return all phenomena of rigid bodies, and with `include_deformables` those of grasps, a wall and deformables."""
+    """Return all phenomena of rigid bodies, and with `include_deformables` of grasps, a wall and deformables."""
     more = (*GRASP, *SLOW) if include_deformables else ()
     return tuple(map(phenomenon, (*RIGID, *more)))

@@ -30,7 +30,7 @@ class Phenomenon:
         needs_friction: Whether the phenomenon means nothing without friction.
         needs_foot: Whether the scene is built from the foot of the target.
         needs_space: Whether the phenomenon means nothing to a robot that moves in a plane along an axis of the world.
-        is_impact: Whether the number depends on a restitution that the target may not state.
+        is_impact: Whether the number depends on a restitution that the target may not give.
         id: Stable name, which the list of phenomena gives.
     """
 
@@ -101,13 +101,13 @@ def lowest_m(rollout: Recording, body: str, points_m: FloatArray) -> FloatArray:
         body: Name of the body.
         points_m: The points in the body's frame [m], shape [point_count, 3].
     """
-    turns = rollout.rotation(body).as_matrix()
-    heights_m = np.einsum("ti,pi->tp", turns[:, 2], points_m)
+    rotations = rollout.rotation(body).as_matrix()
+    heights_m = np.einsum("ti,pi->tp", rotations[:, 2], points_m)
     return np.asarray(heights_m.min(axis=1) + rollout.position(body)[:, 2])
 
 
 def rigid_law(source: str, millimetres: float, of: str) -> Reality:
-    """Return the law that something does not move, of which the eye sees a deviation.
+    """Return the law that something does not move, with a deviation that the eye sees.
 
     Args:
         source: The law.

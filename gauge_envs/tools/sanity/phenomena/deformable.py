@@ -30,8 +30,8 @@ from gauge_envs.tools.sanity.scenario import Scenario
 RECORDED_S = 2.0
 """Length of the recording of a tablecloth [s]."""
 
-HANG_S, HANGING_S = 0.8, 0.2
-"""Simulated time, and time of the first sample of the mean [s]. The cloth oscillates at 16 Hz about its equilibrium."""
+HANG_S, MEAN_FROM_S = 0.8, 0.2
+"""Simulated time, and first time of the mean [s]. The cloth oscillates at 16 Hz about its equilibrium."""
 
 FLING_S = 1.0
 """Simulated time [s]: the rod is fastest at 0.68 s, and the cloth lags most before that."""
@@ -42,7 +42,7 @@ SAG_TOLERANCE = 0.2
 ROW_M = 1e-3
 """Difference in height within which markers are in one row [m]."""
 
-HUNG = "TextileFlinging-satin"
+SATIN = "TextileFlinging-satin"
 """Variant with the fabric that stretches most under its own weight."""
 
 
@@ -53,11 +53,11 @@ def _low_m(rollout: Recording) -> FloatArray:
 
 
 def cloth_carry() -> Phenomenon:
-    """Return the lag of a cube on a tablecloth, the one recorded experiment on cloth whose fabric is known."""
+    """Return the lag of a cube on a tablecloth, the only recorded experiment with a known fabric."""
 
     def lag_mm(rollout: Recording) -> float:
-        way_m = rollout.displacement("cube")[-1] - rollout.displacement("rod")[-1]
-        return float(1e3 * way_m[0])
+        lag_m = rollout.displacement("cube")[-1] - rollout.displacement("rod")[-1]
+        return float(1e3 * lag_m[0])
 
     return Phenomenon(
         "lag of a metal cube on a pulled tablecloth",
@@ -71,7 +71,7 @@ def cloth_carry() -> Phenomenon:
 
 def cloth_sag() -> Phenomenon:
     """Return the sag of a hanging cloth under its own weight."""
-    scene = load_experiment(HUNG).scene
+    scene = load_experiment(SATIN).scene
     (cloth,) = scene.deformables
     assert isinstance(cloth, Cloth) and scene.markers is not None
     load = cloth.areal_density_kg_per_m2 * scene.gravity_m_per_s2
@@ -83,12 +83,12 @@ def cloth_sag() -> Phenomenon:
 
     def sag_mm(rollout: Recording) -> float:
         height = _low_m(rollout)[:, 2]
-        late = rollout.between(HANGING_S, HANG_S)
+        late = rollout.between(MEAN_FROM_S, HANG_S)
         return float(hann_mean(1e3 * (height[0] - height)[late]))
 
     return Phenomenon(
         "sag of the lowest markers of a hanging satin cloth",
-        Scenario("hang", HUNG, HANG_S, replace(scene, drivers=())),
+        Scenario("hang", SATIN, HANG_S, replace(scene, drivers=())),
         "mm",
         Reality.law(
             law_mm,
@@ -109,7 +109,7 @@ def fling_lag() -> Phenomenon:
 
     return Phenomenon(
         "largest angle of a cloth behind the rod of a fling",
-        Scenario("fling", HUNG, FLING_S),
+        Scenario("fling", SATIN, FLING_S),
         "deg",
         recorded_reality(
             "textile_flinging",

@@ -1,8 +1,8 @@
 """Foot of a robot on the measured boards: creep, slip, slide and landing.
 
-The foot has the solids and the load that a configuration states. It rests with the friction that the configuration
-states for it, and slides with that of the measured wooden cube. The values are laws; what is measured on wooden cubes
-is how far a real body may differ from them. Without a configuration, the rows have the foot of a small quadruped.
+The foot has the solids and the load of the configuration. It rests with the configuration's friction, and slides with
+the friction of the measured wooden cube. The values are laws; measurements of wooden cubes say how far a real body may
+differ from them. Without a configuration, the checks have the foot of a small quadruped.
 """
 
 from collections.abc import Callable
@@ -38,12 +38,14 @@ SOFTENED_BY_INVERSE_WEIGHT = ("mujoco", "mujoco_warp")
 """Backends that build MuJoCo's own model, whose contacts are softened by the inverse weight of a link."""
 
 HOLD_DEG, HOLD_PUSH = 10.0, 0.7
-"""Slope on which a foot rests [degrees], that of the measured board, and its largest push: a foot whose friction is
-small rests on a slope where gravity pushes with 0.7 of what the friction holds."""
+"""Slope of the measured board on which a foot rests [degrees], and its largest push.
+
+A foot with a small friction rests on a slope where gravity pushes with 0.7 of the friction limit.
+"""
 
 PUSH, SLIDE_DEG = 1.2, 30.0
-"""Push along the ground, over mu times the normal force, with which a foot just slides, and slope of the measured board
-[degrees]. On a slope, gravity pushes like this."""
+"""Push of gravity along a slope over mu times the normal force, with which a foot just slides, and slope of the
+measured board [degrees]."""
 
 DROP_M, LANDING_S = 0.05, 0.6
 """Height of the drop, as of a step, and simulated time with the fall of 0.1 s."""
@@ -86,9 +88,9 @@ def foot_scene(
         lift_m: Height of the soles above the ground at the start [m].
         seconds: Duration of the experiment [s].
     """
-    turn = Rotation.from_euler("y", slope_deg, degrees=True)
-    start = Pose.from_rotation(vector(turn.apply([0.0, 0.0, lift_m])), turn)
-    level = Pose.from_rotation((0.0, 0.0, 0.0), turn)
+    slope = Rotation.from_euler("y", slope_deg, degrees=True)
+    start = Pose.from_rotation(vector(slope.apply([0.0, 0.0, lift_m])), slope)
+    level = Pose.from_rotation((0.0, 0.0, 0.0), slope)
     return Scene(
         bodies=(
             body(FOOT, foot.shape, start, mass_kg=foot.mass_kg),
@@ -176,7 +178,7 @@ def _landed(
     value: Callable[[Recording], float],
     **attributes: Any,
 ) -> Phenomenon:
-    """Return a row on a foot that was dropped, whose value is 0 by a law."""
+    """Return the phenomenon of a foot that lands, whose value is 0 by a law."""
     source = _source(law, foot)
     return Phenomenon(
         title,

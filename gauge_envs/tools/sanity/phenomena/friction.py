@@ -1,6 +1,6 @@
 """Friction of a cube: creep and resting height on a slope, slides, and slip on a slow turntable.
 
-A sliding cube has the friction that the same trials show, so that the row judges what an engine makes of it. A cube on
+A sliding cube has the friction that the same trials show, so that the check compares the engine alone. A cube on
 a turntable rotates with the plate if friction suffices.
 """
 
@@ -29,8 +29,8 @@ from gauge_envs.tools.sanity.scenario import Scenario, posed
 HOLD_S, SETTLED_S = 1.0, 0.5
 """Simulated time, and time after which the cube has sunk into a soft contact and only creeps [s]."""
 
-TURN = Rotation.from_euler("z", 45.0, degrees=True)
-"""Turn of the board about the vertical. Engines choose the tangents of a contact by the axes of the world."""
+BOARD_ROTATION = Rotation.from_euler("z", 45.0, degrees=True)
+"""Rotation of the board about the vertical. Engines choose the tangents of a contact by the axes of the world."""
 
 SLIDE_S = 0.5
 """Simulated time [s], in which a cube that is 20 % too fast does not reach the end of the board. After half of it, the
@@ -39,14 +39,14 @@ cube has sunk into soft ground and slides steadily."""
 PRINTED_MM = 0.01
 """Last printed digit of the published scores of SlopeSlider-1 [mm]."""
 
-TURN_S = 94 / 30
+TURNTABLE_S = 94 / 30
 """Time of the published frames of the turntable [s]."""
 
 CALM_INTERVAL_S = 0.01
 """Time between samples of a body that rests, or turns with a slow plate [s]: a third of a published frame."""
 
 CUBE = ("cube", "board")
-"""What slides, and on what."""
+"""The sliding body and its support."""
 
 
 def _hold_scenario(material: str) -> Scenario:
@@ -66,12 +66,12 @@ def downhill(
     reality: Reality,
     motion: Callable[[FloatArray, FloatArray], float],
 ) -> Phenomenon:
-    """Return a row on the motion of a body down a slope in the second half of its scenario.
+    """Return the phenomenon of a body that moves down a slope, measured in the second half of its scenario.
 
     Args:
         title: Title.
         scenario: Scenario, whose first contact names the body and its support.
-        unit: Unit of the row.
+        unit: Unit of the value.
         reality: The motion in reality.
         motion: Function of times [s] and of displacements downhill [mm], both of shape [sample_count].
     """
@@ -190,8 +190,8 @@ def slide(material: str) -> Phenomenon:
 
 def _turned(body: RigidBody) -> Pose:
     """Return the pose of a body, turned about the vertical through the origin."""
-    place_m = vector(TURN.apply(body.pose.position_m))
-    return Pose.from_rotation(place_m, TURN * body.pose.rotation)
+    place_m = vector(BOARD_ROTATION.apply(body.pose.position_m))
+    return Pose.from_rotation(place_m, BOARD_ROTATION * body.pose.rotation)
 
 
 def turned_slide(material: str) -> Phenomenon:
@@ -237,7 +237,7 @@ def carry(material: str) -> Phenomenon:
         Scenario(
             f"turn-{material}",
             variant,
-            TURN_S,
+            TURNTABLE_S,
             interval_s=CALM_INTERVAL_S,
             released=("cube",),
         ),

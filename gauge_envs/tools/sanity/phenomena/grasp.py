@@ -25,7 +25,7 @@ from gauge_envs.tools.sanity.scenario import Scenario
 ROLLS_M_PER_S, RADIUS_M = 0.3, 0.03
 """Speed at the start, and radius of the ball [m]."""
 
-MOST_ROLLING_MM = 7.0
+MAX_ROLLING_MM = 7.0
 """Largest rolling friction of the published pairs, which hard rubber on steel has."""
 
 
@@ -47,8 +47,8 @@ def _row(
 def creep() -> Phenomenon:
     """Return the creep of a box whose pads press with twice its weight.
 
-    A hand that lifts its box with an acceleration a loads its pads as gravity g + a loads those of a hand at rest, so
-    that the friction m (g + a) / (2 N) is needed. Here it is half of the pads' own: they hold while a is below g.
+    A hand that lifts its box with an acceleration a needs the friction m (g + a) / (2 N). At rest the pads need half of
+    their friction: they hold while a is below g.
     """
     law = Reality.law(
         0.0,
@@ -68,7 +68,7 @@ def sink() -> Phenomenon:
 
 
 def torsion() -> Phenomenon:
-    """Return the torque that these pads hold.
+    """Return the torque that these pads resist.
 
     The torque over mu N times the side of a pad is the mean distance of the pressure from the centre: 0.383 for even
     pressure, (sqrt 2 + ln(1 + sqrt 2)) / 6, and 0.707 for pressure at the corners.
@@ -88,11 +88,11 @@ def rolling() -> Phenomenon:
     """Return the torque against rolling over the normal force, from the energy that a ball loses on its path."""
     law = Reality.law(
         0.0,
-        MOST_ROLLING_MM,
+        MAX_ROLLING_MM,
         "hard rubber on steel: CDA3000, table 7.22",
         "the largest of the pairs of gauge list materials",
     )
-    real = replace(law, limits=f"at most {MOST_ROLLING_MM:g}")
+    real = replace(law, limits=f"at most {MAX_ROLLING_MM:g}")
 
     def arm_mm(rollout: Recording) -> float:
         lost = ROLLS_M_PER_S**2 - rollout.states["ball"][-1, 7] ** 2

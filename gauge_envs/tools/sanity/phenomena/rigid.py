@@ -1,8 +1,8 @@
 """Rigid bodies: sharp edges, a dry wall, a frictionless pendulum, the rebound of a ball, and a row of balls.
 
 A tetrahedron slides down a seam, and a pyramid falls on its tip. A wall of 118 bricks settles and drifts. A pendulum
-swings for a hundred seconds. A ball has the restitution that real drops show, so that the row judges what an engine
-makes of it.
+swings for a hundred seconds. A ball has the restitution that real drops show, so that the check compares the
+engine alone.
 """
 
 from dataclasses import replace
@@ -72,14 +72,16 @@ def point() -> Phenomenon:
         """Return the largest depth of a vertex of the pyramid in a convex piece of the base."""
         base, pyramid = map(rollout.scene.body, ("squarebase", "pyramid"))
         assert isinstance(base.shape, ConvexUnion)
-        turns = rollout.rotation("pyramid").as_matrix()
-        vertices = np.einsum("tij,vj->vti", turns, pyramid.shape.corners_m)
+        rotations = rollout.rotation("pyramid").as_matrix()
+        vertices = np.einsum("tij,vj->vti", rotations, pyramid.shape.corners_m)
         places = base.pose.to_body(
             (vertices + rollout.position("pyramid")).reshape(-1, 3)
         )
         pieces = [ConvexHull(piece).equations for piece in base.shape.pieces_m]
-        outside = [(places @ one[:, :3].T + one[:, 3]).max(axis=1) for one in pieces]
-        return max(-1e3 * float(np.min(outside)), 0.0)
+        distances_m = [
+            (places @ planes[:, :3].T + planes[:, 3]).max(axis=1) for planes in pieces
+        ]
+        return max(-1e3 * float(np.min(distances_m)), 0.0)
 
     return Phenomenon(
         "depth of a falling tip in the base",
@@ -100,10 +102,10 @@ STAND_S = 0.4
 WALL = "WallBreaking-wood"
 
 FALLEN_M = 0.02
-"""Displacement of a brick by half of its length [m]: the wall gives way, and bricks inside each other take longest."""
+"""Displacement of a brick by half of its length [m], at which the wall gives way."""
 
 RESTS_M_PER_S = 0.001
-"""Speed of the bricks of a wall at rest [m/s]: in the time that is left they move by 0.35 mm at most."""
+"""Speed of the bricks of a wall at rest [m/s]: in the rest of the time they move by 0.35 mm at most."""
 
 
 def wall(kind: str) -> Phenomenon:
@@ -128,10 +130,10 @@ def wall(kind: str) -> Phenomenon:
         )
 
     def extreme_mm(rollout: Recording) -> float:
-        ways_mm = moved_mm(rollout)
+        displacements_mm = moved_mm(rollout)
         if kind == "sag":
-            return float(-ways_mm[:, 2].min())
-        return float(np.linalg.norm(ways_mm[:, :2], axis=-1).max())
+            return float(-displacements_mm[:, 2].min())
+        return float(np.linalg.norm(displacements_mm[:, :2], axis=-1).max())
 
     def fallen(rollout: Recording) -> str:
         if np.linalg.norm(moved_mm(rollout), axis=-1).max() <= 1e3 * FALLEN_M:
@@ -156,7 +158,7 @@ PERIOD_S = 10.0
 """Time of the first 300 frames, for which the period is published [s]."""
 
 SWING_INTERVAL_S = 0.02
-"""Time between samples of a pendulum [s]: its period is told to 3e-6 and its energy to 5e-4."""
+"""Time between samples of a pendulum [s], which gives its period to 3e-6 and its energy to 5e-4."""
 
 PRINTED = 0.01
 """Last printed digit of the published energy loss."""
@@ -333,7 +335,7 @@ def rebound() -> Phenomenon:
 
 
 def slow_rebound() -> Phenomenon:
-    """Return the same from the top before the real ball's third impact, for which it starts at rest."""
+    """Return the same for a drop from the top before the real ball's third impact."""
     return replace(
         rebound(),
         title="rebound over impact speed of a ball at 1.5 m/s",
@@ -354,7 +356,7 @@ def slow_rebound() -> Phenomenon:
 
 GAP_M = 1e-5
 """Gap between neighbours [m]. For balls that touch exactly, rounding decides whether an engine finds a row or a chain
-of pairs. Real balls hang no closer than this, and the result is the same for gaps from 0.1 um to 0.2 mm."""
+of pairs. Real balls are no closer than this, and the result is the same for gaps from 0.1 um to 0.2 mm."""
 
 PASSED_S = 0.25
 """Time after which the impulse, at 0.22 s, has passed through the row [s]."""
@@ -413,7 +415,7 @@ def momentum() -> Phenomenon:
         ]
         if leaves == [False] * (len(balls) - 1) + [True]:
             return ""
-        return f"{sum(leaves)} of {len(balls)} balls swing out, in reality the last one"
+        return f"{sum(leaves)} of {len(balls)} balls swing out, in the real trials only the last one"
 
     return Phenomenon(
         "momentum transfer through a row of five balls",

@@ -18,8 +18,10 @@ COPIES = 4
 """Number of feet of the rigid body."""
 
 SPREAD = 4.0
-"""Half the side of the square of feet, over the larger of the foot's reach and the height of its centre. Friction at
-the soles then shifts at most a quarter of mu of the load from the upper to the lower feet."""
+"""Half the side of the square of feet, over the larger of the foot's radius and the height of its centre.
+
+Friction at the soles then shifts at most a quarter of mu of the load from the upper to the lower feet.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,8 +39,8 @@ class FootGeometry:
         sets: Names of the sets of contact constants that the feet have on the ground.
         softening: Inverse weight of the foot's link in MuJoCo over that of the rigid body of four feet. MuJoCo softens
             contacts by it. None when unknown.
-        friction: Least coefficient of sliding friction of the foot on the ground, by the engine's rule for pairs; None
-            for that of the measured wooden cube.
+        friction: Smallest coefficient of sliding friction of the foot on the ground, by the engine's rule for pairs;
+            None for the friction of the measured wooden cube.
     """
 
     name: str
@@ -61,31 +63,31 @@ class FootGeometry:
     def half_side_m(self) -> float:
         """Half the side of the square at whose corners the feet stand [m]."""
         alone = Compound(parts=self.parts)
-        reach = float(np.linalg.norm(alone.corners_m[:, :2], axis=1).max())
-        return SPREAD * max(reach, float(mass_properties(alone, self.load_kg)[0][2]))
+        radius_m = float(np.linalg.norm(alone.corners_m[:, :2], axis=1).max())
+        return SPREAD * max(radius_m, float(mass_properties(alone, self.load_kg)[0][2]))
 
     @cached_property
     def soles_m(self) -> FloatArray:
         """Lowest points of the four feet in the frame of the rigid body [m], shape [4, 3]."""
-        return self._turns.apply([self.half_side_m, self.half_side_m, 0.0])
+        return self._rotations.apply([self.half_side_m, self.half_side_m, 0.0])
 
     @property
     def shape(self) -> Compound:
-        """Four copies at the corners of a square, each turned by 90 degrees about the vertical from the one before.
+        """Four copies at the corners of a square, each rotated by 90 degrees about the vertical from the previous one.
 
-        So the centre of mass is above the centre of the square whatever the form of the foot, and the feet carry the
-        same load.
+        The centre of mass is then above the centre of the square for any form of the foot, and the feet carry the same
+        load.
         """
         return Compound(
             parts=tuple(
                 Part(
                     shape=part.shape,
                     pose=Pose.from_rotation(
-                        vector(turn.apply(part.pose.position_m) + sole),
-                        turn * part.pose.rotation,
+                        vector(rotation.apply(part.pose.position_m) + sole),
+                        rotation * part.pose.rotation,
                     ),
                 )
-                for turn, sole in zip(self._turns, self.soles_m, strict=True)
+                for rotation, sole in zip(self._rotations, self.soles_m, strict=True)
                 for part in self.parts
             )
         )
@@ -107,7 +109,7 @@ class FootGeometry:
         return f"{text}, with contacts {self.softening:.3g} times softer"
 
     @property
-    def _turns(self) -> Rotation:
+    def _rotations(self) -> Rotation:
         return Rotation.from_euler("z", 90.0 * np.arange(COPIES)[:, None], degrees=True)
 
 
@@ -119,4 +121,4 @@ REFERENCE_FOOT = FootGeometry(
     robot_mass_kg=12.0,
     foot_count=4,
 )
-"""Foot of a quadruped of 12 kg, with which the rows are listed without a target."""
+"""Foot of a quadruped of 12 kg, for the list of checks without a target."""

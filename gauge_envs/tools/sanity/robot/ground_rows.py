@@ -1,4 +1,4 @@
-"""Judge the contacts of a robot's feet with the ground, and of its parts with each other."""
+"""Check the contacts of a robot's feet with the ground, and of its parts with each other."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from gauge_envs.tools.sanity.rows import Finding, NotApplicableError, row
 
 
 def standing_of(robot: Robot) -> Standing:
-    """Return the robot that stands; rows that need one do not apply to a model without."""
+    """Return the robot that stands; checks that need one do not apply to a model without."""
     if robot.standing is None:
         raise NotApplicableError(
             "no robot of the model stands on the ground under its own weight"
@@ -42,7 +42,7 @@ def standing_of(robot: Robot) -> Standing:
 
 
 def floor_m(robot: Robot) -> float:
-    """Return the height of the highest plane under the feet [m]; that of the lowest foot over other ground."""
+    """Return the height of the highest plane under the feet [m]; over other ground the height of the lowest foot."""
     touched = np.unique(robot.pairs.geoms[robot.foot_rows])
     is_plane = robot.model.geom_type[touched] == mujoco.mjtGeom.mjGEOM_PLANE
     heights_m = robot.stance.positions_m[touched[is_plane], 2]
@@ -74,8 +74,8 @@ def feet(robot: Robot) -> Finding:
     for geom in np.flatnonzero(np.isin(model.geom_bodyid, robot.bodies)).tolist():
         limb = chain_of(model, int(model.geom_bodyid[geom]))
         low = support_m(robot, geom)[2]
-        near = [lows[other] for other in lows if model.geom_bodyid[other] in limb[:2]]
-        # Drawn geoms of a limb that touches are no fault; those that collide and reach deeper than it touches are.
+        near = [lows[sole] for sole in lows if model.geom_bodyid[sole] in limb[:2]]
+        # Drawn geoms of a limb that touches are no fault; colliding geoms below its contact are.
         is_apart = limb[0] not in carrying and low <= standing.ground_m + within_m
         if near:
             is_apart = bool(is_solid[geom]) and low < min(near) - within_m
@@ -112,7 +112,7 @@ LOW_FRICTION, HIGH_FRICTION = 0.05, 3.0
 """Friction of feet: wet ice on rubber has 0.05 and more, racing tyres less than 3."""
 
 LOST_FRICTION = 2.0
-"""Friction that a foot meets over that which its ground states, from which on the statement has no effect."""
+"""Friction of a foot's contact over the friction of its ground above which the latter has no effect."""
 
 
 @row(
@@ -125,7 +125,7 @@ LOST_FRICTION = 2.0
     is_usual=True,
 )
 def friction(robot: Robot) -> Finding:
-    """Return the foot whose friction is farthest beyond the limits."""
+    """Return the foot whose friction most exceeds the limits."""
     standing_of(robot)
     return worst_case(
         case for number in robot.foot_rows for case in _frictions(robot, number)
@@ -147,7 +147,7 @@ def _frictions(robot: Robot, number: int) -> Iterator[Case]:
     text += ", by condim 1" * (condim == 1)
     yield Case(ratio, ("geom", foot), name, text, is_usual=True)
     given = model.geom_friction[ground, 0]
-    # What a geom takes from the default of all is no statement about it.
+    # A friction that a geom takes from the default is not compared.
     # Without a file, the most frequent friction stands for it.
     values, counts = np.unique(model.geom_friction[:, 0], return_counts=True)
     common = values[counts.argmax()]
@@ -156,15 +156,15 @@ def _frictions(robot: Robot, number: int) -> Iterator[Case]:
     is_equal = model.geom_priority[foot] == model.geom_priority[ground]
     if given != common and is_equal and not model.npair:
         ratio = met / max(given, 1e-3) / LOST_FRICTION
-        text = f"{geom_name(model, ground)} states friction {given:g}, {name} meets {met:g}"
+        text = f"{geom_name(model, ground)} has friction {given:g}, {name} slides with {met:g}"
         yield Case(ratio, ("geom", ground), name, text, is_usual=True)
 
 
-LEAST_TIP_M = 0.0025
-"""Size of a geom that is a point of a larger pad [m]."""
+MIN_TIP_M = 0.0025
+"""Size of a geom below which it is a point of a larger pad [m]."""
 
 LEVER = 3.0
-"""Lever over size from which on a geom is no part of a larger pad: pads are up to three times their geoms."""
+"""Largest lever over the size of a geom: pads are up to three times as large as their geoms."""
 
 
 @row(
@@ -179,14 +179,14 @@ def torsion(robot: Robot) -> Finding:
     """Return the geom of a robot whose friction against turning is largest for its size."""
     model, cases = robot.model, []
     is_felt = np.isin(model.geom_bodyid, robot.bodies)
-    is_felt &= model.geom_rbound > LEAST_TIP_M
+    is_felt &= model.geom_rbound > MIN_TIP_M
     for number in robot.foot_rows or range(len(robot.pairs.geoms)):
         condim, sliding, *levers = robot.pairs.constants[number, [0, 1, 3, 4, 5]]
         geoms = [geom for geom in robot.pairs.geoms[number].tolist() if is_felt[geom]]
         if condim < 4 or not geoms:
             continue
         lever_m = max(levers[: 1 if condim == 4 else 3])
-        geom = min(geoms, key=lambda other: model.geom_rbound[other])
+        geom = min(geoms, key=lambda number: model.geom_rbound[number])
         size_m, name = model.geom_rbound[geom], geom_name(model, geom)
         text = f"{name} of {1e3 * size_m:.3g} mm resists turning with a lever of {1e3 * lever_m:.3g} mm"
         if lever_m > sliding:
@@ -199,11 +199,11 @@ def torsion(robot: Robot) -> Finding:
 
 # --- overlap ---------------------------------------------------------------------------------------------------------
 
-LEAST_GAP_MM = 10.0
-"""Height of feet above or in the ground that is named [mm]: soft contacts of a robot that stands sink by less."""
+MIN_GAP_MM = 10.0
+"""Height of feet above or in the ground that a remark names [mm]: soft contacts of a standing robot sink by less."""
 
-TRIED = 32
-"""Random poses in which the overlap of two parts is tried."""
+OVERLAP_POSES = 32
+"""Number of random poses in which the overlap of two parts is checked."""
 
 
 @row(
@@ -221,10 +221,10 @@ def overlap(robot: Robot) -> Finding:
         raise NotApplicableError("contacts are switched off")
     depths = _overlaps(robot, start(robot))
     if depths and not model.nkey:
-        # A pose of zeros is rarely the one in which code starts.
-        poses = [_overlaps(robot, pose) for pose in random_poses(model, TRIED)]
+        # Code rarely starts a robot in the pose of zeros.
+        poses = [_overlaps(robot, pose) for pose in random_poses(model, OVERLAP_POSES)]
         for pair in list(depths):
-            if 2 * sum(pair in pose for pose in poses) < TRIED:
+            if 2 * sum(pair in pose for pose in poses) < OVERLAP_POSES:
                 del depths[pair]
     cases = []
     for pair, (depth_m, push_n) in depths.items():
@@ -233,8 +233,8 @@ def overlap(robot: Robot) -> Finding:
         cases.append(Case(1e3 * depth_m, ("body", pair[1]), names, text))
     if robot.standing is not None and model.nkey and not cases:
         depth_mm = 1e3 * (floor_m(robot) - robot.standing.ground_m)
-        # A robot starts in no deeper pose: code raises it first.
-        if LEAST_GAP_MM < depth_mm < 1e3 * STANDS_WITHIN * robot.standing.height_m:
+        # Code raises a robot from a deeper pose before it starts.
+        if MIN_GAP_MM < depth_mm < 1e3 * STANDS_WITHIN * robot.standing.height_m:
             text = f"its feet start {depth_mm:.3g} mm in the ground, so that contacts push them out"
             place = ("body", next(iter(robot.standing.feet)))
             cases.append(Case(depth_mm, place, "feet", text, is_usual=True))
@@ -251,7 +251,7 @@ def _overlaps(
     for number, contact in enumerate(data.contact):
         first, second = sorted(model.geom_bodyid[contact.geom].tolist())
         root = model.body_rootid[second]
-        # Objects that overlap are no robot; the base is what carries the robot and is fixed to the world.
+        # Overlapping objects are no robot; its base is fixed to the world.
         is_part = model.body_rootid[first] == root or (
             model.body_weldid[first] == 0
             and root not in free_roots

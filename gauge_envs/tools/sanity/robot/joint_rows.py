@@ -1,4 +1,4 @@
-"""Judge what drives and brakes the joints of a robot."""
+"""Check what drives and brakes the joints of a robot."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ FALL_PER_S = 1.0
     consequence="The policy learns torques that no motor has.",
 )
 def joint_brakes(robot: Robot) -> Finding:
-    """Return the joint whose friction, damping or armature is farthest beyond what moves it."""
+    """Return the joint whose friction, damping or armature most exceeds what moves it."""
     if not drives(robot):
         raise NotApplicableError("no motor acts on a joint")
     return worst_case(case for drive in drives(robot) for case in _brakes(drive))
@@ -76,7 +76,7 @@ def _brakes(drive: Drive) -> Iterator[Case]:
     )
     if not drive.is_hinge:
         return
-    # Where a link is light, the engine makes a drag of its dry friction, which the motor may overcome.
+    # Where a link is light, dry friction acts as a drag in the engine, which the motor may overcome.
     lever = length_of(model.opt.gravity) * reaches[drive.body]
     limb = model.body_subtreemass[drive.body] * lever
     if drags(robot, FALL_PER_S)[drive.dof] > drive.push:
@@ -101,29 +101,29 @@ def _brakes(drive: Drive) -> Iterator[Case]:
 
 # --- servos ----------------------------------------------------------------------------------------------------------
 
-LEAST_ERROR_RAD = 0.005
-"""Error from which on a servo may give all its torque [rad].
+MIN_ERROR_RAD = 0.005
+"""Smallest error at which a servo may saturate [rad].
 
-It is 6 mrad and more in models of makers; gears and encoders of hobby servos play by 2 to 15 mrad.
+Models of makers have 6 mrad and more; gears and encoders of hobby servos have a play of 2 to 15 mrad.
 """
 
 RINGING, RINGING_S = 0.05, 1.0
-"""Damping ratio and decay times of a servo that rings: at 0.05 a step overshoots by 85 %; makers have 0.089."""
+"""Damping ratio and decay time of a servo that rings: at 0.05 a step overshoots by 85 %; makers have 0.089."""
 
 SLOW_S = 2.0
-"""Time in which any servo covers half of a small step [s]: 10 times that of the slowest hobby servo."""
+"""Longest time in which a servo covers half of a small step [s]: 10 times the slowest hobby servo's."""
 
 SAG_RAD = 0.6
 """Error at which a servo carries its limb [rad]: twice that of the softest model of a maker, TALOS with 0.296."""
 
 COMMANDS = 30.0
-"""Range of commands over that of the joint: degrees are 57 times too large."""
+"""Largest range of commands over the range of the joint: degrees are 57 times too large."""
 
-LEAST_RATE_PER_S = 1.0
+MIN_RATE_PER_S = 1.0
 """Angular frequency below which a mode is of a free body and not of a servo [1/s]."""
 
 GROWTH, GROWTH_STEPS, MAX_RATIO = 3.0, 200, 1.05
-"""Growth of a small motion in some steps, and the largest that is given in one: a loop that is stable has none."""
+"""Growth of a small motion in a number of steps, and its cap in one step: a stable loop has no growth."""
 
 
 @row(
@@ -137,39 +137,39 @@ GROWTH, GROWTH_STEPS, MAX_RATIO = 3.0, 200, 1.05
 )
 def servo_response(robot: Robot) -> Finding:
     """Return the servo farthest beyond the limit of its kind."""
-    several = [drive for drive in drives(robot) if drive.kp > 0.0]
-    if not several and not servos(robot.model).any():
+    driven = [drive for drive in drives(robot) if drive.kp > 0.0]
+    if not driven and not servos(robot.model).any():
         raise NotApplicableError("no servo holds a position")
-    # Friction, damping or armature beyond all measure is one cause, which robot-joint names.
-    braked = robot.finding(ROWS["robot-joint"]).parts if several else {}
-    several = [drive for drive in several if braked.get(drive.name, 0.0) <= 1.0]
-    responses = (case for drive in several for case in _response(drive))
-    return worst_case([*_modes(robot, several), *_switches(several), *responses])
+    # The check robot-joint names joints with too much friction, damping or armature.
+    braked = robot.finding(ROWS["robot-joint"]).parts if driven else {}
+    driven = [drive for drive in driven if braked.get(drive.name, 0.0) <= 1.0]
+    responses = (case for drive in driven for case in _response(drive))
+    return worst_case([*_modes(robot, driven), *_switches(driven), *responses])
 
 
-def _switches(several: list[Drive]) -> Iterator[Case]:
-    """Yield servos that give all their torque from a tiny error on, where at least half of them do.
+def _switches(driven: list[Drive]) -> Iterator[Case]:
+    """Yield servos that saturate at a tiny error, where at least half of all servos do.
 
-    A stiff gripper whose force is limited grips with this force: it is right.
+    A stiff gripper with a limited force is right: it grips with this force.
     """
-    hinges = [drive for drive in several if drive.is_hinge and np.isfinite(drive.limit)]
+    hinges = [drive for drive in driven if drive.is_hinge and np.isfinite(drive.limit)]
     errors = [drive.limit / drive.kp for drive in hinges]
-    if not errors or np.median(errors) >= LEAST_ERROR_RAD:
+    if not errors or np.median(errors) >= MIN_ERROR_RAD:
         return
     for drive, error in zip(hinges, errors, strict=True):
         text = f"{drive.name} works like a switch: with kp {drive.kp:.4g}, {1e3 * error:.2g} mrad cause all of its "
-        yield drive.case(LEAST_ERROR_RAD / error, f"{text}{drive.limit:.3g} N m", True)
+        yield drive.case(MIN_ERROR_RAD / error, f"{text}{drive.limit:.3g} N m", True)
 
 
-def _modes(robot: Robot, several: list[Drive]) -> Iterator[Case]:
-    """Yield the small motions of a robot about its commands, as the engine makes them: those that grow, and swings.
+def _modes(robot: Robot, driven: list[Drive]) -> Iterator[Case]:
+    """Yield the small motions of a robot about its commands in the engine that grow or swing.
 
-    They are the modes of the transition matrix of a step where all servos are at rest. A mode belongs to the servo that
-    has most of its energy.
+    They are the modes of the transition matrix of a step where all servos are at rest. A mode belongs to the servo with
+    the largest share of its energy.
     """
     model = robot.without("contact", "gravity", "limit", "spring", "equality")
     is_affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
-    if not several:
+    if not driven:
         return
     if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
         # MuJoCo differentiates no steps of RK4, which is as stable as this one.
@@ -185,13 +185,13 @@ def _modes(robot: Robot, several: list[Drive]) -> Iterator[Case]:
     mujoco.mjd_transitionFD(model, data, 1e-6, True, transition, None, None, None)
     ratios, modes = np.linalg.eig(np.nan_to_num(transition))
     for ratio, mode in zip(ratios, modes.T, strict=True):
-        energies = [drive.kp * abs(mode[drive.dof]) ** 2 for drive in several]
-        drive = several[int(np.argmax(energies))]
+        energies = [drive.kp * abs(mode[drive.dof]) ** 2 for drive in driven]
+        drive = driven[int(np.argmax(energies))]
         growth = min(np.abs(ratio), MAX_RATIO) ** GROWTH_STEPS
         text = f"a small motion of {drive.name} grows by {np.abs(ratio) - 1.0:.2g} of itself in a step of "
         yield drive.case(growth / GROWTH, f"{text}{1e3 * model.opt.timestep:g} ms")
         rate = np.log(complex(ratio) or 1e-300) / model.opt.timestep
-        if growth < GROWTH and rate.imag > max(abs(rate.real), LEAST_RATE_PER_S):
+        if growth < GROWTH and rate.imag > max(abs(rate.real), MIN_RATE_PER_S):
             swing_hz, decay_s = rate.imag / (2.0 * np.pi), 1.0 / max(-rate.real, 1e-6)
             text = f"{drive.name} swings about its command with {swing_hz:.2g} Hz for {decay_s:.2g} s"
             ringing = RINGING * decay_s * abs(rate)
@@ -216,13 +216,13 @@ def _response(drive: Drive) -> Iterator[Case]:
     if drive.is_hinge and not is_floating and not is_overweight(drive):
         text = f"{drive.name} sags by {weight / kp:.2g} rad: {servo} carries {weight:.3g} N m"
         if kp == 1.0:
-            text += ", and 1 is MuJoCo's kp where none is given"
+            text += ", MuJoCo's default kp"
         yield drive.case(weight / kp / SAG_RAD, text, True)
     yield from _commands(drive)
 
 
 def _commands(drive: Drive) -> Iterator[Case]:
-    """Yield the range of commands of a servo over that of its joint."""
+    """Yield the range of commands of a servo over the range of its joint."""
     model = drive.robot.model
     if not (model.jnt_limited[drive.joint] and drive.is_hinge):
         return
@@ -240,8 +240,10 @@ def _commands(drive: Drive) -> Iterator[Case]:
 # --- couplings and free joints ---------------------------------------------------------------------------------------
 
 YIELD_SHARE = 0.3
-"""Part of its range by which a coupling may yield: 0.001 to 0.02 in grippers of makers, whose linkage is stiff, and
-0.14 to 0.23 with MuJoCo's default solref."""
+"""Share of its range by which a coupling may yield.
+
+Stiff linkages in grippers of makers yield by 0.001 to 0.02, and MuJoCo's default solref by 0.14 to 0.23.
+"""
 
 
 @row(
@@ -253,7 +255,7 @@ YIELD_SHARE = 0.3
     consequence="One finger gives way, so that a grasp holds less than the real one.",
 )
 def coupling_yield(robot: Robot) -> Finding:
-    """Return the coupling between joints that holds least of the force of a motor."""
+    """Return the coupling between joints that is weakest against the force of a motor."""
     model = robot.without("contact", "limit", "frictionloss")
     data, cases = start(robot, model), []
     begin, pushes = data.qpos.copy(), np.zeros(model.nv)
@@ -276,7 +278,7 @@ def coupling_yield(robot: Robot) -> Finding:
         text += f"its motor makes {load:.3g}"
         cases.append(Case(load / max(force, 1e-9), at, name, text, True))
         off = abs(coupled - begin[place])
-        text = f"{name} begins {off:.2g} beside its coupling; its range is {span:.3g}"
+        text = f"{name} starts {off:.2g} off its coupling; its range is {span:.3g}"
         cases.append(Case(off / span / YIELD_SHARE, at, name, text))
     if not cases:
         raise NotApplicableError("no equality couples joints")

@@ -1,4 +1,4 @@
-"""What drives, brakes and loads the joints of a robot."""
+"""Read what drives, brakes and loads the joints of a robot."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ POSES = 64
 
 
 class Case(NamedTuple):
-    """One part of a row.
+    """One part of a check.
 
     Attributes:
         ratio: Its value over the limit of its kind.
@@ -46,11 +46,11 @@ class Case(NamedTuple):
 
 
 USUAL_MARGIN = 1.1
-"""Ratio to a limit that is no law, up to which nothing is flagged."""
+"""Largest ratio to a usual limit, which is no law, that passes."""
 
 
 def worst_case(cases: Iterable[Case], limit: float = 1.0) -> Finding:
-    """Return the finding of the largest case, with the number of other parts beyond the limit of the row."""
+    """Return the finding of the largest case, with the number of other parts beyond the limit."""
     parts: dict[str, float] = {}
     worst = Case(0.0, ("body", 0), "", "")
     for case in cases:
@@ -58,13 +58,13 @@ def worst_case(cases: Iterable[Case], limit: float = 1.0) -> Finding:
         if case.is_usual and limit < ratio <= USUAL_MARGIN * limit:
             ratio = limit
         parts[case.name] = max(ratio, parts.get(case.name, 0.0))
-        worst = max(worst, case._replace(ratio=ratio), key=lambda one: one.ratio)
+        worst = max(worst, case._replace(ratio=ratio), key=lambda item: item.ratio)
     if worst.ratio <= limit:
         return Finding(value=worst.ratio, parts=parts)
-    others = sum(ratio > limit for ratio in parts.values()) - 1
+    more = sum(ratio > limit for ratio in parts.values()) - 1
     return Finding(
         value=worst.ratio,
-        remark=worst.text + (f"; {others} more" if others else ""),
+        remark=worst.text + (f"; {more} more" if more else ""),
         place=worst.place,
         parts=parts,
         is_usual=worst.is_usual,
@@ -81,11 +81,11 @@ class Drive(NamedTuple):
         body: Body that the joint moves.
         is_hinge: Whether the joint is a hinge.
         is_leg: Whether the joint is between the trunk of a robot that stands and one of its feet.
-        limit: Largest force of its actuators; infinite where none is stated.
+        limit: Largest force of its actuators; infinite without a limit.
         kp: Stiffness of its position servos; 0 without one.
         kv: Damping of its servos.
         damping: Damping of the joint without its servo.
-        dry: Dry friction of the joint, as the model states it.
+        dry: Dry friction of the joint in the model.
         armature: Inertia of the rotor, as the joint feels it.
     """
 
@@ -114,7 +114,7 @@ class Drive(NamedTuple):
 
     @property
     def scale(self) -> float:
-        """1 for a hinge; 0.1 m for a slide, whose strokes are those of a lever of this length."""
+        """1 for a hinge; 0.1 m for a slide, which moves like the end of a lever of this length."""
         return 1.0 if self.is_hinge else 0.1
 
     @property
@@ -125,7 +125,7 @@ class Drive(NamedTuple):
         return self.kp * SERVO_ERROR_RAD * self.scale
 
     def case(self, ratio: float, text: str, is_usual: bool = False) -> Case:
-        """Return a part of a row on the joint; see `Case`."""
+        """Return a part of a check of the joint; see `Case`."""
         return Case(ratio, ("joint", self.joint), self.name, text, is_usual)
 
 
@@ -163,7 +163,7 @@ def drives(robot: Robot) -> list[Drive]:
 
 
 def _largest_forces(model: mujoco.MjModel) -> FloatArray:
-    """Return the largest force of each actuator before its gear; infinite where none is stated, shape [nu]."""
+    """Return the largest force of each actuator before its gear; infinite without a limit, shape [nu]."""
     largest = np.abs(model.actuator_forcerange).max(axis=1, initial=0.0)
     largest[model.actuator_forcelimited == 0] = np.inf
     is_plain = ~model.actuator_biasprm.any(axis=1) & (model.actuator_ctrllimited != 0)
@@ -177,6 +177,17 @@ def servos(model: mujoco.MjModel) -> BoolArray:
     """Return which actuators hold a position, shape [nu]."""
     affine: BoolArray = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
     return affine & (model.actuator_biasprm[:, 1] < 0.0)
+
+
+def hold_position(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Set the controls of position servos so that their forces are 0.
+
+    The force of a servo is gain * control + bias[0] + bias[1] * length.
+    """
+    servo = servos(model) & (model.actuator_gainprm[:, 0] != 0.0)
+    bias = model.actuator_biasprm[servo]
+    forces = bias[:, 0] + bias[:, 1] * data.actuator_length[servo]
+    data.ctrl[servo] = -forces / model.actuator_gainprm[servo, 0]
 
 
 def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
@@ -221,7 +232,7 @@ def reaches_m(robot: Robot) -> FloatArray:
 def drags(robot: Robot, speed: float) -> FloatArray:
     """Return the force that turns each drive of a robot at a speed without power, in the engine, shape [nv].
 
-    Where a link is light, the engine makes a drag of its dry friction, so that what the file states does not act.
+    Where a link is light, the dry friction of the file acts as a drag in the engine.
 
     Args:
         robot: The robot.
@@ -241,7 +252,7 @@ def drags(robot: Robot, speed: float) -> FloatArray:
 
 
 def is_overweight(drive: Drive) -> bool:
-    """Return whether a joint carries a body whose mass is wrong, which robot-mass names."""
+    """Return whether a joint carries a body whose mass fails the check `robot-mass`."""
     model, masses = drive.robot.model, drive.robot.finding(ROWS["robot-mass"]).parts
     return any(
         masses.get(name_of(model, "body", body), 0.0) > 1.0
@@ -251,23 +262,23 @@ def is_overweight(drive: Drive) -> bool:
 
 
 def root_of(model: mujoco.MjModel, body: int) -> int:
-    """Return the first body of the tree of bodies of which a body is part."""
+    """Return the first body of the tree of a body."""
     return int(model.tree_bodyadr[model.body_treeid[body]])
 
 
 def unstated(robot: Robot) -> str:
-    """Return what a robot with motors does not state, in one sentence; empty where nothing is missing.
+    """Return in one sentence which properties of drives a model with motors lacks; empty where nothing is missing.
 
-    These are properties of real drives, without which a policy meets a better robot than the real one.
+    Without them, the simulated robot is better than the real one.
     """
     driven = drives(robot)
     if not driven:
         return ""
-    states = {
+    properties = {
         "rotor inertia": any(drive.armature for drive in driven),
         "torque limit": any(np.isfinite(drive.limit) for drive in driven),
         # Versions before MuJoCo 3.5 have no delay.
         "delay of actions": np.any(getattr(robot.model, "actuator_delay", 0.0)),
     }
-    missing = [name for name, is_stated in states.items() if not is_stated]
-    return f"The model states no {' or '.join(missing)}." if missing else ""
+    missing = [name for name, is_present in properties.items() if not is_present]
+    return f"The model has no {', no '.join(missing)}." if missing else ""

@@ -1,4 +1,4 @@
-"""Judge the masses and inertias that a model states."""
+"""Check the masses and inertias of a model."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ LEAD_KG_PER_M3, OSMIUM_KG_PER_M3 = 12_000.0, 22_600.0
 """Density of lead and of the densest metal [kg/m^3]: no link of a robot is denser than the first."""
 
 POINT_KG_PER_M3 = 1e6
-"""Density of a geom whose mass is stated, from which on it stands for no idealized point mass [kg/m^3].
+"""Density of a geom with a given mass above which it is no idealized point mass [kg/m^3].
 
-It is what a link of 1000 kg/m^3 has with its mass in grams.
+A link of 1000 kg/m^3 has this density when its mass is in grams.
 """
 
 TRIANGLE = 1e-3
-"""Part by which the largest moment of inertia may exceed the sum of the others: that of rounded numbers."""
+"""Share by which the largest moment of inertia may exceed the sum of the others, because of rounding."""
 
 SINGLE = 3.0
-"""Size of a body without joints over that of its geoms."""
+"""Largest size of a body without joints over the size of its geoms."""
 
-LEAST_SHARE = 1e-3
+MIN_SHARE = 1e-3
 """Share of the robot's mass below which nothing depends on the inertia of a link."""
 
-UNSTATED_KG_PER_M3 = 1000.0
-"""Density of a geom that states none [kg/m^3]."""
+DEFAULT_KG_PER_M3 = 1000.0
+"""Default density of a geom [kg/m^3]."""
 
 DRAWN_TWICE = 0.05
-"""Mass of drawn geoms on colliding ones over that of their bodies without them."""
+"""Largest mass of drawn geoms on colliding ones over the mass of their bodies without them."""
 
 
 @row(
@@ -53,7 +53,7 @@ DRAWN_TWICE = 0.05
     consequence="The policy learns forces and speeds of another robot.",
 )
 def mass(robot: Robot) -> Finding:
-    """Return the body whose mass properties are farthest beyond those of a real body."""
+    """Return the body whose mass properties most exceed those of a real body."""
     if not robot.bodies:
         raise NotApplicableError("no body of the model moves")
     by_id = {body.id: body for body in robot.spec.bodies} if robot.spec else {}
@@ -68,24 +68,24 @@ def mass(robot: Robot) -> Finding:
 def _body_cases(
     robot: Robot, body: int, described: mujoco.MjsBody | None
 ) -> Iterator[Case]:
-    """Yield the mass properties of a body, and those that its file states, which the compiler balances."""
+    """Yield the mass properties of a body, and those of its file, which the compiler balances."""
     model, name, place = robot.model, name_of(robot.model, "body", body), ("body", body)
     mass_kg, root = model.body_mass[body], root_of(model, body)
-    several, weighs = [model.body_inertia[body]], described is not None
+    inertias, weighs = [model.body_inertia[body]], described is not None
     if described is not None and described.explicitinertial:
-        several, weighs = [*several, described.inertia], False
-    for moments in several:
+        inertias, weighs = [*inertias, described.inertia], False
+    for moments in inertias:
         first, second, third = np.sort(np.abs(moments)).tolist()
         if third:
             excess = third / max(first + second, 1e-300) / (1.0 + TRIANGLE)
             text = f"{name} has inertias {first:.3g}, {second:.3g} and {third:.3g} kg m^2: one exceeds the others' sum"
             yield Case(excess, place, name, text)
-    if mass_kg <= 0.0 or mass_kg < LEAST_SHARE * model.body_subtreemass[root]:
+    if mass_kg <= 0.0 or mass_kg < MIN_SHARE * model.body_subtreemass[root]:
         return
     is_robot = int(model.body_treeid[body]) in robot.driven_trees
     is_link = int(model.tree_bodynum[model.body_treeid[body]]) > 1
     for geom in described.geoms if described is not None and weighs else ():
-        # Geoms of a body that states its mass itself may hold the place of its shape.
+        # Geoms of a body with a mass of its own may stand for another shape.
         density, limit = geom.density, LEAD_KG_PER_M3 if is_link else OSMIUM_KG_PER_M3
         if np.isfinite(geom.mass):
             box_m3 = 8.0 * model.geom_aabb[geom.id, 3:].prod()
@@ -95,15 +95,15 @@ def _body_cases(
             text = f"{name} weighs {mass_kg:.3g} kg: {density:.3g} kg/m^3, denser than any {kind} ({limit:g})"
             yield Case(density / limit, place, name, text, not is_robot)
     trace = model.body_inertia[body].sum()
-    # Of all bodies of a mass and a largest density a ball has the least trace of inertia, 3 * 0.4 m r^2. Geoms of a
-    # toy may stand for point masses.
+    # Of all bodies of a mass and a largest density, a ball has the smallest trace of inertia, 3 * 0.4 m r^2.
+    # Geoms of a toy may stand for point masses.
     if not weighs:
         radius_m = np.cbrt(3.0 * mass_kg / (4.0 * np.pi * OSMIUM_KG_PER_M3))
-        least = 1.2 * mass_kg * radius_m**2
+        minimum = 1.2 * mass_kg * radius_m**2
         text = f"{name} of {mass_kg:.3g} kg has inertias of {trace / 3.0:.2g} kg m^2, "
-        text += f"smaller than a ball of osmium ({least / 3.0:.2g})"
-        yield Case(least / max(trace, 1e-300), place, name, text)
-    # The geom of a single body may hold the place of a larger shape.
+        text += f"smaller than a ball of osmium ({minimum / 3.0:.2g})"
+        yield Case(minimum / max(trace, 1e-300), place, name, text)
+    # The geom of a single body may stand for a larger shape.
     reach_m = reaches_m(robot)[root] * (1.0 if is_link else SINGLE)
     if reach_m > 0.0:
         gyration_m = np.sqrt(0.5 * trace / mass_kg)
@@ -118,7 +118,7 @@ def _body_cases(
 
 
 def _drawn_twice(robot: Robot) -> Iterator[Case]:
-    """Yield bodies whose mass counts a part twice: once for the geom that collides, and once for its mesh as drawn."""
+    """Yield bodies whose mass counts a part twice: for the geom that collides, and for its drawn mesh."""
     spec, model = robot.spec, robot.model
     if spec is None:
         return
@@ -135,8 +135,8 @@ def _drawn_twice(robot: Robot) -> Iterator[Case]:
             model.geom_pos[geom.id] - model.geom_pos[twins], axis=1
         )
         larger_m = np.abs(model.geom_rbound[geom.id] - sizes_m)
-        # A drawn part that states its mass or density is meant to weigh, unless it is the twin of a solid one.
-        is_silent = not np.isfinite(geom.mass) and geom.density == UNSTATED_KG_PER_M3
+        # A drawn part with a given mass or density is meant to weigh, unless it is the twin of a solid part.
+        is_silent = not np.isfinite(geom.mass) and geom.density == DEFAULT_KG_PER_M3
         within_m = (0.5 if is_silent else 0.01) * sizes_m
         if (np.maximum(apart_m, larger_m) < within_m).any():
             copied.mass = 0.0

@@ -21,13 +21,13 @@ MARKUP = re.compile(
 ATTRIBUTE = re.compile(r"""([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 TAGS = {"joint": ("joint", "freejoint"), "body": ("body", "link")}
-"""Tags of a kind of element that has several, with that of a URDF."""
+"""Tags of kinds of elements that have several tags, with the tag of a URDF."""
 
 SECTIONS = ("actuator", "equality", "tendon")
-"""Kinds whose elements have many tags, and stand in a section of that name."""
+"""Kinds whose elements have many tags, and stand in a section with the name of the kind."""
 
-HOLDERS = ("worldbody", "body", "frame", "contact", "keyframe", "robot")
-"""Elements that hold the others."""
+PARENTS = ("worldbody", "body", "frame", "contact", "keyframe", "robot")
+"""Elements that contain elements of other kinds."""
 
 COUNTS = {"actuator": "nu", "equality": "neq", "joint": "njnt"}
 """Number of elements of a kind in the compiled model, where it is not `n` and the kind."""
@@ -50,8 +50,8 @@ class Element:
         stop: Place behind its start tag.
         places: Begin and end of the value of each attribute, with its quotes.
         values: Its attributes.
-        parent: The element that holds it; None for the root.
-        children: What it holds; what is included follows its `<include>`.
+        parent: Its parent; None for the root.
+        children: Its children; included ones follow their `<include>`.
     """
 
     tag: str
@@ -70,19 +70,18 @@ class Element:
             yield from child.inner()
 
     def outer(self) -> Iterator[Element]:
-        """Yield this element, the one that holds it, and so on."""
+        """Yield this element, its parent, and so on."""
         yield self
         if self.parent is not None:
             yield from self.parent.outer()
 
     def at(self, *tags: str) -> list[Element]:
-        """Return elements inside by the tags on the way to them."""
-        several = [self]
+        """Return elements inside by the tags of their parents and their own."""
+        elements = [self]
         for tag in tags:
-            several = [
-                child for one in several for child in one.children if child.tag == tag
-            ]
-        return several
+            children = [child for element in elements for child in element.children]
+            elements = [child for child in children if child.tag == tag]
+        return elements
 
 
 class ModelText:
@@ -111,18 +110,18 @@ class ModelText:
             if mark["close"]:
                 above = above.parent or top
                 continue
-            found = [*ATTRIBUTE.finditer(text, *mark.span("inside"))]
-            places = {one[1]: one.span(2) for one in found}
-            values = {one[1]: one[2][1:-1] for one in found}
-            one = Element(mark["tag"], file, *mark.span(), places, values, above)
-            above.children.append(one)
-            if one.tag == "include":
+            attributes = [*ATTRIBUTE.finditer(text, *mark.span("inside"))]
+            places = {match[1]: match.span(2) for match in attributes}
+            values = {match[1]: match[2][1:-1] for match in attributes}
+            element = Element(mark["tag"], file, *mark.span(), places, values, above)
+            above.children.append(element)
+            if element.tag == "include":
                 included = self._read(self.file.parent / values["file"]).children
                 for child in included:
                     child.parent = above
                 above.children += included
             if mark["end"] == ">":
-                above = one
+                above = element
         return top.children[0]
 
     def line(self, element: Element) -> str:
@@ -131,7 +130,7 @@ class ModelText:
         return f"{element.file.name}:{number}"
 
     def element(self, model: mujoco.MjModel, kind: str, number: int) -> Element | None:
-        """Return an element of the compiled model; None where it is not sure which one it is.
+        """Return an element of the compiled model; None where it is ambiguous.
 
         Args:
             model: The compiled model.
@@ -140,27 +139,28 @@ class ModelText:
         """
         count = getattr(model, COUNTS.get(kind, f"n{kind}"))
         names = [getattr(model, kind)(index).name for index in range(count)]
-        several = self._several(kind)
-        texts = [one.values.get("name", "") for one in several]
+        elements = self._elements(kind)
+        texts = [element.values.get("name", "") for element in elements]
         if texts == names:
-            return several[number]
+            return elements[number]
         name = names[number]
-        is_sure = name and texts.count(name) == 1
-        return several[texts.index(name)] if is_sure else None
+        is_unique = name and texts.count(name) == 1
+        return elements[texts.index(name)] if is_unique else None
 
-    def _several(self, kind: str) -> list[Element]:
-        """Return elements of a kind, those of each body before those of the bodies that it carries."""
-        bodies: dict[Element | None, int] = {}
-        several: list[tuple[int, int, Element]] = []
-        for place, one in enumerate(self.root.inner()):
-            if one.tag == "body":
-                bodies[one] = len(bodies) + 1
-            above = one.parent.tag if one.parent else ""
-            is_tagged = one.tag in TAGS.get(kind, (kind,)) and above in HOLDERS
+    def _elements(self, kind: str) -> list[Element]:
+        """Return elements of a kind, those of each body before those of its child bodies."""
+        bodies: dict[Element, int] = {}
+        elements: list[tuple[int, Element]] = []
+        for element in self.root.inner():
+            if element.tag == "body":
+                bodies[element] = len(bodies) + 1
+            above = element.parent.tag if element.parent else ""
+            is_tagged = element.tag in TAGS.get(kind, (kind,)) and above in PARENTS
             if is_tagged or above == kind in SECTIONS:
-                body = next((bodies[o] for o in one.outer() if o in bodies), 0)
-                several.append((body, place, one))
-        return [one for *_, one in sorted(several)]
+                outer = filter(bodies.__contains__, element.outer())
+                body = next((bodies[parent] for parent in outer), 0)
+                elements.append((body, element))
+        return [element for _, element in sorted(elements, key=lambda item: item[0])]
 
 
 class TextChange:
@@ -175,8 +175,8 @@ class TextChange:
         self._values: dict[tuple[Element, str], str] = {}
         self._inserted: list[tuple[int, int, str]] = []
 
-    def state(self, element: Element | None, kind: str, key: str, value: str) -> bool:
-        """Give an element an attribute where it takes it from, and return whether anything states it.
+    def give(self, element: Element | None, kind: str, key: str, value: str) -> bool:
+        """Change an attribute where an element takes it from, and return whether the text has it.
 
         Args:
             element: The element; None for the default of all.
@@ -184,82 +184,82 @@ class TextChange:
             key: The attribute.
             value: Its new value.
         """
-        for one in self._sources(element, kind):
-            if key in one.values:
-                self._values[one, key] = value
+        for source in self._sources(element, kind):
+            if key in source.values:
+                self._values[source, key] = value
                 return True
         return False
 
     def _sources(self, element: Element | None, kind: str) -> Iterator[Element]:
-        """Yield an element and those of its classes, the nearest first, and at last those of the default of all."""
+        """Yield an element, those of its classes, the nearest first, and last those of the default of all."""
         if element is not None:
             yield element
             names = (
-                one.values.get("childclass" if step else "class")
-                for step, one in enumerate(element.outer())
+                outer.values.get("childclass" if step else "class")
+                for step, outer in enumerate(element.outer())
             )
             name = next(filter(None, names), None)
-            for one in self.model.root.inner():
-                if one.tag == "default" and one.values.get("class") == name:
-                    for above in one.outer():
+            for default in self.model.root.inner():
+                if default.tag == "default" and default.values.get("class") == name:
+                    for above in default.outer():
                         yield from reversed(above.at(kind))
         yield from reversed(self.model.root.at("default", kind))
 
     def put(self, tags: tuple[str, ...], values: Mapping[str, str]) -> None:
-        """Give a section attributes: in place, or in one that is inserted.
+        """Give a section attributes: in place, or in an inserted section.
 
         Args:
-            tags: Tags on the way to it, such as `option` and `flag`.
+            tags: Tags of its parents and its own, such as `option` and `flag`.
             values: The attributes.
         """
         root, file = self.model.root, self.model.file
         is_default = tags[0] == "default"
-        several, left = root.at(*tags), dict(values)
+        sections, missing = root.at(*tags), dict(values)
         for key in values:
-            stating = [one for one in several if key in one.values]
+            present = [section for section in sections if key in section.values]
             # A later section of the options counts; the default of all must stand in front of classes.
-            if stating and (stating[-1].file == file or is_default):
-                self._values[stating[-1], key] = left.pop(key)
-        section = several[0 if is_default else -1] if several else root
+            if present and (present[-1].file == file or is_default):
+                self._values[present[-1], key] = missing.pop(key)
+        section = sections[0 if is_default else -1] if sections else root
         if section is not root and section.file == file:
-            self._values |= {(section, key): value for key, value in left.items()}
-        elif left:
-            self._insert(tags, left, is_behind=not is_default)
+            self._values |= {(section, key): value for key, value in missing.items()}
+        elif missing:
+            self._insert(tags, missing, is_behind=not is_default)
 
     def _insert(
         self, tags: tuple[str, ...], values: Mapping[str, str], *, is_behind: bool
     ) -> None:
         """Insert a section behind the included files, if there are any, or in front of the other sections."""
         file = self.model.file
-        inner = [one for one in self.model.root.children if one.file == file]
-        includes = [one for one in inner if one.tag == "include"] * is_behind
-        others = [one for one in inner if one.tag not in FIRST]
-        beside = [*(others or inner)[:1], *includes][-1]
-        before = self.model.texts[file][: beside.start].rpartition("\n")[2]
+        children = [child for child in self.model.root.children if child.file == file]
+        includes = [child for child in children if child.tag == "include"] * is_behind
+        later = [child for child in children if child.tag not in FIRST]
+        neighbour = [*(later or children)[:1], *includes][-1]
+        before = self.model.texts[file][: neighbour.start].rpartition("\n")[2]
         gap = "\n" + before if before.isspace() else "\n"
         text = "".join(f' {key}="{value}"' for key, value in values.items())
         text = f"<{tags[-1]}{text}/>"
         for tag in tags[-2::-1]:
             text = f"<{tag}>{text}</{tag}>"
-        at = beside.stop if includes else beside.start
+        at = neighbour.stop if includes else neighbour.start
         self._inserted.append((at, at, gap + text if includes else text + gap))
 
     def move(self, folder: Path) -> None:
-        """State included files and the folders of meshes and textures as seen from another folder."""
+        """Write included files and the folders of meshes and textures relative to another folder."""
         source, target = self.model.file.parent.resolve(), folder.resolve()
         if source == target:
             return
         folders = {"meshdir": "", "texturedir": ""}
         has_files = False
-        for one in self.model.root.inner():
-            values = one.values
-            if one.tag == "compiler":
+        for element in self.model.root.inner():
+            values = element.values
+            if element.tag == "compiler":
                 shared = values.get("assetdir")
                 for key, before in folders.items():
                     folders[key] = values.get(key, shared or before)
-            elif one.tag == "include" and one.file == self.model.file:
+            elif element.tag == "include" and element.file == self.model.file:
                 path = os.path.relpath(source / values["file"], target)
-                self._values[one, "file"] = path
+                self._values[element, "file"] = path
             elif "file" in values:
                 has_files = True
         if has_files:
@@ -270,7 +270,7 @@ class TextChange:
 
     @property
     def elsewhere(self) -> list[str]:
-        """Changes of included files, in words."""
+        """Changes of included files, as texts."""
         return [
             f'{key}="{value}" in {self.model.line(element)}'
             for (element, key), value in self._values.items()
@@ -280,14 +280,13 @@ class TextChange:
     def text(self, file: Path) -> str:
         """Return the text of a file with all changes."""
         edits = self._inserted * (file == self.model.file)
-        for (one, key), value in self._values.items():
-            if one.file == file:
-                spans = one.places.values()
-                end = max(
-                    (stop for _, stop in spans), default=one.start + len(one.tag) + 1
-                )
-                new = f'"{value}"' if key in one.places else f' {key}="{value}"'
-                edits.append((*one.places.get(key, (end, end)), new))
+        for (element, key), value in self._values.items():
+            if element.file == file:
+                spans = element.places.values()
+                tag_end = element.start + len(element.tag) + 1
+                end = max((stop for _, stop in spans), default=tag_end)
+                new = f'"{value}"' if key in element.places else f' {key}="{value}"'
+                edits.append((*element.places.get(key, (end, end)), new))
         text = self.model.texts[file]
         for start, stop, new in sorted(edits, key=lambda edit: edit[:2])[::-1]:
             text = text[:start] + new + text[stop:]
@@ -296,16 +295,20 @@ class TextChange:
     @property
     def diff(self) -> tuple[str, ...]:
         """Changed lines of all files, which start with `- ` or `+ `."""
-        lines: list[str] = []
+        changes: list[str] = []
         for file, before in self.model.texts.items():
             texts = before.splitlines(), self.text(file).splitlines()
-            lines += [*difflib.unified_diff(*texts, n=0, lineterm="")][2:]
-        return tuple(f"{one[0]} {one[1:].strip()}" for one in lines if one[0] in "+-")
+            changes += [*difflib.unified_diff(*texts, n=0, lineterm="")][2:]
+        return tuple(
+            f"{line[0]} {line[1:].strip()}" for line in changes if line[0] in "+-"
+        )
 
     def short(self, line: str) -> str:
-        """Return a line that is not longer than the screen, or only its name, its class and what changes in it."""
+        """Return a line; of one that is longer than the screen, its name, its class and what changes."""
         if len(line) <= SCREEN:
             return line
         keys = {"name", "class", *(key for _, key in self._values)}
-        shown = ATTRIBUTE.sub(lambda one: one[0] if one[1] in keys else "...", line)
+        shown = ATTRIBUTE.sub(
+            lambda match: match[0] if match[1] in keys else "...", line
+        )
         return re.sub(r"\.\.\.(\s+\.\.\.)+", "...", shown)

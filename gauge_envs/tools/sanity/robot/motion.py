@@ -1,4 +1,4 @@
-"""Run the target's own model from its start with a change: whether it jumps or falls, and how fast it runs."""
+"""Run the target's own model with a change: whether it jumps or falls, and how fast it runs."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from gauge_envs.tools.sanity.robot.robot import Robot, once
 from gauge_envs.tools.sanity.robot.rollout import FELL, HOLD_S
 
 SPEED_BLOCKS, BLOCK_S = 4, 0.02
-"""Number and least time [s] of the pieces in which the speed of a model is measured; the fastest one counts."""
+"""Number and shortest time [s] of the blocks in which the speed of a model is measured; the fastest one counts."""
 
 
 def motion_harm(before: Robot, after: Robot) -> str:
-    """Return how a change throws a model up from its start, or lets its robot fall, in words; empty if it does not."""
+    """Return how a change throws a model up from its start, or lets its robot fall; empty if it does not."""
     (rise_mm, stands), (new_rise_mm, stands_then) = map(_motion, (before, after))
     if hops_more(rise_mm, new_rise_mm):
         return f"the model jumps {new_rise_mm:.3g} mm from its start"
@@ -29,8 +29,8 @@ def _motion(robot: Robot) -> tuple[float, bool]:
     """Simulate 2 s from the start, with the controls of its keyframe.
 
     Returns:
-        The most that the centre of mass of a tree of bodies rises [mm], at least the depth from which it comes out of
-        what it overlaps, infinite for a state that diverges; and whether the robot stands at the end.
+        The largest rise of the centre of mass of a tree of bodies [mm], at least the depth of its overlap at the start,
+        infinite for a state that diverges; and whether the robot stands at the end.
     """
     model, standing, up = robot.model, robot.standing, np.asarray(robot.up)
     data = mujoco.MjData(model)
@@ -54,9 +54,8 @@ def _motion(robot: Robot) -> tuple[float, bool]:
 
 def speed_ratio(before: Robot, after: Robot) -> float:
     """Return the simulated time of a model in a second of the processor with a change, over that without."""
-    runs = [
-        (one.model, mujoco.MjData(one.model), list[float]()) for one in (before, after)
-    ]
+    models = before.model, after.model
+    runs = [(model, mujoco.MjData(model), list[float]()) for model in models]
     for _ in range(SPEED_BLOCKS):
         for model, data, speeds in runs:
             started, before_s, spent_s = time.process_time(), data.time, 0.0

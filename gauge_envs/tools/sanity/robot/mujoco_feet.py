@@ -39,16 +39,16 @@ SOLE_WITHIN = 0.01
 """Height above the lowest point of a foot, over the height of the robot, up to which a geom is part of its sole."""
 
 UPRIGHT = 0.7
-"""Least vertical component of a slide joint with which a robot can rise and fall."""
+"""Smallest vertical component of a slide joint with which a robot can rise and fall."""
 
 FLAT = 1e-3
 """Component of a unit vector below which a face or an edge counts as level."""
 
-HELD_M_PER_S = 1e-3
-"""Speed of falling below which the damping of a joint counts as holding a robot [m/s]."""
+MIN_FALL_M_PER_S = 1e-3
+"""Speed of falling below which the damping of a joint holds a robot [m/s]."""
 
 LIQUID_KG_PER_M3 = 10.0
-"""Density of the medium from which on a robot swims; air has 1.2 [kg/m^3]."""
+"""Density of the medium above which a robot swims; air has 1.2 [kg/m^3]."""
 
 
 Solid = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
@@ -60,7 +60,7 @@ SOLIDS: Mapping[str, Callable[..., Solid]] = {
     "CYLINDER": lambda x, y, _: Cylinder(radius_m=x, length_m=2.0 * y),
     "BOX": lambda x, y, z: Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z)),
 }
-"""Solid of a size for each type of geom that a foot may have beside meshes."""
+"""Solid of a size for each type of geom of a foot, except meshes."""
 
 
 class NoFootError(Exception):
@@ -71,8 +71,8 @@ def find_standing(robot: Robot) -> Standing:
     """Return the heaviest robot of a model that stands, with its feet.
 
     A robot can rise and fall: its first joint is free, or a vertical slide that nothing drives or holds. It has an
-    actuator, or joints in a model without actuators. Its feet are the bodies that can touch the ground and lie
-    lowest in its pose.
+    actuator, or joints in a model without actuators. Its feet are the lowest bodies in its pose that can touch the
+    ground.
 
     Raises:
         NoFootError: There is none.
@@ -106,13 +106,13 @@ def find_standing(robot: Robot) -> Standing:
     for geom, point in support.items():
         if point[2] <= ground_m + STANDS_WITHIN * height_m:
             bodies.setdefault(int(model.geom_bodyid[geom]), []).append(geom)
-    # A body that carries another one that stands is no foot.
-    for carrying in {other for body in bodies for other in chain_of(model, body)[1:]}:
+    # A body that carries a standing body is no foot.
+    for carrying in {parent for body in bodies for parent in chain_of(model, body)[1:]}:
         bodies.pop(carrying, None)
     feet = {}
-    for body, own in bodies.items():
-        sole_m = min(support[geom][2] for geom in own) + SOLE_WITHIN * height_m
-        feet[body] = [geom for geom in own if support[geom][2] <= sole_m]
+    for body, body_geoms in bodies.items():
+        sole_m = min(support[geom][2] for geom in body_geoms) + SOLE_WITHIN * height_m
+        feet[body] = [geom for geom in body_geoms if support[geom][2] <= sole_m]
     return Standing(
         body=base,
         height_m=height_m,
@@ -127,7 +127,7 @@ def read_foot(robot: Robot, groups: Sequence[ContactGroup]) -> FootGeometry:
 
     Args:
         robot: The robot.
-        groups: Contact constants, those that are judged marked as used.
+        groups: Contact constants; those that are checked are marked as used.
 
     Raises:
         NoFootError: It does not stand, or the scenes cannot have its foot.
@@ -178,7 +178,7 @@ def _can_fall(robot: Robot, body: int) -> bool:
     falls = joints_of(model, "SLIDE") & (
         np.abs(robot.stance.joint_axes[:, 2]) > UPRIGHT
     )
-    falls &= weight_n > HELD_M_PER_S * dampings
+    falls &= weight_n > MIN_FALL_M_PER_S * dampings
     falls[joints_of_motors(model)] = False
     falls |= joints_of(model, "FREE")
     return bool(falls[model.jnt_bodyid == body].any())

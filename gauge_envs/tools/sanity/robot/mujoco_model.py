@@ -48,7 +48,7 @@ ABSENT_PARTS = {
     "flg_surfacevel": "surface velocity of geoms is not carried over",
     "nflex": "deformable bodies of the model are not read",
 }
-"""Parts that are not carried over, by the count of the model that shows them."""
+"""Notes on parts that are not carried over, by the count of these parts in the model."""
 
 
 def mujoco_configuration(
@@ -69,8 +69,8 @@ def mujoco_configuration(
         source: Description of where the model is from.
         pair: Names of two geoms whose constants the experiments get, instead of all sets on ground.
         frame_skip: Steps of the engine for one action; None when unknown.
-        spec: The model before it was compiled, with the ids of the compiled one; None when it is not known.
-        file: File of the model; None when it is not known.
+        spec: The model before it was compiled, with the ids of the compiled one; None when it is unknown.
+        file: File of the model; None when it is unknown.
     """
     options, pairs, up = option_settings(model), contact_pairs(model), _up(model)
     groups: tuple[ContactGroup, ...] = ()
@@ -90,7 +90,7 @@ def mujoco_configuration(
     try:
         on_feet = replace(robot, standing=find_standing(robot))
         foot, robot = read_foot(on_feet, groups), on_feet
-        # What walks against a loose body has no hand.
+        # A robot that walks against a loose body has no hand.
         groups = tuple(replace(group, is_held=False) for group in groups)
     except NoFootError as error:
         foot = None
@@ -101,7 +101,7 @@ def mujoco_configuration(
         )
     if robot.moves_along_axis:
         inapplicable[Need.SPACE] = (
-            "the robot moves in a plane along an axis of the world, where slide-* judges it"
+            "the robot moves in a plane along an axis of the world, where slide-* checks it"
         )
     return TrainingConfiguration(
         name=name,
@@ -125,7 +125,7 @@ def mujoco_configuration(
 def _inapplicable(
     model: mujoco.MjModel, groups: tuple[ContactGroup, ...]
 ) -> dict[Need, str]:
-    """Return what phenomena need and the model has not, with the reason."""
+    """Return the needs of phenomena that the model does not meet, with the reason."""
     reasons = {}
     if switched_off(model, "gravity") or not model.opt.gravity.any():
         reasons[Need.GRAVITY] = "the model has no gravity"
@@ -137,7 +137,7 @@ def _inapplicable(
 
 
 def _up(model: mujoco.MjModel) -> Vector:
-    """Return the coordinate axis nearest to the normal of the first plane of the world; z when there is none."""
+    """Return the coordinate axis nearest to the normal of the first plane of the world; z without a plane."""
     planes = np.flatnonzero(
         (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & ~can_move(model)
     )
@@ -223,7 +223,7 @@ def _groups(
 
 
 def _notes(model: mujoco.MjModel) -> list[str]:
-    """Return what is not carried over to the experiments, and what MuJoCo solves wrongly."""
+    """Return notes on what is not carried over to the experiments, and on faults of MuJoCo's solver."""
     option = model.opt
     notes = [note for name, note in ABSENT_PARTS.items() if getattr(model, name)]
     if option.density or option.viscosity or option.wind.any():

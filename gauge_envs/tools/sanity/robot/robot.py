@@ -1,4 +1,4 @@
-"""The target's own model: its robot, what is known of it, and a copy with changes as a user would paste them."""
+"""The target's own model: its robot, its measured properties, and a copy with changes as a user would paste them."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ ELEMENT_FIELDS = GEOM_FIELDS | {
 """Attributes of geoms and of equalities by the names of settings."""
 
 PAIRED = ("contact_solref", "contact_solimp")
-"""Settings that explicit pairs state instead of their geoms, in the same form."""
+"""Settings that explicit pairs give instead of their geoms, in the same form."""
 
 
 STANDING = ("home", "stand", "standing")
 """Names of keyframes in which robots stand."""
 
-MOST_GEOMS = 4
-"""Most geoms of a foot or of a group that are listed; of more, the others are counted."""
+MAX_GEOMS = 4
+"""Largest number of geoms of a foot or of a group that a text lists; further ones are counted."""
 
 ALONG_AN_AXIS = 0.999
-"""Least component of the normal of the plane of a robot that moves along an axis of the world."""
+"""Smallest component of the normal of the plane of a robot that moves along an axis of the world."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +58,7 @@ class Stance:
     Attributes:
         label: Name of the pose.
         qpos: Generalized position, shape [nq].
-        ctrl: Controls that belong to the pose, shape [nu]; zeros where no keyframe states them.
+        ctrl: Controls that belong to the pose, shape [nu]; zeros without a keyframe.
         positions_m: Positions of the geoms in a frame with z up [m], shape [geom_count, 3].
         rotations: Rotations of the geoms to that frame.
         joint_axes: Axes of the joints in that frame, shape [joint_count, 3].
@@ -103,7 +103,7 @@ class Robot:
         spec: The model before it was compiled; None when only the compiled one is known.
         pair: Names of two geoms whose constants count; None for all on the ground.
         file: File of the model; None when it is not known.
-        known: What was measured of it, by the id of a row, or by function and arguments; see `once`.
+        known: Results of measurements, by the id of a check, or by function and arguments; see `once`.
     """
 
     model: mujoco.MjModel
@@ -122,7 +122,7 @@ class Robot:
         return self.known[row.id]
 
     def place_text(self, place: tuple[str, int]) -> str:
-        """Return an element of the model in words: its kind, and its name or number."""
+        """Return an element of the model as a text: its kind, its name or number, and its file and line."""
         kind, number = place
         name = getattr(self.model, kind)(number).name
         text = f'{kind} "{name}"' if name else f"{kind} {number}"
@@ -133,7 +133,7 @@ class Robot:
 
     @cached_property
     def text(self) -> ModelText | None:
-        """Text of the model's files; None where it is not known."""
+        """Text of the model's files; None where it is unknown."""
         if self.file is None or self.spec is None:
             return None
         try:
@@ -166,16 +166,16 @@ class Robot:
         mujoco.mj_kinematics(model, data)
         if not np.isfinite(np.hstack([data.geom_xpos, data.geom_xmat])).all():
             raise TargetError(
-                "the poses of the model's geoms are not finite: it states a NaN or an infinite number"
+                "the poses of the model's geoms are not finite: it has a NaN or an infinite number"
             )
-        turn = Rotation.align_vectors([[0.0, 0.0, 1.0]], [self.up])[0]
+        to_z_up = Rotation.align_vectors([[0.0, 0.0, 1.0]], [self.up])[0]
         return Stance(
             label=label,
             qpos=data.qpos.copy(),
             ctrl=data.ctrl.copy(),
-            positions_m=turn.apply(data.geom_xpos),
-            rotations=turn * Rotation.from_matrix(data.geom_xmat.reshape(-1, 3, 3)),
-            joint_axes=turn.apply(data.xaxis),
+            positions_m=to_z_up.apply(data.geom_xpos),
+            rotations=to_z_up * Rotation.from_matrix(data.geom_xmat.reshape(-1, 3, 3)),
+            joint_axes=to_z_up.apply(data.xaxis),
         )
 
     @cached_property
@@ -188,7 +188,7 @@ class Robot:
 
     @cached_property
     def bodies(self) -> list[int]:
-        """Bodies of the robot that stands; without one, those of arms that actuators move; else all that move."""
+        """Bodies of the robot that stands; without one, bodies of arms that actuators move; else all moving bodies."""
         model = self.model
         trees = model.body_treeid
         if self.standing is not None:
@@ -201,7 +201,7 @@ class Robot:
 
     @cached_property
     def ground_rows(self) -> IntArray:
-        """Rows of `pairs` of a moving geom and the ground: planes and height fields, or other geoms of the world."""
+        """Rows of `pairs` of a moving geom and the ground: planes and height fields, else other geoms of the world."""
         kinds = self.pairs.kinds
         kind = kinds.min(initial=PairKind.MOVING)
         return np.flatnonzero((kinds == kind) & (kind < PairKind.MOVING))
@@ -245,7 +245,7 @@ class Robot:
 
     @cached_property
     def grounded(self) -> set[int]:
-        """Geoms that can touch the ground, of the ground, of a hand and of what it can hold, without free balls."""
+        """Geoms that can touch the ground, of the ground, of a hand and of its objects, without free balls."""
         is_met = grasp_kinds(self.model, self.pairs) > 0
         is_met[self.ground_rows] = True
         geoms = np.unique(self.pairs.geoms[is_met])
@@ -256,8 +256,8 @@ class Robot:
     ) -> tuple[mujoco.MjModel, dict[str, list[tuple[str, int]]]]:
         """Return a copy of the model with changes, and for each attribute of elements those that change.
 
-        Options are set. Attributes of geoms reach those that can touch the ground, and with them all that take them
-        from the default class; those of equalities reach the ones like the one that opens.
+        Options are set. Attributes of geoms change on geoms that can touch the ground, and on all geoms of their
+        default class. Attributes of equalities change on those with the constants of the equality that opens.
         """
         model = copy.copy(self.model)
         places: dict[str, list[tuple[str, int]]] = {}
@@ -269,9 +269,9 @@ class Robot:
             # The margins and gaps of two geoms add up.
             new = value / 2 if field in ("margin", "gap") else value
             places[name] = []
-            for kind, several in self._holders(name).items():
+            for kind, numbers in self._elements(name).items():
                 array = getattr(model, f"{kind.replace('equality', 'eq')}_{field}")
-                for number in several:
+                for number in numbers:
                     if not np.array_equal(array[number], new):
                         places[name].append((kind, number))
                         array[number] = new
@@ -280,8 +280,8 @@ class Robot:
                 getattr(model, f"geom_{field}")[reached] = new
         return model, places
 
-    def _holders(self, name: str) -> dict[str, list[int]]:
-        """Return the elements whose attribute is to change, by their kind."""
+    def _elements(self, name: str) -> dict[str, list[int]]:
+        """Return the elements whose attribute changes, by their kind."""
         if name in PAIRED:
             model, ground = self.model, self.pairs.geoms[self.ground_rows]
             pairs = np.sort(np.column_stack([model.pair_geom1, model.pair_geom2]))
@@ -303,17 +303,17 @@ T = TypeVar("T")
 
 @contextmanager
 def mujoco_warnings() -> Iterator[list[str]]:
-    """Yield the list that gets MuJoCo's warnings, which would else go to stderr and into `MUJOCO_LOG.TXT`."""
-    report, warned = mujoco.get_mju_user_warning(), list[str]()
+    """Yield a list that collects MuJoCo's warnings, instead of stderr and `MUJOCO_LOG.TXT`."""
+    handler, warned = mujoco.get_mju_user_warning(), list[str]()
     mujoco.set_mju_user_warning(warned.append)
     try:
         yield warned
     finally:
-        mujoco.set_mju_user_warning(report)
+        mujoco.set_mju_user_warning(handler)
 
 
 def once(function: Callable[..., T]) -> Callable[..., T]:
-    """Return a function that measures a robot once, and remembers its result as long as the robot is there."""
+    """Return a function that measures a robot once, and keeps its result in the robot."""
 
     @wraps(function)
     def remembered(robot: Robot, *args: Any, **kwargs: Any) -> T:
@@ -327,7 +327,7 @@ def once(function: Callable[..., T]) -> Callable[..., T]:
 
 
 def disable_bit(feature: str) -> int:
-    """Return MuJoCo's bit that switches a feature off, as `limit`."""
+    """Return MuJoCo's bit that switches a feature off, such as `limit`."""
     return int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature.upper()}"))
 
 
@@ -363,8 +363,12 @@ def free_balls(model: mujoco.MjModel) -> BoolArray:
 
 
 def name_of(model: mujoco.MjModel, kind: str, number: int) -> str:
-    """Return the name of an element, or its kind and number."""
-    return getattr(model, kind)(number).name or f"{kind} {number}"
+    """Return the name of an element; for a body without a name, its first geom's name; else its kind and number."""
+    code = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
+    name: str | None = mujoco.mj_id2name(model, code, number)
+    if kind == "body" and not name and model.body_geomnum[number]:
+        name = model.geom(int(model.body_geomadr[number])).name
+    return name or f"{kind} {number}"
 
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
@@ -383,14 +387,14 @@ def chain_of(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def listed(names: list[str]) -> str:
-    """Return names in a line; of many, the number of the last ones."""
-    if len(names) > MOST_GEOMS:
-        names = [*names[: MOST_GEOMS - 1], f"{len(names) - MOST_GEOMS + 1} more"]
+    """Return names in a line; of many, the number of the rest."""
+    if len(names) > MAX_GEOMS:
+        names = [*names[: MAX_GEOMS - 1], f"{len(names) - MAX_GEOMS + 1} more"]
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> IntArray:
-    """Return for each pair 1 where a part whose joints have motors can hold a free body, 2 if at a point, or else 0."""
+    """Return for each pair 1 where a driven part can grasp a free body, 2 where it does so at a point, else 0."""
     roots = model.body_rootid
     driven = np.isin(roots, roots[model.jnt_bodyid[joints_of_motors(model)]])
     free = np.isin(roots, model.jnt_bodyid[joints_of(model, "FREE")]) & ~driven

@@ -1,4 +1,4 @@
-"""Judge how a robot stands under its own servos, and whether its motors hold its weight."""
+"""Check how a robot stands under its own servos, and whether its motors hold its weight."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.ground_rows import (
-    LEAST_GAP_MM,
+    MIN_GAP_MM,
     floor_m,
     standing_of,
 )
 from gauge_envs.tools.sanity.robot.joints import (
     drives,
+    hold_position,
     is_overweight,
     loads,
     servos,
@@ -28,16 +29,16 @@ from gauge_envs.tools.sanity.rows import (
 )
 
 HOLD_S, LATE_S = 2.0, 0.5
-"""Time for which the robot is held [s], and its end, in which torques are read."""
+"""Time for which servos hold the robot [s], and the end of this time, in which torques are read."""
 
 FELL, ROSE = 0.7, 1.3
-"""Height of the centre of mass over that at the start of a robot that fell, and of one that rose."""
+"""Ratios of the heights of the centre of mass at the end and at the start: a robot below fell, a robot above rose."""
 
 SATURATED = 0.99
-"""Part of its limit from which on a motor gives all that it has: the load is larger."""
+"""Share of its limit from which on a motor is saturated, so that the load is larger."""
 
-LEAST_FEET = 3
-"""Feet on which a robot stands without a policy."""
+MIN_FEET = 3
+"""Smallest number of feet on which a robot stands without a policy."""
 
 
 @once
@@ -53,7 +54,7 @@ def hold_pose(robot: Robot) -> tuple[float, FloatArray]:
         NotMeasuredError: The state diverges.
     """
     standing, model = standing_of(robot), robot.model
-    if len(standing.feet) < LEAST_FEET:
+    if len(standing.feet) < MIN_FEET:
         raise NotApplicableError(
             "a robot with one foot or two balances with a policy alone"
         )
@@ -63,10 +64,7 @@ def hold_pose(robot: Robot) -> tuple[float, FloatArray]:
     data = start(robot)
     data.ctrl[:] = robot.stance.ctrl
     if not data.ctrl.any():
-        # A servo's force is gain * control + bias[0] + bias[1] * length: here it is 0.
-        bias = model.actuator_biasprm[servo]
-        pulls = bias[:, 0] + bias[:, 1] * data.actuator_length[servo]
-        data.ctrl[servo] = -pulls / model.actuator_gainprm[servo, 0]
+        hold_position(model, data)
     steps, late = (
         max(1, round(time_s / model.opt.timestep)) for time_s in (HOLD_S, LATE_S)
     )
@@ -96,13 +94,13 @@ def hold_pose(robot: Robot) -> tuple[float, FloatArray]:
 def holding_force(robot: Robot) -> Finding:
     """Return the joint whose motor is weakest where the robot rests."""
     model = robot.model
-    several = [
+    limited = [
         drive
         for drive in drives(robot)
         if np.isfinite(drive.limit) and not is_overweight(drive)
     ]
-    if not several:
-        raise NotApplicableError("no motor of a joint states the limit of its torque")
+    if not limited:
+        raise NotApplicableError("no motor of a joint has a torque limit")
     if robot.standing is not None:
         height_ratio, forces = hold_pose(robot)
         needed = forces / SATURATED * (height_ratio <= FELL)
@@ -114,14 +112,14 @@ def holding_force(robot: Robot) -> Finding:
         data = start(robot)
         carried = data.qfrc_bias - data.qfrc_passive - data.qfrc_constraint
         needed = np.minimum(loads(model, data), np.abs(carried))
-        several = [drive for drive in several if model.nkey or drive.kp]
+        limited = [drive for drive in limited if model.nkey or drive.kp]
         verb = "at rest"
     return worst_case(
         drive.case(
             needed[drive.dof] / drive.limit,
             f"{verb} {drive.name} takes {needed[drive.dof]:.3g} {drive.units[0]}; its motor makes {drive.limit:.3g}",
         )
-        for drive in several
+        for drive in limited
     )
 
 
@@ -137,12 +135,12 @@ def holding_force(robot: Robot) -> Finding:
 def stands(robot: Robot) -> Finding:
     """Return the height of a robot that its servos hold, over that at the start."""
     if not robot.model.nkey:
-        raise NotApplicableError("no keyframe states where the robot starts")
+        raise NotApplicableError("the model has no keyframe")
     (ratio, _), standing = hold_pose(robot), standing_of(robot)
     gap_mm = 1e3 * (standing.ground_m - floor_m(robot))
     text = ""
     if not FELL <= ratio <= ROSE:
         text = f"the robot is at {ratio:.2g} of its height"
-        if abs(gap_mm) > LEAST_GAP_MM:
+        if abs(gap_mm) > MIN_GAP_MM:
             text += f": its feet start {abs(gap_mm):.3g} mm {'above' if gap_mm > 0.0 else 'in'} the ground"
     return Finding(value=ratio, remark=text, place=("body", standing.body))

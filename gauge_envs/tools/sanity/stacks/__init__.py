@@ -1,4 +1,4 @@
-"""Training stacks: what can be checked, how it is read, and the dialect in which its changes are written."""
+"""Training stacks: the targets of a check, their readers, and the dialects in which changes are written."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import TrainingConfiguration
+from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.stacks import probe, settings
 from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
 from gauge_envs.tools.sanity.stacks.genesis import GENESIS
@@ -32,6 +33,7 @@ READERS = {
 DIALECTS = (TOML, MJCF, GENESIS, MANISKILL, ISAAC_LAB, ISAAC_LAB_3)
 
 
+@mujoco_warnings()
 def configuration(
     target: Target | TrainingConfiguration, *, pair: GeomPair | None = None
 ) -> TrainingConfiguration:
@@ -47,11 +49,11 @@ def configuration(
             the `params/env.yaml` of a training run with Isaac Lab, or the folder of the run;
             the saved options of a Genesis scene;
             a file that the probe writes in the Python of another stack (`NAME.gaugeprobe.json`);
-            a `mujoco.MjModel`, a pair of it and its `mujoco.MjData`, in whose pose rows on the model start, or a
+            a `mujoco.MjModel`, a pair of it and its `mujoco.MjData`, in whose pose checks of the model start, or a
             `gymnasium.Env`;
             a configuration, which is returned unchanged.
-        pair: Names of two geoms of a model whose contact constants the experiments get, instead of the most frequent
-            ones of moving geoms on the ground.
+        pair: Names of two geoms of a model whose contact constants the experiments get, instead of all sets of moving
+            geoms on the ground.
 
     Raises:
         TargetError: The target cannot be read, or has no such pair of geoms.
@@ -65,7 +67,7 @@ def configuration(
     read = _read_text(target, pair) if is_text else read_object(target, pair)
     if pair is not None and not read.is_model:
         raise TargetError(
-            f"{target}: pairs of geoms are those of a MuJoCo model, and the target has none"
+            f"{target}: a pair of geoms needs a MuJoCo model, which the target has not"
         )
     return read
 
@@ -85,5 +87,5 @@ def _read_text(target: Target, pair: GeomPair | None) -> TrainingConfiguration:
 
 
 def dialect(name: str) -> Dialect:
-    """Return a dialect by the name that a `TrainingConfiguration` states as its language."""
+    """Return a dialect by the language of a `TrainingConfiguration`."""
     return next(dialect for dialect in DIALECTS if dialect.name == name)

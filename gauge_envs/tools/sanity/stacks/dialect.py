@@ -1,4 +1,4 @@
-"""Define a dialect: the settings of a backend in the words of a training stack, read and written by one table."""
+"""Define a dialect: the settings of a backend in the terms of a training stack, read and written by a table."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import Settings
 
 Entries = Mapping[str, Sequence[str]]
-"""Assignments by the place in which they stand."""
+"""Assignments by their place."""
 
-Stated = Mapping[str, tuple[Any, str]]
+SettingOrigins = Mapping[str, tuple[Any, str]]
 """Value and origin of settings by their names."""
 
 
@@ -68,10 +68,10 @@ class Table:
         value = self.value(key)
         if value is None:
             return None
-        several = value if isinstance(value, list | tuple) else [value] * count
+        values = value if isinstance(value, list | tuple) else [value] * count
         # YAML reads 1e-3, without a dot, as text.
         with suppress(ValueError, TypeError, OverflowError):
-            numbers = tuple(map(float, several))
+            numbers = tuple(map(float, values))
             if len(numbers) == count and not any(map(math.isnan, numbers)):
                 return numbers
         expected = "a number is" if count == 1 else f"{count} numbers are"
@@ -81,7 +81,7 @@ class Table:
 
 
 def not_carried_over(table: Table, usual: Mapping[str, Any]) -> list[str]:
-    """Return a note on each key that no experiment gets and that has another value than the usual one."""
+    """Return a note on each key that no experiment gets and whose value is unusual."""
     return [
         f"{table.name(key)} is not carried over"
         for key, value in usual.items()
@@ -113,7 +113,7 @@ def toml_text(value: Any) -> str:
 def joined(separator: str) -> Callable[[Entries], str]:
     """Return a function that returns all assignments in a row."""
     return lambda entries: separator.join(
-        entry for several in entries.values() for entry in several
+        entry for assignments in entries.values() for entry in assignments
     )
 
 
@@ -129,12 +129,12 @@ class Setting:
 
     Attributes:
         name: Name of the backend's setting.
-        place: Table, class or element of the stack in which it stands.
+        place: Table, class or element of the stack that has the key.
         key: Its key there.
         read: Function from a table and a key to its value; it returns None for an absent key.
         text: Function from its value to its text; that of the dialect if None.
         pattern: Form of an assignment with `{place}`, `{key}` and `{value}`; that of the dialect if empty.
-        default: Value that the stack documents for an absent key; None if it is not known.
+        default: Value that the stack documents for an absent key; None if it is unknown.
     """
 
     name: str
@@ -155,7 +155,7 @@ def settings_of(table: str, kinds: Mapping[str, Kind]) -> tuple[Setting, ...]:
 
     Args:
         table: The table.
-        kinds: Kinds of values beside `number` and `value`.
+        kinds: Kinds of values in addition to `number` and `value`.
     """
     known = {"number": (Table.number, None, ""), "value": (Table.value, None, "")}
     settings = []
@@ -168,7 +168,7 @@ def settings_of(table: str, kinds: Mapping[str, Kind]) -> tuple[Setting, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Dialect:
-    """Words in which targets of one kind state their settings.
+    """Language in which targets of a kind give their settings.
 
     Attributes:
         name: Name that a `TrainingConfiguration` refers to.
@@ -176,7 +176,7 @@ class Dialect:
         pattern: Form of an assignment with `{place}`, `{key}` and `{value}`.
         text: Function from a value to its text.
         join: Function from all assignments to the text that is pasted.
-        is_closed: Whether only the settings of the table can be stated; others are not changed.
+        is_closed: Whether only the settings of the table can be written; others are not changed.
     """
 
     name: str
@@ -187,8 +187,9 @@ class Dialect:
     is_closed: bool = False
 
     def writes(self, name: str) -> bool:
-        """Return whether a target can state a setting; others are not changed."""
-        return not self.is_closed or any(one.name == name for one in self.settings)
+        """Return whether a target can write a setting; others are not changed."""
+        names = {setting.name for setting in self.settings}
+        return not self.is_closed or name in names
 
     def paste_text(self, changes: Settings) -> str:
         """Return changes of settings, new values by name, as text that can be pasted into the target.
@@ -208,20 +209,20 @@ class Dialect:
         return self.join(entries)
 
     def read(self, tables: Mapping[str, Table]) -> dict[str, tuple[Any, str]]:
-        """Return the settings that some places state, and those with a documented default; the last key wins.
+        """Return the settings of some places, and those with a documented default; the last key wins.
 
         Args:
             tables: Table of each place.
         """
-        stated = {}
+        settings = {}
         for setting in self.settings:
             table = tables.get(setting.place)
             if table is not None:
                 value = setting.read(table, setting.key)
                 value = setting.default if value is None else value
                 if value is not None:
-                    stated[setting.name] = value, table.name(setting.key)
-        return stated
+                    settings[setting.name] = value, table.name(setting.key)
+        return settings
 
 
 TOML = Dialect(name="toml")

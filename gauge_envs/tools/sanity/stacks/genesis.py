@@ -16,7 +16,7 @@ from gauge_envs.tools.sanity.stacks.settings import checked_configuration
 
 
 def _choice(*names: str) -> Callable[[Table, str], Any]:
-    """Return a function that reads a choice, which a file states by its name or number."""
+    """Return a function that reads a choice, which a file gives by its name or number."""
 
     def read(table: Table, key: str) -> Any:
         value = table.value(key)
@@ -69,8 +69,8 @@ PRECISION = 32
 UNKNOWN_TO_BACKEND = {"enable_mujoco_compatibility": False, "use_hibernation": False}
 """Flags of `RigidOptions` that no experiment gets, with their defaults."""
 
-LEAST_STEPS = 2.0
-"""Genesis raises the time constant of a pair of geoms to so many steps."""
+MIN_STEPS = 2.0
+"""Number of steps to which Genesis raises the time constant of a pair of geoms."""
 
 
 def options_settings(simulation: Table, rigid: Table) -> dict[str, Any]:
@@ -80,8 +80,8 @@ def options_settings(simulation: Table, rigid: Table) -> dict[str, Any]:
         simulation.number("substeps") or 1
     )
     step_s = min(rigid.number("dt") or shared_s, shared_s)
-    stated = GENESIS.read({"rigid": rigid})
-    read = {name: value for name, (value, _) in stated.items()}
+    settings = GENESIS.read({"rigid": rigid})
+    read = {name: value for name, (value, _) in settings.items()}
     is_elliptic = read["friction_cone"] == "elliptic"
     is_signorini = is_elliptic and read["constraint_solver"] == "Newton"
     timeconst_s = DEFAULT_TIMECONST_S
@@ -94,7 +94,7 @@ def options_settings(simulation: Table, rigid: Table) -> dict[str, Any]:
         "contact_resolution": "signorini" if is_signorini else "convex",
         "impratio": 100.0 if is_elliptic else 1.0,
         **read,
-        "sustained_timeconst_s": max(timeconst_s, LEAST_STEPS * step_s),
+        "sustained_timeconst_s": max(timeconst_s, MIN_STEPS * step_s),
         "sustained_dampratio": 1.0,
         "sustained_impedance": DEFAULT_IMPEDANCE,
         "impact_steps": None,
@@ -123,7 +123,7 @@ def genesis_configuration(
         {key: (value, "options") for key, value in settings.items()},
         source=source,
         notes=(
-            "options state no precision: judged in single precision, the default",
+            "options have no precision: checked in single precision, the default",
             *not_carried_over(rigid, UNKNOWN_TO_BACKEND),
         ),
         inapplicable=inapplicable,

@@ -34,7 +34,7 @@ ACCEPTED = (
     "Isaac Lab, options of a Genesis scene (options.json), a settings file (.toml, .json), or a backend with or "
     "without a preset (mujoco:out_of_box)"
 )
-"""What can be checked, in words."""
+"""Targets that can be checked, as a text."""
 
 UNDECLARED = ("imageio", "packaging")
 """Packages that Gymnasium's MuJoCo environments import without declaring them."""
@@ -68,8 +68,8 @@ def read_id(name: str, pair: GeomPair | None) -> TrainingConfiguration:
     with closing(env):
         read = _read_env(env, name, pair)
     # A file of Gymnasium is not the user's.
-    is_own = not type(env.unwrapped).__module__.startswith("gymnasium.")
-    notes = [f"{WARNED} {text}" for text in warned if is_own]
+    is_users = not type(env.unwrapped).__module__.startswith("gymnasium.")
+    notes = [f"{WARNED} {text}" for text in warned if is_users]
     return replace(read, notes=(*notes, *read.notes))
 
 
@@ -95,8 +95,8 @@ def _read_env(
         raise TargetError(
             f"{name} is {kind}, which has no MuJoCo model; give {ACCEPTED}"
         )
-    stated = getattr(inner, "fullpath", None)
-    file = None if stated is None else Path(stated)
+    path = getattr(inner, "fullpath", None)
+    file = None if path is None else Path(path)
     return mujoco_configuration(
         model,
         name=name,
@@ -113,7 +113,7 @@ def _spec_of(file: Path, model: mujoco.MjModel) -> mujoco.MjSpec | None:
     try:
         with warnings.catch_warnings(action="ignore"):
             spec = mujoco.MjSpec.from_file(str(file))
-            same = spec.compile()
+            compiled = spec.compile()
     except ValueError:
         return None
-    return spec if np.array_equal(same.geom_bodyid, model.geom_bodyid) else None
+    return spec if np.array_equal(compiled.geom_bodyid, model.geom_bodyid) else None

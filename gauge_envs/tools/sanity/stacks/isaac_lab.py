@@ -1,7 +1,7 @@
 """Isaac Lab: what a training run writes down, `params/env.yaml` or `.hydra/config.yaml`.
 
-The engine is PhysX. The file states the solver, the step and materials, of which rows need only whether one has a
-restitution or is a spring. Assets in USD may state more, which a reader of this file cannot see. Changes are lines of
+The engine is PhysX. The file has the solver, the step and materials; checks need only whether a material has a
+restitution or is a spring. Assets in USD may have more, which a reader of this file cannot see. Changes are lines of
 Python for the `__post_init__` of a configuration class: `self.sim.physx.bounce_threshold_velocity = 0.2`.
 """
 
@@ -35,12 +35,12 @@ COLLIDER = f"{SPAWN}.collision_props"
 """Properties of colliders. Most robots have none, so they are written as a whole."""
 
 ASSET_ITERATIONS = {"position": 16, "velocity": 1}
-"""Counts of iterations of Isaac Sim's schema, for an actor that states none."""
+"""Default counts of iterations in Isaac Sim's schema."""
 
 
-def _lines(entries: Entries) -> str:
+def _python_lines(entries: Entries) -> str:
     """Return lines of Python, properties of colliders as one call."""
-    lines = {place: several for place, several in entries.items() if place != COLLIDER}
+    lines = {place: texts for place, texts in entries.items() if place != COLLIDER}
     if COLLIDER in entries:
         call = f"sim_utils.CollisionPropertiesCfg({', '.join(entries[COLLIDER])})"
         lines[COLLIDER] = [f"self.{COLLIDER} = {call}"]
@@ -85,7 +85,7 @@ def _dialect(name: str, physx: str) -> Dialect:
         name=name,
         settings=settings_of(table, KINDS),
         pattern="self.{place}.{key} = {value}",
-        join=_lines,
+        join=_python_lines,
         text=python_text,
         is_closed=True,
     )
@@ -135,19 +135,19 @@ def isaac_lab_configuration(
     place = "sim.physx" if dialect is ISAAC_LAB else "sim.physics"
     places = {"sim": sim, place: physx, SPAWN: spawn}
     places[COLLIDER] = spawn.part("collision_props")
-    stated = dialect.read(places)
-    stated["preset"] = "isaac", "not stated: this package's preset"
+    settings = dialect.read(places)
+    settings["preset"] = "isaac", "not given: this package's preset"
     for kind, count in ASSET_ITERATIONS.items():
         name = f"{kind}_iterations"
         default = count, "Isaac Sim's schema: the robot's asset decides"
-        stated[name] = _clamped(physx, kind, *stated.get(name, default))
+        settings[name] = _clamped(physx, kind, *settings.get(name, default))
     notes = [
         *not_carried_over(physx, UNKNOWN_TO_SAPIEN),
         *not_carried_over(spawn, {"rigid_props.disable_gravity": False}),
     ]
     if not spawn:
         notes.append(
-            "no robot is in the file: what bodies state for themselves is that of Isaac Sim's schema"
+            "no robot is in the file: settings of bodies are the defaults of Isaac Sim's schema"
         )
     if str(sim.value("device")).startswith("cuda"):
         notes.append("training ran PhysX on the GPU; here it runs on the CPU")
@@ -155,7 +155,7 @@ def isaac_lab_configuration(
     springs = [part.name(SPRING) for part in materials if part.number(SPRING)]
     return physx_configuration(
         table,
-        stated,
+        settings,
         source=source,
         gravity_m_per_s2=sim.numbers("gravity", 3) or GRAVITY,
         frame_skip=table.value("decimation"),
@@ -174,8 +174,8 @@ def _physx(sim: Table) -> Table:
     physx, physics = sim.part("physx"), sim.part("physics")
     if physx or physics.value("bounce_threshold_velocity") is not None:
         return physx or physics
-    others = [sim.name(key) for key in OTHER_ENGINES if sim.value(key)]
-    reason = f"there is {others[0]} instead" if others else "it states no solver"
+    engines = [sim.name(key) for key in OTHER_ENGINES if sim.value(key)]
+    reason = f"there is {engines[0]} instead" if engines else "it has no solver"
     raise TargetError(
         f"{sim.source}: there is no {sim.name('physx')}, and {reason}: only PhysX is read of Isaac Lab"
     )
@@ -184,18 +184,18 @@ def _physx(sim: Table) -> Table:
 def _robot(table: Table) -> Table:
     """Return the robot: the asset of that name, or else the first articulation of the scene."""
     scene = table.part("scene").values
-    others = [key for key in scene if table.value(f"scene.{key}.actuators") is not None]
-    keys = ["scene.robot", "robot", "robot_cfg", *(f"scene.{key}" for key in others)]
+    assets = [key for key in scene if table.value(f"scene.{key}.actuators") is not None]
+    keys = ["scene.robot", "robot", "robot_cfg", *(f"scene.{key}" for key in assets)]
     return next(filter(None, map(table.part, keys)), table.part(keys[0]))
 
 
-def _clamped(physx: Table, kind: str, stated: int, origin: str) -> tuple[int, str]:
+def _clamped(physx: Table, kind: str, count: int, origin: str) -> tuple[int, str]:
     """Return a count of iterations of the robot, clamped into the range of the scene, and its origin."""
     low, high = (
         physx.number(f"{end}_{kind}_iteration_count") for end in ("min", "max")
     )
-    used = int(min(max(stated, low or 0), 255 if high is None else high))
-    return used, origin if used == stated else f"{origin}, clamped to {physx.path}"
+    used = int(min(max(count, low or 0), 255 if high is None else high))
+    return used, origin if used == count else f"{origin}, clamped to {physx.path}"
 
 
 def _bounces(table: Table) -> bool:

@@ -26,7 +26,7 @@ LINK_DAMPING_PER_S = 0.05
 
 
 def _step_s(table: Table, key: str) -> float:
-    """Return the step [s], which is stated by its inverse."""
+    """Return the step [s] from its inverse."""
     rate = table.number(key) or 0.0
     if not 0.0 < rate < math.inf:
         raise TargetError(
@@ -93,17 +93,17 @@ def maniskill_configuration(
     """
     table = Table(sim_config, source=name, path="sim_config")
     scene = table.part("scene_config")
-    stated = {
+    settings = {
         **MANISKILL.read({"sim_config": table, "scene_config": scene}),
-        "preset": ("out_of_box", "not stated: this package's preset"),
+        "preset": ("out_of_box", "not given: this package's preset"),
     }
-    for setting in ("link_linear_damping_per_s", "angular_damping_per_s"):
-        stated[setting] = LINK_DAMPING_PER_S, "SAPIEN's default for links"
+    for name_of_damping in ("link_linear_damping_per_s", "angular_damping_per_s"):
+        settings[name_of_damping] = LINK_DAMPING_PER_S, "SAPIEN's default for links"
     control_hz = table.number("control_freq") or math.inf
-    step_s, _ = stated["timestep_s"]
+    step_s, _ = settings["timestep_s"]
     return physx_configuration(
         table,
-        stated,
+        settings,
         source=source,
         gravity_m_per_s2=scene.numbers("gravity", 3) or GRAVITY,
         frame_skip=round(1.0 / (control_hz * step_s)) or None,

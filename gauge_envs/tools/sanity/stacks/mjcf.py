@@ -63,19 +63,19 @@ MODEL_SETTINGS = (
         Setting(name, "flag", name, text=_switch)
         for name in (*DISABLE_FLAGS, *ENABLE_FLAGS)
     ),
-    # It is left out, and switches with it what overrides the contacts of all geoms.
+    # Disabling the override restores the contacts of all geoms.
     Setting("o_friction", "flag", "override", text=lambda value: "disable"),
 )
-"""Attributes of `<option>`, of its `<flag>`, and of the defaults of all."""
+"""Attributes of `<option>`, of its `<flag>`, and of the defaults."""
 
 
 def _attribute(value: Any) -> str:
-    several = value if isinstance(value, list | tuple) else [value]
-    return " ".join(map(number_text, several))
+    values = value if isinstance(value, list | tuple) else [value]
+    return " ".join(map(number_text, values))
 
 
 def _elements(entries: Entries) -> str:
-    """Return `<option>` with its flags, the defaults of all, and settings that are no attributes."""
+    """Return `<option>` with its flags, the defaults, and settings that are no attributes."""
     option, flags = (" ".join(entries.get(place, ())) for place in ("option", "flag"))
     end = f"><flag {flags}/></option>" if flags else "/>"
     parts = [f"<option {option}".rstrip() + end] if option or flags else []
@@ -128,7 +128,7 @@ def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfigu
 
 
 def _drop_pictures(spec: mujoco.MjSpec) -> None:
-    """Replace the pictures of textures by one pixel, which no row reads: they can be 30 times as large as the model."""
+    """Replace the pictures of textures by a pixel: they can be 30 times as large as the model."""
     for texture in spec.textures:
         texture.file, texture.cubefiles = "", [""] * 6
         texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_FLAT
@@ -140,7 +140,7 @@ def read_model(
     data: mujoco.MjData | None = None,
     pair: GeomPair | None = None,
 ) -> TrainingConfiguration:
-    """Return the configuration of a compiled model; with data, rows on the model itself start in its state."""
+    """Return the configuration of a compiled model; with data, checks of the model start in its state."""
     return mujoco_configuration(
         model if data is None else _with_start(model, data),
         name=model_name(model),
@@ -165,5 +165,5 @@ def _with_start(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjModel:
 
 
 def model_name(model: mujoco.MjModel) -> str:
-    """Return the name that a model states, or `unnamed model`."""
+    """Return the name of a model, or `unnamed model`."""
     return model.names.split(b"\0", 1)[0].decode() or "unnamed model"

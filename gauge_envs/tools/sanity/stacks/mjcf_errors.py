@@ -10,7 +10,7 @@ from pathlib import Path
 from gauge_envs.files import printable
 
 POINTER = b"version https://git-lfs"
-"""Start of what Git leaves in place of a large file that was not fetched."""
+"""First bytes of the pointer that Git leaves in place of a large file."""
 
 ADVICE = {
     "unrecognized": "remove it, correct its name, or use the version of MuJoCo that knows it",
@@ -21,7 +21,7 @@ ADVICE = {
     "unknown": "correct the name",
     "repeated name": "give each its own name",
 }
-"""What to do, by words of MuJoCo's message."""
+"""What to do, by a part of MuJoCo's message."""
 
 Texts = Mapping[Path, str]
 """Text of a model file and of those that it includes."""
@@ -80,7 +80,7 @@ def _unread(texts: Texts, path: Path, sought: str, error: str) -> str:
     """Return which element needs a file that is not there or cannot be read."""
     name = re.escape(re.split(r"[/\\]", sought)[-1])
     form = rf"""\w+\b[^<>]*?\bfile(name)?\s*=\s*["']([^"'<>]*[/\\])?{name}["']"""
-    place, label, stated = _element(texts, form) or (path, "it", "")
+    place, label, text = _element(texts, form) or (path, "it", "")
     start = f"{place}: {label} needs {sought}, which"
     for file in (path.parent / sought, Path(sought)):
         if file.is_file():
@@ -91,7 +91,7 @@ def _unread(texts: Texts, path: Path, sought: str, error: str) -> str:
     advice = (
         "copy it there" if label == "<include>" else "copy it there, or set meshdir"
     )
-    if "package:/" in stated:
+    if "package:/" in text:
         advice = "write its path relative to this file, without package://"
     elif re.match(r"[/~]|[A-Za-z]:", sought):
         advice = "write its path relative to this file, not one of another machine"
@@ -100,7 +100,7 @@ def _unread(texts: Texts, path: Path, sought: str, error: str) -> str:
 
 def _advised(cause: str, error: str) -> str:
     """Return a cause with what to do."""
-    known = [advice for words, advice in ADVICE.items() if words in error]
+    known = [advice for part, advice in ADVICE.items() if part in error]
     return ": ".join([cause, *known[:1]])
 
 
@@ -115,9 +115,11 @@ def _placed(texts: Texts, path: Path, error: str) -> str:
     if match and rest.startswith(" name"):
         element = _element(texts, rf'\w+\b[^<>]*?\bname\s*=\s*"{re.escape(match[1])}"')
     elif match and not line:
-        # MuJoCo states no line in a file that another one includes.
-        words = re.search("'(.*?)'", message)
-        element = _element(texts, rf"{match[1]}\b[^<>]*{words[1] if words else ''}")
+        # MuJoCo gives no line in an included file.
+        attribute = re.search("'(.*?)'", message)
+        element = _element(
+            texts, rf"{match[1]}\b[^<>]*{attribute[1] if attribute else ''}"
+        )
     if element:
         return f"{element[0]}: {element[1]}: {end}"
     place = f"{path}:{line[1]}" if line else str(path)

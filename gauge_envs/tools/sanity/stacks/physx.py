@@ -1,4 +1,4 @@
-"""What stacks on PhysX have in common: kinds of values, and settings of the backend `physx` that follow from others."""
+"""Read stacks on PhysX: kinds of values, and settings of the backend `physx` that follow from others."""
 
 from __future__ import annotations
 
@@ -9,21 +9,26 @@ from typing import Any
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.model import Need, TrainingConfiguration
-from gauge_envs.tools.sanity.stacks.dialect import Kind, Stated, Table, python_text
+from gauge_envs.tools.sanity.stacks.dialect import (
+    Kind,
+    SettingOrigins,
+    Table,
+    python_text,
+)
 from gauge_envs.tools.sanity.stacks.settings import checked_configuration
 
 GRAVITY = (0.0, 0.0, -GRAVITY_M_PER_S2)
-"""Gravity of a target that states none [m/s^2]."""
+"""Default gravity [m/s^2]."""
 
-LARGEST = 1e16
-"""Speed that stands for no limit; the backend takes no larger one [m/s] or [rad/s]."""
+MAX_SPEED = 1e16
+"""Speed that stands for no limit, the largest one of the backend [m/s] or [rad/s]."""
 
 SOLVERS = ("PGS", "TGS")
 """Solvers by PhysX's number of them."""
 
 
 def solver_name(table: Table, key: str) -> str | None:
-    """Return the solver that a number, or a flag that stands for TGS, states."""
+    """Return the solver of a number, or of a flag for TGS."""
     value = table.value(key)
     if value not in (None, 0, 1):
         raise TargetError(
@@ -34,13 +39,13 @@ def solver_name(table: Table, key: str) -> str | None:
 
 def _speed(table: Table, key: str) -> float | None:
     value = table.number(key)
-    return None if value is None else min(value, LARGEST)
+    return None if value is None else min(value, MAX_SPEED)
 
 
 def _radians_per_s(table: Table, key: str) -> float | None:
-    """Return a speed [rad/s] that is stated in degrees."""
+    """Return a speed [rad/s] from degrees per second."""
     value = table.number(key)
-    return None if value is None else min(math.radians(value), LARGEST)
+    return None if value is None else min(math.radians(value), MAX_SPEED)
 
 
 KINDS: Mapping[str, Kind] = {
@@ -53,28 +58,37 @@ KINDS: Mapping[str, Kind] = {
 
 
 def physx_configuration(
-    table: Table, stated: Stated, *, bounces: bool, springs: str = "", **others: Any
+    table: Table,
+    settings: SettingOrigins,
+    *,
+    bounces: bool,
+    springs: str = "",
+    **attributes: Any,
 ) -> TrainingConfiguration:
     """Return the training configuration of a stack on PhysX.
 
     Args:
-        table: What the target states.
-        stated: Settings that it states, with their origins.
+        table: Values of the target.
+        settings: Settings of the target, with their origins.
         bounces: Whether a material has a restitution.
         springs: Key that makes contacts springs; empty if none does.
-        others: Further attributes of the configuration.
+        attributes: Further attributes of the configuration.
     """
     reasons = {}
     if not bounces:
-        reasons[Need.REBOUND] = "the target states a restitution of 0"
+        reasons[Need.REBOUND] = "the target has a restitution of 0"
     if springs:
         reasons[Need.CONTACT] = (
             f"{springs} makes contacts springs, which SAPIEN does not expose"
         )
     fixed = {
         "hinges": ("articulation", "a robot is an articulation"),
-        "sustained_restitution": (bounces, "the stated restitution"),
+        "sustained_restitution": (bounces, "the given restitution"),
     }
     return checked_configuration(
-        table.source, "physx", {**stated, **fixed}, inapplicable=reasons, **others
+        table.source,
+        "physx",
+        {**settings, **fixed},
+        inapplicable=reasons,
+        **attributes,
     )

@@ -1,4 +1,4 @@
-"""Files in JSON: what the probe writes in another stack's Python, options of Genesis, and settings of this package.
+"""Files in JSON: files of the probe in another stack's Python, options of Genesis, and settings of this package.
 
 The program that `gauge sanity probe` prints writes a model of MuJoCo as MJCF, and other stacks as their settings.
 Nothing of a file is run.
@@ -68,11 +68,11 @@ def _read_model(
         ) from None
     if trained != here:
         notes.append(
-            f"training runs with MuJoCo {trained}; the rows are measured with MuJoCo {here}"
+            f"training runs with MuJoCo {trained}; the checks run with MuJoCo {here}"
         )
     if file["engine"] != "MuJoCo":
         notes.append(
-            f"training runs on {file['engine']}; the rows are measured with MuJoCo's C engine"
+            f"training runs on {file['engine']}; the checks run with MuJoCo's C engine"
         )
     read = mujoco_configuration(
         model,
@@ -91,7 +91,7 @@ def _known(text: str) -> tuple[str, list[str]]:
     for element in root.iter():
         for name in element.attrib.keys() - known:
             value, tag = element.attrib.pop(name), element.tag
-            # A flag that is not known here is at its default there, or off.
+            # An unknown flag is at its default there, or off.
             if tag != "flag" and value != "0":
                 notes[tag, name] = (
                     f"MuJoCo {mujoco.__version__} has no {name} of <{tag}>, which is {value} in training"

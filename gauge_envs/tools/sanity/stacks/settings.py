@@ -1,4 +1,4 @@
-"""This package's own settings: a settings file, or a backend with or without a preset; changes are lines of TOML."""
+"""Settings of this package: a settings file, or a backend with or without a preset; changes are lines of TOML."""
 
 from pathlib import Path
 from typing import Any
@@ -7,7 +7,7 @@ from gauge_envs.backends import backend_names
 from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.tools.sanity.model import Need, TrainingConfiguration
 from gauge_envs.tools.sanity.scenario import check_settings
-from gauge_envs.tools.sanity.stacks.dialect import Stated, Table
+from gauge_envs.tools.sanity.stacks.dialect import SettingOrigins, Table
 from gauge_envs.tools.sanity.stacks.documents import file_value
 
 KEYS = ("backend", "preset", "settings")
@@ -16,40 +16,40 @@ KEYS = ("backend", "preset", "settings")
 def checked_configuration(
     name: str,
     backend: str,
-    stated: Stated,
+    origins: SettingOrigins,
     *,
     inapplicable: dict[Need, str] | None = None,
-    **others: Any,
+    **attributes: Any,
 ) -> TrainingConfiguration:
     """Return a configuration after a trial of its settings.
 
     Args:
         name: Name of the configuration.
         backend: Name of the backend.
-        stated: Settings of the backend, with their origins.
-        inapplicable: Needs of phenomena that the target does not meet, beside gravity, with the reason.
-        others: Further attributes of the configuration.
+        origins: Settings of the backend, with their origins.
+        inapplicable: Needs of phenomena that the target does not meet, except gravity, with the reason.
+        attributes: Further attributes of the configuration.
 
     Raises:
         TargetError: A setting does not exist or has an impossible value.
     """
-    settings = {key: value for key, (value, _) in stated.items()}
+    settings = {key: value for key, (value, _) in origins.items()}
     try:
         check_settings(backend, settings)
     except ParameterError as error:
-        places = [at for key, (_, at) in stated.items() if f"'{key}'" in str(error)]
+        places = [at for key, (_, at) in origins.items() if f"'{key}'" in str(error)]
         place = ": ".join(dict.fromkeys((name, *places)))
         raise TargetError(f"{place}: {error}") from error
     reasons = inapplicable or {}
-    if not any(others.get("gravity_m_per_s2") or (1.0,)):
+    if not any(attributes.get("gravity_m_per_s2") or (1.0,)):
         reasons[Need.GRAVITY] = "the target has no gravity"
     return TrainingConfiguration(
         name=name,
         backend=backend,
         settings=settings,
-        origins={key: at for key, (_, at) in stated.items()},
+        origins={key: at for key, (_, at) in origins.items()},
         inapplicable=reasons,
-        **others,
+        **attributes,
     )
 
 
@@ -71,9 +71,9 @@ def read_settings(path: Path, values: Any) -> TrainingConfiguration:
     settings = dict(table.part("settings").values)
     if preset := table.value("preset"):
         settings["preset"] = preset
-    stated = {key: (value, path.name) for key, value in settings.items()}
+    origins = {key: (value, path.name) for key, value in settings.items()}
     source = f"settings file {path}"
-    return checked_configuration(path.name, values["backend"], stated, source=source)
+    return checked_configuration(path.name, values["backend"], origins, source=source)
 
 
 def read_backend(target: str) -> TrainingConfiguration | None:
@@ -81,6 +81,6 @@ def read_backend(target: str) -> TrainingConfiguration | None:
     name, _, preset = target.partition(":")
     if name not in backend_names():
         return None
-    stated = {"preset": (preset, target)} if preset else {}
+    origins = {"preset": (preset, target)} if preset else {}
     source = f"backend {name}, {f'preset {preset}' if preset else 'default settings'}"
-    return checked_configuration(target, name, stated, source=source)
+    return checked_configuration(target, name, origins, source=source)

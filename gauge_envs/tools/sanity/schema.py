@@ -15,13 +15,13 @@ Configuration = Annotated[TrainingConfiguration, Form(without=("robot",))]
 
 
 class PhenomenonLine(TypedDict):
-    """A row that a sanity check can have.
+    """A check that `gauge sanity` can run.
 
     Attributes:
         id: Its id.
         title: Title.
-        kind: What it is compared with.
-        reality: Value and interval of reality, in words.
+        kind: What it compares with.
+        reality: Value and interval of reality, as a text.
         trial_count: Number of real trials; 0 for a law.
         source: Source of the value.
         rationale: Reason for the interval.
@@ -36,7 +36,7 @@ class PhenomenonLine(TypedDict):
     rationale: str
 
 
-class Checked(TypedDict):
+class CheckedConfiguration(TypedDict):
     """The checked configuration, without its model."""
 
     configuration: Configuration
@@ -47,10 +47,10 @@ ReportLine = Annotated[
     Form(
         without=("rows", "configuration"),
         properties=("worst", "unmeasured", "counts"),
-        more=Checked,
+        more=CheckedConfiguration,
     ),
 ]
 DifferenceLine = Annotated[Difference, Form(without=("rows",))]
 
 SanityLine = ReportLine | PhenomenonResult | DifferenceLine | DifferenceRow
-"""First the configuration, then each phenomenon; with --against first both targets, then each row."""
+"""First the configuration, then each check; with --against first both targets, then each check."""

@@ -1,4 +1,4 @@
-"""Write the model of a target with the change that its check found, compiled and checked again before it is there."""
+"""Write the model of a target with the fix; the file is compiled and checked again before it is replaced."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from secrets import token_hex
 
 from gauge_envs.errors import ParameterError, ResultFileError, TargetError
 from gauge_envs.files import check_replaceable, os_errors
-from gauge_envs.tools.sanity.model import Report
+from gauge_envs.tools.sanity.model import Report, flags_text
+from gauge_envs.tools.sanity.robot.fix_text import write_change
 from gauge_envs.tools.sanity.run import check
 from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
 
 
-def check_can_mend(file: Path) -> None:
-    """Check that a changed model can have the name of a file."""
+def check_can_fix(file: Path) -> None:
+    """Check that a fixed model can be written to a file."""
     if file.suffix != ".xml":
         raise ParameterError(
             f"--fix {file}: expected the name of an MJCF file, as OUT.xml"
@@ -24,34 +25,32 @@ def check_can_mend(file: Path) -> None:
         check_replaceable(file)
 
 
-def write_mended(report: Report, file: Path) -> str:
-    """Write the text of a report's model with the change, unless the written file has flags that the change removes.
+def write_fix(report: Report, file: Path) -> str:
+    """Write a report's model with the fix, unless checks that the fix resolves fail in the written file.
 
     Args:
-        report: Report of a check with the rows that are run again.
+        report: Report of a check.
         file: The file; its folder is created.
 
     Returns:
-        What was written, or why nothing was, in words.
+        A sentence: what was written, or why nothing was.
 
     Raises:
-        TargetError: The target's text is not known or not MJCF, another file states what changes, or the written model
-            does not compile or has further flags.
+        TargetError: The target's text is unknown or not MJCF, an included file has to change, or the written model does
+            not compile or fails further checks.
     """
-    checked, cure = report.configuration, report.cure
+    checked, fix = report.configuration, report.fix
     before = set(report.flags)
-    if cure is None:
-        reason = "no change corrects a flag" if before else "nothing is flagged"
+    if fix is None:
+        reason = "no change resolves a check" if before else "all checks passed"
         return f"{file} is not written: {reason}"
     text = None
     if checked.robot is not None:
-        from gauge_envs.tools.sanity.robot.mended_model import write_change
-
-        words = dialect(checked.language)
-        text, _ = write_change(checked.robot, words, cure.changes)
+        language = dialect(checked.language)
+        text, _ = write_change(checked.robot, language, fix.changes)
     if text is None or text.model.root.tag != "mujoco":
         raise TargetError(
-            f"{checked.name}: --fix changes the text of an MJCF file, which the target is not: paste the change instead"
+            f"{checked.name}: --fix changes the text of an MJCF file, which the target is not: paste the fix instead"
         )
     if text.elsewhere:
         raise TargetError(
@@ -66,25 +65,25 @@ def write_mended(report: Report, file: Path) -> str:
         try:
             part.write_text(text.text(text.model.file), encoding="utf-8", newline="")
             after = _flags(part, report)
-            left = after - (before - set(cure.mended))
-            if left:
+            unexpected = after - (before - set(fix.fixed))
+            if unexpected:
                 raise TargetError(
-                    f"{file} is not written: the changed model, read again, has the flags {', '.join(sorted(left))}"
+                    f"{file} is not written: the fixed model, read again, does not pass {', '.join(sorted(unexpected))}"
                 )
             part.replace(file)
         finally:
             part.unlink(missing_ok=True)
-    gone = f"{len(before - after)} of {len(before)} flags are gone"
-    return f"{file} is written, compiled and checked again: {gone}"
+    noun = flags_text([*report.flags.values()])
+    return f"{file} is written and checked again: {len(before - after)} of {len(before)} {noun} are resolved"
 
 
 def _flags(file: Path, report: Report) -> set[str]:
-    """Return the flagged rows of a file."""
-    read = configuration_of(str(file), pair=report.configuration.robot.pair)
+    """Return the failed checks and warnings of a file."""
+    fixed = configuration_of(str(file), pair=report.configuration.robot.pair)
     measured = [
         row.phenomenon
         for row in report.rows
         if row.configured is not None or row.is_flag
     ]
-    after = check(read, only=measured, include_deformables=True, explain=False)
+    after = check(fixed, only=measured, include_deformables=True, explain=False)
     return set(after.flags)

@@ -11,9 +11,9 @@ from gauge_envs.tools.sanity.stacks.dialect import Dialect
 def write_change(
     robot: Robot, dialect: Dialect, changes: Settings
 ) -> tuple[TextChange | None, list[str]]:
-    """Return a change in the text of a model, and elements whose attributes the text does not show, in words.
+    """Return a change in the text of a model, and names of elements whose attributes the text does not show.
 
-    Each attribute is changed where the model states it; what it does not state is added to the default of all.
+    Each attribute is changed where the model gives it; others are added to the default.
 
     Args:
         robot: The robot before the change; without a text, there is none after it.
@@ -35,14 +35,14 @@ def write_change(
         is_new = name not in ELEMENT_FIELDS
         reached = robot.reached_by_default(name)
         for kind, number in places.get(name, ()):
-            is_of_all = kind == "geom" and number in reached
+            is_default = kind == "geom" and number in reached
             model = robot.text
             element = (
                 None if model is None else model.element(robot.model, kind, number)
             )
-            if text is not None and (element is not None or is_of_all):
-                is_new |= not text.state(element, kind, key, value)
-            elif not is_of_all:
+            if text is not None and (element is not None or is_default):
+                is_new |= not text.give(element, kind, key, value)
+            elif not is_default:
                 hidden.append(robot.place_text((kind, number)))
         if is_new:
             sections.setdefault(tags, {})[key] = value
