@@ -15,7 +15,6 @@ import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
-import approval
 import gymnasium
 import mujoco
 import numpy as np
@@ -33,11 +32,14 @@ from gauge_envs.envs import arguments
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.tools.catalog import listing
 
-
-def pytest_addoption(parser):
-    parser.addoption(
-        "--approve", action="store_true", help="write the files of tests/approved anew"
-    )
+TERMINAL = {
+    "COLUMNS": "160",
+    "TERM": "dumb",
+    "NO_COLOR": "1",
+    "FORCE_COLOR": None,
+    "PYTHONWARNINGS": None,
+}
+"""Environment variables of a command, which give its output a fixed width and no colours."""
 
 
 def pytest_configure(config):
@@ -100,33 +102,10 @@ def gauge_data_dir(unused_folders, monkeypatch):
 
 
 @pytest.fixture
-def approved(request, tmp_path, gauge_data_dir):
-    """Compares a text with the file of a name in `tests/approved`, as in `approved("cli/list", result.stdout)`.
-
-    The last part of the name stands as a string in the test, so that a file without a test is found.
-    """
-    folders = {"TMP": tmp_path, "DATA": gauge_data_dir, "HOME": Path.home()}
-
-    def check(name, text):
-        difference = approval.difference(
-            name,
-            approval.without_machine(text, folders),
-            approve=request.config.getoption("--approve"),
-        )
-        if difference:
-            command = (
-                f"python -m pytest --approve {request.node.nodeid.partition('[')[0]}"
-            )
-            pytest.fail(f"{difference}\n\nIf this is right: {command}", pytrace=False)
-
-    return check
-
-
-@pytest.fixture
 def gauge(tmp_path, monkeypatch):
     """Runs the command in an empty folder: gauge("list", "--json") -> result with exit_code, stdout, stderr."""
     monkeypatch.chdir(tmp_path)
-    runner = CliRunner(env=approval.TERMINAL)
+    runner = CliRunner(env=TERMINAL)
     return lambda *words: runner.invoke(app, list(map(str, words)))
 
 

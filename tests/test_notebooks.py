@@ -86,7 +86,10 @@ def test_training_setup():
     found = run(ROOT / "examples" / "notebooks" / "training_setup.ipynb")
     before = {row.phenomenon: row.verdict.value for row in found["before"].rows}
     assert (
-        before["foot-creep"] == before["creep-wood"] == before["rest-height"] == "failed"
+        before["foot-creep"]
+        == before["creep-wood"]
+        == before["rest-height"]
+        == "failed"
     )
     assert {row.verdict.value for row in found["after"].rows} == {"passed"}
 

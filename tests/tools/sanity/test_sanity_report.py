@@ -141,7 +141,9 @@ def test_a_report_that_passes_is_a_line():
 def test_the_screen_of_a_page_is_that_of_the_command(page, gauge):
     text = (ROOT / page).read_text()
     command, shown = re.search(
-        r"```sh\ngauge (sanity HalfCheetah-v5 [^\n]*)\n```\n+```text\n(.*?)```", text, re.S
+        r"```sh\ngauge (sanity HalfCheetah-v5 [^\n]*)\n```\n+```text\n(.*?)```",
+        text,
+        re.S,
     ).groups()
     outcome = gauge(*command.split()).stdout
     # The speed depends on the machine.
