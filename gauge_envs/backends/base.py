@@ -9,9 +9,9 @@ A backend is one class with three methods. It receives a `Scene` and never the n
         def build(self, scene, settings): ...
         def versions(self): ...
 
-`build` returns a `Simulation` of one world at the scene's nominal start; `build_worlds` returns one of N worlds, which
-by default loops over N simulations. Every 1/180 s, the environment drives each kinematic body and advances the
-simulation. An entry point of the group `gauge_envs.backends` makes a backend available by name;
+`build` returns a `Simulation` of one world at the scene's nominal start. `build_worlds` returns a simulation of N
+worlds; by default it loops over N simulations. Every 1/180 s, the environment drives each kinematic body and advances
+the simulation. An entry point of the group `gauge_envs.backends` makes a backend available by name;
 docs/adding_an_engine.md gives a complete example.
 """
 
@@ -33,14 +33,15 @@ from gauge_envs.scene.fabrics import Fabric
 
 @dataclass(frozen=True, kw_only=True)
 class Repeatability:
-    """How far runs of one scene part, with the same settings and seed.
+    """How far runs of one scene with the same settings and seed diverge from each other.
 
     Attributes:
-        kind: `bits`: every run has the same bits on one kind of processor. `run`: a simulation repeats its bits after
-            `reset`, and another simulation of the scene does not. `statistical`: no run repeats another.
-        start_error: Error e by which checks judge runs that do not repeat bits. Other runs are disturbed by it: their
-            free bodies start e apart [m, rad], and their gravity differs by the share e. Any state [m, 1, m/s, rad/s]
-            may differ by e and ten times what it differs between disturbed runs; the median one by half of that.
+        kind: `bits`: every run has the same bits on one kind of processor. `run`: one simulation repeats its bits after
+            `reset`, and two simulations of the scene differ. `statistical`: no run repeats another.
+        start_error: Size e of the disturbance with which checks judge runs that do not repeat bits. A disturbed run
+            moves the initial poses of free bodies by e [m, rad] and changes gravity by the share e. Each state
+            [m, 1, m/s, rad/s] may differ by e plus ten times the difference between disturbed runs. The median state
+            may differ by half of that.
 
     Raises:
         ParameterError: `start_error` is not 0 for `bits`, or is not between 0 and 1e-4 otherwise.
@@ -68,16 +69,16 @@ class Backend(ABC):
         title: Name as the engine's authors write it, for pages; empty for `name`.
         color: Colour in figures, as `#0072b2`; empty for a grey that engines without a colour share.
         marker: Marker in figures, by matplotlib's names.
-        configurations: Settings of further solvers and presets that are compared beside the defaults, by name. They
-            must suit any scene; a scene that a solver cannot build is declined.
+        configurations: Settings of further solvers and presets, by name, which are compared with the defaults. They
+            must suit any scene; a scene that a solver cannot build is unsupported.
         corrections: Where the engine's own physics is replaced or completed, one sentence each. An option of the engine
-            is none. They hold for all presets but those of `own_defaults`.
-        features: Optional features that `build` builds. Scenes with others are declined, so that an engine which was
-            written before a feature existed leaves none out.
+            is not a correction. They apply to all presets except `own_defaults`.
+        features: Optional features that `build` builds. A scene that needs another feature is unsupported, so that an
+            engine written before a feature existed never ignores it.
         own_defaults: Presets that leave the engine as its makers deliver it.
-        worlds_share_simulation: Whether `build_worlds`, where an engine overrides it, advances all worlds at once. A
-            sweep runs the repeats of such an engine together, and those of others one by one, so that an interrupted
-            one loses less.
+        worlds_share_simulation: Whether an overridden `build_worlds` advances all worlds together. A sweep runs the
+            repeats of such an engine in one batch. It runs the repeats of other engines one after another, so that an
+            interrupted sweep loses less.
     """
 
     name: ClassVar[str]
@@ -119,7 +120,7 @@ class Backend(ABC):
         """
 
     def repeatability(self, settings: Mapping[str, Any] | None = None) -> Repeatability:
-        """Return how far runs of one scene part, with settings as in `build`; kernels on a GPU may not repeat bits."""
+        """Return how far repeated runs diverge, with settings as in `build`; kernels on a GPU may not repeat bits."""
         return Repeatability()
 
     def build_worlds(
@@ -147,9 +148,9 @@ class Backend(ABC):
     def resolved_settings(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> Mapping[str, Any] | None:
-        """Return the numerical settings that `build` would use, without building; None where an engine does not tell.
+        """Return the numerical settings that `build` would use, without building; None if it does not know.
 
-        A sweep checks its settings with it before anything runs, and finds settings that are the same.
+        A sweep checks its settings with it before the first run, and finds equal settings.
 
         Args:
             scene: A scene that `supports` accepts.
@@ -170,17 +171,17 @@ class Backend(ABC):
 
 
 def scene_support(engine: Backend, scene: Scene) -> Support:
-    """Return whether an engine can build a scene: what `supports` returns, and what its class declares.
+    """Return whether an engine can build a scene, from `supports` and from the features that its class declares.
 
     Raises:
-        BackendError: `supports` returned something else.
+        BackendError: `supports` did not return a `Support`.
     """
     support = engine.supports(scene)
     if not isinstance(support, Support):
         raise BackendError(
             f"backend {engine.name!r}: supports returned a {type(support).__name__}, expected a Support"
         )
-    # The last sentence of each feature.
+    # A feature has one reason: the last.
     needed = dict(needed_features(scene))
     reasons = tuple(
         reason for feature, reason in needed.items() if feature not in engine.features

@@ -24,7 +24,7 @@ class Support:
 
 
 class Feature(StrEnum):
-    """Part of a scene that an engine builds only if it says so."""
+    """Part of a scene that an engine builds only if it declares the feature."""
 
     AIR = "air"
     """`Scene.air` around cloth."""
@@ -58,5 +58,5 @@ def needed_features(scene: Scene) -> Iterator[tuple[Feature, str]]:
         if body.inertia_kg_m2 is not None:
             yield (
                 Feature.STATED_INERTIA,
-                f"{body.name!r} states its inertia, which this backend does not read",
+                f"{body.name!r} has a given inertia, which this backend does not read",
             )

@@ -27,7 +27,7 @@ def backend(name: str) -> Backend:
     Raises:
         UnknownNameError: No installed package provides it.
         MissingExtraError: Its engine is not installed.
-        BackendError: Its package cannot be imported for another reason, or its class is no backend of that name.
+        BackendError: Its package cannot be imported for another reason, or its class is not a backend of that name.
     """
     for point in engine_points():
         if point.name == name:
@@ -54,9 +54,9 @@ def is_bundled(name: str) -> bool:
 
 
 def backend_class(name: str) -> type[Backend]:
-    """Return the class of a backend, whose attributes are the same whether or not its engine is installed.
+    """Return the class of a backend, or `Backend` if no installed package provides the name as a class.
 
-    `Backend` stands for a name that no installed package provides as a class.
+    The attributes of the class are the same whether or not its engine is installed.
     """
     for point in engine_points():
         if point.name == name:
@@ -118,7 +118,7 @@ def support_of(name: str, scene: Scene, model_file: Path | None = None) -> Suppo
         model_file: File that replaces the scene, or None.
 
     Raises:
-        GaugeError: As `backend`; or a `BackendError`, `supports` does not work.
+        GaugeError: An error of `backend`, or a `BackendError` of `supports`.
     """
     if model_file is not None and name != MODEL_ENGINE:
         return Support((f"{model_file.name} is a model of another engine",))
@@ -131,7 +131,7 @@ def versions_of(name: str) -> dict[str, str]:
     """Return the versions of a backend's packages.
 
     Raises:
-        GaugeError: As `backend`; or a `BackendError`, `versions` does not work.
+        GaugeError: An error of `backend`, or a `BackendError` of `versions`.
     """
     return checked_versions(backend(name))
 
@@ -161,7 +161,7 @@ def backend_for(name: str, model_file: Path | None) -> Backend:
         UnknownNameError: No installed package provides it.
         MissingExtraError: Its engine is not installed.
         BackendError: Its package cannot be imported for another reason.
-        ParameterError: The name is no text.
+        ParameterError: The name is not a text.
     """
     if not isinstance(name, str):
         raise ParameterError(

@@ -36,8 +36,8 @@ class SteppedSettings(BaseModel):
         preset: Name of the preset that supplied the other values.
         timestep_s: Time step of the integrator [s], at least 1e-8; `drive_interval_s` must be a multiple of it.
         drive_interval_s: Interval by which the caller drives and advances the simulation [s], at most 60 s.
-            Environments drive by 1/180 s; of a step that does not divide it, state the step here too:
-            `gauge_envs.backends.shared.resampled.ResampledSimulation` then says what is read between steps.
+            Environments use 1/180 s. If the step does not divide 1/180 s, set this to the step;
+            `gauge_envs.backends.shared.resampled.ResampledSimulation` then interpolates between steps.
     """
 
     model_config = ConfigDict(
@@ -58,7 +58,7 @@ class SteppedSettings(BaseModel):
 
 @dataclass(frozen=True)
 class Native:
-    """Metadata of a setting: its name in the engine's own interface, where it is another one than here.
+    """Metadata of a setting: its name in the engine's own interface, if that name differs.
 
     Attributes:
         name: The engine's name, in the engine's units; its values are those of the setting.
@@ -71,7 +71,7 @@ def native_settings(settings: type[SteppedSettings]) -> dict[str, str]:
     """Return the name of each setting by its name in the engine's own interface."""
     names: dict[str, str] = {}
     for name, field in settings.model_fields.items():
-        native = (one.name for one in field.metadata if isinstance(one, Native))
+        native = (mark.name for mark in field.metadata if isinstance(mark, Native))
         names[next(native, name)] = name
     return names
 
@@ -80,7 +80,7 @@ Settings = TypeVar("Settings", bound=SteppedSettings)
 
 
 def read_presets(module: str, group: str = "presets") -> dict[str, dict[str, Any]]:
-    """Return the settings that `presets.toml` beside an engine's module states, by name of the preset.
+    """Return the settings of each preset in the `presets.toml` next to an engine's module, by name of the preset.
 
     Args:
         module: Path of the module.
@@ -98,7 +98,7 @@ def read_presets(module: str, group: str = "presets") -> dict[str, dict[str, Any
 
 
 def load_presets(settings: type[Settings], module: str) -> dict[str, Settings]:
-    """Return the presets that `presets.toml` beside an engine's module states, as its settings, by name."""
+    """Return the presets in the `presets.toml` next to an engine's module as instances of its settings, by name."""
     return {
         name: settings(preset=name, **values)
         for name, values in read_presets(module).items()
@@ -156,9 +156,9 @@ def resolve_settings(
 def with_drive_interval(
     settings: Mapping[str, Any], longest_s: float
 ) -> dict[str, Any]:
-    """Return settings that drive in the longest multiple of their step up to a length [s], or in single steps.
+    """Return settings whose drive interval is the longest multiple of their step up to a length [s].
 
-    Settings without a step that an engine takes are unchanged.
+    It is at least one step. Settings without a valid step are unchanged.
     """
     step_s = settings.get("timestep_s")
     if not isinstance(step_s, int | float) or not 1e-8 <= step_s <= 60.0:
@@ -168,7 +168,7 @@ def with_drive_interval(
 
 
 def settings_record(backend: str | None, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings in force in a form that JSON takes."""
+    """Return the effective settings as JSON-ready values."""
     record: dict[str, Any] = {}
     for name, value in settings.items():
         record[str(name)] = json_ready(value)
@@ -176,7 +176,7 @@ def settings_record(backend: str | None, settings: Mapping[str, Any]) -> dict[st
             json.dumps(record[str(name)])
         except (TypeError, ValueError, RecursionError) as error:
             raise BackendError(
-                f"backend {backend!r}: setting {name!r} is a {type(value).__name__}, which JSON does not have. "
+                f"backend {backend!r}: setting {name!r} is a {type(value).__name__}, which JSON cannot hold. "
                 "Simulation.settings must hold numbers, texts, booleans, None, lists and mappings."
             ) from error
     return record

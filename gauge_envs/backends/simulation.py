@@ -33,7 +33,7 @@ class Simulation(ABC):
     Environments call `reset`; then, every 1/180 s, `drive` for each kinematic body, `advance`, and the readers.
 
     Attributes:
-        settings: Every numerical setting in force, as a flat, JSON-ready mapping. Each result records it.
+        settings: Every effective numerical setting, as a flat, JSON-ready mapping. Each result records it.
         world_count: Number of worlds N.
     """
 
@@ -43,7 +43,7 @@ class Simulation(ABC):
     """Whether `advance` runs without Python's lock, so that `LoopedSimulation` advances several in as many threads."""
 
     def __init_subclass__(cls, **arguments: Any) -> None:
-        """Raise an error for a class of the 0.3 contract, whose methods have other parameters."""
+        """Reject a class of the 0.3 contract, whose methods have different parameters."""
         super().__init_subclass__(**arguments)
         for method, expected in (("reset", "starts"), ("drive", "targets")):
             if expected not in inspect.signature(getattr(cls, method)).parameters:
@@ -58,20 +58,20 @@ class Simulation(ABC):
         """Start all worlds at time 0. The same starts and seed give the same trajectories.
 
         Args:
-            starts: Initial states, shape [N, B, 13]: those of `scene.bodies` and then of `scene.deformables`, in their
-                order. Dynamic and kinematic bodies, and a cloth that nothing clamps, may start elsewhere than the scene
-                says; the pose of a cloth is that of its frame. Rows of all other bodies are those of the scene. None
-                is the nominal start, see `gauge_envs.scene.states.nominal_states`.
+            starts: Initial states, shape [N, B, 13], in the order of `scene.bodies` followed by `scene.deformables`.
+                Dynamic and kinematic bodies, and unclamped cloth, may start in other states than the scene gives. The
+                row of a cloth holds the pose of its frame. All other rows equal the scene. None is the nominal start,
+                see `gauge_envs.scene.states.nominal_states`.
             seed: Seed of engines that draw random numbers.
         """
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Prescribe the motion of a kinematic body during the next `advance`.
 
-        The motion is uniformly accelerated: t seconds later the origin has moved by v t + a t^2 / 2, and the body has
-        turned by the rotation vector of the angular velocity and acceleration likewise, in the world frame. With
-        piecewise constant velocity, each change of speed would jolt the bodies that rest on it. An engine without
-        prescribed acceleration may use the mean velocity of each step, and should document it.
+        The motion is uniformly accelerated in the world frame. After t seconds the origin has moved by
+        v t + a t^2 / 2. The body has rotated by the rotation vector with the same formula, from its angular velocity
+        and acceleration. With piecewise constant velocity, each change of speed would jolt the bodies that rest on it.
+        An engine without prescribed acceleration may use the mean velocity of each step, and should document it.
 
         Args:
             body: Name of a kinematic body. Environments drive each of them before every `advance`.
@@ -82,7 +82,9 @@ class Simulation(ABC):
         Raises:
             BackendError: The engine drives no bodies.
         """
-        raise BackendError(f"{type(self).__name__} drives no body: implement drive")
+        raise BackendError(
+            f"{type(self).__name__} does not drive bodies: implement drive"
+        )
 
     @abstractmethod
     def advance(self, seconds: float) -> None:
@@ -101,7 +103,7 @@ class Simulation(ABC):
         raise KeyError(name)
 
     def diverged(self) -> Mapping[int, str]:
-        """Return why the engine gave up the state of a world since the last reset, by the number of the world.
+        """Return the reason why the engine discarded a world's state since the last reset, by number of the world.
 
         An engine that replaces a state that is not finite must report it here. Environments find states that are not
         finite, too fast or too far away on their own.
@@ -112,10 +114,10 @@ class Simulation(ABC):
     def close(self) -> None:
         """Free the engine's resources. A second call does nothing."""
 
-    # --- optional: forces, and points that the engine locates better than its nodes do ---
+    # --- optional: forces, and material points that the engine locates more accurately than its nodes do ---
 
     def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
-        """Apply a force and a torque to a dynamic body from now on, until another call or a reset.
+        """Apply a force and a torque to a dynamic body until the next call or reset.
 
         Args:
             body: Name of a dynamic body.
@@ -125,17 +127,17 @@ class Simulation(ABC):
             BackendError: The engine does not support it.
         """
         raise BackendError(
-            f"{type(self).__name__} applies no force or torque to {body!r}: implement apply_wrench"
+            f"{type(self).__name__} cannot apply a force or torque to {body!r}: implement apply_wrench"
         )
 
     def contact_forces(self, pairs: Sequence[tuple[str, str]]) -> ContactForces | None:
         """Return a reader of contact forces between rigid bodies, or None if the engine has none.
 
         Args:
-            pairs: Names of two bodies each.
+            pairs: Names of the two bodies of each pair.
 
         Returns:
-            Reader of the forces [N] of the second bodies on the first, friction included, in the mean over the last
+            Reader of the force [N] of the second body on the first, friction included. It is the mean over the last
             `advance`, shape [N, len(pairs), 3].
         """
         return None
@@ -156,7 +158,7 @@ class Simulation(ABC):
 
 
 class LoopedSimulation(Simulation):
-    """Simulations of one world each, as one: for engines without batches, and for worlds with different constants.
+    """Simulations of one world each, combined; for engines without batches and for worlds with different constants.
 
     Args:
         simulations: One simulation for each world.
@@ -172,59 +174,69 @@ class LoopedSimulation(Simulation):
 
     def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
         """Start each world."""
-        for number, one in enumerate(self._simulations):
-            one.reset(None if starts is None else starts[number : number + 1], seed)
+        for number, simulation in enumerate(self._simulations):
+            simulation.reset(
+                None if starts is None else starts[number : number + 1], seed
+            )
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Prescribe the motion of a body in each world."""
-        for number, one in enumerate(self._simulations):
-            one.drive(body, targets[number : number + 1])
+        for number, simulation in enumerate(self._simulations):
+            simulation.drive(body, targets[number : number + 1])
 
     def advance(self, seconds: float) -> None:
         """Advance each world."""
         apply = map if self._threads is None else self._threads.map
         # The results of the map raise the errors of its calls.
-        list(apply(lambda one: one.advance(seconds), self._simulations))
+        list(apply(lambda simulation: simulation.advance(seconds), self._simulations))
 
     def body_states(self, names: Sequence[str]) -> FloatArray:
         """Return the states of each world."""
-        return np.concatenate([one.body_states(names) for one in self._simulations])
+        return np.concatenate(
+            [simulation.body_states(names) for simulation in self._simulations]
+        )
 
     def nodes(self, name: str) -> FloatArray:
         """Return the nodes of each world."""
-        return np.concatenate([one.nodes(name) for one in self._simulations])
+        return np.concatenate(
+            [simulation.nodes(name) for simulation in self._simulations]
+        )
 
     def diverged(self) -> Mapping[int, str]:
         """Return the reason of each world that diverged."""
-        found = [one.diverged().get(0) for one in self._simulations]
-        return {number: reason for number, reason in enumerate(found) if reason}
+        reasons = [simulation.diverged().get(0) for simulation in self._simulations]
+        return {number: reason for number, reason in enumerate(reasons) if reason}
 
     def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
         """Apply a force and a torque in each world."""
-        for number, one in enumerate(self._simulations):
-            one.apply_wrench(body, wrenches[number : number + 1])
+        for number, simulation in enumerate(self._simulations):
+            simulation.apply_wrench(body, wrenches[number : number + 1])
 
     def contact_forces(self, pairs: Sequence[tuple[str, str]]) -> ContactForces | None:
         """Return a reader of the contact forces in each world."""
-        return _joined([one.contact_forces(pairs) for one in self._simulations])
+        return _joined(
+            [simulation.contact_forces(pairs) for simulation in self._simulations]
+        )
 
     def track(self, name: str, points_m: FloatArray) -> MaterialPoints | None:
         """Return a reader of material points in each world."""
-        return _joined([one.track(name, points_m) for one in self._simulations])
+        return _joined(
+            [simulation.track(name, points_m) for simulation in self._simulations]
+        )
 
     def close(self) -> None:
         """Close each world."""
         if self._threads is not None:
             self._threads.shutdown()
-        for one in self._simulations:
-            one.close()
+        for simulation in self._simulations:
+            simulation.close()
 
 
 def _joined(
     readers: Sequence[Callable[[], FloatArray] | None],
 ) -> Callable[[], FloatArray] | None:
     """Return a reader of all worlds, or None if a world has none."""
-    known = [one for one in readers if one is not None]
+    known = [reader for reader in readers if reader is not None]
     if len(known) < len(readers):
         return None
     return lambda: np.concatenate([read() for read in known])

@@ -379,7 +379,9 @@ def test_a_missing_method_is_named():
         drive = Simulation.drive
         apply_wrench = Simulation.apply_wrench
 
-    with pytest.raises(BackendError, match="Minimal drives no body: implement drive"):
+    with pytest.raises(
+        BackendError, match="Minimal does not drive bodies: implement drive"
+    ):
         Minimal().drive("plate", np.zeros((1, 19)))
     with pytest.raises(BackendError, match="'plate': implement apply_wrench"):
         Minimal().apply_wrench("plate", np.zeros((1, 6)))

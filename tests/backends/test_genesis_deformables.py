@@ -285,6 +285,6 @@ def test_deformable_bodies_that_genesis_cannot_simulate_are_declined():
         (load_experiment("RopeWinding-rubber").scene, "is a line"),
         (replace(SATIN, bodies=dynamic, drivers=()), "moves under forces"),
         (replace(beam, contacts=(touch,)), "'cube-1' may touch 'cube-3'"),
-        (replace(FOAM, deformables=both), "is beside cloth"),
+        (replace(FOAM, deformables=both), "shares a scene with cloth"),
     ):
         assert reason in "; ".join(unsupported_deformables(scene))

@@ -71,7 +71,7 @@ def test_a_state_that_mujoco_puts_back_to_its_start_counts_as_diverged():
     (result,) = run_many([RunRequest("Turntable-1-wood", settings=unstable)])
     assert result.outcome is Outcome.DIVERGED
     assert result.score.rmse is None
-    assert "put the state back to its start" in str(result.diverged_reason)
+    assert "reset the state" in str(result.diverged_reason)
 
 
 # --- versions --------------------------------------------------------------------------------------------------------

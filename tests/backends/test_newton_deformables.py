@@ -154,7 +154,7 @@ def test_a_falling_sheet_gains_no_energy():
     fallen_j = []
     for _ in range(90):
         simulation.advance(1 / 90)
-        state = simulation._stepper.now
+        state = simulation._stepper.current_state
         places_m, speeds = state.particle_q.numpy(), state.particle_qd.numpy()
         height_m = places_m[:, 2] + simulation._origin_m[2]
         kinetic_j = 0.5 * masses_kg @ np.square(speeds).sum(axis=1)
@@ -264,7 +264,9 @@ def clamped(foam, gravity_m_per_s2=0.0, **settings):
     )
     settings = {"cell_m": EDGE_M / 2, "timestep_s": 1 / 900} | settings
     simulation = NEWTON.build(scene, settings)
-    return simulation, simulation._stepper.now.particle_q.numpy().astype(float)
+    return simulation, simulation._stepper.current_state.particle_q.numpy().astype(
+        float
+    )
 
 
 def linear_stiffness(model, young_pa, poisson):
@@ -303,10 +305,10 @@ def test_linear_elasticity_on_the_same_mesh_is_in_balance(euler_deg, gravity):
     expected_m = np.zeros(len(loads_n))
     expected_m[free] = spsolve(stiffness[free][:, free].tocsc(), loads_n[free])
     expected_m = expected_m.reshape(-1, 3)
-    simulation._stepper.now.particle_q.assign(start_m + expected_m)
+    simulation._stepper.current_state.particle_q.assign(start_m + expected_m)
     # Half a swing, to the other side of where the balance is.
     simulation.advance(0.26)
-    moved_m = simulation._stepper.now.particle_q.numpy() - start_m
+    moved_m = simulation._stepper.current_state.particle_q.numpy() - start_m
     assert np.abs(moved_m - expected_m).max() < 0.02 * np.abs(expected_m).max()
 
 
@@ -318,7 +320,7 @@ def test_mass_is_that_of_the_material_and_points_are_those_of_the_elements():
         deformables=(stiff, foam), attachments=(bond,), gravity_m_per_s2=0.0
     )
     simulation = NEWTON.build(scene, {"soft_rigid_ratio": np.inf})
-    state = simulation._stepper.now
+    state = simulation._stepper.current_state
     masses_kg = simulation._stepper.model.particle_mass.numpy().astype(float)
     places_m = state.particle_q.numpy() + simulation._origin_m
     total_kg = stiff.mass_kg + foam.mass_kg
@@ -343,7 +345,7 @@ def test_an_axial_swing_has_the_damping_of_kelvin_and_voigt():
     place = (start_m[:, 2] - start_m[:, 2].min()) / 0.2
     stretched_m = start_m.copy()
     stretched_m[:, 2] += 1e-3 * np.sin(0.5 * np.pi * place)
-    simulation._stepper.now.particle_q.assign(stretched_m)
+    simulation._stepper.current_state.particle_q.assign(stretched_m)
     end_m = simulation.nodes("foam")[0, :, 2]
     top = end_m > end_m.max() - 1e-4
     tips_m = [1e-3]
@@ -459,7 +461,7 @@ def test_points_have_the_mass_of_the_free_material_and_follow_linear_motion():
     slope, shift_m = rng.normal(size=(3, 3)), rng.normal(size=3)
     points_m = centre_m + rng.uniform(-1, 1, (50, 3)) * [0.025, 0.025, 0.087]
     read = simulation.track("foam", points_m)
-    state, origin_m = simulation._stepper.now, simulation._origin_m
+    state, origin_m = simulation._stepper.current_state, simulation._origin_m
     places_m = state.particle_q.numpy() + origin_m
     state.particle_q.assign(places_m @ slope.T + shift_m - origin_m)
     assert read()[0] == pytest.approx(points_m @ slope.T + shift_m, abs=5e-6)
@@ -483,6 +485,6 @@ def test_material_points_in_tension_have_strain_and_stress_of_the_constants():
     strain = 1e-3 / 0.1743
     assert slopes[2, 2] == pytest.approx(strain, rel=0.05)
     assert -slopes[0, 0] / slopes[2, 2] == pytest.approx(0.23, rel=0.1)
-    stresses_pa = simulation._stepper.now.mpm.particle_stress.numpy()
+    stresses_pa = simulation._stepper.current_state.mpm.particle_stress.numpy()
     stress_pa = -stresses_pa[: len(rest_m)][middle, 2, 2].mean()
     assert stress_pa == pytest.approx(YOUNG_PA * strain, rel=0.05)

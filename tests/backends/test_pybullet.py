@@ -208,7 +208,7 @@ def test_a_body_beyond_the_plane_ends_the_episode():
     with closing(ENGINE.build(scene)) as simulation:
         assert simulation.diverged() == {}
         simulation.advance(0.5)
-        assert "beyond the 8 m" in simulation.diverged()[0]
+        assert "ends at 8 m" in simulation.diverged()[0]
 
 
 # --- foam and ropes --------------------------------------------------------------------------------------------------

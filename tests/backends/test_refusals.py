@@ -161,7 +161,7 @@ ROWS = (
         {},
         "17 kinds of contact",
     ),
-    ("rapier", of(BOB, joints=(HINGE, STRING)), {}, "'ball-1' hangs on 2 joints"),
+    ("rapier", of(BOB, joints=(HINGE, STRING)), {}, "'ball-1' has 2 joints"),
     (
         "physx",
         SLIDE,
@@ -183,12 +183,12 @@ ROWS = (
         "must be given together",
     ),
     ("pybullet", ROPE, {}, "'rope' touches other bodies or itself"),
-    ("pybullet", rope_between(Motion.FIXED), {}, "held at both ends"),
+    ("pybullet", rope_between(Motion.FIXED), {}, "attached at both ends"),
     (
         "pybullet",
         of(replace(BOB, linear_velocity_m_per_s=(1.0, 0.0, 0.0)), joints=(STRING,)),
         {},
-        "start velocity",
+        "initial velocity",
     ),
     ("pybullet", "CantileverBeam-soft", {}, "'cube-2' is attached to 'cube-1'.*bonds"),
     ("newton", SLIDE, {"tolerance": 1e-8}, "'tolerance'.*given: 1e-08"),

@@ -8,8 +8,8 @@ from gauge_envs.backends.drake.settings import settings_for
 from gauge_envs.backends.features import Feature
 from gauge_envs.backends.shared.bundled import (
     BundledBackend,
-    declined_compounds,
     first_of,
+    unsupported_compounds,
 )
 from gauge_envs.backends.simulation import Simulation
 from gauge_envs.scene import Scene
@@ -22,7 +22,7 @@ REASONS = {
     "Rope": "Drake has no ropes",
     "Rod": "Drake has no elastic rods",
 }
-"""Why each kind of deformable body is declined."""
+"""Why each kind of deformable body is unsupported."""
 
 
 class BackendDrake(BundledBackend):
@@ -42,14 +42,14 @@ class BackendDrake(BundledBackend):
         }
     )
     corrections = (
-        "the dissipation of a contact is derived from the restitution, of which Drake has no coefficient",
+        "the dissipation of a contact is derived from the restitution, because Drake has no coefficient of restitution",
         "a string is a spring that this package computes",
     )
     features = frozenset({Feature.STATED_INERTIA})
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield one sentence for each kind of feature of a scene that this backend does not build."""
-        yield from declined_compounds(scene)
+        yield from unsupported_compounds(scene)
         subjects: dict[str, list[str]] = {}
         for body in scene.deformables:
             subjects.setdefault(REASONS[type(body).__name__], []).append(body.name)

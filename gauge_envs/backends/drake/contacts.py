@@ -1,4 +1,4 @@
-"""Contact constants in Drake's terms, and those with which an impact has a given coefficient of restitution.
+"""Contact constants in Drake's terms, fitted to a given coefficient of restitution of an impact.
 
 Drake has no coefficient of restitution. A contact is a spring with a dissipation, integrated by an implicit scheme that
 dissipates too. `rebound` repeats that scheme for one contact normal, and `impact_constants` solves for the constants.
@@ -23,18 +23,18 @@ ImpactLaw = Literal["relaxation", "hunt_crossley"]
 """`relaxation`: linear spring and damper of the SAP approximation. `hunt_crossley`: damping in proportion to depth."""
 
 PHASES: FloatArray = (np.arange(12, dtype=np.float64) + 0.5) / 12.0
-"""Depth at the first step that detects the contact, over the displacement of a step; the start decides it."""
+"""Depth at the first step that detects the contact, over the displacement of a step; it depends on the start."""
 
 LARGEST_DISSIPATION = 1e6
-"""Largest relaxation time [steps] or dissipation times incoming speed; it stands for no rebound at all."""
+"""Largest relaxation time [steps] or dissipation times incoming speed; it stands for no rebound."""
 
 STEPS = 30.0
-"""Steps times the rate after which a contact counts as lasting; without dissipation it takes pi."""
+"""Steps times the rate after which a contact counts as lasting; a contact without dissipation takes pi."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactConstants:
-    """Constants of one contact of the scene. All bodies in it have them, so that every pair has them.
+    """Constants of one contact of the scene, which all its bodies and therefore all its pairs have.
 
     Drake combines the stiffness of two bodies in series, k1 k2 / (k1 + k2). A stiffness of mass times frequency squared
     gives each pair the same frequency, since the reduced mass of a pair combines in the same way. Friction combines as
@@ -59,8 +59,8 @@ def contact_constants(
 ) -> ContactConstants:
     """Return the constants of a contact of the scene.
 
-    Impacts against bodies that are not dynamic are taken as vertical: gravity reduces their rebound, and the
-    dissipation is reduced to make up for it.
+    Impacts against fixed and driven bodies are assumed to be vertical. Gravity reduces their rebound, so the
+    dissipation is reduced to compensate.
     """
     step_s = settings.timestep_s
     rate, relaxation_steps = (
@@ -127,7 +127,7 @@ def _hunt_crossley(
     """Return the speed v that solves v = v0 + k (x - v) (1 - d v) where both factors are positive, else v0."""
     linear = 1.0 + stiffness * (1.0 + dissipation * depth)
     constant = speed + stiffness * depth
-    # The smaller root of k d v^2 - (1 + k + k d x) v + v0 + k x = 0 makes both factors positive.
+    # Both factors are positive for the smaller root of k d v^2 - (1 + k + k d x) v + v0 + k x = 0.
     root = np.sqrt(
         np.maximum(linear**2 - 4.0 * stiffness * dissipation * constant, 0.0)
     )
@@ -141,9 +141,9 @@ def _hunt_crossley(
 def impact_constants(
     law: ImpactLaw, restitution: float, rate: float, weight: float = 0.0
 ) -> tuple[float, float]:
-    """Return the rate and the dissipation with which a contact has a coefficient of restitution, the mean of phases.
+    """Return the rate and the dissipation that give a contact a coefficient of restitution, in the mean over phases.
 
-    The rate is that given, unless the scheme alone dissipates more. Then it is reduced until a contact without
+    The rate is the given rate, unless the scheme alone dissipates more. Then it is reduced until a contact without
     dissipation and gravity has the restitution, at most 0.999.
 
     Args:
@@ -160,12 +160,12 @@ def impact_constants(
         return float(rebound(law, rate, dissipation, weight).mean()) - restitution
 
     if excess(0.0) < 0.0:
-        reached = min(restitution, 0.999)
+        target = min(restitution, 0.999)
         lowest = 2e-4
-        if float(rebound(law, rate, 0.0).mean()) < reached:
+        if float(rebound(law, rate, 0.0).mean()) < target:
             rate = float(
                 brentq(
-                    lambda slow: float(rebound(law, slow, 0.0).mean()) - reached,
+                    lambda slow: float(rebound(law, slow, 0.0).mean()) - target,
                     lowest,
                     rate,
                     xtol=1e-9,

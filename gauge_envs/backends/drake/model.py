@@ -56,10 +56,10 @@ CORNER_RADIUS_M = 1e-6
 """Radius of the spheres at corners [m]; it is a height error."""
 
 POINTS_PER_FACE = 5
-"""Contact points of a face in point contact, which share its stiffness: four corners and one of the whole shape."""
+"""Contact points of a face in point contact, which share its stiffness: four corners and one of the shape."""
 
 UNMOVED_KG = 1e9
-"""Mass that gives fixed and driven bodies a stiffness beside which that of a dynamic body counts alone [kg]."""
+"""Mass of fixed and driven bodies [kg]; in series with its stiffness, only the dynamic body's stiffness counts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,10 +97,10 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
     groups = _add_geometries(plant, scene, bodies, settings)
     plant.Finalize()
     names = {
-        one: name
+        geometry_id: name
         for _, geometries in groups
         for name, ids in geometries.items()
-        for one in ids
+        for geometry_id in ids
     }
     allowed = CollisionFilterDeclaration().ExcludeWithin(GeometrySet(list(names)))
     for contacts, geometries in groups:
@@ -142,8 +142,8 @@ def _add_bodies(plant: Any, scene: Scene, settings: SettingsDrake) -> dict[str, 
         if body.motion is Motion.DYNAMIC:
             bodies[body.name] = plant.AddRigidBody(body.name, free, _inertia(body))
         elif body.motion is Motion.KINEMATIC:
-            reach_m = np.linalg.norm(body.shape.corners_m, axis=1).max()
-            radius_m = float(np.sqrt(2.5) * reach_m)
+            corner_m = np.linalg.norm(body.shape.corners_m, axis=1).max()
+            radius_m = float(np.sqrt(2.5) * corner_m)
             inertia = SpatialInertia.SolidSphereWithMass(driven_mass_kg, radius_m)
             bodies[body.name] = plant.AddRigidBody(body.name, driven, inertia)
     return bodies
@@ -157,7 +157,7 @@ def _inertia(body: RigidBody) -> SpatialInertia:
 
 
 def _add_hinge(plant: Any, body: RigidBody, added: Any, hinge: Hinge) -> None:
-    """Add the hinge of a body, which is `added` in Drake, between frames at its anchor with the axes of the world."""
+    """Add the hinge of a body (`added` in Drake) between frames at its anchor with the axes of the world."""
     anchor = RigidTransform(np.asarray(hinge.anchor_m))
     in_body = rigid_transform(body.pose).inverse() @ anchor
     world, name = plant.world_frame(), body.name
@@ -179,7 +179,9 @@ def _add_geometries(
         contacts[contact_constants(scene, contact, settings)].append(contact)
     groups: Groups = []
     for index, (constants, members) in enumerate(contacts.items()):
-        sides = [name for one in members for name in (*one.first, *one.second)]
+        sides = [
+            name for contact in members for name in (*contact.first, *contact.second)
+        ]
         geometries: dict[str, list[GeometryId]] = {}
         for name in dict.fromkeys(sides):
             body = scene.body(name)
@@ -284,10 +286,10 @@ def inner_radius_m(shape: Shape) -> float:
 def _piece_inner_radius_m(points_m: FloatArray) -> float:
     planes = ConvexHull(points_m).equations
     # The largest ball inside: its centre is further from each face than its radius.
-    found = linprog(
+    result = linprog(
         [0.0, 0.0, 0.0, -1.0],
         A_ub=np.column_stack([planes[:, :3], np.ones(len(planes))]),
         b_ub=-planes[:, 3],
         bounds=(None, None),
     )
-    return float(found.x[3])
+    return float(result.x[3])

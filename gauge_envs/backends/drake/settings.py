@@ -40,11 +40,11 @@ class SettingsDrake(SteppedSettings):
         approximation: Discrete approximation of contact, under Drake's name. `tamsi`, `similar` and `lagged` have
             Hunt-Crossley dissipation; `sap` has a linear one.
         contact_model: `hydroelastic` gives flat faces a contact surface, and spheres a contact point. `point` gives a
-            pair of shapes one contact point, and the corners of polyhedra one each.
+            pair of shapes one contact point, and each corner of a polyhedron another.
         surface: Representation of hydroelastic contact surfaces. `triangle` has more contact points than `polygon`,
             Drake's default.
-        drake_material: Use Drake's defaults for all contact constants but friction. Contacts are then points without
-            those of corners, and the scene's restitution has no effect.
+        drake_material: Use Drake's defaults for all contact constants except friction. Contacts are then points
+            without points at corners, and the scene's restitution has no effect.
         sustained_rate: Rate of sustained contacts.
         sustained_dissipation_s_per_m: Hunt-Crossley dissipation of sustained contacts. The outgoing speed is at most
             its inverse.
@@ -52,7 +52,8 @@ class SettingsDrake(SteppedSettings):
         impact_rate: Rate of impacts. It is reduced where the time integration alone dissipates more than the
             restitution of the contact.
         impact_speed_m_per_s: Normal speed at which impacts have the scene's restitution, for Hunt-Crossley dissipation.
-            None gives the largest speed of the scene's falls, starts and drivers. Slower impacts rebound more.
+            None gives the largest speed of the scene's falls, initial states and prescribed motions. Slower impacts
+            rebound more.
         stiction_speed_m_per_s: Sliding speed below which friction decreases to zero; bodies at rest creep with less.
         near_rigid_threshold: Drake's bound on the stiffness of `sap`.
         driven_mass_ratio: Mass of a driven body over that of all dynamic bodies. Its velocity is written in each step,

@@ -55,7 +55,7 @@ class SimulationDrake(PlacedSimulation):
         self._nominal = nominal_states(scene)
         # Positions, then velocities.
         self._state = np.zeros(plant.num_multibody_states())
-        # Where the state has the numbers of each body; of a hinged one, the angle and its rate.
+        # Indices of each body in the state; a hinged body has the angle and its rate.
         self._places: dict[str, Any] = {}
         for name in self._model.bodies:
             joint = plant.GetJointByName(name)
@@ -68,7 +68,7 @@ class SimulationDrake(PlacedSimulation):
         self.reset()
 
     def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
-        """Write the starts to the state of the plant, which remembers nothing else. The seed has no effect."""
+        """Write the initial states to the plant, which has no other memory. The seed has no effect."""
         states = self._nominal if starts is None else starts[0]
         self._motions: dict[str, FloatArray] = {}
         self._wrenches: dict[str, FloatArray] = {}
@@ -104,7 +104,7 @@ class SimulationDrake(PlacedSimulation):
         if self._motions or self._tethers or self._force_readers:
             self._advance_in_steps(count)
         else:
-            # In one call, which costs half of as many single steps and gives the same bits.
+            # One call costs half as much as single steps, and gives the same bits.
             self._context.SetTime(0.0)
             self._simulator.Initialize()
             self._simulator.AdvanceTo(count * self._step_s)
@@ -114,7 +114,7 @@ class SimulationDrake(PlacedSimulation):
             self._motions[name] = np.append(pose, np.zeros(12))
 
     def _advance_in_steps(self, count: int) -> None:
-        """Take steps before each of which driven bodies are placed and strings pull."""
+        """Take single steps; before each, place driven bodies and apply the pulls of strings."""
         paths = {
             name: np.hstack(motion_steps(motion, self._step_s, count))
             for name, motion in self._motions.items()
@@ -126,7 +126,7 @@ class SimulationDrake(PlacedSimulation):
                 self._context.SetDiscreteState(self._state)
             if self._tethers:
                 self._apply_forces()
-            # The contact results are those of the step that is taken now.
+            # The contact results belong to the step that is taken next.
             for reader in self._force_readers:
                 reader.add()
             after = self._model.diagram.EvalUniquePeriodicDiscreteUpdate(self._context)
@@ -134,7 +134,7 @@ class SimulationDrake(PlacedSimulation):
             self._context.SetDiscreteState(self._state)
 
     def _apply_forces(self) -> None:
-        """Give the plant the wrenches, and the pulls of strings now."""
+        """Give the plant the wrenches and the current pulls of strings."""
         forces = [
             self._force(name, self._model.bodies[name].default_com(), wrench)
             for name, wrench in self._wrenches.items()
@@ -148,7 +148,7 @@ class SimulationDrake(PlacedSimulation):
         self._forces.FixValue(self._plant_context, forces)
 
     def _force(self, name: str, place_m: FloatArray, wrench: FloatArray) -> Any:
-        """Return a force [N] at a place in the frame of a body, and a torque [N m], in Drake's type."""
+        """Return a force [N] at a point in the frame of a body, and a torque [N m], in Drake's type."""
         force = ExternallyAppliedSpatialForce()
         force.body_index = self._model.bodies[name].index()
         force.p_BoBq_B = place_m

@@ -20,7 +20,7 @@ __all__ = ["BackendGenesis"]
 class BackendGenesis(BundledBackend):
     """Genesis on the CPU.
 
-    Rigid bodies move by its constraint solver, a descendant of MuJoCo's with a friction cone of its own.
+    Rigid bodies move by its constraint solver, a descendant of MuJoCo's solver with another friction cone.
     """
 
     name = "genesis"
@@ -31,7 +31,7 @@ class BackendGenesis(BundledBackend):
     # MuJoCo reads the description of the bodies.
     packages = ("genesis-world", "quadrants", "torch", "mujoco")
     corrections = (
-        "an impact is a damped spring that is fitted to the restitution, of which Genesis has no coefficient",
+        "an impact is a damped spring that is fitted to the restitution, because Genesis has no such coefficient",
         "kernels of this package bend cloth and rub it against bodies",
         "a string is a spring that this package computes",
         "its cache of geoms, whose key lacks torsional and rolling friction, is emptied",
@@ -63,7 +63,7 @@ class BackendGenesis(BundledBackend):
     ) -> Simulation:
         """Build a scene in N worlds, which are environments of one Genesis scene.
 
-        Worlds with deformable bodies are Genesis scenes of their own.
+        Each world with deformable bodies is a separate Genesis scene.
         """
         if scene.deformables and world_count > 1:
             return super().build_worlds(scene, world_count, settings)

@@ -1,11 +1,10 @@
 """Cloth by Genesis's position-based dynamics: springs between particles, and hinges between triangles.
 
-Genesis's solver has no multipliers: each iteration closes a spring by the share 1 / (w + a), with the inverse masses w
-and the compliance a over the squared step. In equilibrium, with one iteration, the spring's force is therefore its
+Genesis's solver has no multipliers. Each iteration closes a spring by the share 1 / (w + a): w are the inverse masses,
+and a is the compliance over the squared step. In equilibrium, with one iteration, the spring's force is therefore its
 extension over (w h^2 + compliance). With the compliance 1 / k - w h^2 the stiffness is k, at every step. The same
-iteration is then the semi-implicit Euler method with forces at x + h v, where the step would lead without them. A
-vibration w decays at the rate w^2 h / 2, as with a viscosity of the relaxation time h, and grows only if (w h)^2
-exceeds 4 / 3.
+iteration is then the semi-implicit Euler method with forces at x + h v, the end of a step without forces. A vibration w
+decays at the rate w^2 h / 2, as with a viscosity of the relaxation time h. It grows only if (w h)^2 exceeds 4 / 3.
 """
 
 import tempfile
@@ -116,7 +115,7 @@ class _Sheet:
         self._clamp()
 
     def _clamp(self) -> None:
-        """Find the particles of each attached region; the first region of several counts."""
+        """Find the particles of each attached region; of several regions, the first applies."""
         local_m = self.cloth.pose.to_body(self.rest_m)
         is_free = np.ones(len(local_m), dtype=bool)
         for attachment in self._attachments:
@@ -209,7 +208,7 @@ class ClothPart(DeformablePart):
                 sheet.add(model, Path(folder))
 
     def finish(self, model: Any) -> None:
-        """Set masses, compliances and held particles, and place the kernels around those of the solver."""
+        """Set masses, compliances and clamped particles, and insert the kernels between the solver's kernels."""
         from gauge_envs.backends.genesis.kernels import PBDKernels
 
         gs, settings = engine(), self._settings
@@ -266,11 +265,11 @@ class ClothPart(DeformablePart):
 
         coupler.kernel_pbd_rigid_collide = collide_and_rub
 
-    def reset(self, starts: FloatArray) -> None:
-        """Place the cloths that nothing clamps."""
-        for sheet, start in zip(self._sheets.values(), starts, strict=True):
+    def reset(self, initial_states: FloatArray) -> None:
+        """Place the unclamped cloths."""
+        for sheet, state in zip(self._sheets.values(), initial_states, strict=True):
             if not sheet.fixed:
-                x, y, z, qw, qx, qy, qz = start[:7].tolist()
+                x, y, z, qw, qx, qy, qz = state[:7].tolist()
                 pose = Pose(position_m=(x, y, z), quaternion=(qw, qx, qy, qz))
                 local_m = sheet.cloth.pose.to_body(sheet.rest_m)
                 sheet.entity.set_particles_pos(pose.to_world(local_m))
@@ -278,7 +277,7 @@ class ClothPart(DeformablePart):
     def pin_motion(
         self, pin: Pin, path_m: FloatArray, spin: FloatArray
     ) -> tuple[FloatArray, ...]:
-        """Place the particles, and return the velocities that take them along with their body in each step."""
+        """Place the particles, and return the velocities that move them with their body in each step."""
         pin.entity.set_particles_pos(path_m[0], pin.nodes)
         return (np.diff(path_m, axis=0) / self._settings.timestep_s,)
 

@@ -3,7 +3,7 @@
 Free bodies stand far from each other in it, since geoms that touch in the document never collide in Genesis. Genesis
 takes the larger friction of two geoms, and the mean of their constraint constants. A body has one geom for each set of
 constants in its contacts. Both geoms of a pair have the same constants, so both rules give these constants. Collision
-bits let each pair collide with its own.
+bits let each geom collide only with geoms of its contacts.
 """
 
 from collections.abc import Iterator, Mapping
@@ -49,10 +49,10 @@ LONGEST = 10
 """Half periods after which a body that is still in contact rests."""
 
 MAX_STEP_DAMPING = 0.9
-"""Largest share of its speed that an impact loses in a step. Genesis raises time constants that mean more than 1."""
+"""Largest share of its speed that an impact loses in a step. Genesis raises time constants that imply more than 1."""
 
 COUPLED_BIT = 1 << 30
-"""Collision bit that a geom accepts and none offers."""
+"""Collision bit that a geom accepts and no geom offers."""
 
 ORIGIN = Pose(position_m=(0.0, 0.0, 0.0))
 
@@ -70,7 +70,7 @@ class Constants:
     Attributes:
         friction: Coulomb's coefficient.
         solref: Time constant [s] and damping ratio.
-        solimp: Impedance: least, greatest, width [m].
+        solimp: Impedance: smallest, largest, width [m].
         turning: Torsional and rolling friction [m].
     """
 
@@ -93,14 +93,16 @@ def layers_of_bodies(
 ) -> dict[str, dict[Constants, Layer]]:
     """Return the geoms that each body needs, by name, as its constants of contacts and their collision bits."""
     bodies = {body.name for body in scene.bodies}
-    found: dict[str, dict[Constants, Layer]] = {}
+    layers: dict[str, dict[Constants, Layer]] = {}
     for number, contact in enumerate(_rigid_contacts(scene)):
         constants, bit = _constants(scene, contact, settings), 1 << number
         for name in bodies & set(contact.first):
-            found.setdefault(name, {}).setdefault(constants, Layer()).offers |= bit
+            layers.setdefault(name, {}).setdefault(constants, Layer()).offers |= bit
         for name in bodies & set(contact.second):
-            found.setdefault(name, {}).setdefault(constants, Layer()).accepts |= bit
-    return {body.name: found[body.name] for body in scene.bodies if body.name in found}
+            layers.setdefault(name, {}).setdefault(constants, Layer()).accepts |= bit
+    return {
+        body.name: layers[body.name] for body in scene.bodies if body.name in layers
+    }
 
 
 def _rigid_contacts(scene: Scene) -> Iterator[Contact]:
@@ -129,8 +131,8 @@ def _constants(scene: Scene, contact: Contact, settings: SettingsGenesis) -> Con
 def damping_ratio(restitution: float, steps: int, weight: float = 0.0) -> float:
     """Return the damping ratio with which a damped spring that only pushes has a restitution.
 
-    A body in contact has the acceleration -2 z w v - w^2 x at the depth x and the speed v, gravity included, unless it
-    would have to be pulled. With the angular frequency w = pi / (steps h), half a period without damping lasts `steps`
+    A body in contact has the acceleration -2 z w v - w^2 x at the depth x and the speed v, gravity included. The spring
+    never pulls. With the angular frequency w = pi / (steps h), half a period without damping lasts `steps`
     steps.
 
     Args:
@@ -138,19 +140,19 @@ def damping_ratio(restitution: float, steps: int, weight: float = 0.0) -> float:
         steps: Steps of half a period.
         weight: Speed that gravity adds in a step, over the speed of the impact.
     """
-    least, greatest = 1e-6, MAX_STEP_DAMPING * steps / (2.0 * pi)
-    if _mean_rebound(least, steps, weight) <= restitution:
-        return least
-    if _mean_rebound(greatest, steps, weight) >= restitution:
-        return greatest
+    lowest, highest = 1e-6, MAX_STEP_DAMPING * steps / (2.0 * pi)
+    if _mean_rebound(lowest, steps, weight) <= restitution:
+        return lowest
+    if _mean_rebound(highest, steps, weight) >= restitution:
+        return highest
     # `gauge list` asks also where Genesis is absent, and the import takes a tenth of a second.
     from scipy.optimize import brentq
 
     return float(
         brentq(
             lambda ratio: _mean_rebound(ratio, steps, weight) - restitution,
-            least,
-            greatest,
+            lowest,
+            highest,
             xtol=1e-10,
         )
     )
@@ -170,7 +172,7 @@ def rebound(damping: float, steps: int, phase: float, weight: float) -> float:
     Args:
         damping: Damping ratio.
         steps: Steps of half a period without damping.
-        phase: Depth at the first step in contact, over the way of the body in a step.
+        phase: Depth at the first step in contact, over the displacement of the body in a step.
         weight: Speed that gravity adds in a step, over the speed of the impact.
     """
     frequency, speed, depth = pi / steps, 1.0, phase
@@ -231,7 +233,7 @@ def document(
 
     Args:
         scene: The scene.
-        settings: Settings in force.
+        settings: Effective settings.
         coupled: Friction of the bodies that collide with deformable bodies, by name.
         margin_m: Thickness by which the geoms of these bodies exceed them [m].
     """
@@ -267,7 +269,7 @@ def document(
 
 
 def _enlarged(shape: Shape, margin_m: float) -> Shape:
-    """Return a box, sphere or cylinder whose surface is farther outside [m], and other shapes as they are."""
+    """Return a box, sphere or cylinder enlarged by a margin [m], and other shapes unchanged."""
     if isinstance(shape, Box):
         x, y, z = (edge + 2.0 * margin_m for edge in shape.size_m)
         return Box(size_m=(x, y, z))
@@ -329,7 +331,7 @@ def _add_body(
     if body.motion is Motion.KINEMATIC:
         mass_kg, centre_m = settings.kinematic_mass_kg, np.zeros(3)
         # A sphere's inertia is the same in every frame, so a torque needs no rotation.
-        inertia = mass_kg * reach_m(body) ** 2 * np.eye(3)
+        inertia = mass_kg * outer_radius_m(body) ** 2 * np.eye(3)
     else:
         mass_kg = body.mass_kg
         centre_m, inertia = body_mass_properties(body)
@@ -344,7 +346,7 @@ def _add_body(
     return element
 
 
-def reach_m(body: RigidBody) -> float:
+def outer_radius_m(body: RigidBody) -> float:
     """Return the largest distance of a corner of a body from its origin [m]."""
     return float(np.linalg.norm(body.shape.corners_m, axis=1).max())
 
@@ -357,7 +359,7 @@ def _add_geoms(
     constants: Constants,
     layer: Layer,
 ) -> None:
-    """Add a geom for each piece of a shape; their names begin with that of the body."""
+    """Add a geom for each piece of a shape; its name begins with the name of the body."""
     for number, geometry in enumerate(_geometries(name.partition("/")[0], shape)):
         _add(
             parent,

@@ -17,7 +17,7 @@ from gauge_envs.errors import BackendError
 LOGGER = logging.getLogger("gauge_envs.genesis")
 
 PATIENCE_S = 5.0
-"""Duration of a build after which a note says what it waits for [s]."""
+"""Duration of a build after which a note explains the wait [s]."""
 
 _PRECISIONS: WeakKeyDictionary[Any, int] = WeakKeyDictionary()
 """Precision of each simulation that exists [bits]."""
@@ -27,7 +27,7 @@ _PRECISIONS: WeakKeyDictionary[Any, int] = WeakKeyDictionary()
 def engine() -> Any:
     """Return the module `genesis`. Its import takes 4 s; it neither prints nor replaces the hook of exceptions."""
     hook = sys.excepthook
-    # Otherwise the compiler prints a line about any stdout but that of the process.
+    # Otherwise the compiler prints a line if stdout is replaced.
     os.environ.setdefault("QD_ENABLE_PYBUF", "0")
     try:
         with warnings.catch_warnings():
@@ -42,20 +42,20 @@ def claim(owner: object, precision: int) -> None:
     """Start Genesis for a simulation, which keeps it from starting in another precision.
 
     Args:
-        owner: The simulation. Its claim ends with `release`, or when nothing uses it.
+        owner: The simulation. Its claim ends with `release`, or when it is garbage-collected.
         precision: Bits of floating-point numbers, 32 or 64.
 
     Raises:
         BackendError: A simulation with the other precision exists.
     """
     if set(_PRECISIONS.values()) - {precision}:
-        # A cycle of references may still hold a simulation that nothing uses.
+        # A cycle of references may still keep an unused simulation.
         gc.collect()
     if set(_PRECISIONS.values()) - {precision}:
         raise BackendError(
             f"Genesis has one precision per process, and a simulation with {96 - precision} bits exists. A "
-            f"simulation with {precision} bits cannot start beside it. Close the other one first, set precision to "
-            "the same value, or use another process."
+            f"simulation with {precision} bits cannot start at the same time. Close the other simulation first, set "
+            "precision to the same value, or use another process."
         )
     gs = engine()
     if gs.backend is not None and gs.np_float().itemsize * 8 != precision:
@@ -86,7 +86,7 @@ def _quiet() -> Iterator[None]:
 
 @contextlib.contextmanager
 def patient_build() -> Iterator[None]:
-    """Build a scene quietly, but say on stderr what it waits for if it takes more than `PATIENCE_S`."""
+    """Build a scene quietly, but explain the wait on stderr if it takes more than `PATIENCE_S`."""
     folder = os.environ.get("QD_OFFLINE_CACHE_FILE_PATH", "~/.cache/quadrants")
     note = (
         "Genesis is building a scene: it compiles kernels, which takes up to two minutes the first time. It keeps them "

@@ -17,11 +17,11 @@ def pbd_constants(fabric: Fabric) -> FabricConstants:
 
     There is no shear constant. These constants are nominal: the behaviour of the cloth also depends on mesh, substep,
     relaxation and number of iterations. Converged springs on a square grid with diagonals would have K_s along grid
-    lines, and K_s / 2 in shear at fixed extension: a diagonal of length sqrt(2) h in a cell of area h^2 extends by
-    gamma h / sqrt(2), which takes an energy of K gamma^2 / 4 per area.
+    lines, and K_s / 2 in shear at fixed extension. A diagonal of length sqrt(2) h in a cell of area h^2 extends by
+    gamma h / sqrt(2) and stores an energy of K gamma^2 / 4 per area.
 
-    The default of the backend has springs of its own, which no constant of `PBD.Cloth` expresses. These constants hold
-    for the engine's own defaults.
+    The backend's default uses other springs, which no constant of `PBD.Cloth` expresses. These constants are for the
+    engine's own defaults.
 
     Source: paper, equation of the Genesis mapping.
     """

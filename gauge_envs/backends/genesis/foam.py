@@ -1,9 +1,9 @@
 """Soft bodies by Genesis's implicit finite elements (FEM) and by its explicit material point method (MPM).
 
-With FEM, a soft row is one entity of linear corotational tetrahedra. With MPM, points in a grip weigh a million times
-the others and are placed before each step, so that the grid near them has the velocity of the grip. The voxel is chosen
-so that a grid plane lies at each face of a grip. The points begin half a voxel behind that plane, so that it is the
-last one that they move.
+With FEM, a soft row is one entity of linear corotational tetrahedra. With MPM, points in a grip are a million times as
+heavy as free points and are placed before each step, so the nearby grid has the velocity of the grip. The voxel is
+chosen so that a grid plane lies at each face of a grip. The points begin half a voxel behind that plane, so that it is
+the last plane that they move.
 """
 
 import tempfile
@@ -48,7 +48,7 @@ from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.geometry import FloatArray, IntArray
 
 FLOOR_M = -1e6
-"""Height of Genesis's own floor, out of reach [m]."""
+"""Height of Genesis's own floor [m], which no body touches."""
 
 GRIP_MASS_RATIO = 1e6
 """Mass of a gripped point over that of a free one."""
@@ -86,7 +86,7 @@ class _Row(ABC):
 
     @abstractmethod
     def positions_m(self) -> FloatArray:
-        """Return the current positions of what the solver moves [m], shape [count, 3]."""
+        """Return the current positions of the solver's nodes or points [m], shape [count, 3]."""
 
     def nodes_m(self) -> FloatArray:
         """Return the current positions of the nodes [m], shape [node_count, 3]."""
@@ -227,7 +227,7 @@ class FEMPart(SoftPart):
                 row.add(model, Path(folder))
 
     def finish(self, model: Any) -> None:
-        """Set the constants of the elements, the masses and the held nodes."""
+        """Set the constants of the elements, the masses and the pinned nodes."""
         gs = engine()
         solver = model.sim.fem_solver
         materials, masses = [], []
@@ -258,11 +258,11 @@ class FEMPart(SoftPart):
     def pin_motion(
         self, pin: Pin, path_m: FloatArray, spin: FloatArray
     ) -> tuple[FloatArray, ...]:
-        """Return where held nodes are at the end of each step."""
+        """Return the positions of pinned nodes at the end of each step."""
         return (path_m[1:],)
 
     def hold_pin(self, pin: Pin, *arrays: NDArray[Any]) -> None:
-        """Set where the nodes are at the end of the step."""
+        """Set the positions of the nodes at the end of the step."""
         pin.entity.update_constraint_targets(pin.nodes, *arrays)
 
 
@@ -270,7 +270,7 @@ class FEMPart(SoftPart):
 
 
 def fitted_voxel_m(rows: Sequence[SoftRow], voxel_m: float) -> float:
-    """Return the voxel edge [m], close to a desired one, with which grid planes lie at the faces of all grips.
+    """Return the voxel edge [m], close to the desired edge, that puts grid planes at the faces of all grips.
 
     Grid planes lie at multiples of the edge. The first soft row with a grip counts.
     """
@@ -286,7 +286,7 @@ def fitted_voxel_m(rows: Sequence[SoftRow], voxel_m: float) -> float:
 
 
 class _MPMRow(_Row):
-    """One soft row among the points. Its entities are one for each block, then one for each grip.
+    """One soft row among the points, with an entity for each block, then an entity for each grip.
 
     Attributes:
         points_m: Free points at the start [m], shape [free_count, 3].
@@ -323,7 +323,9 @@ class _MPMRow(_Row):
 
     def positions_m(self) -> FloatArray:
         """Return the positions of all points."""
-        return np.concatenate([particle_positions_m(one) for one in self.entities])
+        return np.concatenate(
+            [particle_positions_m(entity) for entity in self.entities]
+        )
 
     def nodes_m(self) -> FloatArray:
         """Return the nodes, interpolated between the points."""
@@ -370,7 +372,7 @@ class MPMPart(SoftPart):
             _MPMRow(row, self.voxel_m, settings.points_per_voxel_edge) for row in rows
         ]
         super().__init__(scene, settings, self._rows)
-        # Genesis has one volume for all points; masses and moduli are scaled to that of each.
+        # Genesis has one volume for all points; masses and moduli are scaled to the volume of each point.
         self._volume_m3 = float(self._rows[0].volumes_m3[0])
 
     def scene_options(self) -> dict[str, Any]:
@@ -408,7 +410,7 @@ class MPMPart(SoftPart):
     def _points(
         self, model: Any, block: Block, count: int, stiffness: float, mass: float
     ) -> Any:
-        """Add points of a block, given its moduli and density as multiples of those of the body."""
+        """Add points of a block with multiples of the body's moduli and density."""
         gs, body = engine(), block.body
         mu, lame = lame_constants(body)
         return model.add_entity(
@@ -425,7 +427,7 @@ class MPMPart(SoftPart):
         )
 
     def finish(self, model: Any) -> None:
-        """Place the points, and find those in grips."""
+        """Place the points, and pin the points in grips."""
         from gauge_envs.backends.genesis.kernels import MPMKernels
 
         self._kernels = MPMKernels(model)
@@ -445,7 +447,7 @@ class MPMPart(SoftPart):
     def pin_motion(
         self, pin: Pin, path_m: FloatArray, spin: FloatArray
     ) -> tuple[FloatArray, ...]:
-        """Return where gripped points are, and the velocity and spin that take them along with their body."""
+        """Return the positions of gripped points, and the velocity and spin of their body."""
         step_s = self._settings.timestep_s
         # Genesis adds the weight to the velocity of the grid, grips included.
         weight = np.array([0.0, 0.0, self._scene.gravity_m_per_s2 * step_s])
@@ -480,4 +482,4 @@ class MPMPart(SoftPart):
                 f"explicit MPM is unstable, since a step takes {step_s / sound_s:.2g} times as long as sound through a "
                 f"voxel of {1e3 * self.voxel_m:.3g} mm; set timestep_s to 1/{1 / stable_s:.0f} s, or preset to 'mpm'"
             )
-        return f"Genesis stops material points {ROOM_M:g} m from their start and less; move the body less"
+        return f"Genesis stops material points {ROOM_M:g} m from their start or earlier; move the body less"

@@ -1,4 +1,4 @@
-"""Kernels beside Genesis's deformable solvers, for one environment and one substep per step."""
+"""Additional kernels for Genesis's deformable solvers, for one environment and one substep per step."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from genesis.utils import sdf
 from numpy.typing import NDArray
 
 SINE_FLOOR = 1e-8
-"""Least squared sine of a hinge's angle, so that a flat hinge has a compliance."""
+"""Smallest squared sine of a hinge's angle, so that a flat hinge has a compliance."""
 
 
 @qd.data_oriented
@@ -125,14 +125,14 @@ class PBDKernels:
             depth = push.norm()
             if depth > 0.0 and self.pbd.particles_reordered[p, 0].free:
                 touched = -1
-                least = 1e10
+                smallest_gap = 1e10
                 for g in range(self.rigid.n_geoms):
                     if geoms_info.needs_coup[g]:
                         gap = sdf.sdf_func_world(
                             g, 0, after, geoms_state, geoms_info, sdf_info
                         )
-                        if gap < least:
-                            least = gap
+                        if gap < smallest_gap:
+                            smallest_gap = gap
                             touched = g
                 if touched >= 0:
                     normal = push / depth

@@ -34,13 +34,13 @@ def build_model(
         part: The deformable bodies; None in a rigid scene.
 
     Returns:
-        The `gs.Scene`, whose reset returns to the start of the deformable bodies; and Genesis's links of the moving
-        bodies, by name.
+        The `gs.Scene`, whose reset restores the initial state of the deformable bodies; and Genesis's links of the
+        moving bodies, by name.
     """
     gs = engine()
     turns = any(contact.torsion_m or contact.rolling_m for contact in scene.contacts)
     if turns:
-        # The key of Genesis 1.4's cache of MJCF geoms lacks these two: a scene would get those of an earlier one.
+        # The key of Genesis 1.4's cache of MJCF geoms lacks both: a scene would get the values of an earlier scene.
         gs.utils.cache.clear_caches()
     with patient_build():
         model = gs.Scene(

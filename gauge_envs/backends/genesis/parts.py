@@ -1,4 +1,4 @@
-"""What the deformable solvers of Genesis share: nodes, held nodes, and the rigid bodies that touch them."""
+"""Common code of Genesis's deformable solvers: nodes, pinned nodes, and the rigid bodies that touch them."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
@@ -58,28 +58,31 @@ class DeformablePart(ABC):
     def touches(self) -> Mapping[str, float]:
         """Return the friction of the rigid bodies that collide with the part, by their names.
 
-        Each of these bodies gets one more geom, the first of its geoms, which collides with no rigid body. Only this
-        geom takes part in the coupling.
+        Each of these bodies gets an additional first geom, which collides with no rigid body. Only this geom takes part
+        in the coupling.
         """
         return {
             name: contact.friction
-            for name, other, contact in touching_bodies(self._scene)
-            if other in self.names and name not in self.names
+            for name, partner, contact in touching_bodies(self._scene)
+            if partner in self.names and name not in self.names
         }
 
     def touch_margin_m(self) -> float:
-        """Return by how much the geoms of `touches` exceed their bodies [m], planes and unions apart."""
+        """Return the distance [m] by which the geoms of `touches` exceed their bodies, except planes and unions."""
         return 0.0
 
     def add(self, model: Any) -> None:
-        """Add the bodies to a `gs.Scene` that is not built, and let only the geoms for them touch them."""
+        """Add the bodies to a `gs.Scene` before it is built, and couple them to their geoms only."""
         for geom in model.sim.rigid_solver.geoms:
             geom._needs_coup = geom.conaffinity == COUPLED_BIT
 
     def coupled_geoms(self, model: Any) -> Iterator[tuple[Any, float]]:
         """Yield the geoms of a `gs.Scene` that collide with the part, with their friction."""
         touches = self.touches()
-        labels = {body_label(n): one.name for n, one in enumerate(self._scene.bodies)}
+        labels = {
+            body_label(index): body.name
+            for index, body in enumerate(self._scene.bodies)
+        }
         for geom in model.sim.rigid_solver.geoms:
             if geom.conaffinity == COUPLED_BIT:
                 label, _, _ = geom.metadata["name"].partition("/")
@@ -89,11 +92,11 @@ class DeformablePart(ABC):
     def finish(self, model: Any) -> None:
         """Complete the bodies after the scene was built: set constants, fix nodes, find the pins."""
 
-    def reset(self, starts: FloatArray) -> None:  # noqa: B027
-        """Start bodies elsewhere than the Genesis scene, which was reset; soft bodies never do.
+    def reset(self, initial_states: FloatArray) -> None:  # noqa: B027
+        """Move cloth to its initial states after a reset of the Genesis scene; soft bodies start as in the scene.
 
         Args:
-            starts: Initial states of the scene's deformable bodies, shape [count, 13].
+            initial_states: Initial states of the scene's deformable bodies, shape [count, 13].
         """
 
     def pin(
@@ -141,7 +144,7 @@ class DeformablePart(ABC):
     def pin_motion(
         self, pin: Pin, path_m: FloatArray, spin: FloatArray
     ) -> tuple[FloatArray, ...]:
-        """Return what `hold_pin` takes in each step of an interval, arrays whose first axis is the step.
+        """Return the arguments of `hold_pin` in each step of an interval, arrays whose first axis is the step.
 
         Args:
             pin: The nodes.
@@ -162,7 +165,7 @@ class DeformablePart(ABC):
         return None
 
     def diverged(self) -> str | None:
-        """Return why the solver gave up the state; see `Simulation.diverged`."""
+        """Return why the solver discarded the state; see `Simulation.diverged`."""
         return None
 
 

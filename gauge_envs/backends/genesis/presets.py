@@ -1,4 +1,4 @@
-"""Presets of the Genesis backend, the choice of one for a scene, and the scenes that it declines. Needs no engine.
+"""Presets of the Genesis backend, the choice of a preset for a scene, and unsupported scenes. Needs no engine.
 
 The content of a scene determines its preset; scores have no influence.
 """
@@ -71,11 +71,11 @@ def _check_kind(name: object, presets: Mapping[str, SettingsGenesis]) -> None:
     """Raise an error if a preset exists, but only for scenes of another kind."""
     if not isinstance(name, str) or name in presets:
         return
-    for kind, others in (
+    for kind, kind_presets in (
         ("rigid bodies alone", tuple(PRESETS)),
         ("soft bodies", SOFT_PRESETS),
     ):
-        if name in others:
+        if name in kind_presets:
             raise UnsupportedSceneError(
                 f"Genesis preset {name!r} is for scenes with {kind}; presets of this scene: {', '.join(presets)}"
             )
@@ -102,7 +102,7 @@ def unsupported_features(scene: Scene, settings: SettingsGenesis) -> Iterator[st
     for joint in scene.joints:
         if scene.body(joint.body).motion is not Motion.DYNAMIC:
             motion = scene.body(joint.body).motion.value
-            yield f"{joint.body!r} hangs on a {type(joint).__name__} and is {motion}: only dynamic bodies have joints"
+            yield f"{joint.body!r} has a {type(joint).__name__} and is {motion}: only dynamic bodies have joints"
             break
     yield from unsupported_contacts(scene, settings)
     yield from unsupported_deformables(scene)
@@ -127,8 +127,8 @@ def _unsupported_cloth(scene: Scene) -> Iterator[str]:
     dynamic = {body.name for body in scene.bodies if body.motion is Motion.DYNAMIC}
     loads = sorted(
         name
-        for name, other, _ in touching_bodies(scene)
-        if name in dynamic and other in cloths
+        for name, partner, _ in touching_bodies(scene)
+        if name in dynamic and partner in cloths
     )
     if loads:
         yield (
@@ -141,7 +141,7 @@ def _unsupported_solids(scene: Scene) -> Iterator[str]:
     solids = {body.name for body in scene.deformables if isinstance(body, SoftBody)}
     cloths = [body.name for body in scene.deformables if isinstance(body, Cloth)]
     if solids and cloths:
-        yield f"{min(solids)!r} is beside cloth {cloths[0]!r}: this backend builds one of both kinds in a scene"
+        yield f"{min(solids)!r} shares a scene with cloth {cloths[0]!r}: this backend builds one of both kinds"
     yield from soft_row_problems(scene)
     for first, second, _ in touching_bodies(scene):
         if {first, second} <= solids:

@@ -41,14 +41,14 @@ class SettingsGenesis(SteppedSettings):
         gjk: Detect contacts of convex shapes with GJK instead of MPR.
         sustained_timeconst_s: Time constant of sustained contacts [s], at least two steps.
         sustained_dampratio: Damping ratio of sustained contacts.
-        sustained_impedance: Impedance of sustained contacts: least, greatest, width [m].
+        sustained_impedance: Impedance of sustained contacts: smallest, largest, width [m].
         impact_steps: Steps that half a period of the spring of an impact lasts. None gives impacts the constants of
             sustained contacts, so that they have no restitution.
-        impact_speed_m_per_s: Speed at which impacts have their restitution under gravity; slower ones have less. None
-            gives the fastest fall, start or driver of the scene, to two digits.
+        impact_speed_m_per_s: Speed at which impacts have their restitution under gravity; slower impacts have less.
+            None gives the fastest fall, initial state or prescribed motion of the scene, to two digits.
         impact_impedance: Impedance of impacts, constant in depth; Genesis takes 0.0001 to 0.9999.
         kinematic_mass_kg: Mass of a driven body, so large that contacts do not slow it between two drives.
-        hinge_armature_kg_m2: Rotor inertia of each hinge; Genesis gives 0.1 to hinges that state none.
+        hinge_armature_kg_m2: Rotor inertia of each hinge; Genesis gives 0.1 to hinges without an armature.
         tether_rate: Natural frequency of a taut string times the step; a string is a spring with critical damping.
     """
 
@@ -119,9 +119,9 @@ class SettingsFEM(SettingsGenesis):
         solver: Genesis's name of the solver.
         cell_m: Largest edge of a cell of five tetrahedra; None gives 12.5 mm. There a bar is 1 % too stiff in tension,
             14 % in shear and 28 % in torsion.
-        newton_iterations: Linear solves in a step. The rotations of elements are those at its start, so one is exact.
+        newton_iterations: Linear solves in a step. Elements keep their rotations at its start, so one solve is exact.
         pcg_iterations: Iterations of each linear solve. Genesis runs all of them, so they determine the cost.
-        pcg_residual_n2: Squared norm of the residual forces at which a linear solve changes no more [N^2].
+        pcg_residual_n2: Squared norm of the residual forces at which a linear solve stops [N^2].
         damping_alpha_per_s: Rayleigh's damping by mass.
         damping_beta_s: Rayleigh's damping by stiffness.
         contact_margin_m: Distance from a box, sphere or cylinder at which contact starts. A cube as wide as the foam
@@ -166,7 +166,7 @@ def soft_presets(scene: Scene) -> Mapping[str, SettingsGenesis]:
         - 1e-9
     )
     # Genesis's defaults: 64 voxels per metre and points of 10 mm. Its default step of 10 ms does not divide the drive
-    # interval, and one step in each interval is the longest that does.
+    # interval, so a step takes one interval.
     out_of_box = SettingsMPM(
         preset="out_of_box",
         timestep_s=DRIVE_INTERVAL_S,
@@ -209,10 +209,10 @@ FINEST_CELL_M = 0.005
 """Smallest edge of the cells that the contacts of a cloth ask for [m]."""
 
 SHORTEST_STEPS = 20
-"""Least number of steps in 1/180 s."""
+"""Smallest number of steps in 1/180 s."""
 
 STIFFNESS_LIMIT = 0.5
-"""Largest stiffness of a spring over the one that closes it in a single step."""
+"""Largest stiffness of a spring, over the stiffness that closes it in a single step."""
 
 
 class SettingsPBD(SettingsGenesis):
@@ -220,23 +220,23 @@ class SettingsPBD(SettingsGenesis):
 
     Attributes:
         solver: Genesis's name of the solver.
-        mesh: `grid`, a regular mesh with springs along both diagonals of each cell, or `remeshed`, the mesh that
-            Genesis makes of it, with a spring on each edge.
+        mesh: `grid` is a regular mesh with springs along both diagonals of each cell. `remeshed` is Genesis's own mesh
+            with a spring on each edge.
         cell_m: Desired edge of the cells; None gives 25 mm, less where narrow bodies touch the cloth.
-        stiffness: `nominal`, the paper's mapping, compliances 1 / K_s and 1 / K_theta, or `effective`, compliances with
-            which the sheet has K_s, K_sh and K_theta after one iteration.
+        stiffness: `nominal` is the paper's mapping, with compliances 1 / K_s and 1 / K_theta. `effective` compliances
+            give the sheet K_s, K_sh and K_theta after one iteration.
         exact_hinges: Multiply the compliance of each hinge by the squared sine of its angle before each solve. Without
             it, the torque of Genesis's hinge falls with the cube of the angle, and cloth does not resist bending.
-        particle_size_m: Diameter of particles: they touch bodies at half this distance and each other at this one. None
-            gives the cloth's thickness.
+        particle_size_m: Diameter of particles: they touch bodies at half this distance and each other at this distance.
+            None gives the cloth's thickness.
         stretch_iterations: Iterations over the springs in a step.
         bending_iterations: Iterations over the hinges in a step.
         stretch_relaxation: Share of the correction of a spring.
         bending_relaxation: Share of the correction of a hinge.
         air_resistance: Drag of a particle over its squared speed [kg/m].
         body_friction: Apply Coulomb's friction between cloth and rigid bodies, which Genesis leaves out.
-        self_contact: Collide the particles of cloth with each other: `scene`, where the scene's contacts have cloth
-            with cloth, or `always`, as Genesis does.
+        self_contact: Collide the particles of cloth with each other: `scene`, if the scene has a contact of cloth with
+            cloth, or `always`, as Genesis does.
     """
 
     solver: Literal["PBD"] = "PBD"
@@ -313,7 +313,7 @@ def cloth_cell_m(scene: Scene) -> float:
     """
     cloths = {body.name for body in scene.deformables}
     touching = {
-        name for name, other, _ in touching_bodies(scene) if other in cloths
+        name for name, partner, _ in touching_bodies(scene) if partner in cloths
     } - cloths
     shapes = [scene.body(name).shape for name in touching]
     radii = [shape.radius_m for shape in shapes if isinstance(shape, Cylinder | Sphere)]
@@ -327,10 +327,10 @@ def cloth_cell_m(scene: Scene) -> float:
 
 
 def spring_stiffnesses(cloth: Cloth) -> tuple[float, float]:
-    """Return the stiffnesses of springs along the grid and of those along diagonals on a square grid [N/m].
+    """Return the stiffnesses of springs along the grid lines and along the diagonals of a square grid [N/m].
 
-    With springs k along the grid and s along both diagonals of each cell, the sheet's shear stiffness is s, and its
-    stretch stiffness with free transverse edges is k + k s / (k + s).
+    Springs k along the grid and s along both diagonals of each cell give the shear stiffness s. The stretch stiffness
+    with free transverse edges is k + k s / (k + s).
     """
     stretch, shear = cloth.stretch_stiffness_n_per_m, cloth.shear_stiffness_n_per_m
     free = stretch - 2.0 * shear
@@ -353,7 +353,7 @@ def grid_springs(grid: ClothGrid) -> IntArray:
 
 
 def grid_stiffnesses(cloth: Cloth, grid: ClothGrid, springs: IntArray) -> FloatArray:
-    """Return the stiffness of each spring [N/m]; those on the border of the cloth belong to half a cell.
+    """Return the stiffness of each spring [N/m]; springs on the border of the cloth belong to half a cell.
 
     Args:
         cloth: The cloth.
@@ -365,11 +365,11 @@ def grid_stiffnesses(cloth: Cloth, grid: ClothGrid, springs: IntArray) -> FloatA
     stiffnesses = np.empty(len(springs))
     cell = grid.cell_m
     for axis in range(2):
-        other = 1 - axis
-        rows = step[:, other] < 1e-9 * cell[other]
-        width = np.full(rows.sum(), cell[other])
-        places = np.abs(grid.plane_m[springs[rows, 0], other])
-        width[places > 0.5 * cloth.size_m[other] - 1e-6 * cell[other]] *= 0.5
+        across = 1 - axis
+        rows = step[:, across] < 1e-9 * cell[across]
+        width = np.full(rows.sum(), cell[across])
+        places = np.abs(grid.plane_m[springs[rows, 0], across])
+        width[places > 0.5 * cloth.size_m[across] - 1e-6 * cell[across]] *= 0.5
         stiffnesses[rows] = along * width / cell[axis]
     crossing = (step > 1e-9 * min(cell)).all(axis=1)
     # On a square cell this is the diagonal's stiffness; on others it keeps the shear stiffness.
@@ -383,9 +383,9 @@ def longest_timestep_s(cloth: Cloth, *, cell_m: float) -> float:
     """Return the longest time step [s] of stiffness `effective`, for a cloth whose corners are free.
 
     A spring k between masses m1 and m2 closes in one step h if k (1 / m1 + 1 / m2) h^2 = 1. Corners have a quarter of
-    the mass of other particles and set the step. Held corners would allow a longer one for this spring alone. But the
-    fastest vibration of the sheet, at w, then grows where (w h)^2 passes 4 / 3; with this step it is at most 1.01 in
-    the six fabrics.
+    the mass of other particles and set the step. Clamped corners would allow a longer step for their springs.
+    But the fastest vibration w of the sheet then grows, because (w h)^2 exceeds 4 / 3. With this step, (w h)^2 is at
+    most 1.01 in the six fabrics.
 
     Args:
         cloth: The cloth.

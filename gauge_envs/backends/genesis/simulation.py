@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from gauge_envs.backends.genesis.cloth import ClothPart
-from gauge_envs.backends.genesis.document import reach_m
+from gauge_envs.backends.genesis.document import outer_radius_m
 from gauge_envs.backends.genesis.engine import claim, engine, release
 from gauge_envs.backends.genesis.foam import FEMPart, MPMPart
 from gauge_envs.backends.genesis.model import build_model
@@ -106,7 +106,7 @@ class SimulationGenesis(PlacedSimulation):
         self._solver.set_qpos(coordinates)
 
     def drive(self, body: str, targets: FloatArray) -> None:
-        """Put a driven body where its interval starts, and give it the force that accelerates it."""
+        """Move a driven body to the start of its interval, and apply the force that accelerates it."""
         self._driven[body] = targets = targets.copy()
         self.placed[body] = targets[:, :13]
         link, solver, settings = self._links[body], self._solver, self._options
@@ -117,7 +117,7 @@ class SimulationGenesis(PlacedSimulation):
         weightless[:, 2] += self._scene.gravity_m_per_s2
         forces = settings.kinematic_mass_kg * _twists(quaternions, weightless)
         # The inertia is that of a sphere, so the torque has the direction of the acceleration.
-        forces[:, 3:] *= reach_m(self._scene.body(body)) ** 2
+        forces[:, 3:] *= outer_radius_m(self._scene.body(body)) ** 2
         freedoms = range(link.dof_start, link.dof_start + 6)
         solver.set_qpos(
             targets[:, :7], range(link.q_start, link.q_start + 7), skip_forward=True
@@ -130,7 +130,7 @@ class SimulationGenesis(PlacedSimulation):
         self._wrenches[body] = np.array(wrenches, dtype=np.float64)
 
     def advance(self, seconds: float) -> None:
-        """Step all worlds, and leave driven bodies at the end of their interval."""
+        """Step all worlds; driven bodies stop at the end of their interval."""
         step_count = round(seconds / self._step_s)
         if self._part is not None:
             motions = {name: rows[0] for name, rows in self._driven.items()}
@@ -165,7 +165,7 @@ class SimulationGenesis(PlacedSimulation):
                 )
 
     def _step(self) -> None:
-        """Step all worlds. A world that Genesis gives up returns to a start, so that the others go on."""
+        """Step all worlds. A world that Genesis stops is reset, so that the other worlds continue."""
         try:
             self._model.sim.step()
         except engine().GenesisException as error:
@@ -193,7 +193,7 @@ class SimulationGenesis(PlacedSimulation):
         return states
 
     def diverged(self) -> Mapping[int, str]:
-        """Return the worlds that Genesis gave up, or whose material left its grid."""
+        """Return the worlds that Genesis stopped, or whose material left its grid."""
         reason = self._part.diverged() if self._part is not None else None
         return {**self._diverged, **({0: reason} if reason else {})}
 
@@ -217,7 +217,7 @@ class SimulationGenesis(PlacedSimulation):
 
 
 def _twists(quaternions: FloatArray, twists: FloatArray) -> FloatArray:
-    """Return linear and angular parts as Genesis's free joints have them, the angular one in the body frame.
+    """Return linear and angular parts for Genesis's free joints, the angular part in the body frame.
 
     Args:
         quaternions: Orientations of bodies, shape [N, 4].

@@ -33,7 +33,7 @@ class BackendMuJoCo(BundledBackend):
     settings_for = staticmethod(settings_for)
     fabric_constants = staticmethod(flex_constants)
     corrections = (
-        "the damping of a contact is derived from the restitution, of which MuJoCo has no coefficient",
+        "the damping of a contact is derived from the restitution, because MuJoCo has no coefficient of restitution",
     )
     features = frozenset(Feature)
     configurations = MappingProxyType(
@@ -74,8 +74,8 @@ class BackendMuJoCo(BundledBackend):
         for reason in without_deformables(scene):
             raise UnsupportedSceneError(reason)
         chosen = settings_for(scene, settings)
-        in_force = without_absent(chosen.model_dump(mode="json"))
+        effective = without_absent(chosen.model_dump(mode="json"))
         spec, model, parts = build_model(scene, chosen)
         return SimulationMuJoCo(
-            scene, in_force, spec, model, parts, world_count=world_count
+            scene, effective, spec, model, parts, world_count=world_count
         )

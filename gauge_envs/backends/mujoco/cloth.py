@@ -2,9 +2,9 @@
 
 By itself, MuJoCo's surface flex is an isotropic plate. Two of its compiled tables are overwritten for a woven fabric:
 
-- `flex_stiffness` holds, for each triangle, the upper triangle of a symmetric 3 x 3 matrix S. With s the changes of the
-  squared edge lengths (edges from vertex 1 to 2, 2 to 0, 0 to 1), the membrane energy is s' S s / 4. That is a St.
-  Venant-Kirchhoff law with S = (area / 2) B^-T C B^-1, where B maps Green's strains xx, yy and 2 xy to s / 2. The
+- `flex_stiffness` holds, for each triangle, the upper triangle of a symmetric 3 x 3 matrix S. The vector s holds the
+  changes of the squared edge lengths (edges from vertex 1 to 2, 2 to 0, 0 to 1). The membrane energy is s' S s / 4, a
+  St. Venant-Kirchhoff law with S = (area / 2) B^-T C B^-1, where B maps Green's strains xx, yy and 2 xy to s / 2. The
   plane law C is arbitrary, so warp, weft and shear have the measured stiffness.
 - `flex_bending` holds, for each edge, a quadratic form on the two triangles that meet there. It is exact for folds
   along grid lines; other folds depend on the layout and weight of the diagonals, see `_diagonal_weight`.
@@ -56,9 +56,9 @@ class ClothPartMuJoCo(FlexPart):
         super().__init__(flex, grid.rest_m, points)
         self.cloth, self.grid = cloth, grid
 
-    def start_at(self, pose: Pose) -> None:
-        """Let a cloth without attachments start at another pose."""
-        self.points.start_at(self.grid.at(pose))
+    def set_pose(self, pose: Pose) -> None:
+        """Move a cloth without attachments to an initial pose."""
+        self.points.set_positions(self.grid.at(pose))
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the fabric's membrane law and scale the bending stiffness of the diagonals."""
@@ -183,15 +183,15 @@ def _membrane(
 # --- contact with itself ----------------------------------------------------------------------------------------------
 
 LARGEST_ACCELERATION_M_PER_S2 = 100.0
-"""Acceleration of a point beside a rigid motion, with which it is foreseen whether layers can touch."""
+"""Assumed largest acceleration of a point relative to a rigid motion, which predicts whether layers can touch."""
 
 
 class FoldWatch:
-    """Foresees intervals in which a cloth cannot touch itself, so that the search for contacts can be left out.
+    """Predicts intervals in which a cloth cannot touch itself, so that MuJoCo can skip the search for contacts.
 
-    The search takes up to 40 % of a step. Now and then it runs with a larger thickness; if it finds nothing, layers
-    are apart by the difference. Points then move by a translation, a part w x r, which brings no two nearer, and a
-    rest e, which brings two nearer by 2 |e| at most.
+    The search takes up to 40 % of a step. Now and then it runs with a larger thickness; if it finds no contact, layers
+    are apart by the difference. Points then move by a translation, a rotation w x r and a rest e. The first two keep
+    all distances, and the rest reduces a distance by 2 |e| at most.
     """
 
     def __init__(
@@ -234,7 +234,7 @@ class FoldWatch:
 
 
 def _rest_m(before: FloatArray, after: FloatArray) -> float:
-    """Return the largest part of the points' displacements [m] beside a translation and a part w x r."""
+    """Return the largest displacement [m] of a point after subtracting a translation and a rotation w x r."""
     arms = before - before.sum(axis=0) / len(before)
     moves = after - before
     moves -= moves.sum(axis=0) / len(moves)
@@ -252,10 +252,10 @@ class AirOnCloth:
     """Forces of the air on one cloth by the law of `gauge_envs.scene.air`, as generalized forces on its free vertices.
 
     MuJoCo's own fluid model acts on rigid bodies by their boxes of inertia, and not on a flex.
-    A vertex takes the share of each triangle that `ClothGrid.triangle_shares` gives it, and the velocity of a triangle
-    is the mean of its corners with the same shares. So the power of a vertex's forces is that of the triangles', and a
-    uniform wind accelerates a flat sheet uniformly. The bodies to which a cloth is attached are fixed or driven, so the
-    air on attached vertices moves nothing and is left out.
+    Each vertex takes its share of a triangle's force from `ClothGrid.triangle_shares`. The velocity of a triangle is
+    the mean of its corners with the same shares. So the forces on vertices and on triangles have equal power, and a
+    uniform wind accelerates a flat sheet uniformly. A cloth is attached to fixed or driven bodies only, so the air on
+    attached vertices has no effect and is left out.
 
     Args:
         air: The air.

@@ -63,21 +63,21 @@ def contact_constants(contact: Contact, settings: SettingsMuJoCo) -> ContactCons
         else _impact(contact, settings)
     )
     if settings.contact_solref is not None:
-        # The tangential constants of the recipe only fit its own normal direction.
+        # The tangential constants of a recipe fit only its own constants in the normal direction.
         recipe["solreffriction"] = (0.0, 0.0)
     if settings.contact_solreffriction is not None:
         recipe["solreffriction"] = settings.contact_solreffriction
     friction = _friction(contact, settings)
     # A contact without friction has no tangential constraints, which is exact and cheap.
-    least = 6 if contact.rolling_m else 4 if contact.torsion_m else 3
-    condim = max(settings.condim or 3, least) if friction[0] > 0.0 else 1
+    minimum = 6 if contact.rolling_m else 4 if contact.torsion_m else 3
+    condim = max(settings.condim or 3, minimum) if friction[0] > 0.0 else 1
     return ContactConstants(
         condim=condim, friction=friction, **recipe | given_constants(settings)
     )
 
 
 def given_constants(settings: SettingsMuJoCo) -> dict[str, Any]:
-    """Return those of `solref`, `solimp`, `margin` and `gap` with which the settings override every recipe."""
+    """Return the values of `solref`, `solimp`, `margin` and `gap` that the settings give for every recipe."""
     given = {
         "solref": settings.contact_solref,
         "solimp": settings.contact_solimp,

@@ -41,7 +41,7 @@ class Points:
         )
 
     def carriers(self) -> tuple[list[str], list[float]]:
-        """Return each point's body, and the positions of all points in the frames of their bodies [m], in a row."""
+        """Return each point's body, and the flattened positions of all points in the frames of their bodies [m]."""
         owners, places = list(self._names), np.zeros_like(self._rest_m)
         for index, attachment in self._attached.items():
             owners[index] = attachment.body
@@ -73,13 +73,13 @@ class Points:
             arms_m = self._attached[rows[0]].pose.to_body(self._rest_m[rows])
             self._moving.append((rows, arms_m, *free_joint_views(model, data, body)))
 
-    def start_at(self, rest_m: FloatArray) -> None:
-        """Let points of which none is attached start elsewhere.
+    def set_positions(self, start_m: FloatArray) -> None:
+        """Move points without attachments to initial positions.
 
         Args:
-            rest_m: World positions at the start [m], shape [point_count, 3].
+            start_m: World positions at the start [m], shape [point_count, 3].
         """
-        self._qpos[self._addresses] = rest_m - self._rest_m
+        self._qpos[self._addresses] = start_m - self._rest_m
 
     def positions(self) -> FloatArray:
         """Return the current world positions [m], shape [point_count, 3], from joint coordinates alone."""
@@ -151,7 +151,7 @@ class FlexPart:
 def make_firm(
     flex: mujoco.MjsFlex, solref: tuple[float, ...], solimp: tuple[float, ...]
 ) -> None:
-    """Let a flex collide with nothing yet, with constants that hold for every contact that it gets."""
+    """Disable the contacts of a flex, and set the constants of every contact that it gets later."""
     collide_with_nothing(flex)
     # Without priority, MuJoCo would average these constants with those of the other geom, which is far too soft.
     flex.priority = 1

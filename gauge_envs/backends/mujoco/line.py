@@ -35,7 +35,7 @@ EDGE_SOLIMP = (0.9999, 0.9999, 1e-4, 0.5, 2.0)
 CONTACT_SOLREF = (2e-3, 1.0)
 CONTACT_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """Constants of contacts. MuJoCo softens the contacts of light bodies: with its default impedance, two balls of 0.3 kg
-pull a rope of 5 g through the beam that it hangs on."""
+pull a rope of 5 g through its beam."""
 
 
 class LinePartMuJoCo(FlexPart):
@@ -83,8 +83,8 @@ class LinePartMuJoCo(FlexPart):
             centres_m = between(nodes_m)
             tangents = between(np.gradient(nodes_m, axis=0))
             tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-            # The shortest rotation from the axis a to the tangent t takes r to c r + n x r + (n.r) n / (1 + c), with
-            # n = a x t and c = a.t (Rodrigues' formula).
+            # Rodrigues' formula: with n = a x t and c = a.t, the shortest rotation from the axis a to the tangent t
+            # takes r to c r + n x r + (n.r) n / (1 + c).
             normals = np.cross(axis, tangents)
             cosine = tangents @ axis
             along = np.sum(normals * offsets_m, axis=1) / (1.0 + cosine)
@@ -120,7 +120,7 @@ def add_rope(
     attached = {
         0 if side == "low" else count: attachment for side, attachment in ends.items()
     }
-    return LinePartMuJoCo(flex, rest_m, _hold(spec, flex, rest_m, attached))
+    return LinePartMuJoCo(flex, rest_m, _attach_nodes(spec, flex, rest_m, attached))
 
 
 def add_rod(
@@ -169,7 +169,7 @@ def add_rod(
         attached |= dict.fromkeys(
             [0, 1] if side == "low" else [count - 1, count], attachment
         )
-    points = _hold(spec, flex, rest_m, attached)
+    points = _attach_nodes(spec, flex, rest_m, attached)
     geoms = []
     for index, name in enumerate(flex.vertbody):
         if index in attached:
@@ -194,18 +194,18 @@ def add_rod(
 def _stretch_time_constant_s(
     rod: Rod, segment_m: float, *, count: int, clamps: int
 ) -> float:
-    """Return the time constant with which the distances of a rod yield as E A says [s].
+    """Return the time constant that gives the distances of a rod the stretch stiffness E A [s].
 
-    A static force f stretches a soft constraint by x = f R / k, with R = (1 - d) A / d and k = 1 / (d T^2) for the time
-    constant T and a constant impedance d (MuJoCo, "Computation", solver parameters). MuJoCo estimates A as the mean
+    A static force f stretches a soft constraint by x = f R / k, with R = (1 - d) A / d and k = 1 / (d T^2). T is the
+    time constant and d a constant impedance (MuJoCo, "Computation", solver parameters). MuJoCo estimates A as the mean
     inverse mass of the two nodes: 1 / m along the rod, and 1.5 / m at a free end, whose node has half the mass. So
     E A_section / l = k / R gives T, with the mean of A over the rod. Half a segment at a clamp cannot stretch, and the
-    others stretch so much more.
+    other segments stretch more by that amount.
 
     Args:
         rod: The rod.
         segment_m: Distance l of neighbouring nodes [m].
-        count: Number of segments, with those of which a clamp holds both nodes.
+        count: Number of segments, including segments whose two nodes are clamped.
         clamps: Number of clamped ends.
     """
     node_kg = rod.mass_kg * segment_m / rod.length_m
@@ -222,7 +222,9 @@ def _stretch_time_constant_s(
 
 def _distances(spec: mujoco.MjSpec, line: Rope | Rod) -> mujoco.MjsEquality:
     """Return the constraint on the distances of a line's neighbouring nodes."""
-    return next(one for one in spec.equalities if one.name1 == line.name)
+    return next(
+        constraint for constraint in spec.equalities if constraint.name1 == line.name
+    )
 
 
 def _add_flex(
@@ -253,13 +255,13 @@ def _add_flex(
     return flex
 
 
-def _hold(
+def _attach_nodes(
     spec: mujoco.MjSpec,
     flex: mujoco.MjsFlex,
     rest_m: FloatArray,
     attached: Mapping[int, RigidAttachment],
 ) -> Points:
-    """Replace the bodies of attached nodes by points of the rigid bodies that hold them."""
+    """Replace the bodies of attached nodes by points of their rigid bodies."""
     points = Points(list(flex.vertbody), rest_m, attached)
     flex.vertbody, flex.vert = points.carriers()
     # A line needs no `nodebody`, which refers to the bodies of attached nodes.

@@ -166,7 +166,7 @@ def build_model(
 
     Bodies keep their names; a dynamic or driven body has a hinge or a free joint of the same name. A driven body is a
     free body of very large mass without weight, whose pose and velocity are written before each interval. Unlike a
-    mocap body it has a velocity, so it carries the bodies that rest on it.
+    mocap body it has a velocity, so it moves the bodies that rest on it.
 
     Returns:
         The editable model, the compiled model, and the parts of the deformable bodies by name.
@@ -201,7 +201,7 @@ def build_model(
             f"MuJoCo cannot build the scene with these settings: {reason}"
         ) from error
     if key is not None:
-        # The compiled model says in which order the velocities are.
+        # The compiled model defines the order of the velocities.
         model.key_qvel[0] = key.qvel = start_velocities(scene, model)
     for part in dict.fromkeys(parts.values()):
         part.complete(model)
@@ -228,8 +228,8 @@ def start_rates(body: RigidBody, hinge: Hinge | None) -> NDArray[np.float64]:
     """Return the velocity of a body's joint at the start.
 
     Returns:
-        The rate of a hinge [rad/s], shape [1]. For a free joint, the linear velocity of the body origin in the world
-        frame [m/s] and the angular velocity in the body frame [rad/s], shape [6].
+        The rate of a hinge [rad/s], shape [1]. For a free joint, shape [6]: the linear velocity of the body origin in
+        the world frame [m/s] and the angular velocity in the body frame [rad/s].
     """
     angular = np.array(body.angular_velocity_rad_per_s)
     if hinge is not None:
@@ -259,7 +259,7 @@ def set_option(option: Any, name: str, value: Any) -> None:
     Args:
         option: Options of a compiled model, or of its spec.
         name: Name of the setting.
-        value: Its new value; None for `o_friction` lets contacts have their constants.
+        value: Its new value; None for `o_friction` restores the constants of each contact.
     """
     if name == "timestep_s":
         option.timestep = value
@@ -389,7 +389,7 @@ def _add_contact(
                 constants.put_on_geom(geom)
         return
     for first, second in pairs:
-        for one, other in product(geoms[first], geoms[second]):
+        for first_geom, second_geom in product(geoms[first], geoms[second]):
             constants.put_on_pair(
-                spec.add_pair(geomname1=one.name, geomname2=other.name)
+                spec.add_pair(geomname1=first_geom.name, geomname2=second_geom.name)
             )

@@ -43,8 +43,8 @@ class SettingsMuJoCo(SteppedSettings):
     """Settings of one MuJoCo simulation.
 
     Contacts between rigid bodies follow a recipe. `sustained_*` sets the recipe of lasting contacts. `impact_*` sets
-    that of collisions, which reproduces the coefficient of restitution that MuJoCo lacks. `contact_*` overrides all
-    recipes unless it is None. The scene defines friction unless `friction_scale` or `o_friction` changes it.
+    the recipe of collisions, which reproduces the coefficient of restitution that MuJoCo lacks. `contact_*` overrides
+    all recipes unless it is None. The scene defines friction unless `friction_scale` or `o_friction` changes it.
 
     Attributes:
         integrator: Integrator, under MuJoCo's name.
@@ -97,17 +97,17 @@ class SettingsMuJoCo(SteppedSettings):
             because the solver loses accuracy.
         cell_m: Desired edge of the cells of deformable bodies, adjusted so that it divides each side: triangles of a
             cloth, elements of 27 nodes of a soft body (largest edge), segments of a rope or rod. None gives cloth cells
-            of 25 mm, a single soft body 4 cells along and 2 across, each body of a soft row 2 along and 1 across, a
-            rope segments of 10 mm, and a rod 15 segments. Otherwise it is 0.5 mm to 1 m, at most the longest side, and
-            no body may have more than 60 000 nodes.
+            of 25 mm, a rope segments of 10 mm, and a rod 15 segments. A single soft body then has 4 cells along and 2
+            across, and each body of a soft row 2 along and 1 across. A given value is 0.5 mm to 1 m and at most the
+            longest side, and no body may have more than 60 000 nodes.
         cloth_fold_radius_m: Half the collision thickness of a cloth that touches itself, about its displacement in one
             step; otherwise layers pass through each other. Other cloth collides with its physical thickness.
         cloth_solref: Time constant [s] and damping ratio of a cloth's contacts.
         cloth_solimp: Impedance of a cloth's contacts. Light cloth bounces on stiffer contacts; bodies sink into softer
             ones. None if `cloth_softness_m2_per_kg` determines it.
         cloth_softness_m2_per_kg: Softness s of a cloth's contacts. A cloth of areal density rho gets the constant
-            impedance d = 1 / (1 + s rho). MuJoCo's regularization of a vertex of mass m, (1 - d) / (d m), is then s
-            over the area of the vertex, for every density and cell size. None if `cloth_solimp` is given.
+            impedance d = 1 / (1 + s rho). For every density and cell size, MuJoCo's regularization of a vertex of
+            mass m, (1 - d) / (d m), is then s over the area of the vertex. None if `cloth_solimp` is given.
     """
 
     integrator: Literal["Euler", "RK4", "implicit", "implicitfast", "discrete"] = (
@@ -158,7 +158,9 @@ class SettingsMuJoCo(SteppedSettings):
 
     @field_validator("cloth_softness_m2_per_kg")
     @classmethod
-    def _one_of_two(cls, softness: float | None, info: ValidationInfo) -> float | None:
+    def _exactly_one_given(
+        cls, softness: float | None, info: ValidationInfo
+    ) -> float | None:
         # An invalid `cloth_solimp` is not in the data; its own error is reported first.
         if "cloth_solimp" in info.data and (softness is None) == (
             info.data["cloth_solimp"] is None
@@ -175,7 +177,7 @@ TRAINING = "training"
 """Preset for many episodes; its numbers depend on the preset of the scene."""
 
 TRAINING_CHANGES = read_presets(__file__, "training")
-"""What the preset `training` changes in the preset of a scene; `rope` stands for scenes with a rope, `soft_touched` for
+"""Changes of the preset `training` to the preset of a scene; `rope` stands for scenes with a rope, `soft_touched` for
 soft bodies with contacts.
 
 Chosen by distance to the default settings and cost; `scoring/convergence/mujoco.csv` has both for each id.

@@ -39,7 +39,7 @@ BAD_STATES = {
     mujoco.mjtWarning.mjWARN_BADQVEL: "velocity",
     mujoco.mjtWarning.mjWARN_BADQACC: "acceleration",
 }
-"""Quantity of each warning after which MuJoCo puts the state back to its start."""
+"""Quantity of each warning after which MuJoCo resets the state."""
 
 
 class SimulationMuJoCo(PlacedSimulation):
@@ -47,7 +47,7 @@ class SimulationMuJoCo(PlacedSimulation):
 
     Args:
         scene: The scene.
-        settings: Numerical settings in force, including `timestep_s`.
+        settings: Effective numerical settings, including `timestep_s`.
         spec: The editable model, for export and inspection.
         model: The compiled model.
         parts: Parts of its deformable bodies, by name; with any, there is one world.
@@ -127,7 +127,7 @@ class SimulationMuJoCo(PlacedSimulation):
     def _moving_body(
         self, body: RigidBody, data: mujoco.MjData
     ) -> _FreeBody | _HingedBody:
-        """Return what reads and places a body in one world."""
+        """Return the object that reads and writes the state of a body in one world."""
         hinge = self._scene.hinges.get(body.name)
         if hinge is None:
             return _FreeBody(self.model, data, body.name)
@@ -149,7 +149,7 @@ class SimulationMuJoCo(PlacedSimulation):
                 place.write(starts[world, row])
         for name in self._scene.free_cloths:
             state = starts[0, row_of(self._scene, name)]
-            self._cloths[name].start_at(Pose.of_state(state))
+            self._cloths[name].set_pose(Pose.of_state(state))
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Write each world's pose, velocity, and the force that gives the body's large mass the acceleration."""
@@ -177,7 +177,7 @@ class SimulationMuJoCo(PlacedSimulation):
             no_contact = mujoco.mjtDisableBit.mjDSBL_CONTACT
             self.model.opt.disableflags = flags | no_contact
         apply = map if self._threads is None else self._threads.map
-        # One call a thread; the results of the map raise the errors of its calls.
+        # One call per thread. Reading the results of the map raises the errors of its calls.
         list(apply(self._step_worlds, range(self._thread_count), repeat(count)))
         self.model.opt.disableflags = flags
 
@@ -202,16 +202,16 @@ class SimulationMuJoCo(PlacedSimulation):
                 reader.add()
 
     def diverged(self) -> Mapping[int, str]:
-        """Return the worlds whose state MuJoCo put back to its start since the last reset."""
-        found = {}
+        """Return the worlds whose state MuJoCo reset since the last call of `reset`."""
+        reasons = {}
         for world, counts in enumerate(self._warnings):
             for warning, quantity in BAD_STATES.items():
                 if counts[warning]:
-                    found[world] = (
-                        f"MuJoCo found a {quantity} that is huge or not finite, and put the state back to its start"
+                    reasons[world] = (
+                        f"MuJoCo found a {quantity} that is huge or not finite, and reset the state"
                     )
                     break
-        return found
+        return reasons
 
     def moving_states(self, names: Sequence[str]) -> FloatArray:
         """Return the states of dynamic and driven bodies, shape [N, len(names), 13]."""
@@ -238,7 +238,7 @@ class SimulationMuJoCo(PlacedSimulation):
         return lambda: read()[None]
 
     def contact_forces(self, pairs: Sequence[tuple[str, str]]) -> ContactForces:
-        """Return a reader of contact forces, for which steps are taken one by one."""
+        """Return a reader of contact forces, which are summed after every step."""
         model = self.model
         bodies = [
             (model.body(first).id, model.body(second).id) for first, second in pairs
@@ -262,13 +262,13 @@ def _touches(
     """Yield the contacts of the last step: two bodies, and the force on the first [N]."""
     wrench = np.empty(6)
     for index in range(data.ncon):
-        touch = data.contact[index]
-        if min(touch.geom) < 0:
+        point = data.contact[index]
+        if min(point.geom) < 0:
             continue
-        first, second = model.geom_bodyid[touch.geom].tolist()
+        first, second = model.geom_bodyid[point.geom].tolist()
         mujoco.mj_contactForce(model, data, index, wrench)
         # The first row of the frame points from the first geom to the second, which the force pushes.
-        yield first, second, -touch.frame.reshape(3, 3).T @ wrench[:3]
+        yield first, second, -point.frame.reshape(3, 3).T @ wrench[:3]
 
 
 class DrivenBody:

@@ -32,7 +32,7 @@ from gauge_envs.scene.geometry import FloatArray
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-LONE_CELLS = (4, 2)
+SINGLE_CELLS = (4, 2)
 """Default cells along and across a single body: torsion of a 1:3.5 bar is within 3 % of theory, shear within 3 % of a
 finer mesh."""
 
@@ -47,8 +47,8 @@ POINT_SPACING_M = 0.0125
 """Largest distance between neighbouring points of the colliding surface and of `nodes` [m]."""
 
 SKIN_M = 1e-4
-"""Thickness of the layer around the colliding surface [m]. What presses on the foam touches it as much earlier: by
-0.5 mm, a cube pushes with 0.6 N too much. With one of 0.01 mm a row of blocks is thrown off the edge it touches."""
+"""Thickness of the layer around the colliding surface [m]. Bodies touch the foam earlier by it: at 0.5 mm, a cube
+pushes with 0.6 N too much. At 0.01 mm, a row of blocks is thrown off the edge that it touches."""
 
 CONTACT_TIME_S = 0.0025
 """Time constant of contacts [s]; two time steps where these are longer, as `refsafe` does not raise it for a flex."""
@@ -61,8 +61,8 @@ through the foam with MuJoCo's default impedance, and by 0.1 mm with this one. S
 class Grip:
     """The nodes of a soft body that move with a driven body: heavy point bodies, written before each interval.
 
-    As points of the driven body they would double the cost of a step: MuJoCo assembles the stiffness of a flex node by
-    node only if every node is fixed or a body with three slide joints along the world axes. Each node is as heavy as a
+    As points of the driven body they would double the cost of a step. MuJoCo assembles the stiffness of a flex node by
+    node only if every node is fixed or has three slide joints along the world axes. Each node is as heavy as a
     driven body, so that the foam does not move it.
 
     Args:
@@ -168,7 +168,7 @@ class SoftPartMuJoCo(FlexPart):
         return self._grid @ self.points.positions()
 
     def track(self, points_m: ArrayLike) -> Callable[[], FloatArray]:
-        """Return a reader of material points by the shape functions of the elements; see `World.track`."""
+        """Return a reader of material points by the shape functions of the elements; see `Simulation.track`."""
         weights = self._lattice.weights(
             self._soft_row.checked(np.asarray(points_m, dtype=np.float64))
         )
@@ -243,9 +243,9 @@ class _Lattice:
         nodes = np.ravel_multi_index(
             tuple(2 * cells.T[:, :, None] + steps[:, None]), self.shape
         )
-        starts = 27 * np.arange(len(points_m) + 1)
+        offsets = 27 * np.arange(len(points_m) + 1)
         return csr_matrix(
-            (values.ravel(), nodes.ravel(), starts),
+            (values.ravel(), nodes.ravel(), offsets),
             shape=(len(points_m), len(self.rest_m)),
         )
 
@@ -340,7 +340,7 @@ def _cells_of_a_block(
 ) -> tuple[int, ...]:
     """Return the number of cells of each block along x, y and z."""
     if cell_m is None:
-        along, across = LONE_CELLS if len(blocks) == 1 else BONDED_CELLS
+        along, across = SINGLE_CELLS if len(blocks) == 1 else BONDED_CELLS
         return tuple(along if i == axis else across for i in range(3))
     # Blocks at the ends of a row lose material to the grips; the longest one decides.
     edges = np.max([block.high_m - block.low_m for block in blocks], axis=0)
@@ -355,7 +355,7 @@ def _layers_of_blocks(
     Args:
         blocks: Blocks of the row.
         axis: Index of the world axis of the row.
-        layer_count: Number of layers of the longest block that its desired cells make.
+        layer_count: Desired number of layers of the longest block.
     """
     lengths = np.array([block.high_m[axis] - block.low_m[axis] for block in blocks])
     if np.ptp(lengths) <= TOLERANCE_M:

@@ -58,14 +58,14 @@ FEATURES = (
 
 
 UNSTEADY_BOXES = frozenset({"3.11.0"})
-"""Releases whose contacts of boxes hop, so that a tower of twenty sways or falls in MuJoCo alone; 3.12 has none."""
+"""Releases whose box contacts jump: a tower of twenty boxes sways or falls, even without this package."""
 
 FAULTY_SPARSE = frozenset({"4.0.0"})
 """Releases whose Newton solver leaves forces in some sparse models (google-deepmind/mujoco#3767)."""
 
 
 def sparse_advice(model: mujoco.MjModel) -> str:
-    """Return what to change where the installed release may solve a model wrongly; empty for other models."""
+    """Return the advice for a model that the installed release may solve wrongly; empty for other models."""
     is_newton = model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
     if mujoco.__version__ in FAULTY_SPARSE and is_newton and mujoco.mj_isSparse(model):
         return (
@@ -76,22 +76,22 @@ def sparse_advice(model: mujoco.MjModel) -> str:
 
 
 def constants_of(enumeration: str, names: Mapping[str, str]) -> dict[str, Any]:
-    """Return those constants of an enumeration that the installed version has, by the name of a setting's value.
+    """Return the constants of an enumeration that the installed version has, by the name of a setting's value.
 
     Args:
         enumeration: Name of MuJoCo's enumeration.
         names: Name of the constant, by the name that this package gives it.
     """
-    found = getattr(mujoco, enumeration)
+    members = getattr(mujoco, enumeration)
     return {
-        name: getattr(found, constant)
+        name: getattr(members, constant)
         for name, constant in names.items()
-        if hasattr(found, constant)
+        if hasattr(members, constant)
     }
 
 
 def without_absent(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings without those that the installed version lacks: they are not in force."""
+    """Return the settings that the installed version has; the others have no effect."""
     absent = {
         feature.setting
         for feature in FEATURES
@@ -105,25 +105,25 @@ def check_installed(chosen: Mapping[str, Any], changes: Mapping[str, Any]) -> No
 
     Args:
         chosen: All settings, of the preset and the user.
-        changes: Settings that the user states.
+        changes: Settings that the user gives.
     """
     for feature in FEATURES:
         if feature.is_installed:
             continue
         if feature.value is None and feature.setting in changes:
-            what, cure = "does not have it", "leave it out"
+            what, fix = "does not have it", "leave it out"
         elif feature.value is not None and chosen[feature.setting] == feature.value:
-            what, cure = f"has no value {feature.value!r}", "choose another value"
+            what, fix = f"has no value {feature.value!r}", "choose another value"
         else:
             continue
         raise ParameterError(
             f"MuJoCo setting {feature.setting!r}: the installed MuJoCo {mujoco.__version__} {what}, since it came with "
-            f"MuJoCo {feature.since}: {cure}, or install a later version"
+            f"MuJoCo {feature.since}: {fix}, or install a later version"
         )
 
 
 def without_deformables(scene: Scene) -> Iterator[str]:
-    """Yield the reason why the installed version is not used for the deformable bodies of a scene."""
+    """Yield the reason why the installed version cannot simulate the deformable bodies of a scene."""
     if scene.deformables and int(mujoco.__version__.split(".")[0]) < DEFORMABLES_SINCE:
         names = first_names([repr(body.name) for body in scene.deformables], 3)
         yield (

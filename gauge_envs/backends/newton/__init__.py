@@ -54,7 +54,7 @@ class BackendNewton(BundledBackend):
         {"out_of_box": {"preset": "out_of_box"}, "paper": {"preset": "paper"}}
     )
     corrections = (
-        "the damping of a contact is derived from the restitution, whose coefficient the MuJoCo solver ignores",
+        "the damping of a contact is derived from the restitution, because the MuJoCo solver ignores its coefficient",
         "a step of cloth starts from the last acceleration, by a subclass of SolverVBD",
     )
     features = frozenset(Feature) - {Feature.AIR}
@@ -65,7 +65,7 @@ class BackendNewton(BundledBackend):
         return _unsupported_features(scene, settings_for(scene))
 
     def repeatability(self, settings: Mapping[str, Any] | None = None) -> Repeatability:
-        """Return that runs on a GPU part by single precision: its kernels add in any order."""
+        """Return that runs on a GPU diverge from single-precision noise: its kernels add in any order."""
         if (settings or {}).get("device", "cpu") == "cpu":
             return Repeatability()
         return Repeatability(kind="statistical", start_error=1e-6)
@@ -97,7 +97,7 @@ SIMULATED: Mapping[type[SettingsNewton], set[type]] = {
     SettingsLines: {Rope, Rod},
     SettingsMPM: {SoftBody},
 }
-"""Kinds of deformable bodies that each solver simulates here; a scene of its own has at least one of them."""
+"""Kinds of deformable bodies that each solver simulates here; its scenes have at least one of them."""
 
 
 def _checked(scene: Scene, changes: Mapping[str, Any] | None) -> SettingsNewton:
@@ -123,7 +123,7 @@ def _unsupported_features(scene: Scene, settings: SettingsNewton) -> Iterator[st
     if not scene.deformables:
         return
     for joint in scene.joints:
-        yield f"{joint.body!r} is on a joint beside deformable bodies, which this backend does not support"
+        yield f"{joint.body!r} has a joint in a scene with deformable bodies, which this backend does not support"
     per_body = isinstance(settings, SettingsVBD) and not settings.full_surface
     yield from unsupported_surface_contacts(scene, per_body=per_body)
     yield from _rebounds(scene)
@@ -142,7 +142,7 @@ def _unsupported_features(scene: Scene, settings: SettingsNewton) -> Iterator[st
 
 
 def _rebounds(scene: Scene) -> Iterator[str]:
-    """Yield one sentence for each contact in which two bodies rebound that do not consist of particles."""
+    """Yield one sentence for each rebound between two bodies that are not made of particles."""
     lines = {body.name for body in scene.deformables if isinstance(body, Rope | Rod)}
     moving = lines | {body.name for body in scene.dynamic_bodies}
     rigid = lines | {body.name for body in scene.bodies}
@@ -159,9 +159,9 @@ def _rebounds(scene: Scene) -> Iterator[str]:
 def _unsupported_lines(scene: Scene) -> Iterator[str]:
     lines = [body for body in scene.deformables if isinstance(body, Rope | Rod)]
     names = {line.name for line in lines}
-    others = [body.name for body in scene.deformables if body.name not in names]
-    if lines and others:
-        yield f"{lines[0].name!r} is beside {others[0]!r}: this backend builds ropes and rods with rigid bodies only"
+    other_names = [body.name for body in scene.deformables if body.name not in names]
+    if lines and other_names:
+        yield f"{lines[0].name!r} shares a scene with {other_names[0]!r}: ropes and rods need a scene of rigid bodies"
     rigid = {body.name for body in scene.bodies}
     for attachment in scene.attachments:
         if {

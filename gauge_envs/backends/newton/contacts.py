@@ -1,7 +1,7 @@
 """Contacts in Newton, whose contact constants belong to shapes and particles and not to pairs. Needs no engine.
 
 In a rigid scene, a body whose contacts all have the same constants carries them with priority over the other body of
-each pair; where neither has, both get a copy of their shapes for the constants of the pair. Cloth and soft bodies
+each pair. If neither body does, both get a copy of their shapes with the constants of the pair. Cloth and soft bodies
 consist of particles, which share one friction.
 """
 
@@ -17,7 +17,7 @@ from gauge_envs.scene import Cloth, Contact, ContactMode, Rod, Rope, Scene, Soft
 
 FRICTION_AS_NORMAL = -1.0
 """Negative friction gain, with which friction has the time constant of the contact. Newton's default gain gives light
-bodies a time constant far below the time step, and they hop."""
+bodies a time constant far below the time step, and they jump."""
 
 DEFAULT_SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
 """MuJoCo's default impedance of contacts, which Newton's shapes have."""
@@ -109,11 +109,15 @@ def carried_constants(
     pairs: dict[frozenset[str], ShapeConstants],
 ) -> dict[str, ShapeConstants]:
     """Return the constants of each body whose contacts all have the same; such a body carries them with priority."""
-    found: dict[str, set[ShapeConstants]] = {}
+    constants_by_name: dict[str, set[ShapeConstants]] = {}
     for pair, constants in pairs.items():
         for name in pair:
-            found.setdefault(name, set()).add(constants)
-    return {name: next(iter(every)) for name, every in found.items() if len(every) == 1}
+            constants_by_name.setdefault(name, set()).add(constants)
+    return {
+        name: next(iter(every))
+        for name, every in constants_by_name.items()
+        if len(every) == 1
+    }
 
 
 # --- particles --------------------------------------------------------------------------------------------------------
@@ -145,7 +149,7 @@ def surface_contacts(scene: Scene, *, per_body: bool = False) -> SurfaceContacts
 
     Args:
         scene: The scene.
-        per_body: Whether each body made of particles can collide with other rigid bodies than the rest. This needs
+        per_body: Whether each body made of particles may have its own rigid collision partners. This needs
             collisions of vertices only.
     """
     problems = list(unsupported_surface_contacts(scene, per_body=per_body))
@@ -176,8 +180,8 @@ def unsupported_surface_contacts(
         return
     sides = _side_frictions(pairs)
     for (first, second), friction in pairs.items():
-        got = float(np.sqrt(sides[first] * sides[second]))
-        if not np.isclose(got, friction, rtol=1e-3, atol=1e-6):
+        closest = float(np.sqrt(sides[first] * sides[second]))
+        if not np.isclose(closest, friction, rtol=1e-3, atol=1e-6):
             yield (
                 f"the friction of {first or 'deformable bodies'!r} on {second or 'deformable bodies'!r} is "
                 f"{friction:g}: Newton takes the geometric mean of one coefficient per body, and no coefficients give "
@@ -218,13 +222,13 @@ def _met(scene: Scene) -> dict[str, frozenset[str]]:
     seams = {(a.deformable, a.to) for a in scene.attachments if a.to not in soft}
     met: dict[str, frozenset[str]] = {}
     for contact in scene.contacts:
-        for group, others in (
+        for group, opposite in (
             (contact.first, contact.second),
             (contact.second, contact.first),
         ):
-            for name in others:
+            for name in opposite:
                 touching = {
-                    one for one in group if one in soft and (one, name) not in seams
+                    body for body in group if body in soft and (body, name) not in seams
                 }
                 met[name] = met.get(name, frozenset()) | touching
     return {name: touching for name, touching in met.items() if touching}
@@ -235,7 +239,7 @@ def _pairs(scene: Scene) -> dict[tuple[str, str], float]:
     soft = _soft_bodies(scene)
     lines = {body.name for body in scene.deformables if isinstance(body, Rope | Rod)}
     moving = soft | lines | {body.name for body in scene.dynamic_bodies}
-    found: dict[tuple[str, str], float] = {}
+    frictions: dict[tuple[str, str], float] = {}
     for contact in scene.contacts:
         for first in contact.first:
             for second in contact.second:
@@ -246,12 +250,15 @@ def _pairs(scene: Scene) -> dict[tuple[str, str], float]:
                 low, high = sorted(
                     PARTICLES if name in soft else name for name in (first, second)
                 )
-                if found.setdefault((low, high), contact.friction) != contact.friction:
+                if (
+                    frictions.setdefault((low, high), contact.friction)
+                    != contact.friction
+                ):
                     raise UnsupportedSceneError(
                         f"{first!r} and {second!r} have two coefficients of friction: Newton takes one for all "
                         "deformable bodies"
                     )
-    return found
+    return frictions
 
 
 def _side_frictions(pairs: dict[tuple[str, str], float]) -> dict[str, float]:

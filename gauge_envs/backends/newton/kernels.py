@@ -81,7 +81,7 @@ def carry(
     particle_qd: wp.array[wp.vec3],
     particle_qd_grad: wp.array[wp.mat33],
 ):
-    """Move particles to their positions on bodies before a step, with the velocity that leads to those after it."""
+    """Move particles to their positions on bodies before a step, with the velocity to the positions after it."""
     i = wp.tid()
     here = wp.transform_point(body_q[body[i]], place[i])
     there = wp.transform_point(body_q_after[body[i]], place[i])

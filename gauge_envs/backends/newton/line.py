@@ -3,7 +3,7 @@
 Each segment is a body with the mass and inertia of its piece of the line. Newton's rod joints connect neighbouring
 segments. The joints of a rod also resist bending with E I and twist with G J, both over the length of a segment. A
 joint at a clamp represents half a segment and is twice as stiff. With n segments, the deflection by a load at the free
-end then exceeds that of theory by 1 part in 2 n^2.
+end then exceeds the theoretical value by 1 part in 2 n^2.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ ROTATION_TO_AXIS = {
 """Rotation from z, the axis of Newton's capsules and rod joints, to the axis of a line."""
 
 CLEAR_RADII = 2.5
-"""Clearance along the line, in radii, below which segments never collide, since they touch in every shape."""
+"""Clearance along the line, in radii, below which segments never collide, since neighbours always touch."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,14 +123,15 @@ class LinePartNewton(Part):
         """Return the rotation of the line at each node since the start, x, y, z, w, shape [N, node_count, 4]."""
         anchors: list[_Anchor] = []
         for first, second in self.anchors:
-            # The holder of a rope's end rotates independently. The second anchor is a segment, except at a tip.
+            # The body that a rope's end is attached to rotates independently. The second anchor is a segment, except at
+            # a tip.
             anchors += [first if self.keeps_direction else second, second]
         bodies = [anchor.body for anchor in anchors]
-        now = Rotation.from_quat(poses[:, bodies, 3:].reshape(-1, 4))
-        back = [anchor.start.inv() for anchor in anchors]
-        since = now * Rotation.concatenate(back * len(poses))
+        current = Rotation.from_quat(poses[:, bodies, 3:].reshape(-1, 4))
+        inverse = [anchor.start.inv() for anchor in anchors]
+        since = current * Rotation.concatenate(inverse * len(poses))
         quaternions = since.as_quat().reshape(len(poses), -1, 4)
-        # A quaternion and its negative are one rotation. The nearer one of both along the line has a meaningful mean.
+        # A quaternion and its negative are one rotation. The sign nearer to the previous node gives a meaningful mean.
         cosines = np.sum(quaternions[:, 1:] * quaternions[:, :-1], axis=2)
         signs = np.where(cosines < 0.0, -1.0, 1.0)
         quaternions[:, 1:] *= np.cumprod(signs, axis=1)[..., None]
@@ -153,7 +154,7 @@ def add_line(
 ) -> LinePartNewton:
     """Add a rope or a rod to a model builder; it collides with every shape that is not excluded.
 
-    The material in a grip is part of the body that holds it, and its mass is omitted.
+    The material in a grip is part of the gripping body, and its mass is omitted.
 
     Args:
         builder: Model builder that contains the rigid bodies.
@@ -181,12 +182,14 @@ def add_line(
     }
     links = _add_segments(builder, line, nodes_m, rotation, length_m, fixed)
     shapes = _add_capsules(builder, line, links, length_m=length_m, ends=ends)
-    for one, other in combinations(range(segments), 2):
+    for low_index, high_index in combinations(range(segments), 2):
         if (
             not touches_itself
-            or (other - one - 1) * length_m < CLEAR_RADII * line.radius_m
+            or (high_index - low_index - 1) * length_m < CLEAR_RADII * line.radius_m
         ):
-            builder.add_shape_collision_filter_pair(shapes[one], shapes[other])
+            builder.add_shape_collision_filter_pair(
+                shapes[low_index], shapes[high_index]
+            )
 
     half = 0.5 * length_m
     low, high = (
@@ -195,7 +198,7 @@ def add_line(
     )
     first = _anchor_on(ends["low"], bodies, nodes_m[0]) if "low" in ends else low[0]
     last = _anchor_on(ends["high"], bodies, nodes_m[-1]) if "high" in ends else high[-1]
-    # The holder of an end comes first in its pair, because Newton accepts the world only as parent.
+    # The body of an attached end comes first in its pair, because Newton accepts the world only as parent.
     anchors = list(zip([first, *high[:-1], last], [*low, high[-1]], strict=True))
     stiffness = _stiffness(line, length_m, segments, settings, load_n)
     for index, (parent, child) in enumerate(anchors):
@@ -297,7 +300,7 @@ def _poses(stepper: Stepper) -> FloatArray:
 def _anchor_on(
     attachment: RigidAttachment, bodies: Mapping[str, int], point_m: FloatArray
 ) -> _Anchor:
-    """Return the point of the rigid body that holds an end."""
+    """Return the point of the rigid body to which an end is attached."""
     index = bodies[attachment.body]
     if index == WORLD:
         return _Anchor(body=index, place_m=vector(point_m), start=Rotation.identity())
@@ -329,7 +332,7 @@ def _add_segments(
     }
     links = []
     for index, centre_m in enumerate(0.5 * (nodes_m[:-1] + nodes_m[1:])):
-        # `add_body` also adds a free joint to the world, which must not be beside a rod joint to the world.
+        # `add_body` also adds a free joint to the world, which excludes a rod joint to the world.
         add = builder.add_link if index in fixed else builder.add_body
         links.append(
             add(
@@ -351,7 +354,7 @@ def _add_capsules(
     """Add the capsules of the segments; the round end of a free end lies within the line."""
     shapes = []
     for index, link in enumerate(links):
-        # What the round end of a free end takes of the segment.
+        # Length that the round cap of a free end takes from the segment.
         low_m = line.radius_m if index == 0 and "low" not in ends else 0.0
         high_m = (
             line.radius_m if index == len(links) - 1 and "high" not in ends else 0.0

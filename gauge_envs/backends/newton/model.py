@@ -63,7 +63,7 @@ class WorldLayout:
 
     @property
     def pins(self) -> list[Pin]:
-        """Particles that kinematic bodies hold."""
+        """Particles that are attached to kinematic bodies."""
         return [pin for part in dict.fromkeys(self.parts.values()) for pin in part.pins]
 
 
@@ -175,7 +175,7 @@ def _add_particle_scene(
     keep_apart(builder, scene, rigid)
     passing = _passing_pairs(contacts, particles, rigid.shapes)
     if len(passing):
-        # StepperVBD needs an inactive particle that replaces those of excluded pairs.
+        # StepperVBD needs an inactive particle, which replaces the particles of excluded pairs.
         builder.add_particle(
             pos=(0.0, 0.0, 0.0), vel=(0.0, 0.0, 0.0), mass=0.0, flags=0
         )

@@ -1,7 +1,7 @@
 """Soft bodies for Newton's implicit material point method (MPM), which the paper uses: boxes of particles on a grid.
 
-The grid limits the accuracy. Velocity is linear within a voxel, and a gripped particle holds all nodes of its voxel, so
-a voxel at a grip is rigid up to its far side. By default, the solver relaxes elastic stress whenever a solve stops at
+The grid limits the accuracy. Velocity is linear within a voxel. A gripped particle holds all nodes of its voxel, so a
+voxel at a grip is rigid up to its far side. By default, the solver relaxes elastic stress whenever a solve stops at
 its maximum number of iterations; this module keeps the strain. Tetrahedra with VBD are more accurate and much
 cheaper.
 """
@@ -41,7 +41,7 @@ VOXEL_RANGE = (0.85, 1.15)
 
 
 def fitted_voxel_m(soft_row: SoftRow, settings: SettingsMPM) -> float:
-    """Return the voxel edge [m], close to a desired one, with which the rigid voxels end where the grips end.
+    """Return the voxel edge [m], close to the desired edge, that lets the rigid voxels end where the grips end.
 
     One voxel is centred at the world's origin, and a point in a grip holds its whole voxel. The free length is
     therefore the distance of two grid planes, which may be a voxel too short.
@@ -70,7 +70,7 @@ class SoftPartMPM(SoftRowPart):
         free_m: Free points at the start [m], shape [node_count, 3]; they are the first particles.
         gripped_m: Gripped points at the start [m], shape [gripped_count, 3].
         start: Its first particle.
-        pins: Particles that kinematic bodies hold.
+        pins: Particles that are attached to kinematic bodies.
     """
 
     def __init__(
@@ -191,7 +191,7 @@ class StepperMPM(Stepper):
     Args:
         model: The finalized model.
         driven: Indices of the kinematic bodies.
-        pins: Particles that kinematic bodies hold.
+        pins: Particles that are attached to kinematic bodies.
         voxel_m: Edge of a voxel [m].
         settings: Settings of the solver.
     """
@@ -227,7 +227,7 @@ class StepperMPM(Stepper):
         self.reset()
 
     def reset(self, *args: Any, **given: Any) -> None:
-        """Start all worlds in new states, as the solver adds fields to those of its steps; see `Stepper.reset`."""
+        """Start all worlds in new states, because the solver adds fields to used states; see `Stepper.reset`."""
         self.states = (self.model.state(), self.model.state())
         super().reset(*args, **given)
 

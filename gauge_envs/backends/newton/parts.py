@@ -1,4 +1,4 @@
-"""Deformable bodies of a Newton model, the massless particles that kinematic bodies hold, and those made of particles.
+"""Deformable bodies of a Newton model, and massless particles that are attached to kinematic bodies.
 
 A cloth is a triangle mesh with a stable Neo-Hookean membrane and dihedral hinges. Soft bodies are boxes of isotropic
 material, alone or bonded in a soft row, as linear tetrahedra; bonded boxes share one mesh.
@@ -46,7 +46,7 @@ Reader = Callable[[Stepper], FloatArray]
 
 @dataclass(frozen=True, kw_only=True)
 class Pin:
-    """A massless particle that a kinematic body holds.
+    """A massless particle that is attached to a kinematic body.
 
     Attributes:
         particle: Index of the particle in its world.
@@ -65,7 +65,7 @@ def pins_of(
     particles: Iterable[int],
     points_m: FloatArray,
 ) -> Iterator[Pin]:
-    """Yield the pins of attached particles, if the body that holds them is kinematic.
+    """Yield the pins of attached particles, if their body is kinematic.
 
     Args:
         attachment: The attachment.
@@ -117,7 +117,7 @@ class PinnedParticles:
     def carry(
         self, state: newton.State, after: newton.State, timestep_s: float
     ) -> None:
-        """Move the particles to their positions before a step, with the velocities that lead to those after it."""
+        """Move the particles to their positions before a step, with the velocities to the positions after it."""
         outputs = [state.particle_q, state.particle_qd, state.mpm.particle_qd_grad]
         self._launch(
             carry, [state.body_q, after.body_q, after.body_qd, timestep_s], outputs
@@ -141,7 +141,7 @@ class Part(ABC):
 
     Attributes:
         rest_m: Positions of the nodes at the nominal start [m], shape [node_count, 3].
-        pins: Particles that kinematic bodies hold.
+        pins: Particles that are attached to kinematic bodies.
         node_indices: Indices of each body's nodes among those of a soft row, by name; empty for a single body.
     """
 
@@ -164,7 +164,7 @@ class ParticlePart(Part):
     Args:
         rest_m: Positions of the nodes at the nominal start [m], shape [node_count, 3].
         particles: Its particles in a world.
-        pins: Those that kinematic bodies hold.
+        pins: Particles that are attached to kinematic bodies.
     """
 
     def __init__(
@@ -190,7 +190,7 @@ class SoftRowPart(ParticlePart):
         soft_row: The soft row.
         rest_m: Positions of the nodes at the nominal start [m], shape [node_count, 3].
         particles: Its particles in a world.
-        pins: Those that kinematic bodies hold.
+        pins: Particles that are attached to kinematic bodies.
 
     Attributes:
         names: Names of the bodies, in their order along the row.
@@ -218,7 +218,7 @@ class ClothPartNewton(ParticlePart):
     Args:
         grid: Its mesh.
         start: Its first particle in a world.
-        pins: Vertices that kinematic bodies hold.
+        pins: Vertices that are attached to kinematic bodies.
     """
 
     def __init__(self, grid: ClothGrid, start: int, pins: Sequence[Pin]) -> None:
@@ -252,7 +252,7 @@ def add_cloth(
         builder: Model builder that contains the rigid bodies.
         cloth: The cloth.
         attachments: Attached regions; a vertex in two regions belongs to the first.
-        bodies: Model index of each kinematic body that holds the cloth, by name.
+        bodies: Model index of each kinematic body that the cloth is attached to, by name.
         settings: Size of the cells and damping.
     """
     grid = ClothGrid(cloth, settings.cell_m or CLOTH_CELL_M)
@@ -316,14 +316,14 @@ class _Solid:
 class SoftPartNewton(SoftRowPart):
     """One soft body, or one soft row, of a Newton model.
 
-    Material in a grip is not simulated: the mesh spans the free material and has its mass. The nodes are those of the
-    mesh, then a grid of points for each rigid block, whose faces coincide with nodes of the mesh.
+    Material in a grip is not simulated: the mesh spans the free material and has its mass. The nodes are the nodes of
+    the mesh, then a grid of points for each rigid block, whose faces coincide with nodes of the mesh.
 
     Args:
         soft_row: The soft row.
         mesh: Its tetrahedra.
         start: Its first particle.
-        pins: Particles that kinematic bodies hold.
+        pins: Particles that are attached to kinematic bodies.
         solids: Its rigid blocks.
     """
 
@@ -348,7 +348,7 @@ class SoftPartNewton(SoftRowPart):
         return np.concatenate([self.positions(stepper), *solids_m], axis=1)
 
     def block_particles(self, name: str) -> IntArray:
-        """Return the model's particles of a body; bonded faces belong to both, and a rigid block has only these."""
+        """Return the model's particles of a body; bonded faces belong to both, and a rigid block has no others."""
         nodes = self.node_indices[name]
         return (
             self.particles.start
@@ -381,7 +381,7 @@ class SoftPartNewton(SoftRowPart):
     def track(self, points_m: FloatArray) -> Reader:
         """Return a reader of material points, which interpolates linearly in each tetrahedron, as the elements do."""
         points = self._soft_row.checked(points_m)
-        inside = [(solid, solid.block.holds(points)) for solid in self._solids]
+        inside = [(solid, solid.block.contains(points)) for solid in self._solids]
         corners, weights = self._mesh.weights(points)
 
         def read(stepper: Stepper) -> FloatArray:
@@ -405,8 +405,8 @@ def add_soft(
 
     Nodes in a grip have no mass and are placed on the grip, so they are exact in single precision. `SurfaceContacts`
     determines the contacts of the other nodes. Rigid blocks have no contacts before `add_block_shapes`. Call
-    `builder.color` before finalizing. The implicit Euler step of the solver acts as if the time step were added to the
-    time of the damping.
+    `builder.color` before finalizing. The implicit Euler step of the solver adds the time step to the effective time of
+    the damping.
 
     Args:
         builder: Model builder that contains the rigid bodies.

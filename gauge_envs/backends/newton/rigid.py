@@ -1,10 +1,10 @@
 """Rigid bodies of a scene in a Newton model, and rigid scenes on Newton's MuJoCo solver (MuJoCo Warp).
 
 Contacts come from Newton's collision pipeline. The collision detection of MuJoCo Warp is used on request only
-(`mujoco_contacts`): its normals are inaccurate in single precision. With mujoco_warp 4.0.0, of 400 poses of a cube on a
-leaning board, up to 0.8 % of the contacts that are 1 to 10 um deep are off by more than a degree, up to 1.2 % at a
-depth of 0.1 to 1 um, and 1 to 6 % at 0.01 to 0.1 um, some by 90 degrees. A cube with a friction of 0.1 then slides down
-30 degrees with 3.80 instead of 4.05 m/s^2. Newton's normals are accurate to 0.02 degrees, and that cube has 4.055
+(`mujoco_contacts`): its normals are inaccurate in single precision. In 400 poses of a cube on a leaning board with
+mujoco_warp 4.0.0, some normals are off by more than a degree, a few by 90 degrees. The share is up to 0.8 % of contacts
+1 to 10 um deep, up to 1.2 % at 0.1 to 1 um, and 1 to 6 % at 0.01 to 0.1 um. A cube with a friction of 0.1 then slides
+down 30 degrees with 3.80 instead of 4.05 m/s^2. Newton's normals are accurate to 0.02 degrees, and the cube has 4.055
 m/s^2.
 """
 
@@ -52,7 +52,7 @@ WORLD = -1
 """Newton's body index of the world."""
 
 Solids = Literal["exact", "prisms", "meshes"]
-"""Shapes of the model: the scene's own; prisms for cylinders that do not move freely; convex meshes for all solids."""
+"""Shapes of the model: the scene's; prisms for cylinders that do not move freely; convex meshes for all solids."""
 
 _Solid = Box | Sphere | Cylinder | Plane | ConvexUnion | Capsule | Ellipsoid
 
@@ -66,7 +66,7 @@ SOLREF_AS_GIVEN = 1
 """Newton's code for a `solref` that is given, and not computed from stiffness and damping."""
 
 NO_FRICTION = 2e-5
-"""Friction of frictionless shapes and of those that carry no constants, just above MuJoCo Warp's smallest value."""
+"""Friction of frictionless shapes and of shapes without constants, just above MuJoCo Warp's smallest value."""
 
 CONTACT_GAP_M = 0.002
 """Distance at which Newton detects a contact [m], more than the displacement of any body in one step."""
@@ -76,7 +76,7 @@ STRING_TIME_CONSTANT_S = 1e-3
 """Shortest time constant of the limit of a string [s], as in the MuJoCo backend."""
 
 Layer = dict[str, list[int]]
-"""Shapes of each of two bodies that touch with the same constants, by name."""
+"""Shapes of two bodies that touch with the same constants, by name of the body."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +126,7 @@ def add_bodies(
 
 
 def _link_arguments(body: RigidBody) -> dict[str, Any]:
-    """Return the arguments with which a body is added, whose mass is not that of its shapes."""
+    """Return the arguments of an added body, whose mass does not come from its shapes."""
     centre, inertia = body_mass_properties(body)
     return {
         "xform": warp_transform(body.pose),
@@ -238,7 +238,7 @@ def keep_apart(
         builder: Model builder.
         scene: The scene.
         index: Indices of its bodies and shapes.
-        layers: Copies of shapes that collide alone, for pairs of bodies; the first shapes of these bodies do not.
+        layers: Copies of shapes that replace the first shapes of these bodies in collisions, by pair of bodies.
     """
     layers = layers or {}
     meeting: set[frozenset[int]] = set()
@@ -284,7 +284,8 @@ def add_contacts(
 ) -> None:
     """Write the contact constants of shapes, and exclude all collisions without a contact in the scene.
 
-    The bodies of a pair whose constants neither carries get copies of their shapes, which meet each other alone.
+    If neither body of a pair carries its constants, both get copies of their shapes, which collide with each other
+    alone.
     """
     pairs = pair_constants(scene, settings)
     carried = carried_constants(pairs)
@@ -301,8 +302,8 @@ def add_contacts(
                 shapes.append((constants, copies[name, constants]))
             layers.setdefault(pair, {})[name] = copies[name, constants]
     keeps_material = settings.newton_material and settings.contact_solref is None
-    for constants, one in shapes:
-        for shape in one:
+    for constants, carriers in shapes:
+        for shape in carriers:
             _carry(builder, shape, constants, newton_material=keeps_material)
     keep_apart(builder, scene, index, layers)
     for (name, _), added in copies.items():

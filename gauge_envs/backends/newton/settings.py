@@ -70,12 +70,13 @@ class SettingsMuJoCoWarp(SettingsNewton):
         impact_solimp: Impedance of impacts. It is constant in depth, so that the rebound does not depend on depth.
         newton_material: Keep Newton's default stiffness, damping and friction gain of contacts. The four settings above
             and the scene's restitution then have no effect.
-        contact_solref: One solref for all contacts, as a model has that states `ke` and `kd` of its shapes: time
-            constant 2 / kd [s] and damping ratio kd / (2 sqrt(ke)). The five settings above and the scene's restitution
+        contact_solref: One solref for all contacts. A model with `ke` and `kd` of its shapes has the time constant
+            2 / kd [s] and the damping ratio kd / (2 sqrt(ke)). The five settings above and the scene's restitution
             then have no effect.
-        contact_solimp: Impedance of all contacts beside it: d0, dwidth, width [m], midpoint, power. MuJoCo's default
-            if None.
-        contact_kf_n_s_per_m: Friction gain of all contacts beside it, Newton's `kf`. Newton's default if None.
+        contact_solimp: Impedance of all contacts with `contact_solref`: d0, dwidth, width [m], midpoint, power.
+            MuJoCo's default if None.
+        contact_kf_n_s_per_m: Friction gain of all contacts with `contact_solref`, Newton's `kf`. Newton's default if
+            None.
         mujoco_contacts: Detect contacts with MuJoCo Warp, Newton's default, and not with Newton's collision pipeline.
             Two meshes then touch in a single point. A box on a box is inaccurate in single precision.
         meshes: Replace boxes, cylinders and spheres by convex meshes, as an import of the published OBJ models does.
@@ -123,8 +124,8 @@ class SettingsVBD(SettingsNewton):
         soft_rigid_ratio: A block outside grips is rigid if it is at least this many times as stiff as the softest block
             of its soft row; an elastic one would need a hundred times the steps. The row bends less by the inverse of
             the ratio. With infinity all blocks are elastic.
-        soft_contact_radius_m: Distance from a node of a soft body at which contact starts, too early by as much. At a
-            hundredth of a millimetre nodes at an edge are thrown aside.
+        soft_contact_radius_m: Distance from a node of a soft body at which contact starts, too early by this distance.
+            At a hundredth of a millimetre nodes at an edge are thrown aside.
         contact_per_stretch: Contact stiffness of a cloth over its stretch stiffness. It is so stiff that the cloth
             stretches before a body sinks in: by 0.04 mm if a probe stretches it by 2 %. It is so soft that few
             iterations are enough.
@@ -135,7 +136,8 @@ class SettingsVBD(SettingsNewton):
         contact_gap_m: Distance from a shape at which a contact is detected; more than any displacement in a step.
         full_surface: Let edges and faces of a mesh collide with shapes, and not only its vertices. Bodies that are
             narrower than the cells, or rest on the cloth, need it.
-        friction_speed_m_per_s: Sliding speed above which friction is Coulomb's; below, it decreases to zero.
+        friction_speed_m_per_s: Sliding speed above which friction is Coulomb friction; below it, friction decreases to
+            zero.
         self_contact_thickness_m: Distance at which the contact force between surfaces starts.
         self_contact_reach_m: Additional distance at which pairs of surfaces are detected. Newton limits the
             displacement in a step to 0.425 of the sum of both.
@@ -171,9 +173,9 @@ class SettingsLines(SettingsNewton):
         rod_joint_stiffness_n_per_m: Largest stiffness of the joints between a rod's segments, axial and transverse. A
             softer rod has E A over the length of a segment. Stiffer joints exceed single precision and need more
             iterations.
-        rope_strain: Strain of a rope under its weight and that of the heaviest body at its ends. Stiffer joints cause
-            noise in single precision, which adds to friction: with joints of 1e5 N/m, a rope of 5 g slides down a slope
-            of 30 degrees with a friction of 0.5 instead of 0.3.
+        rope_strain: Strain of a rope under its weight and the weight of the heaviest body at its ends. Stiffer joints
+            cause noise in single precision, which adds to friction: with joints of 1e5 N/m, a rope of 5 g slides down a
+            slope of 30 degrees with a friction of 0.5 instead of 0.3.
         contact_depth_m: Depth to which the same weight sinks in at a single contact; the same noise limits it.
         contact_damping_n_s_per_m: Damping of a closing contact.
         friction_speed_m_per_s: Sliding speed that Newton treats as small when it linearizes friction.
@@ -194,8 +196,8 @@ class SettingsMPM(SettingsNewton):
     """Settings of Newton's implicit material point method, for soft bodies.
 
     Attributes:
-        cell_m: Desired edge of a voxel of the grid; None gives 18 mm. The edge is adjusted by up to 15 % so that grid
-            planes lie at the ends of the grips, since a gripped point makes its whole voxel rigid.
+        cell_m: Desired edge of a voxel of the grid; None gives 18 mm. A gripped point makes its whole voxel rigid, so
+            the edge is adjusted by up to 15 % to put grid planes at the ends of the grips.
         points_per_voxel_edge: Material points along the edge of a voxel.
         iterations: Maximum number of iterations of the stress solver.
         tolerance: Residual at which the stress solver stops.
@@ -244,7 +246,7 @@ TRAINING = "training"
 """Preset for many episodes; its numbers depend on the preset of the scene."""
 
 TRAINING_CHANGES = read_presets(__file__, "training")
-"""What the preset `training` changes in the preset of a scene.
+"""Changes of the preset `training` to the preset of a scene.
 
 Chosen by distance to the default settings and cost; `scoring/convergence/newton.csv` has both for each id.
 """
@@ -271,7 +273,7 @@ NODE_LIMIT = 200_000
 STACKED_BODY_COUNT = 3
 """Smallest number of free bodies that may rest on each other for which the preset `stack` is used.
 
-By the law of the presets' file a tower of two bodies sinks by 0.12 mm with `rigid`, one of three by 0.28 mm.
+By the law in the presets' file, a tower of two bodies sinks by 0.12 mm with `rigid`, a tower of three by 0.28 mm.
 """
 
 ITERATIONS_PER_RATIO = 0.33
@@ -302,12 +304,12 @@ def _preset_name(scene: Scene) -> str:
 def _stacked(scene: Scene) -> set[str]:
     """Return the free bodies that may rest on other free bodies."""
     free = {body.name for body in scene.dynamic_bodies} - {*scene.hinges}
-    found: set[str] = set()
+    stacked: set[str] = set()
     for contact in scene.contacts:
         first, second = free & {*contact.first}, free & {*contact.second}
         if contact.mode is ContactMode.SUSTAINED and first and second:
-            found |= first | second
-    return found
+            stacked |= first | second
+    return stacked
 
 
 def _cloth_preset(scene: Scene) -> str:
@@ -347,11 +349,11 @@ def settings_for(
 ) -> SettingsNewton:
     """Return the settings of a scene: its preset with a user's changes.
 
-    A stiff and light fabric needs a shorter time step than that of its preset for the same iterations. The time step is
+    A stiff and light fabric needs a shorter time step than its preset for the same iterations. The time step is
     halved until the iterations are enough.
 
     Raises:
-        ParameterError: A time step that the changes state is longer than the iterations allow.
+        ParameterError: A time step given in the changes is longer than the iterations allow.
     """
     name = _preset_name(scene)
     training = {"preset": TRAINING} | TRAINING_CHANGES[name]
@@ -388,7 +390,7 @@ def settings_for(
 def _with_cells(
     settings: SettingsNewton, scene: Scene, *, is_given: bool
 ) -> SettingsNewton:
-    """Return the settings with the default size of cells if none was given, after a check of a given one."""
+    """Return the settings with the default size of cells, or with the given size after a check."""
     if isinstance(settings, SettingsMuJoCoWarp):
         return settings
     assert isinstance(settings, SettingsVBD | SettingsLines | SettingsMPM)

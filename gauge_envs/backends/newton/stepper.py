@@ -35,7 +35,7 @@ def warp_transform(pose: Pose) -> wp.transform:
 
 
 def rotated(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Return vectors rotated by unit quaternions x, y, z, w; the shapes but for the last axis are broadcast."""
+    """Return vectors rotated by unit quaternions x, y, z, w; all axes except the last are broadcast."""
     axes = quaternions[..., :3]
     twice = 2.0 * np.cross(axes, vectors)
     return np.asarray(vectors + quaternions[..., 3:] * twice + np.cross(axes, twice))
@@ -112,28 +112,30 @@ class Stepper(ABC):
     def reset(
         self,
         bodies: Sequence[int] = (),
-        starts: FloatArray | None = None,
+        initial_states: FloatArray | None = None,
         particles_m: FloatArray | None = None,
     ) -> None:
-        """Start all worlds; what is not given starts as in the model.
+        """Start all worlds; bodies and particles that are not given start as in the model.
 
         Args:
             bodies: Indices of bodies.
-            starts: Their states, shape [N, len(bodies), 13].
+            initial_states: Their states, shape [N, len(bodies), 13].
             particles_m: Positions of all particles [m], shape [N, particle_count, 3].
         """
-        state, other = self.states
+        state, next_state = self.states
         state.assign(self._first)
         self._targets[:] = 0.0
         self._elapsed[:] = 0
         poses = self._first_poses.copy()
-        if starts is not None:
-            poses[:, bodies] = starts[:, :, [0, 1, 2, *TO_WARP]]
+        if initial_states is not None:
+            poses[:, bodies] = initial_states[:, :, [0, 1, 2, *TO_WARP]]
             velocities = np.zeros((*poses.shape[:2], 6))
-            spins = starts[:, :, 10:]
+            spins = initial_states[:, :, 10:]
             # Newton's linear velocity is that of the centre of mass.
             arms_m = rotated(poses[:, bodies, 3:], self._centres_m[bodies])
-            velocities[:, bodies, :3] = starts[:, :, 7:10] + np.cross(spins, arms_m)
+            velocities[:, bodies, :3] = initial_states[:, :, 7:10] + np.cross(
+                spins, arms_m
+            )
             velocities[:, bodies, 3:] = spins
             if poses.size:
                 state.body_q.assign(poses.reshape(-1, 7))
@@ -142,7 +144,7 @@ class Stepper(ABC):
             self._targets[:, row, [0, 1, 2, *TO_WARP]] = poses[:, body]
         if particles_m is not None:
             state.particle_q.assign(particles_m.reshape(-1, 3))
-        other.assign(state)
+        next_state.assign(state)
         self.solver.reset(state, flags=0)
         self.current = 0
 
@@ -160,7 +162,7 @@ class Stepper(ABC):
     def apply_wrench(self, body: int, wrenches: FloatArray) -> None:
         """Apply a force and a torque to a body from the next step on; see `Simulation.apply_wrench`."""
         raise BackendError(
-            f"{type(self.solver).__name__} applies no force or torque here: choose a preset with SolverMuJoCo"
+            f"{type(self.solver).__name__} cannot apply a force or torque: choose a preset with SolverMuJoCo"
         )
 
     def advance(self, seconds: float) -> None:
@@ -183,13 +185,13 @@ class Stepper(ABC):
         wp.capture_launch(self._graphs[self.current])
 
     @property
-    def now(self) -> newton.State:
+    def current_state(self) -> newton.State:
         """The state that the last step wrote."""
         return self.states[self.current]
 
     def poses(self) -> FloatArray:
         """Return the poses of all bodies with quaternions x, y, z, w, shape [N, body_count, 7]."""
-        return self._copied(self.now.body_q, 7)
+        return self._copied(self.current_state.body_q, 7)
 
     def first_particles_m(self) -> FloatArray:
         """Return the positions of all particles in the model [m], shape [N, particle_count, 3]."""
@@ -197,7 +199,7 @@ class Stepper(ABC):
 
     def particles_m(self) -> FloatArray:
         """Return the positions of all particles [m], shape [N, particle_count, 3]."""
-        return self._copied(self.now.particle_q, 3)
+        return self._copied(self.current_state.particle_q, 3)
 
     def _copied(self, array: wp.array | None, columns: int) -> FloatArray:
         values = np.zeros(0) if array is None else array.numpy().astype(np.float64)
@@ -206,7 +208,7 @@ class Stepper(ABC):
     def body_states(self, bodies: Sequence[int]) -> FloatArray:
         """Return the states of bodies, shape [N, len(bodies), 13]."""
         poses = self.poses()[:, bodies]
-        velocities = self._copied(self.now.body_qd, 6)[:, bodies]
+        velocities = self._copied(self.current_state.body_qd, 6)[:, bodies]
         spins = velocities[:, :, 3:]
         arms_m = rotated(poses[:, :, 3:], self._centres_m[bodies])
         speeds = velocities[:, :, :3] - np.cross(spins, arms_m)

@@ -1,7 +1,7 @@
-"""Newton's vertex block descent (VBD) for deformable bodies: held particles, contact constants, and the stepper.
+"""Newton's vertex block descent (VBD) for deformable bodies: attached particles, contact constants, and the stepper.
 
 Each step descends block by block (vertices of one colour at a time) towards the minimum of an implicit Euler step. The
-remaining error falls with the number of iterations and, much faster, with the time step: what matters is the stiffness
+remaining error falls with the number of iterations and, much faster, with the time step. It depends on the stiffness
 at a vertex relative to its mass over the squared time step. Many short steps with few iterations are therefore cheaper
 than few long steps with many.
 """
@@ -90,14 +90,14 @@ class _Solver(newton.solvers.SolverVBD):
 class StepperVBD(Stepper):
     """Stepper of particles and dynamic rigid bodies with `newton.solvers.SolverVBD`.
 
-    An implicit step needs the prescribed motion at its end. Driven bodies and the particles that they hold therefore
-    move to their positions at the end of the step first.
+    An implicit step needs the prescribed motion at its end. Driven bodies and the particles attached to them therefore
+    first move to their positions at the end of the step.
 
     Args:
         model: The finalized, coloured model.
         driven: Indices of the kinematic bodies.
-        settings: Settings of the solver. Ropes and rods have no particles, and so only some of them.
-        pins: Particles that kinematic bodies hold.
+        settings: Settings of the solver. Ropes and rods have no particles, so they use only some of them.
+        pins: Particles that are attached to kinematic bodies.
         contacts: Collision partners and friction of particles.
         contact_stiffness_n_per_m: Contact stiffness of a particle against a rigid shape or another surface of
             particles. Newton averages it with that of the shape, which is set to the same value.
@@ -156,7 +156,7 @@ class StepperVBD(Stepper):
         """Exclude pairs of a particle and a shape from Newton's collision detection."""
         if passing is None or not len(passing):
             return
-        # The number of pairs is fixed, so an inactive particle, which has no contacts, replaces that of each pair.
+        # The number of pairs is fixed, so an inactive particle, which has no contacts, replaces the excluded particles.
         model, count = self.model, self.world_count
         active = model.particle_flags.numpy() & int(newton.ParticleFlags.ACTIVE)
         idle = int(np.flatnonzero(active == 0)[0])
@@ -197,15 +197,15 @@ class StepperVBD(Stepper):
     def _may_meet(self, seconds: float) -> bool:
         """Return whether surfaces can touch in an interval [s]; self-contact takes half of the computing time."""
         assert self._self_contact is not None
-        now = self.now
-        speed = float(np.linalg.norm(now.particle_qd.numpy(), axis=1).max())
+        state = self.current_state
+        speed = float(np.linalg.norm(state.particle_qd.numpy(), axis=1).max())
         if self._driven_rows:
-            driven_speeds = now.body_qd.numpy()[self._driven.numpy()]
+            driven_speeds = state.body_qd.numpy()[self._driven.numpy()]
             speed = max(speed, float(np.abs(driven_speeds).max()))
         displacement_m = (SPEED_HEADROOM * speed + 10.0 * seconds) * seconds
         radius_m = self._self_contact.self_contact_thickness_m + 2.0 * displacement_m
         detector = self.solver.trimesh_collision_detector
-        detector.refit(now.particle_q)
+        detector.refit(state.particle_q)
         detector.vertex_triangle_collision_detection(radius_m)
         detector.edge_edge_collision_detection(radius_m)
         info = self.solver.trimesh_collision_info

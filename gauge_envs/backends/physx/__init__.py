@@ -61,7 +61,7 @@ class BackendPhysX(BundledBackend):
         for name in scene.hinges:
             motion = scene.body(name).motion
             if motion is not Motion.DYNAMIC:
-                yield f"{name!r} hangs on a hinge and is {motion.value}: only dynamic bodies have hinges"
+                yield f"{name!r} has a hinge and is {motion.value}: only dynamic bodies have hinges"
                 break
         for body in scene.bodies:
             yield from _unsupported_shape(body)

@@ -33,9 +33,10 @@ def groups_of_bodies(
 ) -> dict[str, dict[Constants, list[int]]]:
     """Return the collision groups of the copies of each body's shape, by the material of the copy.
 
-    Groups are the four words that SAPIEN expects. Bit k of the first and of the second word is set if the body is in
-    the first and in the second group of contact k with these constants. Two shapes collide if a bit of one's first word
-    is in the other's second word. The last word holds a number of the constants; other numbers never collide.
+    Groups are the four words that SAPIEN expects. Bit k of the first word is set if the body is in the
+    first group of contact k with these constants; the second word holds the second groups. Two shapes collide if a bit
+    of one shape's first word is in the other shape's second word. The last word holds a number of the constants; shapes
+    with different numbers never collide.
     """
     numbers: dict[Constants, int] = {}
     used: Counter[Constants] = Counter()

@@ -56,11 +56,11 @@ cylinder as long as its diameter leans on one point, and yaws into the edges if 
 
 HULL_SIZE_M = 10.0
 """Edges of the box in which PhysX makes the mesh of a convex piece; the mesh is then scaled to the piece. In metres,
-PhysX leaves out vertices within 0.7 mm of a plane of others."""
+PhysX leaves out vertices within 0.7 mm of a plane through other vertices."""
 
 LOST_M = 2e-4
-"""Largest distance of a vertex from PhysX's mesh [m]: a fifth of the scatter of real starts. PhysX cuts off corners of
-pieces with tens of vertices by up to 0.2 mm; those of the experiments keep theirs."""
+"""Largest distance of a vertex from PhysX's mesh [m]: a fifth of the scatter of real initial states. PhysX cuts off
+corners of pieces with tens of vertices by up to 0.2 mm. The pieces of the experiments keep their corners."""
 
 ROUNDING_M = 1e-9
 """Half length below which the straight part of a capsule is empty [m]."""
@@ -93,13 +93,13 @@ def engine_of(settings: SettingsPhysX) -> physx.PhysxEngine:
     if asked in _ENGINES:
         return _ENGINES[asked]
     if _ENGINES:
-        # A cycle of references may still hold a simulation that nothing uses.
+        # A cycle of references may still keep an unused simulation.
         gc.collect()
     for tolerances in list(_ENGINES):
         raise BackendError(
             f"PhysX has one engine per process, and a simulation with tolerances of {tolerances} (m, m/s) exists. A "
-            f"simulation with {asked} cannot start beside it. Close the other one first, set tolerance_length_m and "
-            "tolerance_speed_m_per_s to the same values, or use another process."
+            f"simulation with {asked} cannot start at the same time. Close the other simulation first, set "
+            "tolerance_length_m and tolerance_speed_m_per_s to the same values, or use another process."
         )
     engine = physx.PhysxEngine(*asked)
     _ENGINES[asked] = engine
@@ -109,7 +109,7 @@ def engine_of(settings: SettingsPhysX) -> physx.PhysxEngine:
 def new_system(
     settings: SettingsPhysX, gravity_m_per_s2: float
 ) -> physx.PhysxCpuSystem:
-    """Return an empty PhysX scene. The defaults of other users of SAPIEN in this process do not change."""
+    """Return an empty PhysX scene, without changing SAPIEN's defaults for other code in this process."""
     before = physx.get_scene_config()
     physx.set_scene_config(
         gravity=[0.0, 0.0, -gravity_m_per_s2],
@@ -134,7 +134,7 @@ class Part:
     """A body in PhysX.
 
     Attributes:
-        component: SAPIEN's component; its pose is that of the body frame.
+        component: SAPIEN's component; its pose is the pose of the body frame.
         centre_m: Centre of mass in the body frame [m], shape [3].
     """
 
@@ -152,7 +152,7 @@ class Model:
 
     Args:
         scene: The scene.
-        bodies: Its rigid bodies, at their starts.
+        bodies: Its rigid bodies in their initial states.
         settings: Numerical settings.
 
     Attributes:
@@ -203,7 +203,7 @@ class Model:
             component.articulation.set_qvel(np.array([spin @ hinge.axis]))
         elif body.motion is Motion.DYNAMIC:
             component.angular_velocity = spin
-            # PhysX's linear velocity is that of the centre of mass.
+            # PhysX's linear velocity refers to the centre of mass.
             component.linear_velocity = centre_velocity(body, centre_m)
             if hinge is not None:
                 _add_hinge(component, body, hinge)
@@ -329,7 +329,7 @@ def _parts(
     compound: Compound, material: physx.PhysxMaterial
 ) -> Iterator[physx.PhysxCollisionShape]:
     for part in compound.parts:
-        assert not isinstance(part.shape, Ellipsoid), "ellipsoids are declined"
+        assert not isinstance(part.shape, Ellipsoid), "ellipsoids are unsupported"
         for solid in _solids(part.shape, material):
             solid.local_pose = physx_pose(part.pose) * solid.local_pose
             yield solid
@@ -371,8 +371,8 @@ def _cylinder(
 ) -> Iterator[physx.PhysxCollisionShape]:
     """Yield the parts of a cylinder: a prism with its end faces, and a capsule or ball inside, on which it rolls.
 
-    A prism alone brakes with each side on which it comes down: on 20 degrees it lacks 5 % of the law's acceleration. A
-    cylinder that is shorter than its diameter has no room for a ball, and is a prism.
+    A prism alone brakes at each side that hits the ground: on 20 degrees it lacks 5 % of the theoretical acceleration.
+    A cylinder that is shorter than its diameter has no room for a ball, and is a prism.
     """
     straight_m = 0.5 * shape.length_m - shape.radius_m
     if straight_m < -ROUNDING_M:

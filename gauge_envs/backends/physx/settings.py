@@ -16,7 +16,7 @@ from gauge_envs.backends.settings import (
 from gauge_envs.scene import Scene
 
 STACK_BODIES = 20
-"""Number of dynamic bodies from which on a scene has the preset `stack`."""
+"""Smallest number of dynamic bodies of a scene with the preset `stack`."""
 
 
 class SettingsPhysX(SteppedSettings):
@@ -29,13 +29,13 @@ class SettingsPhysX(SteppedSettings):
             touch.
         velocity_iterations: Velocity iterations of each body, 0 to 255. They compute rebounds.
         bounce_threshold_m_per_s: Speed of approach below which a contact does not rebound.
-        contact_offset_m: Distance at which a shape begins to make contacts; that of a pair is the sum of both.
-        rest_offset_m: Distance at which a shape comes to rest; that of a pair is the sum of both.
+        contact_offset_m: Distance at which a shape begins to make contacts; a pair has the sum of both distances.
+        rest_offset_m: Distance at which a shape comes to rest; a pair has the sum of both distances.
         friction_every_iteration: Solve friction in each position iteration, and not in the last ones only.
         persistent_manifolds: Keep contact points from step to step (PCM) instead of new ones in each step.
-        enhanced_determinism: Make the result of a scene independent of what else is far away in it.
-        continuous_detection: Sweep fast bodies along their path. SAPIEN sets the flag of the scene only, not that of
-            its bodies.
+        enhanced_determinism: Make the result of a scene independent of distant bodies in it.
+        continuous_detection: Sweep fast bodies along their path. SAPIEN sets the flag of the scene only, not the flags
+            of its bodies.
         patch_radius_m: Radius of a contact patch that resists spin about the normal; 0 is no torsional friction.
         min_patch_radius_m: Smallest radius of that patch.
         linear_damping_per_s: Rate at which linear velocity decays.

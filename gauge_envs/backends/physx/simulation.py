@@ -22,11 +22,11 @@ from gauge_envs.scene.geometry import (
 from gauge_envs.scene.states import bodies_at
 
 SAME_POSE = 1e-5
-"""Distance [m, rad] within which a driven body already is where its interval starts."""
+"""Distance [m, rad] within which a driven body already has the initial pose of its interval."""
 
 
 class SimulationPhysX(PlacedSimulation):
-    """A scene in PhysX. A reset builds it anew, since PhysX cannot forget its contacts."""
+    """A scene in PhysX. A reset rebuilds it, since PhysX cannot forget its contacts."""
 
     def __init__(self, scene: Scene, settings: SettingsPhysX) -> None:
         self.settings = settings.model_dump(mode="json")
@@ -55,12 +55,12 @@ class SimulationPhysX(PlacedSimulation):
     def drive(self, body: str, targets: FloatArray) -> None:
         """Prescribe a kinematic body; PhysX moves it to its exact pose at the end of each step."""
         start = Pose.of_state(targets[0])
-        now = Pose.of_state(self.body_states([body])[0, 0])
-        if pose_distance(now, start) > SAME_POSE:
+        current = Pose.of_state(self.body_states([body])[0, 0])
+        if pose_distance(current, start) > SAME_POSE:
             component = self._open().parts[body].component
             component.entity.set_pose(physx_pose(start))
         self._driven[body] = targets[0].copy()
-        # Until the next step, which takes the body along: then the engine is asked.
+        # Valid until the next step, which moves the body; after it, the state comes from PhysX.
         self.placed[body] = targets[0, :13].copy()
 
     def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
@@ -93,7 +93,7 @@ class SimulationPhysX(PlacedSimulation):
             state[7:10] = part.component.linear_velocity
             state[10:] = part.component.angular_velocity
             if part.centre_m.any():
-                # PhysX's linear velocity is that of the centre of mass.
+                # PhysX's linear velocity refers to the centre of mass.
                 arm_m = rotation_matrices(state[3:7]) @ part.centre_m
                 state[7:10] -= np.cross(state[10:], arm_m)
         return states[None]

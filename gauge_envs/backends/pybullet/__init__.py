@@ -16,7 +16,7 @@ from gauge_envs.backends.shared.attachments import (
     attachment_problems,
     rigid_attachments,
 )
-from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds
+from gauge_envs.backends.shared.bundled import BundledBackend, unsupported_compounds
 from gauge_envs.backends.simulation import Simulation
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import (
@@ -61,7 +61,7 @@ class BackendPyBullet(BundledBackend):
     features = frozenset(Feature) - {Feature.AIR}
 
     def failed_import(self, module: str) -> ImportError:
-        """Return the failed import, with the way to PyBullet on this version of Python."""
+        """Return the failed import, with the way to install PyBullet on this version of Python."""
         if sys.version_info[:2] <= LAST_PYTHON_WITH_WHEELS:
             return super().failed_import(module)
         return ModuleNotFoundError(
@@ -70,7 +70,7 @@ class BackendPyBullet(BundledBackend):
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield one sentence for each feature of a scene that this backend does not support."""
-        yield from declined_compounds(scene)
+        yield from unsupported_compounds(scene)
         for kind, reason in UNSUPPORTED.items():
             names = [body.name for body in scene.deformables if isinstance(body, kind)]
             if names:
@@ -107,11 +107,11 @@ def _unsupported_joints(scene: Scene) -> Iterator[str]:
         if isinstance(joint, Tether) and body.pose.position_m == joint.anchor_m:
             yield f"{name!r} starts at the anchor of its string, which then has no direction"
         if isinstance(joint, Tether) and not body.starts_at_rest:
-            yield f"{name!r} hangs on a string and has a start velocity: this backend starts strings at rest"
+            yield f"{name!r} is on a string and has an initial velocity: this backend starts strings at rest"
 
 
 def _unsupported_rope(scene: Scene, rope: Rope) -> Iterator[str]:
-    """Yield what PyBullet's chains do not support of a rope: contacts, and ends outside one tree of joints."""
+    """Yield the unsupported features of a rope: contacts, and ends outside one tree of joints."""
     name = rope.name
     if any(name in pair for _, pair in colliding_pairs(scene)):
         yield f"{name!r} touches other bodies or itself: chains of light segments in contact diverge in Bullet"
@@ -124,21 +124,25 @@ def _unsupported_rope(scene: Scene, rope: Rope) -> Iterator[str]:
     except UnsupportedSceneError as error:
         yield str(error)
         return
-    others = {joint.body for joint in scene.joints}
-    others |= {one.to for one in scene.attachments if one.deformable != name}
+    jointed = {joint.body for joint in scene.joints}
+    jointed |= {
+        attachment.to
+        for attachment in scene.attachments
+        if attachment.deformable != name
+    }
     for end in ends.values():
         if end.motion is Motion.KINEMATIC:
             yield f"{name!r} is attached to {end.body!r}, which is driven: chains start at fixed or dynamic bodies"
-        if end.motion is Motion.DYNAMIC and end.body in others:
+        if end.motion is Motion.DYNAMIC and end.body in jointed:
             yield f"{end.body!r} is attached to {name!r} and has another joint or rope"
     bodies = {end.body for end in ends.values()}
     motions = {end.motion for end in ends.values()}
     if len(ends) == 2 and (len(bodies) == 1 or motions == {Motion.FIXED}):
-        yield f"{name!r} is held at both ends, so that its chain is a loop, which this backend does not build"
+        yield f"{name!r} is attached at both ends, so that its chain is a loop, which this backend does not build"
 
 
 def _unsupported_soft_bodies(scene: Scene) -> Iterator[str]:
-    """Yield what this backend does not build of soft bodies: contacts of two, bonds, and moving rigid bodies beside."""
+    """Yield the unsupported features of soft bodies: contacts between them, bonds, and moving rigid bodies."""
     soft = {body.name: body for body in scene.deformables if isinstance(body, SoftBody)}
     if not soft:
         return
@@ -159,14 +163,14 @@ def _unsupported_soft_bodies(scene: Scene) -> Iterator[str]:
             yield f"{bond.deformable!r} is attached to {bond.to!r}: this backend builds no bonds of soft bodies"
     for body in soft.values():
         yield from _unsupported_solid(scene, body)
-    for other in (*scene.dynamic_bodies, *scene.deformables):
-        if other.name not in soft:
-            yield f"{other.name!r} moves beside {min(soft)!r}: this backend builds soft bodies alone"
+    for neighbour in (*scene.dynamic_bodies, *scene.deformables):
+        if neighbour.name not in soft:
+            yield f"{neighbour.name!r} moves in a scene with {min(soft)!r}: this backend builds soft bodies alone"
 
 
 def _unsupported_solid(scene: Scene, body: SoftBody) -> Iterator[str]:
-    """Yield what the mesh of a soft body cannot represent."""
-    regions = [one.region for one in rigid_attachments(scene, body.name)]
+    """Yield the attachments that the mesh of a soft body cannot represent."""
+    regions = [attachment.region for attachment in rigid_attachments(scene, body.name)]
     for axis, edge_m in zip("xyz", body.shape.size_m, strict=True):
-        if sum(one.depth_m for one in regions if one.axis == axis) >= edge_m:
+        if sum(region.depth_m for region in regions if region.axis == axis) >= edge_m:
             yield f"{body.name!r} is attached over all of its length: reduce the regions' depth_m"

@@ -36,28 +36,28 @@ def surfaces(scene: Scene) -> dict[str, Surfaces]:
         restitution[pair] = contact.restitution if is_impact else 0.0
     frictions = moved_values(friction, unmoved, "friction")
     restitutions = moved_values(restitution, unmoved, "restitution")
-    found: dict[str, Surfaces] = {}
+    surfaces_by_name: dict[str, Surfaces] = {}
     for pair in friction:
-        for name, other in (pair, pair[::-1]):
+        for name, partner in (pair, pair[::-1]):
             if name in unmoved:
-                own_friction = _quotient(friction[pair], frictions[other])
-                own_restitution = _quotient(restitution[pair], restitutions[other])
+                own_friction = _quotient(friction[pair], frictions[partner])
+                own_restitution = _quotient(restitution[pair], restitutions[partner])
             else:
                 own_friction, own_restitution = frictions[name], restitutions[name]
-            of_body = found.setdefault(name, {})
-            of_body.setdefault((own_friction, own_restitution), set()).add(other)
-    return found
+            of_body = surfaces_by_name.setdefault(name, {})
+            of_body.setdefault((own_friction, own_restitution), set()).add(partner)
+    return surfaces_by_name
 
 
 def _quotient(product: float, factor: float) -> float:
-    """Return the other factor of a product. Equal factors of a body differ in the last digits, which are cut off."""
+    """Return the second factor of a product, rounded, because equal factors differ in their last digits."""
     return float(f"{product / factor:.12g}") if factor else 0.0
 
 
 def turning_shares(scene: Scene) -> dict[str, tuple[float, float]]:
     """Return torsional and rolling friction of each body's contacts over their friction [m].
 
-    Bullet's value of a pair is that of each body times the friction of the other one, added.
+    Bullet's value of a pair is the sum over both bodies of the body's value times the friction of the other body.
     """
     shares: dict[str, tuple[float, float]] = {}
     for contact, pair in colliding_pairs(scene):
@@ -66,8 +66,8 @@ def turning_shares(scene: Scene) -> dict[str, tuple[float, float]]:
             share = (contact.torsion_m / friction, contact.rolling_m / friction)
             if shares.setdefault(name, share) != share:
                 raise UnsupportedSceneError(
-                    f"contacts of {name!r} differ in torsional or rolling friction over friction, of which Bullet has "
-                    "one for each body"
+                    f"contacts of {name!r} differ in torsional or rolling friction over friction: Bullet has one "
+                    "such ratio for each body"
                 )
     return shares
 
@@ -85,12 +85,12 @@ def moved_values(
     """Return a value of each body that contacts move, not negative, whose products are the values of pairs.
 
     A product of at most `SMALLEST_VALUE` stands for 0: two bricks that do not rebound from each other may rebound
-    from a ball. A body of which all pairs have the value 0 has the value 0.
+    from a ball. A body whose pairs all have the value 0 has the value 0.
 
     Args:
         pairs: Value of each pair, not negative.
-        unmoved: Other bodies, whose values follow from those of their partners.
-        noun: What the values are, for messages.
+        unmoved: Other bodies, whose values follow from the values of their partners.
+        noun: Name of the values, for messages.
     """
     names = {name for pair in pairs for name in pair} - unmoved
     positive = {name for pair, value in pairs.items() if value for name in pair}
@@ -99,28 +99,28 @@ def moved_values(
     solved = [
         (pair, value) for pair, value in pairs.items() if rows.keys() >= set(pair)
     ]
-    found = dict.fromkeys(names, 0.0) | dict.fromkeys(active, 1.0)
+    values = dict.fromkeys(names, 0.0) | dict.fromkeys(active, 1.0)
     if not solved:
-        return found
+        return values
     logarithms = _logarithms(
         tuple((rows[first], rows[second]) for (first, second), _ in solved),
         tuple(value for _, value in solved),
         len(active),
     )
     if logarithms is None:
-        (first, second), value = next(one for one in solved if one[1])
+        (first, second), value = next(item for item in solved if item[1])
         raise UnsupportedSceneError(
             f"pair {first!r} and {second!r} has the {noun} {value:.6g}: Bullet multiplies the values of two bodies, "
             "and no values of bodies have the products of this scene"
         )
-    return found | dict(zip(active, np.exp(logarithms).tolist(), strict=True))
+    return values | dict(zip(active, np.exp(logarithms).tolist(), strict=True))
 
 
 @lru_cache(maxsize=256)
 def _logarithms(
     pairs: tuple[tuple[int, int], ...], values: tuple[float, ...], count: int
 ) -> FloatArray | None:
-    """Return the logarithms of the values of bodies with these products, shape [count]; None if there are none.
+    """Return the logarithms of values of bodies with these products, shape [count]; None if no values exist.
 
     They solve a linear program, which keeps the sum of their sizes small.
 
@@ -150,7 +150,7 @@ def _logarithms(
 
 
 def impact_bodies(scene: Scene) -> set[str]:
-    """Return bodies such that every pair that rebounds has one of them, and few other pairs do.
+    """Return bodies that cover every rebounding pair, and few other pairs.
 
     Bullet decides for each body, not for each pair, whether contacts act before bodies touch.
     """
@@ -161,20 +161,20 @@ def impact_bodies(scene: Scene) -> set[str]:
             impacts.append(pair)
         else:
             sustained.update(pair)
-    found = {name for pair in impacts for name in pair} - sustained
+    selected = {name for pair in impacts for name in pair} - sustained
     for first, second in impacts:
-        if not {first, second} & found:
-            found.add(first)
-    return found
+        if not {first, second} & selected:
+            selected.add(first)
+    return selected
 
 
 def pushing_bodies(scene: Scene) -> set[str]:
-    """Return fixed and driven bodies of which two or more touch one dynamic body without a rebound.
+    """Return fixed and driven bodies that touch, two or more together, one dynamic body without a rebound.
 
-    Bullet bounds the two directions of friction between two rigid bodies one by one. The direction across a slip then
-    takes up to mu N of what another contact exerts, so a cube on a board does not follow a pusher that slips along its
+    Bullet bounds the two directions of friction between two rigid bodies separately. Across a slip, friction can then
+    still resist another contact with up to mu N. So a cube on a board does not follow a pusher that slips along its
     face. Bullet's cone acts on contacts with a body in reduced coordinates. Penetrations of such a body are corrected
-    by velocity, which adds to a rebound, so bodies from which something rebounds are left out.
+    by velocity, which adds to a rebound, so bodies with rebounds are left out.
     """
     motions = {body.name: body.motion for body in scene.bodies}
     touched: dict[str, set[str]] = {}
@@ -183,9 +183,12 @@ def pushing_bodies(scene: Scene) -> set[str]:
         if contact.mode is ContactMode.IMPACT:
             rebounding.update(pair)
             continue
-        for name, other in (pair, pair[::-1]):
-            if motions.get(name) is Motion.DYNAMIC is not motions[other]:
-                touched.setdefault(name, set()).add(other)
+        for name, partner in (pair, pair[::-1]):
+            if motions.get(name) is Motion.DYNAMIC is not motions[partner]:
+                touched.setdefault(name, set()).add(partner)
     return {
-        other for others in touched.values() if len(others) > 1 for other in others
+        partner
+        for partners in touched.values()
+        if len(partners) > 1
+        for partner in partners
     } - rebounding

@@ -1,6 +1,6 @@
 """Ropes and soft bodies in PyBullet.
 
-A rope is a chain of rigid segments on spherical joints, by Featherstone's algorithm. The joints hold exactly, so that a
+A rope is a chain of rigid segments on spherical joints, by Featherstone's algorithm. The joints are exact, so a
 rope cannot stretch. A dynamic body to which an end is attached is part of the chain, which is one multibody in reduced
 coordinates. A soft body consists of linear tetrahedra with Bullet's Neo-Hookean energy, in its deformable world.
 """
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.pybullet.settings import SEGMENT_LIMIT, SOFT_CELL_M
 from gauge_envs.backends.pybullet.world import (
     BASE,
-    NO_TURN,
+    NO_ROTATION,
     Link,
     World,
     pybullet,
@@ -42,7 +42,7 @@ SOFT_MARGIN_M = 0.001
 """Distance at which soft bodies touch [m]: with 0.2 mm, a cube passes through the foam."""
 
 GROUND = -1
-"""Number of the body that holds anchors in the world."""
+"""Number of the world as the body of an anchor."""
 
 Read = Callable[[int, int], tuple[Any, ...]]
 """Function of a body and a link that returns their position [units] and quaternion x y z w first."""
@@ -110,9 +110,9 @@ def _along(direction: FloatArray) -> Rotation:
 def add_rope(world: World, rope: Rope, cell_m: float | None) -> RopePart:
     """Add a rope and the dynamic bodies on its ends, and enter these bodies in `world.handles`.
 
-    The chain starts at a fixed body if the rope has one. A segment has the moments of inertia of its cylinder across
-    the rope about all axes. The spin of a thin cylinder about its own axis has no effect on a limp rope, and its small
-    inertia would only make the chain less stable.
+    The chain starts at a fixed body if the rope has one. A segment has the transverse moment of
+    inertia of its cylinder about all axes. Spin about its own axis has no effect on a limp rope, and the small
+    inertia about it would make the chain less stable.
 
     Args:
         world: The world.
@@ -120,7 +120,9 @@ def add_rope(world: World, rope: Rope, cell_m: float | None) -> RopePart:
         cell_m: Desired length of a segment [m], or None for the default.
     """
     attached = attached_ends(rope, rigid_attachments(world.scene, rope.name))
-    ends = {side: world.scene.body(one.body) for side, one in attached.items()}
+    ends = {
+        side: world.scene.body(attachment.body) for side, attachment in attached.items()
+    }
     root, tip = ends.get("low"), ends.get("high")
     is_reversed = tip is not None and (root is None or tip.motion is Motion.FIXED)
     count = max(2, min(SEGMENT_LIMIT, round(rope.length_m / (cell_m or SEGMENT_M))))
@@ -139,14 +141,14 @@ def add_rope(world: World, rope: Rope, cell_m: float | None) -> RopePart:
     length = np.array([0.0, 0.0, world.scale * length_m])
     centre = 0.5 * length
 
-    place = np.zeros(3), NO_TURN
+    place = np.zeros(3), NO_ROTATION
     first = 0
     if root is None:
         # The first segment is the base.
         middle_m = start_m + 0.5 / count * (end_m - start_m)
         base = world.base(middle_m, rotation, mass_kg)
         base_moments = moments
-        place = centre, NO_TURN
+        place = centre, NO_ROTATION
         first = BASE
     elif root.motion is Motion.DYNAMIC:
         frame = world.frames[root.name]
@@ -170,7 +172,7 @@ def add_rope(world: World, rope: Rope, cell_m: float | None) -> RopePart:
                 centre=centre,
             )
         )
-        place = length, NO_TURN
+        place = length, NO_ROTATION
     if tip is not None:
         ball = pybullet.JOINT_SPHERICAL
         links.append(world.link(tip, ball, end_m, place[0], rotation))
@@ -194,7 +196,7 @@ def add_soft_body(
 ) -> int:
     """Add a soft body, attach its regions, and return PyBullet's number; rigid bodies exist already.
 
-    Bullet's energy is the stable Neo-Hookean one, which equals linear elasticity at small strain for mu' = 4/3 mu and
+    Bullet's energy is stable Neo-Hookean. At small strain it equals linear elasticity for mu' = 4/3 mu and
     lambda' = lambda + 5/6 mu.
 
     Args:
@@ -204,7 +206,7 @@ def add_soft_body(
         friction: Coefficient of its surface, by which Bullet multiplies that of a rigid body; None without contacts.
     """
     attachments = rigid_attachments(world.scene, body.name)
-    regions = [one.region for one in attachments]
+    regions = [attachment.region for attachment in attachments]
     file = world.folder / f"{body.name}.vtk"
     nodes_m = _write_mesh(file, body, regions, cell_m or SOFT_CELL_M, world.scale)
     shear_pa, lame_pa = lame_constants(body)
@@ -232,12 +234,12 @@ def add_soft_body(
             **contact,
         )
     for attachment in attachments:
-        # An anchor keeps the node where it now is in the frame of the body.
-        holder = GROUND
+        # An anchor keeps the current position of the node in the frame of the body.
+        anchor_body = GROUND
         if attachment.motion is not Motion.FIXED:
-            holder, _ = world.handles[attachment.body][0]
+            anchor_body, _ = world.handles[attachment.body][0]
         for node in nodes_in(nodes_m, attachment.region).tolist():
-            world.client.createSoftBodyAnchor(number, node, holder, BASE)
+            world.client.createSoftBodyAnchor(number, node, anchor_body, BASE)
     return int(number)
 
 

@@ -23,7 +23,7 @@ from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import (
     BASE,
     DRIVEN_MASS_KG,
-    NO_TURN,
+    NO_ROTATION,
     Handle,
     Link,
     World,
@@ -46,7 +46,7 @@ EARLY_CONTACTS = 1e18
 """Distance below which Bullet's solver takes contacts by default."""
 
 STRING_MASS = 1e-6
-"""Mass of the two links of a string, over that of the body that hangs on it."""
+"""Mass of the two links of a string, over the mass of its body."""
 
 ORIGIN = np.zeros(3)
 
@@ -66,7 +66,7 @@ class Model(World):
         super().__init__(scene, settings)
         self.ropes: dict[str, RopePart] = {}
         self.soft: dict[str, int] = {}
-        # Body and link with the surface of one body towards another.
+        # Body and link with the surface of the first body towards the second.
         self._towards: dict[Pair, Handle] = {}
         self._pairs = [pair for _, pair in colliding_pairs(scene)]
         self._surfaces = surfaces(scene)
@@ -75,7 +75,7 @@ class Model(World):
         self._turning = turning_shares(scene)
 
     def build(self, bodies: Sequence[RigidBody]) -> None:
-        """Remove everything from the world, and add the scene with its rigid bodies at given starts."""
+        """Clear the world, and add the scene with its rigid bodies in given initial states."""
         is_soft = self.scene.has(SoftBody)
         world = pybullet.RESET_USE_DEFORMABLE_WORLD if is_soft else 0
         self.client.resetSimulation(world)
@@ -178,7 +178,7 @@ class Model(World):
         """Add a body on a hinge as the link of a fixed base at its anchor."""
         anchor_m = np.asarray(hinge.anchor_m)
         link = self.link(
-            body, pybullet.JOINT_REVOLUTE, anchor_m, ORIGIN, NO_TURN, hinge.axis
+            body, pybullet.JOINT_REVOLUTE, anchor_m, ORIGIN, NO_ROTATION, hinge.axis
         )
         number = self.add_multibody(self.base(anchor_m), [], [link])
         self.add_handle(body.name, number, 0)
@@ -203,12 +203,12 @@ class Model(World):
         ball = pybullet.JOINT_SPHERICAL
         links = (
             Link(joint=ball, place=(ORIGIN, string), **light),
-            Link(joint=pybullet.JOINT_PRISMATIC, place=(end, NO_TURN), **light),
+            Link(joint=pybullet.JOINT_PRISMATIC, place=(end, NO_ROTATION), **light),
             self.link(body, ball, origin_m, ORIGIN, string),
         )
         number = self.add_multibody(self.base(anchor_m), [], links)
         self.add_handle(body.name, number, 2)
-        # Bullet ignores limits of which the lower one is above the upper one, and needs both.
+        # Bullet needs both limits, and ignores them if the lower limit is above the upper limit.
         self.client.changeDynamics(
             number, 1, jointLowerLimit=-1e6, jointUpperLimit=longest - apart
         )
@@ -229,8 +229,8 @@ class Model(World):
                     "contactStiffness": settings.contact_stiffness_n_per_m,
                     "contactDamping": settings.contact_damping_n_s_per_m,
                 }
-            found = self._surfaces.get(name, UNTOUCHED)
-            for surface, handle in zip(found.items(), handles, strict=True):
+            surfaces_of_body = self._surfaces.get(name, UNTOUCHED)
+            for surface, handle in zip(surfaces_of_body.items(), handles, strict=True):
                 (friction, restitution), partners = surface
                 self._towards |= {(name, partner): handle for partner in partners}
                 self.client.changeDynamics(
@@ -257,6 +257,6 @@ class Model(World):
                 self.client.setCollisionFilterGroupMask(number, link, 0, 0)
         let_collide = self.client.setCollisionFilterPair
         for first, second in self._pairs:
-            body, link = self._towards[first, second]
-            other, other_link = self._towards[second, first]
-            let_collide(body, other, link, other_link, 1)
+            first_body, first_link = self._towards[first, second]
+            second_body, second_link = self._towards[second, first]
+            let_collide(first_body, second_body, first_link, second_link, 1)

@@ -36,11 +36,11 @@ NODE_LIMIT = 20_000
 """Largest number of nodes of a soft body; larger ones take minutes for a simulated second."""
 
 SEGMENT_LIMIT = 27
-"""Largest number of segments of a rope. PyBullet holds 128 coordinates of a chain, of which each has 4."""
+"""Largest number of segments of a rope. PyBullet holds 128 coordinates of a chain, and a segment has 4."""
 
 
 class SettingsPyBullet(SteppedSettings):
-    """Settings of one PyBullet simulation. The defaults are those of preset `contact`.
+    """Settings of one PyBullet simulation. The defaults are the preset `contact`.
 
     Lengths and speeds named in units are in Bullet's unit of length, which `units_per_m` defines.
 
@@ -54,17 +54,17 @@ class SettingsPyBullet(SteppedSettings):
         friction_erp: Share of a slip that one step corrects, used with `friction_anchors`.
         global_cfm: Softness of all constraints.
         warm_starting: Share of the last step's contact impulses with which the solver starts.
-        cone_friction: Couple the two directions of friction in a cone; otherwise each one has its own limit. Bullet
-            does this in contacts with a body in reduced coordinates. Fixed and driven bodies of which two or more touch
-            one dynamic body without a rebound are therefore built so.
+        cone_friction: Couple the two directions of friction in a cone; otherwise each has its own limit. Bullet does
+            this in contacts with a body in reduced coordinates. Fixed and driven bodies therefore use them if two or
+            more touch one dynamic body without a rebound.
         friction_anchors: Hold a resting contact at its first point.
         split_impulse: Penetrations that are corrected without a change of velocity: all, only those deeper than 0.04
             units, or none. Bodies in reduced coordinates, on joints or driven, are always corrected by velocity.
-        rebound_threshold: Speed of approach in units per second below which nothing rebounds.
+        rebound_threshold: Speed of approach in units per second below which bodies do not rebound.
         contact_slop: Penetration in units that is not corrected.
         contact_stiffness_n_per_m: Stiffness of the contacts of dynamic bodies, Bullet's `contactStiffness`; None for
             rigid contacts. Each contact point is such a spring. It needs `contact_damping_n_s_per_m` and
-            `split_impulse` `none`. Bullet adds a rebound by restitution to that of the spring.
+            `split_impulse` `none`. Bullet adds a rebound by restitution to the rebound of the spring.
         contact_damping_n_s_per_m: Damping of the same springs, Bullet's `contactDamping`.
         late_impacts: Start an impact when the bodies overlap. Otherwise Bullet brakes them shortly before they touch,
             and restitution then acts on the braked speed.
@@ -124,7 +124,7 @@ class SettingsPyBullet(SteppedSettings):
             )
         if stiffness is not None and info.data.get("split_impulse", "none") != "none":
             raise ValueError(
-                "split_impulse must be 'none' beside it: split impulses exert no force"
+                "split_impulse must be 'none' with it: split impulses exert no force"
             )
         return damping
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from gauge_envs.backends.pybullet.model import Model
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
-from gauge_envs.backends.pybullet.world import BASE, PLANE_REACH_M, pybullet
+from gauge_envs.backends.pybullet.world import BASE, PLANE_HALF_EDGE_M, pybullet
 from gauge_envs.backends.shared.rigid import (
     CONJUGATE,
     MeanForces,
@@ -26,14 +26,14 @@ from gauge_envs.scene.geometry import (
 from gauge_envs.scene.states import bodies_at
 
 Target = tuple[list[float], list[float], list[float], list[float]]
-"""What Bullet gets of a driven body before a step; see `SimulationPyBullet._targets`."""
+"""State of a driven body that Bullet gets before a step; see `SimulationPyBullet._targets`."""
 
 
 class SimulationPyBullet(PlacedSimulation):
-    """A scene in PyBullet. A reset builds it anew, since Bullet cannot forget its contacts.
+    """A scene in PyBullet. A reset rebuilds it, since Bullet cannot forget its contacts.
 
     Attributes:
-        settings: Numerical settings in force.
+        settings: Effective numerical settings.
     """
 
     def __init__(self, scene: Scene, settings: SettingsPyBullet) -> None:
@@ -66,9 +66,9 @@ class SimulationPyBullet(PlacedSimulation):
             reader.clear()
 
     def drive(self, body: str, targets: FloatArray) -> None:
-        """Prescribe a kinematic body; each step moves it to where the motion is at the end of the step."""
+        """Prescribe a kinematic body; each step moves it to its pose at the end of the step."""
         self._driven[body] = targets[0].copy()
-        # Until the next step, which takes the body along: then Bullet is asked.
+        # Valid until the next step, which moves the body; after it, the state comes from Bullet.
         self.placed[body] = targets[0, :13].copy()
 
     def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
@@ -103,7 +103,7 @@ class SimulationPyBullet(PlacedSimulation):
         self._driven.clear()
 
     def _targets(self, name: str, count: int) -> list[Target]:
-        """Return what Bullet gets of a driven body before each of the next steps.
+        """Return the states of a driven body that Bullet gets before each of the next steps.
 
         Without a call of `drive`, the body stays where it is.
 
@@ -184,7 +184,7 @@ class SimulationPyBullet(PlacedSimulation):
         """Return a reader of material points of a rope, or None for a soft body; see `Simulation.track`."""
         if name in self._model.soft:
             return None
-        # A reset builds the rope anew, with the same numbers.
+        # A reset rebuilds the rope with the same numbers.
         return self._model.ropes[name].track(points_m, self._read, self._scale)
 
     def contact_forces(self, pairs: Sequence[tuple[str, str]]) -> ContactForces:
@@ -196,24 +196,24 @@ class SimulationPyBullet(PlacedSimulation):
     def _touches(self) -> Iterator[tuple[str, str, FloatArray]]:
         """Yield the contacts of the last step: two bodies, and the force on the first [N]."""
         names = self._model.names
-        for touch in self._client.getContactPoints():
-            first = names.get((touch[1], touch[3]), "")
-            second = names.get((touch[2], touch[4]), "")
-            force = touch[9] * np.array(touch[7])
-            force += touch[10] * np.array(touch[11]) + touch[12] * np.array(touch[13])
+        for point in self._client.getContactPoints():
+            first = names.get((point[1], point[3]), "")
+            second = names.get((point[2], point[4]), "")
+            force = point[9] * np.array(point[7])
+            force += point[10] * np.array(point[11]) + point[12] * np.array(point[13])
             yield first, second, force / self._scale
 
     def diverged(self) -> Mapping[int, str]:
-        """Return which body is beyond the box of a plane, where nothing would carry it."""
+        """Return the body that is beyond the box of a plane, where nothing supports it."""
         names = [body.name for body in self._scene.dynamic_bodies]
         if names and self._planes:
             positions_m = self.body_states(names)[0, :, :3]
             for plane in self._planes:
                 across_m = np.abs(plane.to_body(positions_m)[:, :2]).max(axis=1)
-                if across_m.max() > PLANE_REACH_M:
+                if across_m.max() > PLANE_HALF_EDGE_M:
                     name = names[int(across_m.argmax())]
                     return {
-                        0: f"{name} is beyond the {PLANE_REACH_M:g} m that this backend's planes reach"
+                        0: f"{name} left its plane, which ends at {PLANE_HALF_EDGE_M:g} m in this backend"
                     }
         return {}
 

@@ -37,7 +37,7 @@ from gauge_envs.scene.meshes import body_mass_properties, hull_faces
 def silent() -> Iterator[None]:
     """Discard what C++ code of this process writes to the standard streams."""
     libc = ctypes.CDLL(None) if os.name == "posix" else ctypes.cdll.msvcrt
-    # What the C library still holds was written before, and belongs to the user.
+    # The buffer of the C library holds output from before, which belongs to the user.
     libc.fflush(None)
     saved = {stream: os.dup(stream) for stream in (1, 2)}
     try:
@@ -59,7 +59,7 @@ with silent():
 FASTEST_JOINT = 1e9
 """Bullet's limit on the speed of joints in units per second; its default of 100 is 1 m/s at 100 units per metre."""
 
-PLANE_REACH_M = 8.0
+PLANE_HALF_EDGE_M = 8.0
 """Half the edge of the box for a plane [m]. On some boxes with half an edge of 11.7 m or more, Bullet brakes rolling
 spheres by up to 39 %; on 107 boxes from 1 to 11.6 m, spheres roll within 0.1 % of the law."""
 
@@ -69,7 +69,7 @@ DRIVEN_MASS_KG = 1e6
 NO_SHAPE = -1
 """Number of the shape of links that touch nothing."""
 
-NO_TURN = Rotation.identity()
+NO_ROTATION = Rotation.identity()
 
 BASE = -1
 """Number of the link that is the base of a body."""
@@ -81,7 +81,7 @@ Handle = tuple[int, int]
 
 @dataclass(frozen=True)
 class Frame:
-    """Mass properties of a body; Bullet's frame is that of the centre of mass, along the principal axes.
+    """Mass properties of a body; Bullet's frame is at the centre of mass, along the principal axes.
 
     Attributes:
         centre_m: Centre of mass in the body frame [m].
@@ -150,7 +150,7 @@ class World:
             self.client = BulletClient(pybullet.DIRECT)
         if not self.client.isConnected():
             raise BackendError(
-                "PyBullet opens no further world in this process: close simulations that are not used"
+                "PyBullet opens no further world in this process: close unused simulations"
             )
         self.folder = Path()
         self.frames = {body.name: Frame.of(body, self.scale) for body in scene.bodies}
@@ -164,10 +164,10 @@ class World:
 
     def shape(self, body: RigidBody, offset_m: FloatArray) -> int:
         """Return the shape of a body whose frame lies at a place [m] in a frame along its principal axes."""
-        turn = self.frames[body.name].axes.inv()
+        rotation = self.frames[body.name].axes.inv()
         place = {
             "collisionFramePosition": (self.scale * offset_m).tolist(),
-            "collisionFrameOrientation": turn.as_quat().tolist(),
+            "collisionFrameOrientation": rotation.as_quat().tolist(),
         }
         arguments = place | self._shape_arguments(body.shape)
         return int(self.client.createCollisionShape(**arguments))
@@ -187,12 +187,12 @@ class World:
             return {"shapeType": pybullet.GEOM_PLANE, "planeNormal": [0.0, 0.0, 1.0]}
         if isinstance(shape, Plane):
             # A box below the plane.
-            reach = scale * PLANE_REACH_M
-            place = {"collisionFramePosition": [0.0, 0.0, -reach]}
-            return {"halfExtents": [reach] * 3, **place, **box}
+            half_edge = scale * PLANE_HALF_EDGE_M
+            place = {"collisionFramePosition": [0.0, 0.0, -half_edge]}
+            return {"halfExtents": [half_edge] * 3, **place, **box}
         if isinstance(shape, Box):
             return {"halfExtents": [0.5 * scale * edge for edge in shape.size_m], **box}
-        assert isinstance(shape, ConvexUnion), "compounds are declined"
+        assert isinstance(shape, ConvexUnion), "compounds are unsupported"
         mesh = {"shapeType": pybullet.GEOM_MESH, "flags": flags}
         if len(shape.pieces_m) == 1:
             return {
@@ -205,7 +205,10 @@ class World:
         return {"fileName": str(path), **mesh}
 
     def base(
-        self, place_m: FloatArray, rotation: Rotation = NO_TURN, mass_kg: float = 0.0
+        self,
+        place_m: FloatArray,
+        rotation: Rotation = NO_ROTATION,
+        mass_kg: float = 0.0,
     ) -> dict[str, Any]:
         """Return the arguments of `createMultiBody` for a base without shape at a place in the world [m]."""
         return {
@@ -215,7 +218,7 @@ class World:
         }
 
     def base_of(self, body: RigidBody) -> dict[str, Any]:
-        """Return the arguments of `createMultiBody` for a body as base, whose frame is that of its centre of mass."""
+        """Return the arguments of `createMultiBody` for a body as base, whose frame is at its centre of mass."""
         frame = self.frames[body.name]
         mass_kg = 0.0 if body.motion is Motion.FIXED else body.mass_kg
         if body.motion is Motion.KINEMATIC:
@@ -226,7 +229,7 @@ class World:
         return {"baseCollisionShapeIndex": self.shape(body, origin_m), **base}
 
     def add_handle(self, name: str, number: int, link: int) -> None:
-        """Enter a body as a link of a multibody, or as a copy of a body that is entered already."""
+        """Register a body as a link of a multibody, or as a copy of a registered body."""
         self.handles.setdefault(name, []).append((number, link))
         self.names[number, link] = name
 
@@ -250,18 +253,18 @@ class World:
             axis: Axis of the joint in the world.
         """
         frame = self.frames[body.name]
-        turn = body.pose.rotation * frame.axes
-        back = turn.inv()
-        centre_m = back.apply(body.pose.to_world(frame.centre_m) - joint_m)
-        origin_m = back.apply(body.pose.position_m - joint_m)
+        rotation = body.pose.rotation * frame.axes
+        inverse = rotation.inv()
+        centre_m = inverse.apply(body.pose.to_world(frame.centre_m) - joint_m)
+        origin_m = inverse.apply(body.pose.position_m - joint_m)
         return Link(
             joint=joint,
-            place=(place, parent.inv() * turn),
+            place=(place, parent.inv() * rotation),
             mass_kg=body.mass_kg,
             moments=frame.moments,
             centre=self.scale * centre_m,
             shape=self.shape(body, origin_m),
-            axis=back.apply(axis).tolist(),
+            axis=inverse.apply(axis).tolist(),
         )
 
     def add_multibody(
@@ -341,7 +344,7 @@ class World:
 
 @lru_cache(maxsize=64)
 def _object_text(shape: ConvexUnion, scale: float) -> str:
-    """Return an OBJ file, the only form in which PyBullet takes a body of several convex hulls; each is an object."""
+    """Return an OBJ file with an object for each convex hull; PyBullet accepts several hulls in no other form."""
     lines: list[str] = []
     first = 1
     for index, piece_m in enumerate(shape.pieces_m):

@@ -13,8 +13,8 @@ from gauge_envs.backends.rapier.contacts import (
 from gauge_envs.backends.rapier.settings import settings_for
 from gauge_envs.backends.shared.bundled import (
     BundledBackend,
-    declined_compounds,
     first_of,
+    unsupported_compounds,
 )
 from gauge_envs.backends.simulation import Simulation
 from gauge_envs.scene import Cloth, Hinge, Rod, Rope, Scene
@@ -45,7 +45,7 @@ class BackendRapier(BundledBackend):
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield one sentence for each feature of a scene that this backend does not support."""
-        yield from declined_compounds(scene)
+        yield from unsupported_compounds(scene)
         kinds: dict[str, list[str]] = {}
         for body in scene.deformables:
             kind = (
@@ -66,7 +66,7 @@ class BackendRapier(BundledBackend):
         ]
         if hinged:
             count = counts[hinged[0]]
-            yield f"{hinged[0]!r} hangs on {count} joints, and this backend builds a hinge as the only joint"
+            yield f"{hinged[0]!r} has {count} joints, and this backend builds a hinge as the only joint"
         count = len(colliding_contacts(scene))
         if count > LARGEST_CONTACT_COUNT:
             yield (

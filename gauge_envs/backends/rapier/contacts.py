@@ -31,7 +31,7 @@ class ColliderLayer:
 
 
 def colliding_contacts(scene: Scene) -> list[Contact]:
-    """Return the contacts of a scene that have a pair that can collide."""
+    """Return the contacts of a scene with a pair of bodies that can collide."""
     return [
         contact
         for contact in scene.contacts

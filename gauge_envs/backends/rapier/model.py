@@ -33,7 +33,7 @@ MASS_UNIT_KG = 1e-3
 sum are wrong for moments near 1e-5, as light bodies have in kg m^2, so masses are in grams."""
 
 UP_TO_Y = Rotation.from_euler("x", 90, degrees=True)
-"""Rotation that takes the axis y of Rapier's cylinders to the axis z of a scene's."""
+"""Rotation from the axis y of Rapier's cylinders to the axis z of a scene's cylinders."""
 
 
 class PlacedBody(NamedTuple):
@@ -51,7 +51,7 @@ class PlacedBody(NamedTuple):
 def build_world(
     scene: Scene, settings: SettingsRapier
 ) -> tuple[rapier.PhysicsWorld, dict[str, PlacedBody]]:
-    """Return a world with the bodies of a scene at rest at their poses, and those that move by name."""
+    """Return a world with the bodies of a scene at rest, and its moving bodies by name."""
     world = rapier.PhysicsWorld(gravity=(0.0, 0.0, -scene.gravity_m_per_s2))
     _set_parameters(world.integration_parameters, settings)
     layers = collider_layers(scene)
@@ -184,7 +184,7 @@ def _shapes(shape: Shape) -> Iterator[rapier.ColliderBuilder]:
 def _add_string(
     world: rapier.PhysicsWorld, string: Tether, handle: rapier.RigidBodyHandle
 ) -> None:
-    """Add a string from a fixed body of its own to the origin of a body."""
+    """Add a string from a new fixed body to the origin of a body."""
     builder = rapier.RigidBody.fixed().translation(string.anchor_m)
     anchor = world.add_body(builder)
     joint = rapier.RopeJointBuilder(string.length_m)
@@ -199,12 +199,12 @@ def _add_hinge(
     handle: rapier.RigidBodyHandle,
     settings: SettingsRapier,
 ) -> None:
-    """Add a hinge with a fixed body of its own, whose axis x is that of the hinge."""
+    """Add a hinge with a new fixed body, whose axis x is the axis of the hinge."""
     frame = hinge_frame(hinge)
     anchor = world.add_body(rapier.RigidBody.fixed().position(isometry(frame)))
-    back = body.pose.rotation.inv()
-    arm = back.apply(np.subtract(hinge.anchor_m, body.pose.position_m))
-    in_body = rapier.Isometry3(tuple(arm), tuple((back * frame.rotation).as_quat()))
+    inverse = body.pose.rotation.inv()
+    arm = inverse.apply(np.subtract(hinge.anchor_m, body.pose.position_m))
+    in_body = rapier.Isometry3(tuple(arm), tuple((inverse * frame.rotation).as_quat()))
     revolute = rapier.GenericJointBuilder(rapier.JointAxesMask.LOCKED_REVOLUTE_AXES)
     at_anchor = revolute.local_frame1(rapier.Isometry3.identity())
     joint = at_anchor.local_frame2(in_body).build()

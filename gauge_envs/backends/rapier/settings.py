@@ -17,7 +17,7 @@ from gauge_envs.scene import Scene
 
 
 class SettingsRapier(SteppedSettings):
-    """Settings of Rapier. The default of each one is Rapier's own, unless its text says otherwise.
+    """Settings of Rapier. The defaults are Rapier's, unless the text of a setting says otherwise.
 
     Attributes:
         solver_iterations: Substeps of the solver in a step, Rapier's `num_solver_iterations`.

@@ -1,4 +1,4 @@
-"""A scene in Rapier: starts, driven bodies, steps and states."""
+"""A scene in Rapier: initial states, driven bodies, steps and states."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -20,13 +20,13 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.states import nominal_states
 
 CALLING_THREAD_BODIES = 16
-"""Bodies up to which Rapier steps on the thread that calls it, whatever the number of threads of its pool.
+"""Largest number of bodies with which Rapier steps on the calling thread, whatever the size of its thread pool.
 
 A pool of one thread gives the same bits, and costs 10 us a step: half the step of a pendulum.
 """
 
 PROCESS = os.getpid()
-"""The process that imported this module. One that is forked from it would wait for threads of a common pool."""
+"""The process that imported this module. A fork of it would wait forever for threads of the shared pool."""
 
 
 class SimulationRapier(PlacedSimulation):
@@ -39,31 +39,33 @@ class SimulationRapier(PlacedSimulation):
         self._threads = settings.threads
         self._scene = scene
         world, self._layout = build_world(scene, settings)
-        self._hold(world)
+        self._use_world(world)
         self._write(nominal_states(scene))
         self._snapshot = world.snapshot()
         self.reset()
 
-    def _hold(self, world: rapier.PhysicsWorld) -> None:
-        """Read and drive the bodies of a world from now on."""
+    def _use_world(self, world: rapier.PhysicsWorld) -> None:
+        """Replace the world that this simulation reads and drives."""
         self._world = world
         self._motions: dict[str, FloatArray] = {}
         bodies = world.rigid_bodies
-        self._bodies = {name: bodies[one.handle] for name, one in self._layout.items()}
+        self._bodies = {
+            name: bodies[placed.handle] for name, placed in self._layout.items()
+        }
 
     def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
-        """Restore the world of the nominal start, and write other starts to it. The seed has no effect."""
+        """Restore the world of the nominal start, and write given initial states to it. The seed has no effect."""
         world = rapier.PhysicsWorld.restore(self._snapshot)
         is_large = len(self._layout) > CALLING_THREAD_BODIES
         is_forked = os.getpid() != PROCESS
         if self._threads > 1 or is_large or is_forked:
             world.set_num_threads(self._threads)
-        self._hold(world)
+        self._use_world(world)
         if starts is not None:
             self._write(starts[0])
 
     def _write(self, states: FloatArray) -> None:
-        """Write states to a world without a step yet, shape [body_count, 13]."""
+        """Write states, shape [body_count, 13], to a world before its first step."""
         for body, state in zip(self._scene.bodies, states, strict=False):
             name = body.name
             if name not in self._layout:
@@ -76,7 +78,7 @@ class SimulationRapier(PlacedSimulation):
                 self._turn_hinge(body, state)
 
     def _turn_hinge(self, body: RigidBody, state: FloatArray) -> None:
-        """Write the state of a hinged body to the reduced coordinates of its joint, if it has some."""
+        """Write the state of a hinged body to the reduced coordinates of its joint, if it has any."""
         joints = self._world.multibody_joints
         link = joints.rigid_body_link(self._layout[body.name].handle)
         if link is None:
@@ -101,7 +103,7 @@ class SimulationRapier(PlacedSimulation):
         body.angvel = tuple(velocity[3:].tolist())
 
     def _centre_speed(self, name: str, spin: FloatArray) -> FloatArray:
-        """Return the velocity of the centre of mass relative to the body origin [m/s]. Rapier's is that of the centre.
+        """Return the velocity of the centre of mass relative to the body origin [m/s].
 
         Args:
             name: Name of the body.
@@ -120,7 +122,7 @@ class SimulationRapier(PlacedSimulation):
         self._set_velocity(body, targets[0, 7:13])
 
     def advance(self, seconds: float) -> None:
-        """Step the world. Driven bodies have the velocity of the end of the interval after it."""
+        """Step the world. Afterwards, driven bodies have the velocity at the end of the interval."""
         count = round(seconds / self._timestep_s)
         velocities = {
             name: motion_steps(motion, self._timestep_s, count)[1]

@@ -1,4 +1,4 @@
-"""What the backends of this package share: extras, versions and settings, and sentences for declined scenes."""
+"""Common code of this package's backends: extras, versions, settings, and reasons for unsupported scenes."""
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -20,7 +20,7 @@ class BundledBackend(Backend):
     Attributes:
         modules: Modules of the engine, which the extra of the backend's name installs.
         packages: Packages whose versions each result records.
-        settings_for: Function of a scene and a user's changes that returns the settings in force.
+        settings_for: Function of a scene and a user's changes that returns the effective settings.
     """
 
     modules: ClassVar[tuple[str, ...]] = ()
@@ -35,7 +35,7 @@ class BundledBackend(Backend):
                 )
 
     def failed_import(self, module: str) -> ImportError:
-        """Return the failed import of a module, whose name tells how to get it."""
+        """Return the error of a module that cannot be imported; its name tells the user what to install."""
         return ModuleNotFoundError(name=module)
 
     def versions(self) -> dict[str, str]:
@@ -71,11 +71,11 @@ def replaced(owner: Any, **attributes: Any) -> Iterator[None]:
 
 
 def first_of(names: Sequence[str]) -> str:
-    """Return the first of several names, with the number of the others."""
+    """Return the first name, with the number of further names."""
     return f"{names[0]!r}" + (f" (and {len(names) - 1} more)" if len(names) > 1 else "")
 
 
-def declined_compounds(scene: Scene) -> Iterator[str]:
+def unsupported_compounds(scene: Scene) -> Iterator[str]:
     """Yield the sentence of a backend that builds no compounds of solids, if a scene has one."""
     names = [body.name for body in scene.bodies if isinstance(body.shape, Compound)]
     if names:

@@ -42,7 +42,7 @@ def check_cells(
         scene: The scene.
         cell_m: Requested size [m].
         node_limit: Largest number of nodes of one body.
-        soft_nodes_per_edge: Nodes of a soft body along the edge of a cell, without the last one.
+        soft_nodes_per_edge: Nodes of a soft body along the edge of a cell, without the last node.
     """
     for body in scene.deformables:
         sides = _sides_m(body)
@@ -64,14 +64,14 @@ def check_cells(
 def common_cell_m(
     scene: Scene, defaults: Mapping[type[Deformable], float]
 ) -> float | None:
-    """Return the default size of cells [m], or None if the kinds of body in a scene have none in common.
+    """Return the default size of cells [m], or None if the kinds of body in a scene differ in it.
 
     Args:
         scene: The scene.
         defaults: Default size for each kind of body that has one [m].
     """
-    found = {defaults.get(type(body)) for body in scene.deformables}
-    return found.pop() if len(found) == 1 else None
+    sizes_m = {defaults.get(type(body)) for body in scene.deformables}
+    return sizes_m.pop() if len(sizes_m) == 1 else None
 
 
 def _sides_m(body: Deformable) -> tuple[float, ...]:

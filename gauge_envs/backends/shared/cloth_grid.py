@@ -74,8 +74,8 @@ class ClothGrid:
     def triangle_shares(self) -> FloatArray:
         """Return the share of a triangle that each of its corners carries, shape [triangle_count, 3].
 
-        It is 1/2 at the right angle and 1/4 at the ends of the diagonal, so that a uniform load gives each vertex the
-        load of its area in `vertex_areas_m2`.
+        It is 1/2 at the right angle and 1/4 at the ends of the diagonal. Under a uniform load, each vertex then
+        carries the load of its area in `vertex_areas_m2`.
         """
         corners = self.plane_m[self.triangles]
         before, after = (
@@ -98,7 +98,7 @@ class ClothGrid:
 def attached_vertices(
     grid: ClothGrid, cloth: Cloth, attachments: Sequence[RigidAttachment]
 ) -> dict[int, RigidAttachment]:
-    """Return the attachment of each attached vertex, by vertex index; the first attachment of several counts."""
+    """Return the attachment of each attached vertex, by vertex index; of several attachments, the first applies."""
     attached: dict[int, RigidAttachment] = {}
     for attachment in reversed(attachments):
         if attachment.motion is Motion.DYNAMIC:

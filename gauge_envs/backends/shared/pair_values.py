@@ -15,7 +15,7 @@ from gauge_envs.scene.geometry import FloatArray
 Pair = tuple[str, str]
 
 RELATIVE_ERROR = 1e-6
-"""Largest error of a pair's value, over the value or over 1 where it is smaller."""
+"""Largest error of a pair's value, relative to the value or to 1, whichever is larger."""
 
 
 class Combination(StrEnum):
@@ -59,12 +59,12 @@ def body_values(
     names = list(dict.fromkeys(name for pair in pairs for name in pair))
     if rule in (Combination.MAX, Combination.MIN):
         limit = min if rule is Combination.MAX else max
-        found = {
+        values = {
             name: limit(value for pair, value in pairs.items() if name in pair)
             for name in names
         }
     elif rule is Combination.MEAN:
-        found = values_of_sums(
+        values = values_of_sums(
             names, {pair: 2.0 * value for pair, value in pairs.items()}, lowest=0.0
         )
     else:
@@ -76,12 +76,12 @@ def body_values(
             if value > 0.0
         }
         active = [name for name in names if any(name in pair for pair in sums)]
-        # A body of which all pairs have the value 0 has the value 0.
-        found = dict.fromkeys(names, 0.0)
+        # A body whose pairs all have the value 0 has the value 0.
+        values = dict.fromkeys(names, 0.0)
         for name, logarithm in values_of_sums(active, sums, lowest=-np.inf).items():
-            found[name] = float(np.exp(logarithm))
-    _check(pairs, found, rule)
-    return found
+            values[name] = float(np.exp(logarithm))
+    _check(pairs, values, rule)
+    return values
 
 
 def values_of_sums(
@@ -101,40 +101,44 @@ def values_of_sums(
         for name in pair:
             row[names.index(name)] += 1.0
     targets = np.array(list(sums.values()))
-    least = np.linalg.lstsq(rows, targets, rcond=None)[0]
-    if least.min() < lowest:
+    solution = np.linalg.lstsq(rows, targets, rcond=None)[0]
+    if solution.min() < lowest:
         from scipy.optimize import lsq_linear
 
-        least = lsq_linear(
+        solution = lsq_linear(
             rows, targets, bounds=(lowest, np.inf), method="bvls", tol=1e-14
         ).x
-    return dict(zip(names, least.tolist(), strict=True))
+    return dict(zip(names, solution.tolist(), strict=True))
 
 
-def _combined(one: float, other: float, rule: Combination) -> float:
+def _combined(first: float, second: float, rule: Combination) -> float:
     if rule in (Combination.MAX, Combination.MIN):
-        return max(one, other) if rule is Combination.MAX else min(one, other)
+        return max(first, second) if rule is Combination.MAX else min(first, second)
     if rule is Combination.MEAN:
-        return 0.5 * (one + other)
-    return one * other if rule is Combination.PRODUCT else float(np.sqrt(one * other))
+        return 0.5 * (first + second)
+    return (
+        first * second
+        if rule is Combination.PRODUCT
+        else float(np.sqrt(first * second))
+    )
 
 
 def _check(
-    pairs: Mapping[Pair, float], found: Mapping[str, float], rule: Combination
+    pairs: Mapping[Pair, float], values: Mapping[str, float], rule: Combination
 ) -> None:
     errors = {}
-    for (one, other), value in pairs.items():
-        errors[one, other] = abs(
-            _combined(found[one], found[other], rule) - value
+    for (first, second), value in pairs.items():
+        errors[first, second] = abs(
+            _combined(values[first], values[second], rule) - value
         ) / max(value, 1.0)
     if not errors:
         return
     worst = max(errors, key=lambda pair: errors[pair])
     if errors[worst] > RELATIVE_ERROR:
-        one, other = worst
-        got = _combined(found[one], found[other], rule)
+        first, second = worst
+        closest = _combined(values[first], values[second], rule)
         raise UnsupportedSceneError(
-            f"pair {one!r} and {other!r} has the value {pairs[worst]:.6g}, but no values of bodies give that of every "
-            f"pair by the engine's rule {rule.value!r} (the closest give {got:.6g}). Decline the scene, or set the "
-            "value of each pair in the engine"
+            f"pair {first!r} and {second!r} has the value {pairs[worst]:.6g}, but no values of bodies give the value "
+            f"of every pair by the engine's rule {rule.value!r} (the closest give {closest:.6g}). Return the scene as "
+            "unsupported, or set the value of each pair in the engine"
         )

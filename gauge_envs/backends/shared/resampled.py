@@ -16,7 +16,7 @@ ROUNDING_S = 1e-9
 
 
 def in_intervals(simulation: Simulation, scene: Scene) -> Simulation:
-    """Return a simulation in intervals of 1/180 s: the given one, or where it has others, one that resamples it."""
+    """Return a simulation in intervals of 1/180 s, resampled if the given simulation has another interval."""
     interval_s = simulation.settings.get("drive_interval_s", DRIVE_INTERVAL_S)
     if abs(interval_s - DRIVE_INTERVAL_S) <= ROUNDING_S:
         return simulation
@@ -26,8 +26,8 @@ def in_intervals(simulation: Simulation, scene: Scene) -> Simulation:
 class ResampledSimulation(Simulation):
     """A simulation in steps of h that is read between them.
 
-    What is read at a time is interpolated linearly between the last step before it and the first one after it;
-    orientations on the shorter arc. In uniform acceleration a, positions are at most a h^2 / 8 off: 5 um in free fall
+    Values are interpolated linearly between the steps before and after the time of reading, orientations on the shorter
+    arc. In uniform acceleration a, positions are at most a h^2 / 8 off: 5 um in free fall
     at 2 ms. An impact that changes the speed by v is cut short by at most v h / 4 within its step. Driven motion and
     wrenches act from the next step on, at most h later.
 
@@ -76,44 +76,44 @@ class ResampledSimulation(Simulation):
             self._step_count += 1
 
     def _read(self) -> dict[str, FloatArray]:
-        """Return all that may be read between the state now and the next one."""
-        found = {"bodies": self._inner.body_states(self._bodies)}
-        found |= {name: self._inner.nodes(name).copy() for name in self._deformables}
-        found |= {f"reader {n}": read() for n, read in enumerate(self._readers)}
-        return found
+        """Return all values that may be read between the current state and the next."""
+        values = {"bodies": self._inner.body_states(self._bodies)}
+        values |= {name: self._inner.nodes(name).copy() for name in self._deformables}
+        values |= {f"reader {n}": read() for n, read in enumerate(self._readers)}
+        return values
 
     @property
     def _share(self) -> float:
-        """Share of the last step that lies before the time now."""
+        """Share of the last step that lies before the current time."""
         ahead_s = self._step_count * self._step_s - self._time_s
         return 1.0 - ahead_s / self._step_s if self._before else 1.0
 
-    def _between(self, key: str, now: FloatArray) -> FloatArray:
+    def _between(self, key: str, current: FloatArray) -> FloatArray:
         share = self._share
         if share > 1.0 - ROUNDING_S or key not in self._before:
-            return now
-        return np.asarray((1.0 - share) * self._before[key] + share * now)
+            return current
+        return np.asarray((1.0 - share) * self._before[key] + share * current)
 
     def body_states(self, names: Sequence[str]) -> FloatArray:
-        """Return the states at the time now, shape [N, len(names), 13]."""
-        now = self._inner.body_states(names)
+        """Return the states at the current time, shape [N, len(names), 13]."""
+        current = self._inner.body_states(names)
         share = self._share
         if share > 1.0 - ROUNDING_S:
-            return now
+            return current
         rows = [self._bodies.index(name) for name in names]
         before = self._before["bodies"][:, rows].copy()
-        products = (before[..., 3:7] * now[..., 3:7]).sum(axis=-1, keepdims=True)
+        products = (before[..., 3:7] * current[..., 3:7]).sum(axis=-1, keepdims=True)
         before[..., 3:7] *= np.where(products < 0.0, -1.0, 1.0)
-        states = (1.0 - share) * before + share * now
+        states = (1.0 - share) * before + share * current
         states[..., 3:7] /= np.linalg.norm(states[..., 3:7], axis=-1, keepdims=True)
         return np.asarray(states)
 
     def nodes(self, name: str) -> FloatArray:
-        """Return the nodes at the time now [m], shape [N, node_count, 3]."""
+        """Return the nodes at the current time [m], shape [N, node_count, 3]."""
         return self._between(name, self._inner.nodes(name))
 
     def track(self, name: str, points_m: FloatArray) -> MaterialPoints | None:
-        """Return a reader of material points at the time now."""
+        """Return a reader of material points at the current time."""
         read = self._inner.track(name, points_m)
         if read is None:
             return None

@@ -1,4 +1,4 @@
-"""Rigid bodies, for every engine: states as rows of 13 numbers, hinges, strings as springs, and driven motion."""
+"""Rigid bodies, for every engine: states as rows of 13 numbers, hinges, strings as springs, and prescribed motion."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class MeanForces:
     """Mean contact forces of pairs of bodies over the steps of an interval, in one world.
 
     Args:
-        pairs: Two bodies each.
+        pairs: The two bodies of each pair.
         touches: Function that yields the contacts of a step: two bodies, and the force on the first [N], shape [3].
     """
 
@@ -89,10 +89,10 @@ class MeanForces:
 
 
 class PlacedSimulation(Simulation):
-    """A simulation that knows the states of some bodies, and reads those of the others from the engine.
+    """A simulation that stores the states of some bodies and reads all other states from the engine.
 
     Attributes:
-        placed: States of the known bodies by name, shape [13] or [world_count, 13].
+        placed: States of the stored bodies by name, shape [13] or [world_count, 13].
     """
 
     placed: dict[str, FloatArray]
@@ -121,7 +121,7 @@ def principal_axes(inertia_kg_m2: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the principal moments of inertia [kg m^2], shape [3], and a rotation matrix whose columns are their axes.
 
     Args:
-        inertia_kg_m2: Inertia in the body frame [kg m^2], shape [3, 3]. A diagonal one has the axes of the body.
+        inertia_kg_m2: Inertia in the body frame [kg m^2], shape [3, 3]. A diagonal inertia keeps the axes of the body.
     """
     moments = np.diag(inertia_kg_m2)
     mixed = inertia_kg_m2 - np.diag(moments)
@@ -133,7 +133,7 @@ def principal_axes(inertia_kg_m2: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def centre_velocity(body: RigidBody, centre_m: ArrayLike) -> FloatArray:
-    """Return the start velocity of a body's centre of mass [m/s], shape [3], which many engines take as the body's.
+    """Return the initial velocity of a body's centre of mass [m/s], shape [3], which many engines expect.
 
     Args:
         body: The body, whose velocity is that of its origin.
@@ -149,8 +149,8 @@ def hinge_frame(hinge: Hinge) -> Pose:
     """Return the frame in the world at a hinge's anchor, whose x axis is that of the hinge."""
     from scipy.spatial.transform import Rotation
 
-    turn = Rotation.align_vectors([hinge.axis], [[1.0, 0.0, 0.0]])[0]
-    return Pose.from_rotation(hinge.anchor_m, turn)
+    rotation = Rotation.align_vectors([hinge.axis], [[1.0, 0.0, 0.0]])[0]
+    return Pose.from_rotation(hinge.anchor_m, rotation)
 
 
 def hinge_angle(hinge: Hinge, nominal: Pose, state: FloatArray) -> float:
@@ -161,9 +161,9 @@ def hinge_angle(hinge: Hinge, nominal: Pose, state: FloatArray) -> float:
         nominal: Pose of the body at the nominal start.
         state: State of the body, shape [13].
     """
-    back = CONJUGATE * np.asarray(nominal.quaternion)
-    turn = quaternion_products(state[3:7], back)
-    return float(quaternion_vectors(turn[None])[0] @ np.asarray(hinge.axis))
+    inverse = CONJUGATE * np.asarray(nominal.quaternion)
+    rotation = quaternion_products(state[3:7], inverse)
+    return float(quaternion_vectors(rotation[None])[0] @ np.asarray(hinge.axis))
 
 
 @dataclass(frozen=True)
@@ -185,17 +185,17 @@ class TetherSpring:
     @classmethod
     def of(cls, scene: Scene) -> list[TetherSpring]:
         """Return the springs of the strings of a scene."""
-        found = []
+        springs = []
         for joint in scene.joints:
             if isinstance(joint, Tether):
                 body = scene.body(joint.body)
                 centre_m, inertia = body_mass_properties(body)
                 inverse = np.linalg.inv(inertia).astype(np.float64)
-                found.append(cls(joint, body.mass_kg, centre_m, inverse))
-        return found
+                springs.append(cls(joint, body.mass_kg, centre_m, inverse))
+        return springs
 
     def end_mass_kg(self, rotation: Rotation, direction: FloatArray) -> float:
-        """Return the mass that a force on the body's origin moves, as seen there: force over acceleration along it.
+        """Return the effective mass at the body's origin: a force there over the acceleration along it.
 
         With r from the centre of mass to the origin, 1 / m_end = 1 / m + (r x n) . I^-1 (r x n).
 
@@ -236,11 +236,11 @@ class TetherSpring:
 
 
 def later_targets(targets: FloatArray, seconds: float | FloatArray) -> FloatArray:
-    """Return rows of `Simulation.drive` some seconds later, shape [N, 19].
+    """Return the targets of `Simulation.drive` after some seconds, shape [N, 19].
 
     Args:
-        targets: The rows, shape [N, 19].
-        seconds: The time, or one for each row, shape [N, 1].
+        targets: The targets, shape [N, 19].
+        seconds: The time, or a time for each row, shape [N, 1].
     """
     moved = targets.copy()
     velocity, acceleration = targets[:, 7:13], targets[:, 13:]
@@ -255,7 +255,7 @@ def later_targets(targets: FloatArray, seconds: float | FloatArray) -> FloatArra
 def motion_steps(
     target: FloatArray, step_s: float, count: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a driven motion cut into steps, each at the constant velocity that takes the body to the next one.
+    """Divide a prescribed motion into steps of constant velocity that end at the pose of the next step.
 
     A semi-implicit engine moves a body by its new velocity times the step, and so follows the motion exactly.
 

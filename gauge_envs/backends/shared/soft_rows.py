@@ -2,7 +2,7 @@
 
 Each cell of a regular grid is divided into five tetrahedra, one in the middle and four at corners, mirrored from cell
 to cell. Of the usual divisions this is the least stiff for its number of elements. Linear tetrahedra lock in bending
-and torsion: with cells of a quarter of the width, a clamped bar is 1 % too stiff in tension, 13 to 15 % in shear and
+and torsion: if cells have a quarter of the width, a clamped bar is too stiff by 1 % in tension, 13 to 15 % in shear and
 28 % in torsion. These errors fall with the square of the cell size.
 """
 
@@ -67,7 +67,7 @@ class Block:
         """Centre of the free material [m], shape [3]."""
         return 0.5 * (self.low_m + self.high_m)
 
-    def holds(self, points_m: FloatArray) -> BoolArray:
+    def contains(self, points_m: FloatArray) -> BoolArray:
         """Return whether points [m], shape [point_count, 3], lie inside or on the faces, shape [point_count]."""
         inside = (points_m > self.low_m - TOLERANCE_M) & (
             points_m < self.high_m + TOLERANCE_M
@@ -120,9 +120,9 @@ class SoftRow:
             _check_joined(first, second, axis)
         ends: dict[str, RigidAttachment] = {}
         for box, attachment in grips:
-            found, side = _world_axis(box, attachment)
+            attached_axis, side = _world_axis(box, attachment)
             if (
-                found != axis
+                attached_axis != axis
                 or box is not (boxes[0] if side == "low" else boxes[-1])
                 or side in ends
             ):
@@ -184,7 +184,7 @@ class SoftRow:
         Nodes on a bonded face belong to both bodies.
         """
         return {
-            block.body.name: np.flatnonzero(block.holds(nodes_m))
+            block.body.name: np.flatnonzero(block.contains(nodes_m))
             for block in self.blocks
         }
 
@@ -241,7 +241,7 @@ def soft_rows(scene: Scene) -> list[SoftRow]:
 
 
 def soft_row_problems(scene: Scene) -> Iterator[str]:
-    """Yield one sentence for each group of bonded soft bodies that is no soft row."""
+    """Yield one sentence for each group of bonded soft bodies that is not a soft row."""
     for bodies in bonded_soft_bodies(scene):
         try:
             SoftRow.of(bodies, attachments_by_body(scene, bodies))
@@ -267,7 +267,7 @@ class TetrahedralMesh:
         points_m: Nodes at the start [m], shape [node_count, 3].
         tetrahedra: Node indices of each tetrahedron, positively oriented, shape [tetrahedron_count, 4].
         volumes_m3: Volumes of the tetrahedra [m^3], shape [tetrahedron_count].
-        blocks: Which block of the row each is part of, shape [tetrahedron_count].
+        blocks: Index of each tetrahedron's block in the row, shape [tetrahedron_count].
     """
 
     points_m: FloatArray
@@ -301,7 +301,7 @@ class TetrahedralMesh:
             middles = points[-1][corners].mean(axis=1)
             owner = np.zeros(len(corners), dtype=np.intp)
             for index, block in members:
-                owner[block.holds(middles)] = index
+                owner[block.contains(middles)] = index
             blocks.append(owner)
         all_points, all_tetrahedra = np.concatenate(points), np.concatenate(tetrahedra)
         volumes = (
@@ -342,11 +342,11 @@ class TetrahedralMesh:
         first = corners[:, 0]
         # A point is x0 + E w with the edges E from the first corner; w are the weights of the other corners.
         edges = (corners[:, 1:] - first[:, None]).transpose(0, 2, 1)
-        others = np.einsum(
+        last_three = np.einsum(
             "tij,ptj->pti", np.linalg.inv(edges), points_m[:, None] - first
         )
         weights = np.concatenate(
-            [1.0 - others.sum(axis=-1, keepdims=True), others], axis=-1
+            [1.0 - last_three.sum(axis=-1, keepdims=True), last_three], axis=-1
         )
         # On shared faces, and just outside the surface, take the tetrahedron that contains the point most deeply.
         best = np.argmax(weights.min(axis=-1), axis=1)
@@ -411,10 +411,10 @@ def linear_weights(
     from scipy.spatial import cKDTree
 
     distances_m, nearest = cKDTree(sources_m).query(points_m, k=NEIGHBOURS)
-    reach_m = distances_m[:, -1:]
+    farthest_m = distances_m[:, -1:]
     # The importance of a source falls to 2 % at the farthest neighbour.
-    importance = np.exp(-4.0 * np.square(distances_m / reach_m))
-    offsets = (sources_m[nearest] - points_m[:, None]) / reach_m[:, None]
+    importance = np.exp(-4.0 * np.square(distances_m / farthest_m))
+    offsets = (sources_m[nearest] - points_m[:, None]) / farthest_m[:, None]
     # A linear function about the point has the basis 1, x, y, z.
     basis = np.concatenate([np.ones_like(offsets[..., :1]), offsets], axis=-1)
     moments = np.einsum("pk,pki,pkj->pij", importance, basis, basis)

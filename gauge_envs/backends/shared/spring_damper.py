@@ -1,4 +1,4 @@
-"""Impacts for engines without a restitution: that of a spring and a damper, and the speed at which a scene has it."""
+"""Restitution of a spring and damper, for engines without a restitution, and the impact speed of a scene."""
 
 import math
 
@@ -14,11 +14,11 @@ SLOWEST_IMPACT_M_PER_S = 0.01
 
 
 def spring_damper_restitution(damping_ratio: float) -> float:
-    """Return the restitution of a mass that meets a linear spring and damper which can push and not pull.
+    """Return the restitution of a mass that hits a linear spring and damper, which push and do not pull.
 
-    The contact ends when the force is zero, before the spring is at its length. With the damping ratio z this is
-    e = exp(-2 z arccos(z) / sqrt(1 - z^2)), and arcosh and sqrt(z^2 - 1) above 1. Gravity during the impact is left
-    out.
+    The contact ends when the force is zero, before the spring reaches its free length. With the damping ratio z this is
+    e = exp(-2 z arccos(z) / sqrt(1 - z^2)). Above 1, arcosh and sqrt(z^2 - 1) replace the functions of z. Gravity
+    during the impact is neglected.
 
     Source: Schwager and Poeschel, Granular Matter 9 (2007) 465, with the angles combined.
     """
@@ -31,7 +31,7 @@ def spring_damper_restitution(damping_ratio: float) -> float:
 
 
 def damping_ratio_of(restitution: float) -> float:
-    """Return the damping ratio with which `spring_damper_restitution` is a value; `LARGEST_DAMPING_RATIO` for 0."""
+    """Return the damping ratio z that gives a restitution e (see above), `LARGEST_DAMPING_RATIO` for 0."""
     if restitution >= 1.0:
         return 0.0
     if restitution <= spring_damper_restitution(LARGEST_DAMPING_RATIO):
@@ -50,9 +50,9 @@ def damping_ratio_of(restitution: float) -> float:
 
 
 def impact_speed_m_per_s(scene: Scene) -> float:
-    """Return the speed at which a scene's impacts have its restitution, at least 0.01 m/s.
+    """Return the impact speed [m/s] at which an engine matches a scene's restitution, at least 0.01 m/s.
 
-    It is the largest of the speeds after a fall from the start to the floor, and of the drivers' speeds.
+    It is the largest speed of any fall from the start to the floor and of any prescribed motion.
     """
     falls = []
     for body in scene.dynamic_bodies:
