@@ -1,6 +1,6 @@
-"""Writes synthetic trials in the layout of the published dataset, with its irregularities and with known statistics.
+"""Write synthetic trials with known statistics, in the irregular layout of the published dataset.
 
-The folders are spelled out here, and not taken from the package: they are what the importer is checked against.
+The folder names do not come from the package, because they check the importer.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ TASK_FOLDERS = {
 FABRICS = {"rayon": "cotton", "uniform": "suit"}
 
 FRAMES_AFTER = 5
-"""Frames that each synthetic trial goes on after the published ones: an importer must cut them off."""
+"""Number of frames after the published ones; the importer must cut them off."""
 
 AMOUNTS = (-1.5, -0.5, 0.75, 1.25)
-"""By how much trials are away from their mean; they add up to 0."""
+"""Deviations of trials from their mean; their sum is 0."""
 
 
 def trial_folder(name):
-    """Folder of a variant's trials in the published layout."""
+    """Return the folder of the trials of a variant in the published layout."""
     variant = find_variant(name)
     folder = f"data/{TASK_FOLDERS[variant.family]}/json"
     if variant.family == "BouncingBall":
@@ -72,12 +72,12 @@ def write_trial(root, name, number, content):
 
 
 def trial_content(assets):
-    """A trial file of these assets."""
+    """Return the content of a trial file with these assets."""
     return {"FPS": 30, "translation unit": "mm", **assets}
 
 
 def body_asset(positions_mm, rotations=None):
-    """A rigid body: positions [mm], shape [frame_count, 3], and orientations, upright where none are given."""
+    """Return a rigid body: positions [mm], shape [frame_count, 3], and orientations, upright by default."""
     rotations = rotations or Rotation.identity(len(positions_mm))
     columns = [*zip("xyz", np.asarray(positions_mm).T, strict=True)]
     columns += zip(("qx", "qy", "qz", "qw"), rotations.as_quat().T, strict=True)
@@ -85,7 +85,7 @@ def body_asset(positions_mm, rotations=None):
 
 
 def marker_asset(positions_mm, ids):
-    """A marker set: positions [mm], shape [frame_count, marker_count, 3]."""
+    """Return a marker set of positions [mm], shape [frame_count, marker_count, 3]."""
     return {
         str(marker): {
             axis: positions_mm[:, number, k].tolist() for k, axis in enumerate("xyz")
@@ -96,13 +96,12 @@ def marker_asset(positions_mm, ids):
 
 @dataclass(frozen=True)
 class Synthetic:
-    """Trials of one variant that are known in closed form.
+    """Trials of one variant in closed form.
 
     Attributes:
         experiment: The experiment.
         contents: The trial files.
-        coordinates: Coordinates of each driver's motions, mean over trials [m or rad], by body, shape
-            [frame_count, motion_count].
+        coordinates: Mean coordinates of prescribed motions [m or rad], by body, shape [frame_count, motion_count].
     """
 
     experiment: Experiment
@@ -111,10 +110,10 @@ class Synthetic:
 
 
 def synthetic_trials(name, amounts=AMOUNTS, *, frames_after=FRAMES_AFTER):
-    """Trials that differ by a constant.
+    """Return trials that differ by a constant.
 
-    Bodies move 2 mm a frame along x, and each trial is off by its amount [mm] along y. Markers are their rest shape,
-    scaled about the first of them by 1 + 1e-3 amount. Drivers move by 1e-3 m or rad a frame and motion.
+    Bodies move along x by 2 mm per frame; each trial is shifted along y by its amount [mm]. Markers have their rest
+    shape, scaled about the first marker by 1 + 1e-3 amount. Prescribed motions advance by 1e-3 m or rad per frame.
     """
     experiment = load_experiment(name)
     scene = experiment.scene
@@ -135,7 +134,7 @@ def synthetic_trials(name, amounts=AMOUNTS, *, frames_after=FRAMES_AFTER):
             positions[experiment.frame_count :] = 1e4
             ids = 5 + 3 * np.arange(
                 positions.shape[1]
-            )  # from one digit to three: as text, 11 comes before 5
+            )  # one to three digits: as text, 11 precedes 5
             order = np.argsort(ids.astype(str))
             assets[
                 "markers" if len(scene.markers.bodies) > 1 else scene.markers.bodies[0]
@@ -151,19 +150,19 @@ def synthetic_trials(name, amounts=AMOUNTS, *, frames_after=FRAMES_AFTER):
 
 
 def scaled_markers(experiment, amount):
-    """Marker positions [mm] of a trial, shape [marker_count, 3]."""
+    """Return the marker positions of a trial [mm], shape [marker_count, 3]."""
     assert experiment.scene.markers is not None
     rest = 1e3 * np.asarray(experiment.scene.markers.positions_m)
     return rest[0] + (1.0 + 1e-3 * amount) * (rest - rest[0])
 
 
 def driver_coordinates(motion_count, frame_count):
-    """Coordinates [m or rad], shape [frame_count, motion_count]: the second motion twice as fast as the first."""
+    """Return coordinates [m or rad], shape [frame_count, motion_count]; the second motion has twice the speed."""
     return 1e-3 * np.arange(frame_count)[:, None] * np.arange(1, motion_count + 1)
 
 
 def driven_asset(experiment, body, count):
-    """A driven body on its way, by composing its driver's motions in order."""
+    """Return a moving driven body, by composing its prescribed motions in order."""
     driver = next(driver for driver in experiment.scene.drivers if driver.body == body)
     start = experiment.scene.body(body).pose
     positions = np.repeat(np.asarray(start.position_m)[None], count, axis=0)
@@ -175,9 +174,11 @@ def driven_asset(experiment, body, count):
         if motion.kind == "translate":
             positions = positions + values[:, None] * axis
         else:
-            turns = Rotation.from_rotvec(values[:, None] * axis)
-            positions = turns.apply(positions - motion.point_m) + motion.point_m
-            rotations = turns * rotations
+            rotation_steps = Rotation.from_rotvec(values[:, None] * axis)
+            positions = (
+                rotation_steps.apply(positions - motion.point_m) + motion.point_m
+            )
+            rotations = rotation_steps * rotations
     return body_asset(1e3 * positions, rotations)
 
 

@@ -10,7 +10,7 @@ from jsonschema.exceptions import best_match
 from typer.testing import CliRunner
 
 from gauge_envs.cli.schemas import output_schema, schema_names
-from gauge_envs.tools.catalog.command import OTHER_WORDS
+from gauge_envs.tools.catalog.command import SYNONYMS
 
 INVOKE = CliRunner.invoke
 
@@ -35,7 +35,7 @@ def schema_name(words: Sequence[str]) -> str:
     """Return the name of the schema of a command line, which is that of its first two words or of the first."""
     first, *others = words
     if first == "list" and others:
-        others[0] = OTHER_WORDS.get(others[0], others[0])
+        others[0] = SYNONYMS.get(others[0], others[0])
     two = " ".join([first, *others[:1]])
     return two if two in schema_names() else first
 

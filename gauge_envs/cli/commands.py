@@ -190,7 +190,7 @@ BUNDLED = (
     Command(
         "data import",
         "dataset.commands:data_import",
-        "Make bands and drivers of real trials, beside the published baselines; offline.",
+        "Import real trials as bands and prescribed motions, and compare them with published baselines; offline.",
         line="dataset.schema:ImportLine",
     ),
     Command(

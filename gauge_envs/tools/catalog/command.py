@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
 
 KINDS = listings()
-"""What `gauge list` lists other than experiments, by kind."""
+"""Lists of `gauge list` besides experiments, by kind."""
 
-OTHER_WORDS = {kind.removesuffix("s"): kind for kind in ("experiments", *KINDS)} | {
+SYNONYMS = {kind.removesuffix("s"): kind for kind in ("experiments", *KINDS)} | {
     "engines": "backends",
     "engine": "backends",
     "envs": "experiments",
     "environments": "experiments",
     "ids": "experiments",
 }
-"""Kinds by the words that users of other tools have for them."""
+"""Kinds by alternative words."""
 
 
 def list_(
@@ -35,24 +35,24 @@ def list_(
         typer.Argument(
             metavar="KIND or PATTERN",
             show_default="experiments",
-            help=f"What to list, {', '.join(KINDS)}; then ids or patterns.",
+            help=f"What to list: {', '.join(KINDS)}; then ids or patterns.",
         ),
     ] = None,
     scored: Annotated[
         bool,
-        arguments.option(arguments.SELECTION, "Only ids that have scores.", "--scored"),
+        arguments.option(arguments.SELECTION, "Only ids with scores.", "--scored"),
     ] = False,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """List experiments; or backends, checks, phenomena, materials, scenes, ...
 
-    Experiments have their observable, the kind of their reference, and the engines that can run them. The pattern '*'
-    lists also phenomena of deformable bodies. Exit code 1 when a wrong task file was skipped.
+    The list has the kind of reference of each experiment, and the engines that can run it. The pattern '*' also lists
+    phenomena of deformable bodies. Exit code 1: a wrong task file was skipped.
     """
     from gauge_envs.pages.document import Document
 
     kind, *patterns = words or ["experiments"]
-    kind = OTHER_WORDS.get(kind, kind)
+    kind = SYNONYMS.get(kind, kind)
     if kind in KINDS:
         print_document(Document(parts=KINDS[kind].function()(patterns)), form)
         return False
@@ -62,7 +62,7 @@ def list_(
 
 
 def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bool:
-    """Print the experiments of patterns, and return whether a task file was skipped."""
+    """Print the experiments that match patterns, and return whether a task file was skipped."""
     from gauge_envs.experiments.variants import (
         matching_variants,
         unreadable_task_files,
@@ -94,7 +94,7 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
 
 
 def _beyond_the_benchmark() -> list[str]:
-    """Return a line for each group of ids that the table leaves out."""
+    """Return a line for each group of ids outside of the table."""
     from gauge_envs.experiments.variants import beyond_variants, user_variants
 
     users = user_variants()
@@ -134,7 +134,7 @@ def show(
         bool,
         arguments.option(
             arguments.OUTPUT,
-            "JSON Schema of what a command prints with --json; ID is its name, as 'list materials'.",
+            "JSON Schema of the output of a command with --json; ID is the command, as 'list materials'.",
             "--schema",
         ),
     ] = False,
@@ -144,7 +144,7 @@ def show(
 ) -> None:
     """Show one experiment or control task: reference, reward, spaces, engines, constants.
 
-    `--format wide` adds the scene, decisions and the source of each number. For a control task: law, limit and reward.
+    `--format wide` adds the scene, decisions and the source of each number. A control task has law, limit and reward.
     """
     if schema:
         from gauge_envs.cli.schemas import output_schema

@@ -1,6 +1,6 @@
-"""All that defines an experiment, with the source of each number, JSON-ready.
+"""Describe an experiment completely, with the source of each number, JSON-ready.
 
-The terminal page of `gauge show` and the page of a family in the documentation are both made from it.
+`gauge show` and the page of a family in the documentation use this description.
 """
 
 import csv
@@ -25,10 +25,10 @@ from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
 
 
 def all_limits() -> list[dict[str, Any]]:
-    """Return all known limits of experiments, as `scoring/limits.toml` states them.
+    """Return all known limits of experiments from `scoring/limits.toml`.
 
     `variants` are patterns of variants, and `text` is one or two sentences. `study` is the folder of `studies/`, or the
-    heading in its README, that has the numbers.
+    heading in its README, with the numbers.
     """
     content = toml_document((data_folder("scoring") / "limits.toml").read_bytes())
     limits: list[dict[str, Any]] = content["limit"]
@@ -36,7 +36,7 @@ def all_limits() -> list[dict[str, Any]]:
 
 
 def known_limits(variant: str) -> list[dict[str, Any]]:
-    """Return what is known to be wrong or uncertain of a variant, as `SlopeSlider-2-wood`."""
+    """Return the known limits of a variant such as `SlopeSlider-2-wood`."""
     return [
         {"text": limit["text"], "study": limit.get("study")}
         for limit in all_limits()
@@ -45,7 +45,7 @@ def known_limits(variant: str) -> list[dict[str, Any]]:
 
 
 def description(experiment: Experiment) -> dict[str, Any]:
-    """Return all that defines one experiment, JSON-ready, with the source of each number."""
+    """Return the complete description of an experiment, JSON-ready, with the source of each number."""
     spec, variant, scene = experiment.spec, experiment.variant, experiment.scene
     bodies = (*scene.bodies, *scene.deformables)
     return json_ready(
@@ -120,26 +120,28 @@ def _constants(experiment: Experiment, name: str) -> dict[str, dict[str, Any]]:
     material = variant.material if variant.material in tables else next(iter(tables))
     values = spec.constants_of(name, material, variant.subtask)
     described = {}
-    for key, stated in tables[material].items():
+    for key, constant in tables[material].items():
         place = f"constants.{name}.{material}.{key}"
         source = spec.provenance_of(place)
-        if isinstance(stated, Substituted):
+        if isinstance(constant, Substituted):
             used = spec.provenance_of(f"{place}.used")
-            source = f"{used}, for {stated.calibrated:g} ({source}): {stated.reason}"
+            source = (
+                f"{used}, for {constant.calibrated:g} ({source}): {constant.reason}"
+            )
         described[key] = {"value": values[key], "source": source}
     return described
 
 
 def _reference(experiment: Experiment) -> dict[str, Any]:
-    """Return what an experiment is scored against."""
+    """Return the reference of an experiment."""
     source = experiment.reference_source
     band = reference_band(experiment)
     file = band_file(experiment.name, source)
-    stated = None if file is None else stated_of(file)
+    facts = None if file is None else stated_of(file)
     return {
         "kind": reference_kind(experiment.name, source).value,
         "unit": band and band.compared.unit,
-        "source": band.source if band is not None else stated and stated.source,
+        "source": band.source if band is not None else facts and facts.source,
         "licence": band and band.licence,
         "trial_count": band and band.trial_count,
         "single_shot": experiment.trial is not None,
@@ -147,9 +149,9 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
         "standard_uncertainty": band and band.standard_uncertainty,
         "zero_motion_distance": band and band.zero_motion_distance,
         "exact": {} if band is None else dict(band.exact),
-        "exact_source": stated and stated.exact_source,
+        "exact_source": facts and facts.exact_source,
         "events": [
-            one.model_dump() for one in recorded_events(experiment.name, source)
+            event.model_dump() for event in recorded_events(experiment.name, source)
         ],
         "sees": planted_errors(experiment.name),
         "imported": source is DataSource.IMPORTED,
@@ -163,7 +165,7 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
 
 
 def planted_errors(variant: str) -> list[dict[str, Any]]:
-    """Return what MuJoCo's score of a variant is with changed motions and constants, a row for each metric."""
+    """Return the scores of MuJoCo with planted errors in a variant, a row for each metric."""
     file = data_folder("scoring") / "sees.csv"
     with file.open(encoding="utf-8", newline="") as stream:
         rows = [row for row in csv.DictReader(stream) if row.pop("id") == variant]
@@ -177,7 +179,7 @@ def planted_errors(variant: str) -> list[dict[str, Any]]:
 
 
 def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any]:
-    """Return the fields of a body, with its kind and pose; an inertia that follows from the shape is left out."""
+    """Return the fields of a body, with its kind and pose, without an inertia that follows from the shape."""
     values = {
         field.name: getattr(body, field.name) for field in dataclasses.fields(body)
     }
@@ -196,15 +198,17 @@ def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any
 
 
 def _drivers(experiment: Experiment) -> list[dict[str, Any]]:
-    """Return the driven bodies with their motions and the source of each."""
+    """Return the driven bodies with their motions and sources."""
     drivers = experiment.scene.drivers
-    notes = ["as the asset states it"] * len(drivers)
+    notes = ["from the asset"] * len(drivers)
     imported: set[str] = set()
     if experiment.asset is None:
-        notes = [one.note for one in experiment.spec.drivers_of(experiment.variant)]
+        specs = experiment.spec.drivers_of(experiment.variant)
+        notes = [spec.note for spec in specs]
         if experiment.drivers is DataSource.IMPORTED:
             trials = load_imported(experiment.name)
-            imported = {one.body for one in trials.facts.drivers} if trials else set()
+            records = trials.facts.drivers if trials else ()
+            imported = {record.body for record in records}
     return [
         {
             "body": driver.body,

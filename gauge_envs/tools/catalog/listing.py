@@ -1,4 +1,4 @@
-"""Which engines can run which experiments."""
+"""List the engines that can run each experiment."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -15,17 +15,17 @@ from gauge_envs.runs.isolation import call_engine
 from gauge_envs.scoring.reference import reference_kind
 
 QUERY_LIMIT_S = 60.0
-"""Time for which an engine outside this package may answer [s]."""
+"""Time limit for the answer of an engine outside this package [s]."""
 
 
 def list_rows(
     variants: Iterable[Variant], *, notify: Callable[[str], None] = lambda _: None
 ) -> list[dict[str, Any]]:
-    """Return one row per variant; `backends` maps each installed backend to the features of the scene that it lacks.
+    """Return a row for each variant; `backends` maps each backend to the features of the scene that it lacks.
 
     Args:
         variants: The variants.
-        notify: Receives one sentence for each backend that does not work.
+        notify: Receives a sentence for each backend that does not work.
     """
     experiments = [load_experiment(variant) for variant in variants]
     lacking = {
@@ -47,10 +47,10 @@ def list_rows(
 
 
 def engine_rows(experiment: Experiment) -> list[dict[str, Any]]:
-    """Return what each installed backend says of an experiment, JSON-ready.
+    """Return the support of an experiment by each backend, JSON-ready.
 
-    `missing` has the features of the scene that the engine lacks, `fault` why it does not run here, or None. Engines of
-    this package also have the default `preset` and `timestep_s` of the scene.
+    `missing` has the features of the scene that the engine lacks; `fault` is the reason if it does not run here.
+    Engines of this package also have the default `preset` and `timestep_s` of the scene.
     """
     rows = []
     for name in backend_names():
@@ -78,12 +78,12 @@ def lacking_features(
     experiments: Sequence[Experiment],
     notify: Callable[[str], None] = lambda _: None,
 ) -> list[list[str]]:
-    """Return what a backend lacks for each experiment, or its error; nothing for one that it can run.
+    """Return the missing features of a backend for each experiment, or its error; empty for supported experiments.
 
-    A backend outside this package answers in a process of its own.
+    A backend outside this package answers in a separate process.
 
     Args:
-        name: The backend.
+        name: Name of the backend.
         experiments: The experiments.
         notify: Receives a sentence if the backend does not work.
     """
@@ -100,10 +100,13 @@ def lacking_features(
 
 
 def _lacks(name: str, experiments: Sequence[Experiment]) -> tuple[list[list[str]], str]:
-    """Return what a backend lacks for each experiment, or its error; and an error that is no missing extra, or ""."""
+    """Return the missing features for each experiment, or the error; and the error again unless an extra is missing."""
     try:
         backend(name)
-        supports = [support_of(name, one.scene, one.model_file) for one in experiments]
+        supports = [
+            support_of(name, experiment.scene, experiment.model_file)
+            for experiment in experiments
+        ]
     except GaugeError as error:
         fault = "" if isinstance(error, MissingExtraError) else str(error)
         return [[str(error)]] * len(experiments), fault

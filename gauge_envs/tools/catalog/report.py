@@ -1,4 +1,4 @@
-"""The list of experiments, one screen for an experiment, and all that defines it."""
+"""Report the list of experiments, and an experiment on one screen or completely."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
@@ -34,7 +34,7 @@ REFERENCES = {
     Kind.NUMERICAL: "refined numerical solution of the calibrated scene, no real data",
     Kind.NONE: "no reference motion",
 }
-"""What a reference is, with the number of its trials."""
+"""Description of each kind of reference; `{}` is the number of trials."""
 
 PLANTED_ERRORS = {
     "frozen": "no motion",
@@ -44,15 +44,15 @@ PLANTED_ERRORS = {
     "stiffness_20_percent_lower": "stiffness 20 % lower",
     "stiffness_20_percent_higher": "stiffness 20 % higher",
 }
-"""Errors that were planted in MuJoCo's scene and scored, by column of `scoring/sees.csv`."""
+"""Planted errors in the scene of MuJoCo, by column of `scoring/sees.csv`."""
 
 UNDETECTABLE_SHARE = 0.1
-"""Change of a score that no comparison with the reference can detect, over its standard uncertainty u."""
+"""Largest undetectable change of a score, divided by the standard uncertainty u."""
 
 
 def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the rows of `list_rows` as a table."""
-    # An engine that runs nothing is not installed or broken; it is no exception in each row.
+    # Leave out engines that run nothing: they are broken or not installed.
     working = {
         name for row in rows for name, missing in row["backends"].items() if not missing
     }
@@ -84,10 +84,10 @@ def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def experiment_document(values: Mapping[str, Any]) -> Document:
-    """Return what an experiment measures, its reference, what a score detects, engines and constants.
+    """Return observable, reference, detected errors, engines and constants of an experiment.
 
     Args:
-        values: The dictionary of `description`.
+        values: Result of `description`.
     """
     observable, reference = values["observable"], values["reference"]
     measured = f"{observable['kind'].replace('_', ' ')} [{observable['unit']}]"
@@ -98,7 +98,7 @@ def experiment_document(values: Mapping[str, Any]) -> Document:
     facts = {
         "measured": f"{measured}; {values['frames']} frames at 30 Hz",
         "reference": reference_text(reference, frames=values["frames"]),
-        "exact solution": f"scores {exact} over real trials" if exact else "",
+        "exact solution": f"scores {exact}, divided by real trials" if exact else "",
         "real events": events_text(reference["events"]),
         "planted errors": planted_errors_text(reference),
         "reward": reference["reward"],
@@ -130,10 +130,10 @@ def experiment_document(values: Mapping[str, Any]) -> Document:
 
 
 def reference_text(reference: Mapping[str, Any], *, frames: int) -> str:
-    """Return what a reference is, its uncertainty u, and its distance from a scene without motion."""
+    """Return the description of a reference, its uncertainty u, and the zero-motion distance."""
     kind = Kind(reference["kind"])
     if reference["single_shot"]:
-        return "one real trial with the same start; each trial has its own"
+        return "one real trial with the same initial state; it differs for each trial"
     text = REFERENCES[kind].format(reference["trial_count"])
     if reference["unit"] is None:
         return text
@@ -148,7 +148,7 @@ def reference_text(reference: Mapping[str, Any], *, frames: int) -> str:
 
 
 def events_text(events: Sequence[Mapping[str, Any]]) -> str:
-    """Return events with their real values and standard uncertainties; empty without any."""
+    """Return events with their real values and standard uncertainties; empty without events."""
     return "; ".join(
         f"{event_title(event['name'])}: "
         f"{plus_minus_text(event['value'], event['standard_uncertainty'], event['unit'])}"
@@ -157,7 +157,7 @@ def events_text(events: Sequence[Mapping[str, Any]]) -> str:
 
 
 def planted_errors_text(reference: Mapping[str, Any]) -> str:
-    """Return the scores of planted errors, rows of `scoring/sees.csv`, in a line; empty without any."""
+    """Return the scores of planted errors in a line; empty without planted errors."""
     texts = []
     for metric, scores in planted_error_scores(reference):
         detected = [f"{title} {score}" for title, score in scores.items() if score]
@@ -174,7 +174,7 @@ def planted_error_scores(
 ) -> Iterator[tuple[str, dict[str, str]]]:
     """Yield each metric with its unit, and the score of each planted error by name; empty if undetectable.
 
-    An error is undetectable if it changes the score by less than a tenth of u, or not in its three digits.
+    An error is undetectable if the score changes by less than a tenth of u, or not within three digits.
     """
     for row in reference["sees"]:
         has_uncertainty = row["unit"] == reference["unit"]
@@ -193,7 +193,7 @@ def planted_error_scores(
 
 
 def _engines_text(engines: Sequence[Mapping[str, Any]]) -> str:
-    """Return the engines that run here, those that do not, and those that cannot build the scene."""
+    """Return the engines that run here, that do not run here, and that cannot build the scene."""
     groups: dict[str, list[str]] = {"": [], "not here: ": [], "cannot build it: ": []}
     for row in engines:
         is_default = row["engine"] == EnvArguments.backend
@@ -206,7 +206,7 @@ def _engines_text(engines: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _published_text(baselines: Sequence[Mapping[str, Any]]) -> str:
-    """Return the published metrics of real trials, and engine scores over them; empty without any."""
+    """Return the published metrics of real trials and engine scores; empty without publications."""
     texts = []
     for line in baselines:
         scores = [
@@ -215,7 +215,7 @@ def _published_text(baselines: Sequence[Mapping[str, Any]]) -> str:
         ]
         trials = plus_minus_text(line["mean"], line["std"], line["unit"])
         texts.append(
-            f"{METRIC_TITLES[line['metric']]} {trials}, over it {', '.join(scores)}"
+            f"{METRIC_TITLES[line['metric']]} {trials}; engines divided by it: {', '.join(scores)}"
         )
     return "; ".join(texts)
 
@@ -232,7 +232,7 @@ def _asset_facts(asset: Mapping[str, Any] | None) -> dict[str, str]:
 def _constants(
     constants: Mapping[str, Mapping[str, Mapping[str, Any]]],
 ) -> dict[str, str]:
-    """Return the constants of bodies that share them, each group with its source."""
+    """Return constants and sources, with one entry for all bodies with equal constants."""
     bodies_of: dict[str, list[str]] = {}
     for body, table in constants.items():
         by_source: dict[str, dict[str, Any]] = {}
@@ -245,11 +245,11 @@ def _constants(
     return {shortened(bodies): text for text, bodies in bodies_of.items()}
 
 
-# --- all that defines an experiment -----------------------------------------------------------------------------------
+# --- complete description ---------------------------------------------------------------------------------------------
 
 
 def full_document(values: Mapping[str, Any]) -> Document:
-    """Return the screen of an experiment, then its limits, engines, spaces, scene, decisions and sources."""
+    """Return the screen of an experiment, followed by limits, engines, spaces, scene, decisions and sources."""
     limits = [
         limit["text"] + (f" (study: {limit['study']})" if limit["study"] else "")
         for limit in values["limits"]
@@ -266,27 +266,27 @@ def full_document(values: Mapping[str, Any]) -> Document:
 
 
 def step_text(step_s: float) -> str:
-    """Return a time step as a fraction of a second, or in seconds if it is none."""
+    """Return a time step as a fraction of a second if it is one, otherwise in seconds."""
     fraction = Fraction(step_s).limit_denominator(1_000_000)
     return str(fraction) if fraction.numerator == 1 else f"{step_s:.4g}"
 
 
 def reasons_text(missing: Sequence[str]) -> str:
-    """Return why an engine cannot build a scene: the first reason, and the number of the rest; empty without any."""
+    """Return the first reason why an engine cannot build a scene, and the number of the remaining reasons."""
     if len(missing) < 2:
         return "".join(missing)
     return f"{missing[0]} (and {len(missing) - 1} more)"
 
 
 def _engine_text(row: Mapping[str, Any]) -> str:
-    """Return preset and step of an engine, or why it cannot build the scene."""
+    """Return preset and step of an engine, or the reason why it cannot build the scene."""
     if row["missing"] or row["timestep_s"] is None:
         return reasons_text(row["missing"])
     return f"preset {row['preset']}, step {step_text(row['timestep_s'])} s"
 
 
 def convergence_facts(values: Mapping[str, Any]) -> dict[str, str]:
-    """Return what half the step and half the cell change, by engine, of those that were measured."""
+    """Return the measured changes by half the step and half the cell size, by engine."""
     has_cells = any(body["kind"] != "rigid" for body in values["bodies"])
     is_verified = Kind(values["reference"]["kind"]).is_solution
     return {
@@ -319,7 +319,7 @@ def _sections(values: Mapping[str, Any]) -> Iterator[Part]:
             name: value_text(value) for name, value in (values["air"] or {}).items()
         },
         "Sources": sources | values["source"],
-        "Where the numbers are from": values["provenance"],
+        "Sources of numbers": values["provenance"],
         "Parameter sets": {
             name: f"{chosen['summary']}: {pairs_text(chosen['values']) or 'no change'}"
             for name, chosen in values["parameter_sets"].items()
@@ -332,7 +332,7 @@ def _sections(values: Mapping[str, Any]) -> Iterator[Part]:
 
 
 def _numbered(parts: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Return the values of each part of a scene that are not zero, by its name or number."""
+    """Return the nonzero values of each part of a scene, by name or number."""
     texts = {}
     for number, part in enumerate(parts, 1):
         nonzero = {
@@ -345,7 +345,7 @@ def _numbered(parts: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 
 
 def _entries(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Return the entries of spaces with their shapes, and the meaning and range of each part."""
+    """Return the entries of spaces with shape, meaning and range of each part."""
     parts: dict[str, list[str]] = {}
     for row in rows:
         entry = f"{row['entry']} {shape_text(row['whole'])}".rstrip()

@@ -1,4 +1,4 @@
-"""What `gauge list` and `gauge show` print with `--json`, a line each."""
+"""JSON lines of `gauge list` and `gauge show`."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, TypedDict
@@ -9,7 +9,7 @@ from gauge_envs.references.published import Baseline
 from gauge_envs.scene import Attachment, Contact
 
 Values = Mapping[str, Any]
-"""A small table, whose keys name its values."""
+"""A small table of named values."""
 
 
 class ListLine(TypedDict):
@@ -19,11 +19,11 @@ class ListLine(TypedDict):
         id: Gymnasium id.
         family: Name of the family.
         group: Kind of bodies.
-        observable: What g(t) is.
+        observable: Quantity g(t).
         frames: Number of frames of 1/30 s.
-        kind: Kind of its reference.
-        imported: Whether real trials of it were imported.
-        backends: What each engine lacks to run it; empty for an engine that can.
+        kind: Kind of the reference.
+        imported: Whether its real trials are imported.
+        backends: Missing features of each engine; empty for an engine that can run it.
     """
 
     id: str
@@ -37,14 +37,14 @@ class ListLine(TypedDict):
 
 
 class SchemaLine(TypedDict):
-    """A JSON Schema, as `gauge show NAME --schema` prints it."""
+    """A JSON Schema; `gauge show NAME --schema` prints it."""
 
     name: str
     version: int
 
 
 class ObservableFacts(TypedDict):
-    """What g(t) is, its unit, and the names of its coordinates."""
+    """Quantity g(t), its unit, and the names of its coordinates."""
 
     kind: str
     unit: str
@@ -52,25 +52,25 @@ class ObservableFacts(TypedDict):
 
 
 class ReferenceFacts(TypedDict):
-    """What an experiment is scored against.
+    """Reference of an experiment.
 
     Attributes:
-        kind: What the reference motion is.
+        kind: Kind of the reference motion.
         unit: Unit of `standard_uncertainty` and `zero_motion_distance`.
-        source: Where the numbers are from, or why there is no reference.
+        source: Source of the numbers, or the reason for a missing reference.
         licence: Licence of the data.
         trial_count: Number of real trials.
-        single_shot: Whether it is the one trial of the same start.
+        single_shot: Whether the reference is the only trial with the same initial state.
         known_frames: Number of frames with a mean.
         standard_uncertainty: Standard uncertainty u of the mean.
-        zero_motion_distance: Distance of a scene in which nothing moves.
-        exact: Distance over real trials of an exact solution, by parameter set.
-        exact_source: How the exact solution was computed.
+        zero_motion_distance: Distance of a scene without motion.
+        exact: Distance of an exact solution, divided by real trials, by parameter set.
+        exact_source: Computation of the exact solution.
         events: Events with a real value.
-        sees: The score on MuJoCo with changed motions and constants, for each metric; null was not measured.
-        imported: Whether imported trials are in use.
-        impossible: Published scores that cannot be right; empty without.
-        reward: The reward of a step.
+        sees: Scores of MuJoCo with planted errors, for each metric; null if not measured.
+        imported: Whether imported trials are used.
+        impossible: Impossible published scores; empty without such scores.
+        reward: Reward of a step.
     """
 
     kind: Kind
@@ -92,37 +92,37 @@ class ReferenceFacts(TypedDict):
 
 
 class ShowLine(TypedDict):
-    """All that defines an experiment, with the source of each number.
+    """Complete description of an experiment, with the source of each number.
 
     Attributes:
         id: Gymnasium id.
         title: Title.
-        summary: What happens, in a sentence.
-        group: Kind of bodies; as `rigid`.
-        evaluates: What is evaluated.
-        source: Where the experiment is described.
+        summary: Description in a sentence.
+        group: Kind of bodies, for example `rigid`.
+        evaluates: Evaluated phenomena.
+        source: Publication of the experiment.
         constants: `value` and `source` of each constant of each body.
         parameter_sets: `summary` and overriding `values` of each set of constants.
         subtask: Title of the subtask.
-        provenance: Source of each number of the task file, by its place.
-        decisions: What the sources leave open, and what was chosen.
-        asset: File that states the scene, with its changes; null for the task file.
+        provenance: Source of each number of the task file, by place.
+        decisions: Choices for details that the sources do not specify.
+        asset: File of the scene, with its changes; null for the task file.
         frames: Number of frames of 1/30 s.
         duration_s: Duration [s].
-        observable: What g(t) is.
-        bodies: Bodies: `name`, `kind`, `recorded`, pose, and what `gauge_envs.scene` states of the kind.
+        observable: Quantity g(t).
+        bodies: Bodies: `name`, `kind`, `recorded`, pose, and the fields of their class in `gauge_envs.scene`.
         contacts: Constants of pairs of bodies.
         joints: Joints, with the fields of their class in `gauge_envs.scene`.
-        attachments: Deformable bodies that are held.
+        attachments: Clamped deformable bodies.
         drivers: Driven bodies: `body`, `provenance`, `imported`, `note`, `motions`.
         air: Constants of the air.
-        markers: Number of markers on bodies; null without.
+        markers: Number of markers on bodies; null without markers.
         action: Entries of the action: name, shape, bounds, unit, meaning.
-        observation: Entries of the observation, in the same way.
-        reference: What it is scored against.
+        observation: Entries of the observation, with the same fields.
+        reference: Reference of the score.
         baselines: Published scores.
-        engines: What each engine says: `missing` features, `fault`, `preset`, `timestep_s`, `convergence`.
-        limits: What is known to be wrong or uncertain: `text`, and the `study` that shows it.
+        engines: Support by each engine: `missing` features, `fault`, `preset`, `timestep_s`, `convergence`.
+        limits: Known limits: `text`, and the `study` with the numbers.
     """
 
     id: str
@@ -156,15 +156,15 @@ class ShowLine(TypedDict):
 
 
 class ControlLine(TypedDict):
-    """What defines a control task.
+    """Description of a control task.
 
     Attributes:
         id: Gymnasium id.
-        scene: Id of the experiment whose scene it has.
+        scene: Id of the experiment with the same scene.
         duration_s: Duration [s].
-        observed: What each entry of the observation is.
-        limit: What the law allows: `quantity`, `unit`, `value`, `sigma` and their sources.
-        task: What is to be done and what is rewarded.
+        observed: Meaning of each entry of the observation.
+        limit: Limit by the law: `quantity`, `unit`, `value`, `sigma` and their sources.
+        task: Goal and reward.
     """
 
     id: str

@@ -1,4 +1,4 @@
-"""Action and observation spaces of an experiment as rows of tables."""
+"""Describe the action and observation spaces of an experiment as rows of tables."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -69,7 +69,7 @@ def observation_rows(experiment: Experiment) -> list[dict[str, Any]]:
         "bodies": experiment.recorded,
         "markers": ("m", f"x y z of the markers on {marked}"),
         "driver": tuple(driver.body for driver in scene.drivers),
-        "time": ("s", "time since the start"),
+        "time": ("s", "time since the reset"),
     }
     rows: list[dict[str, Any]] = []
     for key, meaning in meanings.items():
@@ -109,7 +109,7 @@ def _row(
 
 
 def range_text(row: Mapping[str, Any]) -> str:
-    """Return the range of a JSON-ready row of a space, as `-1 to 1`; `any` without bounds."""
+    """Return the range of a JSON-ready row of a space, for example `-1 to 1`; `any` without bounds."""
     low, high = row["low"], row["high"]
     if low is None or high is None:
         return "any"
@@ -120,5 +120,5 @@ def range_text(row: Mapping[str, Any]) -> str:
 
 
 def shape_text(shape: Sequence[int]) -> str:
-    """Return a shape, as `[1, 3]`; a number has none."""
+    """Return a shape, for example `[1, 3]`; empty for a number."""
     return str(list(shape)) if shape else ""

@@ -56,14 +56,14 @@ def data_download(
     patterns = patterns or [download.TRIAL_FILES]
     folder = download.download_dataset(commit, out, patterns)
     echo(folder)
-    message(f"gauge data import '{folder}' makes bands and drivers from it")
+    message(f"next: gauge data import '{folder}'")
 
 
 def data_import(
     folder: Annotated[
         Path,
         typer.Argument(
-            metavar="DIR", help="Folder of the dataset, which holds 'data'."
+            metavar="DIR", help="Folder of the dataset, which contains 'data'."
         ),
     ],
     patterns: Annotated[
@@ -76,7 +76,7 @@ def data_import(
         str | None,
         arguments.option(
             arguments.SCENE,
-            "Unit of lengths in files that state none, as mm.",
+            "Unit of lengths in files without a unit, as mm.",
             metavar="UNIT",
         ),
     ] = None,
@@ -85,26 +85,26 @@ def data_import(
         arguments.measured(
             "--rate",
             "Hz",
-            "Frames a second of files that state no rate.",
+            "Frames per second of files without a rate.",
             arguments.SCENE,
             is_positive=True,
         ),
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
-    """Make bands and drivers of real trials, beside the published baselines; offline.
+    """Import real trials as bands and prescribed motions, and compare them with published baselines; offline.
 
-    A damaged file is reported and left out. Exit code 1 when any file was left out.
+    Damaged files are reported and left out. Exit code 1: a file was left out.
     """
     from gauge_envs.tools.dataset.importer import import_trials
     from gauge_envs.tools.dataset.layout import find_trials
     from gauge_envs.tools.dataset.report import import_document
 
     layout = find_trials(folder, only=patterns or ["*"])
-    stated = {"translation unit": unit, "FPS": rate_hz}
+    defaults = {"translation unit": unit, "FPS": rate_hz}
     imports, findings = [], [*layout.findings]
     with Progress("experiments", len(layout.files)) as progress:
-        for trials in import_trials(layout, stated=stated):
+        for trials in import_trials(layout, defaults=defaults):
             progress.advance(trials.variant.name)
             imports.append(trials)
             findings += trials.findings
@@ -118,7 +118,7 @@ def data_import(
     stored = [trials.used for trials in imports if trials.facts is not None]
     message(
         f"{counted(sum(stored), 'trial')} of {counted(len(stored), 'experiment')} imported; "
-        "gauge run ID --use imported uses them"
+        "use them by gauge run ID --use imported"
     )
     return any(finding.left_out for finding in findings)
 
@@ -129,13 +129,13 @@ def _print_findings(findings: Iterable[ImportFinding]) -> None:
     for finding in findings:
         group = finding.key, finding.problem, finding.left_out
         groups.setdefault(group, []).append(finding)
-    for first, *others in groups.values():
-        more = f" (also in {counted(len(others), 'other file')})" if others else ""
+    for first, *repeats in groups.values():
+        more = f" (also in {counted(len(repeats), 'other file')})" if repeats else ""
         message(f"{first}{more}", "left out" if first.left_out else "note")
 
 
 def list_references(patterns: Sequence[str]) -> list[Table]:
-    """Return the table of the reference and drivers of experiments, with imported and published baselines."""
+    """Return the table of references, prescribed motions, and imported and published baselines of experiments."""
     from gauge_envs.experiments.variants import matching_variants
     from gauge_envs.tools.dataset.report import status_row, status_table
 

@@ -1,4 +1,4 @@
-"""Download the GAUGE dataset; only this module needs a network and the extra `data`."""
+"""Download the GAUGE dataset; this module needs a network and the extra `data`."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -13,10 +13,10 @@ DATASET = "InternRobotics/GAUGE-Dataset"
 """The dataset on Hugging Face (MIT licence)."""
 
 PINNED_REVISION = "9e0acb7"
-"""Short hash of the revision that the bundled facts are from."""
+"""Short hash of the revision of the bundled facts."""
 
 TRIAL_FILES = "data/*/json/*.json"
-"""Files that an import reads; a star also matches slashes."""
+"""Files of an import; a star also matches slashes."""
 
 
 def download_dataset(commit: str, folder: Path | None, patterns: Sequence[str]) -> Path:
@@ -24,14 +24,14 @@ def download_dataset(commit: str, folder: Path | None, patterns: Sequence[str]) 
 
     Args:
         commit: Full hash of the revision, from `resolved_revision`.
-        folder: Folder to download to; by default a folder in the user's data folder.
+        folder: Folder of the download; by default a folder in the user's data folder.
         patterns: Shell-style patterns of the files in the dataset.
 
     Returns:
-        The folder, in which a file states the revision for the import.
+        The folder, with a file that names the revision.
 
     Raises:
-        DatasetError: The download failed; the same call continues it.
+        DatasetError: The download fails; the same call continues it.
         MissingExtraError: The client of the host is not installed.
     """
     folder = folder or user_data_folder() / "dataset" / commit[:12]
@@ -53,8 +53,8 @@ def download_dataset(commit: str, folder: Path | None, patterns: Sequence[str]) 
 def resolved_revision(revision: str) -> str:
     """Return the full commit hash of a revision.
 
-    A hash, short or in full, is looked up among the commits of the main branch. The host resolves branches and tags.
-    Full hashes are resolved too, since without the host the client takes an unfinished folder for a whole download.
+    A short or full hash is looked up among the commits of the main branch. The host resolves branches and tags. Full
+    hashes are resolved too: without the host, the client accepts an incomplete folder as a complete download.
 
     Args:
         revision: Commit, short or in full, branch or tag.
@@ -75,7 +75,7 @@ def resolved_revision(revision: str) -> str:
 
 @contextmanager
 def _errors(problem: str, advice: str) -> Iterator[None]:
-    """Raise a DatasetError in place of any error: the client raises those of its HTTP library, which vary."""
+    """Raise a DatasetError instead of any error, because errors of the client vary with its HTTP library."""
     try:
         yield
     except Exception as error:

@@ -1,4 +1,4 @@
-"""What is wrong with a file or folder of a dataset."""
+"""Describe problems of a file or folder of a dataset."""
 
 from dataclasses import dataclass
 
@@ -10,10 +10,10 @@ class ImportFinding:
     """Problem of a file or folder of a dataset.
 
     Attributes:
-        file: Path below the dataset's folder.
-        key: Place in the file, as `foam.17.x`; `(file)` for the whole file, `(folder)` for a folder.
-        problem: What is wrong.
-        expected: What is expected.
+        file: Path relative to the folder of the dataset.
+        key: Place in the file, for example `foam.17.x`; `(file)` for a whole file, `(folder)` for a folder.
+        problem: Description of the problem.
+        expected: Expected content.
         left_out: Whether the file is left out of the statistics.
     """
 
@@ -32,8 +32,8 @@ class TrialError(Exception):
 
     Args:
         key: Place in the file.
-        problem: What is wrong.
-        expected: What is expected.
+        problem: Description of the problem.
+        expected: Expected content.
     """
 
     def __init__(self, key: str, problem: str, expected: str) -> None:
@@ -41,5 +41,5 @@ class TrialError(Exception):
         super().__init__(f"{self.key}: {self.problem}; {self.expected}")
 
     def finding(self, file: str, *, left_out: bool = True) -> ImportFinding:
-        """Return the problem as one of a file."""
+        """Return the problem with the name of its file."""
         return ImportFinding(file=printable(file), left_out=left_out, **vars(self))

@@ -36,14 +36,14 @@ from gauge_envs.tools.dataset.observation import (
 from gauge_envs.tools.dataset.schema import BaselineLine
 from gauge_envs.tools.dataset.statistics import (
     distances_to_mean,
-    distances_to_others,
+    leave_one_out_distances,
     mean_and_sigma,
     rms_over_frames,
 )
 from gauge_envs.tools.dataset.trial import parse_trial
 
 FLAGGED_DIFFERENCE = 0.05
-"""Relative difference between imported and published baselines above which they are flagged."""
+"""Relative difference from the published baseline above which an imported baseline is flagged."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,9 +52,9 @@ class ImportedTrials:
 
     Attributes:
         variant: The variant.
-        facts: Facts that were stored; None if too few trials could be used.
-        used: Number of trials that the band rests on.
-        left_out: Number of trial files that were left out.
+        facts: Stored facts; None if too few trials are usable.
+        used: Number of trials in the band.
+        left_out: Number of trial files that are left out.
         frame_count: Number of frames of the band.
         baselines: Imported and published baselines.
         findings: Problems of the files.
@@ -87,21 +87,21 @@ class ImportedTrials:
 def baseline_lines(
     imported: Mapping[str, SpreadRecord], published: Mapping[str, Baseline]
 ) -> list[BaselineLine]:
-    """Return the baselines of imported trials and those of the paper (Table 5), one for each metric."""
+    """Return the baselines of imported trials and of the paper (Table 5), a line for each metric."""
     lines: list[BaselineLine] = []
     for metric in dict.fromkeys([*imported, *published]):
-        mine, theirs = imported.get(metric), published.get(metric)
+        own, paper = imported.get(metric), published.get(metric)
         difference = None
-        if mine and theirs and theirs.mean:
-            difference = mine.mean / theirs.mean - 1.0
+        if own and paper and paper.mean:
+            difference = own.mean / paper.mean - 1.0
         line = BaselineLine(
             metric=metric,
-            unit=mine.unit if mine else published[metric].unit,
-            own_mean=mine.mean if mine else None,
-            own_std=mine.std if mine else None,
-            own_trial_count=mine.trial_count if mine else 0,
-            published_mean=theirs.mean if theirs else None,
-            published_std=theirs.std if theirs else None,
+            unit=own.unit if own else published[metric].unit,
+            own_mean=own.mean if own else None,
+            own_std=own.std if own else None,
+            own_trial_count=own.trial_count if own else 0,
+            published_mean=paper.mean if paper else None,
+            published_std=paper.std if paper else None,
             difference=difference,
             flagged=abs(difference or 0.0) > FLAGGED_DIFFERENCE,
         )
@@ -112,30 +112,30 @@ def baseline_lines(
 def import_trials(
     layout: Layout,
     *,
-    stated: Mapping[str, Any] | None = None,
+    defaults: Mapping[str, Any] | None = None,
 ) -> Iterator[ImportedTrials]:
-    """Import the trials of a dataset into the user's data folder; each variant is stored before it is yielded.
+    """Import the trials of a dataset into the user's data folder; store each variant before yielding it.
 
     Args:
         layout: Result of `find_trials`.
-        stated: `translation unit` and `FPS` of files that do not state them.
+        defaults: `translation unit` and `FPS` of files without these values.
 
     Returns:
-        Iterator that imports one variant per step. Damaged trials are left out and listed in the findings.
+        Iterator that imports a variant per step. Damaged trials are left out and listed in the findings.
 
     Raises:
         DatasetError: The user's data folder cannot be written.
     """
     file_of: dict[str, str] = {}
     for variant, paths in layout.files.items():
-        # Recorded motion is projected on the motions of the task file, not on those of an earlier import.
+        # Project recorded motion on the motions of the task file, not of an earlier import.
         experiment = load_experiment(variant)
         trials: dict[str, _Sample] = {}
         findings: list[ImportFinding] = []
         for path in paths:
             file = printable(path.relative_to(layout.root).as_posix())
             try:
-                sample = _read(path, experiment, stated, file_of)
+                sample = _read(path, experiment, defaults, file_of)
             except TrialError as error:
                 findings.append(error.finding(file))
             else:
@@ -148,15 +148,15 @@ def import_trials(
 
 @dataclass(frozen=True, eq=False)
 class _Sample:
-    """What an import uses of one trial.
+    """Data of one trial.
 
     Attributes:
         sha256: Hash of the file.
         trajectory: g(t), shape [frame_count, coordinate_count].
-        start_quaternions: Orientations in the first frames; empty where markers are recorded.
+        start_quaternions: Orientations in the first frames; empty for recorded markers.
         events: Values of event metrics; empty if a sample is missing.
         tracks: Motion of driven bodies.
-        fault: Problem of a driven body, which leaves the trial in the band.
+        fault: Problem of a driven body; the trial stays in the band.
     """
 
     sha256: str
@@ -170,19 +170,19 @@ class _Sample:
 def _read(
     path: Path,
     experiment: Experiment,
-    stated: Mapping[str, Any] | None,
+    defaults: Mapping[str, Any] | None,
     file_of: Mapping[str, str],
 ) -> _Sample:
-    """Return what an import uses of a trial file.
+    """Return the data of a trial file.
 
     Args:
         path: The file.
         experiment: Experiment of the trial.
-        stated: `translation unit` and `FPS` of files that do not state them.
-        file_of: Files that were read before, by the hash of their content.
+        defaults: `translation unit` and `FPS` of files without these values.
+        file_of: Files read before, by the hash of their content.
 
     Raises:
-        TrialError: The trial cannot be used.
+        TrialError: The trial is not usable.
     """
     try:
         content = path.read_bytes()
@@ -193,7 +193,7 @@ def _read(
     if sha256 in file_of:
         problem = f"it is a copy of {file_of[sha256]}"
         raise TrialError("(file)", problem, "each trial counts once")
-    trial = parse_trial(content, stated)
+    trial = parse_trial(content, defaults)
     trajectory = trial_trajectory(trial, experiment)
     quaternions = np.empty(0)
     if experiment.recorded:
@@ -239,11 +239,18 @@ def _imported(
                 drivers=tuple(records),
             )
             band = _band(experiment, trajectories, facts.origin(len(trials)))
-            starts = np.stack([sample.start_quaternions for sample in trials.values()])
-            write_imported(band, driver_values, facts, starts if starts.size else None)
+            initial_quaternions = np.stack(
+                [sample.start_quaternions for sample in trials.values()]
+            )
+            write_imported(
+                band,
+                driver_values,
+                facts,
+                initial_quaternions if initial_quaternions.size else None,
+            )
     if facts is None:
-        problem = f"{len(trials)} of its trials can be used"
-        expected = "2 or more with common frames are needed"
+        problem = f"usable trials: {len(trials)}"
+        expected = "at least 2 with common frames are needed"
         error = TrialError("(folder)", problem, expected)
         findings.append(error.finding(experiment.name))
     return ImportedTrials(
@@ -279,11 +286,11 @@ def _spreads(
 
 
 def _band(experiment: Experiment, trajectories: FloatArray, source: str) -> Band:
-    """Return the band of some trials, shape [trial_count, frame_count, coordinate_count]."""
+    """Return the band of trials of shape [trial_count, frame_count, coordinate_count]."""
     count = len(trajectories)
     mean, sigma = mean_and_sigma(trajectories)
     seen_counts = np.isfinite(trajectories).sum(axis=0)
-    trial_rmse, trial_rmse_aligned = distances_to_others(trajectories)
+    trial_rmse, trial_rmse_aligned = leave_one_out_distances(trajectories)
     return Band(
         kind=Kind.TRIALS,
         unit=experiment.score.observable.unit,
@@ -304,7 +311,7 @@ def _band(experiment: Experiment, trajectories: FloatArray, source: str) -> Band
 def _mean_drivers(
     experiment: Experiment, trials: Mapping[str, _Sample]
 ) -> tuple[dict[str, FloatArray], list[DriverRecord]]:
-    """Return the mean coordinates of the driven bodies that trials show, and their quality."""
+    """Return the mean coordinates of recorded driven bodies, and their quality."""
     values, records = {}, []
     for index, driver in enumerate(experiment.scene.drivers):
         tracks = [sample.tracks[index] for sample in trials.values() if sample.tracks]

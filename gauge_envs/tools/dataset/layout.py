@@ -4,14 +4,14 @@ The published layout is
 
     data/<rigid|rope|textile|deformable>/<task>/json/<material>/[task-N/]<trial>.json
 
-Folders are read by their names, in any order, spelling and depth: a task, a material, a subtask, and words that say
-nothing about a trial (`NEUTRAL`). Irregularities of the published folders are read too:
+The names of folders give task, material and subtask, in any order, spelling and depth. Names in `NEUTRAL` are ignored.
+Irregular published folders are supported:
 
-- A task folder differs from the metadata's spelling (`foam compression`).
-- Materials have the metadata's names (`cotton` is the rayon of this package).
-- A task with one material may have no material folder (bouncing ball).
+- The spelling of a task folder differs from the metadata (`foam compression`).
+- Materials have the names of the metadata (`cotton` is the rayon of this package).
+- A task with one material may lack a material folder (bouncing ball).
 
-Trials in a folder of any other name may not be the published ones: they are left out and reported.
+Trials in other folders may not be published trials, so they are left out and reported.
 """
 
 import json
@@ -33,13 +33,13 @@ LAYOUT = "data/<group>/<task>/json/<material>/[task-N/]<trial>.json"
 """The published layout in messages."""
 
 REVISION_FILE = "gauge-dataset.json"
-"""File at the top of a downloaded dataset that states its revision."""
+"""File in the folder of a downloaded dataset that names its revision."""
 
 FOLDER_SPELLINGS = {"foamcompression": "foamcompressing"}
-"""Letters of task folders whose spelling differs from the metadata's."""
+"""Names of task folders with a different spelling in the metadata."""
 
 NEUTRAL = {*Group, "data", "json", "mocap", "trials", "trajectories"}
-"""Names of folders that say nothing about a trial."""
+"""Ignored names of folders."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,9 +48,9 @@ class Layout:
 
     Attributes:
         root: Folder of the dataset.
-        revision: Revision of the dataset; None if the folder does not state it.
+        revision: Revision of the dataset; None if unknown.
         files: Trial files by variant, in the order of the variants and of the file names.
-        findings: Folders that belong to no known experiment.
+        findings: Folders of unknown experiments.
     """
 
     root: Path
@@ -63,56 +63,54 @@ def find_trials(root: Path, *, only: Sequence[str] = ("*",)) -> Layout:
     """Find the trial files of a dataset.
 
     Args:
-        root: Folder of the dataset, which contains `data`; or the folder `data` itself.
-        only: Patterns of variants to find, as `SlopeSlider-*`, with or without `GAUGE/`.
+        root: Folder of the dataset, which contains `data`, or the folder `data`.
+        only: Patterns of variants, for example `SlopeSlider-*`, with or without `GAUGE/`.
 
     Raises:
         DatasetError: The folder contains no trial of these variants.
         UnknownNameError: A pattern matches no variant.
     """
-    wanted = {name for pattern in only for name in matching_variants(pattern)}
+    selected = {name for pattern in only for name in matching_variants(pattern)}
     if not root.is_dir():
-        raise DatasetError(
-            f"{root}: is not a folder; the folder of the dataset is expected"
-        )
-    found: dict[Variant, list[Path]] = {}
+        raise DatasetError(f"{root}: not a folder; expected the folder of the dataset")
+    paths_of: dict[Variant, list[Path]] = {}
     findings = []
     for folder, paths in _json_files(root).items():
         variant = _variant(root, folder)
         if variant is not None:
-            found.setdefault(variant, []).extend(paths)
+            paths_of.setdefault(variant, []).extend(paths)
             continue
         below = folder.relative_to(root)
         finding = ImportFinding(
             file=printable(below.as_posix()),
             key="(folder)",
-            problem="it names no known task, material and subtask",
-            expected=f"{LAYOUT} is expected",
-            # Other files beside the published ones may be anything.
+            problem="unknown task, material or subtask",
+            expected=f"expected {LAYOUT}",
+            # Files outside of a folder `json` are not trials.
             left_out="json" in below.parts,
         )
         findings.append(finding)
     files = {
-        variant: sorted(found[variant], key=_numeric_order)
+        variant: sorted(paths_of[variant], key=_numeric_order)
         for variant in variants()
-        if variant in wanted and variant in found
+        if variant in selected and variant in paths_of
     }
     if not files:
         reasons = "".join(f"\n  {finding}" for finding in findings[:5])
         raise DatasetError(
-            f"{root}: contains no trial of {', '.join(only)}; {LAYOUT} is expected{reasons}"
+            f"{root}: no trial of {', '.join(only)}; expected {LAYOUT}{reasons}"
         )
     return Layout(root=root, revision=_revision(root), files=files, findings=findings)
 
 
 def write_revision(root: Path, revision: str) -> None:
-    """State the revision in a dataset's folder."""
+    """Write the revision into the folder of a dataset."""
     text = json.dumps({"revision": revision}) + "\n"
     (root / REVISION_FILE).write_text(text, encoding="utf-8")
 
 
 def _revision(root: Path) -> str | None:
-    """Return the stated revision, or None; nothing is computed from it, so a damaged file is no error."""
+    """Return the revision, or None if its file is missing or damaged."""
     for folder in (root, root.parent):
         with suppress(OSError, ValueError, TypeError, KeyError):
             document = json_document((folder / REVISION_FILE).read_bytes())
@@ -121,7 +119,7 @@ def _revision(root: Path) -> str | None:
 
 
 def _json_files(root: Path) -> dict[Path, list[Path]]:
-    """Return the JSON files below a folder that are not hidden, by their folders."""
+    """Return the visible JSON files below a folder, by folder."""
     folders: dict[Path, list[Path]] = {}
     for path in sorted(root.rglob("*.json")):
         below = path.relative_to(root)
@@ -132,7 +130,7 @@ def _json_files(root: Path) -> dict[Path, list[Path]]:
 
 
 def _variant(root: Path, folder: Path) -> Variant | None:
-    """Return the variant of the trials in a folder, or None."""
+    """Return the variant of the trials in a folder, if known."""
     names = {plain_name(part) for part in folder.relative_to(root).parts}
     return _folder_names().get(frozenset(names - NEUTRAL))
 
@@ -140,7 +138,7 @@ def _variant(root: Path, folder: Path) -> Variant | None:
 @cache
 def _folder_names() -> dict[frozenset[str], Variant]:
     """Return the variants by the names of their folders."""
-    found = {}
+    variant_of = {}
     for variant in variants():
         spec = task_spec(variant.family)
         metadata = Path(spec.source.metadata.partition(".json")[0])
@@ -148,13 +146,13 @@ def _folder_names() -> dict[frozenset[str], Variant]:
         if variant.subtask:
             names.add(f"task{variant.subtask}")
         if len(spec.materials) == 1:
-            found[frozenset(names)] = variant
+            variant_of[frozenset(names)] = variant
         for published in (
             variant.material,
             spec.metadata_materials.get(variant.material, variant.material),
         ):
-            found[frozenset({*names, published})] = variant
-    return found
+            variant_of[frozenset({*names, published})] = variant
+    return variant_of
 
 
 def plain_name(name: str) -> str:

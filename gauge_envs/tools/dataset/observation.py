@@ -1,4 +1,4 @@
-"""Compute g(t) and the driver's coordinates of a trial, as for a simulation."""
+"""Compute g(t) and the coordinates of prescribed motions of a trial, as for a simulation."""
 
 from __future__ import annotations
 
@@ -22,25 +22,26 @@ from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.trial import PoseTrack, Trial, check_lengths
 
 MAX_START_DISTANCE_MM = 300.0
-"""Largest distance of a start from the calibrated start; beyond it frame, unit or body is another one."""
+"""Largest distance from the calibrated initial position; a larger one means a wrong frame, unit or body."""
 
 AXES_TOLERANCE_MM = 30.0
-"""Distance from the calibrated start above which axes may be exchanged; exchanged back, it must be a quarter of it.
-Real starts are within 20 mm."""
+"""Distance from the calibrated initial position above which axes may be exchanged.
+
+Exchanging them back must reduce the distance to a quarter. Real initial positions are within 20 mm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DriverTrack:
-    """Motion of a driven body in one trial, projected on the motions of its driver.
+    """Motion of a driven body in one trial, projected on its prescribed motions.
 
     Attributes:
         body: Name of the body.
-        coordinates: Coordinates relative to the trial's own start [m or rad], shape [frame_count, motion_count]; NaN
-            where the body was not captured.
-        residual_mm: Distance between the recorded origin and that of the coordinates [mm], shape [captured_count].
-        residual_rad: Angle of the recorded rotation that the coordinates do not cover [rad], shape [captured_count];
-            empty for a file without orientation.
-        start_offset_mm: Distance of the trial's start from the calibrated start [mm].
+        coordinates: Coordinates relative to the first frame of the trial [m or rad], shape [frame_count, motion_count];
+            NaN if the body was not captured.
+        residual_mm: Distance between the recorded and the projected origin [mm], shape [captured_count].
+        residual_rad: Angle between the recorded and the projected rotation [rad], shape [captured_count]; empty for a
+            file without orientation.
+        start_offset_mm: Distance of the first position from the calibrated initial position [mm].
     """
 
     body: str
@@ -58,11 +59,11 @@ def trial_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
         experiment: Experiment of the trial.
 
     Returns:
-        g(t) in the observable's unit, shape [frame_count, coordinate_count]; NaN where a sample is missing. A trial may
-        end early if no frame count was published for the variant; its later frames are NaN.
+        g(t) in the observable's unit, shape [frame_count, coordinate_count]; NaN for missing samples. A trial may end
+        early if the variant has no published frame count; its later frames are NaN.
 
     Raises:
-        TrialError: What is recorded is missing, damaged, or starts elsewhere; or the trial is too short.
+        TrialError: The recording is missing, damaged, too short, or has a wrong initial position.
     """
     markers = experiment.scene.markers
     if experiment.recorded or markers is None:
@@ -78,12 +79,12 @@ def trial_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
     needed = experiment.frame_count if has_length else START_FRAMES
     if len(values) < needed:
         problem = f"it has {len(values)} frames"
-        raise TrialError("(file)", problem, f"{needed} or more are needed")
+        raise TrialError("(file)", problem, f"at least {needed} are needed")
     frames = np.full((experiment.frame_count, values.shape[1]), np.nan)
     frames[: len(values)] = values[: experiment.frame_count]
     if np.isnan(frames).all():
-        problem = "no frame of what is recorded was captured"
-        raise TrialError("(file)", problem, "samples are expected")
+        problem = "no frame is complete"
+        raise TrialError("(file)", problem, "expected samples")
     return frames
 
 
@@ -91,7 +92,7 @@ def start_quaternions(trial: Trial, experiment: Experiment) -> FloatArray:
     """Return the orientations of the recorded bodies in the first frames of a trial.
 
     Returns:
-        Unit quaternions x y z w, body to world, shape [START_FRAMES, body_count, 4]; NaN where a trial has none.
+        Unit quaternions x y z w, body to world, shape [START_FRAMES, body_count, 4]; NaN for missing orientations.
     """
     tracks = [trial.pose_track(name) for name in experiment.recorded]
     return np.stack([track.quaternions_xyzw[:START_FRAMES] for track in tracks], axis=1)
@@ -105,17 +106,17 @@ def _check_start(name: str, track: PoseTrack, start: Pose) -> None:
 
 
 def _check_place(name: str, place_mm: FloatArray, start_mm: FloatArray) -> None:
-    """Raise an error if a first place is far from the calibrated start, or near to it with exchanged axes."""
+    """Raise an error if the first position is far from the calibrated one, or near to it with exchanged axes."""
     distance_mm = length_of(place_mm - start_mm)
-    expected = f"within {MAX_START_DISTANCE_MM:.0f} mm, in the motion-capture frame and in mm, is expected"
-    problem = f"it starts {distance_mm:.0f} mm from its calibrated start"
+    expected = f"expected at most {MAX_START_DISTANCE_MM:.0f} mm: check the motion-capture frame and the unit"
+    problem = f"it starts {distance_mm:.0f} mm from its calibrated position"
     if distance_mm > MAX_START_DISTANCE_MM:
         raise TrialError(name, problem, expected)
     for order in itertools.permutations(range(3)):
         exchanged_mm = length_of(place_mm[list(order)] - start_mm)
         if exchanged_mm < 0.25 * distance_mm and distance_mm > AXES_TOLERANCE_MM:
             axes = ", ".join("xyz"[axis] for axis in order)
-            expected = f"its lists {axes} hold x, y, z of the motion-capture frame: exchange them"
+            expected = f"exchange its lists: {axes} contain x, y, z of the motion-capture frame"
             raise TrialError(name, f"{problem}: its axes look exchanged", expected)
 
 
@@ -126,20 +127,20 @@ def trial_markers_m(trial: Trial, markers: Markers) -> FloatArray:
     """Return the marker positions of a trial in the order of the task file.
 
     Returns:
-        Positions [m], shape [recorded_frame_count, marker_count, 3]; NaN where a marker is missing.
+        Positions [m], shape [recorded_frame_count, marker_count, 3]; NaN for missing markers.
 
     Raises:
-        TrialError: Markers are missing, damaged, or in another order.
+        TrialError: Markers are missing, damaged, or in a wrong order.
     """
     positions = trial.markers_mm(markers.bodies)
     count = len(markers.positions_m)
     if len(positions) != count:
         problem = f"it has {len(positions)} markers"
-        raise TrialError("markers", problem, f"{count} are expected")
+        raise TrialError("markers", problem, f"expected {count}")
     are_numbers = all(marker.isdecimal() for marker in positions)
     ids = sorted(positions, key=int if are_numbers else str)
     positions_mm = np.stack([positions[marker] for marker in ids], axis=1)
-    # A marker is captured in all three coordinates or not at all.
+    # A marker with a missing coordinate counts as missing.
     positions_mm[np.isnan(positions_mm).any(axis=2)] = np.nan
     _check_order(ids, positions_mm, 1e3 * np.asarray(markers.positions_m))
     return 1e-3 * positions_mm
@@ -148,7 +149,7 @@ def trial_markers_m(trial: Trial, markers: Markers) -> FloatArray:
 def _check_order(
     ids: Sequence[str], positions_mm: FloatArray, rest_mm: FloatArray
 ) -> None:
-    """Raise an error if the markers start elsewhere, or each at the place of one marker, but in another order.
+    """Raise an error if the markers start at wrong positions or in a wrong order.
 
     Args:
         ids: Marker ids in the order of the metadata.
@@ -167,8 +168,8 @@ def _check_order(
         wrong = int(np.argmax(nearest != places))
         raise TrialError(
             f"markers.{ids[seen[wrong]]}",
-            f"it starts where marker {seen[nearest[wrong]]} of the metadata is, not {seen[wrong]}",
-            "sorted ids are expected in the order of the metadata's markers",
+            f"it starts at marker {seen[nearest[wrong]]} of the metadata, not at marker {seen[wrong]}",
+            "expected sorted ids in the order of the metadata's markers",
         )
 
 
@@ -176,10 +177,10 @@ def _check_order(
 
 
 def driver_track(driver: Driver, trial: Trial, experiment: Experiment) -> DriverTrack:
-    """Return the coordinates whose poses are nearest to the recorded ones, frame by frame.
+    """Return the coordinates with the poses nearest to the recorded poses, frame by frame.
 
     Raises:
-        TrialError: The driven body is missing or damaged, starts elsewhere, or was not captured at first.
+        TrialError: The driven body is missing, damaged, at a wrong initial position, or not captured in frame 0.
     """
     track = trial.pose_track(driver.body)
     start = experiment.scene.body(driver.body).pose
@@ -189,17 +190,17 @@ def driver_track(driver: Driver, trial: Trial, experiment: Experiment) -> Driver
     quaternions = track.quaternions_xyzw[:frame_count]
     has_rotation = bool(np.isfinite(quaternions).any())
     if not has_rotation and any(motion.kind == "rotate" for motion in driver.motions):
-        expected = "a driver that rotates needs qx, qy, qz and qw"
+        expected = "a prescribed rotation needs qx, qy, qz and qw"
         raise TrialError(f"{driver.body}.qx", "it is missing", expected)
     samples = np.hstack([positions_m, quaternions]) if has_rotation else positions_m
     known = np.flatnonzero(np.isfinite(samples).all(axis=1))
     if 0 not in known:
-        expected = "the motion of a driver is measured from frame 0"
+        expected = "a prescribed motion is measured from frame 0"
         raise TrialError(f"{driver.body}[0]", "frame 0 was not captured", expected)
     rotations = Rotation.identity(len(known))
     if has_rotation:
         rotations = Rotation.from_quat(quaternions[known])
-    # The axis of a motion belongs to the body, so it is shifted by the offset of the trial's start.
+    # The axis of a motion belongs to the body, so it moves with the initial offset of the trial.
     offset_m = positions_m[0] - start.position_m
     motions = [
         replace(motion, point_m=tuple((motion.point_m + offset_m).tolist()))

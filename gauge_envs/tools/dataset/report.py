@@ -1,4 +1,4 @@
-"""Tables of imports and of the state of the dataset."""
+"""Report imports and the state of the dataset."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -30,15 +30,15 @@ from gauge_envs.tools.dataset.schema import BaselineLine
 STATUS_NOTE = "Baselines: mean (standard deviation) of the real trials, imported and published in the paper (Table 5)."
 
 MAX_EXPERIMENTS = 8
-"""Largest number of experiments of which an import shows all baselines."""
+"""Maximum number of experiments for which an import shows all baselines."""
 
 EXPERIMENT = Column("id", "experiment", short_id, place=Place.HEADING)
 
 
 def import_document(imports: Sequence[ImportedTrials]) -> Document:
-    """Return the imported and the published baselines, one row per metric.
+    """Return the imported and the published baselines, a row for each metric.
 
-    Of many experiments, only those with a flagged baseline or a trial that is left out have rows.
+    For many experiments, only experiments with flagged baselines or left-out trials have rows.
     """
     rows: list[dict[str, Any]] = []
     flagged, hidden = 0, 0
@@ -51,9 +51,9 @@ def import_document(imports: Sequence[ImportedTrials]) -> Document:
         counts = f"{counted(trials.used, 'trial')}, {trials.left_out} left out"
         row = {"id": trials.variant.id, "trials": counts}
         rows += [row | {"line": line} for line in trials.baselines]
-    note = f"{flagged} baselines differ from the published ones by more than {100 * FLAGGED_DIFFERENCE:.0f} %"
+    note = f"{flagged} baselines differ from published baselines by more than {100 * FLAGGED_DIFFERENCE:.0f} %"
     if hidden:
-        note += f"; {counted(hidden, 'other experiment')}: gauge list references"
+        note += f"; {counted(hidden, 'more experiment')}: gauge list references"
     tone = Tone.WARNING if flagged else Tone.NOTE
     tables = [_baselines_table(rows)] if rows else []
     return Document(parts=[*tables, Paragraph(""), Paragraph(note, tone)])
@@ -128,7 +128,7 @@ def status_table(rows: Sequence[dict[str, Any]]) -> Table:
 
 
 def status_row(variant: Variant) -> dict[str, Any]:
-    """Return the reference and the drivers of a variant, JSON-ready, as `schema.StatusLine`."""
+    """Return the reference and the prescribed motions of a variant as a `schema.StatusLine`."""
     imported = load_imported(variant.name)
     facts = imported.facts if imported else None
     source = DataSource.IMPORTED if imported else DataSource.BUNDLED

@@ -1,4 +1,4 @@
-"""What `gauge data import` and `gauge list references` print with `--json`, a line each."""
+"""JSON lines of `gauge data import` and `gauge list references`."""
 
 from collections.abc import Sequence
 from typing import TypedDict
@@ -13,14 +13,14 @@ class BaselineLine(TypedDict):
 
     Attributes:
         metric: Name of the metric.
-        unit: Its unit.
+        unit: Unit of the metric.
         own_mean: Mean of the imported trials.
-        own_std: Their standard deviation.
-        own_trial_count: Their number.
+        own_std: Standard deviation of the imported trials.
+        own_trial_count: Number of imported trials.
         published_mean: Mean of the paper.
         published_std: Standard deviation of the paper.
-        difference: Own over published mean, minus 1.
-        flagged: Whether they differ by more than 5 %.
+        difference: Imported mean / published mean - 1.
+        flagged: Whether the means differ by more than 5 %.
     """
 
     metric: str
@@ -39,14 +39,14 @@ class ImportedLine(TypedDict):
 
     Attributes:
         id: Gymnasium id.
-        imported: Whether enough trials could be used.
+        imported: Whether enough trials are usable.
         trials: Number of trials of the band.
-        left_out: Number of files that were left out.
+        left_out: Number of files that are left out.
         frames: Number of frames.
         revision: Revision of the dataset.
         sha256: Hash of the trials.
-        baselines: Own and published baselines.
-        drivers: Recorded drivers.
+        baselines: Imported and published baselines.
+        drivers: Recorded prescribed motions.
     """
 
     id: str
@@ -61,17 +61,17 @@ class ImportedLine(TypedDict):
 
 
 class FindingLine(TypedDict):
-    """Something that is wrong with a file."""
+    """Problem of a file."""
 
     finding: ImportFinding
 
 
 ImportLine = ImportedLine | FindingLine
-"""First each experiment, then each finding."""
+"""Lines of all experiments, then lines of all findings."""
 
 
 class StatusDriver(TypedDict):
-    """A driven body, where its motion is from, and the record of an imported motion."""
+    """A driven body, the source of its motion, and the record of an imported motion."""
 
     body: str
     provenance: str
@@ -79,15 +79,15 @@ class StatusDriver(TypedDict):
 
 
 class StatusLine(TypedDict):
-    """Reference and drivers of an experiment.
+    """Reference and prescribed motions of an experiment.
 
     Attributes:
         id: Gymnasium id.
-        kind: What the reference is.
-        imported: Whether trials were imported.
+        kind: Kind of the reference.
+        imported: Whether trials are imported.
         trials: Number of trials of the reference.
-        revision: Revision of the dataset that was imported.
-        is_current: Whether the task file is unchanged since the import; null without one.
+        revision: Revision of the imported dataset.
+        is_current: Whether the task file is unchanged since the import; null without an import.
         drivers: Driven bodies.
         baselines: Baselines of the metrics.
     """

@@ -1,4 +1,4 @@
-"""Mean, scatter and distances of the trials of one variant."""
+"""Compute mean, scatter and distances of the trials of one variant."""
 
 import math
 
@@ -13,29 +13,29 @@ from gauge_envs.scoring.metrics import (
 )
 
 SHIFT_STEP_S = 1.0 / 120.0
-"""Step of the grid of time shifts [s]; the best one is refined."""
+"""Step of the first grid of time shifts [s]."""
 
 SHIFT_TOLERANCE_S = 1e-7
 """Step of the finest grid of time shifts [s]."""
 
 MIN_OVERLAP = 0.6
-"""Smallest share of frames that a shifted trial must have in common with the mean of the others."""
+"""Smallest share of common frames of a shifted trial and the mean of the remaining trials."""
 
 
 SHIFTS_S = np.arange(
     -MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S + 0.5 * SHIFT_STEP_S, SHIFT_STEP_S
 )
-"""Time shifts from which the best one is refined [s]."""
+"""First grid of time shifts; its best shift is refined [s]."""
 
 
 def mean_and_sigma(trials: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return mean and sample standard deviation (n - 1) over trials, shape [T, C] each.
 
     Args:
-        trials: The trials, shape [N, T, C]; NaN is a missing sample.
+        trials: The trials, shape [N, T, C]; NaN for missing samples.
 
     Returns:
-        The mean is NaN without a sample, the standard deviation with samples of fewer than two, or half, of the trials.
+        Mean, NaN without a sample; standard deviation, NaN with samples of fewer than two, or half, of the trials.
     """
     is_seen = np.isfinite(trials)
     counts = is_seen.sum(axis=0)
@@ -48,9 +48,10 @@ def mean_and_sigma(trials: FloatArray) -> tuple[FloatArray, FloatArray]:
 def distances_to_mean(
     trials: FloatArray, mean: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return E_RMSE and E_DTW of each trial to the mean of all, shape [N] each; the paper's baseline is their mean.
+    """Return E_RMSE and E_DTW of each trial from the mean of all trials, shape [N] each.
 
-    DTW leaves out frames whose mean is not known in all coordinates; it is NaN where no frame is left.
+    The mean of these distances is the baseline of the paper. DTW uses frames with a known mean in all coordinates; it
+    is NaN without such frames.
     """
     whole = mean[np.isfinite(mean).all(axis=1)]
     rmse = [rms_over_frames(trial - mean) for trial in trials]
@@ -58,11 +59,11 @@ def distances_to_mean(
     return np.array(rmse), np.array(dtw)
 
 
-def distances_to_others(trials: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the RMSE of each trial to the mean of the others, raw and after a time shift, shape [N] each.
+def leave_one_out_distances(trials: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the RMSE of each trial from the mean of the rest, raw and after a time shift, shape [N] each.
 
-    A trial is nearer to a mean of N that it is part of, by the factor (N - 1) / N. The shift is the constant one with
-    the least RMSE. A trial with too few frames for a distance has infinity.
+    The mean of all N trials would reduce the distance by the factor (N - 1) / N. The constant time shift minimizes the
+    RMSE. The distance is infinite for a trial with too few frames.
     """
     pairs = []
     for index, trial in enumerate(trials):
@@ -74,27 +75,28 @@ def distances_to_others(trials: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _aligned_rmse(trial: FloatArray, mean: FloatArray) -> float:
-    """Return the least RMSE of a trial to a mean over constant time shifts, on finer and finer grids."""
-    shifts_s, step_s, least = SHIFTS_S, SHIFT_STEP_S, math.inf
+    """Return the minimum RMSE of a trial from a mean over constant time shifts, on refined grids."""
+    shifts_s, step_s, minimum = SHIFTS_S, SHIFT_STEP_S, math.inf
     while step_s > SHIFT_TOLERANCE_S:
         rmse = [_shifted_rmse(shift_s, trial, mean) for shift_s in shifts_s]
         best = int(np.argmin(rmse))
-        least = min(least, rmse[best])
+        minimum = min(minimum, rmse[best])
         finer_s = shifts_s[best] + step_s * np.linspace(-1.0, 1.0, 9)
         shifts_s = np.clip(finer_s, -MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S)
         step_s /= 4.0
-    return least
+    return minimum
 
 
 def _shifted_rmse(shift_s: float, trial: FloatArray, mean: FloatArray) -> float:
-    """Return the RMSE of a trial, shifted in time, to a mean; infinity with too few common frames.
+    """Return the RMSE of a trial, shifted in time, from a mean; infinity with too few common frames.
 
-    A body rests before its release, so times before the first sample have its value. Times after the last are unknown.
+    A body rests before its release, so earlier times have the value of the first sample. Times after the last sample
+    are unknown.
 
     Args:
-        shift_s: Time by which the trial is later [s].
+        shift_s: Delay of the trial [s].
         trial: The trial, shape [T, C].
-        mean: Mean of the others, shape [T, C].
+        mean: Mean of the remaining trials, shape [T, C].
     """
     is_whole = np.isfinite(trial).all(axis=1)
     is_known = np.isfinite(mean).any(axis=1)
@@ -111,6 +113,6 @@ def _shifted_rmse(shift_s: float, trial: FloatArray, mean: FloatArray) -> float:
 
 
 def rms_over_frames(deviation: FloatArray) -> float:
-    """Return the root mean square over frames with a value; NaN without any."""
+    """Return the root mean square over frames with a value; NaN without such frames."""
     count = np.isfinite(deviation).any(axis=1).sum()
     return math.sqrt(np.nansum(np.square(deviation)) / count) if count else math.nan

@@ -2,9 +2,9 @@
 
 A trial is a JSON object with `FPS`, `translation unit` and one object per asset. A rigid body has lists `x`, `y`, `z`
 and usually `qx`, `qy`, `qz`, `qw`; `ex`, `ey`, `ez` are not used. A marker set has an object with `x`, `y`, `z` per
-marker id. Each list has one sample per frame; `null` or NaN is a sample that was not captured.
+marker id. Each list has one sample per frame; `null` or NaN is a missing sample.
 
-Unit and rate are never inferred from the values. Where a file has none, the caller states them.
+Unit and rate are never inferred from the values; the caller gives them for files without these values.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,10 +27,10 @@ MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1e3}
 """Millimetres in a unit of length."""
 
 NORM_TOLERANCE = 0.01
-"""Largest error of the norm of a unit quaternion; files round to three digits or more."""
+"""Largest error of the norm of a unit quaternion; files have at least three digits."""
 
 MAX_COORDINATE_MM = 1e5
-"""Largest coordinate; the capture volume is a few metres wide."""
+"""Largest coordinate; the capture volume has a width of a few metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +38,8 @@ class PoseTrack:
     """Motion of one rigid body.
 
     Attributes:
-        positions_mm: Positions of the origin in the motion-capture frame [mm], shape [frame_count, 3]; NaN is missing.
-        quaternions_xyzw: Unit quaternions, body to world, shape [frame_count, 4]; NaN for a file without them.
+        positions_mm: Positions of the origin in the motion-capture frame [mm], shape [frame_count, 3]; NaN if missing.
+        quaternions_xyzw: Unit quaternions, body to world, shape [frame_count, 4]; NaN if missing.
     """
 
     positions_mm: FloatArray
@@ -48,7 +48,7 @@ class PoseTrack:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One trial file; its assets are checked when they are read, and may differ in their number of frames.
+    """One trial file. Assets are checked on access, and may differ in their number of frames.
 
     Attributes:
         assets: Objects of the file by name.
@@ -76,10 +76,10 @@ class Trial:
         raise TrialError(body, "the rigid body is missing", self._contents())
 
     def markers_mm(self, bodies: Iterable[str]) -> dict[str, FloatArray]:
-        """Return the positions of markers [mm], shape [frame_count, 3] each, by their ids.
+        """Return the positions of markers [mm], shape [frame_count, 3] each, by id.
 
         Args:
-            bodies: Names of bodies with markers; of a file without these sets, all sets count.
+            bodies: Names of bodies with markers; a file without these sets gives all sets.
 
         Raises:
             TrialError: Markers are missing or damaged.
@@ -100,32 +100,32 @@ class Trial:
         return positions_mm
 
     def _named(self, names: Iterable[str]) -> list[str]:
-        """Return the assets of some names, in any spelling."""
-        wanted = {plain_name(name) for name in names}
-        return [name for name in self.assets if plain_name(name) in wanted]
+        """Return the assets with these names, in any spelling."""
+        plain_names = {plain_name(name) for name in names}
+        return [name for name in self.assets if plain_name(name) in plain_names]
 
     def _contents(self) -> str:
         return f"the file has {first_names([*self.assets])}"
 
 
-def parse_trial(content: bytes, stated: Mapping[str, Any] | None = None) -> Trial:
+def parse_trial(content: bytes, defaults: Mapping[str, Any] | None = None) -> Trial:
     """Read one trial file, and check its rate and unit.
 
     Args:
-        content: The file's bytes.
-        stated: `translation unit` and `FPS` of files that do not state them.
+        content: Bytes of the file.
+        defaults: `translation unit` and `FPS` of files without these values.
 
     Raises:
-        TrialError: The file is damaged, or of another rate or unit.
+        TrialError: The file is damaged, or its rate or unit is wrong.
     """
     try:
         document = json_document(content)
         if not isinstance(document, dict):
             raise ValueError(f"it is a {type(document).__name__}")
     except ValueError as error:
-        expected = "a complete file of objects and lists is expected"
+        expected = "expected a complete file of objects and lists"
         raise TrialError("(file)", f"it is not JSON: {error}", expected) from None
-    scale_mm = _scale_mm({**(stated or {}), **document})
+    scale_mm = _scale_mm({**(defaults or {}), **document})
     assets = {
         name: asset for name, asset in document.items() if isinstance(asset, dict)
     }
@@ -137,26 +137,26 @@ def _scale_mm(document: Mapping[str, Any]) -> float:
     rate_hz, unit = document.get("FPS"), document.get("translation unit")
     if rate_hz != FRAME_RATE_HZ:
         problem = f"it is {'missing' if rate_hz is None else repr(rate_hz)}"
-        expected = "30 is expected; --rate 30 states that of files without one"
+        expected = "expected 30; --rate 30 sets it for files without a rate"
         raise TrialError("FPS", problem, expected)
     scale_mm = MILLIMETRES.get(str(unit))
     if scale_mm is None:
         problem = f"it is {'missing' if unit is None else repr(unit)}"
         expected = (
-            "'mm', 'cm' or 'm' is expected; --unit mm states that of files without one"
+            "expected 'mm', 'cm' or 'm'; --unit mm sets it for files without a unit"
         )
         raise TrialError("translation unit", problem, expected)
     return scale_mm
 
 
 def _unit_quaternions(name: str, quaternions: FloatArray) -> FloatArray:
-    """Return quaternions of norm 1; an error of a file's digits is removed."""
+    """Return normalized quaternions: files have rounding errors."""
     norms = np.linalg.norm(quaternions, axis=1)
     is_wrong = np.abs(norms - 1.0) > NORM_TOLERANCE
     if is_wrong.any():
         frame = int(is_wrong.argmax())
         problem = f"the quaternion's norm is {norms[frame]:.4g}"
-        raise TrialError(f"{name}.q[{frame}]", problem, "1 is expected")
+        raise TrialError(f"{name}.q[{frame}]", problem, "expected 1")
     return quaternions / norms[:, None]
 
 
@@ -178,7 +178,7 @@ def _table(name: str, asset: Mapping[str, Any], keys: Sequence[str]) -> FloatArr
         place = f"{name}.{key}"
         if not isinstance(asset, dict) or key not in asset:
             raise TrialError(place, "it is missing", f"an asset has {', '.join(keys)}")
-        expected = "a list of numbers or null, one a frame, is expected"
+        expected = "expected a list with a number or null for each frame"
         try:
             column = np.array(asset[key], dtype=np.float64)
         except (TypeError, ValueError, OverflowError) as error:
@@ -192,9 +192,9 @@ def _table(name: str, asset: Mapping[str, Any], keys: Sequence[str]) -> FloatArr
 
 def check_lengths(columns: Mapping[str, FloatArray]) -> None:
     """Raise an error if arrays differ in their number of samples."""
-    first, *others = columns
-    for place in others:
+    first, *rest = columns
+    for place in rest:
         if len(columns[place]) != len(columns[first]):
             problem = f"it has {len(columns[place])} samples"
-            expected = f"{len(columns[first])} are expected, as in {first}"
+            expected = f"expected {len(columns[first])}, as in {first}"
             raise TrialError(place, problem, expected)

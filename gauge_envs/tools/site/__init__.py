@@ -1,4 +1,4 @@
-"""Results as a static site: pages that open from a folder, without a server and without the network."""
+"""Write results as a static site that needs no server and no network."""
 
 from typing import TYPE_CHECKING
 

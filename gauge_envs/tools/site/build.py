@@ -1,4 +1,4 @@
-"""Write a site: all pages into a new folder, which then takes the place of the old one."""
+"""Write a site into a new folder that then replaces the old one."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -19,15 +19,15 @@ from gauge_envs.tools.site.overview import overview_page
 from gauge_envs.tools.site.replay import replay_data
 
 MARK = "gauge-report-site.txt"
-"""File that marks a folder as a site, which a later one may replace."""
+"""File that marks a folder as a site; a later site may replace it."""
 
-MARK_TEXT = "A site of `gauge report`. The next one with this folder replaces everything in it.\n"
+MARK_TEXT = "A site of `gauge report`. The next site in this folder replaces all of its content.\n"
 
 ASSETS = Path(__file__).parent / "assets"
 
 HELP = (
-    "Drag to turn, click and scroll to zoom; arrow keys step the slider by a frame. Poses of the "
-    "run, which was repeated with the same versions."
+    "Drag to rotate; click and scroll to zoom; arrow keys move the slider by a frame. The poses come from a "
+    "repetition of the run with the same versions."
 )
 
 
@@ -41,20 +41,20 @@ def save_site(
 ) -> tuple[str, ...]:
     """Write the site of results into a folder: an overview, a page for each experiment, and replays.
 
-    The pages are written beside the folder and then take its place, so that an interruption leaves the old site.
+    The pages are written to a temporary folder that then replaces the folder, so an interruption keeps the old site.
 
     Args:
         results: Result files and their contents, one or more.
         out: Folder of the site. It must be new, empty, or a site.
         replays: Whether to run the episodes again for their poses; see `gauge_envs.tools.site.replay`.
-        command: Command that makes the site, which it shows.
-        progress: Receives the name of each experiment before its page is made.
+        command: Command of the site, shown on its first page.
+        progress: Receives the name of each experiment before its page is written.
 
     Returns:
         A sentence for each configuration without a replay in an experiment, as on the page.
 
     Raises:
-        ResultFileError: There is no result, the folder holds something else, or it cannot be written.
+        ResultFileError: There is no result, or the folder has other content or cannot be written.
     """
     if not results:
         raise ResultFileError("no result is left to report; gauge run writes them")
@@ -83,23 +83,23 @@ def save_site(
 
 
 def check_replaceable(out: Path) -> None:
-    """Check that a site may take the place of a folder.
+    """Check that a site may replace a folder.
 
     Raises:
-        ResultFileError: It holds something else than a site, or it cannot be read.
+        ResultFileError: The folder has other content than a site, or cannot be read.
     """
     with os_errors(lambda cause: ResultFileError(f"{out}: cannot be read: {cause}")):
         is_new = not out.exists() or (out.is_dir() and not any(out.iterdir()))
         if not is_new and not (out / MARK).is_file():
             raise ResultFileError(
-                f"{out}: holds something else than a site of gauge report; give another folder"
+                f"{out}: not a site of gauge report; give an empty folder or a site"
             )
 
 
 def _save_experiment(
     site: Site, experiment: ExperimentComparison, out: Path, *, replays: bool
 ) -> list[str]:
-    """Write the page of an experiment and the replay of each configuration; return why some have none."""
+    """Write the page of an experiment and its replays; return the reasons for missing replays."""
     entries: list[dict[str, str]] = []
     ghosts, notes = [], []
     for index, result in first_results(experiment).items() if replays else ():
@@ -116,7 +116,7 @@ def _save_experiment(
         entries.append({"key": key, "label": label, "color": color})
     parts: list[Part] = []
     if entries:
-        # The script fills the element with pictures.
+        # The script draws pictures into the element.
         stage = Html((ASSETS / "stage.html").read_text(encoding="utf-8"))
         data_replays = script_value(entries)
         parts.append(element("div", stage, class_="replay", data_replays=data_replays))

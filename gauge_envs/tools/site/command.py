@@ -30,13 +30,13 @@ def report(
 ) -> bool:
     """Write results as a static site: engines, phenomena, curves, errors and 3D replays.
 
-    It opens from the folder. For a replay the episode runs again, with the versions of the result. Exit
-    code 1 when a file was skipped: a damaged one, or one of another revision of its experiment.
+    Open index.html from the folder. A replay runs the episode again, with the versions of the result. Exit code 1: a
+    file was skipped because it is damaged or of another revision of its experiment.
     """
     from gauge_envs.tools.site import save_site
     from gauge_envs.tools.site.build import check_replaceable
 
-    # Before the runs, which may take minutes.
+    # Check before the runs, which may take minutes.
     check_replaceable(out)
     results, skipped = loaded_results(sources, with_scene=True, corrected=corrected)
     with Progress("pages", len({result.id for result in results.values()})) as progress:

@@ -1,4 +1,4 @@
-"""The page of one experiment: picture, scores, replay, estimates, and the commands that made its results."""
+"""Write the page of one experiment: picture, scores, replay, estimates, and the commands of its results."""
 
 import json
 import math
@@ -46,12 +46,12 @@ from gauge_envs.tools.site.overview import SOLUTION_NOTE, place_text
 REPLAY_SCRIPTS = ("assets/three.min.js", "assets/replay.js")
 
 SCORES_NOTE = (
-    "Scores over the mean score of the real trials; without one, in the unit of the metric. "
+    "Scores divided by the mean score of real trials, or in the unit of the metric without real trials. "
     "In brackets: 95 % interval."
 )
 
 REPRODUCE_NOTE = (
-    "A command makes the same numbers, bit for bit, with the same versions on the same kind of processor. Wall times "
+    "A command gives the same numbers, bit for bit, with the same versions on the same type of processor. Wall times "
     "differ."
 )
 
@@ -61,7 +61,7 @@ def experiment_page(
     experiment: ExperimentComparison,
     replays: Sequence[Part],
 ) -> str:
-    """Return the page of an experiment with its replays, or why it has none."""
+    """Return the page of an experiment with its replays, or the reasons for missing replays."""
     results = first_results(experiment)
     parts: list[Part] = [
         *_head(experiment, results),
@@ -82,7 +82,7 @@ def experiment_page(
 def _head(
     experiment: ExperimentComparison, results: Mapping[int, Result]
 ) -> Iterator[Part]:
-    """Yield what the experiment is, and what its reference is."""
+    """Yield the summary of the experiment and of its reference."""
     spec = load_experiment(experiment.name).spec
     yield element("p", spec.summary, class_="lead")
     yield element("p", element("b", "Tests:"), f" {', '.join(spec.evaluates)}.")
@@ -95,18 +95,18 @@ def _head(
 
 
 def _picture(site: Site, experiment: ExperimentComparison) -> list[Html]:
-    """Return the picture of an experiment: distance over time, scores, and the coordinates that decide them."""
+    """Return the picture of an experiment: distance over time, scores, and the coordinates that decide the score."""
     drawn = [result for result in experiment.results if result.trajectory is not None]
     if not drawn:
         return []
-    among = [result for one in site.comparison.experiments for result in one.results]
+    among = [result for item in site.comparison.experiments for result in item.results]
     figure = draw_experiment(drawn, among=among)
     text = f"{experiment.name}: distance over time, scores, coordinates"
     return [embedded(figure, text)]
 
 
 def _scores(site: Site, experiment: ExperimentComparison) -> list[Part]:
-    """Return the table of scores; RMSE and DTW from a solution have no scale, and its distance says it."""
+    """Return the table of scores. The distance from a solution replaces RMSE and DTW."""
     names = [
         name
         for name in experiment.metrics()
@@ -137,7 +137,7 @@ def _scores(site: Site, experiment: ExperimentComparison) -> list[Part]:
 
 
 def _sentences(site: Site, results: Mapping[int, Result]) -> list[Part]:
-    """Return the score of each configuration in words, and what it estimates."""
+    """Return the score of each configuration in words, with its estimates."""
     entries = []
     for index, result in results.items():
         texts = [
@@ -190,7 +190,7 @@ def _commands(site: Site, experiment: ExperimentComparison) -> Iterator[Part]:
 
 
 def run_command(results: Sequence[Result]) -> str:
-    """Return the `gauge run` command that makes the repeats of one configuration in one experiment."""
+    """Return the `gauge run` command for the repeats of one configuration in one experiment."""
     first = results[0]
     if first.backend is None:
         return "scored from a trajectory file: gauge score FILE"
@@ -212,7 +212,7 @@ def run_command(results: Sequence[Result]) -> str:
         words += ["--use", ",".join(used)]
     if first.asset:
         words += ["--asset", first.asset["file"]]
-    return shlex.join([*words, *_start_words(results)])
+    return shlex.join([*words, *_initial_state_words(results)])
 
 
 def _assignments(values: Mapping[str, Any]) -> list[str]:
@@ -222,12 +222,12 @@ def _assignments(values: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _start_words(results: Sequence[Result]) -> list[str]:
-    """Return the words for seed, repeats and jitter."""
+def _initial_state_words(results: Sequence[Result]) -> list[str]:
+    """Return the options for seed, repeats and jitter."""
     seeds = [result.seed or 0 for result in results]
     first, last = min(seeds), max(seeds)
     words = ["--seed", str(first)] if first else []
-    # Repeats have consecutive seeds; the range holds also those that are missing here.
+    # Repeats have consecutive seeds; the range also includes missing repeats.
     if last > first:
         words += ["--repeats", str(last - first + 1)]
     jitter = results[0].jitter
@@ -239,7 +239,7 @@ def _start_words(results: Sequence[Result]) -> list[str]:
 
 
 def _exact(value: float, unit: float) -> str:
-    """Return the shortest number of units of which the command makes exactly this value."""
+    """Return the shortest number of units that the command parses to exactly this value."""
     texts = [f"{value / unit:.{digits}g}" for digits in range(1, 18)]
     exact = (text for text in texts if unit * float(text) == value)
     return next(exact, texts[-1])

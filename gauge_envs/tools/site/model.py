@@ -1,4 +1,4 @@
-"""What the pages of a site share: configurations with their names, colours and files, and scores in words."""
+"""Common parts of the pages of a site: names, colours and files of configurations, and texts of scores."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ UNSCORED = (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED)
 """Outcomes without a score."""
 
 COLORS = {"inside": "near", "outside": "far"}
-"""Class of cells whose experiments all have a verdict; others are between."""
+"""CSS class of cells with equal verdicts; the class of mixed verdicts is `even`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Site:
-    """Results side by side, and the names under which the pages show them.
+    """Comparison of results, and the names of configurations on pages.
 
     Attributes:
         comparison: The results.
         files: Result file of each result, by the identity of the result.
-        command: Command that makes the site.
+        command: Command of the site.
     """
 
     comparison: Comparison
@@ -40,12 +40,12 @@ class Site:
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
-        """Label of each configuration; a preset is known by its name alone."""
+        """Label of each configuration; presets appear without `preset=`."""
         return tuple(label.replace("preset=", "") for label in self.comparison.labels)
 
     @cached_property
     def names(self) -> tuple[Html, ...]:
-        """Label of each configuration behind a piece of its line, with whose physics it is below."""
+        """Label of each configuration after a sample of its line, with a note on its physics below."""
         return tuple(
             join([self.swatch(index), self.labels[index], below(configuration.physics)])
             for index, configuration in enumerate(self.comparison.configurations)
@@ -53,7 +53,7 @@ class Site:
 
     @staticmethod
     def swatch(index: int) -> Html:
-        """Return a piece of the line of a configuration."""
+        """Return a sample of the line of a configuration."""
         color, is_dashed = color_of(index)
         dashes = f"repeating-linear-gradient(90deg,{color} 0 .35rem,transparent .35rem .525rem)"
         background = dashes if is_dashed else color
@@ -66,20 +66,20 @@ def page_file(experiment: ExperimentComparison) -> str:
 
 
 def site_page(title: str, parts: Iterable[Part], scripts: Sequence[str] = ()) -> str:
-    """Return a page of the site, whose scripts run in their order."""
+    """Return a page of the site; its scripts run in order."""
     overview = element("nav", element("a", "Overview", href="index.html"))
     return page(title, parts, above=overview, style="assets/site.css", scripts=scripts)
 
 
 def section(title: str, table: Table, *notes: str) -> list[Part]:
-    """Return a table below its title, with notes below it; nothing without rows."""
+    """Return a table with title and notes; nothing without rows."""
     if not table.rows:
         return []
     return [Heading(title), table, *(Paragraph(note, Tone.NOTE) for note in notes)]
 
 
 def first_results(experiment: ExperimentComparison) -> dict[int, Result]:
-    """Return the first result of each configuration that ran an experiment, by its index."""
+    """Return the first result of each configuration that ran an experiment, by index of the configuration."""
     ran = (
         (index, result)
         for index, cell in enumerate(experiment.cells)
@@ -93,7 +93,7 @@ def first_results(experiment: ExperimentComparison) -> dict[int, Result]:
 
 
 def verdict_of(*cells: Cell) -> tuple[str, Html | None]:
-    """Return the class that colours the verdict on all experiments of cells, and a badge; nothing without a verdict."""
+    """Return CSS class and badge for the verdicts of cells; nothing without a verdict."""
     verdicts = [
         cell.verdict for cell in cells if cell.verdict not in ("", "no reference")
     ]
@@ -108,7 +108,7 @@ def verdict_of(*cells: Cell) -> tuple[str, Html | None]:
 
 
 def score_html(value: float, interval: Sequence[float] | None, unit: str = "1") -> Html:
-    """Return a score in a unit with its 95 % interval below it."""
+    """Return a score with its unit, and its 95 % interval below."""
     score = element("span", with_unit(score_text(value), unit), class_="value")
     if interval is None:
         return score
@@ -119,7 +119,7 @@ def score_html(value: float, interval: Sequence[float] | None, unit: str = "1") 
 def score_cell(
     experiment: ExperimentComparison, cell: Cell | None, metric: str
 ) -> Html:
-    """Return mean and interval of a metric in one experiment, a badge for the primary one, or why there is no score."""
+    """Return mean and interval of a metric, with a badge if it is primary, or the reason for a missing score."""
     if cell is None:
         return element("span", "not run", class_="quiet")
     parts: list[Html | None] = []
@@ -138,7 +138,7 @@ def score_cell(
 
 
 def losses(*cells: Cell) -> list[str]:
-    """Return how many results of cells have no score because of their outcome, as `2 diverged`."""
+    """Return the number of results of each outcome without a score, for example `2 diverged`."""
     counts = {
         outcome: sum(cell.count(outcome) for cell in cells) for outcome in UNSCORED
     }

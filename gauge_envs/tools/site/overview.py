@@ -1,4 +1,4 @@
-"""The first page: which engine is how far from reality, or from the solution of its scene, in what, how certainly."""
+"""Write the first page: distances of engines from reality or from solutions, by phenomenon, with intervals."""
 
 from collections.abc import Iterator, Sequence
 
@@ -34,25 +34,25 @@ KIND_TITLES = {
 }
 
 SCALE_NOTE = (
-    "Score: distance to the real mean over the mean distance of single real trials, which is 1. Lower is closer. In "
-    "brackets: 95 % interval, from the sample of real trials. RMSE aligned: after the best constant shift in time, "
-    "because a real release is not at an exact time. So are the trials of the 1."
+    "Score: distance from the mean of real trials, divided by the mean distance of single real trials. Lower is "
+    "closer. In brackets: 95 % interval, from the sample of real trials. RMSE aligned: after the best constant time "
+    "shift, for simulations and trials, because the time of a real release is uncertain."
 )
 
 SOLUTION_NOTE = (
-    "Distance from the solution of the scene over u, its standard uncertainty. In brackets: 95 % interval. It says "
-    "nothing of reality."
+    "Distance from the solution of the scene, divided by u, its standard uncertainty. In brackets: 95 % interval. It "
+    "does not compare with reality."
 )
 
 RANK_NOTE = (
-    "Rank: mean over the experiments, which all count the same; in brackets from the best to the worst that the 95 % "
-    "intervals of differences leave open. Only engines with the same constants are ranked against each other. The "
-    "intervals of scores overlap more: engines share errors, which cancel in a difference."
+    "Rank: mean over the experiments, with equal weights. In brackets: best and worst rank by the 95 % intervals of "
+    "differences. Only engines with the same constants are ranked together. Intervals of scores overlap more, because "
+    "common errors cancel in a difference."
 )
 
 UNRANKED_NOTE = (
-    "No real scatter and no solution is known for these scenes, or no result has a score. The page of an experiment "
-    "has all metrics, and the distances between engines."
+    "These scenes have neither real scatter nor a solution, or no result has a score. The page of an experiment has "
+    "all metrics and the distances between engines."
 )
 
 
@@ -110,7 +110,7 @@ def _ranks(site: Site) -> Table:
 
 
 def _phenomena(site: Site) -> Iterator[list[Html]]:
-    """Yield a row for the experiments of each phenomenon against references of one kind, if one of them has a score."""
+    """Yield a row for the experiments of each phenomenon and kind of reference with a score."""
     groups: dict[tuple[str, str, str], list[ExperimentComparison]] = {}
     for experiment in site.comparison.experiments:
         spec = load_experiment(experiment.name).spec
@@ -149,7 +149,7 @@ def _phenomenon_cell(
     members: Sequence[ExperimentComparison],
     ranks: Sequence[KindComparison],
 ) -> Html:
-    """Return the score and the rank of a configuration in a phenomenon, and what has no score."""
+    """Return the score and the rank of a configuration in a phenomenon, and the results without a score."""
     results = (member.cells[index] for member in members)
     cells = [cell for cell in results if cell is not None]
     lost = map(below, losses(*cells))
@@ -165,20 +165,20 @@ def _phenomenon_cell(
             below(place_text(kind, score)),
         ]
         if len(kind.ids) < len(members):
-            parts.append(below(f"over {counted(len(kind.ids), 'experiment')}"))
+            parts.append(below(f"in {counted(len(kind.ids), 'experiment')}"))
         return element("div", *parts, *lost, class_=color)
     text = "no score" if cells else "not run"
     return join([element("span", text, class_="quiet"), *lost])
 
 
 def place_text(kind: KindComparison, score: KindScore) -> str:
-    """Return a mean rank in words; empty where there is nothing to compare with."""
+    """Return a mean rank in words; empty for a single configuration."""
     if score.mean_rank is None or len(kind.scores) < 2:
         return ""
     return f"rank {mean_rank_text(score.mean_rank)} of {len(kind.scores)}"
 
 
-# --- the rest ---
+# --- experiments without a rank ---
 
 
 def _unranked(site: Site) -> Iterator[list[Html]]:

@@ -1,7 +1,7 @@
-"""3D replays of results: each episode runs again, and its poses become the data of a page.
+"""3D replays of results: run each episode again, and write its poses as data of a page.
 
-A result file holds the generalized trajectory g(t) alone, and everything that the run needs: scene, engine, settings,
-parameters, start and seed.
+A result file has only the generalized trajectory g(t), and all inputs of the run: scene, engine, settings, parameters,
+initial state and seed.
 """
 
 from base64 import b64encode
@@ -34,14 +34,14 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.tools.compare import judging_band
 
 RIGID_VIEWS_PER_FRAME = 2
-"""Recorded views in each frame of a scene of rigid bodies, so 60 a second; deformable bodies are recorded 30 times."""
+"""Recorded views per frame of rigid scenes: 60 views per second. Deformable scenes have 30."""
 
 MAX_COUNT = 32767
-"""Largest stored number."""
+"""Largest stored integer."""
 
 
 class ReplayError(GaugeError, RuntimeError):
-    """An episode has no replay; the message states the reason."""
+    """An episode has no replay; the message gives the reason."""
 
 
 # --- the run ---
@@ -49,12 +49,12 @@ class ReplayError(GaugeError, RuntimeError):
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """Where the bodies of an episode are.
+    """Positions of the bodies of an episode.
 
     Attributes:
-        rate_hz: Views a second.
-        bodies: Names of the rigid bodies that move.
-        poses: Their positions [m] and quaternions w x y z, shape [view_count, body_count, 7].
+        rate_hz: Views per second.
+        bodies: Names of the moving rigid bodies.
+        poses: Positions [m] and quaternions w x y z of these bodies, shape [view_count, body_count, 7].
         nodes_m: Nodes of each deformable body by name [m], shape [view_count, node_count, 3].
         markers_m: Markers at the frames [m], shape [frame_count, marker_count, 3]; `marker_count` is 0 if bodies are
             observed.
@@ -68,7 +68,7 @@ class Replay:
 
 
 def replay(result: Result) -> Replay:
-    """Run the episode of a result again and return where its bodies are.
+    """Run the episode of a result again, and return the positions of its bodies.
 
     An engine outside this package runs in another process.
 
@@ -76,21 +76,21 @@ def replay(result: Result) -> Replay:
         result: The result.
 
     Raises:
-        ReplayError: The result does not hold the run, or other versions are installed.
-        GaugeError: The engine cannot run it.
+        ReplayError: The result lacks inputs of the run, or other versions are installed.
+        GaugeError: The engine cannot run the episode.
     """
     if result.backend is None or result.trajectory is None:
-        raise ReplayError("the result is of a trajectory file: no engine ran it")
+        raise ReplayError("the result comes from a trajectory file, not from an engine")
     return call_engine(result.backend, _run_again, result, result.backend)
 
 
 def _run_again(result: Result, backend: str) -> Replay:
-    """Run the episode of a result on its engine and return where its bodies are."""
+    """Run the episode of a result on its engine, and return the positions of its bodies."""
     if difference := result.made_with_other_than(versions_of(backend)):
         raise ReplayError(difference)
     if result.asset.get("kind") == AssetKind.MODEL:
         raise ReplayError(
-            f"the scene is in the file {result.asset['file']}, which is no part of the result"
+            f"the scene is in the file {result.asset['file']}, not in the result"
         )
     experiment = recorded_experiment(result)
     arguments = EnvArguments(
@@ -99,15 +99,17 @@ def _run_again(result: Result, backend: str) -> Replay:
         settings=result.settings_given or None,
         marker_proxy=result.marker_proxy,
     )
-    seed, starts = result.seed or 0, InitialStates(experiment)
+    seed, initial_states = result.seed or 0, InitialStates(experiment)
     options: Mapping[str, Any] = {"jitter": result.jitter or None}
     if "trial" in result.jitter:
         options = result.jitter
-    start = starts.sample(starts.of_reset(options, seeded=True), seed)
+    initial_state = initial_states.sample(
+        initial_states.of_reset(options, seeded=True), seed
+    )
     with engine_call(backend, "run"):
         rollout = arguments.rollout([experiment], [None])
         try:
-            rollout.reset([start], seed)
+            rollout.reset([initial_state], seed)
             return _recorded(rollout)
         finally:
             rollout.simulation.close()
@@ -119,7 +121,7 @@ def _recorded(rollout: Rollout) -> Replay:
     if rollout.experiment.scene.deformables:
         views_per_frame = 1
     samples_per_view = SAMPLES_PER_FRAME // views_per_frame
-    # The start is a view too.
+    # The initial state is the first view.
     views = [(rollout.poses(), rollout.nodes_m())]
     while not rollout.is_over[0]:
         for sample in rollout.substeps():
@@ -138,40 +140,43 @@ def _recorded(rollout: Rollout) -> Replay:
     )
 
 
-# --- its data, JSON-ready ---
+# --- data of a replay, JSON-ready ---
 
 
 def replay_data(result: Result) -> dict[str, Any]:
-    """Run the episode of a result again, and return its replay; a reference of positions becomes the ghost.
+    """Run the episode of a result again, and return its replay; reference positions become the ghost.
 
     Raises:
-        GaugeError: There is no replay, see `replay`.
+        GaugeError: The episode has no replay; see `replay`.
     """
-    made = replay(result)
+    episode = replay(result)
     experiment = recorded_experiment(result)
     if "trial" in result.jitter:
         experiment = replace(experiment, trial=int(result.jitter["trial"]))
     return {
-        "rate": made.rate_hz,
-        "views": len(made.poses),
+        "rate": episode.rate_hz,
+        "views": len(episode.poses),
         "scene": scene_data(experiment),
-        "moving": list(made.bodies),
-        "positions": quantized(made.poses[..., :3]),
+        "moving": list(episode.bodies),
+        "positions": quantized(episode.poses[..., :3]),
         # Quaternions are stored x y z w, the order of three.js.
-        "turns": quantized(made.poses[..., [4, 5, 6, 3]]),
+        "turns": quantized(episode.poses[..., [4, 5, 6, 3]]),
         "soft": [
-            _soft_data(body, made.nodes_m[body.name])
+            _soft_data(body, episode.nodes_m[body.name])
             for body in experiment.scene.deformables
         ],
-        "markers": {**quantized(made.markers_m), "count": made.markers_m.shape[1]},
+        "markers": {
+            **quantized(episode.markers_m),
+            "count": episode.markers_m.shape[1],
+        },
         "ghost": _ghost(experiment, judging_band(experiment, [result])),
     }
 
 
 def quantized(values: FloatArray) -> dict[str, Any]:
-    """Return values as base64 of integers of 16 bits, and the step between two of them; one that is not finite is 0.
+    """Return values as base64 of 16-bit integers, and the value of a step; values that are not finite become 0.
 
-    A value is wrong by half a step at most; 32,767 steps are the largest absolute value.
+    The error of a value is at most half a step; the largest absolute value has 32,767 steps.
     """
     finite = np.nan_to_num(values, posinf=0.0, neginf=0.0)
     step = float(np.abs(finite).max(initial=1e-9)) / MAX_COUNT
@@ -184,7 +189,7 @@ def _packed(values: NDArray[Any], dtype: str) -> str:
 
 
 def scene_data(experiment: Experiment) -> dict[str, Any]:
-    """Return the still part of the scene of an experiment: shapes, colours, strings and the camera."""
+    """Return the static part of the scene of an experiment: shapes, colours, strings and the camera."""
     scene = experiment.scene
     view = experiment_view(experiment)
     shapes = list(dict.fromkeys(body.shape for body in scene.bodies))
@@ -223,7 +228,7 @@ def _pose(pose: Pose) -> list[float]:
 
 
 def _solids(shape: Any, pose: Pose) -> list[dict[str, Any]]:
-    """Return the solids of a shape, each with its attributes and its place in the body frame."""
+    """Return the solids of a shape, with attributes and pose in the body frame."""
     if isinstance(shape, Compound):
         parts = (_solids(part.shape, part.pose) for part in shape.parts)
         return [solid for solids in parts for solid in solids]
@@ -248,7 +253,7 @@ def _soft_data(body: Deformable, nodes_m: FloatArray) -> dict[str, Any]:
 
 
 def _ghost(experiment: Experiment, band: Band | None) -> dict[str, Any] | None:
-    """Return the reference positions of bodies or markers at the frames; None if there are none."""
+    """Return the reference positions of bodies or markers at the frames, if any."""
     path = reference_path(experiment, band)
     if band is None or path is None:
         return None
@@ -256,7 +261,7 @@ def _ghost(experiment: Experiment, band: Band | None) -> dict[str, Any] | None:
         f"Ghost: {reference_words(band.kind, band.trial_count)}; not aligned in time."
     )
     if not path.is_full:
-        text += " Directions that were not measured keep the start of the simulation."
+        text += " Directions without measurements keep the initial position of the simulation."
     radii: list[float | None] = [None] * len(path.names)
     if experiment.score.observable is Observable.POSITION:
         shapes = (experiment.scene.body(name).shape for name in path.names)

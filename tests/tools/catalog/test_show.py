@@ -1,4 +1,4 @@
-"""`gauge show` describes an id on one screen: its reference, real events, and which errors a score detects."""
+"""`gauge show` describes an id on one screen: reference, real events, and detected errors."""
 
 import pytest
 from rich.console import Console
@@ -41,7 +41,7 @@ def test_a_reference_is_described_in_a_line():
     assert reference_text(reference, frames=20) == f"{text}; known at 19 of 20 frames"
 
 
-def test_real_events_stand_where_no_motion_is_known():
+def test_an_experiment_without_reference_motion_has_real_events():
     reference = catalog.description(load_experiment("CantileverBeam-soft"))["reference"]
     assert (
         events_text(reference["events"])

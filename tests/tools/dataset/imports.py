@@ -1,4 +1,4 @@
-"""Trials that are written, changed and imported."""
+"""Write, change and import trials."""
 
 from dataset_writer import write_trial
 
@@ -11,7 +11,7 @@ IMPORTED = {"drivers": "imported", "reference": "imported"}
 
 
 def imported(root, *only):
-    """Import a dataset, and return the outcomes by variant."""
+    """Import a dataset, and return the outcome of each variant."""
     layout = find_trials(root, only=only or ("*",))
     return {trials.variant.name: trials for trials in import_trials(layout)}
 

@@ -1,4 +1,4 @@
-"""Importing real trials: known statistics come back, whatever the folders spell, and bands and drivers are used."""
+"""Importing real trials gives known statistics, for any spelling of folders; bands and prescribed motions are used."""
 
 import json
 import math
@@ -36,7 +36,7 @@ SLIDER, TILTED, STRETCH = (
     "FoamStretching-soft",
 )
 
-# One of each irregularity: subtask folders, no material folder, material names, sorted ids, several bodies.
+# Each irregularity occurs: subtask folders, no material folder, material names, sorted ids, several bodies.
 IRREGULAR = (
     "BouncingBall-rubber",
     "FoamCompressing-soft",
@@ -63,15 +63,15 @@ def face_areas(experiment):
 
 
 @pytest.mark.parametrize("name", IRREGULAR)
-def test_known_statistics_come_back(name, tmp_path):
+def test_the_import_has_the_known_statistics(name, tmp_path):
     experiment = write_synthetic(tmp_path, name).experiment
     outcome = imported(tmp_path)[name]
     assert (outcome.used, outcome.left_out, outcome.findings) == (len(AMOUNTS), 0, [])
     if bodies := experiment.recorded:
-        # Every body is off by the amount along y, a right angle to where it goes.
-        starts = np.concatenate([start_mm(experiment, body) for body in bodies])
+        # Every body is shifted by the amount along y and moves along x.
+        initial_mm = np.concatenate([start_mm(experiment, body) for body in bodies])
         steps = np.tile([2.0, 0.0, 0.0], len(bodies))
-        mean = starts + np.arange(experiment.frame_count)[:, None] * steps
+        mean = initial_mm + np.arange(experiment.frame_count)[:, None] * steps
         sigma = np.tile([0.0, SIGMA, 0.0], len(bodies))
         distance = np.abs(AMOUNT) * math.sqrt(len(bodies))
     else:
@@ -83,7 +83,7 @@ def test_known_statistics_come_back(name, tmp_path):
     assert_close(band.mean, mean)
     assert_close(band.sigma, sigma)
     assert band.measured.all()
-    # All differences are constant, so that warping in time cannot reduce them.
+    # All differences are constant, so time warping cannot reduce them.
     for line in outcome.baselines:
         if line["metric"] in ("rmse", "dtw"):
             baseline = line["own_mean"], line["own_std"]
@@ -99,7 +99,7 @@ def test_missing_samples_are_left_out_of_mean_and_scatter(tmp_path):
         content["cube"]["z"][5] = float("nan")  # four of six
     for key in "xyz":
         for content in contents[:3]:
-            content["cube"][key][8] = None  # three of six, whole
+            content["cube"][key][8] = None  # three of six
         for content in contents:
             content["cube"][key][7] = None  # all
     import_contents(tmp_path, SLIDER, contents)
@@ -107,7 +107,7 @@ def test_missing_samples_are_left_out_of_mean_and_scatter(tmp_path):
     start = start_mm(synthetic.experiment, "cube")
     assert_close(band.mean[3, 1], start[1] + amounts[1:].mean())
     assert_close(band.sigma[3, 1], amounts[1:].std(ddof=1))
-    # Half of the trials are enough for a scatter; two of six are a mean alone.
+    # Half of the trials give a scatter; two of six give only a mean.
     assert_close(band.sigma[8, 1], amounts[3:].std(ddof=1))
     assert_close(band.mean[5, 2], start[2])
     assert np.isnan(band.sigma[5]).tolist() == [False, False, True]
@@ -116,7 +116,7 @@ def test_missing_samples_are_left_out_of_mean_and_scatter(tmp_path):
 
 
 def test_events_of_the_pendulum_have_baselines(tmp_path):
-    """Undamped swings of known period, all the same: 300 frames hold 9 periods of 10/9 s."""
+    """Both trials are equal undamped swings: 300 frames contain 9 periods of 10/9 s."""
     name = "Pendulum-metal"
     experiment = load_experiment(name)
     pivot = 1e3 * np.asarray(experiment.scene.joints[0].anchor_m)
@@ -129,14 +129,14 @@ def test_events_of_the_pendulum_have_baselines(tmp_path):
         contents.append(trial_content({"ball": ball}))
     outcome = import_contents(tmp_path, name, contents)
     lines = {line["metric"]: line for line in outcome.baselines}
-    # The spectrum's peak is interpolated.
+    # The peak of the spectrum is interpolated.
     assert lines["pd"]["own_mean"] == pytest.approx(10 / 9, abs=1e-4)
     assert lines["el"]["own_mean"] == pytest.approx(0.0, abs=1e-6)
     assert lines["el"]["difference"] is None  # the published mean is 0
 
 
-def test_bundled_trials_come_out_of_the_importer(tmp_path):
-    """The bundled trials in the dataset's layout: one coordinate was measured, the others are at the start."""
+def test_the_importer_reproduces_bundled_trials(tmp_path):
+    """One coordinate of bundled trials is measured; the remaining coordinates keep their initial values."""
     names = [f"SlopeSlider-2-{material}" for material in ("wood", "plastic", "metal")]
     bundled = {name: load_band(name) for name in (*names, "BouncingBall-rubber")}
     for name, band in bundled.items():
@@ -156,20 +156,24 @@ def test_bundled_trials_come_out_of_the_importer(tmp_path):
             mean = published[line["metric"]].mean
             assert line["own_mean"] == pytest.approx(mean, rel=0.07)
             assert line["flagged"] == (abs(line["own_mean"] / mean - 1) > 0.05)
-        mine, theirs = band_of(name), bundled[name]
-        assert mine.trial_count == theirs.trial_count
-        assert_close(mine.mean @ theirs.projection.T, theirs.mean, 1e-6)
-        # One direction has all the scatter, so that its share along x, y and z adds up to the bundled sigma.
-        assert_close(np.linalg.norm(mine.sigma, axis=1), theirs.sigma[:, 0], 1e-6)
-        assert mine.standard_uncertainty == pytest.approx(theirs.standard_uncertainty)
+        imported_band, band = band_of(name), bundled[name]
+        assert imported_band.trial_count == band.trial_count
+        assert_close(imported_band.mean @ band.projection.T, band.mean, 1e-6)
+        # Only one direction scatters, so its components along x, y and z add up to the bundled sigma.
+        assert_close(
+            np.linalg.norm(imported_band.sigma, axis=1), band.sigma[:, 0], 1e-6
+        )
+        assert imported_band.standard_uncertainty == pytest.approx(
+            band.standard_uncertainty
+        )
         for field in ("trial_rmse", "trial_rmse_aligned"):
-            assert_close(getattr(mine, field), getattr(theirs, field), 1e-6)
+            assert_close(getattr(imported_band, field), getattr(band, field), 1e-6)
 
 
 # --- what uses an import ---------------------------------------------------------------------------------------------
 
 
-def test_an_import_is_used_when_asked_for_and_shown(tmp_path, gauge):
+def test_an_import_is_shown_and_used_on_request(tmp_path, gauge):
     write_synthetic(tmp_path, TILTED)
     write_revision(tmp_path, "9e0acb7" + 33 * "0")
     assert gauge("data", "import", tmp_path).exit_code == 0
@@ -190,7 +194,7 @@ def test_an_import_is_used_when_asked_for_and_shown(tmp_path, gauge):
 
 
 @pytest.mark.parametrize("name", ["SlopeSlider-3-plastic", "FoamShearing-hard"])
-def test_recorded_motion_becomes_the_driver(name, tmp_path):
+def test_recorded_motion_becomes_the_prescribed_motion(name, tmp_path):
     synthetic = write_synthetic(tmp_path, name)
     (record,) = imported(tmp_path)[name].facts.drivers
     (driver,) = load_experiment(name, **IMPORTED).scene.drivers
@@ -202,8 +206,8 @@ def test_recorded_motion_becomes_the_driver(name, tmp_path):
     assert max(errors) < 1e-6
 
 
-def test_rotations_are_counted_past_half_a_turn_and_noise_is_reported(tmp_path):
-    """A plate at 12 rad/s, in trials that start 1 mm apart, wobble by 0.5 mm and tilt by 1 degree."""
+def test_rotations_exceed_180_degrees_and_noise_is_reported(tmp_path):
+    """The plate rotates at 12 rad/s; trials are offset by 1 mm, wobble by 0.5 mm and tilt by 1 degree."""
     name = "Turntable-3-metal"
     synthetic = synthetic_trials(name, AMOUNTS[:2], frames_after=0)
     count = synthetic.experiment.frame_count
@@ -229,17 +233,17 @@ def test_rotations_are_counted_past_half_a_turn_and_noise_is_reported(tmp_path):
 
 
 @pytest.mark.slow
-def test_all_75_experiments_are_found_in_their_folders(tmp_path):
+def test_the_folders_of_all_75_experiments_are_read(tmp_path):
     names = [variant.name for variant in gauge_envs.variants()]
     for number, name in enumerate(names):
-        amount = 1.0 + 1e-3 * number  # Copies of a trial count once.
+        amount = 1.0 + 1e-3 * number  # Copies count once, so trials must differ.
         write_synthetic(tmp_path, name, (amount, -amount))
     outcomes = imported(tmp_path)
     assert list(outcomes) == names
-    assert all((one.used, one.left_out) == (2, 0) for one in outcomes.values())
+    assert {(item.used, item.left_out) for item in outcomes.values()} == {(2, 0)}
 
 
-def test_folders_are_read_whatever_they_spell(tmp_path):
+def test_folders_are_read_in_any_spelling(tmp_path):
     for name in ("FoamCompressing-hard", "SlopeSlider-2-metal"):
         write_synthetic(tmp_path, name, range(12))
     data = tmp_path / "data"
@@ -260,11 +264,11 @@ def test_folders_are_read_whatever_they_spell(tmp_path):
     ("folder", "left_out"),
     [
         ("data/rigid/slope slider/json/wood/task-4", True),
-        # Files outside of a folder `json` are not those of the published dataset.
+        # Files outside of a folder `json` are not published trials.
         ("data/rigid/slope slider/full trajectories/wood/task-3", False),
     ],
 )
-def test_folders_of_nothing_known_are_named(folder, left_out, tmp_path):
+def test_unknown_folders_are_reported(folder, left_out, tmp_path):
     write_synthetic(tmp_path, "SlopeContact-wood")
     (tmp_path / folder).mkdir(parents=True)
     (tmp_path / folder / "trial-1.json").write_text("{}")
@@ -274,7 +278,7 @@ def test_folders_of_nothing_known_are_named(folder, left_out, tmp_path):
     assert (finding.file, finding.left_out) == (folder, left_out)
 
 
-def test_no_dataset_is_an_error(tmp_path, gauge):
+def test_a_missing_dataset_is_an_error(tmp_path, gauge):
     for wrong in (tmp_path / "missing", tmp_path):
         result = gauge("data", "import", wrong)
         assert result.exit_code == 2 and str(wrong) in result.stderr.replace("\n", "")

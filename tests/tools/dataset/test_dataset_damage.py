@@ -1,4 +1,4 @@
-"""Damaged trial files: each is named, with its place and what would be right, and the others are used without it."""
+"""Damaged trial files are left out, and named with the place and the expected content."""
 
 import json
 import re
@@ -24,7 +24,7 @@ def encoded(content):
 
 
 def put(place, *values):
-    """Puts a value at a place such as `cube.x.4`, or takes away what is there."""
+    """Return a change that sets or deletes a value at a place such as `cube.x.4`."""
     *path, last = place.split(".")
 
     def change(content):
@@ -42,7 +42,7 @@ def put(place, *values):
 
 
 def cube(change, keys="x y z"):
-    """Changes lists of the cube."""
+    """Return a change of lists of the cube."""
 
     def edit(content):
         for key in keys.split():
@@ -61,25 +61,25 @@ def exchanged(asset, first, second):
     return edit
 
 
-# Variant, what is done to a trial, and the place, the fault and what would be right.
+# Variant, change of a trial, and expected message.
 DAMAGES = [
-    (SLIDER, lambda content: encoded(content)[:500], r"\(file\): it is not JSON: .*; a complete file"),
+    (SLIDER, lambda content: encoded(content)[:500], r"\(file\): it is not JSON: .*; expected a complete file"),
     (SLIDER, put("FPS"), "FPS: it is missing; .*--rate 30"),
     (SLIDER, cube(lambda values: [value / 1e3 for value in values]), "cube: it starts .* mm from"),
-    (SLIDER, exchanged("cube", "y", "z"), "cube: .*its axes look exchanged; its lists x, z, y hold"),
+    (SLIDER, exchanged("cube", "y", "z"), "cube: .*its axes look exchanged; exchange its lists: x, z, y contain"),
     (SLIDER, lambda content: {"box": content.pop("cube")} | content, "cube: .* missing; the file has box"),
-    (SLIDER, put("cube.y", 1.0), "cube.y: it is 1.0; a list of numbers"),
+    (SLIDER, put("cube.y", 1.0), "cube.y: it is 1.0; expected a list"),
     (SLIDER, put("cube.x.4", float("inf")), r"cube\[4\]: it is more than 100 m away; .*a few metres"),
-    (SLIDER, put("cube.qw.3", 0.9), r"cube.q\[3\]: .*norm is 0.9; 1 is expected"),
-    (SLIDER, cube(lambda values: values[:5], "x y z qx qy qz qw"), r"\(file\): it has 5 frames; 9 or more"),
+    (SLIDER, put("cube.qw.3", 0.9), r"cube.q\[3\]: .*norm is 0.9; expected 1"),
+    (SLIDER, cube(lambda values: values[:5], "x y z qx qy qz qw"), r"\(file\): it has 5 frames; at least 9"),
     (FOAM, put("foam"), "markers: the marker set is missing; the file has cube"),
-    (FOAM, put("foam.5"), "markers: it has 13 markers; 14 are expected"),
-    (FOAM, exchanged("foam", "5", "44"), "markers.5: it starts where marker 13.*; .*the metadata's markers"),
+    (FOAM, put("foam.5"), "markers: it has 13 markers; expected 14"),
+    (FOAM, exchanged("foam", "5", "44"), "markers.5: it starts at marker 13.*; .*the metadata's markers"),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", [SLIDER, FOAM])
-def test_damaged_files_are_named_and_the_others_are_used(name, tmp_path):
+def test_damaged_files_are_named_and_the_rest_is_used(name, tmp_path):
     write_synthetic(tmp_path, name)
     imported(tmp_path)
     undamaged = band_of(name)
@@ -110,7 +110,7 @@ def test_damaged_files_are_named_and_the_others_are_used(name, tmp_path):
     np.testing.assert_array_equal(band_of(name).sigma, undamaged.sigma)
 
 
-def test_a_damaged_driver_costs_the_driver_alone(tmp_path):
+def test_a_damaged_driven_body_leaves_the_trial_in_the_band(tmp_path):
     contents = synthetic_trials(PLATE).contents
     del contents[0]["plate"]
     for key in ("qx", "qy", "qz", "qw"):
@@ -134,7 +134,7 @@ def test_the_command_imports_the_rest_and_exits_with_1(tmp_path, gauge):
     assert result.exit_code == 1
     left_out = [line for line in result.stderr.splitlines() if "left out" in line]
     assert f"left out: {trial_folder(SLIDER)}/trial-98.json: (file)" in left_out[0]
-    assert "1 of its trials can be used; 2 or more" in left_out[1]
+    assert "usable trials: 1; at least 2" in left_out[1]
     assert "8 trials of 2 experiments imported" in result.stderr
     lines = gauge("data", "import", tmp_path, "--json").stdout.splitlines()
     rows = [json.loads(line) for line in lines]
@@ -149,8 +149,8 @@ def test_the_command_imports_the_rest_and_exits_with_1(tmp_path, gauge):
     assert keys == ["(file)", "(file)", "(folder)"]
 
 
-def test_files_of_other_editors_and_units_hold_the_same_trial(tmp_path, gauge):
-    """A byte-order mark, line ends of Windows, metres, and a rate that the user states."""
+def test_encoding_line_ends_and_unit_do_not_change_a_trial(tmp_path, gauge):
+    """The file has a byte-order mark, line ends of Windows and metres; the user gives the rate."""
     (content,) = synthetic_trials(SLIDER, [0.3]).contents
     expected = parse_trial(encoded(content)).pose_track("cube").positions_mm
     for axis in "xyz":

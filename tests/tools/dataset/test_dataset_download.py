@@ -1,4 +1,4 @@
-"""Downloading the dataset from a host that is not there: what it is asked for, and what its errors become."""
+"""Requests and errors of a download of the dataset from a simulated host."""
 
 import sys
 from pathlib import Path
@@ -17,18 +17,18 @@ from gauge_envs.tools.dataset.download import (
 from gauge_envs.tools.dataset.layout import find_trials
 
 COMMIT = PINNED_REVISION + 33 * "1"
-OTHER = 40 * "2"
+HEAD = 40 * "2"
 
 
 class FakeHub:
-    """Stands in for the package `huggingface_hub`; a snapshot writes the synthetic trials of one experiment."""
+    """Replacement for the package `huggingface_hub`; a snapshot writes the synthetic trials of one experiment."""
 
     def __init__(self):
         self.calls = []
-        self.commits = [OTHER, COMMIT]
+        self.commits = [HEAD, COMMIT]
         self.error = None
 
-    def HfApi(self):  # noqa: N802  # the package's own name
+    def HfApi(self):  # noqa: N802  # name in the package
         return SimpleNamespace(list_repo_commits=self._commits, dataset_info=self._info)
 
     def _commits(self, repo_id, *, repo_type):
@@ -36,7 +36,7 @@ class FakeHub:
         return [SimpleNamespace(commit_id=commit) for commit in self.commits]
 
     def _info(self, repo_id, *, revision):
-        return SimpleNamespace(sha={"main": OTHER, OTHER: OTHER}[revision])
+        return SimpleNamespace(sha={"main": HEAD, HEAD: HEAD}[revision])
 
     def snapshot_download(self, **arguments):
         self.calls.append(arguments)
@@ -71,7 +71,7 @@ def test_the_pinned_revision_is_downloaded_and_noted(hub, gauge):
 
 
 def test_an_interrupted_download_continues_with_the_same_command(hub, tmp_path, gauge):
-    words = ("data", "download", "metadata/*", f"--revision={OTHER}", "--out", tmp_path)
+    words = ("data", "download", "metadata/*", f"--revision={HEAD}", "--out", tmp_path)
     hub.error = ConnectionError("the host is gone")
     result = gauge(*words)
     assert result.exit_code == 2
@@ -80,12 +80,12 @@ def test_an_interrupted_download_continues_with_the_same_command(hub, tmp_path, 
     assert gauge(*words).exit_code == 0
     assert hub.calls[0] == hub.calls[1]
     assert (call := hub.calls[0])["local_dir"] == tmp_path
-    assert (call["revision"], call["allow_patterns"]) == (OTHER, ["metadata/*"])
+    assert (call["revision"], call["allow_patterns"]) == (HEAD, ["metadata/*"])
 
 
 def test_revisions_are_resolved_to_full_hashes(hub, monkeypatch):
     assert resolved_revision("9e0acb7") == COMMIT
-    assert resolved_revision("main") == OTHER
+    assert resolved_revision("main") == HEAD
     hub.commits.append(PINNED_REVISION + 33 * "3")
     for unknown in ("v9", PINNED_REVISION):
         with pytest.raises(DatasetError, match=f"'{unknown}' cannot be resolved"):

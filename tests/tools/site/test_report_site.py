@@ -1,4 +1,4 @@
-"""The static site: its numbers are those of the results, its texts are escaped, and it replaces a site as a whole."""
+"""The static site shows the numbers of the results, escapes texts, and replaces an old site completely."""
 
 import re
 from base64 import b64decode
@@ -54,10 +54,12 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
-    # The cube of another friction has no reference.
-    other = {"SlopeSlider-3-wood": {"cube.friction": 0.2}}
+    # A cube with a changed friction has no reference.
+    parameters_of = {"SlopeSlider-3-wood": {"cube.friction": 0.2}}
     requests = [
-        RunRequest(name, settings=settings, parameters=other.get(name, "calibrated"))
+        RunRequest(
+            name, settings=settings, parameters=parameters_of.get(name, "calibrated")
+        )
         for name in (SLIDE, "NonsmoothContact-3-wood", "SlopeSlider-3-wood")
         for settings in (None, SETTINGS)
     ]
@@ -90,7 +92,7 @@ def test_pages_show_the_scores_of_the_results(site, results):
     assert "Distances between engines" in page.text
 
 
-def test_every_link_leads_to_a_file_of_the_site_and_nothing_is_loaded(site):
+def test_links_lead_to_files_of_the_site_and_pages_load_nothing_else(site):
     pages = list(site.glob("*.html"))
     for page in pages:
         assert Page(page).links
@@ -103,10 +105,10 @@ def test_every_link_leads_to_a_file_of_the_site_and_nothing_is_loaded(site):
 
 @pytest.mark.parametrize("is_same", [True, False], ids=["same run", "other friction"])
 def test_configurations_with_the_same_constants_are_ranked(is_same, tmp_path, slide):
-    # The default step given as a setting is another configuration of the same run.
+    # The default step as a given setting is another configuration with the same run.
     same = {"settings": {"timestep_s": slide.settings["timestep_s"]}}
-    other = same if is_same else {"parameters": {"cube.friction": 0.05}}
-    rerun = run_episode(RunRequest(SLIDE, **other))
+    changes = same if is_same else {"parameters": {"cube.friction": 0.05}}
+    rerun = run_episode(RunRequest(SLIDE, **changes))
     files = {tmp_path / "a.json": slide, tmp_path / "b.json": rerun}
     save_site(files, tmp_path / "site", replays=False)
     overview = Page(tmp_path / "site" / "index.html").text
@@ -132,16 +134,14 @@ def test_texts_of_a_result_file_are_escaped(slide, tmp_path):
 # --- the folder ---
 
 
-def test_a_folder_with_something_else_is_refused(results, tmp_path):
+def test_a_folder_with_other_content_is_rejected(results, tmp_path):
     (tmp_path / "thesis.txt").write_text("mine")
-    with pytest.raises(ResultFileError, match="something else than a site"):
+    with pytest.raises(ResultFileError, match="not a site of gauge report"):
         save_site(results, tmp_path, replays=False)
     assert (tmp_path / "thesis.txt").read_text() == "mine"
 
 
-def test_a_new_site_replaces_the_old_one_and_an_interrupted_one_does_not(
-    results, tmp_path
-):
+def test_only_a_complete_site_replaces_the_old_site(results, tmp_path):
     out = tmp_path / "site"
     save_site(results, out, replays=False)
     file = next(iter(results))
@@ -170,7 +170,7 @@ def test_a_new_site_replaces_the_old_one_and_an_interrupted_one_does_not(
         ({"asset": {"file": "slide.xml", "kind": "model"}}, r"slide\.xml"),
     ],
 )
-def test_what_cannot_run_again_has_no_replay(changes, message, slide):
+def test_a_run_that_cannot_be_repeated_has_no_replay(changes, message, slide):
     with pytest.raises(GaugeError, match=message):
         replay(replace(slide, **changes))
 
@@ -179,19 +179,19 @@ def unpacked(packed):
     return np.frombuffer(b64decode(packed["data"]), "<i2") * packed["step"]
 
 
-def test_data_have_the_slope_of_the_cube_and_the_real_values_as_ghost(slide):
+def test_the_data_have_the_slope_of_the_cube_and_real_values_as_ghost(slide):
     data = replay_data(slide)
     cosine = unpacked(data["turns"])[3]
     assert np.degrees(2.0 * np.arccos(abs(cosine))) == pytest.approx(30.0, abs=0.1)
     places_mm = 1e3 * unpacked(data["positions"]).reshape(-1, 3)
-    # 180 samples a second in the result, 60 views a second in the replay.
+    # The result has 180 samples per second, and the replay has 60 views per second.
     assert data["rate"] == 60.0
     _, values = slide.trajectory.arrays()
     np.testing.assert_allclose(places_mm, values[::3], atol=0.02)
     band, ghost = reference_band(recorded_experiment(slide)), data["ghost"]
     places_mm = 1e3 * np.array(ghost["places"])[:, 0]
     np.testing.assert_allclose(band.project(places_mm), band.mean, atol=1e-6)
-    # Across the slope nothing was measured, so that the ghost stays in the plane of the start.
+    # Motion across the slope was not measured, so the ghost stays in its initial plane.
     across = np.linalg.svd(band.projection)[2][1:]
     np.testing.assert_allclose((places_mm - places_mm[0]) @ across.T, 0.0, atol=1e-6)
 
@@ -208,17 +208,18 @@ REQUESTS = {
 
 
 @pytest.mark.parametrize("name", REQUESTS)
-def test_the_command_of_a_page_makes_the_same_results(name, tmp_path, gauge):
+def test_the_command_of_a_page_gives_the_same_results(name, tmp_path, gauge):
     made = list(run_many([REQUESTS[name]]))
     words = [word.strip("'") for word in run_command(made).split()]
     run = gauge(*words[1:], "--out", tmp_path)
     assert run.exit_code == 0, run.output
-    again = {one.seed: one for one in map(load_result, tmp_path.glob("*.json"))}
+    loaded = map(load_result, tmp_path.glob("*.json"))
+    again = {result.seed: result for result in loaded}
     assert sorted(again) == [result.seed for result in made]
     for result in made:
         assert result.trajectory == again[result.seed].trajectory
         assert result.settings == again[result.seed].settings
-    # A replay starts where its repeat does.
+    # A replay has the initial state of its repeat.
     for result in again.values():
         start_mm = 1e3 * replay(result).poses[0, 0, :3]
         np.testing.assert_allclose(start_mm, result.trajectory.samples[0], atol=1e-9)

@@ -1,4 +1,4 @@
-"""The site in a browser: every page opens from its folder without a message, and replays are drawn."""
+"""In a browser, every page opens from its folder without a message and draws its replays."""
 
 import re
 import shutil
@@ -61,6 +61,6 @@ def test_every_page_opens_without_a_message(width, site, tmp_path):
     for page in pages:
         document, messages = opened(page, width, tmp_path)
         assert messages == [], page.name
-        # A picture that was drawn has the size that the script gave it.
+        # The script sets the size of each drawn picture.
         drawn = re.findall(r"<canvas width=", document)
         assert len(drawn) == (2 if page.name.startswith("experiment") else 0)
