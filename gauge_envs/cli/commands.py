@@ -131,7 +131,7 @@ BUNDLED = (
     ),
     Command(
         "sanity probe",
-        "sanity.probe_command:sanity_probe",
+        "sanity.sanity_command:sanity_probe",
         "Print a Python file that saves the settings of a training environment.",
     ),
     Command(

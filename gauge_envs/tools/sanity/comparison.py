@@ -78,7 +78,7 @@ def _deviation(part: dict[str, Any]) -> float:
 
 
 def regressions(
-    report: Report, baseline: Baseline, *, verdicts: Collection[Verdict]
+    report: Report, baseline: Baseline, *, verdicts: Collection[str]
 ) -> list[str]:
     """Return a sentence for each part of a check that is farther from reality than in the baseline.
 
@@ -96,7 +96,8 @@ def regressions(
             before = baseline.get((row.phenomenon, part.name), MAX_PASSED)
             is_farther = part.deviation > before + GROWTH or before <= MAX_PASSED
             if part.verdict in verdicts and is_farther:
-                value = with_unit(_value_text(part.value), row.unit)
+                text = "-" if part.value is None else quantity_text(part.value)
+                value = with_unit(text, row.unit)
                 worse.append(
                     f"{row.phenomenon}, {part.name or 'all contacts'}: {value}, {part.deviation:.3g} half-widths from "
                     f"reality; the baseline has {before:.3g}"
@@ -199,8 +200,8 @@ def difference_document(compared: Difference) -> Document:
         columns=(
             Column("id", "id"),
             Column("title", "quantity", wide_only=True),
-            Column("first", compared.first, _value_text, is_number=True),
-            Column("second", compared.second, _value_text, is_number=True),
+            Column("first", compared.first, quantity_text, is_number=True),
+            Column("second", compared.second, quantity_text, is_number=True),
             Column("first_verdict", "verdict", lambda verdict: verdict.value),
             Column("second_verdict", "verdict", lambda verdict: verdict.value),
             Column("is_changed", "", lambda is_changed: "changed" * is_changed),
@@ -212,7 +213,3 @@ def difference_document(compared: Difference) -> Document:
         parts=(Paragraph(text, Tone.ANSWER), table),
         rows=[names, *map(vars, compared.rows)],
     )
-
-
-def _value_text(value: float | None) -> str:
-    return "-" if value is None else quantity_text(value)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from enum import EnumType, StrEnum
 from typing import Any, TypeAlias
 
@@ -205,26 +205,27 @@ class TrainingConfiguration:
         return sets or {"": dict(self.settings)}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Reality:
     """Value of a phenomenon for real objects, and the interval in which a simulation is as good as a real trial.
 
     Attributes:
-        kind: Whether real trials or a law give the value.
         value: Mean of real trials, or value from a law, in the phenomenon's unit.
         tolerance: Half-width of the interval, in the same unit.
         source: Source of the value.
         rationale: Reason for the tolerance.
-        scatter: Standard deviation of real trials, or standard uncertainty of one recording; None for a law.
+        kind: Whether real trials or a law give the value.
+        scatter: Standard deviation of real trials, or standard uncertainty of a single recording; None for a law.
         trial_count: Number of real trials; 0 for a law.
-        limits: The interval in words, where a value has a limit on one side; empty for centre and half-width.
+        limits: The interval as a text, where a value has a limit on one side; empty for centre and half-width.
     """
 
-    kind: RealityKind
     value: float
     tolerance: float
     source: str
     rationale: str
+    _: KW_ONLY
+    kind: RealityKind = RealityKind.LAW
     scatter: float | None = None
     trial_count: int = 0
     limits: str = ""
@@ -251,37 +252,14 @@ class Reality:
             factor = quantile * (1.0 + 1.0 / trial_count) ** 0.5
             rationale = f"covers {COVERAGE:.0%} of further trials, from the scatter of {trial_count} trials"
         return cls(
+            value,
+            factor * scatter,
+            source,
+            rationale,
             kind=RealityKind.MEASURED,
-            value=value,
-            tolerance=factor * scatter,
-            source=source,
-            rationale=rationale,
             scatter=scatter,
             trial_count=trial_count,
         )
-
-    @classmethod
-    def law(
-        cls, value: float, tolerance: float, source: str, rationale: str
-    ) -> Reality:
-        """Return the value of a law, with a tolerance and its reason."""
-        return cls(
-            kind=RealityKind.LAW,
-            value=value,
-            tolerance=tolerance,
-            source=source,
-            rationale=rationale,
-        )
-
-
-def _renamed(old: str, new: str) -> property:
-    """Return an attribute by its name before 1.0, which is read until 1.2."""
-
-    def read(instance: Any) -> Any:
-        _warn_renamed(old, new)
-        return getattr(instance, new)
-
-    return property(read, doc=f"`{new}` by its name before 1.0.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -318,7 +296,6 @@ class Fix:
     lines: tuple[str, ...] = ()
     parts: tuple[ChangePart, ...] = ()
     speed_ratio: float | None = None
-    mended = _renamed("mended", "fixed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -395,11 +372,6 @@ class PhenomenonResult:
         """Distance of the worst part from reality, in half-widths of its interval; 0 if nothing was measured."""
         return max((part.deviation for part in self.parts), default=0.0)
 
-    @property
-    def effect(self) -> float | None:
-        """Difference between this configuration and reality, in the unit of the check; None if not measured."""
-        return None if self.configured is None else self.configured - self.reality.value
-
     def to_dict(self) -> dict[str, Any]:
         """Return all attributes, JSON-ready."""
         return json_ready(asdict(self))
@@ -432,7 +404,12 @@ class Report:
     unstated: str = ""
     notes: tuple[str, ...] = ()
     asked: tuple[str, ...] = ()
-    cure = _renamed("cure", "fix")
+
+    @property
+    def cure(self) -> Fix | None:
+        """The fix by its name before 1.0, which is read until 1.2."""
+        _warn_renamed("cure", "fix")
+        return self.fix
 
     @property
     def flags(self) -> dict[str, PhenomenonResult]:

@@ -8,7 +8,7 @@ from typing import Any
 from gauge_envs.errors import first_names
 from gauge_envs.pages.document import Document, Heading, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Facts, Place, Table
-from gauge_envs.pages.text import counted, quantity_text, vector_text, with_unit
+from gauge_envs.pages.text import counted, quantity_text, with_unit
 from gauge_envs.tools.bench.model_settings import default_contact_settings
 from gauge_envs.tools.sanity.model import (
     WARNED,
@@ -21,7 +21,8 @@ from gauge_envs.tools.sanity.model import (
 )
 from gauge_envs.tools.sanity.phenomena import phenomena
 from gauge_envs.tools.sanity.rows import ROWS
-from gauge_envs.tools.sanity.selection import selection
+from gauge_envs.tools.sanity.selection import chooses_deformables, selection
+from gauge_envs.tools.sanity.stacks.dialect import toml_text
 from gauge_envs.tools.sanity.target_checks import NUMBER_ROWS
 
 MAX_TARGET_FLAGS, MAX_OBJECT_FLAGS = 3, 4
@@ -111,11 +112,9 @@ def answer_text(report: Report) -> str:
     return f"{report.configuration.name}: {', '.join(texts)}"
 
 
-def phenomena_table(
-    *, include_deformables: bool = False, only: Sequence[str] = ()
-) -> Table:
-    """Return all checks: ids, titles, kinds and reality."""
-    chosen = selection(only, include_deformables=include_deformables)
+def phenomena_table(only: Sequence[str] = ()) -> Table:
+    """Return checks by patterns: ids, titles, kinds and reality; those of deformable bodies by their own patterns."""
+    chosen = selection(only, include_deformables=chooses_deformables(only))
     checks: dict[str, Any] = {row.phenomenon: row for row in NUMBER_ROWS}
     checks |= {row.id: row for row in phenomena(include_deformables=True)}
     checks |= ROWS
@@ -319,27 +318,16 @@ def _facts(checked: TrainingConfiguration) -> dict[str, str]:
         facts["foot"] = f"in the {foot.pose}, {foot.description}"
     for name, value in checked.settings.items():
         origin = checked.origins.get(name, "settings")
-        text = f"{name} = {setting_text(value)}"
+        text = f"{name} = {toml_text(value)}"
         facts[origin] = f"{facts[origin]}, {text}" if origin in facts else text
     for group in checked.contact_groups:
         constants = [
-            f"{name} {setting_text(value)}" for name, value in group.constants.items()
+            f"{name} {toml_text(value)}" for name, value in group.constants.items()
         ]
         use = "" if group.is_used else "not used: "
         pairs = counted(group.pair_count, "pair")
         facts[group.geoms] = f"{use}{pairs}, {', '.join(constants)}"
     return facts
-
-
-def setting_text(value: Any) -> str:
-    """Return a setting as people write it."""
-    if value is None:
-        return "not set"
-    if isinstance(value, bool):
-        return "on" if value else "off"
-    if isinstance(value, list | tuple):
-        return vector_text(value)
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _all_rows(report: Report) -> Table:
@@ -366,11 +354,6 @@ def measured_text(row: PhenomenonResult) -> str:
     return "no value" if row.verdict.is_off else "-"
 
 
-def preset_text(row: PhenomenonResult) -> str:
-    """Return the value with the recommended preset; a dash where it was not measured."""
-    return "-" if row.default is None else quantity_text(row.default)
-
-
 def verdict_text(row: PhenomenonResult) -> str:
     """Return the verdict; `advice` for a check that does not count."""
     return "advice" if row.advisory and row.verdict.is_off else row.verdict.value
@@ -389,6 +372,6 @@ COLUMNS = (
     Column("title", "quantity", wide_only=True),
     Column("", "real", lambda row: reality_text(row.reality, row.unit)),
     Column("", "here", measured_text, is_number=True, style=_style),
-    Column("", "preset", preset_text, is_number=True),
+    Column("default", "preset", quantity_text, is_number=True),
 )
 """Columns of tables of checks."""

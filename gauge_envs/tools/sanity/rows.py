@@ -31,7 +31,6 @@ from gauge_envs.tools.sanity.model import (
     PartOutcome,
     PhenomenonResult,
     Reality,
-    RealityKind,
     Verdict,
 )
 
@@ -107,7 +106,6 @@ class Row:
         if math.isinf(high):
             limits = f"at least {numbers[0]}"
         return Reality(
-            kind=RealityKind.LAW,
             value=low if math.isinf(high) else 0.5 * (low + high),
             tolerance=1.0 if math.isinf(high) else 0.5 * (high - low),
             source=self.source,

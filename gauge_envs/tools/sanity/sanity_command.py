@@ -1,9 +1,8 @@
-"""`gauge sanity` and `gauge list phenomena`."""
+"""`gauge sanity`, `gauge sanity probe` and `gauge list phenomena`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +14,7 @@ from gauge_envs.cli.output import (
     EXIT_INCOMPLETE,
     Format,
     Progress,
+    echo,
     message,
     note,
     print_document,
@@ -23,39 +23,33 @@ from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
-    from gauge_envs.tools.sanity import Report, Verdict
+    from gauge_envs.tools.sanity import Report
     from gauge_envs.tools.sanity.comparison import Baseline
 
 
-class FailOn(StrEnum):
-    """Mildest verdict that gives the exit code 1."""
+FAIL_ON = {"failed": {"failed"}, "warning": {"failed", "warning"}, "never": set[str]()}
+"""Verdicts that give the exit code 1, by the value of `--fail-on`."""
 
-    FAILED = "failed"
-    WARNING = "warning"
-    NEVER = "never"
-
-
-RENAMED = {"wrong": FailOn.FAILED, "visible": FailOn.WARNING}
+RENAMED = {"wrong": "failed", "visible": "warning"}
 """Values of `--fail-on` by their names before 1.0, which are read until 1.2."""
 
 
-def read_fail_on(text: str) -> FailOn:
-    """Return a value of `--fail-on`."""
-    if text in RENAMED:
-        new = RENAMED[text]
+def read_fail_on(text: str) -> str:
+    """Return a value of `--fail-on` by its name of today."""
+    if new := RENAMED.get(text):
         note(f"--fail-on {text} is now --fail-on {new}; the old name is read until 1.2")
         return new
-    if text not in {*FailOn}:
-        raise typer.BadParameter(f"{text!r}: expected {', '.join(FailOn)}")
-    return FailOn(text)
+    if text not in FAIL_ON:
+        raise typer.BadParameter(f"{text!r}: expected {', '.join(FAIL_ON)}")
+    return text
 
 
 FailOnOption = Annotated[
-    FailOn,
+    str,
     arguments.option(
         arguments.SELECTION,
         "Exit code 1 for this verdict or a worse one; with --against, for checks that differ.",
-        metavar="|".join(FailOn),
+        metavar="|".join(FAIL_ON),
         parser=read_fail_on,
     ),
 ]
@@ -123,7 +117,7 @@ def sanity(
         ),
     ] = None,
     only: arguments.Only = None,
-    fail_on: FailOnOption = FailOn.WARNING,
+    fail_on: FailOnOption = "warning",
     baseline: BaselineOption = None,
     fix: FixOption = None,
     is_all: Annotated[
@@ -192,24 +186,12 @@ def sanity(
     print_document(document, form, files=files)
     if fix is not None:
         message(write_fix(report, fix), "fix")
-    if _fails(report, _verdicts(fail_on), earlier):
+    if _fails(report, FAIL_ON[fail_on], earlier):
         return EXIT_FAILED
     return EXIT_INCOMPLETE if report.unmeasured else 0
 
 
-def _verdicts(fail_on: FailOn) -> set[Verdict]:
-    """Return the verdicts that give the exit code 1."""
-    from gauge_envs.tools.sanity import Verdict
-
-    verdicts = {
-        FailOn.NEVER: [],
-        FailOn.FAILED: [Verdict.FAILED],
-        FailOn.WARNING: [Verdict.FAILED, Verdict.WARNING],
-    }
-    return set(verdicts[fail_on])
-
-
-def _fails(report: Report, verdicts: set[Verdict], baseline: Baseline | None) -> bool:
+def _fails(report: Report, verdicts: set[str], baseline: Baseline | None) -> bool:
     """Return whether a check has one of the verdicts, and with a baseline, is worse than there; print regressions."""
     from gauge_envs.tools.sanity.comparison import regressions
 
@@ -225,7 +207,7 @@ def _compare(
     first: str,
     second: str,
     options: dict[str, Any],
-    fail_on: FailOn,
+    fail_on: str,
     files: Mapping[str, Path],
     form: Format,
 ) -> int:
@@ -237,18 +219,40 @@ def _compare(
     compared = difference(*reports)
     print_document(difference_document(compared), form, files=files)
     changed = [row for row in compared.rows if row.is_changed]
-    if fail_on is FailOn.FAILED:
+    if fail_on == "failed":
         changed = [row for row in changed if row.is_failed]
-    if changed and fail_on is not FailOn.NEVER:
+    if changed and FAIL_ON[fail_on]:
         return EXIT_FAILED
     is_measured = any(row.is_measured for row in compared.rows)
     return 0 if is_measured else EXIT_INCOMPLETE
 
 
+def sanity_probe(
+    out: Annotated[
+        Path | None,
+        arguments.target(
+            "File to write, as gauge_probe.py; - is stdout.",
+            metavar=f"PATH|{arguments.STDOUT}",
+            show_default="stdout",
+        ),
+    ] = None,
+) -> None:
+    """Print a Python file that saves the settings of a training environment.
+
+    Copy it to the training environment, where gauge-envs need not be installed, and run it there: python gauge_probe.py
+    TARGET. Then run gauge sanity TARGET.gaugeprobe.json here.
+    """
+    from gauge_envs.pages.document import save_file
+
+    program = Path(__file__).with_name("gauge_probe.py").read_text(encoding="utf-8")
+    if out is None or str(out) == arguments.STDOUT:
+        echo(program, nl=False)
+    else:
+        message(save_file(out, program))
+
+
 def list_phenomena(patterns: Sequence[str]) -> list[Table]:
     """Return the table of checks, those of a wall and of deformable bodies only for patterns that choose them."""
     from gauge_envs.tools.sanity.report import phenomena_table
-    from gauge_envs.tools.sanity.selection import chooses_deformables
 
-    deformables = chooses_deformables(patterns)
-    return [phenomena_table(include_deformables=deformables, only=patterns)]
+    return [phenomena_table(patterns)]

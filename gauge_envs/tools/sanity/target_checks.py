@@ -16,7 +16,6 @@ from gauge_envs.tools.sanity.model import (
     PartOutcome,
     PhenomenonResult,
     Reality,
-    RealityKind,
     TrainingConfiguration,
     Verdict,
 )
@@ -27,7 +26,7 @@ GRAVITY_ROW = PhenomenonResult(
     phenomenon=GRAVITY_ID,
     title="size of gravity, which points to the ground",
     unit="m/s^2",
-    reality=Reality.law(
+    reality=Reality(
         GRAVITY_M_PER_S2,
         tolerance=0.05,
         source="standard gravity",
@@ -53,7 +52,6 @@ CONTROL_ROW = PhenomenonResult(
     title="time of one action",
     unit="ms",
     reality=Reality(
-        kind=RealityKind.LAW,
         value=0.0,
         tolerance=MAX_ACTION_MS,
         source="the slowest policies of real arms act at 3 Hz; a robot that stands falls by e in sqrt(height / g)",
@@ -83,10 +81,8 @@ def target_rows(
     for name in chosen:
         if name in ROWS:
             rows.append(row_result(ROWS[name], configuration.robot))
-        elif name == GRAVITY_ID:
-            rows.append(gravity_row(configuration))
-        elif name == CONTROL_ID:
-            rows.append(control_row(configuration))
+        elif name in NUMBER_CHECKS:
+            rows.append(NUMBER_CHECKS[name](configuration))
         else:
             continue
         if notify is not None:
@@ -149,3 +145,7 @@ def control_row(configuration: TrainingConfiguration) -> PhenomenonResult:
     deviation = action_ms / limit_ms
     row = replace(CONTROL_ROW, reality=reality)
     return _judged(row, action_ms, deviation, Verdict.of(deviation), remark)
+
+
+NUMBER_CHECKS = {GRAVITY_ID: gravity_row, CONTROL_ID: control_row}
+"""Functions that check the numbers of a target, by the id of the check."""

@@ -1,4 +1,4 @@
-"""The guard against hops: closed forms, MuJoCo's stiff and soft contacts, and an engine with rigid contacts."""
+"""The guard against hops: closed forms, and MuJoCo's stiff and soft contacts."""
 
 import math
 
@@ -50,8 +50,3 @@ def test_a_hop_that_is_not_measured_rejects_no_change():
         "contact_solref": (0.002, 1.0),
     }
     assert hops_more(5.0, hop_mm(MUJOCO, diverging))
-
-
-def test_rigid_contacts_stay_on_the_ground():
-    pytest.importorskip("rapier3d", reason="Rapier is not installed")
-    assert hop_mm(Measurements("rapier"), {}) < 0.1

@@ -190,25 +190,20 @@ def test_a_file_of_another_version_says_so(file):
         configuration(file)
 
 
-def saved(target, path):
-    program.save(target, str(path))
-    return json.loads(path.read_text())
-
-
 def test_settings_of_other_stacks_become_plain(tmp_path):
     gravity = np.array([0.0, 0.0, -9.81])
     cfg = SimpleNamespace(sim=SimpleNamespace(physx=object()))
     cfg.to_dict = lambda: {"sim": {"gravity": gravity}, "f": ast.parse}
-    file = saved(SimpleNamespace(cfg=cfg), tmp_path / "lab.json")
-    assert file["kind"] == "isaac_lab"
-    assert file["data"] == {"sim": {"gravity": gravity.tolist()}, "f": "ast:parse"}
+    program.save(SimpleNamespace(cfg=cfg), str(tmp_path / "lab.json"))
+    saved = json.loads((tmp_path / "lab.json").read_text())
+    assert saved["kind"] == "isaac_lab"
+    assert saved["data"] == {"sim": {"gravity": gravity.tolist()}, "f": "ast:parse"}
 
 
-def test_options_of_genesis_are_read(tmp_path):
+def test_options_of_genesis_are_read():
     rigid = {"iterations": 7, "constraint_timeconst": None, "integrator": 1}
-    options = {"sim": {"dt": 0.04, "substeps": 2}, "rigid": rigid}
-    assert saved(options, tmp_path / "scene.json")["data"] == options
-    tables = (Table(options[key], source="scene.json") for key in ("sim", "rigid"))
+    simulation = {"dt": 0.04, "substeps": 2}
+    tables = (Table(values, source="scene.json") for values in (simulation, rigid))
     settings = options_settings(*tables)
     assert (settings["timestep_s"], settings["integrator"]) == (0.02, "implicitfast")
     # Genesis raises a shorter time constant to two steps.

@@ -46,7 +46,7 @@ CREEP = PhenomenonResult(
     title="creep of a <cube> [of wood]",
     experiment="GAUGE/SlopeSlider-1-wood",
     unit="mm/s",
-    reality=Reality.law(0.0, tolerance=0.5, source="paper", rationale="cubes <rest>"),
+    reality=Reality(0.0, tolerance=0.5, source="paper", rationale="cubes <rest>"),
     default=0.002,
     configured=-28.0,
     verdict=Verdict.FAILED,
@@ -216,15 +216,6 @@ def test_the_json_of_a_real_configuration(gauge):
     assert abs(row["default"]) < 0.1
 
 
-def test_checks_are_listed_without_a_target(gauge):
-    outcome = gauge("list", "phenomena", "--json", "creep-*", "gravity", "rebound")
-    rows = {row["id"]: row for row in map(json.loads, outcome.stdout.splitlines())}
-    creeps = {f"creep-{material}" for material in ("wood", "plastic", "metal")}
-    assert set(rows) == {"gravity", "rebound", *creeps}
-    assert rows["rebound"]["kind"] == "measured"
-    assert "rope-length" in gauge("list", "phenomena", "*").stdout
-
-
 # --- baseline --------------------------------------------------------------------------------------------------------
 
 
@@ -306,44 +297,9 @@ def test_the_wrapper_warns_of_a_failed_check_and_checks_once(monkeypatch):
     assert env.report.worst is Verdict.PASSED
 
 
-FLOOR = '<geom type="plane" size="1 1 1"/><body pos="0 0 1"><freejoint/><geom size=".1"/></body>'
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("target", "options", "code"),
-    [
-        ("ball.xml", "--only gravity", 0),
-        ("ball.xml", "--only creep-wood --timeout 0s", 3),
-        ("ball.xml; touch pwned", "--only gravity ; touch pwned", 2),
-    ],
-)
-def test_the_check_of_the_action_runs(tmp_path, target, options, code):
+def test_the_action_never_puts_an_input_into_a_script():
+    """An input with `; touch pwned` stays a word: scripts read inputs from the environment."""
     action = yaml.safe_load((ROOT / "action.yml").read_text())
-    values = {
-        name: given.get("default", "") for name, given in action["inputs"].items()
-    }
-    command = f'#!/bin/sh\nexec {sys.executable} -c "from gauge_command import main; main()" "$@"\n'
-    (tmp_path / "gauge").write_text(command)
-    (tmp_path / "gauge").chmod(0o755)
-    model = f"<mujoco><worldbody>{FLOOR}</worldbody></mujoco>"
-    (tmp_path / "ball.xml").write_text(model)
-    given = values | {"target": target, "options": options}
-    (step,) = [step for step in action["runs"]["steps"] if step["name"] == "Check"]
-    env = {
-        name: given[text.strip("${ }").removeprefix("inputs.")]
-        for name, text in step["env"].items()
-    }
-    path = os.pathsep.join([str(tmp_path), os.environ["PATH"]])
-    env |= {"PATH": path, "PYTHONPATH": str(ROOT), "GITHUB_STEP_SUMMARY": "summary.md"}
-    done = subprocess.run(
-        [sys.executable, "-c", step["run"]],
-        cwd=tmp_path,
-        env=os.environ | env,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == code, done.stdout + done.stderr
-    assert not (tmp_path / "pwned").exists()
-    assert (code == 2) != (tmp_path / "summary.md").is_file()
+    for step in action["runs"]["steps"]:
+        assert "${{" not in step["run"]
+        compile(step["run"], "action.yml", "exec")

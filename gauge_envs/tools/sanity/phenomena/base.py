@@ -115,4 +115,4 @@ def rigid_law(source: str, millimetres: float, of: str) -> Reality:
         of: Length that shows how small the tolerance is.
     """
     rationale = f"the eye sees {millimetres:g} mm on {of}"
-    return Reality.law(0.0, millimetres, source, rationale)
+    return Reality(0.0, millimetres, source, rationale)

@@ -90,7 +90,7 @@ def cloth_sag() -> Phenomenon:
         "sag of the lowest markers of a hanging satin cloth",
         Scenario("hang", SATIN, HANG_S, replace(scene, drivers=())),
         "mm",
-        Reality.law(
+        Reality(
             law_mm,
             SAG_TOLERANCE * law_mm,
             f"rho g (L s - s^2 / 2) / K_s with the measured K_s = {stiffness:.1f} N/m",

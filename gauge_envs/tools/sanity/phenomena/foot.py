@@ -154,7 +154,7 @@ def sliding(kind: str, foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
         "slide": (f"on {SLIDE_DEG:.0f} degrees", SLIDE_DEG),
     }[kind]
     slope = np.radians(slope_deg)
-    real = Reality.law(
+    real = Reality(
         G * float(np.sin(slope) - friction * np.cos(slope)),
         slide(MATERIAL).reality.tolerance,
         _source(f"law: g (sin a - mu cos a) on {slope_deg:.3g} deg", foot),
@@ -184,7 +184,7 @@ def _landed(
         title,
         _scenario("landing", foot, LANDING_S, lift_m=DROP_M),
         unit,
-        Reality.law(0.0, tolerance, source, rationale),
+        Reality(0.0, tolerance, source, rationale),
         value,
         **attributes,
     )

@@ -108,7 +108,7 @@ def creeping(title: str, scenario: Scenario, source: str, rationale: str) -> Phe
         source: The law.
         rationale: Reason for the bound that the published scores of a real cube give.
     """
-    law = Reality.law(0.0, creep_bound_mm_per_s(scenario.variant), source, rationale)
+    law = Reality(0.0, creep_bound_mm_per_s(scenario.variant), source, rationale)
     return downhill(title, scenario, "mm/s", law, steady_speed_m_per_s)
 
 
@@ -208,7 +208,7 @@ def turned_slide(material: str) -> Phenomenon:
             straight.scenario, name=f"slide-turned-{material}", given=scene
         ),
         needs_space=True,
-        reality=Reality.law(
+        reality=Reality(
             scene.gravity_m_per_s2 * float(push),
             straight.reality.tolerance,
             f"g (sin 30 - mu cos 30) with mu = {friction:.3f}, in every direction",
@@ -242,7 +242,7 @@ def carry(material: str) -> Phenomenon:
             released=("cube",),
         ),
         "mm",
-        Reality.law(
+        Reality(
             0.0,
             # The plane of the plate has two axes.
             float(np.sqrt(2.0) * scatter_mm),

@@ -50,7 +50,7 @@ def creep() -> Phenomenon:
     A hand that lifts its box with an acceleration a needs the friction m (g + a) / (2 N). At rest the pads need half of
     their friction: they hold while a is below g.
     """
-    law = Reality.law(
+    law = Reality(
         0.0,
         10.0,
         "Coulomb: v = 0 if m g < 2 mu N",
@@ -62,7 +62,7 @@ def creep() -> Phenomenon:
 
 def sink() -> Phenomenon:
     """Return the depth of these pads in the box."""
-    law = Reality.law(0.0, 200.0, "rigid bodies: depth = 0", "as for a height at rest")
+    law = Reality(0.0, 200.0, "rigid bodies: depth = 0", "as for a height at rest")
     title = "depth of two pads in the box that they grasp"
     return _row(title, "grasp", HELD, "um", law, pad_depth_um)
 
@@ -73,7 +73,7 @@ def torsion() -> Phenomenon:
     The torque over mu N times the side of a pad is the mean distance of the pressure from the centre: 0.383 for even
     pressure, (sqrt 2 + ln(1 + sqrt 2)) / 6, and 0.707 for pressure at the corners.
     """
-    law = Reality.law(
+    law = Reality(
         0.545,
         0.16845,
         "Coulomb, integrated over a square face; rigid bodies leave the pressure open: mean distance of the "
@@ -86,7 +86,7 @@ def torsion() -> Phenomenon:
 
 def rolling() -> Phenomenon:
     """Return the torque against rolling over the normal force, from the energy that a ball loses on its path."""
-    law = Reality.law(
+    law = Reality(
         0.0,
         MAX_ROLLING_MM,
         "hard rubber on steel: CDA3000, table 7.22",

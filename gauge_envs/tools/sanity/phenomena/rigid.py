@@ -201,7 +201,7 @@ def period() -> Phenomenon:
         "period of a pendulum from 90 degrees",
         scenario,
         "s",
-        Reality.law(
+        Reality(
             law,
             PERIOD_TOLERANCE * law,
             f"elliptic integral with the scene's length; a recorded trial shows {real['value']:.3f} +- "
@@ -220,7 +220,7 @@ def energy() -> Phenomenon:
         f"energy that a pendulum loses in {scenario.seconds:.0f} s",
         scenario,
         "1",
-        Reality.law(
+        Reality(
             published_baselines(PENDULUM)["el"].mean,
             PRINTED,
             "energy loss of real trials, published as 0.00 (paper, Table 5)",
@@ -342,7 +342,7 @@ def slow_rebound() -> Phenomenon:
         scenario=_drop(
             "drop-slow", SLOW_DROP_S, _real_ratio() ** (2 * SLOW_IMPACT - 2)
         ),
-        reality=Reality.law(
+        reality=Reality(
             _real_ratio(),
             RATIO_SPREAD,
             "the ratio of real drops, which hardly depends on the speed: the ball of the published recording "
