@@ -1,4 +1,4 @@
-"""Score a video by the law that its motion follows: tasks, tracks, metrics and their uncertainty.
+"""Score a video by the law of its motion: tasks, tracks, metrics and their uncertainty.
 
 Example:
     >>> from gauge_envs.tools.video import video_tasks

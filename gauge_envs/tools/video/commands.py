@@ -34,7 +34,7 @@ from gauge_envs.tools.video.track import read_track, save_track
 
 
 def list_video_tasks(patterns: Sequence[str]) -> list[Table]:
-    """Return the table of the tasks: what moves, how large it is, and the results of real trials."""
+    """Return the table of the tasks: motion, size of the object, and results of real trials."""
     table = report.task_table(video_tasks())
     return arguments.matching([table], patterns, kind="video task")
 
@@ -54,7 +54,7 @@ def video_prompts(
 ) -> None:
     """Fetch the first frame and the prompt of each task of the benchmark (3 MB).
 
-    Nothing is written unless all files are there and have their hashes.
+    Files are written only if all files are complete and have the expected hashes.
     """
     with Progress("inputs", len(prompts.input_files())) as progress:
         names = prompts.fetch_inputs(
@@ -76,7 +76,7 @@ def video_score(
         str,
         arguments.option(
             arguments.SCENE,
-            "Task, see gauge list video-tasks.",
+            "Task; see gauge list video-tasks.",
             "--id",
             metavar="ID",
         ),
@@ -86,7 +86,7 @@ def video_score(
         arguments.measured(
             "--fps",
             "Hz",
-            "Frames per second of the camera; needed for a track without times.",
+            "Frames per second of the camera; required for a track without times.",
             arguments.SCENE,
             is_positive=True,
             show_default="that of the video",
@@ -94,13 +94,13 @@ def video_score(
     ] = None,
     out: Annotated[
         Path | None,
-        arguments.folder("Folder for tracks, and videos with them drawn in."),
+        arguments.folder("Folder for tracks, and for videos with drawn tracks."),
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Follow the object in videos, fit the law of the task, and report its metrics.
 
-    They have intervals. Exit code 1 when a track is not sound.
+    Metrics have 95 % intervals. Exit code 1: a track is not sound.
     """
     chosen = video_task(task)
     has_failed = False
@@ -121,7 +121,7 @@ def video_report(
         Path,
         typer.Argument(
             metavar="DIR",
-            help="Videos MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4; a .csv of the same name is its track.",
+            help="Videos MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4; a .csv with the same name is the track.",
         ),
     ],
     out: Annotated[
@@ -130,13 +130,13 @@ def video_report(
 ) -> bool:
     """Score the videos of many models, and write a page with a table and pictures.
 
-    The pictures show what was followed; table.csv holds the table. Exit code 1 when a video cannot be judged or a file
-    is named otherwise; the others are on the page.
+    The pictures show the followed object; table.csv has the table. Exit code 1: a video cannot be judged or a file has
+    another name; the page shows the remaining videos.
     """
-    videos, others = report.find_videos(folder)
+    videos, misnamed = report.find_videos(folder)
     errors = [
-        f"{file}: its name is not MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4"
-        for file in others
+        f"{file}: expected the name MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4"
+        for file in misnamed
     ]
     clips: list[tuple[str, str, Path, VideoScore | None]] = []
     with Progress("videos", len(videos)) as progress:
@@ -155,7 +155,9 @@ def video_report(
         message(text, "left out")
     table = report.results_table(clips)
     page = save_file(out / "index.html", report.video_page(clips, table))
-    lines = [{"model": model, **x.to_dict()} for model, _, _, x in clips if x]
+    lines = [
+        {"model": model, **result.to_dict()} for model, _, _, result in clips if result
+    ]
     save_file(out / "results.json", json_text(lines))
     save_file(out / "table.csv", report.table_csv(table))
     print_document(report.summary_table(table), Format.TEXT)
@@ -164,7 +166,7 @@ def video_report(
 
 
 def _scored(file: Path, task: VideoTask, fps: float | None = None) -> VideoScore:
-    """Score a video, or a track in pixels of the video of its name, or else of the known first frame."""
+    """Score a video, or a track in pixels of the video with its name or of the known first frame."""
     if file.suffix.lower() != ".csv":
         return score(file, fps, task.id)
     video = report.video_of(file)

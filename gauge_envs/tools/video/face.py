@@ -1,4 +1,4 @@
-"""Detect the face of a cube that rides a turntable in the frames of a video."""
+"""Detect the face of a cube on a turntable in the frames of a video."""
 
 import math
 
@@ -20,36 +20,36 @@ from gauge_envs.tools.video.shape import (
 from gauge_envs.tools.video.tasks import PLATE_RADIUS_PX, VideoTask
 
 FACE, WINDOW = 0.6, 0.4
-"""Half of the followed square, and how far around it the next one is looked for, in sizes of the object."""
+"""Half side of the followed square, and search distance for the next square, in sizes of the object."""
 
 RENEWAL = 0.2
-"""Share of a frame that the template takes over: metal changes its brightness as it turns to the lamp."""
+"""Weight of each frame in the template: the brightness of metal changes as it rotates to the lamp."""
 
 MIN_CORRELATION = 0.5
-"""Smallest correlation with the template that shows the object."""
+"""Smallest correlation of the object with the template."""
 
 SEARCHED_RAD = (0.0, 0.15, -0.15, 0.3, -0.3, 0.5, -0.5, 0.8, -0.8)
-"""Angles about the axis at which an object that was lost is looked for [rad]."""
+"""Angles about the axis for the search of a lost object [rad]."""
 
 SMOOTH_PX = 3.0
-"""Width of the grain that does not count in the likeness of a face [px]."""
+"""Width of the grain that is smoothed before faces are compared [px]."""
 
 MIN_CONTRAST = 80.0
-"""Distance of the colours of plate and object from which its area is known: a plate of wood has veins."""
+"""Smallest distance of the colours of plate and object that shows the area: a wooden plate has veins."""
 
 RIM = 0.95
-"""Part of the plate inside its rim, in its radius."""
+"""Radius of the plate without its rim, relative to the radius."""
 
 MIN_TWIN_AREA = 0.4
 """Smallest area of a second object, relative to the first."""
 
 
 class FaceDetector:
-    """Detect the face of a cube on a turntable by a template that rotates with it and is renewed in each frame.
+    """Detect the face of a cube on a turntable by a template that rotates with it and is updated in each frame.
 
-    The search starts at the place and angle that the last two frames predict, and then goes around the axis. The area
-    of the cube's colour shows its size and shape, and second objects, where the plate has another colour. Reflections
-    change the brightness of metal, so its tint counts there.
+    The search starts at the place and angle predicted by the last two frames, then continues around the axis. If the
+    plate has another colour, areas of the cube's colour show second objects. Reflections change the brightness of
+    metal, so only its tint is compared.
 
     Args:
         first: The first frame.
@@ -77,11 +77,11 @@ class FaceDetector:
         self._middle, self._contrast = 0.5 * (plate + cube), cube - plate
 
     def candidates(self, picture: Picture) -> list[Detection]:
-        """Return the detection of the object in the next frame, then those of others; none where it is lost."""
+        """Return the detection of the object in the next frame, then further objects; empty if the object is lost."""
         grey = _grey(picture)
-        starts = [self._pose + self._step]
-        starts += [self._swung(angle_rad) for angle_rad in SEARCHED_RAD]
-        matches = (self._matched(picture, grey, start) for start in starts)
+        guesses = [self._pose + self._step]
+        guesses += [self._swung(angle_rad) for angle_rad in SEARCHED_RAD]
+        matches = (self._matched(picture, grey, guess) for guess in guesses)
         match = next((match for match in matches if match[1] >= MIN_CORRELATION), None)
         if match is None:
             self._step = np.zeros(3)
@@ -91,12 +91,12 @@ class FaceDetector:
         face = turned_square(grey, pose, self._half)
         self._template = (1.0 - RENEWAL) * self._template + RENEWAL * face
         if not self._is_shiny:
-            # The renewed template would follow a cube that melts. Reflections change the face of metal.
+            # The updated template would follow a melting cube, so compare with the first face. Metal has reflections.
             value = max(0.0, float((_normed(face) * self._face).mean())) ** 2
         return [Detection(pose[1:], min(1.0, value)), *self._areas(picture)]
 
     def _areas(self, picture: Picture) -> list[Detection]:
-        """Return all areas of the plate with the colour of the cube that are as large as a second object."""
+        """Return all areas of the plate with the colour of the cube and the size of a second object."""
         if self._is_shiny or np.linalg.norm(self._contrast) <= MIN_CONTRAST:
             return []
         is_cube = (shrunk(picture) - self._middle) @ self._contrast > 0.0
@@ -109,22 +109,22 @@ class FaceDetector:
         return [Detection(middle / COARSE, 1.0) for middle in middles[1:][is_large]]
 
     def _matched(
-        self, picture: Picture, grey: Gray, start: FloatArray
+        self, picture: Picture, grey: Gray, guess: FloatArray
     ) -> tuple[FloatArray, float]:
-        """Return the pose near another one at which the picture is most like the template, and the likeness there."""
+        """Return the pose near a guess with the largest likeness to the template, and this likeness."""
         wide = self._half + int(WINDOW * self._size_px)
-        window = turned_square(grey, start, wide)
+        window = turned_square(grey, guess, wide)
         value, warp = aligned(self._template, window, cv2.MOTION_EUCLIDEAN)
         angle_rad = math.atan2(warp[1, 0], warp[0, 0])
         move_px = warp @ [self._half, self._half, 1.0] - wide
-        pose = start + np.array([angle_rad, *(rotation_of(start[0]) @ move_px)])
+        pose = guess + np.array([angle_rad, *(rotation_of(guess[0]) @ move_px)])
         is_on_plate = math.dist(pose[1:], self._pivot_px) < PLATE_RADIUS_PX
-        # Correlation does not depend on colour, and an edge of the plate is like one of the object.
+        # Correlation ignores colour, and an edge of the plate resembles an edge of the object.
         colour = colour_at(picture, pose[1:], self._size_px)
         return pose, is_on_plate * value * likeness_of(tint_of(colour, self._colour))
 
     def _swung(self, angle_rad: float) -> FloatArray:
-        """Return the pose that has rotated about the axis of the plate."""
+        """Return the pose after a rotation about the axis of the plate."""
         arm_px = self._pose[1:] - self._pivot_px
         place_px = self._pivot_px + rotation_of(angle_rad) @ arm_px
         return np.array([self._pose[0] + angle_rad, *place_px])
@@ -136,6 +136,6 @@ def _grey(picture: Picture) -> Gray:
 
 
 def _normed(grey: Gray) -> Gray:
-    """Return a picture without its grain, at the mean 0 and the standard deviation 1."""
+    """Return a smoothed picture with mean 0 and standard deviation 1."""
     smooth = cv2.GaussianBlur(grey, (0, 0), SMOOTH_PX)
     return (smooth - smooth.mean()) / max(float(smooth.std()), 1e-9)

@@ -1,6 +1,6 @@
-"""Read the frames of a video, and find how they lie on the grid of the known first frames.
+"""Read the frames of a video, and register them on the grid of the known first frames.
 
-A source is decoded each time that it is read: ten seconds of video at full size would take gigabytes of memory.
+Each iteration decodes the video again: ten seconds of video at full size take gigabytes of memory.
 """
 
 from collections.abc import Iterator
@@ -22,7 +22,7 @@ from gauge_envs.tools.video.tasks import (
 
 
 class _OpenCV:
-    """OpenCV, which is imported when one of its names is used: it is optional, and slow to import."""
+    """OpenCV, imported on first use: it is optional and slow to import."""
 
     def __getattr__(self, name: str) -> Any:
         with needs_extra("OpenCV", "video"):
@@ -39,14 +39,14 @@ Gray: TypeAlias = NDArray[np.float32]
 """Brightness or covered share of pixels, shape [height, width]."""
 
 MIN_FPS, MAX_FPS = 5.0, 1000.0
-"""Range of frame rates [1/s]: with fewer pictures, a fall is over between two of them."""
+"""Range of frame rates [1/s]: at lower rates, a fall may end between two frames."""
 
 
 # --- reading ----------------------------------------------------------------------------------------------------------
 
 
 class FileFrames:
-    """Frames of a video file, which can be read repeatedly.
+    """Frames of a video file; they can be read repeatedly.
 
     Args:
         path: File that OpenCV can decode, such as MP4 or WebM.
@@ -64,11 +64,11 @@ class FileFrames:
     def __init__(self, path: Path, *, fps: float | None = None) -> None:
         self.path = path
         if not path.is_file():
-            raise VideoError(f"{path}: there is no such file")
+            raise VideoError(f"{path}: no such file")
         capture = self._opened()
         if not capture.grab():
             raise VideoError(
-                f"{path}: OpenCV cannot decode it; convert it by ffmpeg -i {path.name} -c:v libx264 video.mp4"
+                f"{path}: OpenCV cannot decode it; convert it with ffmpeg -i {path.name} -c:v libx264 video.mp4"
             )
         width = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
         height = int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
@@ -88,7 +88,7 @@ class FileFrames:
             is_read, picture = capture.read()
 
     def _opened(self) -> Any:
-        # The error of this package says more than the warnings of OpenCV.
+        # Errors of this package replace the warnings of OpenCV.
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         return cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
 
@@ -98,19 +98,19 @@ class FileFrames:
 
 @dataclass(frozen=True, kw_only=True)
 class Registration:
-    """How the pixels of a video lie on the reference grid: `grid = scale * pixel + offset` on each axis.
+    """Map from pixels of a video to the reference grid: `grid = scale * pixel + offset` on each axis.
 
-    Coordinates count from the corner of a picture, so the middle of its first pixel is at 0.5.
+    Coordinates start at the corner of a picture, so the centre of its first pixel is at 0.5.
 
     Attributes:
-        scale_x: Pixels of the grid for each pixel of the video, horizontally.
-        scale_y: The same vertically.
+        scale_x: Horizontal pixels of the grid for each pixel of the video.
+        scale_y: Vertical pixels of the grid for each pixel of the video.
         offset_x_px: Place of the left edge of the video on the grid [px].
         offset_y_px: Place of the top edge of the video on the grid [px].
-        method: `stretch`: width and height are scaled independently; `crop` and `pad`: both by one factor, about the
-            middle.
+        method: `stretch` scales width and height independently; `crop` and `pad` scale both by one factor, about the
+            centre.
         support: Share of the outline that agrees, 1.
-        problem: Why the registration is doubtful; empty when it is not.
+        problem: Why the registration is doubtful; empty if it is not.
     """
 
     scale_x: float
@@ -133,7 +133,7 @@ class Registration:
 
     def applied(self, picture: Picture) -> Picture:
         """Return a picture of the video on the reference grid; its edge pixels fill the area outside it."""
-        # Integer coordinates of OpenCV are the middles of pixels.
+        # Integer coordinates of OpenCV are centres of pixels.
         offset_px = self.offset_px + 0.5 * self.scale - 0.5
         matrix = np.column_stack([np.diag(self.scale), offset_px])
         return np.asarray(
@@ -144,7 +144,7 @@ class Registration:
 
 
 def laid_out(size_px: tuple[int, int], method: str = "stretch") -> Registration:
-    """Return the registration of a video of a size by a method: `stretch`, as in the paper, `crop` or `pad`.
+    """Return the registration of a video by a method: `stretch`, as in the paper, `crop` or `pad`.
 
     Args:
         size_px: Width and height of the video [px].
@@ -165,14 +165,14 @@ def laid_out(size_px: tuple[int, int], method: str = "stretch") -> Registration:
 
 
 # --- registration by the outline --------------------------------------------------------------------------------------
-# Video models keep other sizes than the 832 x 480 pixels of the first frames, and reach them in different ways. With
-# the right registration, edges of the picture lie on the known outline of the object.
+# Video models produce other sizes than the 832 x 480 pixels of the first frames, by different methods. With the right
+# registration, edges of the picture lie on the known outline of the object.
 
-UNSEEN = "the object is not seen at its place in the known first frame"
-"""Problem of a clip whose first frame does not show the outline."""
+UNSEEN = "the object is not visible at its place in the known first frame"
+"""Problem of a clip without the outline in its first frame."""
 
-CLOSE_PX, REACH_PX = 2, 10
-"""Distances from the known outline at which an edge agrees, and within which the strongest edge is looked for [px]."""
+CLOSE_PX, SEARCH_PX = 2, 10
+"""Distance of an agreeing edge from the known outline, and search distance for the strongest edge [px]."""
 
 MIN_SUPPORT = {
     Motion.SLIDE: 0.61,
@@ -181,14 +181,14 @@ MIN_SUPPORT = {
     Motion.CRADLE: 0.6,
     Motion.PENDULUM: 0.78,
 }
-"""Smallest support of a registration that agrees. Published clips have at least 0.64, 0.90, 0.86, 0.63 and 0.88. Of
-random places and scales in them, 95 % stay below 0.62, 0.68, 0.52, 0.52 and 0.65."""
+"""Smallest support of an agreeing registration. Published clips have at least 0.64, 0.90, 0.86, 0.63 and 0.88. Random
+places and scales in these clips have at most 0.62, 0.68, 0.52, 0.52 and 0.65 (95 %)."""
 
 CLEAR = 0.04
-"""Difference of the supports of two registrations from which one is clearly better."""
+"""Smallest difference of the supports of two registrations if one is clearly better."""
 
 MIN_VISIBLE_SHARE = 0.5
-"""Smallest share of the outline that a crop must leave in the picture."""
+"""Smallest visible share of the outline in a crop."""
 
 
 def registration_by_outline(picture: Picture, task: VideoTask) -> Registration:
@@ -213,7 +213,7 @@ def registration_by_outline(picture: Picture, task: VideoTask) -> Registration:
 
 
 def _support(registration: Registration, picture: Picture, outline: BoolArray) -> float:
-    """Return the mean strength of the edges on the outline, relative to the strongest ones beside it."""
+    """Return the mean strength of edges on the outline, relative to the strongest edges near it."""
     points = np.argwhere(outline)[:, ::-1] + 0.5
     pixels = (points - registration.offset_px) / registration.scale
     is_seen = ((pixels > 0.0) & (pixels < picture.shape[1::-1])).all(axis=1)
@@ -223,14 +223,14 @@ def _support(registration: Registration, picture: Picture, outline: BoolArray) -
     edges = cv2.morphologyEx(light, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
     close, near = (
         cv2.dilate(edges, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
-        for side in (2 * CLOSE_PX + 1, 2 * REACH_PX + 1)
+        for side in (2 * CLOSE_PX + 1, 2 * SEARCH_PX + 1)
     )
     shares = close[outline] / np.maximum(near[outline], 1.0)
     return float(shares[is_seen].mean())
 
 
 def _outline(task: VideoTask) -> BoolArray:
-    """Return which pixels of the grid are on the outlines that a task knows, shape [480, 832]."""
+    """Return the pixels of the grid on the known outlines of a task, shape [480, 832]."""
     width, height = REFERENCE_SIZE_PX
     drawn = np.zeros((height, width), np.uint8)
     size_px, circles = task.size_px, [(*task.centre_px, 0.5 * task.size_px)]

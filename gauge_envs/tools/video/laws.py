@@ -1,7 +1,7 @@
-"""Fit the laws that video models are judged by: constant acceleration, limited friction, impacts, damped oscillation.
+"""Fit the laws of the video tasks: constant acceleration, limited friction, impacts, damped oscillation.
 
 Each fit takes times and positions of a track in SI units. The equations are those of GAUGE's paper (arXiv 2608.05948),
-section "Physical-Consistency Analysis" of the appendix. `retained` chooses the frames of a track to which they apply.
+section "Physical-Consistency Analysis" of the appendix. `retained` selects the frames of a track for a fit.
 
 Example:
     >>> import numpy as np
@@ -24,7 +24,7 @@ from gauge_envs.tools.video.tasks import Motion, VideoTask
 from gauge_envs.tools.video.track import Track
 
 GRAVITY_M_PER_S2 = 9.80665
-"""Gravity in the friction limit of the turntable, as the paper states it."""
+"""Gravity in the friction limit of the turntable, as in the paper."""
 
 
 class AccelerationFit(NamedTuple):
@@ -35,7 +35,7 @@ class AccelerationFit(NamedTuple):
     release_s: float
     """Time of the release, on the clock of the samples [s]."""
     qfi: float
-    """Quadratic form improvement: F statistic of a further term in the fourth power of time, 1."""
+    """Quadratic form improvement: F statistic of an extra term in the fourth power of time, 1."""
     form: float
     """Root-mean-square residual divided by the displacement, 1: independent of acceleration and scale."""
 
@@ -50,7 +50,7 @@ class OscillationFit(NamedTuple):
     r2: float
     """Coefficient of determination, 1."""
     residuals_rad: FloatArray
-    """Difference of the samples from the law [rad], shape [sample_count]."""
+    """Samples minus the law [rad], shape [sample_count]."""
 
 
 def fit_constant_acceleration(
@@ -62,14 +62,14 @@ def fit_constant_acceleration(
 ) -> AccelerationFit:
     """Fit a motion from rest with constant acceleration, linear in squared time.
 
-    Equations "c3-acceleration", "c3-quadratic" and "qfi" of the paper's appendix. The paper counts time from the first
-    retained frame. A real release falls between two frames, so the time of release may be fitted too.
+    Equations "c3-acceleration", "c3-quadratic" and "qfi" of the paper's appendix. In the paper, time starts at the
+    first retained frame. A real release is between two frames, so the release time may be fitted too.
 
     Args:
-        times_s: Times [s], shape [sample_count], increasing; four or more.
+        times_s: Times [s], shape [sample_count], increasing, at least four.
         displacement_m: Displacement along the fixed direction [m], shape [sample_count].
-        release_s: Time of the release [s]; samples before it are at rest. The first time if None.
-        release_within_s: Half-width of the interval about it in which the release is searched [s].
+        release_s: Time of the release [s]; earlier samples are at rest. None means the first time.
+        release_within_s: Half-width of the search interval around `release_s` [s].
     """
     release = times_s[0] if release_s is None else release_s
 
@@ -87,7 +87,7 @@ def fit_constant_acceleration(
         ).x
     linear = squared_residual(shift_s, 0, 2)
     quadratic = squared_residual(shift_s, 0, 2, 4)
-    # Residuals of rounding size do not describe the form of the relation.
+    # Rounding errors do not show the form of the relation.
     is_exact = linear <= 1e-24 * _squared(displacement_m)
     freedom = len(times_s) - 3
     since_s = np.maximum(times_s - release - shift_s, 0.0)
@@ -102,13 +102,13 @@ def fit_constant_acceleration(
 def dynamic_error(
     times_s: FloatArray, positions_m: FloatArray, *, mass_kg: float, friction: float
 ) -> float:
-    """Return by how much the needed force exceeds the available friction, on average [N].
+    """Return the mean excess of the required force over the available friction [N].
 
     Equations "c4-acceleration", "c4-unequal", "c4-friction" and "c4-de" of the paper's appendix: three-point
     accelerations of unsmoothed positions.
 
     Args:
-        times_s: Times [s], shape [sample_count], increasing, three or more; gaps are allowed.
+        times_s: Times [s], shape [sample_count], increasing, at least three; gaps are allowed.
         positions_m: Positions in the plane [m], shape [sample_count, 2].
         mass_kg: Mass of the body [kg].
         friction: Coefficient of friction, 1.
@@ -126,18 +126,18 @@ def fit_damped_oscillation(
 ) -> OscillationFit:
     """Fit a damped oscillation to an angle over time.
 
-    Equations "c7-fit", "c7-r2" and "c7-pd" of the paper's appendix: for each damping and angular frequency, the
-    equilibrium and both amplitudes follow by linear least squares. A grid gives the best pair, and a least-squares
-    search continues from it. Frequencies reach from half a cycle in the window up to a quarter of the sampling rate,
-    16 for each cycle in the window. The damping may be negative.
+    Equations "c7-fit", "c7-r2" and "c7-pd" of the paper's appendix. For each damping and angular frequency, linear
+    least squares give the equilibrium and both amplitudes. The best pair on a grid is the start of a least-squares
+    search. The grid has 16 frequencies for each cycle in the window, from half a cycle to a quarter of the sampling
+    rate. The damping may be negative.
 
     Args:
-        times_s: Times [s], shape [sample_count], increasing, eight or more; gaps are allowed.
-        angles_rad: Angles against the vertical [rad], shape [sample_count].
-        start: Fit of a similar swing from which the search starts, instead of the grid.
+        times_s: Times [s], shape [sample_count], increasing, at least eight; gaps are allowed.
+        angles_rad: Angles from the vertical [rad], shape [sample_count].
+        start: Fit of a similar swing that replaces the grid.
     """
     window_s = np.ptp(times_s)
-    # Damping and angular frequency are searched in inverse windows.
+    # The unit of damping and angular frequency is 1 / window.
     clock = (times_s - times_s[0]) / window_s
 
     def residual(search: FloatArray) -> FloatArray:
@@ -173,42 +173,42 @@ def _squared(values: FloatArray) -> float:
 # --- retained frames -------------------------------------------------------------------------------------------------
 
 WINDOW = 6
-"""Frames of the window in which motion or rest is decided, as in the paper."""
+"""Number of frames in the window that decides between motion and rest, as in the paper."""
 
 MOVING_PX, MOVING_DEG = 1.5, 0.8
-"""Displacement and rotation of a pendulum in a window with which an object moves; trackers scatter by 0.1 to 0.4 px."""
+"""Smallest displacement, or rotation of a pendulum, in a window with motion. Trackers scatter by 0.1 to 0.4 px."""
 
 RELEASED_PX, RELEASED_DEG = 0.6, 0.32
-"""Displacement and rotation from rest that a frame may have and still count as the release."""
+"""Largest displacement and rotation from rest in the frame of the release."""
 
 OFF_LINE = 0.5
-"""Distance from the fixed line at which an object has left it, in its sizes."""
+"""Largest distance of an object from its fixed line, in its sizes."""
 
 ESTABLISHED = 0.25
-"""Displacement with which a motion is established, in sizes of the object."""
+"""Displacement after which a motion is established, in sizes of the object."""
 
 IMPACT = 0.25
-"""Largest share of the speed that is left after an impact."""
+"""Largest share of the speed after an impact."""
 
 APEX_SEPARATION_S = 0.35
-"""Shortest time between two apices [s]: about half a period of the cradle's balls."""
+"""Shortest time between two apices [s]: about half a period of the balls."""
 
 MIN_APEX_RAD = 0.08
-"""Smallest angle of an apex [rad]; hanging balls have none."""
+"""Smallest angle of an apex [rad]; hanging balls stay below it."""
 
 APEX_FALL = 0.1
-"""Fall of the angle on both sides of an apex, relative to the apex. Balls that tremble fall less."""
+"""Smallest decrease of the angle on both sides of an apex, relative to the apex. Trembling balls have less."""
 
 
 def displacement_px(track: Track, task: VideoTask) -> FloatArray:
-    """Return the displacement along the fixed direction of a task since the first place [px], shape [frame_count]."""
+    """Return the displacement from the first place along the direction of a task [px], shape [frame_count]."""
     assert task.direction is not None
     first = track.points_px[track.is_found][0]
     return (track.points_px - first) @ np.array(task.direction)
 
 
 def swing_angles_rad(track: Track, task: VideoTask) -> FloatArray:
-    """Return the angle of the object about the pivot, from the vertical [rad], shape [frame_count].
+    """Return the angle of the object about the pivot from the vertical [rad], shape [frame_count].
 
     Equation "c7-angle" of the paper's appendix; positive to the right.
     """
@@ -218,11 +218,11 @@ def swing_angles_rad(track: Track, task: VideoTask) -> FloatArray:
 
 
 def retained(track: Track, task: VideoTask) -> tuple[int, int] | None:
-    """Return the first and the last retained row of a track; None when the object does not move.
+    """Return the first and the last retained row of a track; None if the object does not move.
 
     Args:
         track: The track.
-        task: The task, whose kind of motion decides the rule.
+        task: The task; its kind of motion selects the rule.
     """
     rows = np.flatnonzero(track.is_found)
     if task.motion is Motion.CRADLE:
@@ -232,32 +232,32 @@ def retained(track: Track, task: VideoTask) -> tuple[int, int] | None:
         return None
     if task.direction is not None:
         return _straight(track, task, rows)
-    places, moving, released = track.points_px[rows], MOVING_PX, RELEASED_PX
+    values, moving, released = track.points_px[rows], MOVING_PX, RELEASED_PX
     if task.motion is Motion.PENDULUM:
-        places = np.degrees(swing_angles_rad(track, task)[rows, None])
+        values = np.degrees(swing_angles_rad(track, task)[rows, None])
         moving, released = MOVING_DEG, RELEASED_DEG
-    window_steps = np.linalg.norm(places[WINDOW:] - places[:-WINDOW], axis=1)
-    starts = np.flatnonzero(window_steps > moving)
-    if not len(starts):
+    window_steps = np.linalg.norm(values[WINDOW:] - values[:-WINDOW], axis=1)
+    moving_rows = np.flatnonzero(window_steps > moving)
+    if not len(moving_rows):
         return None
-    away = np.linalg.norm(places[starts[0] + 1 :] - places[starts[0]], axis=1)
-    first = int(rows[starts[0] + (away > released).argmax()])
-    last = int(rows[starts[-1] + WINDOW])
-    # A swing and a ride go on, so frames without the object count.
+    away = np.linalg.norm(values[moving_rows[0] + 1 :] - values[moving_rows[0]], axis=1)
+    first = int(rows[moving_rows[0] + (away > released).argmax()])
+    last = int(rows[moving_rows[-1] + WINDOW])
+    # Swings and rides continue, so frames without the object count.
     if task.motion is Motion.PENDULUM or last == rows[-1]:
         last = len(track.frames) - 1
     return (first, last) if last - first >= WINDOW else None
 
 
 def _straight(track: Track, task: VideoTask, rows: IntArray) -> tuple[int, int] | None:
-    """Return the first and last row of a slide or a fall, of those in which the object is found."""
-    # A place that lasts one frame is an error of the tracker and no motion.
+    """Return the first and last row of a slide or a fall."""
+    # A displacement in a single frame is a tracking error.
     along_px = median_filter(displacement_px(track, task)[rows], 3, mode="nearest")
     is_established = along_px > ESTABLISHED * task.size_px
     if not is_established.any():
         return None
     established = int(is_established.argmax())
-    # The release is after the last window without motion.
+    # The release follows the last window without motion.
     window_px = along_px - along_px[np.maximum(np.arange(len(rows)) - WINDOW, 0)]
     resting = np.flatnonzero(window_px[: established + 1] <= MOVING_PX)
     start = max(0, int(resting[-1]) - WINDOW)
@@ -266,7 +266,7 @@ def _straight(track: Track, task: VideoTask, rows: IntArray) -> tuple[int, int] 
     end = len(rows) - 1
     for index in range(established, len(rows) - 1):
         if _stops(along_px, rows, index):
-            # The exposure of the last frame before an impact may contain it.
+            # The exposure of the last frame may include the impact.
             is_before = along_px[index + 1] - along_px[index] > MOVING_PX
             end = index + int(is_before) - 2
             break
@@ -281,24 +281,24 @@ def _straight(track: Track, task: VideoTask, rows: IntArray) -> tuple[int, int] 
 
 
 def _stops(along_px: FloatArray, rows: IntArray, index: int) -> bool:
-    """Return whether a body loses most of its speed at once, by coming to rest or by an impact with a rebound."""
+    """Return whether a body suddenly loses most of its speed, at rest or in an impact."""
     earlier = np.arange(max(0, index - 2), index + 1)
     before_px = (np.diff(along_px[earlier]) / np.diff(rows[earlier])).max()
-    # The speed does not come back within the window.
+    # The speed must stay small within the window.
     later = np.minimum([index + 2, index + WINDOW], len(rows) - 1)
     after_px = (along_px[later] - along_px[index]) / (rows[later] - rows[index])
     return bool(after_px.max() <= IMPACT * before_px)
 
 
 def apices(frames: IntArray, angles_rad: FloatArray, fps: float) -> IntArray:
-    """Return the rows of the apices of a ball that swings out, in order.
+    """Return the rows of the apices of an outgoing ball, in order.
 
-    An apex is the largest angle within `APEX_SEPARATION_S` on both sides. The ball rises from below and falls again:
-    balls that hang and tremble do not.
+    An apex is the largest angle within `APEX_SEPARATION_S` on both sides. The ball must rise and fall, unlike trembling
+    balls.
 
     Args:
-        frames: Numbers of the frames in which the ball was found, shape [frame_count].
-        angles_rad: Its angles from the vertical [rad], shape [frame_count].
+        frames: Numbers of the frames with the ball, shape [frame_count].
+        angles_rad: Angles of the ball from the vertical [rad], shape [frame_count].
         fps: Frames per second.
     """
     separation = max(1, int(APEX_SEPARATION_S * fps))
@@ -316,9 +316,9 @@ def apices(frames: IntArray, angles_rad: FloatArray, fps: float) -> IntArray:
 
 
 def peak(times_s: FloatArray, heights_m: FloatArray) -> float:
-    """Return the largest height of a parabola through three places [m]: an apex lies between two frames."""
+    """Return the largest height of a parabola through three places [m]: an apex is between two frames."""
     clock_s = times_s - times_s[1]
     a, b, height_m = np.polyfit(clock_s, heights_m, 2)
-    # Three places that are nearly on a line have their vertex far away.
+    # Three places on a nearly straight line have a distant vertex.
     is_between = a < 0.0 and clock_s[0] <= -0.5 * b / a <= clock_s[2]
     return float(height_m - 0.25 * b**2 / a if is_between else height_m)

@@ -1,7 +1,7 @@
-"""Fetch the inputs of a video model from the benchmark's repository: the first frame and the prompt of each task.
+"""Fetch the inputs of a video model, first frames and prompts, from the repository of the benchmark.
 
-They are files of the benchmark and no part of this package. `scoring/published/world_model_inputs.csv` lists the place,
-the size and the hash of each file.
+The files are not part of this package. `scoring/published/world_model_inputs.csv` lists place, size and hash of each
+file.
 """
 
 import hashlib
@@ -21,21 +21,21 @@ REPOSITORY = "https://github.com/InternRobotics/GAUGE"
 """Repository of the benchmark (MIT licence)."""
 
 COMMIT = "7b36d9b42be95da33c5496b3fe015412c079735a"
-"""Commit of the repository whose files are fetched."""
+"""Commit of the fetched files."""
 
 SOURCE = f"https://raw.githubusercontent.com/InternRobotics/GAUGE/{COMMIT}"
-"""Address of the files of that commit."""
+"""Address of the files of this commit."""
 
 NOTE = "world_model_inputs.md"
-"""Name of the note that is written with the inputs."""
+"""Name of the note next to the inputs."""
 
 BY_HAND = (
-    f"without a network, run `git clone {REPOSITORY}` and `git checkout {COMMIT}` elsewhere, bring its folder `input` "
-    "here, and give the folder that contains it as source"
+    f"without a network, run `git clone {REPOSITORY}` and `git checkout {COMMIT}` on another machine, copy its folder "
+    "`input`, and give the parent folder as source"
 )
 
 TIMEOUT_S = 30.0
-"""Longest wait for an answer or for the next bytes [s]."""
+"""Time limit for an answer or for the next bytes [s]."""
 
 WOOD_PROMPT = "SlopeSlider-2-wood.txt"
 
@@ -44,17 +44,17 @@ PLASTIC_CHANGES = (
     ("between wood and wood is 0.27", "between plastic and wood is 0.28"),
     ("for the cube is 0.22", "for the cube is 0.38"),
 )
-"""Differences between the prompts for the wooden and the plastic cube on the slope in the paper (arXiv 2608.05948)."""
+"""Differences between the prompts for the wooden and the plastic cube on the slope (arXiv 2608.05948)."""
 
 
 class InputFile(FileModel):
     """One file of the inputs.
 
     Attributes:
-        file: Its name here: the id of the task with `.png` for the first frame and `.txt` for the prompt.
-        source: Its path in the repository; None for the plastic prompt, which is made from the wooden one.
-        size_bytes: Its size.
-        sha256: Its SHA-256 hash in hexadecimal digits.
+        file: Name: the id of the task with `.png` for the first frame or `.txt` for the prompt.
+        source: Path in the repository; None for the plastic prompt, which derives from the wooden prompt.
+        size_bytes: Size [byte].
+        sha256: SHA-256 hash in hexadecimal digits.
     """
 
     file: str
@@ -65,7 +65,7 @@ class InputFile(FileModel):
 
 @cache
 def input_files() -> tuple[InputFile, ...]:
-    """Return the table of all files: first frames, then prompts, then the negative prompt."""
+    """Return all files: first frames, prompts, and the negative prompt."""
     file = scoring_folder("published") / "world_model_inputs.csv"
     return tuple(read_rows(file, InputFile))
 
@@ -78,15 +78,15 @@ def fetch_inputs(
 ) -> list[str]:
     """Write the first frames, the prompts and a note to a folder, and return the names of the files.
 
-    Nothing is written unless all files are fetched and have their hashes.
+    Files are written only if all files are fetched and have the expected hashes.
 
     Args:
-        folder: Folder to write to; it is created if it is missing.
-        source: Address or folder that contains the repository's folder `input`.
-        advance: Called with the name of each file that is fetched.
+        folder: Folder of the files, created if it does not exist.
+        source: Address or folder that contains the folder `input` of the repository.
+        advance: Receives the name of each fetched file.
 
     Raises:
-        DatasetError: A file cannot be read, has another hash, or would replace another file.
+        DatasetError: A file cannot be read, has a wrong hash, or would replace another file.
         ResultFileError: A file cannot be written.
     """
     if not source.lower().startswith(("https://", "http://")):
@@ -104,7 +104,7 @@ def fetch_inputs(
         digest = hashlib.sha256(content).hexdigest()
         if digest != file.sha256:
             raise DatasetError(
-                f"{address}: has the SHA-256 hash {digest}, expected {file.sha256}: damaged, or another file; {BY_HAND}"
+                f"{address}: has the SHA-256 hash {digest}, expected {file.sha256}: damaged or wrong file; {BY_HAND}"
             )
         contents[file.file] = content
         advance(file.file)
@@ -119,7 +119,7 @@ def fetch_inputs(
 def _read(address: str, size_bytes: int) -> bytes:
     try:
         with urlopen(address, timeout=TIMEOUT_S) as response:
-            # A longer answer shows by one byte more than expected.
+            # One extra byte detects a longer answer.
             content: bytes = response.read(size_bytes + 1)
     except (OSError, HTTPException, ValueError) as error:
         raise DatasetError(f"{address}: cannot be read: {error}; {BY_HAND}") from error

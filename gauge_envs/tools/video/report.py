@@ -1,4 +1,4 @@
-"""Report the world-model track: tables of tasks and scores beside published values, a page, and overlays."""
+"""Report scores of videos: tables with published values, a page, and overlays."""
 
 import csv
 import io
@@ -41,40 +41,40 @@ TITLES = {
     "high": "to",
     "real": "real trials",
 }
-"""Titles of metrics and columns by name, where they differ from it."""
+"""Titles of metrics and columns that differ from their names."""
 
 VERDICT_NOTE = (
-    "On renderers that the rules had not met, about one in ten sound tracks of version 0.3.0 was wrong (77 of 665). "
-    "Look at what was followed."
+    "On unknown renderers, about one in ten sound tracks of version 0.3.0 was wrong (77 of 665). Check which object "
+    "was followed."
 )
 """Reliability of the verdict of a track."""
 
 VALUES_NOTE = (
     f"{VERDICT_NOTE} "
-    "Mean over the clips (seeds) of a model whose track is sound, and their share. Interval of 95 %: of the mean by "
-    "Student's t; of one clip, of simulated tracks. Metrics in capitals and a: as the paper defines them. Published: "
-    "GAUGE, arXiv 2608.05948, Table 3. Law: of the ideal motion with the calibrated constants, Table 3 again. The "
-    "paper does not publish the frames of its fits."
+    "Mean over the clips (seeds) with sound tracks, and their share. Interval of 95 %: Student's t for the mean; "
+    "simulated tracks for a single clip. The paper defines a and the metrics in capitals. Published: GAUGE, arXiv "
+    "2608.05948, Table 3. Law: ideal motion with the calibrated constants, Table 3. The paper does not publish the "
+    "frames of its fits."
 )
 
 VIDEO_SUFFIXES = (".mp4", ".webm", ".mkv", ".mov", ".avi")
-"""Suffixes of videos; a track has `.csv`."""
+"""Suffixes of videos; tracks have `.csv`."""
 
 RETAINED, DROPPED = (80, 200, 80), (150, 150, 150)
-"""Colours in blue, green and red: of retained and of dropped places."""
+"""Colours of retained and of dropped places, in blue, green and red."""
 
 Clips: TypeAlias = Sequence[tuple[str, str, Path, VideoScore | None]]
-"""Model, task, file and result of each clip; no result for a clip that cannot be scored."""
+"""Model, task, file and result of each clip; the result is None if the clip cannot be scored."""
 
 Row: TypeAlias = dict[str, Any]
-"""Values of a row of a table by the key of their column."""
+"""Values of a table row by the key of the column."""
 
 
 # --- tables ----------------------------------------------------------------------------------------------------------
 
 
 def _table(rows: Sequence[Row], *notes: str) -> Table:
-    """Return a table of rows with the same keys; a number has four digits."""
+    """Return a table of rows with the same keys; numbers have four digits."""
     columns = []
     for key in rows[0]:
         is_text = any(isinstance(row[key], str) for row in rows)
@@ -84,13 +84,13 @@ def _table(rows: Sequence[Row], *notes: str) -> Table:
 
 
 def _real_text(task: VideoTask, name: str) -> str | None:
-    """Return the mean and the standard deviation of real trials; None where there are none."""
+    """Return the mean and the standard deviation of real trials, if any."""
     real = task.real.get(name)
     return None if real is None else f"{real.mean:.4g} +- {real.std:.2g}"
 
 
 def task_table(tasks: Iterable[VideoTask]) -> Table:
-    """Return the tasks with their object, scale, and the values of the law and of real trials."""
+    """Return the tasks with object, scale, and values of the law and of real trials."""
     rows = []
     for task in tasks:
         law = [f"{TITLES[name]} {value:g}" for name, value in task.law.items()]
@@ -108,18 +108,18 @@ def task_table(tasks: Iterable[VideoTask]) -> Table:
 
 
 def verdict(result: VideoScore) -> str:
-    """Return whether a track is sound, and which frames the law was fitted to."""
+    """Return whether a track is sound, and the frames of the fit."""
     span = result.interval_frames
     frames = f"frames {span[0]} to {span[1]} are" if span else "no frame is"
     return f"the track is {'' if result.is_sound else 'not '}sound; {frames} retained"
 
 
 def score_document(result: VideoScore, task: VideoTask) -> Document:
-    """Return the result of one video: its verdict with the reasons, and each metric with its interval.
+    """Return the result of one video: verdict, reasons, and metrics with intervals.
 
     Args:
         result: The result.
-        task: Task whose law and real trials are shown too.
+        task: Task with the law and the real trials.
     """
     rows = []
     for name, value in result.metrics.items():
@@ -146,7 +146,7 @@ def score_document(result: VideoScore, task: VideoTask) -> Document:
 
 
 def results_table(clips: Clips) -> Table:
-    """Return a row for each model, task and metric: mean over sound clips, interval, and published value."""
+    """Return a row for each model, task and metric: mean over sound clips, interval, published value."""
     seeds: dict[tuple[str, str], list[VideoScore | None]] = {}
     for model, task, _, result in clips:
         seeds.setdefault((model, task), []).append(result)
@@ -162,7 +162,7 @@ def results_table(clips: Clips) -> Table:
 
 
 def _metric_row(name: str, task: VideoTask, seeds: list[VideoScore | None]) -> Row:
-    """Return the mean of a metric over the seeds whose track is sound, and what it is compared with."""
+    """Return the mean of a metric over the seeds with sound tracks, and the value of the law."""
     sound = [seed for seed in seeds if seed is not None and seed.is_sound]
     values = [value for seed in sound if (value := seed.metrics[name]) is not None]
     mean = float(np.mean(values)) if values else None
@@ -171,7 +171,7 @@ def _metric_row(name: str, task: VideoTask, seeds: list[VideoScore | None]) -> R
         half = stats.t.ppf(0.975, len(values) - 1) * stats.sem(values)
         low, high = mean - half, mean + half
     elif values:
-        # Of one clip, the interval is that of simulated tracks.
+        # The interval of a single clip comes from simulated tracks.
         low, high = sound[0].uncertainty[name] or (None, None)
     return {
         "metric": TITLES.get(name, name),
@@ -185,7 +185,7 @@ def _metric_row(name: str, task: VideoTask, seeds: list[VideoScore | None]) -> R
 
 
 def summary_table(table: Table) -> Table:
-    """Return the metrics of the paper as in its Table 3: a row for each task and metric, a column for each model."""
+    """Return Table 3 of the paper: a row for each task and metric, a column for each model."""
     shown = [row for row in table.rows if row["law"] is not None]
     models: Row = dict.fromkeys(row["model"] for row in shown)
     rows: dict[tuple[str, str], Row] = {}
@@ -197,7 +197,7 @@ def summary_table(table: Table) -> Table:
 
 
 def table_csv(table: Table) -> str:
-    """Return the values with full digits, below the keys of the columns; a missing value is an empty cell."""
+    """Return the table as CSV with all digits; missing values are empty cells."""
     stream = io.StringIO()
     writer = csv.DictWriter(stream, table.rows[0], lineterminator="\n")
     writer.writeheader()
@@ -209,36 +209,36 @@ def table_csv(table: Table) -> str:
 
 
 def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
-    """Return model, task and file of the videos `MODEL/TASK.mp4` and `MODEL/TASK/seed_1.mp4`, and all other files.
+    """Return model, task and file of videos `MODEL/TASK.mp4` and `MODEL/TASK/seed_1.mp4`, and all misnamed files.
 
-    A track has the suffix `.csv`; the track of a video in the same folder is left out.
+    Tracks have the suffix `.csv`. The track of a video in the same folder is left out.
 
     Raises:
-        VideoError: There is no such video.
+        VideoError: The folder has no such video.
     """
     tasks = [task.id for task in video_tasks()]
-    videos, others = [], []
+    videos, misnamed = [], []
     for file in sorted(filter(Path.is_file, folder.rglob("[!.]*"))):
         model, task, *_ = (*file.relative_to(folder).with_suffix("").parts, "")
         if task not in tasks or file.suffix not in (*VIDEO_SUFFIXES, ".csv"):
-            others.append(file)
+            misnamed.append(file)
         elif file.suffix != ".csv" or video_of(file) is None:
             videos.append((model, task, file))
     if not videos:
         raise VideoError(
-            f"{folder}: it contains no video of a task; expected MODEL/TASK.mp4 with a TASK of {', '.join(tasks)}"
+            f"{folder}: no video of a task; expected MODEL/TASK.mp4 with a TASK of {', '.join(tasks)}"
         )
-    return sorted(videos, key=lambda video: tasks.index(video[1])), others
+    return sorted(videos, key=lambda video: tasks.index(video[1])), misnamed
 
 
 def video_of(track: Path) -> Path | None:
-    """Return the video that has the name of a track; None where there is none."""
+    """Return the video with the name of a track, if any."""
     videos = (track.with_suffix(suffix) for suffix in VIDEO_SUFFIXES)
     return next(filter(Path.exists, videos), None)
 
 
 def video_page(clips: Clips, table: Table) -> str:
-    """Return the page of many videos: the table, and what was followed in each clip. It needs no other file."""
+    """Return a self-contained page of many videos: the table, and the followed object in each clip."""
     parts: list[Part] = [table]
     for model, task, file, result in clips:
         if result is not None:
@@ -253,7 +253,7 @@ def video_page(clips: Clips, table: Table) -> str:
 
 
 def _picture(result: VideoScore, file: Path) -> Part:
-    """Return the last frame of a video that counts, with the track drawn into it."""
+    """Return the last relevant frame of a video with the drawn track."""
     last = (result.interval_frames or result.track.frames)[-1]
     *_, drawn = islice(drawn_frames(FileFrames(file), result), int(last) + 1)
     jpeg = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, 75])[1]
@@ -265,11 +265,11 @@ def _picture(result: VideoScore, file: Path) -> Part:
 
 
 def save_overlay(source: FileFrames, result: VideoScore, path: Path) -> Path:
-    """Write a video with the track drawn into it, and return its path.
+    """Write a video with the drawn track, and return its path.
 
     Args:
-        source: The video that was scored.
-        result: Its result.
+        source: The scored video.
+        result: Result of the video.
         path: File to write, MP4.
     """
     with needs_extra("a film", "video"):
@@ -285,7 +285,7 @@ def save_overlay(source: FileFrames, result: VideoScore, path: Path) -> Path:
 
 
 def drawn_frames(source: FileFrames, result: VideoScore) -> Iterator[Picture]:
-    """Yield the frames of a video on the reference grid, with the track drawn into them and a ring at the object."""
+    """Yield the frames of a video on the reference grid, with the drawn track and a ring at the object."""
     track = result.track
     first, last = result.interval_frames or (1, 0)
     for number, picture in enumerate(source):

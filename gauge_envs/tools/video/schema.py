@@ -1,4 +1,4 @@
-"""Types of the JSON lines of `gauge video score` and `gauge list video-tasks`."""
+"""JSON lines of `gauge video score` and `gauge list video-tasks`."""
 
 from typing import Annotated, TypedDict
 
@@ -8,7 +8,7 @@ from gauge_envs.tools.video.scoring import VideoScore
 
 
 class Registered(TypedDict):
-    """Place of the video on the reference grid; null where it is not registered."""
+    """Registration of the video on the reference grid; null without one."""
 
     registration: Registration | None
 
@@ -21,7 +21,7 @@ class TaskLine(TypedDict):
     """A task for videos.
 
     Attributes:
-        task: Its name.
+        task: Name of the task.
         motion: Kind of motion.
         size_mm: Size of the object [mm].
         size_px: Size of the object in the first frame [px].

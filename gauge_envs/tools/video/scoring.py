@@ -1,4 +1,4 @@
-"""Score the motion in a video by the law of its task, with the uncertainty of the track carried into the result."""
+"""Score the motion in a video by the law of its task, and propagate the uncertainty of the track."""
 
 import math
 from contextlib import suppress
@@ -23,36 +23,38 @@ Metrics: TypeAlias = dict[str, float]
 METRICS = ("a", "qfi", "r2", "pd", "mte", "de", "acceleration_m_s2", "form")
 """Names of all metrics, in the order of a result.
 
-The first six are those of GAUGE's paper: acceleration [m/s^2] and QFI from the first retained frame on, R^2 and period
-[s] of a damped oscillation, momentum transfer, and dynamic error [N]. The last two are the package's, of straight
-motions: acceleration from a release that is fitted, and the residual of the law relative to the displacement.
+GAUGE's paper defines the first six: acceleration [m/s^2] and QFI from the first retained frame, R^2 and period [s] of a
+damped oscillation, momentum transfer, and dynamic error [N]. This package adds two metrics of straight motions:
+acceleration with a fitted release, and the residual of the law relative to the displacement.
 """
 
 RELEASE_FRAMES = 6.0
-"""Frames before and after the first retained one between which the release is searched."""
+"""Search interval for the release, in frames before and after the first retained frame."""
 
 MAX_GRAVITY = 1.2
-"""Largest gravity that a motion may need, relative to that of the Earth."""
+"""Largest plausible gravity of a motion, relative to the Earth."""
 
 MIN_DISPLACEMENT = 1.0
-"""Smallest displacement of a cube on a turntable of which a dynamic error says much, in its sizes."""
+"""Smallest displacement of a cube on a turntable for a meaningful dynamic error, in its sizes."""
 
 SAMPLES = 200
-"""Simulated tracks from which intervals are taken; a fifth of them for a pendulum."""
+"""Number of simulated tracks for intervals; a pendulum has a fifth of them."""
 
 SIZE_SIGMA_PX, PIVOT_SIGMA_PX = 0.5, 1.0
-"""Standard uncertainties of the length of the object in the first frame and of each coordinate of a pivot, which were
-read by eye [px]."""
+"""Standard uncertainties of the length of the object in the first frame and of each coordinate of a pivot [px].
+
+They were read by eye."""
 
 FRAMING_SIGMA = 0.005
-"""Relative standard uncertainty of the pixel scale in addition to that of the measured length: depth and lens, from
-the four edges of the cubes, which differ by 1 %."""
+"""Relative standard uncertainty of the pixel scale by depth and lens, in addition to the measured length.
+
+The four edges of the cubes differ by 1 %."""
 
 SLOW_NOISE_PX = 0.25
-"""Error of a place that stays for some frames [px]: that of a ball that is half hidden by the pendulum's post."""
+"""Error of a place that persists for some frames [px]: the post of the pendulum half hides the ball."""
 
 SLOW_FRAMES = 6
-"""Frames for which that error stays."""
+"""Number of frames for which this error persists."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,14 +64,14 @@ class VideoScore:
     Attributes:
         video: Name of the video or track.
         task: Id of the task.
-        is_sound: Whether the track follows the object all the time; the law of the motion plays no part.
+        is_sound: Whether the track always follows the object, independent of the law of the motion.
         reasons: Why the track is not sound, with frame numbers.
-        findings: Further observations.
-        metrics: Values by name; None where a metric does not apply or there is no motion.
+        findings: More observations.
+        metrics: Values by name; None without motion or if a metric does not apply.
         uncertainty: Interval of each metric that contains 95 % of simulated tracks.
-        interval_frames: First and last retained frame; None when there is none.
+        interval_frames: First and last retained frame; None without motion.
         scale_m_per_px: Size of a pixel of the reference grid [m].
-        details: Further numbers, such as the damping of a swing.
+        details: Extra numbers, such as the damping of a swing.
         track: The track.
     """
 
@@ -86,7 +88,7 @@ class VideoScore:
     track: Track
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result with the registration in place of the track, JSON-ready."""
+        """Return the result with the registration instead of the track, JSON-ready."""
         values = vars(self) | {"registration": asdict(self.track.registration)}
         del values["track"]
         ready: dict[str, Any] = json_ready(values)
@@ -102,8 +104,8 @@ def score(path: Path | str, fps: float | None = None, task: str = "") -> VideoSc
         task: Id of a task, such as `SlopeSlider-2-wood`; see `gauge_envs.tools.video.video_tasks`.
 
     Raises:
-        UnknownNameError: There is no such task.
-        VideoError: The video cannot be read, or is out of range.
+        UnknownNameError: The task does not exist.
+        VideoError: The video cannot be read or is out of range.
         MissingExtraError: OpenCV is not installed.
     """
     chosen = video_task(task)
@@ -125,7 +127,7 @@ def score_track(track: Track, task: VideoTask, *, name: str = "track") -> VideoS
     values: Metrics = {}
     intervals: dict[str, tuple[float, float]] = {}
     if span is None:
-        findings.append("no motion is found")
+        findings.append("no motion is detected")
     else:
         try:
             values = measure(track, task, span)
@@ -149,7 +151,7 @@ def score_track(track: Track, task: VideoTask, *, name: str = "track") -> VideoS
 
 
 def _findings(task: VideoTask, values: Metrics) -> list[str]:
-    """Return observations that the metrics do not show."""
+    """Return observations beyond the metrics."""
     findings = []
     if task.direction is not None:
         # The sine of a slope, or 1 of a fall.
@@ -157,12 +159,12 @@ def _findings(task: VideoTask, values: Metrics) -> list[str]:
         gravity = values["acceleration_m_s2"] / slope / laws.GRAVITY_M_PER_S2
         if gravity > MAX_GRAVITY:
             findings.append(
-                f"the motion needs {gravity:.1f} times gravity: the frame rate may be wrong, give --fps"
+                f"the motion needs {gravity:.1f} times gravity: the frame rate may be wrong; give --fps"
             )
     displacement = values.get("displacement_in_sizes", 1.0)
     if displacement < MIN_DISPLACEMENT:
         findings.append(
-            f"the object moves by {displacement:.2f} of its size: a dynamic error of 0 says little"
+            f"the object moves by only {displacement:.2f} of its size: a dynamic error of 0 is not significant"
         )
     return findings
 
@@ -176,23 +178,21 @@ def measure(
     span: tuple[int, int],
     swing: laws.OscillationFit | None = None,
 ) -> Metrics:
-    """Return the metrics of a task, and further numbers, between two rows.
+    """Return the metrics of a task, and extra numbers, between two rows.
 
     Args:
-        track: The track; for the metrics of the paper, places count in whole pixels, as the paper stores them.
+        track: The track; metrics of the paper use places in whole pixels.
         task: The task.
         span: First and last retained row.
-        swing: Fit of a similar swing, from which that of a pendulum starts.
+        swing: Fit of a similar swing, as start for the fit of a pendulum.
 
     Raises:
-        ParameterError: There are too few frames, or a cradle has no apex.
+        ParameterError: The track has too few frames, or a cradle has no apex.
     """
-    rows = _found_rows(track, *span)
+    rows = _visible_rows(track, *span)
     min_count = 8 if task.motion is Motion.PENDULUM else 4
     if len(rows) < min_count:
-        raise ParameterError(
-            f"{len(rows)} frames are too few: the fit needs {min_count}"
-        )
+        raise ParameterError(f"the fit needs {min_count} frames, got {len(rows)}")
     if task.direction is not None:
         return _straight_metrics(track, task, rows)
     whole = track.in_whole_px()
@@ -219,18 +219,18 @@ def measure(
         height_m = max(0.0, laws.peak(times_s[around], rises_m[around]))
         transfers.append(math.sqrt(height_m / task.release_height_m))
     if not transfers:
-        raise ParameterError("momentum transfer: there is no apex of the outgoing ball")
+        raise ParameterError("momentum transfer: the outgoing ball has no apex")
     return {"mte": float(np.mean(transfers))}
 
 
 def _straight_metrics(track: Track, task: VideoTask, rows: IntArray) -> Metrics:
-    """Return the metrics of a slide or a fall by the paper's fit, and by a fit of the release."""
+    """Return the metrics of a slide or a fall by the fit of the paper and by a fit of the release."""
     times_s, scale = track.times_s, task.scale_m_per_px
     whole_m = laws.displacement_px(track.in_whole_px(), task) * scale
     paper = laws.fit_constant_acceleration(times_s[rows], whole_m[rows])
-    # Rest before the motion belongs to the fit: the release is where rest and law meet.
+    # The fit includes rest before the motion, because the release is between rest and law.
     early = max(0, rows[0] - 2 * laws.WINDOW)
-    used = _found_rows(track, early, rows[-1])
+    used = _visible_rows(track, early, rows[-1])
     fit = laws.fit_constant_acceleration(
         times_s[used],
         laws.displacement_px(track, task)[used] * scale,
@@ -246,8 +246,8 @@ def _straight_metrics(track: Track, task: VideoTask, rows: IntArray) -> Metrics:
     }
 
 
-def _found_rows(track: Track, first: int, last: int) -> IntArray:
-    """Return the rows between two rows, both included, in which the object was found."""
+def _visible_rows(track: Track, first: int, last: int) -> IntArray:
+    """Return the rows with the object between two rows, both included."""
     return first + np.flatnonzero(track.is_found[first : last + 1])
 
 
@@ -264,7 +264,7 @@ def _intervals(
     rng = np.random.default_rng(0)
     scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * SIZE_SIGMA_PX / task.size_px)
     swing, count = None, SAMPLES
-    rows = _found_rows(track, *span)
+    rows = _visible_rows(track, *span)
     if task.motion is Motion.PENDULUM:
         angles_rad = laws.swing_angles_rad(track, task)[rows]
         swing = laws.fit_damped_oscillation(track.times_s[rows], angles_rad)
@@ -276,7 +276,7 @@ def _intervals(
         if task.pivot_px is not None and task.motion is not Motion.TURN:
             points_px += rng.normal(0.0, PIVOT_SIGMA_PX, 2)
         if swing is not None:
-            # The residual of the law may come at any other time, with the other sign.
+            # The residual of the law may occur at any time, with either sign.
             residual_rad = swing.residuals_rad
             sign = rng.choice([-1.0, 1.0])
             rolled_rad = sign * np.roll(residual_rad, rng.integers(len(rows)))
@@ -300,7 +300,7 @@ def _intervals(
 
 
 def _errors_px(count: int, sigma_px: float, rng: np.random.Generator) -> FloatArray:
-    """Return simulated errors of places [px], shape [count, 2]: noise in each frame, and errors that stay."""
+    """Return simulated errors of places [px], shape [count, 2]: noise in each frame, and persistent errors."""
     noise_px = rng.normal(0.0, sigma_px, (count, 2))
     knot_count = count // SLOW_FRAMES + 2
     knots = np.arange(knot_count) * SLOW_FRAMES - rng.uniform(0.0, SLOW_FRAMES)
@@ -311,10 +311,10 @@ def _errors_px(count: int, sigma_px: float, rng: np.random.Generator) -> FloatAr
 
 def _interval(name: str, nominal: float, values: list[float]) -> tuple[float, float]:
     if name == "pd":
-        # Over less than a period, any noise lengthens it, that of the track too: the error has either sign.
+        # Noise only lengthens a period that is not complete, so the error has either sign.
         error = float(np.percentile(np.abs(np.subtract(values, nominal)), 95.0))
         return max(0.0, nominal - error), nominal + error
-    # Noise only lengthens accelerations, so an error of 0 lies below all simulated ones.
+    # Noise only increases accelerations, so the true value may be below all simulated ones.
     low = min(nominal, float(np.percentile(values, 2.5)))
     high = max(nominal, float(np.percentile(values, 97.5)))
     return low, high

@@ -1,6 +1,6 @@
-"""Detect an object of known outline and colour before a known background, in the frames of a video.
+"""Detect an object with known outline and colour on a known background, in the frames of a video.
 
-No learned model is used, so a text prompt is not needed: the first frame of each task is known.
+The first frame of each task is known, so no learned model and no text prompt are needed.
 """
 
 import math
@@ -15,23 +15,23 @@ from gauge_envs.tools.video.frames import Gray, Picture, cv2
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
 
 COARSE = 0.25
-"""Scale at which the whole picture is searched and compared."""
+"""Scale for searching and comparing whole pictures."""
 
 BLACK_LEVEL = 16.0
-"""Largest brightness of black bars beside the picture, which a model may fill."""
+"""Largest brightness of black bars at the sides of a picture."""
 
 TINT, TINT_RANGE = 10.0, 20.0
-"""Difference of a colour, at any brightness, that is still the object's, and that at which likeness falls to 1/e."""
+"""Accepted tint difference of the object, and extra difference that reduces the likeness to 1/e."""
 
 
 class Detection(NamedTuple):
-    """Where the object may be in one frame.
+    """Possible place of the object in one frame.
 
     Attributes:
-        place_px: Horizontal and vertical position [px], shape [2]; NaN when not found.
+        place_px: Horizontal and vertical position [px], shape [2]; NaN if not visible.
         likeness: Likeness of shape and colour to the object in the first frame, from 0 to 1.
-        size_ratio: Apparent size relative to that in the first frame.
-        misfit: Difference from the shape in the first frame, in parts of the area.
+        size_ratio: Apparent size relative to the first frame.
+        misfit: Difference from the shape in the first frame, relative to the area.
     """
 
     place_px: FloatArray
@@ -41,11 +41,11 @@ class Detection(NamedTuple):
 
 
 LOST = Detection(np.full(2, np.nan), 0.0)
-"""Detection of a frame in which the object is not seen."""
+"""Detection of a frame without the object."""
 
 
 def shrunk(picture: NDArray[Any]) -> Gray:
-    """Return a picture at the scale at which it is searched and compared."""
+    """Return a picture at the scale `COARSE`."""
     small = cv2.resize(
         picture, None, fx=COARSE, fy=COARSE, interpolation=cv2.INTER_AREA
     )
@@ -58,16 +58,16 @@ def aligned(
     motion: int,
     known: Gray | None = None,
 ) -> tuple[float, FloatArray]:
-    """Return the largest correlation of a template with a wider window (Evangelidis and Psarakis, 2008).
+    """Return the largest correlation of a template with a larger window (Evangelidis and Psarakis, 2008).
 
     Args:
         template: The template, shape [side, side].
         window: The window, with an equal margin on each side of the template.
         motion: `cv2.MOTION_TRANSLATION` or `cv2.MOTION_EUCLIDEAN`.
-        known: Pixels of the window that count; None for all.
+        known: Relevant pixels of the window; None for all pixels.
 
     Returns:
-        The correlation, 0 where the search does not converge, and the matrix from the template to the window, shape
+        The correlation, 0 if the search does not converge, and the matrix from the template to the window, shape
         [2, 3].
     """
     warp = np.eye(2, 3, dtype=np.float32)
@@ -75,7 +75,7 @@ def aligned(
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-4)
     mask = None if known is None else known.astype(np.uint8)
     correlation = 0.0
-    # It does not converge where the window shows something else.
+    # The search does not converge if the window shows something else.
     with suppress(cv2.error):
         correlation, warp = cv2.findTransformECC(
             template, window, warp, motion, stop, mask, 5
@@ -86,7 +86,7 @@ def aligned(
 def colour_at(
     picture: NDArray[Any], place_px: FloatArray, size_px: float
 ) -> FloatArray:
-    """Return the mean colour of the middle of an object, shape [3]."""
+    """Return the mean colour at the centre of an object, shape [3]."""
     side = 2 * int(0.25 * size_px) + 1
     middle = cv2.getRectSubPix(picture, (side, side), place_px.tolist())
     return np.asarray(middle.mean(axis=(0, 1)))
@@ -99,7 +99,7 @@ def tint_of(colour: FloatArray, known: FloatArray) -> float:
 
 
 def likeness_of(tint: float) -> float:
-    """Return the likeness of a colour that differs by a tint, from 0 to 1."""
+    """Return the likeness of a colour with a tint difference, from 0 to 1."""
     return math.exp(-max(0.0, tint - TINT) / TINT_RANGE)
 
 
@@ -110,12 +110,12 @@ def rotation_of(angle_rad: float) -> FloatArray:
 
 
 def turned_square(picture: Gray, pose: FloatArray, half: int) -> Gray:
-    """Return the square around a place that is rotated by an angle, shape [2 half + 1, 2 half + 1].
+    """Return a rotated square around a place, shape [2 half + 1, 2 half + 1].
 
     Args:
         picture: The picture.
         pose: Angle [rad] and place [px], shape [3].
-        half: Half of the side of the square [px].
+        half: Half side of the square [px].
     """
     matrix = np.column_stack([rotation_of(pose[0]), pose[1:]])
     matrix[:, 2] -= matrix[:, :2] @ [half, half]
@@ -129,50 +129,52 @@ def turned_square(picture: Gray, pose: FloatArray, half: int) -> Gray:
 
 # --- outlines --------------------------------------------------------------------------------------------------------
 
-REACH_PX = 8
-"""Distance from a place found at the coarse scale within which it is refined [px]."""
+REFINEMENT_PX = 8
+"""Search distance around a place from the coarse scale [px]."""
 
 MIN_CONTRAST = 40.0
-"""Distance of the colours of background and object from which a pixel shows which of both it is."""
+"""Smallest distance of the colours of background and object at which a pixel shows its origin."""
 
 NOISE_SHARE = 0.15
-"""Covered share that noise and texture leave to the background."""
+"""Covered share of the background by noise and texture."""
 
 MAX_CANDIDATES = 6
-"""Largest number of places of a frame that may show the object."""
+"""Maximum number of possible places of the object in a frame."""
 
 MIN_RESPONSE = 0.4
-"""Smallest difference of the covered share in the outline and around it that may be an object."""
+"""Smallest difference between the covered shares inside and around the outline of an object."""
 
 GAP, AROUND = 1.12, 1.5
-"""Outlines between which the surroundings lie, in sizes of the object."""
+"""Inner and outer outline of the surroundings, in sizes of the object."""
 
 MIN_KNOWN_SHARE = 0.25
-"""Smallest share of the outline before a background of another colour."""
+"""Smallest share of the outline on a background of another colour."""
 
 LINE, NEAR_LINE, MIN_KNOWN_LINE = 1.5, 0.75, 0.9
-"""Half of the length of the lines along the motion by which size and shape are measured, and of their parts at the
-object, in sizes; and smallest share of those parts before a background of another colour."""
+"""Lines along the motion that measure size and shape: half length, half length at the object, and known share.
+
+Lengths are in sizes. The known share is the smallest share of the part at the object on a background of another colour.
+"""
 
 CORE = 0.3
-"""Half of the lines across the motion that show the width of a cube without its shadow, in sizes."""
+"""Half width of the lines across the motion that show a cube without its shadow, in sizes."""
 
 HIDDEN = 1.1
-"""Half of the part of the first frame that an object and its shadow may hide, in sizes."""
+"""Half side of the part of the first frame that an object and its shadow may hide, in sizes."""
 
 CHANGED_LEVELS = 30
-"""Difference of a colour with which an object has left its first place."""
+"""Smallest difference of a colour after an object leaves its first place."""
 
 
 class ShapeDetector:
-    """Detect where an object of known outline and colour covers a known background.
+    """Detect the place where an object with known outline and colour covers a known background.
 
-    A pixel between the colours of background and object is covered in part, so motion blur keeps its centre. Pixels do
-    not count where both have the same colour. The colour and outline are those of the first frame at all times.
+    A pixel between the colours of background and object is partly covered, so motion blur keeps the centre. Pixels with
+    equal colours of background and object are ignored. Colour and outline always come from the first frame.
 
     Args:
         first: The first frame.
-        last: The last frame, which shows what the object hid in the first one.
+        last: The last frame; it shows the background behind the object in the first frame.
         task: The task; a cube on a slope keeps its direction.
     """
 
@@ -185,8 +187,7 @@ class ShapeDetector:
         is_cradle = task.motion is Motion.CRADLE
         background = first if is_cradle else _background(first, last, task)
         self._background = background.astype(np.float32)
-        # Black bars beside the picture hide parts of the object, as its edge does, and so the centre of the rest is
-        # not that of the object.
+        # Black bars and edges of the picture hide parts of the object, and so shift its visible centre.
         rows, columns = np.nonzero(first.max(axis=2) > BLACK_LEVEL)
         self._low_px = np.array([columns.min(), rows.min()])
         self._high_px = np.array([columns.max(), rows.max()])
@@ -202,15 +203,15 @@ class ShapeDetector:
             self._take_first(self._covered(first))
 
     def _take_first(self, covered: Gray) -> None:
-        """Take over the outline and the width of the object from the first frame, which shows its sides too."""
+        """Store outline and width of the object from the first frame, which also shows its sides."""
         first, known = self._cuts(covered, self._start_px, len(self._outline))
         self._outline = np.where(known > 0.5, first, self._outline)
         self._around = np.maximum(self._around - self._outline, 0.0)
         profile_px, is_known = self._profile(covered, self._start_px)
         self._profile_px[is_known] = profile_px[is_known]
         if self._task.motion is Motion.SLIDE:
-            # A pinhole camera shows a side of a cube as wide as its distance from the middle of the picture. So the
-            # middle of face and side moves less than the face.
+            # A pinhole camera shows the side of a cube with a width proportional to the distance from the centre of the
+            # picture. So the centre of face and side moves less than the face.
             middle_px = 0.5 * np.array(REFERENCE_SIZE_PX) - self._start_px
             half, core = len(profile_px) // 2, int(CORE * self._size_px)
             wide_px = float(self._profile_px[half - core : half + core + 1].mean())
@@ -226,8 +227,8 @@ class ShapeDetector:
             shrunk(self._outline),
             shrunk(self._around),
         )
-        reach = 2 * int(0.25 * self._size_px * COARSE) + 3
-        highest = cv2.dilate(response, np.ones((reach, reach), np.uint8))
+        side = 2 * int(0.25 * self._size_px * COARSE) + 3
+        highest = cv2.dilate(response, np.ones((side, side), np.uint8))
         is_peak = (response >= highest) & (response > MIN_RESPONSE)
         corners = np.argwhere(is_peak)[:, ::-1]
         values = response[is_peak]
@@ -243,9 +244,9 @@ class ShapeDetector:
         """Return the detection near a coarse place."""
         side = len(self._outline)
         middle_px = np.rint(coarse_px)
-        window, known = self._cuts(covered, middle_px, side + 2 * REACH_PX)
+        window, known = self._cuts(covered, middle_px, side + 2 * REFINEMENT_PX)
         _, warp = aligned(self._outline, window, cv2.MOTION_TRANSLATION, known)
-        place_px = middle_px + warp[:, 2] - REACH_PX
+        place_px = middle_px + warp[:, 2] - REFINEMENT_PX
         cut, known = self._cuts(covered, place_px, side)
         value = float(_response(cut, known, self._outline, self._around)[0, 0])
         edge_px = np.minimum(place_px - self._low_px, self._high_px - place_px)
@@ -265,7 +266,7 @@ class ShapeDetector:
         return Detection(place_px, likeness, size_ratio, misfit)
 
     def _covered(self, picture: Picture) -> Gray:
-        """Return the share of each pixel that the object covers; 0 where the background has its colour."""
+        """Return the share of each pixel that the object covers; 0 if the background has the same colour."""
         share = np.einsum("ijk,ijk->ij", self._background - picture, self._slope)
         share = (share - NOISE_SHARE) / (1.0 - 2.0 * NOISE_SHARE)
         return np.clip(share, 0.0, 1.0) * self._known
@@ -276,7 +277,7 @@ class ShapeDetector:
         place_px: FloatArray,
         side: int,
     ) -> tuple[Gray, Gray]:
-        """Return squares around a place: what is covered, and where it is known."""
+        """Return squares around a place: covered share, and whether it is known."""
         size, place = (side, side), place_px.tolist()
         return (
             cv2.getRectSubPix(covered, size, place),
@@ -286,9 +287,9 @@ class ShapeDetector:
     def _profile(
         self, covered: Gray, place_px: FloatArray
     ) -> tuple[FloatArray, BoolArray]:
-        """Return how much of each line along the motion is covered [px], and whether its background is known.
+        """Return the covered length of each line along the motion [px], and whether its background is known.
 
-        The exposure smears an object along its motion only, so that each line along it is covered as much.
+        The exposure blurs an object only along its motion, so the covered length of a line stays constant.
         """
         lines = self._lines(self._known, place_px)
         half, near = len(lines) // 2, int(NEAR_LINE * self._size_px)
@@ -305,7 +306,7 @@ class ShapeDetector:
 
 
 def _filled(task: VideoTask, share: float) -> Gray:
-    """Return the filled outline of the object in a square, of a share of the size; its edge is soft."""
+    """Return the filled outline of the object in a square, scaled by a share of the size, with a soft edge."""
     half_px = math.ceil(0.5 * AROUND * task.size_px) + 2
     size_px = share * task.size_px
     filled = np.zeros((2 * half_px + 1, 2 * half_px + 1), np.float32)
@@ -326,7 +327,7 @@ def _response(
     outline: Gray,
     around: Gray,
 ) -> Gray:
-    """Return the covered share in the outline less the share around it, at each place of the known pixels."""
+    """Return the covered share inside the outline minus the share around it, at each place."""
     shares, wholes = [], []
     for mask in (outline, around):
         wholes.append(cv2.matchTemplate(known, mask, cv2.TM_CCORR))
@@ -339,8 +340,8 @@ def _response(
 def _background(first: Picture, last: Picture, task: VideoTask) -> Picture:
     """Return the first frame without the object.
 
-    The part that it hides is that of the first or of the last frame, of which one differs more from the object. Where
-    both show it, the surroundings are continued.
+    The hidden part comes from the first or the last frame, pixel by pixel from the frame that differs more from the
+    object. If both frames show the object, the surroundings are inpainted.
     """
     start_px, size_px = np.array(task.centre_px), task.size_px
     low, high = (start_px + HIDDEN * size_px * np.array([[-1.0], [1.0]])).astype(int)

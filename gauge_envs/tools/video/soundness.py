@@ -1,4 +1,4 @@
-"""Say why a track does not follow the object, or does not follow it all the time."""
+"""Find reasons why a track does not always follow the object."""
 
 from collections.abc import Iterator
 
@@ -10,63 +10,63 @@ from gauge_envs.tools.video.tasks import Motion, VideoTask
 from gauge_envs.tools.video.track import Track
 
 MAX_ODD_SHARE = 0.15
-"""Largest share of the retained frames of a sound track that does not show the object as it was."""
+"""Largest share of retained frames with a changed object in a sound track."""
 
 MAX_SIZE_CHANGE = 0.3
-"""Largest relative change of the apparent size of an object that is the same one."""
+"""Largest relative change of the apparent size of the same object."""
 
 MAX_MISFIT = 0.25
-"""Largest difference from the shape in the first frame, in parts of the area.
-A disk in the place of its square differs by 0.21, a square in that of its disk by 0.27, and their sides add to it."""
+"""Largest difference from the shape in the first frame, relative to the area.
+
+A disk instead of a square differs by 0.21, a square instead of a disk by 0.27, and visible sides add to it."""
 
 MIN_CONFIDENCE = 0.5
-"""Smallest likeness of a frame that shows the object."""
+"""Smallest likeness of a frame with the object."""
 
 MIN_TWIN_LIKENESS, MIN_CRADLE_TWIN_LIKENESS = 0.65, 0.7
-"""Likeness from which another place shows a second object. Other places of sound published clips stay below 0.60, and
-beside the ball of a cradle, which has neighbours, below 0.7."""
+"""Smallest likeness of a second object. Other places in sound published clips stay below 0.60; neighbours of the ball
+of a cradle stay below 0.7."""
 
 MIN_TWIN_FRAMES = 3
-"""Smallest number of frames with a second object that are no accident."""
+"""Smallest number of frames with a second object."""
 
 MAX_JUMP = 1.0
-"""Largest distance that the speeds before and after do not explain, in sizes; beyond it, another object is followed."""
+"""Largest distance that the speeds before and after do not explain, in sizes. A larger one means another object."""
 
 WINDOW = 6
-"""Frames after the retained ones that count: a cut or a jump back ends a slide or a fall, as a rebound does."""
+"""Number of checked frames after the retained ones: cuts and jumps end a slide or a fall, like rebounds."""
 
-MAX_BESIDE, MAX_HIDDEN = 1.25, 3
-"""Largest distance from its row, less the step of a frame, at which a ball of a cradle is first or last seen, in its
-sizes, since it is not detected beside its neighbours; and frames in which a post may hide it."""
+MAX_ROW_DISTANCE, MAX_HIDDEN = 1.25, 3
+"""Largest distance of the first or last detection of a ball from the row of the cradle, and frames behind a post.
 
-CLEAR_WAY = 7.0
-"""Distance from its first place, in its sizes, within which nothing hides a cube on its board or a ball that falls, and
-the picture does not end."""
+The distance is in sizes, without the step of a frame: a ball is not detected next to its neighbours."""
+
+CLEAR_PATH = 7.0
+"""Distance from the first place in which a sliding cube or a falling ball is always visible, in sizes."""
 
 STRAIGHT, CURVED = (4, 2), (6, 3)
-"""Frames on either side of a cut by which it is judged, and degree of the polynomial that a smooth motion follows."""
+"""Number of frames on either side of a possible cut, and degree of the polynomial of a smooth motion."""
 
 MAX_MISSING = 8
-"""Largest number of missing frames at a cut that is tried."""
+"""Largest tested number of missing frames at a cut."""
 
 MIN_BROKEN, MAX_WHOLE = 5.0, 2.0
-"""Residual across a cut, relative to the scatter of the track, from which a motion is broken there, and up to which
-another clock makes it whole."""
+"""Smallest residual of a broken motion, and largest residual of a whole motion, relative to the scatter."""
 
 MAX_UNEVEN_FRAMES = 0.2
-"""Difference of the steps between frames, in frames, from which the track has a gap that it knows of."""
+"""Largest difference of the steps between frames, in frames, without a known gap."""
 
 MIN_SCATTER_PX = 0.2
-"""Smallest scatter that is assumed [px]."""
+"""Smallest assumed scatter [px]."""
 
 
 def faults_of(track: Track, task: VideoTask, span: tuple[int, int] | None) -> list[str]:
-    """Return why a track is not sound; the law of the motion plays no part.
+    """Return why a track is not sound, independent of the law of the motion.
 
     Args:
         track: The track.
         task: The task.
-        span: First and last retained row; None when the object does not move.
+        span: First and last retained row; None if the object does not move.
     """
     first, last = span or (0, len(track.frames) - 1)
     rows = np.arange(first, last + 1)
@@ -84,16 +84,16 @@ def faults_of(track: Track, task: VideoTask, span: tuple[int, int] | None) -> li
     if is_twin.sum() >= MIN_TWIN_FRAMES:
         where = _range_text(track.frames[is_twin])
         faults.append(
-            f"a second object of the same shape and colour is seen in {where}"
+            f"a second object of the same shape and colour is visible in {where}"
         )
     else:
-        # Two alike objects that meet are seen as one, of another size and shape.
+        # Two equal objects that meet look like one object of another size and shape.
         faults += _changes(track, task, rows)
     if task.rest_px is not None:
-        # The outgoing ball is looked for only where it swings out; a post may hide it for some frames.
+        # The outgoing ball is detected only during its swing; a post may hide it for some frames.
         is_swinging = binary_closing(track.is_found, np.ones(MAX_HIDDEN + 1))
         places_px = np.where(is_swinging[:, None], track.points_px, task.rest_px)
-        return [*faults, *_jump(track, task, places_px, MAX_BESIDE)]
+        return [*faults, *_jump(track, task, places_px, MAX_ROW_DISTANCE)]
     lost = rows[~track.is_found[rows]]
     if len(lost) > MAX_ODD_SHARE * len(rows):
         share, where = len(lost) / len(rows), _range_text(track.frames[lost])
@@ -105,18 +105,18 @@ def faults_of(track: Track, task: VideoTask, span: tuple[int, int] | None) -> li
 
 
 def _range_text(frames: IntArray) -> str:
-    """Return the first and the last of some frames, and their number."""
+    """Return the number of frames, and the first and last frame."""
     return f"{len(frames)} frames from {frames[0]} to {frames[-1]}"
 
 
 def _changes(track: Track, task: VideoTask, rows: IntArray) -> Iterator[str]:
-    """Yield by how much the object changes its size, shape, colour and look, in more frames than a few."""
-    found = rows[track.is_found[rows]]
-    # A cradle's ball is first seen when it has swung out. Blur makes it less like itself at its largest speed.
-    count = len(found if task.motion is Motion.CRADLE else rows)
-    # Blur alone changes a shape for some frames, and the retained ones may be few.
+    """Yield changes of size, shape, colour and look that occur in many frames."""
+    visible = rows[track.is_found[rows]]
+    # The ball of a cradle is visible only during its swing. At its largest speed, blur reduces its likeness.
+    count = len(visible if task.motion is Motion.CRADLE else rows)
+    # Blur changes the shape for some frames, and few frames may be retained.
     is_reshaped = (track.misfit > MAX_MISFIT).mean() > MAX_ODD_SHARE
-    for text, changes, limit, among in (
+    for text, changes, limit, row_count in (
         (
             "changes its size by up to {:+.0%}",
             track.size_ratio - 1.0,
@@ -131,36 +131,36 @@ def _changes(track: Track, task: VideoTask, rows: IntArray) -> Iterator[str]:
         ),
         ("has another look", 1.0 - track.confidence, 1.0 - MIN_CONFIDENCE, len(rows)),
     ):
-        odd = found[np.abs(changes[found]) > limit]
-        if len(odd) > MAX_ODD_SHARE * among:
+        odd = visible[np.abs(changes[visible]) > limit]
+        if len(odd) > MAX_ODD_SHARE * row_count:
             largest = text.format(max(changes[odd], key=abs))
             yield f"the object {largest} in {_range_text(track.frames[odd])}"
 
 
 def _ends(track: Track, task: VideoTask, span: tuple[int, int] | None) -> Iterator[str]:
-    """Yield how far from its known place an object is first seen, and where it vanishes while it slides or falls."""
+    """Yield a wrong first place, and the frame in which an object vanishes during a slide or fall."""
     rows = np.flatnonzero(track.is_found)
     away_px = np.linalg.norm(track.points_px[rows] - task.centre_px, axis=1)
     first_away, last_away = (away_px[[0, -1]] / task.size_px).tolist()
     if first_away > MAX_JUMP:
-        yield f"the object is first seen {first_away:.1f} of its size from its place in the known first frame"
+        yield f"the object first appears {first_away:.1f} of its size from its place in the known first frame"
     if task.direction is None:
         return
     is_at_end = len(track.frames) - 1 - rows[-1] <= MAX_HIDDEN
     is_retained = span is None or rows[-1] <= span[1] + 1
-    if last_away <= CLEAR_WAY and is_retained and not is_at_end:
-        yield f"the object vanishes on its way: frame {track.frames[rows[-1]]} is the last that shows it"
+    if last_away <= CLEAR_PATH and is_retained and not is_at_end:
+        yield f"the object vanishes after frame {track.frames[rows[-1]]}"
 
 
 def _jump(
     track: Track, task: VideoTask, places_px: FloatArray, max_jump: float
 ) -> Iterator[str]:
-    """Yield where the object jumps: farther than the speeds before and after explain.
+    """Yield the largest jump that exceeds the speeds before and after it.
 
     Args:
         track: The track.
         task: The task.
-        places_px: Places by row, shape [row_count, 2]; NaN where the object is lost.
+        places_px: Places by row, shape [row_count, 2]; NaN if the object is lost.
         max_jump: Largest distance that the speeds do not explain, in sizes.
     """
     rows = np.flatnonzero(np.isfinite(places_px).all(axis=1))
@@ -177,10 +177,10 @@ def _jump(
 
 
 def _clock_fault(track: Track, task: VideoTask, rows: IntArray) -> Iterator[str]:
-    """Yield where frames are missing.
+    """Yield the place of missing frames.
 
-    Across a cut, a smooth curve leaves a large residual. The residual is small once the later frames are moved in time
-    by whole frames. A body that jumps or brakes seldom does that.
+    At a cut, a smooth curve has a large residual, which becomes small if the later frames are delayed by whole frames.
+    A body that jumps or brakes seldom has this property.
 
     Args:
         track: The track.
@@ -193,7 +193,7 @@ def _clock_fault(track: Track, task: VideoTask, rows: IntArray) -> Iterator[str]
     if len(rows) < 2 * side:
         return
     windows = np.lib.stride_tricks.sliding_window_view(rows, 2 * side)
-    # A track that knows of a gap has another clock already.
+    # Times of a track already include known gaps.
     steps_s = np.diff(track.times_s[windows], axis=1)
     windows = windows[np.ptp(steps_s, axis=1) < MAX_UNEVEN_FRAMES / track.fps]
     times = np.arange(2.0 * side) - side
@@ -214,7 +214,7 @@ def _clock_fault(track: Track, task: VideoTask, rows: IntArray) -> Iterator[str]
 
 
 def _residuals_px(places_px: FloatArray, times: FloatArray, degree: int) -> FloatArray:
-    """Return the residual of a polynomial in each window [px], of places of shape [window_count, frame_count, 2]."""
+    """Return the residual of a polynomial in each window [px], for places of shape [window_count, frame_count, 2]."""
     basis = np.vander(times / len(times), degree + 1)
     left_px = places_px - basis @ np.linalg.pinv(basis) @ places_px
     return np.asarray(np.sqrt((left_px**2).sum(axis=(1, 2)) / len(times)))

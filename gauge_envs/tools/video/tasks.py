@@ -1,10 +1,10 @@
-"""Define the five tasks of the world-model track: the law, the object, and its place in the known first frame.
+"""Define the video tasks: the law, the object, and its place in the known first frame.
 
-Every video model gets the same first frame. Numbers in pixels were read by eye from those frames, on their grid of
-832 x 480 pixels with the origin in the top left corner. `tasks.toml` holds the numbers.
+All video models have the same first frames. Numbers in pixels were read by eye on their grid of 832 x 480 pixels, with
+the origin in the top left corner. `tasks.toml` has the numbers.
 
-The "real baseline" of the published table is not measured: its accelerations are g (sin 30 - mu cos 30) with the
-calibrated friction, and g. This package calls it the `law` of a task. Real trials are `VideoTask.real`.
+The "real baseline" of the published table is not a measurement: its accelerations are g (sin 30 - mu cos 30) with the
+calibrated friction, and g. This package calls it the `law` of a task. `VideoTask.real` has real trials.
 """
 
 import csv
@@ -25,21 +25,21 @@ from gauge_envs.references.tables import scoring_folder
 from gauge_envs.scene import Scene
 
 REFERENCE_SIZE_PX = (832, 480)
-"""Width and height of the first frames, on whose grid all pixel numbers are given."""
+"""Width and height of the first frames, the grid of all pixel numbers."""
 
 PLATE_RADIUS_PX = 225.5
-"""Radius of the turntable in the first frames, with its rim [px]."""
+"""Radius of the turntable with its rim in the first frames [px]."""
 
 
 class Motion(StrEnum):
-    """Kind of motion of a task, which decides the law and how the object is followed."""
+    """Kind of motion of a task; it determines the law and the tracking."""
 
     SLIDE = "slide"
     """A cube slides down a board with constant acceleration."""
     FALL = "fall"
     """A ball falls with constant acceleration until the first impact."""
     TURN = "turn"
-    """A cube rides or slips on a turntable, driven by limited friction."""
+    """A cube rides or slips on a turntable, moved by limited friction."""
     CRADLE = "cradle"
     """A row of hanging balls transfers the momentum of the first ball to the last."""
     PENDULUM = "pendulum"
@@ -47,7 +47,7 @@ class Motion(StrEnum):
 
 
 class Measured(NamedTuple):
-    """A metric of real trials: its mean and standard deviation, in the unit of the metric."""
+    """Mean and standard deviation of a metric over real trials, in the unit of the metric."""
 
     mean: float
     std: float
@@ -60,15 +60,14 @@ class VideoTask:
     Attributes:
         id: Id of the experiment in this suite, such as `SlopeSlider-2-wood`.
         motion: Kind of motion.
-        size_m: Length that gives the scale: edge of a cube or diameter of a ball [m].
-        size_px: The same length in the first frame [px].
-        centre_px: Centre of the tracked object in the first frame [px], shape [2]: the face of a cube that looks at the
-            camera, or a ball.
+        size_m: Length for the scale: edge of a cube or diameter of a ball [m].
+        size_px: This length in the first frame [px].
+        centre_px: Centre of the tracked object in the first frame [px], shape [2]: the front face of a cube, or a ball.
         direction: Unit vector of a straight motion in the picture, shape [2]; None for other motions.
         pivot_px: Pivot of a swing or of the turntable [px], shape [2]; None for straight motions.
-        rest_px: Position of the last ball of a cradle when it hangs [px], shape [2]; None for other motions.
-        is_shiny: Whether lamps change the pattern of the object's face as it turns.
-        release_height_m: Height from which the incoming ball of a cradle is released [m].
+        rest_px: Position of the last ball of a cradle at rest [px], shape [2]; None for other motions.
+        is_shiny: Whether reflections change the face of a rotating object.
+        release_height_m: Release height of the incoming ball of a cradle [m].
     """
 
     id: str
@@ -89,7 +88,7 @@ class VideoTask:
 
     @property
     def real(self) -> dict[str, Measured]:
-        """Measurements of real trials by metric; metrics without trials are absent."""
+        """Measurements of real trials by metric, without metrics that have no trials."""
         if self.motion is Motion.SLIDE:
             material = self.id.rpartition("-")[2]
             file = scoring_folder("facts") / "slope_slider_30deg_summary.toml"
@@ -120,7 +119,7 @@ class VideoTask:
 
     @property
     def mass_kg(self) -> float:
-        """Mass of the tracked object [kg]: the last ball of a cradle, the only dynamic body elsewhere."""
+        """Mass of the tracked object [kg]: the last ball of a cradle, or the only dynamic body."""
         return _scene(self.id).dynamic_bodies[-1].mass_kg
 
     @property
@@ -140,9 +139,9 @@ def _scene(task: str) -> Scene:
 
 @cache
 def published_results() -> dict[str, dict[str, dict[str, float]]]:
-    """Return Table 3 of GAUGE's paper by column, task and metric; a value that is printed as a dash is absent.
+    """Return Table 3 of GAUGE's paper by column, task and metric, without dashes.
 
-    The columns are `real_baseline`, which is the law, and ten configurations of six models.
+    The columns are `real_baseline`, the law, and ten configurations of six models.
     """
     file = scoring_folder("published") / "world_model_results.csv"
     columns: dict[str, dict[str, dict[str, float]]] = {}
@@ -167,7 +166,7 @@ def video_task(name: str) -> VideoTask:
     """Return a task by the id of its experiment.
 
     Raises:
-        UnknownNameError: There is no such task; the message suggests near names.
+        UnknownNameError: The task does not exist; the message suggests similar names.
     """
     tasks = {task.id: task for task in video_tasks()}
     if name not in tasks:

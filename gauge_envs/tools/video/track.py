@@ -1,4 +1,4 @@
-"""The track of an object in a video: what each tracker writes, and what the physics is judged by."""
+"""Tracks of objects in videos: the output of trackers, and the input of the fits."""
 
 import csv
 import math
@@ -15,24 +15,24 @@ from gauge_envs.tools.video.frames import Registration, laid_out
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
 COLUMNS = {"time", "frame", "x", "y", "x_grid", "y_grid"}
-"""Columns of a file with a track that are read."""
+"""Known columns of a track file."""
 
-GIVEN = "the track is as given: no picture was looked at"
+GIVEN = "the track comes from a file: no picture was checked"
 """Note on a track from a file."""
 
 GRID = laid_out(REFERENCE_SIZE_PX)
-"""Registration of places that are on the reference grid already."""
+"""Registration of places on the reference grid."""
 
 MIN_NOISE_PX = 0.1
-"""Smallest scatter of a tracker from frame to frame that is assumed [px]."""
+"""Smallest assumed scatter of a tracker between frames [px]."""
 
 
 class Event(NamedTuple):
-    """Something in a video that makes its track doubtful.
+    """Event in a video that makes its track doubtful.
 
     Attributes:
         text: Description with numbers.
-        first_frame: Its first frame.
+        first_frame: First frame of the event.
     """
 
     text: str
@@ -47,14 +47,14 @@ class Track:
         frames: Frame numbers, shape [frame_count], increasing.
         times_s: Times of the frames [s], shape [frame_count].
         fps: Frames per second.
-        points_px: Centres [px], shape [frame_count, 2]; NaN where the object was not found.
-        confidence: Likeness to the object of the first frame, 0 to 1, shape [frame_count]; 0 where it was not found.
-        size_ratio: Apparent size divided by that in the first frame, shape [frame_count]; NaN where unknown.
-        misfit: Difference from the shape in the first frame, in parts of the area, shape [frame_count].
+        points_px: Centres [px], shape [frame_count, 2]; NaN if the object is not visible.
+        confidence: Likeness to the object in the first frame, 0 to 1, shape [frame_count]; 0 if it is not visible.
+        size_ratio: Apparent size relative to the first frame, shape [frame_count]; NaN if unknown.
+        misfit: Difference from the shape in the first frame, relative to the area, shape [frame_count].
         other_likeness: Largest likeness of another place to the object, 0 to 1, shape [frame_count].
-        events: What happened in the video.
-        notes: Further observations.
-        registration: How the video lies on the grid.
+        events: Events that make the track doubtful.
+        notes: More observations.
+        registration: Registration of the video on the grid.
     """
 
     frames: IntArray
@@ -71,7 +71,7 @@ class Track:
 
     @property
     def is_found(self) -> BoolArray:
-        """Whether the object was found, shape [frame_count]."""
+        """Whether the object is visible, shape [frame_count]."""
         return np.asarray(np.isfinite(self.points_px).all(axis=1))
 
     def in_whole_px(self) -> "Track":
@@ -81,10 +81,10 @@ class Track:
         return replace(self, points_px=whole * scale + offset_px)
 
     def noise_px(self, span: tuple[int, int]) -> float:
-        """Return the scatter from frame to frame [px] in a range of rows.
+        """Return the scatter between frames in a range of rows [px].
 
-        Third differences of a smooth motion vanish; those of noise have 20 times its variance. The median deviation of
-        normal noise is 0.6745 of its standard deviation.
+        Third differences of a smooth motion vanish; third differences of noise have 20 times its variance. The median
+        deviation of normal noise is 0.6745 of its standard deviation.
         """
         points = self.points_px[span[0] : span[1] + 1]
         points = points[np.isfinite(points).all(axis=1)]
@@ -104,27 +104,27 @@ def read_track(
     fps: float | None = None,
     size_px: tuple[int, int] = REFERENCE_SIZE_PX,
 ) -> Track:
-    """Return a track from a CSV file, of any tracker.
+    """Return a track from a CSV file of any tracker.
 
-    Columns: `time` [s] or `frame`; `x` and `y` in pixels of the video, from its top left corner, or `x_grid` and
-    `y_grid` in those of the known first frame. Other columns are ignored. Rows without a position have empty cells, or
-    are left out.
+    The file has `time` [s] or `frame`. It has `x` and `y` in pixels of the video, from its top left corner, or `x_grid`
+    and `y_grid` in pixels of the known first frame. Other columns are ignored. Rows without a position have empty cells
+    or are left out.
 
     Args:
         path: The file.
-        fps: Frames per second of the video; needed where there is no column `time`.
+        fps: Frames per second of the video; required without a column `time`.
         size_px: Width and height of the video [px].
 
     Raises:
-        VideoError: The file cannot be read, lacks a column or the rate, or has a cell that is no finite number or a
-            place outside of the video.
+        VideoError: The file cannot be read, a column or the rate is missing, or a cell is not a number or is outside of
+            the video.
     """
     values = _columns(Path(path))
     unit = "_grid" if "x_grid" in values else ""
     x, y = values.get(f"x{unit}"), values.get(f"y{unit}")
     if x is None or y is None or not values.keys() & {"time", "frame"}:
         raise VideoError(
-            f"{path}: the first line must name time or frame, then x and y or x_grid and y_grid"
+            f"{path}: the first line must have the columns time or frame, and x and y or x_grid and y_grid"
         )
     places = np.column_stack([x, y])
     places[~np.isfinite(places).all(axis=1)] = np.nan
@@ -132,8 +132,8 @@ def read_track(
     if not unit and ((places < 0.0) | (places > size_px)).any():
         width, height = size_px
         raise VideoError(
-            f"{path}: x, y leave the picture of {width} x {height} pixels: put the video of another size beside it, "
-            "and leave cells empty where the object is not seen"
+            f"{path}: x, y are outside of the picture of {width} x {height} pixels: put a video of another size next "
+            "to the file, and leave cells empty if the object is not visible"
         )
     count = len(places)
     frames = values.get("frame", np.arange(count)).astype(np.int64)
@@ -162,11 +162,11 @@ def read_track(
 
 
 def save_track(track: Track, path: Path) -> Path:
-    """Write a track on the grid as the CSV that `read_track` reads, and return its path."""
+    """Write a track on the grid as CSV for `read_track`, and return its path."""
     text = "frame,time,x_grid,y_grid\n"
     places = zip(track.frames, track.times_s, *track.points_px.T, strict=True)
     for frame, time_s, x_px, y_px in places:
-        # An empty cell where the object was not found.
+        # Cells are empty if the object is not visible.
         cells = f"{x_px:.4f},{y_px:.4f}".replace("nan", "")
         text += f"{frame},{time_s:.6f},{cells}\n"
     with os_errors(lambda cause: VideoError(f"{path}: cannot be written: {cause}")):
@@ -187,4 +187,4 @@ def _columns(path: Path) -> dict[str, FloatArray]:
             for name in names
         }
     except (ValueError, csv.Error) as error:
-        raise VideoError(f"{path}: it is no CSV of numbers: {error}") from error
+        raise VideoError(f"{path}: not a CSV file of numbers: {error}") from error

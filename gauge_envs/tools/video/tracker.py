@@ -1,4 +1,4 @@
-"""Track the object of a task through a video, and name what makes the track doubtful."""
+"""Track the object of a task through a video, and report events that make the track doubtful."""
 
 import math
 
@@ -26,34 +26,34 @@ from gauge_envs.tools.video.tasks import (
 from gauge_envs.tools.video.track import Event, Track
 
 MIN_FRAMES = 8
-"""Smallest number of frames of a video that can be judged."""
+"""Smallest number of frames of a video."""
 
 BEND, BEND_COST = 0.5, 0.4
-"""Change of the velocity from frame to frame, in sizes, that costs `BEND_COST` of a likeness."""
+"""Change of the velocity between frames, in sizes, that reduces the likeness by `BEND_COST`."""
 
 MAX_STRUCK_STEP = 4.0
-"""Largest first step of a ball that is struck, in sizes or in changes by gravity."""
+"""Largest first step of a struck ball, in sizes or in changes by gravity."""
 
 MAX_ARC_ERROR = {Motion.CRADLE: 0.08, Motion.PENDULUM: 0.2}
-"""Largest relative difference of the distance of a swinging ball from its pivot."""
+"""Largest relative error of the distance of a swinging ball from its pivot."""
 
 MIN_SWING_RAD = 0.05
-"""Smallest angle at which the outgoing ball of a cradle is looked for."""
+"""Smallest angle of the outgoing ball of a cradle in the search."""
 
 MAX_NEIGHBOUR_ERROR = 0.15
-"""Largest relative difference of the distance of another ball of a cradle from its pivot."""
+"""Largest relative error of the distance of other balls of a cradle from their pivots."""
 
 CRADLE_BALLS = 5
-"""Balls of the cradle."""
+"""Number of balls of the cradle."""
 
 
 def track_object(frames: FileFrames, task: VideoTask) -> Track:
     """Return the track of the object of a task.
 
-    A first pass compares the scene of each frame with the first one, and a second one finds the object.
+    The first pass compares the scene of each frame with the first frame. The second pass detects the object.
 
     Args:
-        frames: The video; its first frame is the task's known one, in any resolution, stretched, cropped or padded.
+        frames: The video. Its first frame is the known frame of the task, stretched, cropped or padded to any size.
         task: The task.
 
     Raises:
@@ -100,10 +100,10 @@ def track_object(frames: FileFrames, task: VideoTask) -> Track:
 def followed(
     candidates: list[list[Detection]], task: VideoTask, fps: float
 ) -> list[Detection]:
-    """Return the detection of the object in each frame, near where the last ones predict it; empty where it is lost.
+    """Return the detection of the object in each frame, near its predicted place; `LOST` if it is lost.
 
     Args:
-        candidates: Detections that may show the object, by frame; those of a turntable begin with the object.
+        candidates: Possible detections of the object by frame; the first detection on a turntable is the object.
         task: The task.
         fps: Frames per second.
     """
@@ -111,22 +111,22 @@ def followed(
         return [next(iter(detections), LOST) for detections in candidates]
     is_cradle = task.motion is Motion.CRADLE
     start_px = np.array(task.rest_px or task.centre_px)
-    # A ball on wires that was released at the height of their ends passes its lowest point with twice gravity.
+    # A ball on wires, released at the height of its pivot, has an acceleration of twice gravity at its lowest point.
     max_m_per_s2 = (1.0 if task.direction else 2.0) * constants.g
     gravity_px = max_m_per_s2 / fps**2 / task.scale_m_per_px
-    place_px, step_px, gap, seen = start_px, np.zeros(2), 1, 0
+    place_px, step_px, gap, seen_count = start_px, np.zeros(2), 1, 0
     path = []
     for detections in candidates:
         bend_px = gap * max(BEND * task.size_px, gravity_px)
         if task.motion is Motion.FALL:
-            # An impact turns the velocity.
+            # An impact reverses the velocity.
             bend_px = max(bend_px, gap * float(np.linalg.norm(step_px)))
         expected_px = [place_px + gap * step_px]
         if task.direction is not None:
-            # An impact stops a body at an unknown time between two frames.
+            # An impact may stop a body between two frames.
             expected_px.append(place_px)
-        if is_cradle and seen < 2:
-            # The time of the strike between two frames is unknown, and so is the velocity of the first step.
+        if is_cradle and seen_count < 2:
+            # The time of the strike between two frames is unknown, so the first step is unknown too.
             bend_px = MAX_STRUCK_STEP * max(task.size_px, gravity_px)
         best, best_value = LOST, 0.0
         for detection in detections:
@@ -137,17 +137,17 @@ def followed(
         path.append(best)
         if best_value > 0.0:
             step_px, place_px = (best.place_px - place_px) / gap, best.place_px
-            gap, seen = 1, seen + 1
+            gap, seen_count = 1, seen_count + 1
         elif is_cradle:
-            # A ball that hangs is not looked for.
-            place_px, step_px, seen = start_px, np.zeros(2), 0
+            # A hanging ball is not detected.
+            place_px, step_px, seen_count = start_px, np.zeros(2), 0
         else:
             gap += 1
     return path
 
 
 def _arm_px(places_px: FloatArray, task: VideoTask) -> FloatArray:
-    """Return the distances of places, shape [..., 2], from the pivot, or from the row of pivots of a cradle [px]."""
+    """Return the distances of places of shape [..., 2] from the pivot, or from the row of pivots of a cradle [px]."""
     arms_px = places_px - np.array(task.pivot_px)
     row_px = (CRADLE_BALLS - 1) * task.size_px if task.rest_px else 0.0
     arms_px[..., 0] -= np.clip(arms_px[..., 0], -row_px, 0.0)
@@ -155,12 +155,12 @@ def _arm_px(places_px: FloatArray, task: VideoTask) -> FloatArray:
 
 
 def _arc_error(detection: Detection, task: VideoTask) -> float:
-    """Return the relative difference of the distance from the pivot, or from the row of pivots of a cradle."""
+    """Return the relative error of the distance from the pivot, or from the row of pivots of a cradle."""
     return abs(float(_arm_px(detection.place_px, task)) / task.arm_length_px - 1.0)
 
 
 def _is_allowed(detection: Detection, task: VideoTask) -> bool:
-    """Return whether the object can be at a place: a swinging ball only at a known distance from its pivot."""
+    """Return whether the object can be at a place: a swinging ball has a known distance from its pivot."""
     if task.pivot_px is None or task.motion is Motion.TURN:
         return True
     x_px, y_px = detection.place_px - task.pivot_px
@@ -169,9 +169,9 @@ def _is_allowed(detection: Detection, task: VideoTask) -> bool:
 
 
 def _moving_part(task: VideoTask) -> BoolArray:
-    """Return where the picture changes on purpose, shape [480, 832].
+    """Return the moving part of the picture, shape [480, 832].
 
-    That is around the object's first place, on the plate of a turntable, and where the balls of a cradle swing.
+    It is the first place of the object, the plate of a turntable, or the swings of a cradle.
     """
     places_px = np.indices(REFERENCE_SIZE_PX).T.astype(float)
     if task.motion is Motion.TURN:
@@ -185,13 +185,13 @@ def _moving_part(task: VideoTask) -> BoolArray:
 def _other_likeness(
     candidates: list[list[Detection]], path: list[Detection], task: VideoTask
 ) -> FloatArray:
-    """Return in each frame the likeness of another place that is most like the object, shape [frame_count]."""
+    """Return the largest likeness of another place to the object in each frame, shape [frame_count]."""
     largest = []
     for detections, chosen in zip(candidates, path, strict=True):
         likeness = 0.0
         for detection in detections:
             is_near = math.dist(detection.place_px, chosen.place_px) < task.size_px
-            # Where the object cannot be, it is another one although the place of the object is unknown.
+            # At a place that the object cannot have, it is another object, even if the object is lost.
             is_other = chosen.likeness > 0.0 or not _is_allowed(detection, task)
             if task.motion is Motion.CRADLE:
                 is_other &= _arc_error(detection, task) > MAX_NEIGHBOUR_ERROR
@@ -204,41 +204,40 @@ def _other_likeness(
 # --- the scene --------------------------------------------------------------------------------------------------------
 
 CHANGED_LEVELS = 30.0
-"""Difference of the brightness with which a place has changed since the first frame."""
+"""Smallest difference of brightness at a changed place."""
 
 MAX_CHANGED_SHARE = 0.2
-"""Share of the picture that must change for the scene to be another one."""
+"""Smallest changed share of the picture in another scene."""
 
 MAX_SHIFT_PX = 2.0
-"""Mean shift of the corners of the picture up to which a camera counts as still [px]. Sound published clips have up to
-1.8 px."""
+"""Largest mean shift of the corners of the picture with a fixed camera [px]. Sound published clips have 1.8 px."""
 
 MAX_UNKNOWN_SHARE = 0.1
-"""Largest share of the frames in which the motion of the camera is not found."""
+"""Largest share of frames with an unknown motion of the camera."""
 
 MIN_POINTS, MIN_AGREEING_SHARE = 12, 0.4
-"""Smallest number of points of the scene, and their smallest share, that must agree on the motion of the camera."""
+"""Smallest number and share of points of the scene that must agree on the motion of the camera."""
 
 MIN_MOTION_LEVELS = 12.0
-"""Largest difference of the brightness of two small pictures from which something moves."""
+"""Smallest difference of brightness between two small pictures with motion."""
 
 MAX_REPEAT_SHARE = 0.25
-"""Largest difference of a repeated picture, relative to its neighbours; compression leaves up to a tenth."""
+"""Largest difference of a repeated picture, relative to its neighbours; compression causes up to a tenth."""
 
 MIN_REPEATS, MIN_REPEATING_SHARE = 3, 0.14
-"""Smallest number and share of the frames of a motion that must repeat a picture. A film of 25 pictures a second that
-is shown at 30 repeats 17 %; a pendulum is slow for one frame at each turning point."""
+"""Smallest number and share of repeated frames of a motion. A film with 25 pictures per second, shown at 30, repeats
+17 %. A pendulum is slow for one frame at each turning point."""
 
 
 class SceneWatch:
-    """Compare the scene of each frame with the first one.
+    """Compare the scene of each frame with the first frame.
 
-    Corners of the scene are followed by optical flow (Lucas and Kanade, 1981); a shift, a rotation and a scale are
-    fitted to them by random samples (RANSAC).
+    Optical flow (Lucas and Kanade, 1981) follows corners of the scene. A shift, a rotation and a scale are fitted to
+    them by random samples (RANSAC).
 
     Args:
         first: The first frame.
-        moving: Part of the picture that moves on purpose, shape [480, 832].
+        moving: Moving part of the picture, shape [480, 832].
     """
 
     def __init__(self, first: Picture, moving: BoolArray) -> None:
@@ -251,13 +250,13 @@ class SceneWatch:
         self._shifts_px: list[float] = []
 
     def look(self, picture: Picture) -> None:
-        """Keep a small picture of the next frame, and find how far its camera is from its first place."""
+        """Store a small picture of the next frame and the shift of its camera."""
         grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
         self._pictures.append(shrunk(grey))
         self._shifts_px.append(self._shift_px(grey))
 
     def events(self) -> list[Event]:
-        """Return what happened to the camera and the scene."""
+        """Return the events of the camera and the scene."""
         pictures, shifts_px = np.array(self._pictures), np.array(self._shifts_px)
         still = pictures[:, self._is_still]
         changed = (np.abs(still - still[0]) > CHANGED_LEVELS).mean(axis=1)
@@ -268,19 +267,19 @@ class SceneWatch:
         events = []
         for text, is_seen in (
             (
-                f"the scene is recomposed: up to {changed.max():.0%} of the picture differs from the first frame",
+                f"the scene changes: up to {changed.max():.0%} of the picture differs from the first frame",
                 changed > MAX_CHANGED_SHARE,
             ),
             (
-                "the camera moves, or the background shows too little to tell that it stands",
+                "the camera moves, or the background has too few features to show that it is fixed",
                 is_unknown,
             ),
             (
-                f"the camera moves: the corners of the picture by up to {largest_px:.1f} px",
+                f"the camera moves: the corners of the picture shift by up to {largest_px:.1f} px",
                 shifts_px > MAX_SHIFT_PX,
             ),
             (
-                "frames show the picture before again: give the video at its own frame rate",
+                "frames repeat the previous picture: use the original frame rate of the video",
                 _repeats(steps),
             ),
         ):
@@ -290,7 +289,7 @@ class SceneWatch:
         return events
 
     def _shift_px(self, grey: Picture) -> float:
-        """Return the mean shift of the corners of the picture since the first frame [px]; NaN where it is unknown."""
+        """Return the mean shift of the corners of the picture since the first frame [px]; NaN if unknown."""
         if len(self._points) < MIN_POINTS:
             return math.nan
         moved, status, _ = cv2.calcOpticalFlowPyrLK(
@@ -311,12 +310,12 @@ class SceneWatch:
 
 
 def _repeats(steps: FloatArray) -> BoolArray:
-    """Return which frames repeat a picture while something moves; none unless they are many.
+    """Return the frames that repeat a picture during a motion; empty if they are few.
 
     Args:
-        steps: Largest difference of the brightness of each frame from the one before, shape [frame_count].
+        steps: Largest difference of brightness between each frame and the previous one, shape [frame_count].
     """
-    # The grain of a body at rest is far below its motion.
+    # The grain of a body at rest is much smaller than its motion.
     min_motion = max(MIN_MOTION_LEVELS, MAX_REPEAT_SHARE * float(steps.max()))
     is_moving = binary_closing(steps > min_motion, np.ones(5))
     is_repeat = is_moving & (steps < MAX_REPEAT_SHARE * maximum_filter1d(steps, 5))

@@ -1,4 +1,4 @@
-"""Draw clips whose motion is known: simple scenes on the grid of the first frames, with blur, noise and compression."""
+"""Draw clips with known motion: simple scenes on the grid of the first frames, with blur, noise and compression."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,13 +11,13 @@ from gauge_envs.tools.video import Track, score
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, video_task
 
 SHIFT = 4
-"""Fractions of pixels with which OpenCV draws: 1/16 px."""
+"""Bits of the pixel fractions in OpenCV: 1/16 px."""
 
 EXPOSURES = 4
-"""Pictures that are averaged to one frame, over half of its time."""
+"""Number of averaged pictures per frame, over half of its time."""
 
 RAMP_S = 0.4
-"""Time in which a turntable reaches its rate [s]."""
+"""Acceleration time of a turntable [s]."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Clip:
 def clip(name, rng, *, fps=30.0, calibration_sigma=0.0):
     """Return a clip of a task with random constants, a release between two frames, and the truth.
 
-    With `calibration_sigma`, the true size of a pixel differs from the stated one by a random share of that size.
+    `calibration_sigma` is the relative standard deviation of the true size of a pixel from the nominal size.
     """
     task = video_task(name)
     place, truth, duration_s = motion_on_grid(task, rng)
@@ -53,7 +53,7 @@ def clip(name, rng, *, fps=30.0, calibration_sigma=0.0):
             picture = scene.copy()
             _draw(task, picture, *place(time_s))
             exposed += picture
-        # One sheet of grain is shifted from frame to frame, which is cheaper than a new one.
+        # Shifting one sheet of grain is faster than drawing a new one for each frame.
         grain = np.roll(sheet, rng.integers(0, 400, 2), axis=(0, 1))
         frame = np.clip(exposed / EXPOSURES + grain, 0, 255).astype(np.uint8)
         _, packed = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 80])
@@ -62,7 +62,7 @@ def clip(name, rng, *, fps=30.0, calibration_sigma=0.0):
 
 
 def scored(frames, fps, task):
-    """Return the score of frames that are written to a film without loss."""
+    """Return the score of frames in a lossless film."""
     with TemporaryDirectory() as folder:
         return score(written(frames, Path(folder, "film.avi"), fps, "FFV1"), None, task)
 
@@ -80,19 +80,21 @@ def written(frames, path, fps=30.0, code="mp4v"):
 # --- motions: numbers over time, of a scalar or an array ----------------------------------------------------------
 
 
-def slid_m(times_s, release_s, a, lasts_s, bounce=0.0):
-    """Way from rest with constant acceleration until it ends, where a ball may bounce."""
-    since = np.clip(times_s - release_s, 0.0, lasts_s)
-    late = np.maximum(times_s - release_s - lasts_s, 0.0)
-    way = 0.5 * a * since**2
+def slid_m(times_s, release_s, a, duration_s, bounce=0.0):
+    """Return the displacement from rest with constant acceleration until an end, where a ball may bounce."""
+    since = np.clip(times_s - release_s, 0.0, duration_s)
+    late = np.maximum(times_s - release_s - duration_s, 0.0)
+    displacement = 0.5 * a * since**2
     if bounce:
-        back = bounce * a * lasts_s * late - 0.5 * a * late**2
-        way = np.where(late > 0.0, np.maximum(way - back, 0.0), way)
-    return way
+        back = bounce * a * duration_s * late - 0.5 * a * late**2
+        displacement = np.where(
+            late > 0.0, np.maximum(displacement - back, 0.0), displacement
+        )
+    return displacement
 
 
 def turned_rad(times_s, release_s, rate):
-    """A plate that starts at once would need more force than friction has."""
+    """Return the angle of a plate that accelerates slowly: a sudden start would exceed the friction."""
     since = np.maximum(times_s - release_s, 0.0)
     ramp = np.minimum(since, RAMP_S)
     return rate * (0.5 * ramp**2 / RAMP_S + since - ramp)
@@ -104,7 +106,7 @@ def swung_rad(times_s, amplitude, damping, period):
 
 
 def struck_rad(times_s, peaks):
-    """Swings that each last 0.4 s and begin 0.9 s apart."""
+    """Return swings of 0.4 s that begin every 0.9 s."""
     angle = 0.0 * times_s
     for number, peak in enumerate(peaks):
         since = np.clip(times_s - 0.4 - 0.9 * number, 0.0, 0.4)
@@ -123,8 +125,9 @@ def motion_on_grid(task, rng):
         direction = np.array(task.direction)
 
         def straight(time_s):
-            way = slid_m(time_s, release, a, lasts, 0.0 if is_slide else 0.6)
-            return start + direction * way / scale, 31.6
+            bounce = 0.0 if is_slide else 0.6
+            displacement = slid_m(time_s, release, a, lasts, bounce)
+            return start + direction * displacement / scale, 31.6
 
         rest = 0.3 if is_slide else 0.2
         return straight, {"acceleration_m_s2": a}, release + lasts + rest
@@ -135,8 +138,8 @@ def motion_on_grid(task, rng):
         def turning(time_s):
             angle = turned_rad(time_s, release, rate)
             c, s = np.cos(angle), np.sin(angle)
-            turn = np.array([[c, -s], [s, c]])
-            return pivot + turn @ (start - pivot), -float(np.degrees(angle))
+            rotation = np.array([[c, -s], [s, c]])
+            return pivot + rotation @ (start - pivot), -float(np.degrees(angle))
 
         return turning, {"de": 0.0}, release + 1.5
     if task.motion is Motion.PENDULUM:
@@ -165,7 +168,7 @@ def motion_on_grid(task, rng):
 
 
 def _scene(task, rng):
-    """Return a still scene: what stands around the object in the first frames, in plain colours with some texture."""
+    """Return the surroundings of the object in the first frames, in plain colours with some texture."""
     width, height = REFERENCE_SIZE_PX
     is_dark = (
         task.id in ("SlopeSlider-2-wood", "SlopeSlider-2-metal")
@@ -178,13 +181,13 @@ def _scene(task, rng):
         cv2.rectangle(scene, (230, 410), (640, 445), (120, 170, 215), -1)
     elif task.motion is Motion.TURN:
         centre = tuple(int(value) for value in task.pivot_px or (0, 0))
-        # Metal is told from the plate by its tint.
+        # The tint distinguishes metal from the plate.
         plate = (140, 165, 185) if task.is_shiny else (185, 205, 215)
         cv2.circle(scene, centre, 225, plate, -1, cv2.LINE_AA)
     elif task.motion is Motion.PENDULUM:
         cv2.rectangle(scene, (400, 50), (426, 440), (28, 28, 28), -1)
         cv2.rectangle(scene, (0, 330), (width, height), (35, 35, 35), -1)
-        # The camera is seen to stand by the holes of the table.
+        # The holes of the table show that the camera is fixed.
         scene[350:480:20, 10:380:20] = scene[350:480:20, 450:820:20] = 90
     else:
         cv2.rectangle(scene, (0, 275), (width, height), (95, 95, 95), -1)
@@ -212,7 +215,7 @@ def _draw(task, picture, place, angle_deg):
 
 
 def track_of(places_px, fps):
-    """A track of these places on the reference grid, one in each frame."""
+    """Return a track with a place on the reference grid in each frame."""
     frames = np.arange(len(places_px))
     ones, zeros = np.ones(len(places_px)), np.zeros(len(places_px))
     return Track(
@@ -228,7 +231,7 @@ def track_of(places_px, fps):
 
 
 def driven(name, a_m_s2, *, fps=30.0, release_s=10.3 / 30.0):
-    """A track of 40 frames from rest with constant acceleration along the direction of a task."""
+    """Return a track of 40 frames from rest with constant acceleration along the direction of a task."""
     task = video_task(name)
     since_s = np.maximum(np.arange(40) / fps - release_s, 0.0)[:, None]
     along_px = 0.5 * a_m_s2 * since_s**2 / task.scale_m_per_px

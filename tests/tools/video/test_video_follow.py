@@ -1,4 +1,4 @@
-"""A wrong number never looks sound: the tracker follows the object alone, and names planted faults of a film."""
+"""The tracker follows only the object, and reports planted faults of a film."""
 
 import math
 from functools import cache
@@ -28,7 +28,7 @@ def seen(x_px, y_px=0.0, likeness=0.7):
 # --- which detection is the object ------------------------------------------------------------------------------------
 
 
-def test_a_likelier_place_far_away_is_left_out_and_a_gap_is_bridged():
+def test_the_tracker_ignores_distant_places_and_bridges_a_gap():
     frames = [[seen(4.0 * number)] for number in range(20)]
     for number in range(8, 11):
         frames[number].append(seen(150.0, likeness=0.95))
@@ -36,7 +36,7 @@ def test_a_likelier_place_far_away_is_left_out_and_a_gap_is_bridged():
     places_px = 4.0 * np.arange(20)
     places_px[12:17] = np.nan
     path = followed(frames, BALL, 30.0)
-    found_px = [one.place_px[0] - BALL.centre_px[0] for one in path]
+    found_px = [detection.place_px[0] - BALL.centre_px[0] for detection in path]
     assert found_px == pytest.approx(places_px, nan_ok=True)
 
 
@@ -47,16 +47,14 @@ def test_a_ball_is_followed_through_its_impact():
     rises_px = gravity_px_s2 * times_s * (0.31 * 0.8 - 0.5 * times_s)
     heights_px = np.where(times_s < 0.0, falls_px, rises_px)
     frames = [[seen(0.0, heights_px[0] - height)] for height in heights_px]
-    lost = [one.likeness == 0.0 for one in followed(frames, BALL, 30.0)]
+    lost = [detection.likeness == 0.0 for detection in followed(frames, BALL, 30.0)]
     assert sum(lost) <= 2, lost
 
 
 @pytest.mark.parametrize(("share", "is_on_arc"), [(1.0, True), (0.5, False)])
-def test_a_struck_ball_is_followed_from_where_it_hangs_and_on_its_arc_alone(
-    share, is_on_arc
-):
+def test_a_struck_ball_is_followed_only_on_its_arc(share, is_on_arc):
     length_px = math.dist(CRADLE.rest_px, CRADLE.pivot_px)
-    # It is struck just before a frame: the first step is short, and the next one is not.
+    # The strike is just before a frame: the first step is short, and the second step is not.
     swing_rad = 0.75 * np.sin(np.pi * (np.arange(9) + 0.35) / 9.0)
     angles_rad = np.r_[np.zeros(9), swing_rad, np.zeros(9), swing_rad]
     places_px = CRADLE.pivot_px + share * length_px * np.column_stack(
@@ -66,8 +64,10 @@ def test_a_struck_ball_is_followed_from_where_it_hangs_and_on_its_arc_alone(
         [Detection(place, 0.6)] if angle else []
         for place, angle in zip(places_px, angles_rad, strict=True)
     ]
-    found = [one.likeness > 0.0 for one in followed(frames, CRADLE, 30.0)]
-    assert found == [is_on_arc and angle > 0.0 for angle in angles_rad]
+    is_visible = [
+        detection.likeness > 0.0 for detection in followed(frames, CRADLE, 30.0)
+    ]
+    assert is_visible == [is_on_arc and angle > 0.0 for angle in angles_rad]
 
 
 # --- size, shape and place --------------------------------------------------------------------------------------------
@@ -81,9 +81,7 @@ def test_a_struck_ball_is_followed_from_where_it_hangs_and_on_its_arc_alone(
         ("melted", 1.0, False),
     ],
 )
-def test_an_object_has_its_size_and_shape_though_its_motion_smears_it(
-    change, size, is_same
-):
+def test_motion_blur_keeps_the_size_and_shape_of_an_object(change, size, is_same):
     bare = np.full((480, 832, 3), 200, np.uint8)
     down_px, right_px = ROWS - BALL.centre_px[1], COLUMNS - BALL.centre_px[0]
     radius_px = 0.5 * BALL.size_px
@@ -94,12 +92,12 @@ def test_an_object_has_its_size_and_shape_though_its_motion_smears_it(
     later[away_px < size * radius_px] = 25
     if change == "smeared":
         later = cv2.blur(later, (1, 45))
-    (found, *_) = ShapeDetector(first, bare, BALL).candidates(later)
-    assert found.size_ratio == pytest.approx(size, rel=0.15)
-    assert (found.misfit < MAX_MISFIT) is is_same
+    (detection, *_) = ShapeDetector(first, bare, BALL).candidates(later)
+    assert detection.size_ratio == pytest.approx(size, rel=0.15)
+    assert (detection.misfit < MAX_MISFIT) is is_same
 
 
-def test_a_black_cube_has_its_face_where_its_dark_sides_are_seen_too():
+def test_visible_dark_sides_do_not_shift_the_face_of_a_black_cube():
     task = video_task("SlopeSlider-2-plastic")
     places_px = task.centre_px + np.outer([0.0, 60.0, 100.0, 140.0], task.direction)
     corners_px = cv2.boxPoints(((0.0, 0.0), (task.size_px,) * 2, -31.6))
@@ -108,7 +106,7 @@ def test_a_black_cube_has_its_face_where_its_dark_sides_are_seen_too():
     for place in places_px:
         picture = np.full((480, 832, 3), 200, np.uint8)
         face = corners_px + place
-        # A pinhole camera sees the back of the cube smaller, towards the middle of the picture.
+        # In a pinhole camera, the back of the cube is smaller and nearer to the centre of the picture.
         back = (face + depth * np.array([416.0, 240.0])) / (1.0 + depth)
         hull = cv2.convexHull(np.rint(16.0 * np.vstack([face, back])).astype(int))
         cv2.fillConvexPoly(picture, hull, (20,) * 3, cv2.LINE_AA, 4)
@@ -116,7 +114,7 @@ def test_a_black_cube_has_its_face_where_its_dark_sides_are_seen_too():
     detector = ShapeDetector(pictures[0], pictures[-1], task)
     found_px = [detector.candidates(picture)[0].place_px for picture in pictures]
     along_px = (found_px - places_px) @ task.direction
-    # Without the sides, the way would be 2 % shorter.
+    # Without a correction for the sides, the displacement would be 2 % too short.
     assert np.abs(along_px).max() < 0.6
 
 
@@ -129,7 +127,7 @@ def film(task):
 
 
 def empty(frames):
-    """Return the scene without the cube, which slides from the right half to the left one."""
+    """Return the scene without the cube; it slides from the right half to the left half."""
     return np.hstack([frames[0][:, :400], frames[-1][:, 400:]])
 
 
@@ -182,20 +180,20 @@ def zoomed(frames):
 
 
 def repeated(frames):
-    """Return 25 pictures a second that are shown at 30."""
+    """Return a film with 25 pictures per second, shown at 30."""
     is_repeated = np.arange(len(frames)) % 5 == 4
     return np.repeat(np.asarray(frames), 1 + is_repeated, axis=0)
 
 
 FAULTS = [
-    (SLIDE, second, "a second object of the same shape and colour is seen in"),
+    (SLIDE, second, "a second object of the same shape and colour is visible in"),
     (SLIDE, replaced, "has another look"),
-    (SLIDE, vanished, "vanishes on its way"),
+    (SLIDE, vanished, "vanishes after frame"),
     (SLIDE, zoomed, "the camera moves: the corners"),
     (SLIDE, mirrored, "of its size from its place in the known first frame"),
-    (SLIDE, cut, "the scene is recomposed"),
+    (SLIDE, cut, "the scene changes"),
     (SLIDE, missing, "frames seem to be missing, 2 before frame 18"),
-    (SLIDE, repeated, "frames show the picture before again"),
+    (SLIDE, repeated, "frames repeat the previous picture"),
     (PLASTIC, second_on_plate, "a second object of the same shape and colour"),
 ]
 
@@ -206,7 +204,7 @@ def test_the_film_without_a_fault_is_sound(task):
 
 
 @pytest.mark.parametrize(("task", "fault", "words"), FAULTS)
-def test_a_planted_fault_is_named(task, fault, words):
+def test_a_planted_fault_is_reported(task, fault, words):
     frames = fault([frame.copy() for frame in film(task).frames])
     result = scored(frames, film(task).fps, task)
     assert not result.is_sound
@@ -214,7 +212,7 @@ def test_a_planted_fault_is_named(task, fault, words):
 
 
 @pytest.mark.parametrize(("last", "is_sound"), [(11, True), (6, False)])
-def test_a_ball_of_a_cradle_that_fades_on_its_arc_is_named(last, is_sound):
+def test_a_ball_of_a_cradle_that_fades_on_its_arc_is_reported(last, is_sound):
     length_px = math.dist(CRADLE.rest_px, CRADLE.pivot_px)
     swing_rad = np.sin(np.pi * np.arange(1, 12) / 12.0)
     swing_rad[last:] = np.nan

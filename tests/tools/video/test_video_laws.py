@@ -1,4 +1,4 @@
-"""Laws of the world-model track against closed forms, and the frames to which they apply."""
+"""Fits of laws against closed forms, and the retained frames."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_qfi_is_the_f_statistic_of_the_nested_models():
 
 
 def test_form_of_a_steady_motion_is_independent_of_its_scale():
-    # The best a + b t^2 of t on 0..1 leaves sqrt(1/12 - 5/64) of the distance.
+    # The best fit a + b t^2 to t on 0..1 has the residual sqrt(1/12 - 5/64).
     for scale in (0.01, 50.0):
         fit = fit_constant_acceleration(TIMES_S, scale * TIMES_S)
         assert fit.form == pytest.approx((1 / 12 - 5 / 64) ** 0.5, abs=4e-3)
@@ -57,11 +57,11 @@ def test_dynamic_error_of_a_circle_is_the_centripetal_force_beyond_friction():
     angles = rate * times_s
     circle_m = radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
     de_n = dynamic_error(times_s, circle_m, mass_kg=0.09, friction=0.38)
-    # Three points of a circle give the acceleration 2 r (1 - cos(w dt)) / dt^2.
+    # Three points on a circle give the acceleration 2 r (1 - cos(w dt)) / dt^2.
     a = 2.0 * radius_m * (1.0 - np.cos(rate / 240.0)) * 240.0**2
     assert de_n == pytest.approx(0.09 * (a - 0.38 * 9.80665), rel=1e-9)
     assert dynamic_error(times_s, circle_m, mass_kg=0.09, friction=0.7) == 0.0
-    # Accelerations over a gap are exact for a parabola.
+    # Accelerations across a gap are exact for a parabola.
     times_s = np.array([0.0, 0.1, 0.4, 0.5, 0.9])
     parabola = np.column_stack([1.5 * times_s**2, 0.2 * times_s])
     force_n = dynamic_error(times_s, parabola, mass_kg=1.0, friction=0.0)
@@ -79,13 +79,13 @@ def test_a_damped_oscillation_is_recovered_with_gaps(period_s, damping):
     assert fit.r2 == pytest.approx(1.0, abs=1e-9)
 
 
-def test_an_apex_is_a_swing_that_is_seen_on_both_sides():
+def test_an_apex_has_visible_swings_on_both_sides():
     frames = np.arange(60)
     swing = np.maximum(0.4 * np.sin(2.0 * np.pi * frames / 30.0), 0.0)
     assert list(apices(frames, swing, 30.0)) in ([7, 37], [8, 38])
     trembling = 0.1 + 0.005 * np.sin(0.27 * frames)
     assert not len(apices(frames, trembling, 30.0))
-    # An apex lies between two frames.
+    # An apex is between two frames.
     times_s = np.array([0.1, 0.2, 0.35])
     assert peak(times_s, 0.05 - 3.0 * (times_s - 0.22) ** 2) == pytest.approx(0.05)
 
@@ -96,7 +96,7 @@ def test_an_apex_is_a_swing_that_is_seen_on_both_sides():
 )
 @pytest.mark.parametrize("restitution", [0.05, 0.4])
 def test_a_motion_ends_at_its_impact(restitution, name, a_m_s2, fps):
-    """A body that rebounds by some millimetres is back in a few frames: one of them alone may show a step back."""
+    """A rebound of some millimetres lasts a few frames, and only one of them may show a backward step."""
     task, fall_m = video_task(name), 0.3
     impact_s = (2.0 * fall_m / a_m_s2) ** 0.5
     since_s = np.arange(36) / fps - 0.25
@@ -109,7 +109,7 @@ def test_a_motion_ends_at_its_impact(restitution, name, a_m_s2, fps):
     assert since_s[last] < impact_s < since_s[last + 3]
 
 
-def test_a_cube_that_falters_for_two_frames_slides_on():
+def test_a_stop_of_two_frames_does_not_end_a_slide():
     frames = np.r_[0:21, 20, 20, 20:28]
     along_px = displacement_px(driven(SLIDE.id, 2.5), SLIDE)[frames, None]
     track = track_of(SLIDE.centre_px + along_px * np.array(SLIDE.direction), 30.0)

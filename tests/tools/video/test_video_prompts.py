@@ -1,4 +1,4 @@
-"""The inputs of video models, from a copy of the repository that is whole, damaged, incomplete or not there."""
+"""The inputs of video models, from a complete, damaged or incomplete copy of the repository."""
 
 import hashlib
 
@@ -17,14 +17,14 @@ PLASTIC = (
 
 
 def content(file):
-    """Content of a file in a stand-in for the repository, whose files are no part of this one."""
+    """Return the content of a file in the replacement of the repository."""
     texts = {"SlopeSlider-2-wood.txt": WOOD, "SlopeSlider-2-plastic.txt": PLASTIC}
     return texts.get(file.file, f"content of {file.file}, √" * 50).encode()
 
 
 @pytest.fixture
 def source(tmp_path, monkeypatch):
-    """A stand-in for the repository as a folder, and its table of files."""
+    """Return a folder that replaces the repository, and patch the table of files."""
     table = tuple(
         InputFile(
             file=file.file,
@@ -51,7 +51,9 @@ def test_the_command_writes_all_files_and_the_corrected_prompt_twice(
         result = gauge("video", "prompts", source, "--out", out)
         assert (result.exit_code, result.stdout.strip()) == (0, str(out))
         assert "20 files written" in result.stderr
-    assert {x.name for x in out.iterdir()} == {file.file for file in TABLE} | {NOTE}
+    assert {path.name for path in out.iterdir()} == {file.file for file in TABLE} | {
+        NOTE
+    }
     assert all((out / file.file).read_bytes() == content(file) for file in TABLE)
     note = (out / NOTE).read_text()
     assert REPOSITORY in note and COMMIT in note and "MIT licence" in note

@@ -1,4 +1,4 @@
-"""Registration of first frames that are stretched, cropped, padded or moved, and a clip that is scored through it."""
+"""Registration of stretched, cropped, padded or moved first frames, and the score of a cropped clip."""
 
 from functools import cache
 
@@ -16,7 +16,7 @@ from gauge_envs.tools.video.frames import (  # noqa: E402
 )
 
 LAYOUTS = {
-    # Scales and offsets that bring the picture back to the grid, and the size of the video.
+    # Scales and offsets from the picture to the grid, and size of the video.
     "stretch": (1.0, 480 / 464, 0.0, 0.0, (832, 464)),
     "crop": (6 / 7, 6 / 7, (832 - 752 * 6 / 7) / 2, 0.0, (752, 560)),
     "pad": (832 / 1080, 832 / 1080, 0.0, (480 - 1920 * 832 / 1080) / 2, (1080, 1920)),
@@ -37,12 +37,17 @@ def laid_out(picture, method):
 
 @pytest.mark.parametrize("method", LAYOUTS)
 @pytest.mark.parametrize("task", ["SlopeSlider-2-wood", "NewtonsCradle-metal"])
-def test_the_outline_tells_how_a_picture_was_laid_out(task, method):
+def test_the_outline_determines_the_layout_of_a_picture(task, method):
     picture = laid_out(first_picture(task), method)
-    found = registration_by_outline(picture, video_task(task))
-    assert not found.problem
-    assert found.method == method
-    numbers = (found.scale_x, found.scale_y, found.offset_x_px, found.offset_y_px)
+    registration = registration_by_outline(picture, video_task(task))
+    assert not registration.problem
+    assert registration.method == method
+    numbers = (
+        registration.scale_x,
+        registration.scale_y,
+        registration.offset_x_px,
+        registration.offset_y_px,
+    )
     assert numbers == pytest.approx(LAYOUTS[method][:4], abs=1e-3)
 
 
@@ -54,10 +59,10 @@ def test_an_object_at_another_place_is_doubtful(task):
 
 
 def test_a_cropped_clip_gives_the_true_acceleration():
-    one = clip("SlopeSlider-2-metal", np.random.default_rng(11))
-    frames = [laid_out(frame, "crop") for frame in one.frames]
-    result = scored(frames, one.fps, one.task)
+    film = clip("SlopeSlider-2-metal", np.random.default_rng(11))
+    frames = [laid_out(frame, "crop") for frame in film.frames]
+    result = scored(frames, film.fps, film.task)
     assert result.is_sound, result.reasons
     assert result.to_dict()["registration"]["method"] == "crop"
-    truth = one.truth["acceleration_m_s2"]
+    truth = film.truth["acceleration_m_s2"]
     assert result.metrics["acceleration_m_s2"] == pytest.approx(truth, rel=0.02)

@@ -1,4 +1,4 @@
-"""Scores of clips and tracks whose motion is known, their intervals, and the commands."""
+"""Scores of clips and tracks with known motion, intervals, and the commands."""
 
 import csv
 import json
@@ -43,7 +43,7 @@ TOLERANCE = {
 
 
 def check_metrics(metrics, truth):
-    """Check all metrics whose truth is known."""
+    """Check all metrics with known true values."""
     for name, value in truth.items():
         assert metrics[name] == pytest.approx(value, **TOLERANCE[name]), name
 
@@ -58,7 +58,7 @@ def check_metrics(metrics, truth):
         (PENDULUM.id, "pd", -1.0, 104),
     ],
 )
-def test_the_interval_of_a_film_contains_the_truth_and_a_wrong_rate_is_named(
+def test_the_interval_of_a_film_contains_the_truth_and_a_wrong_rate_is_reported(
     task, metric, power, seed
 ):
     film = clip(task, np.random.default_rng(seed), fps=20.0)
@@ -66,7 +66,7 @@ def test_the_interval_of_a_film_contains_the_truth_and_a_wrong_rate_is_named(
     low, high = result.uncertainty[metric]
     assert result.is_sound, result.reasons
     assert low <= truth <= high and high - low < 0.05 * truth
-    # At twice the rate the motion needs four times gravity.
+    # At twice the frame rate, the motion needs four times gravity.
     track = result.track
     fast = replace(track, fps=2.0 * track.fps, times_s=0.5 * track.times_s)
     again = score_track(fast, video_task(task))
@@ -80,12 +80,12 @@ def test_the_interval_of_a_film_contains_the_truth_and_a_wrong_rate_is_named(
 def test_intervals_contain_the_truth(task):
     contained = []
     for seed in range(10):
-        # The standard uncertainty of the scale is 0.65 % for cubes and balls alike.
+        # The standard uncertainty of the scale is 0.65 % for cubes and balls.
         film = clip(task, np.random.default_rng(seed), calibration_sigma=0.0065)
         result = scored(film.frames, film.fps, task)
         assert result.is_sound, (seed, result.reasons)
         check_metrics(result.metrics, film.truth)
-        # A fit of noisy places explains less than all of them, so R^2 has no true value of 1.
+        # The noise of places reduces R^2, so its true value is not 1.
         for name in film.truth.keys() - {"r2"}:
             low, high = result.uncertainty[name]
             contained.append(low - 1e-12 <= film.truth[name] <= high + 1e-12)
@@ -107,16 +107,14 @@ def test_a_track_from_a_file_is_scored_like_a_video(tmp_path):
 @pytest.mark.parametrize(
     ("text", "fps", "words"),
     [
-        ("frame,x\n0,1\n", 30.0, "must name time or frame, then x and y"),
-        ("frame,x,y\n0,1,abc\n", 30.0, "it is no CSV of numbers.*'abc'"),
+        ("frame,x\n0,1\n", 30.0, "must have the columns time or frame, and x"),
+        ("frame,x,y\n0,1,abc\n", 30.0, "not a CSV file of numbers.*'abc'"),
         ("time,x,y\n0.1,1,1\n0,1,1\n", None, "must increase"),
         ("frame,x,y\n0,1,1\n1,1,1\n", None, "give a column time"),
-        ("frame,x,y\n0,1,481\n", 30.0, "leave the picture of 832 x 480 pixels"),
+        ("frame,x,y\n0,1,481\n", 30.0, "outside of the picture of 832 x 480 pixels"),
     ],
 )
-def test_a_track_that_cannot_be_read_is_an_error_that_says_why(
-    text, fps, words, tmp_path
-):
+def test_an_unreadable_track_is_an_error_with_the_reason(text, fps, words, tmp_path):
     file = tmp_path / "track.csv"
     file.write_text(text)
     with pytest.raises(VideoError, match=words) as caught:
@@ -127,35 +125,37 @@ def test_a_track_that_cannot_be_read_is_an_error_that_says_why(
 @pytest.mark.parametrize(
     ("count", "fps", "words"), [(5, 30.0, "5 frames"), (12, 1.0, "1 frames per")]
 )
-def test_a_film_that_cannot_be_judged_is_an_error(count, fps, words):
+def test_an_unsuitable_film_is_an_error(count, fps, words):
     with pytest.raises(VideoError, match=words):
         scored(np.zeros((count, 480, 832, 3), np.uint8), fps, SLIDE.id)
 
 
-def test_the_paper_counts_whole_pixels_and_time_from_the_first_retained_frame(tmp_path):
+def test_metrics_of_the_paper_use_whole_pixels_and_start_at_the_first_retained_frame(
+    tmp_path,
+):
     track = read_track(save_track(driven(SLIDE.id, 1.7), tmp_path / "a.csv"))
     result = score_track(track, SLIDE)
     first, last = result.interval_frames
     whole_px = np.floor(track.points_px[first : last + 1])
     along_m = whole_px @ np.array(SLIDE.direction) * SLIDE.scale_m_per_px
     since_s = (track.times_s - track.times_s[first])[first : last + 1]
-    # The cube of 50 mm is 60 pixels wide.
+    # The cube of 50 mm has a width of 60 pixels.
     assert SLIDE.scale_m_per_px == 0.05 / 60.0
     slope = np.polyfit(since_s**2, along_m, 1)[0]
     assert result.metrics["a"] == pytest.approx(2.0 * slope, rel=1e-9)
 
 
 @pytest.mark.parametrize("task", [SLIDE, PLATE, CRADLE])
-def test_an_object_that_rests_has_a_track_and_no_physics(task):
+def test_an_object_at_rest_has_a_track_and_no_metrics(task):
     noise_px = np.random.default_rng(0).normal(0.0, 0.3, (60, 2))
     rest = track_of((task.rest_px or task.centre_px) + noise_px, 24.0)
     result = score_track(rest, task)
     assert result.is_sound, result.reasons
-    assert result.findings == ("no motion is found",)
+    assert result.findings == ("no motion is detected",)
     assert set(result.metrics.values()) == {None}
 
 
-def test_an_object_that_grows_has_no_sound_track():
+def test_the_track_of_a_growing_object_is_not_sound():
     track = driven(SLIDE.id, 1.7)
     sizes = np.where(np.arange(40) < 15, 1.0, 1.4)
     result = score_track(replace(track, size_ratio=sizes), SLIDE)
@@ -176,7 +176,7 @@ def test_a_cube_that_breaks_the_law_has_a_sound_track_until_it_may_be_another_cu
     assert not jump.is_sound and "jumps" in jump.reasons[0]
     still_px = lawful_px[0] + 0.3 * (lawful_px - lawful_px[0])
     still = score_track(track_of(still_px, 24.0), PLATE)
-    assert "says little" in still.findings[-1]
+    assert "not significant" in still.findings[-1]
 
 
 def test_momentum_transfer_follows_from_the_heights_of_the_swings():
@@ -195,7 +195,7 @@ def test_momentum_transfer_follows_from_the_heights_of_the_swings():
 # --- published values ------------------------------------------------------------------------------------------------
 
 
-def test_published_values_are_those_of_the_table():
+def test_published_values_agree_with_the_table():
     published = published_results()
     assert published["seedance2"]["Pendulum-metal"]["pd"] == 3.13
     assert published["wan22"]["NewtonsCradle-metal"] == {}
@@ -217,7 +217,7 @@ def test_the_command_scores_a_file_and_draws_the_track(tmp_path, gauge):
     check_metrics(line["metrics"], film.truth)
     drawn = FileFrames(tmp_path / "drawn" / "slide.overlay.mp4")
     assert sum(1 for _ in drawn) == len(film.frames)
-    # The written track, and a track in pixels of a smaller video of its name, are scored as the video.
+    # The written track, and a track in pixels of a smaller video, have the score of the video.
     saved = tmp_path / "drawn" / "slide.track.csv"
     small = [cv2.resize(frame, (416, 240)) for frame in film.frames[:2]]
     written(small, tmp_path / "small.mp4")
@@ -230,9 +230,9 @@ def test_the_command_scores_a_file_and_draws_the_track(tmp_path, gauge):
         again = gauge("video", "score", file, "--id", film.task, "--json")
         value = json.loads(again.stdout)["metrics"]["acceleration_m_s2"]
         assert value == pytest.approx(line["metrics"]["acceleration_m_s2"], rel=1e-3)
-    # Another task begins at another place.
-    other = gauge("video", "score", saved, "--id", BALL.id)
-    assert other.exit_code == 1 and "the track is not sound" in other.stdout
+    # The object of another task starts at another place.
+    rejected = gauge("video", "score", saved, "--id", BALL.id)
+    assert rejected.exit_code == 1 and "the track is not sound" in rejected.stdout
     text = gauge("video", "score", saved, "--id", film.task).stdout
     assert "the track is sound" in text and "about one in ten" in text
 
@@ -248,7 +248,7 @@ def test_the_report_shows_every_model_and_names_broken_files(tmp_path, gauge):
         file.write_text("no video")
     outcome = gauge("video", "report", videos, "--out", "page")
     assert outcome.exit_code == 1
-    assert "other.mp4: its name is not" in outcome.stderr
+    assert "other.mp4: expected the name" in outcome.stderr
     assert str(broken) in outcome.stderr.replace("\n", "")
     page = (tmp_path / "page" / "index.html").read_text()
     (line,) = (tmp_path / "page" / "results.json").read_text().splitlines()
@@ -266,9 +266,9 @@ def test_seeds_have_a_mean_with_its_interval_and_a_share_of_sound_tracks(tmp_pat
     for name in ("a/Pendulum-metal/seed_3", "a/b/seed_1"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / f"{name}.mp4").touch()
-    videos, others = find_videos(tmp_path)
+    videos, misnamed = find_videos(tmp_path)
     assert [file.stem for *_, file in videos] == ["seed_3"]
-    assert [file.stem for file in others] == ["seed_1"]
+    assert [file.stem for file in misnamed] == ["seed_1"]
     result = score_track(driven(SLIDE.id, 1.7), SLIDE)
     values = np.array([1.0, 2.0, 3.0, 4.0])
     seeds = [

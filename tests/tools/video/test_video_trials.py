@@ -1,4 +1,4 @@
-"""Real motions whose places are known in metres: the published recordings and trials have their constants."""
+"""Published recordings and trials of real motions give the known constants."""
 
 import csv
 import tomllib
@@ -31,19 +31,19 @@ def test_the_recorded_pendulum_has_its_period():
         np.array([float(row[key]) for row in rows])
         for key in ("time_s", "x_mm", "z_mm")
     )
-    # The camera looks along -y: to the right is -x. The pivot is 463.4 mm above the ground, within 8 mm.
+    # The camera looks along -y, so right is -x. The pivot is 463.4 mm above the ground, within 8 mm.
     task = video_task("Pendulum-metal")
     arms_m = 1e-3 * np.column_stack([359.5 - x_mm, 463.4 - z_mm])
     track = track_of(task.pivot_px + arms_m / task.scale_m_per_px, 18.0)
     track = replace(track, times_s=np.round(time_s * 18.0) / 18.0)
     low, high = score_track(track, task).uncertainty["pd"]
-    # The published 1.06 s is another amplitude: this swing is about 16 % slower than a small one of the same length.
+    # The published 1.06 s has another amplitude: this swing is about 16 % slower than a small swing.
     assert 1.06 < low < 1.201 < high
 
 
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
 def test_real_slides_have_their_acceleration(material):
-    """The trials list frames from the fourth after the release on, which the fit of the release finds."""
+    """The trials begin with the fourth frame after the release; the fit finds the release."""
     task = video_task(f"SlopeSlider-2-{material}")
     facts = tomllib.loads((FACTS / "slope_slider_30deg_summary.toml").read_text())
     trials = defaultdict(list)
