@@ -1,7 +1,8 @@
 """Every id passes Gymnasium's checker, starts as its task file says, replays the drivers, and has golden numbers.
 
 The default run takes the rigid ids whole, two frames of the others, and one id of each kind for the checker; the slow
-set takes all. `golden.json` has the numbers of version 0.3.0. Tolerances exceed what rounding noise in each step, and
+set takes all. `golden.json` has the numbers of version 0.3.0, but no tumbling body on other engines: a start
+that is 1e-7 m elsewhere moves it by millimetres. Tolerances exceed what rounding noise in each step, and
 NumPy on an older processor, move.
 """
 
@@ -38,6 +39,9 @@ SENSITIVE = {
 }
 """Absolute and relative limits of ids with settling contacts and taut cloth."""
 
+SCORE_MM = {"TableclothPulling": 0.15}
+"""Limit of a score: a start that is 1e-9 m elsewhere moves the mean of the last frames by 0.05 mm. u is 4 to 8 mm."""
+
 CHAOTIC_MM = {
     "Funnel": (0.2, 3.0),
     "RopeWinding": (1e-3, 1.0),
@@ -72,7 +76,7 @@ def limits(name, engine="mujoco"):
         "g": of_frames,
         "markers": (5e-5 if family == "TextileStretching" else 1e-6, 0.0),
         "reward": (near, relative),
-        "score": (near, relative),
+        "score": (SCORE_MM.get(family, near), relative),
     }
 
 
