@@ -1,4 +1,4 @@
-"""Errors and warnings of gauge-envs. Each message says what is wrong, where, and what to do."""
+"""Errors and warnings of gauge-envs. Each message gives the fault, its place, and the fix."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ Choice = TypeVar("Choice", bound=StrEnum)
 
 
 class GaugeError(Exception):
-    """Base of every error that gauge-envs raises on purpose; the command line prints it without a traceback."""
+    """Base of all errors of gauge-envs; the command line prints them without a traceback."""
 
 
 class ShapeError(GaugeError, ValueError):
-    """Arrays differ in shape, or hold values that the function cannot use."""
+    """Arrays have wrong shapes or values."""
 
 
 class NoRewardWarning(UserWarning):
-    """An environment was made whose reward is 0 at every frame, or from some frame on, for lack of a reference."""
+    """An environment has no reward at some or all frames, or no score, because its reference does not cover it."""
 
 
 class ActionError(GaugeError, ValueError):
-    """An action has the wrong shape, lies outside its space, or is not a number."""
+    """An action has the wrong shape, is outside its space, or is not a number."""
 
 
 class FileError(GaugeError, ValueError):
@@ -37,9 +37,9 @@ class FileError(GaugeError, ValueError):
 
     Args:
         file: The file.
-        place: Where in the file: a dotted key, a prim path, the name of a body, or the number of a line; empty or None
-            for the file as a whole.
-        reason: What is wrong, and what to do.
+        place: Place in the file: a dotted key, a prim path, the name of a body, or the number of a line; empty or None
+            for the whole file.
+        reason: The fault and the fix.
     """
 
     def __init__(self, file: Path | str, place: str | int | None, reason: str) -> None:
@@ -55,26 +55,23 @@ class AssetError(FileError):
 
 
 class BackendError(GaugeError, RuntimeError):
-    """A backend cannot be loaded, or breaks the contract of backends."""
+    """A backend cannot be loaded, or violates the contract of backends."""
 
 
 class DatasetError(GaugeError, OSError):
-    """Files of the benchmark cannot be downloaded, read or stored; the message names the place and the cause.
-
-    They are the dataset of real trials, and the inputs of the world-model track.
-    """
+    """Files of the benchmark cannot be downloaded, read or stored: real trials, or inputs of the world-model track."""
 
 
 class EpisodeError(GaugeError, RuntimeError):
-    """An environment was used out of order: a step before reset, or after the episode's end."""
+    """Calls of an environment are out of order, such as a step before reset or after the end of an episode."""
 
 
 class ParameterError(GaugeError, ValueError):
-    """An argument names something that does not exist, or holds an impossible value."""
+    """The value of an argument does not exist or is impossible."""
 
 
 class RegistryError(GaugeError, RuntimeError):
-    """An instrument is declared wrongly, or no installed one does what is asked."""
+    """A command is declared wrongly, or nothing installed can do the request."""
 
 
 class RenderError(GaugeError, RuntimeError):
@@ -82,16 +79,16 @@ class RenderError(GaugeError, RuntimeError):
 
 
 class UnsupportedSceneError(GaugeError, RuntimeError):
-    """A backend cannot simulate a scene; the message lists the unsupported features."""
+    """A backend cannot simulate a scene; the message lists unsupported features."""
 
 
 class MissingExtraError(GaugeError, ImportError):
-    """An optional dependency is missing; the message names the pip command that installs it.
+    """An optional dependency is missing; the message has the pip command that installs it.
 
     Args:
         feature: Feature that needs it, as `backend 'newton'`.
         extra: Extra that installs it.
-        cause: Import that failed.
+        cause: Failed import.
         package: Package that defines the extra.
     """
 
@@ -110,7 +107,7 @@ class MissingExtraError(GaugeError, ImportError):
 
 @contextmanager
 def needs_extra(feature: str, extra: str) -> Iterator[None]:
-    """Make an import that fails for want of a package name the extra that installs it.
+    """Turn a failed import into an error that names the extra to install.
 
     Args:
         feature: Feature that needs it, as `plotting`.
@@ -128,7 +125,7 @@ def needs_extra(feature: str, extra: str) -> Iterator[None]:
 
 
 class TargetError(GaugeError, ValueError):
-    """The target of a sanity check cannot be read; the message names it and lists what can be read."""
+    """The target of a sanity check cannot be read; the message lists possible targets."""
 
 
 class TaskFileError(FileError):
@@ -144,15 +141,15 @@ class ResultFileError(GaugeError, OSError):
 
 
 class TrajectoryFileError(GaugeError, ValueError):
-    """A user's trajectory file cannot be scored; the message names file, place and what is expected."""
+    """A trajectory file of a user cannot be scored; the message gives the place and the expected content."""
 
 
 class VideoError(GaugeError, ValueError):
-    """A video or a track cannot be scored; the message names the file and what is expected."""
+    """A video or a track cannot be scored; the message gives the expected content."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return a sentence that offers the known names nearest to an unknown one, or some of all."""
+    """Return a sentence with the known names nearest to an unknown one, or with some known names."""
     names = sorted(known)
     matches = [n for n in names if fnmatchcase(n, name)]
     if matches:
@@ -168,23 +165,26 @@ def nearest(name: str, known: Iterable[str]) -> str:
     )
 
 
-def first_names(names: Sequence[str], most: int = 12) -> str:
-    """Return names in a line: of many the first ones, and how many more there are; `none` for none."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more if names else "none"
+def first_names(names: Sequence[str], max_count: int = 12) -> str:
+    """Return names in a line: the first ones and the number of further ones; `none` without names."""
+    more = f" and {len(names) - max_count} more" if len(names) > max_count else ""
+    return ", ".join(names[:max_count]) + more if names else "none"
 
 
 class UnknownNameError(GaugeError, LookupError):
-    """A name is unknown; the message offers the nearest known ones.
+    """A name is unknown; the message has the nearest known names.
 
     Args:
-        kind: What the name is of, as `variant`.
+        kind: Kind of the name, as `variant`.
         name: The unknown name.
         known: All known names.
+        hint: Text in place of the nearest names; empty for those.
     """
 
-    def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
-        super().__init__(f"unknown {kind} {name!r}; {nearest(name, known)}")
+    def __init__(
+        self, kind: str, name: str, known: Iterable[str], hint: str = ""
+    ) -> None:
+        super().__init__(f"unknown {kind} {name!r}; {hint or nearest(name, known)}")
         self.name = name
 
 
@@ -201,25 +201,25 @@ def chosen(kind: type[Choice], value: str, name: str) -> Choice:
         name: Name of the argument, as `drivers`.
 
     Raises:
-        ParameterError: The set has no such member; the message lists those that it has.
+        ParameterError: The set has no such member; the message lists its members.
     """
     if value not in tuple(kind):
         raise ParameterError(
-            f"{name} {value!r}: choose {' or '.join(repr(one.value) for one in kind)}"
+            f"{name} {value!r}: choose {' or '.join(repr(member.value) for member in kind)}"
         )
     return kind(value)
 
 
 def first_fault(error: ValidationError, *, noun: str = "key") -> tuple[str, str]:
-    """Return the place and the reason of the first fault that pydantic found.
+    """Return the place and the reason of the first fault in an error of pydantic.
 
     Args:
-        error: What pydantic raised.
-        noun: Word for a field of the model, as `key` or `setting`.
+        error: Error of pydantic.
+        noun: Noun for a field of the model, as `key` or `setting`.
 
     Returns:
-        Dotted path of the field, as `score.metrics.0`, which is empty for the model as a whole; and the reason, with
-        the value where it is short.
+        Dotted path of the field, as `score.metrics.0`, empty for the whole model; and the reason, with the value if it
+        is short.
     """
     fault = error.errors(include_url=False)[0]
     place = ".".join(map(str, fault["loc"]))
@@ -232,7 +232,7 @@ def first_fault(error: ValidationError, *, noun: str = "key") -> tuple[str, str]
             "."
         ), f"missing {noun}"
     value = fault["input"]
-    # Python writes no integer of thousands of digits.
+    # Python cannot print integers of thousands of digits.
     is_short = isinstance(value, float | str) or (
         isinstance(value, int) and value.bit_length() <= 200
     )

@@ -19,23 +19,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 NUMBERS = "biuf"
-"""Kinds of NumPy's types that are numbers: booleans, integers and floats."""
+"""Kinds of NumPy types that are numbers: booleans, integers and floats."""
 
 
 @cache
 def data_folder(name: str) -> Path:
-    """Return the folder `tasks`, `scoring` or `assets`, inside the installed package or beside it in a checkout."""
+    """Return the folder `tasks`, `scoring` or `assets`, inside the installed package or next to it in a checkout."""
     package = Path(__file__).parent
     for folder in (package / "_data" / name, package.parent / name):
         if folder.is_dir():
             return folder
     raise FileNotFoundError(
-        f"gauge-envs is installed without its {name!r} folder (looked in {package} and beside it)"
+        f"gauge-envs is installed without its {name!r} folder (expected in {package} or next to it)"
     )
 
 
 def printable(text: str) -> str:
-    """Return the text with escapes for characters that a terminal or a JSON file cannot hold."""
+    """Return the text with escapes for unprintable characters."""
     return "".join(
         char if char.isprintable() else char.encode("unicode_escape").decode()
         for char in text
@@ -44,7 +44,7 @@ def printable(text: str) -> str:
 
 @contextmanager
 def os_errors(raised: Callable[[str], Exception]) -> Iterator[None]:
-    """Raise an error of this package in place of an OSError.
+    """Turn an OSError into an error of this package.
 
     Args:
         raised: Function that returns the error for a cause, as `No such file or directory`.
@@ -62,13 +62,13 @@ def json_document(content: bytes) -> Any:
     """Return the value of a JSON document in UTF-8.
 
     Raises:
-        ValueError: The content is no JSON.
+        ValueError: The content is not JSON.
     """
     return json.loads(content.decode("utf-8-sig"))
 
 
 def csv_text(content: bytes) -> io.StringIO:
-    """Return CSV in UTF-8 with commas; spreadsheets write a byte-order mark, or semicolons and decimal commas."""
+    """Return CSV in UTF-8 with commas; it may have a byte-order mark, or semicolons and decimal commas."""
     text = content.decode("utf-8-sig")
     header = next((line for line in text.splitlines() if not line.startswith("#")), "")
     if ";" in header:
@@ -80,7 +80,7 @@ def toml_document(content: bytes) -> dict[str, Any]:
     """Return the tables of a TOML document in UTF-8.
 
     Raises:
-        ValueError: The content is no TOML.
+        ValueError: The content is not TOML.
     """
     return tomllib.loads(content.decode("utf-8-sig"))
 
@@ -88,23 +88,23 @@ def toml_document(content: bytes) -> dict[str, Any]:
 def npz_arrays(
     content: bytes, names: Iterable[str] | None = None
 ) -> dict[str, NDArray[Any]]:
-    """Return arrays of numbers of an NPZ file by name, without the names that it lacks.
+    """Return arrays of numbers of an NPZ file by name; missing names are skipped.
 
     Args:
         content: The content of the file.
         names: Arrays to read; None reads all.
 
     Raises:
-        ValueError: The content is no NPZ file, or an array holds no numbers.
+        ValueError: The content is not an NPZ file, or an array has other values than numbers.
     """
     if not zipfile.is_zipfile(io.BytesIO(content)):
-        raise ValueError("it is not a whole ZIP archive, as NPZ files are")
+        raise ValueError("it is not a complete ZIP archive, which an NPZ file is")
     with np.load(io.BytesIO(content), allow_pickle=False) as archive:
         wanted = archive.files if names is None else names
         arrays = {name: archive[name] for name in wanted if name in archive.files}
     for name, array in arrays.items():
         if array.dtype.kind not in NUMBERS:
-            raise ValueError(f"{name}: holds {array.dtype} values, expected numbers")
+            raise ValueError(f"{name}: it has {array.dtype} values, expected numbers")
     return arrays
 
 
@@ -112,7 +112,7 @@ def npz_arrays(
 
 
 def json_ready(value: Any) -> Any:
-    """Return a value in plain containers, with None for NaN and infinity, which JSON lacks."""
+    """Return a value in plain containers, with None for NaN and infinity."""
     if isinstance(value, Mapping):
         return {str(key): json_ready(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -137,20 +137,20 @@ def processors() -> int:
 def processor() -> str:
     """Return the machine's architecture, and on Linux its processor, as `x86_64, AMD EPYC`.
 
-    Equal versions may give other last bits on another one: libraries choose their functions by its instructions.
+    Equal versions may give other last bits on another processor, because libraries select functions by processor.
     """
-    stated = ""
+    cpu_info = ""
     with suppress(OSError):
-        stated = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
-    name = re.search(r"^model name\s*: (.*)", stated, re.MULTILINE)
+        cpu_info = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+    name = re.search(r"^model name\s*: (.*)", cpu_info, re.MULTILINE)
     return platform.machine() + (f", {name[1].strip()}" if name else "")
 
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions of gauge-envs, gymnasium, numpy and python; no caller may change the dictionary.
+    """Return the versions of gauge-envs, gymnasium, numpy and python; callers must not change the dictionary.
 
-    They are read once: reading the metadata of packages takes as long as a short episode.
+    They are read once, because reading the metadata of packages takes as long as a short episode.
     """
     from importlib.metadata import version
 
@@ -159,22 +159,22 @@ def versions() -> dict[str, str]:
 
 
 def check_replaceable(file: Path) -> None:
-    """Check that a new file may take the place of what is there."""
+    """Raise an error if a new file would replace a folder."""
     if file.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(file))
 
 
 def write_whole(file: Path, content: bytes) -> None:
-    """Write a file whole or not at all: a reader finds the old content or the new one."""
+    """Write a file completely or not at all; a reader sees the old or the new content."""
     with replaced_whole(file) as part:
         part.write_bytes(content)
 
 
 @contextmanager
 def replaced_whole(file: Path) -> Iterator[Path]:
-    """Yield a path beside a file for its new content, which takes the place of the file at the end.
+    """Yield a path for the new content of a file, which replaces the file at the end.
 
-    After an error the new content is removed, and an older file is unchanged.
+    After an error the new content is removed, and the old file is unchanged.
     """
     check_replaceable(file)
     part = file.with_name(f".{file.name}.{os.getpid()}.tmp")
@@ -187,7 +187,7 @@ def replaced_whole(file: Path) -> Iterator[Path]:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder, which one process at a time has; the end of a process releases it."""
+    """Hold the lock of a folder, which only one process can have; the end of the process releases it."""
     with (folder / ".lock").open("a") as stream:
         if sys.platform == "win32":
             import msvcrt

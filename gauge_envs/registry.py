@@ -1,7 +1,7 @@
-"""Look up what is installed: engines, Gymnasium ids of tools, readers of scene files, and names imported at first use.
+"""Look up installed parts: engines, Gymnasium ids of tools, readers of scene files, and lazily imported names.
 
-The core imports no tool of `gauge_envs.tools` by name; the functions here import one when it is needed. Engines come
-from entry points of the group `gauge_envs.backends`, also those of other packages.
+The core imports tools of `gauge_envs.tools` only through the functions here. Engines are entry points of the group
+`gauge_envs.backends`, which other packages can extend.
 """
 
 import sys
@@ -18,11 +18,12 @@ from gauge_envs.errors import RegistryError, needs_extra
 
 ENGINES_GROUP = "gauge_envs.backends"
 BUNDLED = "gauge_envs."
-"""First part of the name of a module of this package."""
+"""Prefix of the modules of this package."""
 PACKAGE = Path(__file__).parent
 SCENE_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+"""Suffixes of scene files, which every engine can use."""
 MODEL_SUFFIX = ".xml"
-"""Suffixes of scene files that every engine reads, by way of a scene."""
+"""Suffix of model files, which only their engine reads."""
 
 
 @cache
@@ -33,12 +34,12 @@ def _scanned(
 
 
 def installed_points(group: str) -> tuple[EntryPoint, ...]:
-    """Return the entry points of a group. A scan takes 10 to 25 ms, so it is done once for each search path."""
+    """Return the entry points of a group; a scan takes 10 to 25 ms, so each search path is scanned once."""
     return _scanned(entry_points, group, tuple(sys.path))
 
 
 def engine_points() -> tuple[EntryPoint, ...]:
-    """Return the entry points of engines, without those of this package whose folder is absent."""
+    """Return the entry points of engines, without bundled engines whose folder is missing."""
     return tuple(
         point
         for point in installed_points(ENGINES_GROUP)
@@ -48,10 +49,10 @@ def engine_points() -> tuple[EntryPoint, ...]:
 
 
 def is_installed(module: str) -> bool:
-    """Say whether a top-level module is installed.
+    """Return whether a top-level module is installed.
 
-    Python also finds a folder without `__init__.py`, as a checkout of an engine beside the user's script; such a folder
-    has no origin.
+    Python also finds folders without `__init__.py`, such as a checkout of an engine next to a script. These have no
+    origin.
     """
     spec = find_spec(module)
     return spec is not None and spec.origin is not None
@@ -61,9 +62,9 @@ def is_installed(module: str) -> bool:
 
 
 def id_modules() -> tuple[Any, ...]:
-    """Return the modules of Gymnasium ids other than the experiments, with `register`, `names`, `summary`, `document`.
+    """Return the modules of further Gymnasium ids; each has `register`, `names`, `summary` and `document`.
 
-    Another package registers its ids through Gymnasium's entry points, `gymnasium.envs`.
+    Other packages register their ids through Gymnasium's entry points, `gymnasium.envs`.
     """
     if not (PACKAGE / "tools" / "control").is_dir():
         return ()
@@ -74,7 +75,7 @@ def scene_files(suffix: str) -> Any:
     """Return the module that reads and writes scene files of a suffix, as `.usda`.
 
     Raises:
-        RegistryError: Nothing reads such files.
+        RegistryError: No module reads such files.
         MissingExtraError: The extra `usd` is not installed.
     """
     if suffix not in SCENE_SUFFIXES:
@@ -90,18 +91,18 @@ def model_files() -> Any:
     return import_module("gauge_envs.tools.mjcf.reader")
 
 
-# --- names imported at first use -------------------------------------------------------------------------------------
+# --- lazily imported names -------------------------------------------------------------------------------------------
 
 
 def lazy_names(
     package: str, modules: Mapping[str, Sequence[str]], *, extra: str = ""
 ) -> tuple[Callable[[str], Any], list[str]]:
-    """Return `__getattr__` and `__all__` of a package whose names are imported at first use (PEP 562).
+    """Return `__getattr__` and `__all__` of a package that imports its names at first use (PEP 562).
 
     Args:
-        package: Name of the package, which is being imported.
-        modules: Names by their module, which may be relative to the package, as `.comparison`.
-        extra: Extra of this package without which the names cannot be imported.
+        package: Name of the package.
+        modules: Names by module; a module may be relative to the package, as `.comparison`.
+        extra: Extra that the names need; empty for none.
     """
     origins = {name: module for module, names in modules.items() for name in names}
 

@@ -47,7 +47,7 @@ SIZE = (288, 216)
 """Width and height of a picture [pixels]."""
 
 FPS = 10.0
-MOST_FRAMES = 36
+MAX_FRAMES = 36
 FILM_QUALITY = 35
 """Quality of the frames of a picture in WebP, which makes it small."""
 
@@ -131,7 +131,7 @@ def stride_of(entry: Entry, frame_count: int) -> tuple[int, int]:
         if entry.to_s is None
         else min(round(FRAME_RATE_HZ * entry.to_s), frame_count - 1)
     )
-    return last, math.ceil(last / MOST_FRAMES)
+    return last, math.ceil(last / MAX_FRAMES)
 
 
 def caption_of(entry: Entry, experiment: Experiment, band: Band | None) -> str:

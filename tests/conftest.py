@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-# Before NumPy is imported, which reads it then: threads of linear algebra wait for one another in a loop.
+# Set it before NumPy is imported, because threads of linear algebra wait for one another in a loop.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import gc
@@ -43,7 +43,7 @@ TERMINAL = {
 
 
 def pytest_configure(config):
-    """Set what the tests and the programs that they start have in common.
+    """Set the common environment of the tests and their programs.
 
     Nobody's imported data takes part, also while tests are collected. Bytecode is kept, also where the environment
     forbids it: hundreds of processes import the package.
@@ -56,7 +56,7 @@ def pytest_configure(config):
     config.addinivalue_line(
         "filterwarnings", "ignore::gauge_envs.errors.NoRewardWarning"
     )
-    # Otherwise each warning is a line of MUJOCO_LOG.TXT in the working directory.
+    # Without this, MuJoCo writes warnings to MUJOCO_LOG.TXT in the working directory.
     mujoco.set_mju_user_warning(lambda text: None)
     sys.dont_write_bytecode = False
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -71,7 +71,7 @@ def pytest_configure(config):
 
 
 def pytest_collection_finish():
-    """Leave what the imports have made out of the search for garbage: millions of objects that stay to the end."""
+    """Exclude the objects of imports from garbage collection: millions of objects that stay until the end."""
     gc.freeze()
     gc.set_threshold(20_000)
     gc.enable()
@@ -79,7 +79,7 @@ def pytest_collection_finish():
 
 @pytest.fixture(scope="session", autouse=True)
 def json_lines():
-    """What commands print with `--json` follows their schemas."""
+    """Check that outputs with `--json` follow their schemas."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(CliRunner, "invoke", check_invocation)
         yield
@@ -87,14 +87,14 @@ def json_lines():
 
 @pytest.fixture(scope="session")
 def unused_folders(tmp_path_factory):
-    """Folders that do not exist; to make one for each of thousands of tests would take seconds."""
+    """Folders that do not exist; creating one for each test would take seconds."""
     base = tmp_path_factory.mktemp("gauge-data")
     return (base / str(number) for number in itertools.count())
 
 
 @pytest.fixture(autouse=True)
 def gauge_data_dir(unused_folders, monkeypatch):
-    """The user's data folder, empty for each test, in which no task file of the user is known."""
+    """Set an empty data folder of the user without task files for each test."""
     folder = next(unused_folders)
     monkeypatch.setenv("GAUGE_DATA_DIR", str(folder))
     monkeypatch.setenv("GAUGE_TASKS", "")
@@ -103,7 +103,7 @@ def gauge_data_dir(unused_folders, monkeypatch):
 
 @pytest.fixture
 def gauge(tmp_path, monkeypatch):
-    """Runs the command in an empty folder: gauge("list", "--json") -> result with exit_code, stdout, stderr."""
+    """Run the command in an empty folder: gauge("list", "--json") -> result with exit_code, stdout, stderr."""
     monkeypatch.chdir(tmp_path)
     runner = CliRunner(env=TERMINAL)
     return lambda *words: runner.invoke(app, list(map(str, words)))
@@ -133,7 +133,7 @@ def wheel(tmp_path_factory):
 
 @pytest.fixture
 def installed(tmp_path, monkeypatch):
-    """Installs hostile backends, as in `installed("crash", "greedy")`."""
+    """Install hostile backends: `installed("crash", "greedy")`."""
     folder = tmp_path / "site"
     folder.mkdir()
     monkeypatch.syspath_prepend(str(folder))
@@ -149,7 +149,7 @@ def installed(tmp_path, monkeypatch):
 
 @pytest.fixture(params=backend_names())
 def engine(request):
-    """Each installed engine in turn, or the engines that a test names by indirect parameters."""
+    """Each installed engine, or the engines in the indirect parameters of a test."""
     try:
         return backend(request.param)
     except MissingExtraError as error:
@@ -158,7 +158,7 @@ def engine(request):
 
 @pytest.fixture
 def rigid_only(monkeypatch):
-    """Leaves the MuJoCo backend alone, declining deformable bodies as an engine that knows only rigid ones does."""
+    """Leave only the MuJoCo backend, without support of deformable bodies."""
 
     def supports(self, scene):
         return Support(
@@ -172,7 +172,7 @@ def rigid_only(monkeypatch):
 
 @pytest.fixture(scope="session")
 def rollout():
-    """Runs one episode, or its first frames, with zero actions: rollout("SlopeSlider-2-wood", parameters=...)."""
+    """Run an episode, or its first frames, with zero actions: rollout("SlopeSlider-2-wood", parameters=...)."""
 
     def run(name, *, frames=None, **options):
         env = gymnasium.make(f"GAUGE/{name}", **options)

@@ -1,4 +1,4 @@
-"""Mistakes that authors of engines make: a healthy engine with one of them, the check that names it, and its words."""
+"""Typical mistakes of engine authors: a correct engine with one fault, the check that finds it, and its message."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from gauge_envs.scene.states import nominal_states
 
 
 class Planted(Simulation):
-    """Part of a simulation's class that runs or reports wrongly; fixed bodies report the poses of the given scene.
+    """Mixin of a simulation with a fault; fixed bodies report the poses of the given scene.
 
     Attributes:
         given: The scene that the caller asked for.
@@ -96,20 +96,20 @@ class Fault:
     engine: type[Faulty] = Faulty
 
 
-# --- the scene is read wrongly ---
+# --- the engine misreads the scene ---
 
 
 def change_bodies(change):
     """Return a fault of each body."""
     return lambda scene: replace(
-        scene, bodies=tuple(change(one) for one in scene.bodies)
+        scene, bodies=tuple(change(body) for body in scene.bodies)
     )
 
 
 def change_contacts(change):
     """Return a fault of each contact."""
     return lambda scene: replace(
-        scene, contacts=tuple(change(one) for one in scene.contacts)
+        scene, contacts=tuple(change(contact) for contact in scene.contacts)
     )
 
 
@@ -152,7 +152,7 @@ def _of_bodies(contact: Contact) -> Contact:
 
 
 def _axis_of_body(scene: Scene) -> Scene:
-    """Turn the axes of hinges from the body's frame to the world's."""
+    """Rotate the axes of hinges from the body frame to the world frame."""
     joints = []
     for joint in scene.joints:
         if isinstance(joint, Hinge):
@@ -171,7 +171,7 @@ class _OneStepACall(Planted):
 
 
 class _Late(Planted):
-    """Reads states before the call of advance, not after it."""
+    """Read states before the call of advance, not after it."""
 
     before = None
 
@@ -180,7 +180,7 @@ class _Late(Planted):
         self.before = None
 
     def advance(self, seconds):
-        names = [one.name for one in self.given.bodies]
+        names = [body.name for body in self.given.bodies]
         self.before = dict(zip(names, super().body_states(names)[0], strict=True))
         super().advance(seconds)
 
@@ -192,7 +192,7 @@ class _Late(Planted):
 
 class _SceneOrder(Planted):
     def body_states(self, names):
-        order = [one.name for one in self.given.bodies if one.name in names]
+        order = [body.name for body in self.given.bodies if body.name in names]
         return super().body_states(order)
 
 
@@ -223,8 +223,8 @@ class _SpinInBodyFrame(Planted):
     def body_states(self, names):
         states = super().body_states(names)
         for row in states.reshape(-1, 13):
-            turn = Rotation.from_quat(row[3:7], scalar_first=True)
-            row[10:] = turn.apply(row[10:], inverse=True)
+            rotation = Rotation.from_quat(row[3:7], scalar_first=True)
+            row[10:] = rotation.apply(row[10:], inverse=True)
         return states
 
 
@@ -236,13 +236,13 @@ class _VelocityOfCentre(Planted):
             if body.motion is Motion.DYNAMIC:
                 centre_m, _ = body_mass_properties(body)
                 for row in states[:, column]:
-                    turn = Rotation.from_quat(row[3:7], scalar_first=True)
-                    row[7:10] += np.cross(row[10:], turn.apply(centre_m))
+                    rotation = Rotation.from_quat(row[3:7], scalar_first=True)
+                    row[7:10] += np.cross(row[10:], rotation.apply(centre_m))
         return states
 
 
 class _GravityInVelocity(Planted):
-    """Reports the velocity before the contacts of a step, g h for a body at rest."""
+    """Report the velocity before the contacts of a step, g h for a body at rest."""
 
     def body_states(self, names):
         states = super().body_states(names)
@@ -310,7 +310,7 @@ class _KeepsWrench(Planted):
 
 
 class _NotFinite(Planted):
-    """Reports states of NaN from the first step on."""
+    """Report NaN states after the first step."""
 
     has_stepped = False
 
@@ -331,7 +331,7 @@ class _NotFinite(Planted):
 
 
 class _Noisy(Planted):
-    """Adds noise of 1 um that no seed repeats."""
+    """Add noise of 1 um that does not depend on the seed."""
 
     random = np.random.default_rng()
 
@@ -370,11 +370,11 @@ class _DrivesAsFirst(LoopedSimulation):
         super().drive(body, np.repeat(targets[:1], self.world_count, axis=0))
 
 
-# --- the engine breaks the contract ---
+# --- the engine violates the contract ---
 
 
 class _SupportsRaises(Faulty):
-    """Looks up the bodies of each pair, which may be deformable."""
+    """Look up the bodies of each pair, which may be deformable."""
 
     def supports(self, scene):
         for contact in scene.contacts:
@@ -492,7 +492,9 @@ FAULTS = {
     "friction 20 % low": Fault(
         caught_by="pucks-friction",
         says="friction is not Contact.friction",
-        scene=change_contacts(lambda one: replace(one, friction=0.8 * one.friction)),
+        scene=change_contacts(
+            lambda contact: replace(contact, friction=0.8 * contact.friction)
+        ),
     ),
     "a driven body without velocity": Fault(
         caught_by="driven-velocity",

@@ -34,14 +34,14 @@ def block(
     )
 
 
-def held(side, motion, depth_m=0.0, axis="z", body=""):
-    """To a plate, or another body, at the world's origin: `low` and `high` are the names of plates."""
+def attachment_of(side, motion, depth_m=0.0, axis="z", body=""):
+    """Attach a side to a plate or another body at the origin; `low` and `high` are names of plates."""
     region = Region(axis=axis, side=side, depth_m=depth_m)
     return RigidAttachment(region=region, body=body or side, motion=motion, pose=ORIGIN)
 
 
 def gripped(foam, *, depth_m=0.01285):
-    """A bar along z in the grips of a fixed body `low` and a driven body `high`, both at the origin; no weight."""
+    """A weightless bar along z, clamped by a fixed body `low` and a driven body `high`, both at the origin."""
     grips = tuple(
         Attachment(
             deformable=foam.name,

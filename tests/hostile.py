@@ -1,4 +1,4 @@
-"""An installed package of backends that misbehave, each at one place."""
+"""An installed package of faulty backends, each with one fault."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def say():
 
 
 class Engine(BackendMuJoCo):
-    """MuJoCo that builds its worlds one by one, with `build`."""
+    """MuJoCo backend that builds its worlds sequentially with `build`."""
 
     build_worlds = Backend.build_worlds
 
@@ -90,7 +90,7 @@ class NoJson(Engine):
 
 
 def fails_on_plastic(backend_name, fail):
-    """A backend that calls a function in the episode of one scene."""
+    """Backend that calls a function in the episode of one scene."""
 
     class Stepped(SimulationMuJoCo):
         def reset(self, starts=None, seed=0):
@@ -175,7 +175,7 @@ BACKENDS = {
 
 
 def install(folder, *names):
-    """Install some of the backends into a folder that is on the import path."""
+    """Install some of the backends in a folder on the import path."""
     (folder / "hostile_engines.py").write_text(SOURCE)
     info = folder / "hostile_engines-1.0.dist-info"
     info.mkdir()

@@ -1,4 +1,4 @@
-"""The shell commands of the guides, each with the environment that its page describes."""
+"""Shell commands of the guides, each with the environment of its page."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DEFAULT = "default"
 
 @dataclass(frozen=True)
 class Command:
-    """A command of a page: the environment that it needs, or the reason why it is skipped."""
+    """A command of a page with its environment, or with the reason to skip it."""
 
     page: str
     text: str
@@ -28,7 +28,7 @@ class Command:
 
 @dataclass(frozen=True)
 class Table:
-    """What `install_commands.toml` says."""
+    """Content of `install_commands.toml`."""
 
     pages: tuple[str, ...]
     environments: Mapping[str, tuple[str, ...]]
@@ -52,23 +52,23 @@ class Table:
         )
 
     def rule(self, page, text):
-        """Find the first rule that matches a command."""
+        """Return the first rule that matches a command."""
         fitting = (
-            one
-            for one in self.rules
-            if one.get("page", page) == page and fnmatchcase(text, one["command"])
+            rule
+            for rule in self.rules
+            if rule.get("page", page) == page and fnmatchcase(text, rule["command"])
         )
         return next(fitting, None)
 
     def command(self, page, text):
-        """Find what a command needs; the environment of a page goes before that of a rule."""
+        """Return the environment of a command; that of its page has priority over that of a rule."""
         rule = self.rule(page, text) or {}
         environment = self.page_environments.get(page, rule.get("environment", DEFAULT))
         return Command(page, text, environment, rule.get("skip"))
 
     def commands(self, root):
-        """Every command of every page in a checkout, in the order of the pages, and the scripts last."""
-        # A build of the site leaves copies of the notes of studies.
+        """Return every command of every page in the order of the pages, then the scripts."""
+        # A build of the site creates copies of the notes of studies.
         files = sorted(
             {file for pattern in self.pages for file in root.glob(pattern)}
             - set(root.glob("docs/studies/*"))
@@ -76,13 +76,13 @@ class Table:
         pages = [
             (file.relative_to(root).as_posix(), file.read_text()) for file in files
         ]
-        found = [
+        commands = [
             self.command(page, text)
             for page, content in pages
             for text in shell_commands(content)
         ]
         return (
-            *found,
+            *commands,
             *(
                 Command("scripts", text, environment)
                 for text, environment in self.scripts.items()

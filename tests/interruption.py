@@ -4,7 +4,7 @@ from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 
 
 def interrupt_in_episode(monkeypatch, number):
-    """Ctrl-C while MuJoCo advances the given episode: the first, second, ... simulation that advances."""
+    """Send Ctrl-C while MuJoCo advances the given episode: the first, second, ... advancing simulation."""
     advance, simulations = SimulationMuJoCo.advance, []
 
     def interrupted(self, seconds):

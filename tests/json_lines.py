@@ -1,4 +1,4 @@
-"""Every line that a command prints with `--json` in a test is checked against the JSON Schema of its command."""
+"""Check every line with `--json` in a test against the JSON Schema of its command."""
 
 import json
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ INVOKE = CliRunner.invoke
 def check_invocation(
     runner: CliRunner, app: Any, args: Sequence[str] = (), **options: Any
 ) -> Any:
-    """Run a command as `CliRunner.invoke` does, and check what it prints with `--json`."""
+    """Run a command with `CliRunner.invoke`, and check its output with `--json`."""
     result = INVOKE(runner, app, args, **options)
     words = [str(word) for word in args]
     is_json = "--json" in words or "json" in (
@@ -33,10 +33,10 @@ def check_invocation(
 
 def schema_name(words: Sequence[str]) -> str:
     """Return the name of the schema of a command line, which is that of its first two words or of the first."""
-    first, *others = words
-    if first == "list" and others:
-        others[0] = SYNONYMS.get(others[0], others[0])
-    two = " ".join([first, *others[:1]])
+    first, *arguments = words
+    if first == "list" and arguments:
+        arguments[0] = SYNONYMS.get(arguments[0], arguments[0])
+    two = " ".join([first, *arguments[:1]])
     return two if two in schema_names() else first
 
 
@@ -50,7 +50,7 @@ def check_lines(name: str, text: str) -> None:
 
 @cache
 def validator(name: str) -> Draft202012Validator:
-    """Return what checks values against a schema."""
+    """Return the validator of a schema."""
     schema = output_schema(name)
     Draft202012Validator.check_schema(schema)
     return Draft202012Validator(schema)

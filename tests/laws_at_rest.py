@@ -1,4 +1,4 @@
-"""Laws of deformable bodies on one body whose clamp stands still, without the rest of their checks."""
+"""Laws of deformable bodies for one body with a fixed clamp."""
 
 import math
 
@@ -23,13 +23,13 @@ LAWS = {
     "foam-poisson": (foam.hanging_bar(), foam.poisson, 0.25),
     "rod-bending": (rope.clamped_rod(), rope.rod_stiffness, 0.3),
 }
-"""Scene, law, and the time after which it is settled [s]."""
+"""Scene, law, and settling time [s]."""
 
 
 def ratio_at_rest(engine, check, settings=None):
-    """Ratio of measured to expected for the first body of a check, while its frame stands still."""
+    """Ratio of measured to expected for the first body of a check with a fixed frame."""
     scene, law, settled_s = LAWS[check]
     rollout = Lab(backend(engine), settings).rollout(scene)
     (body,) = scene.deformables
-    found = law(rollout, body.name, settled_s, math.inf)
-    return found.measured / found.expected
+    measured = law(rollout, body.name, settled_s, math.inf)
+    return measured.measured / measured.expected

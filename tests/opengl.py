@@ -1,4 +1,4 @@
-"""What tests of pictures need of the machine, and where a camera sees points."""
+"""Requirements of tests of pictures, and the projection of points by a camera."""
 
 from ctypes.util import find_library
 

@@ -1,4 +1,4 @@
-"""Where the repository is, which ids are rigid, and which ones stand for others, for tests at any depth."""
+"""Folder of the repository, rigid ids, and representative ids for tests."""
 
 from pathlib import Path
 
@@ -21,12 +21,14 @@ RIGID_FAMILIES = (
 RIGID = tuple(v.name for v in gauge_envs.variants() if v.family in RIGID_FAMILIES)
 
 
-def one_of_a_kind(names, kind_of=lambda name: name.rpartition("-")[0]):
-    """Parameters of which the default run has the first of each kind, and `-m slow` the others."""
+def first_of_each_kind(names, kind_of=lambda name: name.rpartition("-")[0]):
+    """Return parameters: the default run has the first of each kind, and `-m slow` the others."""
     seen = set()
-    found = []
+    parameters = []
     for name in names:
         kind = kind_of(name)
-        found.append(pytest.param(name, marks=pytest.mark.slow if kind in seen else ()))
+        parameters.append(
+            pytest.param(name, marks=pytest.mark.slow if kind in seen else ())
+        )
         seen.add(kind)
-    return found
+    return parameters

@@ -5,7 +5,7 @@ import sys
 
 
 def run_python(*words, **options):
-    """Run Python with words, as in a shell; its output is text."""
+    """Run Python with arguments, and return the process with its output as text."""
     return subprocess.run(
         [sys.executable, *map(str, words)],
         capture_output=True,
@@ -16,7 +16,7 @@ def run_python(*words, **options):
 
 
 def printed(*words, **options):
-    """Return what Python prints that must succeed."""
+    """Return the output of Python, which must succeed."""
     done = run_python(*words, **options)
     assert done.returncode == 0, done.stderr
     return done.stdout

@@ -15,17 +15,17 @@ SLIDE_M_PER_S2 = GRAVITY_M_PER_S2 * (np.sin(np.pi / 6) - FRICTION * np.cos(np.pi
 
 
 def solid(name, shape, position_m=(0.0, 0.0, 0.0), **changes):
-    """A body of 0.1 kg that moves under forces, but for the changes."""
+    """A dynamic body of 0.1 kg with some changes."""
     return replace(body(name, shape, Pose(position_m=position_m)), **changes)
 
 
 def target(pose, velocity, acceleration=(0.0,) * 6):
-    """Return the motion of a driven body in one world, as `Simulation.drive` takes it, shape [1, 19]."""
+    """Return the target of a driven body in one world for `Simulation.drive`, shape [1, 19]."""
     return np.array([[*pose.position_m, *pose.quaternion, *velocity, *acceleration]])
 
 
 def plane_deg(lean_deg=0.0, name="ground"):
-    """A fixed plane through the origin that leans about y."""
+    """A fixed plane through the origin, tilted about y."""
     pose = Pose.from_euler_deg((0.0, 0.0, 0.0), (0.0, lean_deg, 0.0))
     return body(name, Plane(), pose, mass_kg=0.0, motion=Motion.FIXED)
 
@@ -46,7 +46,7 @@ def states(engine, scene, names, seconds, *, interval_s=1 / 180, **settings):
 
 
 def sliding_scene():
-    """A cube on a board that leans by 30 degrees."""
+    """A cube on a board with a slope of 30 degrees."""
 
     def on_slope(position_m):
         return Pose.from_rotation(tuple(SLOPE.apply(position_m).tolist()), SLOPE)
@@ -64,7 +64,7 @@ def sliding_scene():
 
 
 def slide(engine, seconds, **settings):
-    """Acceleration of the cube over Coulomb's, and its highest rise over the board [m]."""
+    """Acceleration of the cube over that of Coulomb's law, and its largest height over the board [m]."""
     places = states(engine, sliding_scene(), ["cube"], seconds, **settings)[:, 0, :3]
     along = SLOPE.inv().apply(places)
     times_s = np.arange(len(along)) / 180

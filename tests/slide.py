@@ -1,4 +1,4 @@
-"""A cube that slides as Coulomb says: g(t) in closed form, and as a CSV file."""
+"""A cube that slides by Coulomb's law: g(t) in closed form and as a CSV file."""
 
 import numpy as np
 

@@ -66,7 +66,7 @@ def planned(**values):
 
 
 def swept(plan, folder, *workers, retry_failed=False, notify=lambda text: None):
-    """Run the rest of a plan like the command, and return its results."""
+    """Run the rest of a plan as the command does, and return its results."""
     done = {
         name
         for name, outcome in earlier_outcomes(folder, notify).items()

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 def swung_rad(
     times_s, start_rad, rate_rad_per_s=0.0, *, square_rate, damping_per_s=0.0
 ):
-    """Angle of a pendulum at times from 0 on, to 1e-12.
+    """Return the angle of a pendulum at times from 0, to 1e-12.
 
     Args:
         times_s: Times [s], strictly ascending.

@@ -1,4 +1,4 @@
-"""The core runs alone: without instruments, other engines, pictures and USD it lists, shows, runs and scores."""
+"""The core alone, without other tools, other engines, pictures and USD, lists, shows, runs and scores."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from places import ROOT
 from gauge_envs import variants
 
 CORE_INSTRUMENTS = {"catalog", "run"}
-"""Instruments that list, show, run and score."""
+"""Tools that list, show, run and score."""
 
 CORE_BACKENDS = {"mujoco", "shared"}
 
@@ -29,7 +29,7 @@ GUEST_PACKAGES = (
     "trimesh",
     "yaml",
 )
-"""Packages that the core does without."""
+"""Packages that the core does not need."""
 
 BLOCKER = f"""
 import sys
@@ -57,7 +57,7 @@ for name in sys.argv[1:]:
     print(name)
 """
 
-ONE_OF_EACH_GROUP = (
+FIRST_OF_EACH_GROUP = (
     "SlopeSlider-2-wood",
     "RopeWinding-rubber",
     "TextileBending-satin",
@@ -67,7 +67,7 @@ ONE_OF_EACH_GROUP = (
 
 @pytest.fixture(scope="module")
 def core(tmp_path_factory):
-    """A folder with the core of the package, its data, and a start file that hides the packages of guests."""
+    """A folder with the core of the package, its data, and a start file that hides optional packages."""
     folder = tmp_path_factory.mktemp("core")
     package = folder / "gauge_envs"
     shutil.copytree(
@@ -86,7 +86,7 @@ def core(tmp_path_factory):
 
 
 def python(core, *arguments):
-    """What a program that sees only the core prints."""
+    """Return the output of a program that sees only the core."""
     return programs.printed(
         *arguments, cwd=core, env={**os.environ, "PYTHONPATH": str(core)}
     )
@@ -114,7 +114,7 @@ for command in sys.argv[1:]:
 
 @pytest.fixture(scope="module")
 def printed(core):
-    """What one process of the core prints: the place of the package, the help, rows of a list, and a page."""
+    """Output of a process of the core: the folder of the package, the help, rows of a list, and a page."""
     code = COMMANDS.format(packages=GUEST_PACKAGES)
     commands = ("--help", "list --json", "show SlopeSlider-2-wood --json")
     place, *lines = python(core, "-c", code, *commands).splitlines()
@@ -143,7 +143,7 @@ def test_the_core_runs_and_scores_as_the_whole_package(core, gauge):
 @pytest.mark.parametrize(
     "names",
     [
-        pytest.param(ONE_OF_EACH_GROUP, id="groups"),
+        pytest.param(FIRST_OF_EACH_GROUP, id="groups"),
         pytest.param(
             tuple(variant.name for variant in variants()),
             id="all",

@@ -1,4 +1,4 @@
-"""A damaged file is an error of the package that names the file."""
+"""A damaged file gives an error of the package with the name of the file."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def content_of(*parts):
 
 
 def read_band(file):
-    """Read the reference of a user's experiment, of which the file is one part."""
+    """Read the reference of a user's experiment, which includes the file."""
     for source in OWN.iterdir():
         if source.name != file.name:
             shutil.copy(source, file.parent)
@@ -70,7 +70,7 @@ READERS = {
 
 @pytest.mark.parametrize("damage", ["cut", "noise"])
 @pytest.mark.parametrize("name", READERS)
-def test_a_damaged_file_is_an_error_with_its_name(name, damage, tmp_path):
+def test_a_damaged_file_gives_an_error_with_its_name(name, damage, tmp_path):
     content, read = READERS[name]
     if callable(content):
         content = content()
@@ -85,7 +85,7 @@ def test_a_damaged_file_is_an_error_with_its_name(name, damage, tmp_path):
 
 
 @pytest.mark.parametrize("step", ["nan", "0", "-1"])
-def test_a_time_step_that_is_not_positive_is_refused(step, tmp_path):
+def test_a_time_step_that_is_not_positive_is_rejected(step, tmp_path):
     file = tmp_path / "step.xml"
     file.write_text(f'<mujoco><option timestep="{step}"/></mujoco>')
     with pytest.raises(AssetError, match=r"timestep|MuJoCo cannot load"):

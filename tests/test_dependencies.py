@@ -1,4 +1,4 @@
-"""What the package imports, its metadata declares; what the metadata declares has a tested lower bound."""
+"""The metadata declares every import of the package, and every requirement has a lower bound."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ DISTRIBUTION = {
 
 
 NOT_OF_USERS = {"bench", "dev", "docs"}
-"""Extras of benchmarks, development and guides; the package imports nothing of theirs."""
+"""Extras of benchmarks, development and guides, which the package does not import."""
 
 
 def canonical(name):
@@ -54,11 +54,11 @@ ELSEWHERE = {
     "tools/sanity/gauge_probe.py": {"mjlab"},
     "rendering/window.py": {"glfw"},
 }
-"""Imports of a program that runs in the Python of a training stack, and of a package that MuJoCo brings."""
+"""Imports of a program that runs in the Python of a training stack, and of a package that MuJoCo installs."""
 
 
 def imported(text):
-    """Distributions that a file imports: all of them, and those that it imports as soon as it is imported itself."""
+    """Distributions that a file imports: all, and those at its top level."""
     everything, at_once = set(), set()
     waiting = [(ast.parse(text), False)]
     while waiting:
@@ -90,7 +90,7 @@ def _for_types(node):
 
 @pytest.fixture(scope="module")
 def files():
-    """What each file of the package imports, as of `imported`."""
+    """Imports of each file of the package, see `imported`."""
     return {
         file.relative_to(PACKAGE).as_posix(): imported(file.read_text())
         for file in PACKAGE.rglob("*.py")
@@ -109,15 +109,15 @@ def test_every_import_is_of_a_declared_dependency(files):
 
 def test_extras_are_imported_at_first_use(files):
     extras = set().union(*EXTRAS.values()) - BASE
-    stated = {
-        f"tools/{one.place.partition('.')[0]}/": EXTRAS[one.extra]
-        for one in BUNDLED
-        if one.extra
+    declared = {
+        f"tools/{command.place.partition('.')[0]}/": EXTRAS[command.extra]
+        for command in BUNDLED
+        if command.extra
     } | {"tools/usd/": EXTRAS["usd"]}
     at_once = {
-        file: found
+        file: used
         for file, (_, names) in files.items()
-        if (found := names & extras - stated.get(_folder(file), set()))
+        if (used := names & extras - declared.get(_folder(file), set()))
     }
     own = (
         "backends/drake/",
@@ -141,15 +141,15 @@ def _folder(file):
 
 def test_every_requirement_has_a_lower_bound():
     extras = [
-        one
+        requirement
         for requirements in PROJECT["optional-dependencies"].values()
-        for one in requirements
+        for requirement in requirements
     ]
-    requirements = [Requirement(one) for one in (*PROJECT["dependencies"], *extras)]
+    requirements = [Requirement(text) for text in (*PROJECT["dependencies"], *extras)]
     without = [
-        str(one)
-        for one in requirements
-        if one.name != PROJECT["name"]
-        and not any(bound.operator == ">=" for bound in one.specifier)
+        str(requirement)
+        for requirement in requirements
+        if requirement.name != PROJECT["name"]
+        and not any(bound.operator == ">=" for bound in requirement.specifier)
     ]
     assert without == []

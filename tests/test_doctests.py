@@ -1,4 +1,4 @@
-"""The examples in docstrings are real."""
+"""The examples in docstrings run and give their output."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files are written whole or not at all, and pydantic's faults become one place and one reason."""
+"""Files are written completely or not at all, and errors of pydantic become a place and a reason."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_a_failed_write_leaves_the_old_content(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("dtype", ["f8", ">f4", "i2", "u1", "?"])
-def test_named_arrays_are_read_and_texts_are_refused(dtype):
+def test_named_arrays_are_read_and_texts_are_rejected(dtype):
     values = np.asarray(np.arange(12).reshape(3, 4) % 2, dtype=dtype)
     stream = io.BytesIO()
     np.savez(stream, a=values, b=values, text="words")
@@ -40,7 +40,7 @@ def test_named_arrays_are_read_and_texts_are_refused(dtype):
     (array,) = npz_arrays(content, ["a", "gone"]).values()
     np.testing.assert_array_equal(array, values)
     assert array.dtype == values.dtype
-    with pytest.raises(ValueError, match="text: holds <U5 values, expected numbers"):
+    with pytest.raises(ValueError, match="text: it has <U5 values, expected numbers"):
         npz_arrays(content)
     for damaged in (b"", b"words", b"PK", content[:-30]):
         with pytest.raises(ValueError, match=r"(?i)zip"):
@@ -81,10 +81,10 @@ class Drawing(BaseModel):
 def test_the_first_fault_has_a_place_and_a_reason(values, place, reason):
     with pytest.raises(ValidationError) as caught:
         Drawing.model_validate(values)
-    found_place, found_reason = first_fault(caught.value)
-    # The words before the value are pydantic's.
-    assert found_place == place
-    assert (found_reason.endswith(reason) and found_reason != reason) or reason in (
+    actual_place, actual_reason = first_fault(caught.value)
+    # The text before the value is from pydantic.
+    assert actual_place == place
+    assert (actual_reason.endswith(reason) and actual_reason != reason) or reason in (
         "missing key",
         "unknown key",
     )

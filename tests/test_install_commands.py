@@ -1,4 +1,4 @@
-"""Every command of the README and the guides works in an environment that holds only what its page says to install.
+"""Every command of the README and the guides works in an environment with only the packages of its page.
 
 What runs where, and what is skipped for which reason, is in `install_commands.toml`. The environments are made from
 the built wheel; `-k default` chooses those without extras.
@@ -26,7 +26,7 @@ TIMEOUT_S = 300.0
 
 
 def page_runs():
-    """Commands to run for each environment and page; a page's default ones come along, as later ones need them."""
+    """Commands for each environment and page, with the default commands of a page, which later ones need."""
     needed = defaultdict(set)
     for command in COMMANDS:
         if command.skip is None:
@@ -48,7 +48,7 @@ RUNS = page_runs()
 
 
 def shown_outputs(page, text):
-    """Parts of the output below each command of a page, with single spaces; `...` stands for what is left out."""
+    """Parts of the output below each command of a page, with single spaces; `...` stands for omitted text."""
     pairs = re.findall(
         r"^```sh\n([^\n]+)\n```\n\n```text\n(.*?)^```$", text, re.M | re.S
     )
@@ -65,7 +65,7 @@ SHOWN = shown_outputs("README.md", (ROOT / "README.md").read_text())
 
 @pytest.fixture(scope="module")
 def commands_of(tmp_path_factory):
-    """The folder of an environment's commands, made on first use."""
+    """The folder of the commands of an environment, created at first use."""
     wheel = build_wheel(tmp_path_factory.mktemp("wheel"))
     made = {}
 

@@ -1,4 +1,4 @@
-"""What the contracts in pyproject.toml leave open: no two files import each other, and instruments have doors."""
+"""Layers beyond the contracts in pyproject.toml: no import cycles, and imports of tools only through their package."""
 
 from graphlib import CycleError, TopologicalSorter
 
@@ -11,38 +11,37 @@ TOOLS = "gauge_envs.tools."
 
 @pytest.fixture(scope="module")
 def edges():
-    """Modules of the package that each module imports: at the top, in functions, and for type checkers alone."""
+    """Modules of the package that each module imports at the top, in functions, or only for type checkers."""
     graph = grimp.build_graph("gauge_envs", cache_dir=None)
     return {
         name: graph.find_modules_directly_imported_by(name) for name in graph.modules
     }
 
 
-def past_doors(edges):
-    """Return imports of a module inside another instrument.
-
-    The bench has no door: its scenes and measurements are there for all of them.
-    """
-    found = []
-    for one in (ROOT / "gauge_envs/tools").iterdir():
-        if one.name == "bench":
+def inner_imports(edges):
+    """Return imports of a module inside another tool; only modules of the bench may be imported."""
+    imports = []
+    for folder in (ROOT / "gauge_envs/tools").iterdir():
+        if folder.name == "bench":
             continue
-        folder = f"{TOOLS}{one.name}"
+        package = f"{TOOLS}{folder.name}"
         for name, imported in edges.items():
-            if not name.startswith(TOOLS) or f"{name}.".startswith(f"{folder}."):
+            if not name.startswith(TOOLS) or f"{name}.".startswith(f"{package}."):
                 continue
-            found += [
-                (name, target) for target in imported if target.startswith(f"{folder}.")
+            imports += [
+                (name, target)
+                for target in imported
+                if target.startswith(f"{package}.")
             ]
-    return found
+    return imports
 
 
 def test_no_two_files_import_each_other(edges):
     TopologicalSorter(edges).prepare()
 
 
-def test_an_instrument_is_used_through_its_door(edges):
-    assert past_doors(edges) == []
+def test_a_tool_is_imported_through_its_package(edges):
+    assert inner_imports(edges) == []
 
 
 @pytest.mark.parametrize(
@@ -58,6 +57,6 @@ def test_a_planted_cycle_is_found(edges, importer, imported):
         TopologicalSorter(planted).prepare()
 
 
-def test_a_planted_import_past_a_door_is_found(edges):
+def test_a_planted_import_of_an_inner_module_is_found(edges):
     planted = ("gauge_envs.tools.sweep.plan", "gauge_envs.tools.compare.ranks")
-    assert past_doors({**edges, planted[0]: {planted[1]}}) == [planted]
+    assert inner_imports({**edges, planted[0]: {planted[1]}}) == [planted]

@@ -1,4 +1,4 @@
-"""`scripts/lock.txt` has a version of every package of the environment of the tests, for pip and for uv."""
+"""`scripts/lock.txt` has a version of every package of the test environment, for pip and uv."""
 
 from __future__ import annotations
 
@@ -21,25 +21,27 @@ INSTALL = {
     "pip": ([sys.executable, "-m", "venv", "{venv}"], ["{python}", "-m", "pip"]),
     "uv": (["uv", "venv", "--python", sys.executable, "{venv}"], ["uv", "pip"]),
 }
-"""Commands that make an environment and that install into it."""
+"""Commands that create an environment and install into it."""
 
 
 def locked() -> dict[str, list[str]]:
     """Return the versions in the lock by name; a package may have one for each version of Python."""
-    found: dict[str, list[str]] = {}
+    versions: dict[str, list[str]] = {}
     for line in LOCK.read_text().splitlines():
-        one = Requirement(line)
-        (version,) = one.specifier
-        found.setdefault(one.name, []).append(version.version)
-    return found
+        requirement = Requirement(line)
+        (version,) = requirement.specifier
+        versions.setdefault(requirement.name, []).append(version.version)
+    return versions
 
 
 def test_the_lock_has_versions_that_the_project_allows() -> None:
     versions = locked()
     project = tomllib.loads(PYPROJECT.read_text())["project"]
     for requirement in requirements(project, ["dev"]):
-        found = versions[requirement.name.replace("_", "-").lower()]
-        assert all(requirement.specifier.contains(one) for one in found), requirement
+        allowed = versions[requirement.name.replace("_", "-").lower()]
+        assert all(requirement.specifier.contains(version) for version in allowed), (
+            requirement
+        )
 
 
 @pytest.mark.slow

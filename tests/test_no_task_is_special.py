@@ -1,4 +1,4 @@
-"""What differs between experiments is data: the core treats none specially, and a backend does not even see a name."""
+"""Experiments differ only in data: the core treats none specially, and a backend does not see names."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def named(text):
 
 
 def ids_in_code(text):
-    """Strings that are the name of a family or an id. Those inside a sentence are examples of messages."""
+    """Strings that are the name of a family or an id; names in sentences are examples of messages."""
     for node in ast.walk(ast.parse(text)):
         if (
             isinstance(node, ast.Constant)
@@ -55,5 +55,5 @@ def test_no_backend_names_a_task(path):
 
 
 def test_the_core_treats_no_task_specially():
-    found = {path.name: list(ids_in_code(path.read_text())) for path in CORE}
-    assert {name: ids for name, ids in found.items() if ids} == {}
+    ids_by_file = {path.name: list(ids_in_code(path.read_text())) for path in CORE}
+    assert {name: ids for name, ids in ids_by_file.items() if ids} == {}

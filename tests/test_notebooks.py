@@ -1,4 +1,4 @@
-"""The notebooks run from the first to the last cell in a plain process, and find what they say."""
+"""The notebooks run from the first to the last cell in a plain process, and get the results in their text."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
 
 
 def cells(notebook):
-    found = json.loads(notebook.read_text())["cells"]
-    return found
+    cells = json.loads(notebook.read_text())["cells"]
+    return cells
 
 
 def run(notebook):
@@ -33,7 +33,7 @@ def run(notebook):
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda file: file.stem)
-def test_a_notebook_installs_what_it_needs_first_and_holds_no_output(
+def test_a_notebook_first_installs_its_packages_and_has_no_output(
     notebook,
 ):
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
@@ -57,9 +57,9 @@ def _elsewhere(tmp_path, monkeypatch):
 
 
 def test_how_wrong():
-    found = run(ROOT / "examples" / "notebooks" / "how_wrong.ipynb")
-    mine, bouncy = found["mine"].score, found["bouncy"].score
-    tuned, engine = found["tuned"].score, found["engine"].score
+    names = run(ROOT / "examples" / "notebooks" / "how_wrong.ipynb")
+    mine, bouncy = names["mine"].score, names["bouncy"].score
+    tuned, engine = names["tuned"].score, names["engine"].score
     # MuJoCo's 35.0 mm and the 6.9 mm with the real restitution are on the README; ten lines have the same constants.
     assert tuned.rmse_aligned == pytest.approx(35.0, abs=0.05)
     assert mine.rmse_aligned == pytest.approx(35.0, abs=0.5)
@@ -72,19 +72,19 @@ def test_how_wrong():
 @pytest.mark.slow
 def test_real_scatter(tmp_path):
     pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
-    found = run(ROOT / "examples" / "notebooks" / "real_scatter.ipynb")["found"]
+    names = run(ROOT / "examples" / "notebooks" / "real_scatter.ipynb")["found"]
     assert (tmp_path / "before_and_after.gif").stat().st_size > 10_000
-    mean = {name: sum(values) / len(values) for name, values in found.items()}
+    mean = {name: sum(values) / len(values) for name, values in names.items()}
     assert mean["law, 95 %"] == pytest.approx(0.95, abs=0.005)
-    # The law holds, and both trainings learned something of it.
-    assert max(max(values) for values in found.values()) <= 1.0
+    # The law holds, and both trainings improve.
+    assert max(max(values) for values in names.values()) <= 1.0
     assert mean["one start"] > mean["before"]
     assert mean["scattered starts"] > mean["before"]
 
 
 def test_training_setup():
-    found = run(ROOT / "examples" / "notebooks" / "training_setup.ipynb")
-    before = {row.phenomenon: row.verdict.value for row in found["before"].rows}
+    names = run(ROOT / "examples" / "notebooks" / "training_setup.ipynb")
+    before = {row.phenomenon: row.verdict.value for row in names["before"].rows}
     assert (
         before["foot-creep"]
         == before["creep-wood"]
@@ -95,14 +95,14 @@ def test_training_setup():
 
 
 def test_trials_to_settings():
-    found = run(ROOT / "examples" / "notebooks" / "trials_to_settings.ipynb")
+    names = run(ROOT / "examples" / "notebooks" / "trials_to_settings.ipynb")
     # 0.2571 is the mean of all twenty in scoring/facts/slope_slider_30deg_summary.toml, made by another program.
-    assert found["friction"] == pytest.approx(0.2571, abs=3 * found["error"])
+    assert names["friction"] == pytest.approx(0.2571, abs=3 * names["error"])
     apart = {
-        name: abs(value - found["real"].mean())
-        for name, value in found["accelerations"].items()
+        name: abs(value - names["real"].mean())
+        for name, value in names["accelerations"].items()
     }
     assert apart["yours"] < apart["published"]
-    assert found["recipe"].reached["friction"] == pytest.approx(
-        found["aim"].friction, abs=0.002
+    assert names["recipe"].reached["friction"] == pytest.approx(
+        names["aim"].friction, abs=0.002
     )

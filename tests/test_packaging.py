@@ -1,4 +1,4 @@
-"""What a user installs: the wheel alone, in a clean environment, outside the checkout."""
+"""The wheel alone in a clean environment outside the checkout."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ NOT_OF_THE_BASE = {
 }
 """Packages that extras install."""
 
-MOST_BASE_MB = 500.0
-"""Size of an environment with the wheel alone [MB], pip included."""
+MAX_BASE_MB = 500.0
+"""Largest size of an environment with the wheel alone [MB], including pip."""
 
 NEEDS_EXTRA = (
     (("sanity", "HalfCheetah-v5"), "sanity"),
     (("data", "scenes", "--check"), "usd"),
     (("video", "score", "slide.mp4", "--id", "SlopeSlider-2-wood"), "video"),
 )
-"""Commands beyond a first run, and the extra that their messages name."""
+"""Commands that need an extra, and this extra in their messages."""
 
 
-def test_wheel_carries_the_data(wheel):
+def test_the_wheel_contains_the_data(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     assert (
         sum(
@@ -103,7 +103,7 @@ def test_installed_wheel_makes_an_environment_outside_the_checkout(wheel, tmp_pa
         for file in (tmp_path / "venv").rglob("*")
         if file.is_file() and not file.is_symlink()
     )
-    assert size_mb / 1e6 < MOST_BASE_MB
+    assert size_mb / 1e6 < MAX_BASE_MB
 
     def gauge(*words):
         return subprocess.run(

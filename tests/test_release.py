@@ -1,4 +1,4 @@
-"""A release: one version everywhere, workflows whose commands exist, and archives that hold what they refer to."""
+"""A release: the same version everywhere, and workflows with existing commands."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gauge_envs.cli.commands import help_lines
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 PUBLISHERS = {(name, "publish") for name in ("release.yml", "docs.yml")}
-"""Jobs that may write, each in an environment of its own."""
+"""Jobs that may write, each in its own environment."""
 
 
 def workflow(file):
@@ -42,15 +42,15 @@ def test_the_version_is_the_same_everywhere():
     else:
         assert ".dev" in version
         assert headings[0][0] == "Unreleased"
-    stated = [
+    versions = [
         file
         for file in (ROOT / "gauge_envs").rglob("*.py")
         if f'"{version}"' in file.read_text()
     ]
-    assert stated == []
+    assert versions == []
 
 
-def test_a_workflow_may_only_read_but_to_publish():
+def test_a_workflow_may_write_only_to_publish():
     for file in WORKFLOWS:
         content = workflow(file)
         assert content["permissions"] == {"contents": "read"}
@@ -64,15 +64,15 @@ def test_a_workflow_may_only_read_but_to_publish():
         assert "secrets." not in file.read_text()
 
 
-def test_releases_are_installed_on_the_versions_that_the_package_states():
-    stated = [
+def test_releases_are_installed_on_all_supported_versions():
+    versions = [
         text.rpartition(" ")[2]
         for text in PROJECT["project"]["classifiers"]
         if re.fullmatch(r"Programming Language :: Python :: \d\.\d+", text)
     ]
     jobs = workflow(ROOT / ".github" / "workflows" / "release.yml")["jobs"]
-    assert jobs["install"]["strategy"]["matrix"]["python"] == stated
-    assert PROJECT["project"]["requires-python"] == f">={stated[0]}"
+    assert jobs["install"]["strategy"]["matrix"]["python"] == versions
+    assert PROJECT["project"]["requires-python"] == f">={versions[0]}"
 
 
 @pytest.mark.parametrize("file", WORKFLOWS, ids=lambda file: file.name)
@@ -89,5 +89,4 @@ def test_commands_of_a_workflow_exist(file):
             name = next(
                 name for name in (" ".join(words[:2]), words[0]) if name in help_lines()
             )
-            found = load_command(name)
-            found.make_context(name, words[len(name.split()) :])
+            load_command(name).make_context(name, words[len(name.split()) :])

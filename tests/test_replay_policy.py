@@ -17,4 +17,4 @@ def test_a_policy_is_replayed_on_two_engines(tmp_path):
     )
     returns = dict(line.split() for line in shown.splitlines())
     assert returns.keys() == {"mujoco", "rapier"}
-    assert all(float(one) >= 0.0 for one in returns.values())
+    assert all(float(total) >= 0.0 for total in returns.values())

@@ -1,4 +1,4 @@
-"""The skill for agents: it is short, its commands exist, and whoever follows it ends with a mended model."""
+"""The skill for agents: it is short, its commands exist, and its steps end with a fixed model."""
 
 import re
 import shlex
@@ -12,7 +12,7 @@ from gauge_envs.cli.schemas import schema_names
 SKILL = ROOT / ".agents" / "skills" / "gauge-envs" / "SKILL.md"
 TEXT = SKILL.read_text()
 
-MOST_WORDS = 400
+MAX_WORDS = 400
 
 
 def blocks(language):
@@ -20,8 +20,8 @@ def blocks(language):
     return re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL)
 
 
-def test_it_is_short_and_states_when_to_use_it():
-    assert len(TEXT.split()) <= MOST_WORDS
+def test_it_is_short_and_says_when_to_use_it():
+    assert len(TEXT.split()) <= MAX_WORDS
     start = TEXT.split("---")[1]
     assert f"name: {SKILL.parent.name}\n" in start
     assert "description: " in start
@@ -31,13 +31,17 @@ def test_its_commands_and_keys_exist():
     names = commands()
     lines = [line for block in blocks("sh") for line in block.splitlines()]
     lines += re.findall(r"`(gauge [^`]*)`", TEXT)
-    found = [shlex.split(line.partition(">")[0]) for line in lines]
-    found = [words[1:] for words in found if words[0] == "gauge"]
-    assert len(found) >= 10
-    for words in found:
+    calls = [shlex.split(line.partition(">")[0]) for line in lines]
+    calls = [words[1:] for words in calls if words[0] == "gauge"]
+    assert len(calls) >= 10
+    for words in calls:
         name = next(name for name in (" ".join(words[:2]), words[0]) if name in names)
-        known = {option for one in load_command(name).params for option in one.opts}
-        stated = {word for word in words if word.startswith("-")}
-        assert stated <= known, words
+        known = {
+            option
+            for parameter in load_command(name).params
+            for option in parameter.opts
+        }
+        options = {word for word in words if word.startswith("-")}
+        assert options <= known, words
         if "--schema" in words:
             assert words[1] in schema_names()

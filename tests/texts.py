@@ -1,10 +1,10 @@
-"""Files whose text a test changes, and blocks of code on pages."""
+"""Change texts of files, and read code blocks of pages."""
 
 import re
 
 
 def changed_text(path, *replacements, to=None, count=1):
-    """Replace texts of a file, each of which must be in it; return the file, or the copy that holds the result."""
+    """Replace texts that a file must contain; return the file, or the copy with the result."""
     text = path.read_text()
     for old, new in replacements:
         assert old in text, old

@@ -14,6 +14,9 @@ from gauge_envs.scene import Scene
 MODEL_ENGINE = "mujoco"
 """The backend that builds model files."""
 
+ISAAC_SIM = "Isaac Sim is not a backend but runs layers of this package, see docs/engines/isaac_sim.md"
+"""Hint for a name of Isaac Sim."""
+
 
 def backend_names() -> tuple[str, ...]:
     """Return the sorted names of all installed backends, without importing any."""
@@ -44,7 +47,9 @@ def backend(name: str) -> Backend:
                     "Give the key of the entry point and the attribute `name` of the class the same text."
                 )
             return engine
-    raise UnknownNameError("backend", name, backend_names())
+    raise UnknownNameError(
+        "backend", name, backend_names(), ISAAC_SIM if "isaac" in name.lower() else ""
+    )
 
 
 def is_bundled(name: str) -> bool:

@@ -1,4 +1,4 @@
-"""The `gauge` command: its commands are imported when one of them runs, and errors end it with an exit code."""
+"""The `gauge` command: it imports the module of a command when the command runs, and errors give an exit code."""
 
 from __future__ import annotations
 
@@ -32,15 +32,18 @@ UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def load_command(name: str) -> Any:
-    """Return a command, imported from its module, or a group."""
-    found = commands().get(name)
-    if found is None:
+    """Return a command, imported from its module, or a group of commands."""
+    listed = commands().get(name)
+    if listed is None:
         return _Group(name=name, help=help_lines()[name], no_args_is_help=True)
-    function = found.function()
-    # Rich would keep the ends of lines within a paragraph.
+    function = listed.function()
+    # Join the lines of a paragraph, because rich would keep line ends.
     text = re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(function.__doc__ or ""))
     single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    below = [f"gauge {other}: {help_lines()[other]}" for other in _below(name)]
+    below = [
+        f"gauge {command_name}: {help_lines()[command_name]}"
+        for command_name in _below(name)
+    ]
     epilog = "\n\n".join(["See also", *below]) if below else None
     command = _with_common_options(function)
     single.command(name, cls=_Command, help=text, epilog=epilog)(command)
@@ -64,7 +67,7 @@ QuietFlag = Annotated[
 
 
 def _with_common_options(function: Any) -> Any:
-    """Return a command with the options that every command has, and `--json` beside `--format`."""
+    """Return a command with the options of every command, and `--json` if it has `--format`."""
     signature = inspect.signature(function, eval_str=True)
     common = {"quiet": QuietFlag} | (
         {"json": JsonFlag} if "form" in signature.parameters else {}
@@ -72,7 +75,7 @@ def _with_common_options(function: Any) -> Any:
 
     @functools.wraps(function)
     def command(**values: Any) -> Any:
-        # It has become --format json.
+        # `read_values` has changed it to --format json.
         values.pop("json", None)
         with quieted(values.pop("quiet")):
             return function(**values)
@@ -90,49 +93,53 @@ def _with_common_options(function: Any) -> Any:
 
 
 def _below(name: str) -> list[str]:
-    """Return the names of the commands that are listed under a name; empty for the command line itself."""
-    return [other for other in help_lines() if other.rpartition(" ")[0] == name]
+    """Return the names of the commands below a name; the empty name is the command line itself."""
+    return [
+        command_name
+        for command_name in help_lines()
+        if command_name.rpartition(" ")[0] == name
+    ]
 
 
 LISTED = ("ID", "KIND or PATTERN", "NAME", "PATTERN")
-"""Metavars of arguments that are lists of names, not of paths."""
+"""Metavars of arguments with lists of names, not of paths."""
 
 
 def read_values(command: Any, values: dict[str, Any]) -> dict[str, Any]:
-    """Return the values of a command with lists apart at their commas, and `--json` as `--format json`.
+    """Return the values of a command with lists split at commas, and `--json` as `--format json`.
 
     Args:
         command: The command.
         values: Values of arguments and options by the names of their parameters.
     """
-    found = dict(values)
-    if found.get("json"):
-        found["form"] = Format.JSON
-    for one in command.params:
-        given = values.get(one.name)
-        if one.param_type_name == "argument":
-            # Settings behind an engine belong to it.
-            metavar = PER_ENGINE if one.metavar in LISTED else None
+    parsed = dict(values)
+    if parsed.get("json"):
+        parsed["form"] = Format.JSON
+    for parameter in command.params:
+        given = values.get(parameter.name)
+        if parameter.param_type_name == "argument":
+            # Settings after an engine belong to it.
+            metavar = PER_ENGINE if parameter.metavar in LISTED else None
         else:
-            metavar = (one.metavar or "") if one.multiple else None
+            metavar = (parameter.metavar or "") if parameter.multiple else None
         if metavar is not None and isinstance(given, list | tuple):
-            found[one.name] = [
+            parsed[parameter.name] = [
                 part for value in given for part in _separated(value, metavar)
             ]
-    return found
+    return parsed
 
 
 def _separated(value: str | Path, metavar: str) -> list[str | Path]:
-    """Return the parts of a value between commas; the name of a file that exists is whole."""
+    """Return the parts of a value between commas; the name of an existing file stays whole."""
     if Path(value).exists():
         return [value]
     return [type(value)(part) for part in split_values(str(value), metavar)]
 
 
 class _Command(typer.core.TyperCommand):
-    """Command whose function returns whether it failed, or its exit code.
+    """Command whose function returns its exit code, or whether it failed.
 
-    Its stdout holds its results only, whatever engines print.
+    Its stdout has only results, even if engines print.
     """
 
     def invoke(self, ctx: Any) -> Any:
@@ -147,12 +154,12 @@ class _Command(typer.core.TyperCommand):
                 )
                 has_failed = True
         if has_failed:
-            # True is a failure, and a number is the exit code itself.
+            # True is exit code 1; a number is the exit code.
             raise typer.Exit(int(has_failed))
 
 
 class _Named(typer.core.TyperCommand):
-    """Name and line of a command, which is imported when it gets its arguments."""
+    """Name and help line of a command, which is imported when its arguments are parsed."""
 
     def make_context(
         self, info_name: Any, args: list[str], parent: Any = None, **extra: Any
@@ -163,11 +170,11 @@ class _Named(typer.core.TyperCommand):
 
 
 class _Group(typer.core.TyperGroup):
-    """Commands by their names; the name of one may have two words, as `sanity probe` beside `sanity TARGET`."""
+    """Commands by name; a name may have two words, as `sanity probe` next to `sanity TARGET`."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         name = self.name if self.name in help_lines() else ""
-        return [other.removeprefix(f"{name} ") for other in _below(name)]
+        return [command_name.removeprefix(f"{name} ") for command_name in _below(name)]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         full = self._full(cmd_name)
@@ -191,7 +198,7 @@ class _Group(typer.core.TyperGroup):
 
 
 class _Root(_Group):
-    """The command line, which prints errors of gauge-envs without a traceback; no other place catches them."""
+    """The command line, which prints errors of gauge-envs without a traceback."""
 
     def invoke(self, ctx: Any) -> Any:
         try:

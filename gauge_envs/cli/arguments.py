@@ -1,4 +1,4 @@
-"""Options that commands share, and how their values are read. docs/commands.md states the conventions."""
+"""Options that commands share, and parsers of their values. docs/commands.md has the conventions."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ SCENE, NUMERICS, SELECTION, OUTPUT = PANELS = (
     "Selection",
     "Output",
 )
-"""Panels of the help: what is simulated, how, which part of it counts, and what is written."""
+"""Panels of the help: scene, numerics, selection of results, and output."""
 
 ASSIGNED = "NAME=VALUE"
-"""Metavar of an option whose names are an open set."""
+"""Metavar of an option with arbitrary names."""
 
 PER_ENGINE = f"ENGINE[:{ASSIGNED},...]"
-"""Metavar of an option whose values are engines with settings."""
+"""Metavar of an option with engines and their settings."""
 
 SIDE = "SIDE"
-"""Metavar of the sides of a comparison, which may be settings alone, as `iterations=4`."""
+"""Metavar of the sides of a comparison; a side may be only settings, as `iterations=4`."""
 
 MUJOCO = ["mujoco"]
-"""The engine of commands that take several."""
+"""Default of commands with several engines."""
 
 
 def option(panel: str, text: str, *names: str, **more: Any) -> Any:
-    """Return an option with its panel and line of the help; `more` are arguments of `typer.Option`."""
+    """Return an option with its panel and help line; `more` are arguments of `typer.Option`."""
     return typer.Option(*names, rich_help_panel=panel, help=text, **more)
 
 
@@ -55,15 +55,15 @@ def measured(
     is_positive: bool = False,
     show_default: bool | str = True,
 ) -> Any:
-    """Return the option of a quantity, whose value may end with its unit, as `2` or `2kg`.
+    """Return the option of a quantity; the unit after its value is optional, as `2` or `2kg`.
 
     Args:
         name: Name of the option.
-        unit: Unit of the quantity, which the help shows in place of a type; empty for a number without a unit.
-        text: Line of help.
+        unit: Unit of the quantity, in place of a type in the help; empty for a number without a unit.
+        text: Help line.
         panel: Panel of the help.
-        is_positive: Whether zero is refused.
-        show_default: Text for a default that is no number.
+        is_positive: Whether zero is rejected.
+        show_default: Text for a default that is not a number.
     """
 
     def value(given: str | float) -> float:
@@ -90,7 +90,7 @@ def measured(
 
 
 def _number(text: str) -> float | None:
-    """Return the finite number of a text; None if it is none."""
+    """Return the finite number in a text; None if it is not one."""
     try:
         number = float(text)
     except ValueError:
@@ -99,18 +99,20 @@ def _number(text: str) -> float | None:
 
 
 def _ids(incomplete: str) -> list[str]:
-    """Return the ids that complete a word in a shell."""
+    """Return the ids that complete a word in the shell."""
     from gauge_envs.experiments.variants import beyond_variants, variants
 
     known = (*variants(), *beyond_variants())
-    return [one.name for one in known if one.name.startswith(incomplete)]
+    return [variant.name for variant in known if variant.name.startswith(incomplete)]
 
 
 def _engines(incomplete: str) -> list[str]:
-    """Return the engines that complete a word in a shell."""
+    """Return the engines that complete a word in the shell."""
     from gauge_envs.registry import engine_points
 
-    return [one.name for one in engine_points() if one.name.startswith(incomplete)]
+    return [
+        point.name for point in engine_points() if point.name.startswith(incomplete)
+    ]
 
 
 Ids = Annotated[
@@ -244,7 +246,7 @@ Jobs = Annotated[
 
 
 def timeout(text: str, show_default: str, *, is_positive: bool = True) -> Any:
-    """Return the option `--timeout`; zero is refused where it means that nothing can end."""
+    """Return the option `--timeout`; zero is rejected if it would stop every run."""
     return measured(
         "--timeout",
         "s",
@@ -347,18 +349,18 @@ USES = {
     "imported-drivers": ("drivers",),
     "imported-reference": ("reference",),
 }
-"""Keyword arguments that the words of `--use` change."""
+"""Keyword arguments that each word of `--use` changes."""
 
 
 # --- values ----------------------------------------------------------------------------------------------------------
 
 
 def split_values(text: str, metavar: str = "") -> list[str]:
-    """Return the values of a list, which commas outside brackets separate.
+    """Return the values of a list, separated by commas outside brackets.
 
     Args:
-        text: Values with commas. A value NAME=VALUE may have commas too, as may settings behind an engine.
-        metavar: That of the option.
+        text: Values with commas. A value NAME=VALUE and settings after an engine may also have commas.
+        metavar: Metavar of the option.
     """
     values: list[str] = []
     for part in map(str.strip, re.split(r",(?![^\[]*\])", text)):
@@ -380,21 +382,21 @@ def assigned(option: str, texts: Sequence[str]) -> dict[str, str]:
         option: Name of the option, for messages.
         texts: The texts.
     """
-    found: dict[str, str] = {}
+    values: dict[str, str] = {}
     for text in texts:
         name, equals, value = (part.strip() for part in text.partition("="))
         if not (name and equals and value):
             raise ParameterError(f"{option} {text!r}: expected {ASSIGNED}")
-        if name in found:
+        if name in values:
             raise ParameterError(
-                f"{option}: {name} is given twice, {found[name]} and {value}"
+                f"{option}: {name} is given twice, {values[name]} and {value}"
             )
-        found[name] = value
-    return found
+        values[name] = value
+    return values
 
 
 def value_of(text: str) -> Any:
-    """Return the value of a JSON text, of a fraction, or of numbers with commas; or the text itself."""
+    """Return the value of JSON, of a fraction, or of numbers with commas; else the text itself."""
     fraction = [_number(part) for part in text.split("/")]
     if len(fraction) == 2 and fraction[0] is not None and fraction[1]:
         return fraction[0] / fraction[1]
@@ -423,12 +425,12 @@ def parsed_parameters(texts: Sequence[str] | None) -> str | dict[str, Any] | Non
 
 def parsed_settings(changes: Sequence[str] | None) -> dict[str, Any] | None:
     """Return settings such as `timestep_s=1/1800` as a dictionary; None for no settings."""
-    found = assigned("--set", changes or ())
-    return {name: value_of(value) for name, value in found.items()} or None
+    values = assigned("--set", changes or ())
+    return {name: value_of(value) for name, value in values.items()} or None
 
 
 def parsed_use(words: Sequence[str] | None, *names: str) -> dict[str, Any]:
-    """Return those of the keyword arguments `drivers` and `reference` that a command has.
+    """Return the values of the keyword arguments `drivers` and `reference`, if the command has them.
 
     Args:
         words: Words of `--use`, as `imported`.
@@ -449,35 +451,35 @@ def parsed_use(words: Sequence[str] | None, *names: str) -> dict[str, Any]:
 
 
 JITTER_UNITS = {"mm": ("position_m", 1.0e-3), "deg": ("angle_rad", math.radians(1.0))}
-"""Standard deviation that a unit of `--jitter` is of, and the unit in SI."""
+"""Standard deviation for each unit of `--jitter`, and the unit in SI."""
 
 
 def parsed_jitter(texts: Sequence[str] | None) -> Jitter | None:
-    """Return the scatter of `--jitter`: `1mm` and `0.5deg`, `real`, or `off`; None where nothing is given."""
+    """Return the noise of `--jitter`: `1mm` and `0.5deg`, `real`, or `off`; None if it is not given."""
     from gauge_envs.scene.jitter import Jitter
 
     if not texts:
         return None
     if list(texts) == ["real"]:
         return Jitter()
-    found: dict[str, float] = {}
+    deviations: dict[str, float] = {}
     for part in [] if list(texts) == ["off"] else texts:
         value = re.fullmatch(r"(.*?)\s*(mm|deg)", part)
         number = None if value is None else _number(value[1])
         name, unit = JITTER_UNITS[value[2]] if value is not None else ("", 0.0)
-        if number is None or number < 0.0 or name in found:
+        if number is None or number < 0.0 or name in deviations:
             raise ParameterError(
-                f"--jitter {','.join(texts)}: expected numbers in mm and in degrees of 0 or more, each once, as "
-                "1mm,0.5deg; or real; or off"
+                f"--jitter {','.join(texts)}: expected numbers of 0 or more in mm and deg, each once, as 1mm,0.5deg; "
+                "or real; or off"
             )
-        found[name] = unit * number
-    return Jitter(**{"position_m": 0.0, "angle_rad": 0.0, **found})
+        deviations[name] = unit * number
+    return Jitter(**{"position_m": 0.0, "angle_rad": 0.0, **deviations})
 
 
 def matching(
     tables: Sequence[Table], patterns: Sequence[str], *, kind: str
 ) -> list[Table]:
-    """Return tables with the rows whose first column matches a name or a pattern; all rows without patterns."""
+    """Return tables with the rows whose first column matches a pattern; without patterns, all rows."""
     if not patterns:
         return [table for table in tables if table.rows]
 
@@ -504,17 +506,17 @@ def by_suffix(files: Sequence[Path] | None, *suffixes: str) -> dict[str, Path]:
     """Return the files of `--out` by their suffixes, each once.
 
     Args:
-        files: Paths that were given.
-        suffixes: Suffixes that the command can write; empty for a folder.
+        files: Given paths.
+        suffixes: Suffixes that the command can write; an empty one is a folder.
     """
-    found: dict[str, Path] = {}
+    chosen: dict[str, Path] = {}
     for file in files or ():
         if file.suffix not in suffixes:
             names = ", ".join(suffix or "none for a folder" for suffix in suffixes)
             raise ParameterError(f"--out {file}: expected a suffix of {names}")
-        if file.suffix in found:
+        if file.suffix in chosen:
             raise ParameterError(
-                f"--out {file}: {found[file.suffix]} has the same suffix; give one of them"
+                f"--out {file}: {chosen[file.suffix]} has the same suffix; give one of them"
             )
-        found[file.suffix] = file
-    return found
+        chosen[file.suffix] = file
+    return chosen

@@ -1,7 +1,7 @@
-"""The commands of `gauge`: their functions, their lines of help, and what each prints with `--json`.
+"""The commands of `gauge`: their functions, their help lines, and their output with `--json`.
 
-A command of another package is an entry point of the group `gauge_envs.instruments`. Its name is that of the command,
-and its value is a function that typer can call:
+Another package can add a command as an entry point of the group `gauge_envs.instruments`. Its name is the name of the
+command, and its value is a function that typer can call:
 
     [project.entry-points."gauge_envs.instruments"]
     drift = "my_package.drift:drift"
@@ -20,13 +20,13 @@ PLUGINS_GROUP = "gauge_envs.instruments"
 
 @dataclass(frozen=True)
 class Command:
-    """A command, or a kind that `gauge list` knows, as `list checks`.
+    """A command, or a kind of `gauge list`, as `list checks`.
 
     Attributes:
-        name: Its words.
+        name: Words of the command.
         place: Module and function, as `catalog.command:show`.
         help: Line in the help of `gauge`; a kind of `gauge list` has none.
-        line: Module and type of a line of `--json`, as `catalog.schema:Show`; empty where there is no such line.
+        line: Module and type of a line of `--json`, as `catalog.schema:Show`; empty without `--json`.
         version: Version of the schema of the line.
         extra: Extra of this package that it needs, or empty.
         package: Package of the modules, with a dot at the end.
@@ -49,8 +49,8 @@ class Command:
         if not self.extra:
             return resolve_name(self.package + self.place)
         with needs_extra(f"gauge {self.name}", self.extra):
-            found = resolve_name(self.package + self.place)
-        return needs_extra(f"gauge {self.name}", self.extra)(found)
+            function = resolve_name(self.package + self.place)
+        return needs_extra(f"gauge {self.name}", self.extra)(function)
 
     def line_type(self) -> Any:
         """Return the type of a line of `--json`."""
@@ -62,7 +62,7 @@ GROUPS = {
     "data": "Real trials and scenes: download, import, write for other tools.",
     "video": "Judge videos of world models by the laws of motion.",
 }
-"""Line of help of each first word that is no command."""
+"""Help line of each first word that is not a command."""
 
 BUNDLED = (
     Command(
@@ -244,40 +244,40 @@ BUNDLED = (
         extra="video",
     ),
 )
-"""Commands of this package in the order of the help; without its folder a command is left out."""
+"""Commands of this package in the order of the help; a command without its folder is omitted."""
 
 
 @cache
 def all_commands() -> dict[str, Command]:
-    """Return commands and kinds of `gauge list` by name; a plug-in cannot take a name of this package."""
+    """Return commands and kinds of `gauge list` by name; plug-ins cannot replace a bundled name."""
     plugins = (
         Command(point.name, point.value, f"Of the package {point.module}.", package="")
         for point in installed_points(PLUGINS_GROUP)
     )
-    found: dict[str, Command] = {}
+    by_name: dict[str, Command] = {}
     for command in (*BUNDLED, *plugins):
         folder = PACKAGE / "tools" / command.place.partition(".")[0]
         if not command.package or folder.is_dir():
-            found.setdefault(command.name, command)
-    return found
+            by_name.setdefault(command.name, command)
+    return by_name
 
 
 def commands() -> dict[str, Command]:
     """Return the commands by name, in the order of the help."""
-    return {name: one for name, one in all_commands().items() if one.help}
+    return {name: command for name, command in all_commands().items() if command.help}
 
 
 def listings() -> dict[str, Command]:
-    """Return what `gauge list` lists other than experiments, by kind, as `checks`."""
+    """Return the kinds of `gauge list` besides experiments, by name, as `checks`."""
     return {
-        name.removeprefix("list "): one
-        for name, one in all_commands().items()
-        if not one.help
+        name.removeprefix("list "): command
+        for name, command in all_commands().items()
+        if not command.help
     }
 
 
 def help_lines() -> dict[str, str]:
-    """Return the line of help of each command and group, in the order of the help."""
+    """Return the help line of each command and group, in the order of the help."""
     lines: dict[str, str] = {}
     for name, command in commands().items():
         group = name.partition(" ")[0]

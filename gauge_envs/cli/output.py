@@ -1,6 +1,6 @@
 """Terminal output and exit codes.
 
-Exit code 0 is success. The commands document when they use the others.
+Exit code 0 is success. The commands document their other exit codes.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from gauge_envs.pages.document import Shown
 
 PIPE_WIDTH = 140
-"""Width of tables where there is no terminal [characters]; rich would take 80."""
+"""Width of tables without a terminal [characters]; the default of rich is 80."""
 
 LINE_INTERVAL_S = 5.0
-"""Time between two lines of progress where there is no terminal [s]."""
+"""Time between two lines of progress without a terminal [s]."""
 
 EXIT_FAILED = 1
-"""The command ran, with a bad outcome: a failed episode or check, a damaged file, a stale asset."""
+"""The command ran with a bad outcome: a failed episode or check, a damaged file, a stale asset."""
 
 EXIT_INCOMPLETE = 3
-"""The command ran, and not all that was asked for could be measured."""
+"""The command ran, but could not measure everything."""
 
 EXIT_USAGE = 2
 """The request is wrong: an unknown name, a missing file, an unsupported option."""
@@ -55,19 +55,19 @@ def stderr_console() -> Console:
 
 
 def _with_width(console: Console) -> Console:
-    """Give a console without a terminal a fixed width unless `COLUMNS` states one."""
+    """Give a console without a terminal a fixed width unless `COLUMNS` sets one."""
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = PIPE_WIDTH
     return console
 
 
 _quiet = [False]
-"""Whether each command that runs is quiet, the innermost last."""
+"""Whether each running command is quiet, the innermost last."""
 
 
 @contextmanager
 def quieted(is_quiet: bool) -> Iterator[None]:
-    """Print neither progress nor notes and totals while a command runs, if it is quiet."""
+    """Suppress progress, notes and totals while a quiet command runs."""
     _quiet.append(is_quiet)
     try:
         yield
@@ -76,9 +76,9 @@ def quieted(is_quiet: bool) -> Iterator[None]:
 
 
 def message(text: object, label: str = "") -> None:
-    """Print a sentence on stderr, behind a label such as `note`, which is yellow, or `error`, which is red.
+    """Print a sentence on stderr after a label such as `note` (yellow) or `error` (red).
 
-    A quiet command prints only what has another label than `note`.
+    A quiet command prints no notes and no sentences without a label.
     """
     if _quiet[-1] and label in ("", "note"):
         return
@@ -93,13 +93,13 @@ def note(text: str) -> None:
 
 
 class Progress:
-    """Progress on stderr: a bar on a terminal. Elsewhere nothing, or lines.
+    """Progress on stderr: a bar on a terminal; without a terminal, lines or nothing.
 
     Args:
-        noun: What is counted.
+        noun: Noun of a step.
         total: Number of steps; None if it is not known.
-        done: Number of steps that were complete before.
-        line_interval_s: Least time between two lines where there is no terminal [s]; None for no lines.
+        done: Number of steps completed before.
+        line_interval_s: Shortest time between two lines without a terminal [s]; None for no lines.
     """
 
     def __init__(
@@ -145,31 +145,31 @@ class Progress:
         """Count a step, and show its name."""
         self._done += 1
         self.show(text, self._done)
-        now_s = time.monotonic()
+        time_s = time.monotonic()
         if self._done == self._first + 1:
-            self._start_s = now_s  # The first step also loads the engine.
-        if self._interval_s is not None and now_s - self._line_s >= self._interval_s:
-            self._line_s = now_s
-            self.line(f"{self._done}/{self._total} {text}{self._left(now_s)}")
+            self._start_s = time_s  # The first step also loads the engine.
+        if self._interval_s is not None and time_s - self._line_s >= self._interval_s:
+            self._line_s = time_s
+            self.line(f"{self._done}/{self._total} {text}{self._left(time_s)}")
 
-    def _left(self, now_s: float) -> str:
-        """Return the time that is left, at the pace since the end of the first step; empty if it is not known."""
+    def _left(self, time_s: float) -> str:
+        """Return the remaining time at the pace since the first step; empty if it is not known."""
         counted = self._done - self._first - 1
         if not self._total or counted < 1:
             return ""
-        step_s = (now_s - self._start_s) / counted
+        step_s = (time_s - self._start_s) / counted
         left_s = (self._total - self._done) * step_s
         return f", about {left_s / 60.0:.1f} min left" if left_s > 0.0 else ""
 
     def line(self, text: str) -> None:
-        """Print a line where there is no terminal."""
+        """Print a line without a terminal."""
         if not self._is_terminal:
             message(text)
 
     def show(
         self, text: object, done: int | None = None, total: int | None = None
     ) -> None:
-        """Show what is done at the moment, and how many steps of all."""
+        """Show the current step and the number of completed steps."""
         self._bar.update(
             self._task, completed=done, total=total, description=escape(str(text))
         )
@@ -198,9 +198,9 @@ def print_document(
     """Print a document on stdout, and write it to files, whose paths go to stderr.
 
     Args:
-        shown: What to print.
+        shown: Document or part.
         form: The format.
-        files: Files by suffix, of `arguments.by_suffix`; `.json` and `.md` are as on stdout.
+        files: Files by suffix, from `arguments.by_suffix`; `.json` and `.md` have the content of stdout.
     """
     from gauge_envs.pages.document import as_rows, save_file
     from gauge_envs.pages.markdown import as_markdown
@@ -224,5 +224,5 @@ def print_json_lines(rows: Iterable[Mapping[str, Any]]) -> None:
 
 
 def json_text(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Return rows as JSON, one object a line; null stands for NaN and infinity, which JSON lacks."""
+    """Return rows as JSON, one object a line, with null for NaN and infinity."""
     return "".join(f"{json.dumps(json_ready(row), allow_nan=False)}\n" for row in rows)

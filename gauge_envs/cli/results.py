@@ -1,4 +1,4 @@
-"""Result files that commands read, and results of long runs that commands report."""
+"""Read result files for commands, and report results of long runs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def loaded_results(
     Args:
         sources: Files and folders; None for `results/`.
         with_scene: Whether to skip also results whose scene cannot be built again.
-        corrected: Whether results count whose physics this package corrects.
+        corrected: Whether to include results with physics that this package corrects.
     """
     from gauge_envs.runs.configuration import RunConfiguration
     from gauge_envs.runs.result_file import load_result, recorded_experiment
@@ -56,9 +56,9 @@ def loaded_results(
             message(f"{file}: {str(error).removeprefix(f'{file}: ')}", "skipped")
     skipped = len(files) - len(results)
     kept = {
-        file: one
-        for file, one in results.items()
-        if corrected or RunConfiguration.of(one).physics != "corrected"
+        file: result
+        for file, result in results.items()
+        if corrected or RunConfiguration.of(result).physics != "corrected"
     }
     if len(kept) < len(results):
         message(
@@ -83,16 +83,16 @@ def reported(
     done: int = 0,
     interrupted: str,
 ) -> Iterator[Result]:
-    """Yield the results of a long run, each after its progress and, as JSON, its line.
+    """Yield the results of a long run after reporting each as progress and as a line of JSON.
 
-    A full disk or a closed pipe does not end the run; its first error is raised at the end.
+    A full disk or a closed pipe does not end the run; the first error is raised at the end.
 
     Args:
         results: The results; closed at the end.
         form: Format of stdout.
         total: Number of all episodes.
-        done: Number of episodes that were complete before.
-        interrupted: What Ctrl-C leaves, and how to continue.
+        done: Number of episodes completed before.
+        interrupted: Text after Ctrl-C: where the results are, and how to continue.
 
     Raises:
         OSError: Output was lost.

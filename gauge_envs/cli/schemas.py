@@ -1,4 +1,4 @@
-"""JSON Schema of what commands print with `--json`: each follows from the type that `cli/commands.py` names.
+"""JSON Schemas of the output of commands with `--json`, derived from the types in `cli/commands.py`.
 
 A type is a dataclass, a typed dictionary, or a union of them where a command prints lines of several kinds.
 """
@@ -29,7 +29,7 @@ NULLS = "null in place of a number: it is not known, does not apply, or is not f
 RESULT_FILE = Command(
     "result-file", "run.command:run", line="run.schema:ResultFile", version=7
 )
-"""What `gauge run` writes."""
+"""Result files of `gauge run`."""
 
 PLAIN: Mapping[Any, Mapping[str, Any]] = {
     Any: {},
@@ -50,11 +50,11 @@ Schema: TypeAlias = dict[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """How a dataclass is printed, where that is not as all of its attributes: in `Annotated[Report, Form(...)]`.
+    """Printed form of a dataclass, if it differs from all attributes: `Annotated[Report, Form(...)]`.
 
     Attributes:
-        without: Attributes that are left out.
-        properties: Properties of the class that are added.
+        without: Omitted attributes.
+        properties: Added properties of the class.
         more: Class whose keys are added, or None.
     """
 
@@ -69,17 +69,19 @@ WHOLE = Form()
 
 def schema_names() -> dict[str, int]:
     """Return the version of each schema by its name, in the order of `gauge --help`."""
-    return {name: one.version for name, one in _outputs().items()}
+    return {name: command.version for name, command in _outputs().items()}
 
 
 def _outputs() -> dict[str, Command]:
-    """Return the commands that print JSON, and the command whose files are results."""
-    found = {name: one for name, one in all_commands().items() if one.line}
-    return found | {RESULT_FILE.name: RESULT_FILE}
+    """Return the commands that print JSON, and that of result files."""
+    outputs = {
+        name: command for name, command in all_commands().items() if command.line
+    }
+    return outputs | {RESULT_FILE.name: RESULT_FILE}
 
 
 def output_schema(name: str) -> Schema:
-    """Return the JSON Schema of a line that a command prints with `--json`, or of a result file.
+    """Return the JSON Schema of an output line of a command with `--json`, or of a result file.
 
     Args:
         name: Words of the command, as `backend check`; or `list KIND`, or `result-file`.
@@ -113,13 +115,13 @@ def schema_of(hint: Any) -> Schema:
         return dict(PLAIN[hint])
     origin, parts = get_origin(hint), get_args(hint)
     if origin is typing.Annotated:
-        one, form = _formed(hint)
-        # Limits of pydantic say nothing of the keys.
-        return schema_of(one) if form is WHOLE else _object(one, form)
+        plain_hint, form = _formed(hint)
+        # Limits of pydantic do not change the keys.
+        return schema_of(plain_hint) if form is WHOLE else _object(plain_hint, form)
     if origin is not None:
         return _of_parts(origin, parts)
     if isinstance(hint, type) and issubclass(hint, Enum):
-        return {"enum": [one.value for one in hint]}
+        return {"enum": [member.value for member in hint]}
     if is_dataclass(hint) or typing.is_typeddict(hint) or hasattr(hint, "model_fields"):
         return _object(hint, WHOLE)
     raise TypeError(f"{hint}: a type that has no JSON Schema")
@@ -143,28 +145,28 @@ def _of_parts(origin: Any, parts: tuple[Any, ...]) -> Schema:
     return {"type": "array", "items": schema_of(parts[0])}
 
 
-def _object(one: Any, form: Form) -> Schema:
-    """Return the schema of a class, whose attributes its docstring describes."""
-    hints = get_type_hints(one, include_extras=True)
-    names = [field.name for field in fields(one)] if is_dataclass(one) else [*hints]
-    described = _descriptions(one)
+def _object(cls: Any, form: Form) -> Schema:
+    """Return the schema of a class, with descriptions from its docstring."""
+    hints = get_type_hints(cls, include_extras=True)
+    names = [field.name for field in fields(cls)] if is_dataclass(cls) else [*hints]
+    described = _descriptions(cls)
     properties: dict[str, Schema] = {}
     for name in names:
         if name not in form.without and not name.startswith(("_", "model_")):
             properties[name] = schema_of(hints[name])
-    for name in (*form.properties, *getattr(one, "PRINTED", ())):
-        getter = getattr(one, name).fget
+    for name in (*form.properties, *getattr(cls, "PRINTED", ())):
+        getter = getattr(cls, name).fget
         properties[name] = schema_of(get_type_hints(getter)["return"])
         described[name] = (inspect.getdoc(getter) or "").partition("\n")[0]
     for name in properties.keys() & described.keys():
         properties[name]["description"] = described[name]
-    optional = getattr(one, "__optional_keys__", ())
+    optional = getattr(cls, "__optional_keys__", ())
     required = [name for name in properties if name not in optional]
     if form.more is not None:
         more = _object(*_formed(form.more))
         properties |= more["properties"]
         required += more["required"]
-    text = (inspect.getdoc(one) or "").partition("\n\n")[0]
+    text = (inspect.getdoc(cls) or "").partition("\n\n")[0]
     return {
         "type": "object",
         "description": " ".join(text.split()),
@@ -175,29 +177,33 @@ def _object(one: Any, form: Form) -> Schema:
 
 
 def _formed(hint: Any) -> tuple[Any, Form]:
-    """Return a class, and how it is printed."""
+    """Return a class and its printed form."""
     parts = get_args(hint) if get_origin(hint) is typing.Annotated else (hint,)
-    return parts[0], next((one for one in parts if isinstance(one, Form)), WHOLE)
+    return parts[0], next((part for part in parts if isinstance(part, Form)), WHOLE)
 
 
 def _any_of(schemas: Iterable[Schema]) -> Schema:
-    """Return the schema of a union; that of types without parts is a list of names."""
-    found: list[Schema] = []
-    for one in schemas:
-        found += [one] if one not in found else []
-    if all(set(one) == {"type"} for one in found):
-        listed = [one["type"] for one in found]
-        names = [n for one in listed for n in (one if isinstance(one, list) else [one])]
+    """Return the schema of a union; for types without parts, it is a list of names."""
+    distinct: list[Schema] = []
+    for schema in schemas:
+        distinct += [schema] if schema not in distinct else []
+    if all(set(schema) == {"type"} for schema in distinct):
+        listed = [schema["type"] for schema in distinct]
+        names = [
+            kind
+            for kinds in listed
+            for kind in (kinds if isinstance(kinds, list) else [kinds])
+        ]
         return {"type": list(dict.fromkeys(names))}
-    return {"anyOf": found}
+    return {"anyOf": distinct}
 
 
-def _descriptions(one: Any) -> dict[str, str]:
-    """Return what the docstrings of a class and its bases say of each attribute."""
-    found: dict[str, str] = {}
-    for base in reversed(inspect.getmro(one) if isinstance(one, type) else (one,)):
+def _descriptions(cls: Any) -> dict[str, str]:
+    """Return the descriptions of attributes in the docstrings of a class and its bases."""
+    descriptions: dict[str, str] = {}
+    for base in reversed(inspect.getmro(cls) if isinstance(cls, type) else (cls,)):
         text = inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")[2]
         for entry in re.findall(r"^    (\w+(?:, \w+)*): (.*(?:\n {8}.*)*)", text, re.M):
             for name in entry[0].split(", "):
-                found[name] = " ".join(entry[1].split())
-    return found
+                descriptions[name] = " ".join(entry[1].split())
+    return descriptions

@@ -1,4 +1,4 @@
-"""Streams of a command: stdout holds its results only."""
+"""Streams of a command: stdout has only its results."""
 
 import os
 import sys
@@ -11,16 +11,16 @@ _reserved: list[TextIO] = []
 
 
 def result_stream() -> TextIO:
-    """Return the stream of the results of a command: the stdout that it was started with."""
+    """Return the stream of the results of a command: its original stdout."""
     return _reserved[-1] if _reserved else sys.stdout
 
 
 @contextmanager
 def reserved_stdout() -> Iterator[None]:
-    """Send to stderr what anything but `result_stream` writes to stdout.
+    """Redirect all output on stdout except that of `result_stream` to stderr.
 
     Engines print in Python or write to file descriptor 1 in C, and both would break the JSON on stdout. File descriptor
-    1 stays redirected until the process ends, because C code may print what it holds back at the very end.
+    1 stays redirected until the process ends, because C code may flush its buffer at the end.
     """
     outer = sys.stdout
     outer.flush()
@@ -36,7 +36,7 @@ def reserved_stdout() -> Iterator[None]:
 
 
 def _has_descriptors() -> bool:
-    """Return whether stdout and stderr are those of the process."""
+    """Return whether stdout and stderr are the file descriptors 1 and 2."""
     try:
         return sys.stdout.fileno() == 1 and sys.stderr.fileno() == 2
     except (OSError, ValueError, AttributeError):  # A stream in memory, or none.

@@ -1,4 +1,4 @@
-"""The arguments of environments, which `gymnasium.make`, `make_vec`, runs and the command line share."""
+"""Arguments of environments, shared by `gymnasium.make`, `make_vec`, runs and the command line."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -35,12 +35,12 @@ from gauge_envs.references.band import Band
 from gauge_envs.references.user_data import DataSource, has_import
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.reference import reference_band
+from gauge_envs.scoring.reference import refusal
 
 
 @dataclass(frozen=True)
 class EnvArguments:
-    """Arguments of `gymnasium.make`: which experiment runs, on which engine, and what scores it.
+    """Arguments of `gymnasium.make`: the experiment, the engine and the reference.
 
     Attributes:
         variant: Variant, its name, or its Gymnasium id, as `SlopeSlider-2-wood`; or the path of a task file, as
@@ -49,13 +49,13 @@ class EnvArguments:
         parameters: `calibrated`, another parameter set of the task file, or overrides such as
             `{"cube.friction": 0.3}`.
         settings: Numerical settings of the engine that replace those of the preset.
-        marker_proxy: Marker proxy of deformable bodies. `material` tracks the marker's own material point between
-            the nodes; `node` tracks the nearest node, as in the paper.
-        drivers: `bundled` moves driven bodies as the task file states, `imported` as the imported trials show. With
-            `action` they rest until actions move them, see `gauge_envs.experiments.resolve.moved_by_actions`.
+        marker_proxy: Marker proxy of deformable bodies. `material` tracks the material point of the marker between
+            nodes; `node` tracks the nearest node, as in the paper.
+        drivers: `bundled` moves driven bodies as in the task file, `imported` as in the imported trials. With `action`
+            they rest until actions move them, see `gauge_envs.experiments.resolve.moved_by_actions`.
         reference: `bundled` scores against the package's references, `imported` against the imported trials.
-        asset: File that states the scene in place of the task file: a USD layer for any engine, an MJCF file for
-            `mujoco`. It states constants and driven motion; observation and score stay the variant's.
+        asset: File with the scene in place of the task file: a USD layer for any engine, an MJCF file for `mujoco`. It
+            has constants and driven motion; observation and score stay those of the variant.
     """
 
     variant: str | Variant
@@ -114,10 +114,6 @@ class EnvArguments:
             asset=self.asset,
         )
 
-    def band(self, experiment: Experiment) -> Band | None:
-        """Return the band that an experiment is scored against, or None if it has no reference."""
-        return reference_band(experiment)
-
     def rollout(
         self, experiments: Sequence[Experiment], bands: Sequence[Band | None]
     ) -> Rollout:
@@ -140,57 +136,67 @@ class EnvArguments:
 
     def simulation(self, experiments: Sequence[Experiment]) -> Simulation:
         """Build a world for each experiment, in one simulation; see `rollout`."""
-        for experiment in {id(one): one for one in experiments}.values():
+        distinct = {id(experiment): experiment for experiment in experiments}
+        for experiment in distinct.values():
             check_support(experiment, self.backend)
         engine = backend_for(self.backend, experiments[0].model_file)
         scene = experiments[0].scene
         simulation: Simulation
-        if all(one.scene is scene for one in experiments):
+        if all(experiment.scene is scene for experiment in experiments):
             simulation = engine.build_worlds(scene, len(experiments), self.settings)
         else:
+            scenes = [experiment.scene for experiment in experiments]
             simulation = LoopedSimulation(
-                [engine.build(one.scene, self.settings) for one in experiments]
+                [engine.build(scene, self.settings) for scene in scenes]
             )
         return in_intervals(simulation, scene)
 
 
 def check_episode_steps(asked: int | None, steps: int) -> None:
-    """Raise an error if worlds that step together are to end after other steps than their episode has.
+    """Raise an error if synchronous worlds get another number of steps than their episode has.
 
     Args:
-        asked: `max_episode_steps` of `gymnasium.make_vec`; None for those of the episode.
+        asked: `max_episode_steps` of `gymnasium.make_vec`; None for the steps of the episode.
         steps: Steps of the episode.
     """
     if asked not in (None, steps):
         raise ParameterError(
-            f"max_episode_steps is {asked!r}, and the episode has {steps} steps: worlds that step together end with "
-            "it; vectorization_mode='sync' cuts episodes, which then have no score"
+            f"max_episode_steps is {asked!r}, and the episode has {steps} steps: leave it out, or pass "
+            "vectorization_mode='sync', which cuts episodes; these have no score"
         )
 
 
-def checked_action(action: Any, space: spaces.Space[Any]) -> FloatArray:
+def checked_action(action: Any, space: spaces.Space[Any], name: str) -> FloatArray:
     """Return an action as numbers, shape [motion_count], or raise an `ActionError`.
 
     Args:
         action: The action.
         space: A Box from -1 to 1, or `Discrete(1)`, whose only action has no numbers.
+        name: Id of the environment, for the error.
     """
     if isinstance(space, spaces.Discrete):
         is_number = isinstance(action, int | np.integer | np.ndarray)
         if is_number and np.ndim(action) == 0 and action == 0:
             return np.zeros(0)
         raise ActionError(
-            f"action {action!r}: this experiment has no driven body, so the only action is 0"
+            f"{name}: action {action!r}: the experiment has no driven body, so the only action is 0"
         )
     try:
         numbers = np.asarray(action, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ActionError(f"action {action!r} is not an array of numbers") from error
-    if numbers.shape != space.shape:
-        raise ActionError(f"action has shape {numbers.shape}, expected {space.shape}")
+        raise ActionError(
+            f"{name}: action {action!r} is not an array of numbers"
+        ) from error
+    shape = space.shape or ()
+    if numbers.shape != shape:
+        raise ActionError(
+            f"{name}: action has shape {numbers.shape}, expected {shape}, as {np.zeros(shape).tolist()}"
+        )
     # A comparison with NaN is false.
     if not (np.abs(numbers) <= 1.0).all():
-        raise ActionError(f"action {numbers.tolist()} must hold numbers from -1 to 1")
+        raise ActionError(
+            f"{name}: action {numbers.tolist()} is out of range: give numbers from -1 to 1"
+        )
     return numbers
 
 
@@ -209,7 +215,7 @@ def _unsupported_message(
     able = []
     for name in backend_names():
         try:
-            # An engine outside this package might crash here and take the run along.
+            # An engine of another package might crash here and end the run.
             if (
                 name != asked
                 and is_bundled(name)
@@ -219,10 +225,12 @@ def _unsupported_message(
         except GaugeError:
             continue
     reasons = "; ".join(missing)
-    others = (
+    alternative = (
         f"backend={able[0]!r} can" if able else "no other backend of this package can"
     )
-    return f"{experiment.id}: backend {asked!r} cannot build it: {reasons}; {others}"
+    return (
+        f"{experiment.id}: backend {asked!r} cannot build it: {reasons}; {alternative}"
+    )
 
 
 # --- environments without a reward ---
@@ -234,40 +242,48 @@ _warned: set[str] = set()
 
 
 def warn_without_reward(experiment: Experiment, band: Band | None) -> None:
-    """Warn, once for each id, that an environment has no reward, or none from some frame on.
+    """Warn, once for each id, that an environment has no reward, none after some frame, or no score.
 
     Args:
         experiment: The experiment of the environment.
-        band: Band that its scores are relative to.
+        band: Its reference.
     """
     if experiment.id in _warned:
         return
+    message = _missing_reward(experiment, band)
+    if message:
+        warnings.warn(message, NoRewardWarning, stacklevel=CALLER)
+        _warned.add(experiment.id)
+
+
+def _missing_reward(experiment: Experiment, band: Band | None) -> str:
+    """Return which rewards and scores are missing, and why; empty if none is."""
     if band is None:
-        message = _no_reward_message(experiment)
-    else:
-        known = np.flatnonzero(band.compared.known)
-        last = int(known.max(initial=0))
-        message = (
+        return _no_reward_message(experiment)
+    limits = []
+    last = int(np.flatnonzero(band.compared.known).max(initial=0))
+    if last < experiment.frame_count - 1:
+        limits.append(
             f"{experiment.id}: its {band.kind} reference ends at {last / FRAME_RATE_HZ:.2f} of "
             f"{(experiment.frame_count - 1) / FRAME_RATE_HZ:.2f} s. Later rewards are 0."
         )
-        if last >= experiment.frame_count - 1:
-            return
-    warnings.warn(message, NoRewardWarning, stacklevel=CALLER)
-    _warned.add(experiment.id)
+    reason = refusal(experiment, band)
+    if reason is not None:
+        cause = ", ".join(experiment.overrides) or "the edited scene"
+        limits.append(
+            f"{experiment.id}: {reason}. The cause is {cause}; rewards still compare with the reference."
+        )
+    return " ".join(limits)
 
 
 def _no_reward_message(experiment: Experiment) -> str:
-    """Return what is missing and what to do."""
+    """Return what is missing and how to get it."""
     missing = f"{experiment.id} has no reference in use, so every reward is 0."
     if experiment.variant in user_variants():
         return (
             f"{missing} Put {experiment.name}.band.toml and .npz beside its task file."
         )
-    remedies = [
-        "import its real trials with 'gauge data import', then pass reference='imported'"
-    ]
+    fix = "import its real trials with 'gauge data import', then pass reference='imported'"
     if has_import(experiment.name):
-        remedies = ["pass reference='imported', as its real trials are imported"]
-    remedies.append("choose an id that 'gauge list --scored' shows")
-    return f"{missing} To get one, {'; or '.join(remedies)}."
+        fix = "pass reference='imported', because its real trials are imported"
+    return f"{missing} To get one, {fix}; or choose an id that 'gauge list --scored' shows."

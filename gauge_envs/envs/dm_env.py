@@ -4,7 +4,7 @@
 
     env = load("SlopeSlider-2-wood")
 
-Only the interface is that of `dm_env`: the engine is a backend of this package.
+The interface is that of `dm_env`; the engine is a backend of this package.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ with needs_extra("gauge_envs.envs.dm_env", "dm"):
 
 
 SCORED = "gauge_envs.envs.wrappers:scored_env"
-"""Entry point of the ids that are experiments; control tasks have others."""
+"""Entry point of the ids of experiments; control tasks have other entry points."""
 
 
 def load(
@@ -41,7 +41,7 @@ def load(
 
     Args:
         name: Name of the variant, as `SlopeSlider-2-wood`, or its Gymnasium id.
-        seed: Seed of the first episode; each next one has one more.
+        seed: Seed of the first episode; each next episode has one more.
         options: Options of every reset, as `{"jitter": True}`.
         **arguments: Keywords of `GaugeEnv`: `backend`, `settings`, `parameters`, ...
 
@@ -68,15 +68,15 @@ class DmEnvironment(dm_env.Environment):
     """An environment of this suite with the interface of dm_env.
 
     Observations, actions and rewards are those of `GaugeEnv`. The last frame has a discount of 1, because only the
-    recording ends there. A simulation that diverges ends with a discount of 0.
+    recording ends there. Divergence has a discount of 0.
 
     Args:
         env: Environment from `gymnasium.make`; its observation is an array or a dictionary of arrays.
-        seed: Seed of the first episode; each next one has one more.
+        seed: Seed of the first episode; each next episode has one more.
         options: Options of every reset.
 
     Attributes:
-        score: Score of the last episode that ended; None before the first, or if a wrapper cut the episode short.
+        score: Score of the last completed episode; None before it, or if a wrapper cut the episode short.
         info: Gymnasium's `info` of the last step.
     """
 
@@ -104,7 +104,7 @@ class DmEnvironment(dm_env.Environment):
         return dm_env.restart(observation)
 
     def step(self, action: Any) -> dm_env.TimeStep:
-        """Simulate one frame, 1/30 s; before the first episode and after the end of one, start an episode instead."""
+        """Simulate one frame, 1/30 s; before the first episode and after an end, start an episode instead."""
         if self._is_over:
             return self.reset()
         observation, reward, terminated, truncated, self.info = self._env.step(action)
@@ -141,7 +141,7 @@ class DmEnvironment(dm_env.Environment):
         return self._env.render()  # type: ignore[return-value]
 
     def close(self) -> None:
-        """Free the simulation; calling it twice is harmless."""
+        """Free the simulation. A second call does nothing."""
         self._env.close()
 
 

@@ -1,4 +1,4 @@
-"""The Gymnasium environment: one experiment, stepped at the frame rate of its real trials."""
+"""The Gymnasium environment: one experiment at the frame rate of its real trials."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from gauge_envs.errors import EpisodeError
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.references.band import Band
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.reference import reference_band
 
 if TYPE_CHECKING:
     from gauge_envs.scoring.score import Score
@@ -35,44 +36,43 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
     """One experiment of the GAUGE benchmark.
 
     An episode starts from the motion-capture initial state and has the published number of frames. `reset` returns
-    frame 0, and each `step` the next one, 1/30 s later. The last frame truncates the episode. A simulation that
-    diverges terminates it.
+    frame 0, and each `step` returns the next frame, 1/30 s later. The last frame truncates the episode. Divergence of
+    the simulation terminates it.
 
     | observation  | shape   | meaning                                                                            |
     |--------------|---------|------------------------------------------------------------------------------------|
     | `observable` | [C]     | generalized trajectory g(t): mm, rad or mm^2                                       |
     | `bodies`     | [N, 13] | recorded bodies: position m, quaternion wxyz, velocity m/s, angular velocity rad/s |
     | `markers`    | [M, 3]  | markers, m; in place of `bodies` if a deformable body is recorded                  |
-    | `driver`     | [D, 13] | driven bodies, in the form of `bodies`; only if the experiment has any             |
+    | `driver`     | [D, 13] | driven bodies, in the form of `bodies`; only if the experiment has driven bodies    |
     | `time`       | [1]     | s                                                                                  |
 
-    Action: with driven bodies, a Box in [-1, 1] with one entry for each motion of a driver. It is a velocity that is
-    added to the recorded one; the task file states its scale, `residual_rate_*`. Zeros replay the recorded motion.
-    With `drivers="action"` there is no recorded motion, and zero leaves the driven bodies at rest.
-    Without driven bodies the action is `Discrete(1)`.
+    Action: with driven bodies, a Box in [-1, 1] with one entry for each degree of freedom of the drivers. It is a
+    velocity added to the recorded one; its scale is `residual_rate_*` of the task file. Zeros replay the recorded
+    motion. With `drivers="action"` there is no recorded motion, and zeros leave the driven bodies at rest. Without
+    driven bodies the action is `Discrete(1)`.
 
-    Reward: minus the mean z over band coordinates of |g - mean| / sigma at the frame, of the marker positions where the
-    band has `points`; 0 without a reference. With deformable bodies it is -z / (1 + z), with the size of the motion in
-    place of a smaller sigma.
+    Reward: -z, where z is the mean over coordinates of |g - mean| / sigma at the frame; 0 without a reference. If the
+    reference has `points`, z compares marker positions. With deformable bodies the reward is -z / (1 + z), and sigma is
+    at least the size of the motion.
 
-    `info`: `frame`, `time_s`, `reference` (kind of the reference), `reference_source` and `drivers` (`bundled`,
-    `imported` or `action`), `edited` if an edited asset states the scene, `trial` (its number) if the episode repeats
-    one, and `diverged` (the reason) if the simulation diverged.
-    `gymnasium.make` adds `score` at the end; see `ScoreEpisode`.
+    `info`: `frame`, `time_s`, `reference` (its kind), `reference_source` and `drivers` (`bundled`, `imported` or
+    `action`). Further: `edited` if the scene is that of an edited asset, `trial` (its number) if the episode replays
+    one, and `diverged` (the reason) after divergence. `gymnasium.make` adds `score` at the end, see `ScoreEpisode`.
 
     Args:
         variant: Name of the variant, as `SlopeSlider-2-wood`.
-        render_mode: None; `human` for a window that the mouse turns, drawn by `reset` and `step`; `rgb_array`;
-            `depth_array`, the distance from the plane of the camera [m], float32; `rgbd_tuple`, both.
+        render_mode: None; `human`, a window that `reset` and `step` draw; `rgb_array`; `depth_array`, the distance from
+            the camera plane [m], float32; or `rgbd_tuple`, both.
         width: Picture width [pixels]; None is 640.
         height: Picture height [pixels]; None is 480.
         camera: Entries that replace those of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
             `elevation_deg`.
-        render_overlay: Whether pictures also show the tracked points, their paths so far, and the places of the
-            reference, as far as g(t) is of positions. Off by default: a policy that learns from pictures must not see
-            the reference, and pictures of different references stay comparable.
-        jitter: Noise of the start of every episode. `real` draws starts as real hands scatter: recorded ones where
-            the trials have a start each, elsewhere by the default `Jitter`. Or a `Jitter`, or its fields as a mapping.
+        render_overlay: Whether pictures also show the tracked points, their paths, and the positions of the reference,
+            if g(t) has positions. Off by default, because a policy that learns from pictures must not see the
+            reference.
+        jitter: Initial-state noise of every episode: a `Jitter`, its fields as a mapping, or `real`. `real` draws
+            recorded initial states if each trial has its own, else noise of the default `Jitter`.
         **arguments: Keywords of `gauge_envs.envs.arguments.EnvArguments`, with their defaults: `backend="mujoco"`,
             `parameters="calibrated"`, `settings=None`, `marker_proxy="material"`, `drivers="bundled"`,
             `reference="bundled"`, `asset=None`.
@@ -80,7 +80,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
     Attributes:
         arguments: Variant and keywords.
         experiment: The experiment.
-        rollout: The episode, in one world.
+        rollout: The episode in one world.
         seed_used: Seed of the last reset; None before the first.
         versions: Versions of the engine's packages.
 
@@ -88,7 +88,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         UnknownNameError: No such variant or backend.
         ParameterError: A parameter or setting does not exist or is out of range.
         UnsupportedSceneError: The backend cannot build the scene.
-        AssetError: The asset cannot be used; the message names file, place and reason.
+        AssetError: The asset cannot be used.
 
     Example:
         >>> import gymnasium as gym, gauge_envs
@@ -129,7 +129,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         self.arguments = EnvArguments(variant, **arguments)
         self.experiment = self.arguments.experiment()
         self._initial_states = InitialStates(self.experiment, jitter)
-        band = self.arguments.band(self.experiment)
+        band = reference_band(self.experiment)
         self.rollout = self.arguments.rollout([self.experiment], [band])
         self.versions = versions_of(self.arguments.backend)
         self.seed_used: int | None = None
@@ -139,7 +139,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
 
     @property
     def band(self) -> Band | None:
-        """Band that rewards and the score of the episode are relative to, or None."""
+        """Reference of the rewards and the score of the episode, or None."""
         return self.rollout.bands[0]
 
     def reset(
@@ -148,21 +148,21 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         """Start a new episode from the motion-capture initial state.
 
         Args:
-            seed: Seed of the engine and of the noise, and of the random numbers that seed later resets without one.
-            options: Options stay in force for later resets, as those of an autoreset, until a reset passes a seed or
-                options.
+            seed: Seed of the engine and of the noise. It also seeds later resets without a seed.
+            options: They stay effective for later resets, such as an autoreset, until a reset passes a seed or options.
 
-                - `{"jitter": True}` moves the start at random by the default `Jitter`, as repeats of a real trial
-                  scatter. A `Jitter` gives other standard deviations; False takes the argument `jitter` back.
+                - `{"jitter": True}` adds noise of the default `Jitter` to the initial state. A `Jitter` gives other
+                  standard deviations; False disables the argument `jitter`.
                 - `{"trial": 3}` starts from the positions and velocities of imported trial 3, see
-                  `gauge_envs.envs.trial_start.trial_states`, or replays a bundled trial with its own driven path,
-                  which then scores it.
+                  `gauge_envs.envs.trial_start.trial_states`. Or it replays bundled trial 3 with its own driven path;
+                  this trial is then the reference.
 
-                An experiment with single-shot trials starts from trial `seed` modulo their number without an option.
+                Without options, an experiment with single-trial recordings starts from trial `seed` modulo their
+                number.
 
         Raises:
             EpisodeError: The environment is closed.
-            ParameterError: There is no such option or trial, or the scene has no start that can scatter.
+            ParameterError: There is no such option or trial, or noise can move no body of the scene.
         """
         self._check_open("reset")
         super().reset(seed=seed)
@@ -186,7 +186,8 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         rollout = self.rollout
         if rollout.is_over[0]:
             raise EpisodeError(f"{self.experiment.id}: the episode is over, call reset")
-        rollout.step(checked_action(action, self.action_space)[None])
+        checked = checked_action(action, self.action_space, self.experiment.id)
+        rollout.step(checked[None])
         self._show()
         terminated = 0 in rollout.diverged
         truncated = rollout.is_complete and not terminated
@@ -197,7 +198,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         return {name: rows[0] for name, rows in self.rollout.observation().items()}
 
     def trajectory(self) -> Trajectory:
-        """Return what the current episode has recorded so far.
+        """Return the recorded motion of the current episode so far.
 
         Raises:
             EpisodeError: The environment was not reset.
@@ -207,8 +208,8 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
     def score(self) -> Score | None:
         """Return the score of the episode, or None before it is over.
 
-        An experiment that starts with a release is simulated on by 10 frames first, for the release alignment. The
-        score of an episode that diverged has a kind and no number.
+        If the motion starts with a release, it first simulates 10 more frames for the time alignment. The score of a
+        diverged episode has no numbers.
         """
         self._check_open("score")
         if self.rollout.frame is None or not self.rollout.is_over[0]:
@@ -216,7 +217,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         return self.rollout.score()
 
     def render(self) -> Rendered | None:
-        """Return a picture of the scene in the form of the render mode; None without one, and with a window.
+        """Return a picture of the scene in the form of the render mode; None without a mode and with a window.
 
         Raises:
             RenderError: The machine has no OpenGL library.
@@ -235,7 +236,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             self.rollout.simulation.close()
 
     def _show(self) -> None:
-        """Draw what a reset or a step has reached, in the window if there is one."""
+        """Draw the current frame in the window if there is one."""
         if self.render_mode == "human":
             self.render()
 

@@ -1,4 +1,4 @@
-"""How the episodes of an environment start: nominal, with noise, or as a recorded trial."""
+"""Initial states of the episodes of an environment: nominal, with noise, or of a recorded trial."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from gauge_envs.scene.jitter import Jitter, can_scatter, perturbed_states
 from gauge_envs.scene.states import nominal_states, row_of
 
 ROUNDING = 1e-12
-"""Largest change of a state that comes from rounding [m, 1, m/s, rad/s]."""
+"""Largest change of a state that is only rounding [m, 1, m/s, rad/s]."""
 
 SEEDS = 2**31
 """Number of seeds that an environment draws from."""
 
 Scatter = Jitter | bool | str | Mapping[str, float] | None
-"""Noise of starts: `real`, True or a `Jitter`, or its fields as a mapping; None or False for none."""
+"""Initial-state noise: `real`, True, a `Jitter`, or its fields as a mapping; None or False for none."""
 
 Draw = Jitter | int | Literal["real"] | None
-"""What draws a start: noise, the number of a trial, `real` for recorded starts in random order, or None."""
+"""Source of an initial state: noise, the number of a trial, `real` for random recorded trials, or None for nominal."""
 
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
-    """Start of one world.
+    """Initial state of one world.
 
     Attributes:
         states: Initial states, shape [body_count, 13]; see `gauge_envs.scene.states`.
         drivers: Drivers of the episode.
-        trial: Number of the trial that it repeats, or None.
-        noise: Standard deviations of the noise; empty without.
+        trial: Number of the replayed trial, or None.
+        noise: Standard deviations of the noise; empty without noise.
         is_scattered: Whether noise has moved a body.
     """
 
@@ -49,19 +49,18 @@ class InitialState:
 
     @property
     def record(self) -> dict[str, float]:
-        """What a result states of the start."""
+        """Entry `jitter` of a result."""
         return dict(self.noise) if self.trial is None else {"trial": self.trial}
 
 
 class InitialStates:
-    """Sampler of the starts of an experiment.
+    """Sampler of the initial states of an experiment.
 
-    The options of a reset hold for the next ones, which an autoreset calls without any, until a reset has a seed or
-    options of its own.
+    The options of a reset stay effective for later resets, such as an autoreset, until a reset has a seed or options.
 
     Args:
         experiment: The experiment.
-        jitter: Noise of every start without an option.
+        jitter: Noise of every reset without an option.
     """
 
     def __init__(self, experiment: Experiment, jitter: Scatter = None) -> None:
@@ -73,7 +72,7 @@ class InitialStates:
         )
 
     def of_reset(self, options: Mapping[str, Any] | None, *, seeded: bool) -> Draw:
-        """Return what draws the next starts.
+        """Return the source of the next initial states.
 
         Args:
             options: Options of the reset.
@@ -112,7 +111,7 @@ class InitialStates:
         return int(trial)
 
     def _noise(self, value: Any, name: str) -> Draw:
-        """Return the noise that an argument or an option asks for."""
+        """Return the noise that an argument or an option gives."""
         experiment = self._experiment
         if value is None or value is False:
             return None
@@ -121,7 +120,7 @@ class InitialStates:
         if value is True or value == "real":
             value = Jitter()
         if isinstance(value, Mapping):
-            known = [one.name for one in fields(Jitter)]
+            known = [field.name for field in fields(Jitter)]
             unknown = [key for key in value if key not in known]
             if unknown:
                 raise ParameterError(
@@ -134,12 +133,12 @@ class InitialStates:
             )
         if not can_scatter(experiment.scene):
             raise ParameterError(
-                f"{experiment.id}: {name} moves no body, as each one is fixed, driven, or attached to such a body"
+                f"{experiment.id}: {name} moves no body, because each one is fixed, driven, or attached to such a body"
             )
         return value
 
     def seed_of(self, seed: int | None, draw: Draw, random: np.random.Generator) -> int:
-        """Return the seed of an episode: the given one; without one a random one where the start scatters, else 0."""
+        """Return the seed of an episode: the given seed, else a random one with noise, else 0."""
         if seed is not None:
             return int(seed)
         if draw is None or isinstance(draw, int):
@@ -147,12 +146,11 @@ class InitialStates:
         return int(random.integers(SEEDS))
 
     def sample(self, draw: Draw, seed: int) -> InitialState:
-        """Return a start.
+        """Return an initial state.
 
         Args:
-            draw: What draws it.
-            seed: Seed of the episode; of single-shot trials, modulo their number, it counts those that repeat no
-                other one.
+            draw: Its source.
+            seed: Seed of the episode; modulo their number, it selects one of the independent single-trial recordings.
 
         Raises:
             ParameterError: There is no such trial, or the experiment cannot start from trials.
@@ -163,12 +161,12 @@ class InitialStates:
             return self._nominal
         if isinstance(draw, Jitter):
             states = perturbed_states(experiment.scene, draw, seed=seed)
-            moved = np.abs(states - self._nominal.states).max()
+            largest_change = np.abs(states - self._nominal.states).max()
             return InitialState(
                 states,
                 experiment.scene.drivers,
                 noise=draw.to_dict(),
-                is_scattered=bool(moved > ROUNDING),
+                is_scattered=bool(largest_change > ROUNDING),
             )
         if shots is not None:
             trials = shots.trials()
@@ -180,8 +178,8 @@ class InitialStates:
             state[7:10] = shot.velocity_m_per_s
             state[10:] = shot.angular_velocity_rad_per_s
             return InitialState(states, experiment.scene.drivers, trial=trial)
-        assert isinstance(draw, int), "only single-shot trials have recorded starts"
-        # It imports rotations of SciPy.
+        assert isinstance(draw, int), "`real` draws only single-trial recordings"
+        # This module imports rotations of SciPy.
         from gauge_envs.envs.trial_start import driven_trial, trial_states
 
         driven = driven_trial(experiment, draw)

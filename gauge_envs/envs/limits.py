@@ -1,11 +1,11 @@
-"""When a simulation counts as diverged, by four plain rules; the bounds of observations follow from them.
+"""Divergence of a simulation by four rules, which also give the bounds of observations.
 
 1. A number is not finite.
 2. A body moves faster than 50 m/s, or spins faster than 10,000 rad/s.
 3. A body, or a node of a deformable body, is more than 100 m from the origin along an axis.
 4. A deformable body spans more than three times what it spans at the start.
 
-No motion of a real trial comes near: the fastest one has 5 m/s, and the largest strain of the paper is 0.3.
+Real trials stay far below: the fastest has 5 m/s, and the largest strain in the paper is 0.3.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ STATE_LIMITS = np.repeat(
 
 
 def diverged_bodies(names: Sequence[str], states: FloatArray) -> dict[int, str]:
-    """Return why worlds have diverged, by their numbers.
+    """Return the reason of each diverged world, by its number.
 
     Args:
         names: Names of the bodies.
@@ -39,15 +39,15 @@ def diverged_bodies(names: Sequence[str], states: FloatArray) -> dict[int, str]:
     is_within = np.abs(states) <= STATE_LIMITS
     if is_within.all():
         return {}
-    found = {}
+    reasons = {}
     for world in np.flatnonzero(~is_within.all(axis=(1, 2))).tolist():
         row, column = np.argwhere(~is_within[world])[0].tolist()
-        found[world] = _reason(names[row], column, states[world, row])
-    return found
+        reasons[world] = _reason(names[row], column, states[world, row])
+    return reasons
 
 
 def _reason(name: str, column: int, state: FloatArray) -> str:
-    """Return why a body has diverged, by the column of its state that is out of bounds."""
+    """Return why a body has diverged, from the column of its state that is out of bounds."""
     if not np.isfinite(state).all():
         return f"the state of {name} is not finite"
     if column < 3:
@@ -65,24 +65,26 @@ def spans_m(nodes_m: FloatArray) -> FloatArray:
 
 
 def diverged_nodes(name: str, nodes_m: FloatArray, rest_m: float) -> dict[int, str]:
-    """Return why worlds have diverged, by their numbers.
+    """Return the reason of each diverged world, by its number.
 
     Args:
         name: Name of a deformable body.
         nodes_m: Its nodes [m], shape [N, node_count, 3].
         rest_m: Its span at the start [m].
     """
-    found = {}
+    reasons = {}
     spans = spans_m(nodes_m)
     is_near = np.all(np.abs(nodes_m) <= DISTANCE_LIMIT_M, axis=(1, 2))
     is_within = is_near & (spans <= STRETCH_LIMIT * rest_m)
     for world in np.flatnonzero(~is_within).tolist():
         if not np.isfinite(nodes_m[world]).all():
-            found[world] = f"a node of {name} is not finite"
+            reasons[world] = f"a node of {name} is not finite"
         elif not is_near[world]:
-            found[world] = f"{name} is more than {DISTANCE_LIMIT_M:g} m from the origin"
+            reasons[world] = (
+                f"{name} is more than {DISTANCE_LIMIT_M:g} m from the origin"
+            )
         else:
-            found[world] = (
+            reasons[world] = (
                 f"{name} spans {spans[world]:.3g} m, more than {STRETCH_LIMIT:g} times its {rest_m:.3g} m at the start"
             )
-    return found
+    return reasons

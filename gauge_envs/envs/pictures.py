@@ -1,4 +1,4 @@
-"""The renderer of an environment."""
+"""Pictures of an environment."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
     from gauge_envs.rendering.window import Window
 
 RENDER_MODES = ("human", "rgb_array", "depth_array", "rgbd_tuple")
-"""Render modes of the environments, apart from None."""
+"""Render modes of the environments besides None."""
 WORLDS_RENDER_MODES = RENDER_MODES[1:]
-"""Render modes of environments of many worlds: a window has one scene."""
+"""Render modes of environments with many worlds; a window shows only one scene."""
 
 Picture = NDArray[np.uint8]
 """Red, green and blue of each pixel, shape [height, width, 3]."""
 Depth = NDArray[np.float32]
-"""Distance of what each pixel shows from the plane of the camera [m], shape [height, width]."""
+"""Distance of each pixel's point from the camera plane [m], shape [height, width]."""
 Rendered = Picture | Depth | tuple[Picture, Depth]
-"""What `render` returns with `rgb_array`, `depth_array` and `rgbd_tuple`."""
+"""Result of `render` with `rgb_array`, `depth_array` and `rgbd_tuple`."""
 
 
 class Pictures:
-    """Renderer of the scene that an environment simulates; it starts with the first picture.
+    """Renderer of the scene of an environment; it is created at the first picture.
 
     Args:
         render_mode: None or one of the modes.
@@ -41,7 +41,7 @@ class Pictures:
         height: Picture height [pixels].
         camera: Entries that replace those of the scene's camera, as `{"azimuth_deg": 90.0}`: the fields of
             `gauge_envs.rendering.camera.View`.
-        has_overlay: Whether the environment puts an overlay on its pictures.
+        has_overlay: Whether pictures have an overlay.
         modes: Render modes of the environment.
 
     Raises:
@@ -84,15 +84,15 @@ class Pictures:
         Args:
             experiment: The experiment; scene, materials and camera stay those of the first call until `close`.
             rest_nodes_m: Nodes of each deformable body at the start [m], shape [node_count, 3].
-            band: Its reference, whose places the camera frames too, or None.
+            band: Its reference, which the camera also shows, or None.
             poses: Position [m] and quaternion w x y z of each rigid body that moves, shape [7].
-            nodes_m: Nodes of each deformable body now [m], shape [node_count, 3].
-            overlay: What is drawn on top of the scene, or None.
+            nodes_m: Current nodes of each deformable body [m], shape [node_count, 3].
+            overlay: Overlay on the scene, or None.
         """
         if self._window is not None and not self._window.is_open:
             return None
         if self._renderer is None:
-            self._renderer = self._started(experiment, rest_nodes_m, band)
+            self._renderer = self._new_renderer(experiment, rest_nodes_m, band)
         if self._window is not None:
             self._renderer.show(self._window, poses, nodes_m, overlay)
             return None
@@ -103,7 +103,7 @@ class Pictures:
             return picture, self._renderer.depth_m(poses, nodes_m)
         return picture
 
-    def _started(
+    def _new_renderer(
         self,
         experiment: Experiment,
         rest_nodes_m: Mapping[str, FloatArray],
@@ -133,7 +133,7 @@ class Pictures:
         )
 
     def free(self) -> None:
-        """Free the renderer; the next picture starts another one, in the same window."""
+        """Free the renderer; the next picture creates another one in the same window."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
@@ -149,7 +149,7 @@ class Pictures:
 def rollout_picture(
     pictures: Pictures, rollout: Rollout, world: int = 0
 ) -> Rendered | None:
-    """Return a picture of a world in the form of the render mode, with its overlay if the pictures have one.
+    """Return a picture of a world in the form of the render mode, with an overlay if the pictures have one.
 
     Args:
         pictures: Renderer; camera and shapes stay those of the first call until it is closed.

@@ -1,4 +1,4 @@
-"""Reward of a frame: how near the motion is to the mean of its reference."""
+"""Reward of a frame: the distance of the motion from the mean of its reference, negated."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from gauge_envs.scene.geometry import FloatArray
 
 
 def is_reward_bounded(experiment: Experiment) -> bool:
-    """Return whether the reward of a frame lies between -1 and 0, as it does with deformable bodies.
+    """Return whether the reward of a frame is between -1 and 0, which is so with deformable bodies.
 
-    Their solutions are known to a millimetre, and an action moves them by a metre: without a bound, a frame far off
-    would hide all others.
+    Their solutions have an uncertainty of a millimetre, and an action moves them by a metre. Without a bound, one frame
+    with a large distance would outweigh all others.
     """
     return bool(experiment.scene.deformables)
 
 
 class Reward:
-    """Rewards of worlds against one band.
+    """Rewards of worlds against one reference.
 
     Args:
         band: The band.
@@ -34,9 +34,9 @@ class Reward:
         self._projection, self._mean, self._weight = terms
 
     def of(self, frame: int, g: FloatArray, markers_m: FloatArray) -> FloatArray:
-        """Return minus the mean over band coordinates of |z| at a frame, shape [N]; 0 where the band knows nothing.
+        """Return minus the mean of |z| over the band's coordinates at a frame, shape [N]; 0 at unknown frames.
 
-        A band with `points` compares the positions of the markers. A bounded reward is -z / (1 + z).
+        A band with `points` compares positions of markers. A bounded reward is -z / (1 + z).
 
         Args:
             frame: Number of the frame.
@@ -55,13 +55,11 @@ class Reward:
 def reward_terms(
     band: Band | None, *, is_bounded: bool = False
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return projection, mean and weights such that |deviation| @ weight is the mean of |z| over known coordinates.
+    """Return projection, mean and weights of `Band.compared`; None without a band.
 
-    z is the deviation over sigma, or over the uncertainty of the mean where that is larger. A bounded reward divides by
-    the size of the motion where that is larger still: actions move a cloth by its whole motion, and with a smaller
-    scale a policy that is far off would not see which way is better.
-
-    They are those of `Band.compared`. None without a band.
+    |deviation| @ weight is the mean of |z| over known coordinates. z is the deviation over the larger of sigma and the
+    uncertainty of the mean. For a bounded reward, the divisor is at least the size of the motion. Actions move a cloth
+    by its whole motion, and a smaller divisor would give a distant policy no gradient.
     """
     if band is None:
         return None
@@ -80,7 +78,7 @@ def reward_terms(
 
 
 def motion_size(band: Band) -> float:
-    """Return the root mean square of a coordinate of the mean about its first known value, in the band's unit."""
+    """Return the root mean square of the mean motion about its first known value, in the band's unit."""
     known = np.isfinite(band.mean).all(axis=1)
     if not known.any():
         return 0.0
@@ -89,10 +87,10 @@ def motion_size(band: Band) -> float:
 
 
 def reward_text(band: Band | None, *, is_bounded: bool = False) -> str:
-    """Return what the reward of an environment is made of, one sentence.
+    """Return how the reward of an environment is computed, one sentence.
 
     Args:
-        band: Band that rewards are relative to, or None.
+        band: Reference of the rewards, or None.
         is_bounded: Whether the reward is bounded, see `is_reward_bounded`.
     """
     terms = reward_terms(band, is_bounded=is_bounded)

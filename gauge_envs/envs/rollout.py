@@ -1,7 +1,7 @@
 """Episodes of one experiment in N worlds, and the only loop over time, `intervals`.
 
-A step of the worlds is, six times, drive, advance and observe, and then a look at what diverged. Checks of engines and
-sanity checks run the same intervals.
+A step drives, advances and observes the worlds six times, and then checks for divergence. Engine checks and control
+tasks use the same loop.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from gauge_envs.backends.simulation import Simulation
 from gauge_envs.envs.initial_states import InitialState
 from gauge_envs.envs.limits import diverged_bodies, diverged_nodes, spans_m
-from gauge_envs.envs.reward import Reward
+from gauge_envs.envs.reward import Reward, is_reward_bounded
 from gauge_envs.envs.spaces import Observation
 from gauge_envs.errors import BackendError, EpisodeError
 from gauge_envs.experiments.experiment import Experiment
@@ -34,20 +34,20 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PE
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S
 
 if TYPE_CHECKING:
-    # Scores import much of SciPy, and come with the end of an episode.
+    # Scores import much of SciPy, and only the end of an episode needs them.
     from gauge_envs.scoring.score import Score
 
 LATER_FRAMES = round(MAX_TIME_OFFSET_S * FRAME_RATE_HZ)
-"""Frames that worlds with a release run on after the last one, for the alignment over time."""
+"""Frames that worlds with a release simulate after the last frame, for the time alignment."""
 
 
 class DrivenMotion(Protocol):
-    """Motion of a driven body, as `gauge_envs.scene.prescribed_motion.PrescribedMotion`."""
+    """Prescribed motion of a body, such as `gauge_envs.scene.prescribed_motion.PrescribedMotion`."""
 
     body: str
 
     def targets(self, first: int, actions: FloatArray, count: int = 1) -> FloatArray:
-        """Return what `Simulation.drive` takes in the next intervals, shape [count, N, 19]."""
+        """Return the targets of the next intervals for `Simulation.drive`, shape [count, N, 19]."""
         ...
 
 
@@ -60,14 +60,14 @@ def intervals(
     *,
     interval_s: float = SAMPLE_INTERVAL_S,
 ) -> Iterator[int]:
-    """Drive and advance all worlds, and yield after each interval its number among the `count`.
+    """Drive and advance all worlds, and yield the index of each interval after it.
 
     Args:
         simulation: The worlds.
         motions: Motions of the driven bodies.
         first: Number of the first interval since the start.
         count: Number of intervals.
-        actions: For each motion the actions that hold in all of these intervals, shape [N, motion_count].
+        actions: Actions of each motion in all of these intervals, shape [N, motion_count].
         interval_s: Length of an interval [s].
     """
     targets = [
@@ -82,11 +82,11 @@ def intervals(
 
 
 MAX_NORM_ERROR = 1e-3
-"""Largest deviation of the norm of a quaternion from 1 at the start."""
+"""Largest deviation of the norm of an initial quaternion from 1."""
 
 
 def check_states(simulation: Simulation, names: Sequence[str]) -> None:
-    """Raise an error if an engine's states of bodies are not what `Simulation.body_states` promises.
+    """Raise an error if the states of an engine violate the contract of `Simulation.body_states`.
 
     Args:
         simulation: The worlds, at their start.
@@ -97,9 +97,9 @@ def check_states(simulation: Simulation, names: Sequence[str]) -> None:
     shape = (simulation.world_count, len(names), 13)
     array = np.asanyarray(states)
     if states is not array or array.shape != shape or array.dtype.kind != "f":
-        found = f"a {type(states).__name__} of shape {array.shape} and {array.dtype} numbers"
+        description = f"a {type(states).__name__} of shape {array.shape} and {array.dtype} numbers"
         raise BackendError(
-            f"{method} returned {found}, expected an array of shape {shape} and float numbers"
+            f"{method} returned {description}, expected an array of shape {shape} and float numbers"
         )
     norm_errors = np.abs(np.linalg.norm(states[..., 3:7], axis=-1) - 1.0)
     is_valid = np.isfinite(states).all(axis=-1) & (norm_errors <= MAX_NORM_ERROR)
@@ -112,7 +112,7 @@ def check_states(simulation: Simulation, names: Sequence[str]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:
-    """What an episode has recorded so far.
+    """Recorded motion of an episode so far.
 
     Attributes:
         times_s: Times of the dense samples [s], 180 a second, shape [sample_count].
@@ -122,8 +122,8 @@ class Trajectory:
             markers are recorded.
         markers_m: Marker positions at the frames [m], shape [frame_count, marker_count, 3]; `marker_count` is 0 if
             bodies are recorded.
-        later_times_s: Times of samples after the last frame [s], for the release alignment; shape [later_count], empty
-            before the score is read and where nothing is aligned.
+        later_times_s: Times of samples after the last frame [s], for the time alignment, shape [later_count]; empty
+            before the score is computed, and without an alignment.
         later_samples: g(t) at those times, shape [later_count, coordinate_count].
     """
 
@@ -145,15 +145,15 @@ class Trajectory:
 
 
 class Rollout:
-    """Episodes in N worlds in lockstep: they start together, and each step is one frame of all worlds.
+    """Synchronous episodes in N worlds: they start together, and each step is one frame of all worlds.
 
-    A world that diverges ends; its last frame stays what is observed, and the others go on.
+    A world that diverges ends. Its observation stays that of its last frame, and the other worlds continue.
 
     Args:
         experiments: The experiment of each world; they may differ in constants.
         simulation: The worlds, at the nominal start.
-        bands: Band that rewards and scores of each world are relative to, or None.
-        marker_proxy: Marker proxy of deformable bodies: tracked node or material point.
+        bands: Reference of rewards and scores of each world, or None.
+        marker_proxy: Marker proxy of deformable bodies: material point or nearest node.
 
     Attributes:
         experiment: The experiment of the first world.
@@ -161,13 +161,13 @@ class Rollout:
         world_count: Number of worlds N.
         frame: Number of the current frame; None before `reset`.
         last_frames: Last frame of each world so far, shape [N].
-        diverged: Why worlds have diverged, by their numbers.
-        starts: Start of each world.
-        bands: Band of each world, of the trial where it repeats one.
+        diverged: Reason of each diverged world, by its number.
+        initial_states: Initial state of each world; empty for the nominal ones.
+        bands: Reference of each world; if it replays a trial, of this trial.
         rest_nodes_m: Nodes of each deformable body at the nominal start [m], shape [node_count, 3].
 
     Raises:
-        BackendError: The engine's states are not what `Simulation.body_states` promises.
+        BackendError: The states of the engine violate the contract of `Simulation.body_states`.
     """
 
     def __init__(
@@ -185,7 +185,7 @@ class Rollout:
         self.frame: int | None = None
         self.last_frames = np.zeros(count, dtype=np.intp)
         self.diverged: dict[int, str] = {}
-        self.starts: Sequence[InitialState] = ()
+        self.initial_states: Sequence[InitialState] = ()
         self._experiments = experiments
         self._nominal_bands = bands
         self._set_bands(bands)
@@ -198,8 +198,8 @@ class Rollout:
             for name, nodes in self.rest_nodes_m.items()
         }
         has_release = any(
-            band is not None and band.has_release and one.trial is None
-            for band, one in zip(bands, experiments, strict=True)
+            band is not None and band.has_release and experiment.trial is None
+            for band, experiment in zip(bands, experiments, strict=True)
         )
         self._later_frames = LATER_FRAMES if has_release else 0
         frame_count = experiment.frame_count
@@ -228,12 +228,12 @@ class Rollout:
 
     @property
     def motion_count(self) -> int:
-        """Numbers of an action: degrees of freedom of all driven bodies."""
+        """Length of an action: the degrees of freedom of all driven bodies."""
         return sum(motion.motion_count for motion in self._motions)
 
     @property
     def is_complete(self) -> bool:
-        """Whether this is the last frame."""
+        """Whether the current frame is the last one."""
         return self.frame == self.experiment.frame_count - 1
 
     @property
@@ -251,50 +251,50 @@ class Rollout:
     # --- frames ---
 
     def reset(
-        self, starts: Sequence[InitialState] | None = None, seed: int = 0
+        self, initial_states: Sequence[InitialState] | None = None, seed: int = 0
     ) -> None:
         """Start an episode in every world, and record frame 0.
 
         Args:
-            starts: Start of each world; None is the nominal start.
+            initial_states: Initial state of each world; None starts each as the scene gives.
             seed: Seed of the engine.
         """
-        trials = [start.trial for start in self.starts]
-        self.starts = starts or ()
+        trials = [start.trial for start in self.initial_states]
+        self.initial_states = initial_states or ()
         states = None
-        if starts is not None:
-            states = np.array([start.states for start in starts])
+        if initial_states is not None:
+            states = np.array([start.states for start in initial_states])
         self.simulation.reset(states, seed)
         for index, motion in enumerate(self._motions):
-            if starts is None or states is None:
+            if initial_states is None or states is None:
                 motion.reset()
                 continue
             row = row_of(self.experiment.scene, motion.body)
-            drivers = [start.drivers[index] for start in starts]
+            drivers = [start.drivers[index] for start in initial_states]
             motion.reset(drivers, states[:, row, :7])
-        if trials != [start.trial for start in self.starts]:
+        if trials != [start.trial for start in self.initial_states]:
             self._set_bands([self._band_of(world) for world in range(self.world_count)])
         self.frame = 0
         self.diverged = {}
         self.last_frames[:] = 0
         self._later_counts: IntArray | None = None
         self._last_view: dict[str, FloatArray] | None = None
-        g, self._now_markers_m = self._observer.observe(self.simulation)
+        g, self._current_markers_m = self._observer.observe(self.simulation)
         self._samples[0] = g
         self._record()
 
     def step(self, actions: FloatArray) -> None:
-        """Run a frame of all worlds.
+        """Simulate one frame of all worlds.
 
         Args:
-            actions: Action of each world for each motion of a driver, from -1 to 1, shape [N, motion_count].
+            actions: Actions from -1 to 1, shape [N, motion_count].
         """
         for _ in self.substeps(actions):
             pass
 
     def substeps(self, actions: FloatArray | None = None) -> Iterator[int]:
-        """Run a frame of all worlds, and yield after each of its six intervals; see `step`."""
-        assert self.frame is not None, "reset comes first"
+        """Simulate one frame of all worlds, and yield after each of its six intervals; see `step`."""
+        assert self.frame is not None, "call reset first"
         yield from self._simulated(self.frame, actions)
         self.frame += 1
         self.last_frames[~self.terminated] = self.frame
@@ -303,47 +303,49 @@ class Rollout:
             self.diverged.setdefault(world, reason)
 
     def play(self) -> None:
-        """Run all episodes without actions to their ends."""
+        """Simulate all episodes to their end without actions."""
         while not self.is_over.all():
             for _ in self.substeps():
                 pass
 
     def _simulated(self, frame: int, actions: FloatArray | None) -> Iterator[int]:
-        """Drive, advance and observe the six intervals after a frame."""
+        """Drive, advance and observe all worlds in the six intervals after a frame, and yield after each."""
         if actions is None:
             actions = np.zeros((self.world_count, self.motion_count))
-        split = []
+        motion_actions = []
         end = 0
         for motion in self._motions:
             begin, end = end, end + motion.motion_count
-            split.append(actions[:, begin:end])
+            motion_actions.append(actions[:, begin:end])
         first = frame * SAMPLES_PER_FRAME
         for index in intervals(
-            self.simulation, self._motions, first, SAMPLES_PER_FRAME, split
+            self.simulation, self._motions, first, SAMPLES_PER_FRAME, motion_actions
         ):
-            g, self._now_markers_m = self._observer.observe(self.simulation)
+            g, self._current_markers_m = self._observer.observe(self.simulation)
             self._samples[first + index + 1] = g
             yield index
 
     def _record(self) -> FloatArray:
-        """Record the frame, and return the states of the dynamic bodies, shape [N, body_count, 13]."""
+        """Record the current frame, and return the states of the dynamic bodies, shape [N, body_count, 13]."""
         frame = self.frame or 0
         states = self.simulation.body_states(self._dynamic)
         self._bodies[frame] = states[:, self._recorded]
-        self._markers_m[frame] = self._now_markers_m
+        self._markers_m[frame] = self._current_markers_m
         if self._driven:
             self._driver_states[frame] = self.simulation.body_states(self._driven)
         return states
 
     def _divergences(self, states: FloatArray) -> dict[int, str]:
-        """Return why worlds have diverged now: the engine's reason first."""
-        found = dict(self.simulation.diverged())
+        """Return the reason of each world that has diverged in this frame."""
+        reasons = dict(self.simulation.diverged())
         for name, rest_m in self._rest_spans_m.items():
-            found = diverged_nodes(name, self.simulation.nodes(name), rest_m) | found
-        return diverged_bodies(self._dynamic, states) | found
+            reasons = (
+                diverged_nodes(name, self.simulation.nodes(name), rest_m) | reasons
+            )
+        return diverged_bodies(self._dynamic, states) | reasons
 
     def run_on(self) -> None:
-        """Simulate on past the last frame, so that the alignment over time knows the later motion.
+        """Simulate frames after the last one, which the time alignment needs.
 
         Driven bodies continue their recorded motion without actions.
         """
@@ -368,10 +370,10 @@ class Rollout:
             counts[is_running] = later + 1
         self._later_counts = counts
 
-    # --- what was recorded ---
+    # --- recorded motion ---
 
     def observation(self) -> Observation:
-        """Return the observations of all worlds in new arrays; a world that has ended keeps its last one."""
+        """Return the observations of all worlds in new arrays; a world that has ended keeps its last observation."""
         worlds, frames = np.arange(self.world_count), self.last_frames
         observation = {
             "observable": self._samples[frames * SAMPLES_PER_FRAME, worlds],
@@ -386,21 +388,21 @@ class Rollout:
         return observation
 
     def rewards(self) -> FloatArray:
-        """Return the reward of each world in this frame, shape [N].
+        """Return the reward of each world in the current frame, shape [N].
 
-        It is 0 for a world that had ended before, and where a number of the frame is not finite.
+        It is 0 if the world ended before this frame, or if a number of the frame is not finite.
         """
         frame = self.frame or 0
         rewards = np.zeros(self.world_count)
         for reward, has_band in self._rewards:
             worlds = np.flatnonzero(has_band & (self.last_frames == frame))
             g = self._samples[frame * SAMPLES_PER_FRAME, worlds]
-            of_band = reward.of(frame, g, self._markers_m[frame, worlds])
-            rewards[worlds] = np.where(np.isfinite(of_band), of_band, 0.0)
+            values = reward.of(frame, g, self._markers_m[frame, worlds])
+            rewards[worlds] = np.where(np.isfinite(values), values, 0.0)
         return rewards
 
     def info(self, world: int) -> dict[str, Any]:
-        """Return frame, time, kind of the reference, sources of reference and driven motion, and any divergence."""
+        """Return the `info` of a world, see `GaugeEnv`."""
         frame = int(self.last_frames[world])
         band, experiment = self.bands[world], self.experiment
         info: dict[str, Any] = {
@@ -420,22 +422,22 @@ class Rollout:
         return info
 
     def experiment_of(self, world: int) -> Experiment:
-        """Return the experiment of a world, with the start and the trial of its episode."""
+        """Return the experiment of a world, with the initial state and the trial of its episode."""
         experiment = self._experiments[world]
-        if not self.starts or not self.starts[world].record:
+        if not self.initial_states or not self.initial_states[world].record:
             return experiment
-        start = self.starts[world]
+        start = self.initial_states[world]
         scene = replace(scene_at(experiment.scene, start.states), drivers=start.drivers)
         return replace(experiment, scene=scene, trial=self._trial_of(world))
 
     def _trial_of(self, world: int) -> int | None:
-        """Return the trial that a world repeats, or None."""
-        if self.starts and self.starts[world].trial is not None:
-            return self.starts[world].trial
+        """Return the trial that a world replays, or None."""
+        if self.initial_states and self.initial_states[world].trial is not None:
+            return self.initial_states[world].trial
         return self._experiments[world].trial
 
     def trajectory(self, world: int = 0) -> Trajectory:
-        """Return what the episode of a world has recorded so far.
+        """Return the recorded motion of a world so far.
 
         Raises:
             EpisodeError: `reset` was not called.
@@ -444,10 +446,10 @@ class Rollout:
             raise EpisodeError(f"{self.experiment.id}: no trajectory before reset")
         frame = int(self.last_frames[world])
         end = frame * SAMPLES_PER_FRAME + 1
-        later = 0
+        later_count = 0
         if self._later_counts is not None:
-            later = int(self._later_counts[world]) * SAMPLES_PER_FRAME
-        times_s = np.arange(end + later, dtype=np.float64) * SAMPLE_INTERVAL_S
+            later_count = int(self._later_counts[world]) * SAMPLES_PER_FRAME
+        times_s = np.arange(end + later_count, dtype=np.float64) * SAMPLE_INTERVAL_S
         samples = self._samples[:, world].copy()
         return Trajectory(
             times_s=times_s[:end],
@@ -456,13 +458,13 @@ class Rollout:
             bodies=self._bodies[: frame + 1, world].copy(),
             markers_m=self._markers_m[: frame + 1, world].copy(),
             later_times_s=times_s[end:],
-            later_samples=samples[end : end + later],
+            later_samples=samples[end : end + later_count],
         )
 
     def trajectories(self) -> tuple[FloatArray, FloatArray]:
         """Return times [s], shape [sample_count], and g(t) of all worlds, shape [N, sample_count, coordinate_count].
 
-        Samples that a world did not reach are NaN.
+        Samples after the end of a world are NaN.
         """
         counts = self.last_frames * SAMPLES_PER_FRAME + 1
         if self._later_counts is not None:
@@ -474,7 +476,7 @@ class Rollout:
         return times_s, samples.transpose(1, 0, 2)
 
     def score(self, world: int = 0) -> Score:
-        """Return the score of a world whose episode is over; if it diverged, the score has a kind and no number."""
+        """Return the score of a world whose episode is over; if the world diverged, the score has no numbers."""
         from gauge_envs.scoring.score import Score, score_trajectory
 
         experiment, band = self.experiment_of(world), self.bands[world]
@@ -493,10 +495,11 @@ class Rollout:
             values=values,
             markers_m=trajectory.markers_m,
             is_checked=True,
-            is_moved=bool(self.starts) and self.starts[world].is_scattered,
+            is_moved=bool(self.initial_states)
+            and self.initial_states[world].is_scattered,
         )
 
-    # --- places for pictures ---
+    # --- poses for pictures ---
 
     def poses(self, world: int = 0) -> Mapping[str, FloatArray]:
         """Return the pose of each rigid body that moves: position [m] and quaternion w x y z, shape [7]."""
@@ -509,7 +512,7 @@ class Rollout:
         return {name: view[name][world] for name in self.rest_nodes_m}
 
     def _view(self) -> dict[str, FloatArray]:
-        """Return the states of all bodies that move, and the nodes of deformable ones, in all worlds."""
+        """Return, by name, the states of moving bodies and the nodes of deformable bodies in all worlds."""
         names = [*self._dynamic, *self._driven]
         states = self.simulation.body_states(names)
         view = {name: states[:, row] for row, name in enumerate(names)}
@@ -518,18 +521,21 @@ class Rollout:
         return view
 
     def _band_of(self, world: int) -> Band | None:
-        """Return the band of a world: of the trial that it repeats, else the nominal one."""
+        """Return the reference of a world: of the trial that it replays, else the nominal one."""
         from gauge_envs.scoring.reference import reference_band
 
-        if not self.starts or self.starts[world].trial is None:
+        if not self.initial_states or self.initial_states[world].trial is None:
             return self._nominal_bands[world]
         return reference_band(self.experiment_of(world))
 
     def _set_bands(self, bands: Sequence[Band | None]) -> None:
         self.bands = bands
-        is_bounded = bool(self.experiment.scene.deformables)
-        different = {id(band): band for band in bands if band is not None}
+        is_bounded = is_reward_bounded(self.experiment)
+        distinct = {id(band): band for band in bands if band is not None}
         self._rewards = [
-            (Reward(band, is_bounded), np.array([one is band for one in bands]))
-            for band in different.values()
+            (
+                Reward(band, is_bounded),
+                np.array([world_band is band for world_band in bands]),
+            )
+            for band in distinct.values()
         ]

@@ -1,4 +1,4 @@
-"""Action and observation space of an experiment; bounds of observations are the limits of `gauge_envs.envs.limits`."""
+"""Action and observation spaces of an experiment; `gauge_envs.envs.limits` bounds observations."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Observation = dict[str, FloatArray]
 LARGEST_VALUE = {
     Observable.POSITION: 1e3 * DISTANCE_LIMIT_M,
     Observable.MARKER_POSITION: 1e3 * DISTANCE_LIMIT_M,
-    # An angle deficit is 2 pi less the angles of at most eight triangles.
+    # An angle deficit is 2 pi minus the angles of at most eight triangles.
     Observable.CURVATURE: 8.0 * np.pi,
     Observable.LINE_CURVATURE: np.pi,
     # Two sides of a triangle are at most the diagonal of the space.
@@ -27,16 +27,16 @@ LARGEST_VALUE = {
 
 
 def action_space_of(experiment: Experiment) -> spaces.Space[Any]:
-    """Return the action space of an experiment: one entry for each motion of a driver; `Discrete(1)` without any."""
+    """Return the action space of an experiment: an entry for each driven degree of freedom, or `Discrete(1)`."""
     motions = sum(len(driver.motions) for driver in experiment.scene.drivers)
-    # Learners act in single precision.
+    # Learning algorithms act in single precision.
     return (
         spaces.Box(-1.0, 1.0, (motions,), np.float32) if motions else spaces.Discrete(1)
     )
 
 
 def observation_space_of(experiment: Experiment) -> spaces.Space[Observation]:
-    """Return the observation space of an experiment; `GaugeEnv` says what each entry holds."""
+    """Return the observation space of an experiment; `GaugeEnv` describes each entry."""
     scene = experiment.scene
 
     def box(limit: float | FloatArray, *shape: int) -> spaces.Box:

@@ -1,4 +1,4 @@
-"""Starts of imported trials, and starts and driven paths of bundled ones: option `trial` of a reset."""
+"""Option `trial` of a reset: initial states of imported trials, and initial states and driven paths of bundled ones."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -16,13 +16,13 @@ from gauge_envs.scene import Hinge, RigidBody, Sphere, Tether
 from gauge_envs.scene.contact_faces import blocked_directions
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, Vector, length_of, vector
-from gauge_envs.scene.jitter import across, turn
+from gauge_envs.scene.jitter import across, rotate
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.states import nominal_states, row_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 DIFFERENCE_PER_FRAME = (-1.5, 2.0, -0.5)
-"""Weights of the first three frames in the velocity of the first one, exact for a constant acceleration."""
+"""Weights of the first three frames in the initial velocity, exact for a constant acceleration."""
 
 
 class _DrivenTrials(FileModel):
@@ -32,11 +32,11 @@ class _DrivenTrials(FileModel):
 
 
 class DrivenTrial(NamedTuple):
-    """Start and driven path of a trial.
+    """Initial states and driven paths of a trial.
 
     Attributes:
         states: Initial states, shape [body_count, 13].
-        drivers: Drivers with the path of the trial.
+        drivers: Drivers with the paths of the trial.
     """
 
     states: FloatArray
@@ -44,7 +44,7 @@ class DrivenTrial(NamedTuple):
 
 
 def driven_trial(experiment: Experiment, trial: int) -> DrivenTrial | None:
-    """Return start and driven path of a bundled trial, or None if the experiment has none."""
+    """Return initial states and driven paths of a bundled trial; None if the experiment has no such trials."""
     file = scoring_folder("trials") / f"{experiment.name}.toml"
     is_imported = DataSource.IMPORTED in (
         experiment.drivers,
@@ -70,7 +70,7 @@ def driven_trial(experiment: Experiment, trial: int) -> DrivenTrial | None:
             driver.motions, known.motions[driver.body][trial], strict=True
         ):
             path = SampledProfile(times_s=known.times_s, values=values)
-            # With `drivers="action"` nothing moves by itself.
+            # With `drivers="action"` only actions move bodies.
             profiles = (path,) if motion.profiles else ()
             motions.append(replace(motion, point_m=point_m, profiles=profiles))
         drivers.append(replace(driver, motions=tuple(motions)))
@@ -83,18 +83,18 @@ def trial_states(experiment: Experiment, trial: int) -> FloatArray:
     Velocities are differences of the first three frames, exact for a constant acceleration. Measurement noise of 0.1 mm
     makes a velocity wrong by 8 mm/s, and noise of 0.1 degrees a spin by 0.14 rad/s.
 
-    Orientations count from the mean over the trials, which takes the place of the calibrated orientation. So the body
-    frame that the motion capture chose does not matter. Without recorded orientations, orientation and spin stay those
-    of the scene.
+    Orientations are relative to the mean over the trials, which corresponds to the calibrated orientation. So the body
+    frame of the motion capture does not matter. Without recorded orientations, orientation and angular velocity stay
+    nominal.
 
-    Each recorded body moves as far as it can without starting inside another, as with a jitter:
+    Recorded bodies move only in directions in which they do not start inside another body, as with noise:
 
-    - A body that is neither a sphere nor on a joint moves and flies in the plane of the face at which it touches
-      another one, and rotates about the normal of that face. Where it touches none, the normal is the body axis that is
-      closest to vertical.
+    - A body that is neither a sphere nor on a joint translates in the plane of the face at which it touches another
+      body, and rotates about the normal of that face. Without such a face, the normal is the body axis closest to
+      vertical.
     - A sphere takes the recorded pose and velocities.
     - A hinged body rotates about its hinge. A tethered body swings with a tight string.
-    - A body that is attached to a deformable body keeps its start.
+    - A body attached to a deformable body keeps its nominal state.
 
     Args:
         experiment: An experiment that observes positions of rigid bodies.
@@ -103,14 +103,14 @@ def trial_states(experiment: Experiment, trial: int) -> FloatArray:
     scene = experiment.scene
     imported = _imported(experiment)
     positions_m = _first_positions_m(experiment, imported, trial)
-    turns = _first_turns(imported, trial, len(experiment.recorded))
+    rotations = _first_rotations(imported, trial, len(experiment.recorded))
     attached = {attachment.to for attachment in scene.attachments}
     joints = {joint.body: joint for joint in scene.joints}
     names = [name for name in experiment.recorded if name not in attached]
     if not names:
         raise ParameterError(
-            f"{experiment.id}: every recorded body is attached to a deformable body, so no trial gives a start: remove "
-            "the option 'trial'"
+            f"{experiment.id}: every recorded body is attached to a deformable body, so no trial sets its start: "
+            "remove the option 'trial'"
         )
     states = nominal_states(scene)
     for name in names:
@@ -121,7 +121,7 @@ def trial_states(experiment: Experiment, trial: int) -> FloatArray:
             continue
         normals = scene.contact_faces.normals([name])
         blocked = blocked_directions(body.pose, normals)
-        _move(state, body, blocked, positions_m[:, index], *turns[index])
+        _move(state, body, blocked, positions_m[:, index], *rotations[index])
     return states
 
 
@@ -129,8 +129,8 @@ def _imported(experiment: Experiment) -> ImportedVariant:
     """Return the import of an experiment that can start from its trials."""
     if experiment.score.observable is not Observable.POSITION:
         raise ParameterError(
-            f"{experiment.id} observes {experiment.score.observable.value}: only experiments that observe positions of "
-            "rigid bodies start from a trial. Remove the option 'trial'."
+            f"{experiment.id} observes {experiment.score.observable.value}, but only experiments that observe "
+            "positions of rigid bodies can start from a trial. Remove the option 'trial'."
         )
     imported = load_imported(experiment.name)
     if imported is None:
@@ -163,33 +163,33 @@ def _first_positions_m(
     return 1e-3 * first.reshape(len(first), -1, 3)
 
 
-def _first_turns(
+def _first_rotations(
     imported: ImportedVariant, trial: int, body_count: int
 ) -> list[tuple[Rotation, FloatArray]]:
     """Return the rotation of each recorded body from the mean start, and its angular velocity [rad/s].
 
-    Both are in the world frame, and are zero for a body whose orientation the trial does not have in all first frames.
+    Both are in the world frame. They are zero for a body without an orientation in all first frames of the trial.
     """
     still = (Rotation.identity(), np.zeros(3))
     quaternions = imported.start_quaternions
     if quaternions is None:
         return [still] * body_count
-    turns = []
+    rotations = []
     for index in range(body_count):
         known = np.asarray(np.isfinite(quaternions[:, :, index]).all(axis=(1, 2)))
         if not known[trial]:
-            turns.append(still)
+            rotations.append(still)
             continue
         mean = Rotation.from_quat(quaternions[known, 0, index]).mean()
         frames = Rotation.from_quat(quaternions[trial, :, index])
         turned = (frames * frames[0].inv()).as_rotvec()
-        turns.append(
+        rotations.append(
             (
                 frames[0] * mean.inv(),
                 FRAME_RATE_HZ * np.asarray(DIFFERENCE_PER_FRAME) @ turned,
             )
         )
-    return turns
+    return rotations
 
 
 def _move(
@@ -200,12 +200,12 @@ def _move(
     rotation: Rotation,
     spin: FloatArray,
 ) -> None:
-    """Write the recorded start of a body without a joint to its state.
+    """Write the recorded initial state of a body without a joint to its state.
 
     Args:
         state: Its nominal state, shape [13].
         body: The body.
-        blocked: Directions along which it cannot start elsewhere, shape [1 to 3, 3].
+        blocked: Directions in which it must not move, shape [1 to 3, 3].
         positions_m: Its positions in the first frames [m], shape [START_FRAMES, 3].
         rotation: Its rotation from the mean start.
         spin: Its angular velocity [rad/s].
@@ -217,7 +217,7 @@ def _move(
         is_single = len(blocked) == 1
         spin = (spin @ blocked[0]) * blocked[0] if is_single else np.zeros(3)
         rotation = _about(rotation, blocked[0]) if is_single else Rotation.identity()
-    turn(state[:7], rotation.as_rotvec(), state[:3].copy())
+    rotate(state[:7], rotation.as_rotvec(), state[:3].copy())
     state[:3] += shift
     state[7:10], state[10:] = velocity, spin
 
@@ -236,15 +236,15 @@ def _swing(state: FloatArray, joint: Hinge | Tether, positions_m: FloatArray) ->
     if isinstance(joint, Hinge):
         axis = np.asarray(joint.axis)
         flat, aim = across(arm, axis[None]), across(recorded, axis[None])
-        turn_rad = np.arctan2(np.cross(flat, aim) @ axis, flat @ aim) * axis
-        arm = Rotation.from_rotvec(turn_rad).apply(flat)
+        rotation_rad = np.arctan2(np.cross(flat, aim) @ axis, flat @ aim) * axis
+        arm = Rotation.from_rotvec(rotation_rad).apply(flat)
         angular = np.cross(arm, velocity) @ axis / (arm @ arm) * axis
     else:
         normal = np.cross(arm, recorded)
         size = length_of(normal)
         angle = np.arctan2(size, arm @ recorded)
-        turn_rad = angle * normal / size if size else np.zeros(3)
-        arm = Rotation.from_rotvec(turn_rad).apply(arm)
+        rotation_rad = angle * normal / size if size else np.zeros(3)
+        arm = Rotation.from_rotvec(rotation_rad).apply(arm)
         angular = np.cross(arm, velocity) / (arm @ arm)
-    turn(state[:7], turn_rad, anchor)
+    rotate(state[:7], rotation_rad, anchor)
     state[7:10], state[10:] = np.cross(angular, arm), angular

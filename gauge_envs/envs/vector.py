@@ -37,11 +37,9 @@ from gauge_envs.envs.spaces import (
 )
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.references.band import Band
-from gauge_envs.references.kind import Kind
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.reference import refusal
+from gauge_envs.scoring.reference import reference_band, refusal
 from gauge_envs.scoring.score import Score
 from gauge_envs.scoring.worlds import score_worlds
 
@@ -55,16 +53,16 @@ Step = tuple[
 
 
 class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
-    """Worlds of one experiment in lockstep on one backend, which may simulate them at once.
+    """Synchronous worlds of one experiment on one backend, which may simulate them in a batch.
 
     Each world behaves as a `GaugeEnv`. Spaces, rewards and `infos` have the form of `gymnasium.vector.SyncVectorEnv`.
-    Worlds differ in their actions, after a reset with jitter in their starts, and with `world_parameters` in their
+    Worlds differ in their actions, with `jitter` in their initial states, and with `world_parameters` in their
     constants.
 
-    Worlds are reset together, and without divergence all end in the same frame. The step after that ignores its actions
-    and starts the next episode of all worlds (`AutoresetMode.NEXT_STEP`).
+    Worlds are reset together, and without divergence all end in the same frame. The next step ignores its actions and
+    starts the next episode of all worlds (`AutoresetMode.NEXT_STEP`).
 
-    A world that diverges is terminated in that frame, with the reason in `infos["diverged"]`. It then waits until the
+    Divergence terminates a world in that frame, with the reason in `infos["diverged"]`. The world then waits until the
     others have ended: its observation stays the same, its reward is 0, `terminations` stays true, and `infos` has no
     entry for it. These steps belong to no episode.
 
@@ -77,15 +75,16 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         camera: Entries that replace those of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
             `elevation_deg`.
         render_overlay: As for `GaugeEnv`.
-        jitter: As for `GaugeEnv`; each world has starts of its own.
-        world_parameters: Overrides for each world, such as `[{"cube.friction": 0.25}, {"cube.friction": 0.30}]`; they
-            come on top of `parameters`. Such worlds are built one by one.
+        jitter: As for `GaugeEnv`; each world has its own initial states.
+        world_parameters: Overrides for each world in addition to `parameters`, such as
+            `[{"cube.friction": 0.25}, {"cube.friction": 0.30}]`. Such worlds are built sequentially. A solution cannot
+            score a world with other constants, see `Score.refused`.
         **arguments: Keywords of `GaugeEnv`: `backend`, `parameters`, `settings`, ...
 
     Attributes:
         arguments: Variant and keywords.
         experiment: The experiment.
-        band: Band that rewards and scores are relative to, or None.
+        band: Reference of rewards and scores, or None.
         rollout: The current episodes.
         seeds_used: Seeds of the last reset; empty before the first.
         versions: Versions of the engine's packages.
@@ -141,14 +140,14 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         )
         self.arguments = EnvArguments(variant, **arguments)
         self.experiment = experiment = self.arguments.experiment()
-        self.band = self._band(world_parameters)
+        self.band = reference_band(experiment)
         experiments, bands = [experiment] * num_envs, [self.band] * num_envs
         for world, constants in enumerate(world_parameters or ()):
             if constants:
                 changed = dict(experiment.overrides) | dict(constants)
                 varied = replace(self.arguments, parameters=changed)
                 experiments[world] = varied.experiment()
-                bands[world] = varied.band(experiments[world])
+                bands[world] = reference_band(experiments[world])
         self._initial_states = InitialStates(experiment, jitter)
         self.rollout = self.arguments.rollout(experiments, bands)
         self.versions = versions_of(self.arguments.backend)
@@ -160,16 +159,6 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
 
-    def _band(
-        self, world_parameters: Sequence[Mapping[str, Any]] | None
-    ) -> Band | None:
-        """Return the band of the worlds; a solution is of the calibrated scene, not of worlds with other constants."""
-        band = self.arguments.band(self.experiment)
-        is_varied = any(world_parameters or ())
-        if is_varied and band is not None and band.kind is Kind.NUMERICAL:
-            return None
-        return band
-
     def reset(
         self,
         *,
@@ -179,32 +168,34 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         """Start a new episode in every world.
 
         Args:
-            seed: Seed of the engine and of the first world's noise; each next world has one more. Or the seed of each
-                world; the engine takes the first. None is 0; where starts scatter, the random numbers of each world
-                draw its seed, as at autoreset.
-            options: See `GaugeEnv.reset`; they hold for autoreset. With `{"jitter": True}` each world has a start of
-                its own; `{"trial": 3}` starts every world from trial 3. With single-shot trials each world starts from
-                its seed's one.
+            seed: Seed of the engine and of the first world's noise; each next world has one more. Or the seeds of all
+                worlds; the engine takes the first. None is 0. With noise, None draws the seed of each world from its
+                random numbers, as an autoreset does.
+            options: See `GaugeEnv.reset`; an autoreset keeps them. With `{"jitter": True}` each world has its own
+                initial state; `{"trial": 3}` starts every world from trial 3. With single-trial recordings, the seed of
+                a world selects its trial.
         """
         self._check_open("reset")
         given = [None] * self.num_envs if seed is None else self._seeds(seed)
         sampler = self._initial_states
         draw = sampler.of_reset(options, seeded=seed is not None)
         if seed is not None or not self._randoms:
-            self._randoms = [np_random(one)[0] for one in given]
+            self._randoms = [np_random(world_seed)[0] for world_seed in given]
         seeds = [*range(self.num_envs)]
         if seed is not None or draw is not None:
             seeds = [
-                sampler.seed_of(one, draw, random)
-                for one, random in zip(given, self._randoms, strict=True)
+                sampler.seed_of(world_seed, draw, random)
+                for world_seed, random in zip(given, self._randoms, strict=True)
             ]
         super().reset(seed=seeds[0])
         self.seeds_used = tuple(seeds)
-        self.rollout.reset([sampler.sample(draw, one) for one in seeds], seeds[0])
+        self.rollout.reset(
+            [sampler.sample(draw, world_seed) for world_seed in seeds], seeds[0]
+        )
         return self.rollout.observation(), self._infos(range(self.num_envs))
 
     def _seeds(self, seed: int | Sequence[int | None]) -> list[int | None]:
-        """Return the seed of each world; each next one has one more than a single seed."""
+        """Return the seed of each world; a single seed grows by one per world."""
         if isinstance(seed, int | np.integer):
             return [int(seed) + world for world in range(self.num_envs)]
         if len(seed) != self.num_envs:
@@ -217,7 +208,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         """Simulate one frame, 1/30 s, in every world; if all have ended, start the next episode of all instead.
 
         Args:
-            actions: One action for each world; those of worlds that have ended are not read.
+            actions: One action for each world; actions of worlds that have ended are ignored.
         """
         self._check_started("step")
         rollout = self.rollout
@@ -233,15 +224,17 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         return rollout.observation(), rollout.rewards(), terminated, truncated, infos
 
     def _checked(self, actions: Any, running: Sequence[int]) -> FloatArray:
-        """Return the actions of all worlds, shape [num_envs, motion_count]; 0 for those that have ended."""
+        """Return the actions of all worlds, shape [num_envs, motion_count]; 0 for worlds that have ended."""
         count = len(actions) if hasattr(actions, "__len__") else 0
         if count != self.num_envs:
             raise ActionError(
-                f"actions {actions!r}: expected one action for each of {self.num_envs} worlds"
+                f"{self.experiment.id}: actions {actions!r}: expected one action for each of {self.num_envs} worlds"
             )
         checked = np.zeros((self.num_envs, self.rollout.motion_count))
         for world in running:
-            checked[world] = checked_action(actions[world], self.single_action_space)
+            checked[world] = checked_action(
+                actions[world], self.single_action_space, self.experiment.id
+            )
         return checked
 
     def _infos(self, worlds: Sequence[int]) -> dict[str, Any]:
@@ -252,7 +245,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         return infos
 
     def scores(self) -> tuple[Score | None, ...]:
-        """Return the score of each world's episode, or None before it is over; see `GaugeEnv.score`."""
+        """Return the score of each world's episode, None before its end; see `GaugeEnv.score`."""
         is_over = self.rollout.is_over
         return tuple(
             self.rollout.score(world) if is_over[world] else None
@@ -263,18 +256,18 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         """Return the scores of all worlds in one pass over their trajectories, as arrays of shape [num_envs].
 
         The keys are those of `Score`: `rmse` and, where they apply, `rmse_normalized`, `time_offset_s`, `rmse_aligned`
-        and `rmse_aligned_normalized`. Entries are NaN of worlds whose episode is not over or diverged, and of those
-        that the reference does not score (`Score.refused`). A `Score` has more, and takes some milliseconds.
+        and `rmse_aligned_normalized`. An entry is NaN if the episode of the world is not over or diverged, or if the
+        reference cannot score it (`Score.refused`). A `Score` has more fields, and takes some milliseconds.
         """
         if self.band is None:
             raise EpisodeError(
-                f"{self.experiment.id}: it has no reference, and so no scores"
+                f"{self.experiment.id}: it has no reference, so it has no scores"
             )
         rollout = self.rollout
         rollout.run_on()
         times_s, samples = rollout.trajectories()
         scores: dict[str, FloatArray] = {}
-        # Worlds may replay different trials; each band scores its worlds in one pass.
+        # Worlds may replay different trials; each reference scores its worlds in one pass.
         for band in {id(band): band for band in rollout.bands if band}.values():
             rows = [
                 world
@@ -284,14 +277,14 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
                 and refusal(
                     rollout.experiment_of(world),
                     band,
-                    is_moved=rollout.starts[world].is_scattered,
+                    is_moved=rollout.initial_states[world].is_scattered,
                 )
                 is None
             ]
-            found = score_worlds(
+            band_scores = score_worlds(
                 self.experiment, band, times_s=times_s, values=samples[rows]
             )
-            for key, values in found.items():
+            for key, values in band_scores.items():
                 scores.setdefault(key, np.full(self.num_envs, np.nan))[rows] = values
         return scores
 
@@ -325,14 +318,14 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
 class ScoreEpisodes(VectorWrapper):
     """Score each episode of a vector environment once, when it ends.
 
-    Adds to `infos` at the step that ends an episode, in every autoreset mode: `score`, an array of `gauge_envs.Score`
-    of shape [num_envs], None for a world whose episode did not end; and its mask `_score`. Scores that sub-environments
-    of `gymnasium.make` have already added are kept.
+    At the step that ends an episode, in every autoreset mode, it adds to `infos`: `score`, an array of
+    `gauge_envs.Score` of shape [num_envs], None for a world whose episode did not end; and the mask `_score`. It keeps
+    scores from sub-environments of `gymnasium.make`.
 
     Args:
         env: A `GaugeVectorEnv`, or Gymnasium's `SyncVectorEnv` or `AsyncVectorEnv` of environments of this suite.
-        arrays: Whether to add, in place of `score`, the arrays of `GaugeVectorEnv.score_arrays` with
-            their masks, at the step that ends the last episode. Thousands of worlds are then scored in one pass.
+        arrays: Whether to add the arrays of `GaugeVectorEnv.score_arrays` with their masks in place of `score`, at the
+            step that ends the last episode. This scores thousands of worlds in one pass.
 
     Example:
         >>> import gymnasium as gym
@@ -366,7 +359,7 @@ class ScoreEpisodes(VectorWrapper):
     ) -> tuple[Any, dict[str, Any]]:
         """Start new episodes."""
         self._over[:] = False
-        # Gymnasium's vector environments take one seed for each world too; the annotation of their base class does not.
+        # Gymnasium's vector environments accept a list of seeds; the annotation of their base class does not.
         return self.env.reset(seed=cast("int | None", seed), options=options)
 
     def step(self, actions: Any) -> Step:
@@ -384,14 +377,16 @@ class ScoreEpisodes(VectorWrapper):
                     f"_{key}": np.isfinite(values) for key, values in scores.items()
                 }
         elif ended and "score" not in infos:
-            found = self._ended(infos)
+            episode_scores = self._ended(infos)
             for number in ended:
-                if found[number] is not None:
-                    infos = self._add_info(infos, {"score": found[number]}, number)
+                if episode_scores[number] is not None:
+                    infos = self._add_info(
+                        infos, {"score": episode_scores[number]}, number
+                    )
         return observations, rewards, terminations, truncations, infos
 
     def _ended(self, infos: Mapping[str, Any]) -> Sequence[Any]:
-        """Return what `GaugeEnv.score` returns, for each world."""
+        """Return the score of each world, see `GaugeEnv.score`."""
         env = self.env.unwrapped
         if isinstance(env, GaugeVectorEnv):
             return env.scores()
@@ -402,8 +397,8 @@ class ScoreEpisodes(VectorWrapper):
         last = env.get_attr("experiment")[0].frame_count - 1
         if "score" not in final and ("diverged" in final or last in final["frame"]):
             raise EpisodeError(
-                "the sub-environments restart in the step that ends an episode, so its score is lost. Make them with "
-                "gymnasium.make, which scores each, or choose another autoreset mode."
+                "the sub-environments restart in the step that ends an episode, which loses its score. Make them with "
+                "gymnasium.make, which scores each episode, or choose another autoreset mode."
             )
         none: list[None] = [None] * self.num_envs
         return cast("Sequence[Any]", final.get("score", none))
@@ -419,16 +414,16 @@ def scored_vector_env(
     """Return a `GaugeVectorEnv` that is scored; `gymnasium.make_vec` calls this for every id.
 
     Args:
-        score: Whether to score each episode; training needs rewards alone.
+        score: Whether to score each episode; training needs only rewards.
         score_arrays: Argument `arrays` of `ScoreEpisodes`.
-        max_episode_steps: Steps of an episode, as `gymnasium.make_vec` repeats them from the spec.
+        max_episode_steps: Steps of an episode; `gymnasium.make_vec` passes those of the spec.
         **arguments: Arguments of `GaugeVectorEnv`.
 
     Raises:
-        ParameterError: Other `max_episode_steps` than those of the experiment, or arrays of scores without a reference.
+        ParameterError: `max_episode_steps` differs from the experiment, or arrays of scores lack a reference.
 
     Warns:
-        NoRewardWarning: The experiment has no reference in use, so that every reward is 0; once for each id.
+        NoRewardWarning: Rewards or scores are missing; once for each id.
     """
     envs = GaugeVectorEnv(**arguments)
     if score_arrays and envs.band is None:

@@ -1,4 +1,4 @@
-"""The wrapper that scores episodes, which `gymnasium.make` applies to every id, innermost; and one that logs scores."""
+"""Wrappers that score episodes and log scores; `gymnasium.make` applies the first one to every id, innermost."""
 
 from __future__ import annotations
 
@@ -13,31 +13,12 @@ if TYPE_CHECKING:
     from gauge_envs.scoring.score import Score
 
 
-class EndWrapper(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
-    """Add entries to `info` at the last step of an episode."""
-
-    def __init__(self, env: gymnasium.Env) -> None:
-        gymnasium.utils.RecordConstructorArgs.__init__(self)
-        gymnasium.Wrapper.__init__(self, env)
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step, and add the entries if the episode ends."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        if terminated or truncated:
-            self._add(info)
-        return observation, reward, terminated, truncated, info
-
-    def _add(self, info: dict[str, Any]) -> None:
-        """Add the entries of the episode that has ended."""
-        raise NotImplementedError
-
-
-class ScoreEpisode(EndWrapper):
+class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
     """Score each episode when it ends.
 
-    Adds to `info` at the last step: `score`, a `gauge_envs.Score`. If the simulation diverged, the score has a kind
-    and no number, and `info["diverged"]` gives the reason. An episode that another wrapper cuts short has no score.
-    Other wrappers may come before or after this one.
+    It adds to `info` at the last step: `score`, a `gauge_envs.Score`. If the simulation diverged, the score has no
+    numbers, and `info["diverged"]` gives the reason. If another wrapper cuts an episode short, it has no score. Other
+    wrappers may come before or after this one.
 
     Example:
         >>> import gymnasium as gym, gauge_envs
@@ -51,12 +32,20 @@ class ScoreEpisode(EndWrapper):
         14.1
     """
 
-    def _add(self, info: dict[str, Any]) -> None:
+    def __init__(self, env: gymnasium.Env) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        gymnasium.Wrapper.__init__(self, env)
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step, and score the episode if it ends."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
         env = self.unwrapped
         assert isinstance(env, GaugeEnv)
-        score = env.score()
-        if score is not None:
-            info["score"] = score
+        if terminated or truncated:
+            score = env.score()
+            if score is not None:
+                info["score"] = score
+        return observation, reward, terminated, truncated, info
 
 
 LOGGED = (
@@ -68,18 +57,18 @@ LOGGED = (
     "over_uncertainty",
     "marker_rmse_mm",
 )
-"""Fields of a score that `LogScore` sends."""
+"""Fields of a score that `LogScore` sends, if they are known."""
 
 
 class LogScore(gymnasium.Wrapper):
-    """Send the score of each episode to TensorBoard or to Weights & Biases, as `score/rmse` and the like.
+    """Send the score of each episode to TensorBoard or Weights & Biases, as `score/rmse` and further fields.
 
-    With Stable-Baselines3 or CleanRL it goes around each environment; the step is that of the environment. Fields that
-    an id does not have are left out.
+    With Stable-Baselines3 or CleanRL, wrap each environment; the step is the step of the environment. Fields without a
+    value are left out.
 
     Args:
-        env: Scored environment, within other wrappers or not.
-        logger: A `SummaryWriter` of TensorBoard, or `wandb.log` and functions like it: values by name, and `step`.
+        env: Scored environment, with or without other wrappers.
+        logger: A `SummaryWriter` of TensorBoard; or `wandb.log` or another function of values by name and `step`.
 
     Example:
         >>> import gymnasium as gym, gauge_envs
@@ -99,7 +88,7 @@ class LogScore(gymnasium.Wrapper):
         self._logger = logger
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step, and send the score if the episode ends with one."""
+        """Step, and send the score at the end of an episode."""
         outcome = self.env.step(action)
         self.step_count += 1
         score = outcome[4].get("score")
@@ -116,7 +105,7 @@ class LogScore(gymnasium.Wrapper):
 
 
 def _logged(score: Score) -> dict[str, float]:
-    """Return what is known of the fields in `LOGGED`, by name."""
+    """Return the known fields in `LOGGED`, by name."""
     values = {name: getattr(score, name) for name in LOGGED}
     return {
         f"score/{name}": value for name, value in values.items() if value is not None
@@ -126,16 +115,16 @@ def _logged(score: Score) -> dict[str, float]:
 def scored_env(*, score: bool = True, **arguments: Any) -> ScoreEpisode | GaugeEnv:
     """Return a `GaugeEnv` that is scored; `gymnasium.make` calls this for every id.
 
-    The wrapper is not part of the registration, because `make_vec` refuses an id that has both wrappers and a vector
-    environment of its own.
+    The wrapper is not part of the registration, because `make_vec` rejects an id with both wrappers and its own vector
+    environment.
 
     Args:
-        score: Whether to score each episode. A score of a short episode may take longer than its steps, and training
-            needs rewards alone.
+        score: Whether to score each episode. The score of a short episode may take longer than its steps, and training
+            needs only rewards.
         **arguments: Arguments of `GaugeEnv`.
 
     Warns:
-        NoRewardWarning: The experiment has no reference in use, so that every reward is 0; once for each id.
+        NoRewardWarning: Rewards or scores are missing; once for each id.
     """
     env = GaugeEnv(**arguments)
     warn_without_reward(env.experiment, env.band)

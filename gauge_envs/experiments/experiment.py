@@ -1,4 +1,4 @@
-"""One experiment: its scene, and how it is observed and scored."""
+"""One experiment: its scene, its observation and its score."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,17 +20,17 @@ class AssetKind(StrEnum):
     USD = "usd"
     """A USD layer, for any engine."""
     MODEL = "model"
-    """A model file in the format of one engine, for that engine alone."""
+    """A model file in the format of one engine, only for that engine."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Asset:
-    """File that states a scene.
+    """File with a scene.
 
     Attributes:
-        path: Path as it was given.
+        path: Path as given.
         kind: Kind of file.
-        sha256: Hash of the file, and of the files that it refers to.
+        sha256: Hash of the file and of the files to which it refers.
         edited: Whether its physics differ from the calibrated variant.
         changes: Differences, one line each, as `contact cube/board: friction 0.273673 -> 0.136837`.
     """
@@ -54,7 +54,7 @@ class Asset:
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """One experiment: its scene, and how it is observed and scored.
+    """One experiment: its scene, its observation and its score.
 
     Attributes:
         variant: Family, subtask and material.
@@ -64,11 +64,11 @@ class Experiment:
         frame_count: Frames of an episode, the first included.
         parameters: Name of the parameter set, or `custom`.
         overrides: Differences from the calibrated constants, keyed `body.constant`.
-        drivers: `imported` if any driven motion is that of imported trials.
-        reference_source: `imported` if scores refer to the imported trials.
+        drivers: `imported` if any driven motion is from imported trials.
+        reference_source: `imported` if imported trials are the reference.
         file_sha256: Hash of the task file.
-        asset: File that states the scene; None if the task file states it.
-        trial: Single-shot trial whose measured start the scene has, and which scores it; None without such trials.
+        asset: File with the scene; None if the scene is from the task file.
+        trial: Single-trial recording that gives the initial state and the reference; None without such recordings.
     """
 
     variant: Variant
@@ -118,7 +118,7 @@ class Experiment:
 
     @property
     def baselines(self) -> Mapping[str, Baseline]:
-        """Published scores by metric: those of real trials, and of three engines over them."""
+        """Published scores of real trials and of three engines, by metric."""
         return published_baselines(self.name)
 
     @property
@@ -130,20 +130,20 @@ class Experiment:
 
     @property
     def materials(self) -> Mapping[str, str]:
-        """Material of bodies by name, as `wood`, for pictures: that of the body, else that of the variant.
+        """Material of bodies by name, as `wood`, for pictures: of the body, else of the variant.
 
-        A scene has no materials: an engine sees their constants alone.
+        A scene has no materials, because an engine needs only their constants.
         """
-        found = {}
+        materials = {}
         for body in (*self.scene.bodies, *self.scene.deformables):
-            stated = self.spec.owner(body.name)
-            if stated is not None:
-                found[body.name] = stated.material or self.variant.material
-        return found
+            table = self.spec.owner(body.name)
+            if table is not None:
+                materials[body.name] = table.material or self.variant.material
+        return materials
 
     @property
     def edited(self) -> bool:
-        """Whether the scene is that of an asset which differs from the calibrated scene."""
+        """Whether the scene comes from an asset and differs from the calibrated scene."""
         return self.asset is not None and self.asset.edited
 
     @property

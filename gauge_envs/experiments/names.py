@@ -1,16 +1,16 @@
-"""Names of an experiment, and where it is from."""
+"""Names and origin of an experiment."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 
 
 class Collection(StrEnum):
-    """Where an experiment is from."""
+    """Origin of an experiment."""
 
     GAUGE = "gauge"
     """The GAUGE benchmark."""
     BEYOND = "beyond"
-    """Real measurements of other authors; no count and no average of the benchmark contains them."""
+    """Real measurements of other authors; counts and averages of the benchmark exclude them."""
 
 
 @dataclass(frozen=True, order=True)

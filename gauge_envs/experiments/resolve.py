@@ -1,4 +1,4 @@
-"""Load an experiment: a variant with the scene of its task file, or with that of an asset."""
+"""Load an experiment: a variant with the scene of its task file or of an asset."""
 
 from dataclasses import replace
 from os import PathLike
@@ -31,7 +31,7 @@ def load_experiment(
     reference: DataSource | str = DataSource.BUNDLED,
     asset: str | PathLike[str] | None = None,
 ) -> Experiment:
-    """Load one variant with the scene of its task file, or of an asset.
+    """Load one variant with the scene of its task file or of an asset.
 
     Args:
         variant: Variant, its name, its Gymnasium id, or the path of a task file with one variant, as `crate.toml`.
@@ -40,18 +40,18 @@ def load_experiment(
             scene with cloth, `air.density_kg_per_m3` and the other fields of `scene.Air` add air.
         drivers: `bundled` takes driven motion from the task file, `imported` from the imported trials. With `action`
             driven bodies rest until actions move them, at most as fast as the bundled motion and its actions do.
-        reference: `bundled` scores against the stated band, `imported` against the imported trials.
-        asset: USD layer for any engine, or model file of one engine, as MJCF for MuJoCo. It states the scene with its
-            constants and driven motion; what is observed, and what it is scored against, stay those of the variant.
+        reference: `bundled` scores against the reference of the package, `imported` against the imported trials.
+        asset: USD layer for any engine, or model file of one engine, as MJCF for MuJoCo. It has the scene with its
+            constants and driven motion; observation and reference stay those of the variant.
 
     Returns:
-        The experiment. Its `drivers` are `imported` only where the imported trials show a driven body. One with
-        single-shot trials starts as trial 0, unless overrides state a start.
+        The experiment. Its `drivers` are `imported` only if the imported trials show a driven body. With single-trial
+        recordings it starts as trial 0, unless overrides set an initial state.
 
     Raises:
         UnknownNameError: There is no such variant.
-        ParameterError: There is no such parameter set, body, constant or data source, a value is out of range, or
-            `imported` is given and no trials of the variant were imported.
+        ParameterError: There is no such parameter set, body, constant or data source, or a value is out of range. Or
+            `imported` is given without imported trials of the variant.
         TaskFileError: The task file is wrong.
         AssetError: The asset cannot be read, or does not fit the variant.
         ReferenceFileError: The imported trials are damaged.
@@ -82,13 +82,13 @@ def load_experiment(
         reference_source=_data_source(variant, "reference", reference),
         file_sha256=task_sha256(variant.family),
     )
-    states_start = any(
+    overrides_start = any(
         key.rpartition(".")[2] in Placement.model_fields for key in overrides
     )
-    if single_shots(variant.name) is not None and not states_start:
+    if single_shots(variant.name) is not None and not overrides_start:
         experiment = with_trial(experiment, 0)
     if asset is not None:
-        _check_stated(Path(asset), parameters, drivers)
+        _check_arguments_of_asset(Path(asset), parameters, drivers)
         return with_asset(experiment, Path(asset))
     return _driven(experiment, _data_source(variant, "drivers", drivers))
 
@@ -96,7 +96,7 @@ def load_experiment(
 def _built(
     variant: Variant, label: str, overrides: dict[str, Any]
 ) -> tuple[Scene, dict[str, Any]]:
-    """Return the scene of a variant with overrides, and those that it reads."""
+    """Return the scene of a variant with overrides, and the overrides that it uses."""
     try:
         builder = SceneBuilder(task_spec(variant.family), variant, overrides)
         scene = builder.build()
@@ -106,7 +106,7 @@ def _built(
         if overrides and isinstance(error, ParameterError):
             raise ParameterError(f"{variant.name}: {error}") from error
         raise TaskFileError(task_path(variant.family), None, str(error)) from error
-    # A set of the file may state a constant that only some subtasks read.
+    # A parameter set of the file may have a constant that only some subtasks use.
     return scene, {
         key: value
         for key, value in overrides.items()
@@ -120,21 +120,21 @@ def load_experiment_from_asset(
     *,
     reference: DataSource | str = DataSource.BUNDLED,
 ) -> Experiment:
-    """Load one variant with the scene of a file, see `load_experiment`."""
+    """Load one variant with the scene of a file; see `load_experiment`."""
     return load_experiment(variant, reference=reference, asset=asset)
 
 
-def _check_stated(
+def _check_arguments_of_asset(
     asset: Path, parameters: Parameters, drivers: DataSource | str
 ) -> None:
-    """Raise an error for arguments about content that an asset states."""
+    """Raise an error for arguments that contradict the content of an asset."""
     if parameters and parameters != "calibrated":
         raise ParameterError(
-            f"parameters {parameters!r} with {asset.name}: the file states the constants; edit them there"
+            f"parameters {parameters!r} with {asset.name}: the file has the constants; edit them there"
         )
     if drivers != DataSource.BUNDLED:
         raise ParameterError(
-            f"drivers {str(drivers)!r} with {asset.name}: the file states the motion of driven bodies"
+            f"drivers {str(drivers)!r} with {asset.name}: the file has the motion of driven bodies; edit it there"
         )
 
 
@@ -146,7 +146,7 @@ def _data_source(variant: Variant, name: str, value: DataSource | str) -> DataSo
     source = chosen(DataSource, value, name)
     if source is DataSource.IMPORTED and load_imported(variant.name) is None:
         raise ParameterError(
-            f"{variant.name}: {name}='imported', but no trials of it were imported; "
+            f"{variant.name}: {name}='imported', but it has no imported trials; "
             f"run `gauge data import DIR`, or use {name}='bundled'"
         )
     return source
@@ -156,7 +156,7 @@ def _data_source(variant: Variant, name: str, value: DataSource | str) -> DataSo
 
 
 def _driven(experiment: Experiment, source: DataSource) -> Experiment:
-    """Return an experiment whose driven bodies move as a source states."""
+    """Return an experiment with the driven motion of a source."""
     scene = experiment.scene
     if source is DataSource.BUNDLED or not scene.drivers:
         return experiment
@@ -172,8 +172,8 @@ def _driven(experiment: Experiment, source: DataSource) -> Experiment:
 def moved_by_actions(scene: Scene) -> Scene:
     """Return a scene whose driven bodies rest until actions move them.
 
-    An action of 1 is the largest rate of the recorded motion and its actions together, so that every recorded motion
-    is a sequence of actions.
+    An action of 1 is the largest rate of the recorded motion plus that of its actions. So every recorded motion is a
+    sequence of actions.
     """
     drivers = []
     for driver in scene.drivers:
@@ -185,27 +185,27 @@ def moved_by_actions(scene: Scene) -> Scene:
     return replace(scene, drivers=tuple(drivers))
 
 
-# --- single-shot trials ----------------------------------------------------------------------------------------------
+# --- single-trial recordings -----------------------------------------------------------------------------------------
 
 
 def shots_of(experiment: Experiment) -> SingleShots | None:
-    """Return the single-shot trials that an experiment starts from, or None.
+    """Return the single-trial recordings from which an experiment starts, or None.
 
-    An experiment whose start was replaced, by an override or by a file, has none.
+    An experiment has none if an override or a file replaced its initial state.
     """
     return None if experiment.trial is None else single_shots(experiment.name)
 
 
 def with_trial(experiment: Experiment, trial: int) -> Experiment:
-    """Return an experiment with the measured start of a single-shot trial.
+    """Return an experiment with the measured initial state of a single-trial recording.
 
     Args:
-        experiment: An experiment with single-shot trials.
+        experiment: An experiment with single-trial recordings.
         trial: Number of the trial, from 0.
     """
     shots = single_shots(experiment.name)
     if shots is None:
-        raise ParameterError(f"{experiment.id} has no single-shot trials")
+        raise ParameterError(f"{experiment.id} has no single-trial recordings")
     shot = shots.shot(trial)
     w, x, y, z = shot.quaternions[0].tolist()
     scene = experiment.scene

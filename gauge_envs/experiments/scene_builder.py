@@ -1,4 +1,4 @@
-"""Build the scene of one variant from its task file, with overrides of constants and starts."""
+"""Build the scene of one variant from its task file, with overrides of constants and initial states."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -46,15 +46,15 @@ from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 AIR = "air"
-"""Name under which overrides state the air of a scene, as `air.density_kg_per_m3`."""
+"""Prefix of overrides of the air of a scene, as `air.density_kg_per_m3`."""
 
 GRAVITY = "scene.gravity_m_per_s2"
-"""Override of the gravity of a scene [m/s^2]."""
+"""Key of the override of gravity [m/s^2]."""
 
 GRAVITY_TYPE = TypeAdapter(Annotated[float, Field(gt=0.0, allow_inf_nan=False)])
 
 OF_NO_FABRIC = ("friction", "restitution", "density_kg_per_m3")
-"""Constants of a deformable body that contacts read, or that follow from others."""
+"""Constants of a deformable body that contacts use, or that follow from others."""
 
 Parameters = str | Mapping[str, Any]
 """`calibrated`, another parameter set of the task file, or overrides such as `{"cube.friction": 0.3}`."""
@@ -63,7 +63,7 @@ Parameters = str | Mapping[str, Any]
 def parameter_overrides(
     spec: TaskSpec, variant: Variant, parameters: Parameters
 ) -> tuple[str, dict[str, Any]]:
-    """Return the name of the parameters, `custom` for overrides, and the overrides that they are."""
+    """Return the name of the parameters, `custom` for overrides, and their overrides."""
     if isinstance(parameters, Mapping):
         return ("custom" if parameters else "calibrated"), dict(parameters)
     if not isinstance(parameters, str):
@@ -89,9 +89,9 @@ class SceneBuilder:
     """Builder of the scene of one variant.
 
     Attributes:
-        placements: Start of each body, by its name in the task file.
+        placements: Placement of each body, by its name in the task file.
         constants: Constants of each body, by its name in the task file.
-        read: Keys `body.constant` of the constants that the motion depends on; complete after `build`.
+        read: Keys `body.constant` of the constants on which the motion depends; complete after `build`.
 
     Args:
         spec: Content of the task file.
@@ -99,8 +99,8 @@ class SceneBuilder:
         overrides: Values that replace those of the file, keyed `body.constant`.
 
     Raises:
-        ParameterError: An override names nothing of the scene, or its value is out of range.
-        ValueError: The file lacks a start or a material.
+        ParameterError: The key of an override is unknown, or its value is out of range.
+        ValueError: The file lacks a placement or a material.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class SceneBuilder:
             if name not in self.placements:
                 raise ValueError(f"initial: no start of {name!r} for {variant.name}")
         self.constants = {
-            name: self._stated_constants(name)
+            name: self._material_constants(name)
             for name, table in self._bodies.items()
             if name in spec.constants or not _is_plane(table)
         }
@@ -130,7 +130,7 @@ class SceneBuilder:
             except ParameterError as error:
                 raise ParameterError(f"override {key!r} {error}") from error
 
-    def _stated_constants(self, name: str) -> dict[str, float | None]:
+    def _material_constants(self, name: str) -> dict[str, float | None]:
         material = self._bodies[name].material or self.variant.material
         if material not in self.spec.constants.get(name, {}):
             raise ValueError(f"constants.{name}: no material {material!r}")
@@ -145,7 +145,7 @@ class SceneBuilder:
     # --- overrides ---------------------------------------------------------------------------------------------------
 
     def _override(self, key: str, value: Any) -> None:
-        """Replace one value; raise an error that continues "override KEY"."""
+        """Replace one value; the message of an error continues "override KEY"."""
         name, _, constant = key.rpartition(".")
         if value is None:
             raise ParameterError("is None: expected numbers")
@@ -189,20 +189,21 @@ class SceneBuilder:
         self._air[constant] = value
 
     def is_constant(self, key: str) -> bool:
-        """Return whether the key of an override is that of a constant of a body."""
+        """Return whether the key of an override is a constant of a body."""
         name, _, constant = key.rpartition(".")
         return constant in self.constants.get(name, {})
 
     def check_read(self, overrides: Mapping[str, Any]) -> None:
-        """Raise an error for an override of a constant that no motion depends on; it lists those that do."""
+        """Raise an error for an override of a constant without effect; it lists constants with an effect."""
         for key in overrides:
             if not self.is_constant(key) or key in self.read:
                 continue
             name, _, constant = key.rpartition(".")
             near = [
-                one
-                for one in sorted(self.read)
-                if one.startswith(f"{name}.") or one.endswith(f".{constant}")
+                other_key
+                for other_key in sorted(self.read)
+                if other_key.startswith(f"{name}.")
+                or other_key.endswith(f".{constant}")
             ]
             raise ParameterError(
                 f"override {key!r} would change nothing: no motion depends on it. "
@@ -210,7 +211,7 @@ class SceneBuilder:
             )
 
     def _read(self, name: str, constant: str) -> float | None:
-        """Return a constant, or None, and note that the motion depends on it."""
+        """Return a constant, or None, and add it to `read`."""
         constants = self.constants.get(name, {})
         if constant in constants:
             self.read.add(f"{name}.{constant}")
@@ -222,7 +223,7 @@ class SceneBuilder:
         """Return the scene.
 
         Raises:
-            ValueError: The tables do not fit one another.
+            ValueError: The tables contradict one another.
         """
         spec, variant = self.spec, self.variant
         bodies = tuple(
@@ -236,12 +237,12 @@ class SceneBuilder:
             for name, table in self._bodies.items()
             if not isinstance(table, BodySpec)
         )
-        found = {body.name: body for body in bodies}
-        kinematic = [one.name for one in bodies if one.motion is Motion.KINEMATIC]
-        for stated in spec.drivers_of(variant):
-            if stated.body not in kinematic:
-                raise ValueError(f"drivers: {stated.body!r} is not kinematic")
-        names = [*found, *(body.name for body in deformables)]
+        bodies_by_name = {body.name: body for body in bodies}
+        kinematic = [body.name for body in bodies if body.motion is Motion.KINEMATIC]
+        for driver in spec.drivers_of(variant):
+            if driver.body not in kinematic:
+                raise ValueError(f"drivers: {driver.body!r} is not kinematic")
+        names = [*bodies_by_name, *(body.name for body in deformables)]
         return Scene(
             bodies=bodies,
             deformables=deformables,
@@ -255,8 +256,8 @@ class SceneBuilder:
                 self._contact(contact, names) for contact in spec.contacts_of(variant)
             ),
             drivers=tuple(
-                stated.build(found[stated.body].pose, variant.material)
-                for stated in spec.drivers_of(variant)
+                driver.build(bodies_by_name[driver.body].pose, variant.material)
+                for driver in spec.drivers_of(variant)
             ),
             markers=self._markers(),
             duration_s=(spec.frame_count(variant) - 1) / FRAME_RATE_HZ,
@@ -289,7 +290,7 @@ class SceneBuilder:
             )
 
     def _velocities(self, name: str, pose: Pose) -> tuple[Vector, Vector]:
-        """Return the start velocities of a body in the world frame [m/s, rad/s]."""
+        """Return the initial velocities of a body in the world frame [m/s, rad/s]."""
         placement, rest = self.placements[name], (0.0, 0.0, 0.0)
         linear = placement.velocity_m_per_s
         if placement.angular_velocity_deg_per_s is None:
@@ -316,7 +317,7 @@ class SceneBuilder:
                 f"{name!r} is deformable and starts at rest: remove its start velocity"
             )
         values: dict[str, Any] = {"name": name, "pose": placement.poses()[0]}
-        # The mass of cloth follows from its size.
+        # The mass of a cloth follows from its size, so it has no effect of its own.
         kept = {"mass_kg"} if isinstance(body, ClothSpec) else set()
         for constant, value in self.constants[name].items():
             if constant in kept:
@@ -348,50 +349,50 @@ class SceneBuilder:
             length_m=placement.length_m,
         )
 
-    def _contact(self, stated: ContactSpec, names: list[str]) -> Contact:
+    def _contact(self, spec: ContactSpec, names: list[str]) -> Contact:
         first, second = (
             tuple(name for name in names if fnmatchcase(name, pattern))
-            for pattern in stated.bodies
+            for pattern in spec.bodies
         )
-        touching = {self.spec.entry(name) for name in (*first, *second)}
+        entries = {self.spec.entry(name) for name in (*first, *second)}
         moves = any(
             not isinstance(body := self._bodies[name], BodySpec)
             or body.motion is Motion.DYNAMIC
-            for name in touching
+            for name in entries
         )
-        counts = bool(first and second) and moves
+        is_effective = bool(first and second) and moves
         return Contact(
             first=first,
             second=second,
-            friction=self._contact_constant(stated, "friction", counts),
-            restitution=self._contact_constant(stated, "restitution", counts),
-            mode=stated.mode,
+            friction=self._contact_constant(spec, "friction", is_effective),
+            restitution=self._contact_constant(spec, "restitution", is_effective),
+            mode=spec.mode,
         )
 
     def _contact_constant(
-        self, stated: ContactSpec, constant: str, counts: bool
+        self, spec: ContactSpec, constant: str, is_effective: bool
     ) -> float:
-        """Return friction or restitution of a contact: its own, else that of the body that it names."""
-        number: float | None = getattr(stated, constant)
+        """Return friction or restitution of a contact: of the contact itself, else of the body in `constants_of`."""
+        number: float | None = getattr(spec, constant)
         if number is not None:
             return number
-        owner = str(stated.constants_of)
+        owner = str(spec.constants_of)
         number = self.constants.get(owner, {}).get(constant)
         if number is None:
             raise ValueError(f"contacts: {owner!r} has no {constant}")
-        if counts:
+        if is_effective:
             self.read.add(f"{owner}.{constant}")
         return number
 
     def _markers(self) -> Markers | None:
-        stated = self.spec.markers
-        if stated is None:
+        markers = self.spec.markers
+        if markers is None:
             return None
-        carriers = tuple(name for name in stated.bodies if name in self._bodies)
-        return replace(stated, bodies=carriers)
+        carriers = tuple(name for name in markers.bodies if name in self._bodies)
+        return replace(markers, bodies=carriers)
 
     def _scene_air(self) -> Air | None:
-        """Return the air that the overrides state; None without such overrides."""
+        """Return the air of the overrides; None without overrides of air."""
         if not self._air:
             return None
         try:
@@ -406,7 +407,7 @@ def _is_plane(body: AnyBody) -> bool:
 
 
 def _json(value: Any) -> str:
-    """Return JSON of an override, of which pydantic reads lists as tuples, and no text as a number."""
+    """Return an override as JSON, so that pydantic reads lists as tuples and rejects texts as numbers."""
     return json.dumps(value, default=_plain)
 
 

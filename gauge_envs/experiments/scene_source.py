@@ -1,7 +1,7 @@
-"""Take the scene of a variant from an asset: a USD layer, or a model file of an engine.
+"""Take the scene of a variant from an asset: a USD layer or a model file of an engine.
 
-The file states bodies, constants and driven motion. Observation, duration and reference stay those of the variant. The
-file must fit the variant: it has the recorded bodies, which move under forces, and the bodies that carry markers.
+The file has bodies, constants and driven motion. Observation, duration and reference stay those of the variant. The
+file must have the recorded bodies, which move under forces, and the bodies with markers.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ def with_asset(experiment: Experiment, path: Path) -> Experiment:
         raise AssetError(
             path,
             "",
-            f"suffix {path.suffix!r} is neither that of a scene file ({known}) nor an engine's",
+            f"suffix {path.suffix!r} is neither a scene file ({known}) nor a model file ({MODEL_SUFFIX})",
         )
-    # One file has its own hash; a stage of several has that of their hashes.
+    # A stage of several files has the hash of their hashes.
     digest = digests[0]
     if len(digests) > 1:
         digest = hashlib.sha256(b"".join(digests)).digest()
-    found = replace(
+    candidate = replace(
         experiment,
         scene=scene,
         asset=Asset(
@@ -64,9 +64,9 @@ def with_asset(experiment: Experiment, path: Path) -> Experiment:
             changes=changes,
         ),
     )
-    for place, reason in _misfits(found, experiment):
+    for place, reason in _misfits(candidate, experiment):
         raise AssetError(path, place, reason)
-    return found
+    return candidate
 
 
 def _digest(path: Path) -> bytes:
@@ -75,48 +75,49 @@ def _digest(path: Path) -> bytes:
 
 
 def _scene_of_file(experiment: Experiment, path: Path) -> Any:
-    """Return what a USD layer states; raise an error if it is of another variant."""
+    """Return the content of a USD layer; raise an error if it belongs to another variant."""
     duration_s = experiment.scene.duration_s
-    found = scene_files(path.suffix).read_scene(path, duration_s=duration_s)
-    of, name = found.metadata.get("variant", experiment.name), experiment.name
-    if of != name:
-        reason = f"it is the scene of {of}, not of {name}; to use it anyway, delete 'variant' there"
+    layer = scene_files(path.suffix).read_scene(path, duration_s=duration_s)
+    name = experiment.name
+    origin = layer.metadata.get("variant", name)
+    if origin != name:
+        reason = f"it is the scene of {origin}, not of {name}; to use it anyway, delete 'variant' there"
         raise AssetError(path, "customLayerData", reason)
-    if not math.isclose(found.scene.duration_s, duration_s, rel_tol=1e-9):
-        reason = f"it lasts {found.scene.duration_s:.10g} s, but an episode of {name} lasts {duration_s:.10g} s"
+    if not math.isclose(layer.scene.duration_s, duration_s, rel_tol=1e-9):
+        reason = f"it lasts {layer.scene.duration_s:.10g} s, but an episode of {name} lasts {duration_s:.10g} s"
         raise AssetError(path, "gauge:duration_s", reason)
-    return found
+    return layer
 
 
-def _misfits(found: Experiment, wanted: Experiment) -> Iterator[tuple[str, str]]:
-    """Yield place and reason of what the scene of an asset lacks of that which an experiment observes."""
-    scene, name = found.scene, found.name
+def _misfits(candidate: Experiment, wanted: Experiment) -> Iterator[tuple[str, str]]:
+    """Yield place and reason of everything observed that the scene of an asset lacks."""
+    scene, name = candidate.scene, candidate.name
     bodies = {body.name: body for body in scene.bodies}
-    for body in found.recorded:
+    for body in candidate.recorded:
         if body not in bodies:
             yield (
                 body,
-                f"no body of that name, which {name} records; it has: {first_names([*bodies])}",
+                f"{name} records this body, but the file has only: {first_names([*bodies])}",
             )
         if bodies[body].motion is not Motion.DYNAMIC:
             yield (
                 body,
-                f"{name} records it, so it must move under forces: {bodies[body].motion}",
+                f"{name} records it, so it must be dynamic, but it is {bodies[body].motion}",
             )
-    if not found.recorded and scene.markers is None:
-        yield "", f"no markers, which {name} records"
+    if not candidate.recorded and scene.markers is None:
+        yield "", f"{name} records markers, but the file has none"
     for body in scene.markers.bodies if scene.markers is not None else ():
         if body in bodies:
             yield (
                 body,
-                "it is rigid, and markers are read off the nodes of deformable bodies",
+                "it is rigid, but markers need the nodes of a deformable body",
             )
-    counts = len(found.coordinates), len(wanted.coordinates)
+    counts = len(candidate.coordinates), len(wanted.coordinates)
     if counts[0] != counts[1]:
-        yield "markers", f"{counts[0]} coordinates, {name} has {counts[1]}"
-    events = [metric for metric in found.score.metrics if metric in EVENT_METRICS]
-    if events and found.recorded[0] not in scene.hinges:
+        yield "markers", f"it has {counts[0]} coordinates, but {name} has {counts[1]}"
+    events = [metric for metric in candidate.score.metrics if metric in EVENT_METRICS]
+    if events and candidate.recorded[0] not in scene.hinges:
         yield (
-            found.recorded[0],
-            f"no hinge, which {', '.join(events)} are measured from",
+            candidate.recorded[0],
+            f"it has no hinge, but {', '.join(events)} need one",
         )

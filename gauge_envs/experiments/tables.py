@@ -1,4 +1,4 @@
-"""Tables of shapes and drivers. A shape and a profile are read as the scene's own classes."""
+"""Tables of shapes and drivers in task files. Shapes and profiles become classes of the scene."""
 
 from __future__ import annotations
 
@@ -61,9 +61,9 @@ class PlateWithHoleSpec(FileModel):
     hole_segments: Annotated[int, Field(ge=8, le=1000, multiple_of=4)]
 
     def build(self) -> ConvexUnion:
-        """Return the pieces between the plate's outline and the polygon of the hole, which circumscribes the circle."""
+        """Return the pieces between the outline of the plate and the polygon around the circular hole."""
         half_x, half_y, half_z = (0.5 * edge for edge in self.size_m)
-        # Angles of the polygon and of the plate's four corners, so that each piece is convex.
+        # With the angles of the polygon and of the four corners, each piece is convex.
         corner = float(np.arctan2(half_y, half_x))
         corners = [corner, np.pi - corner, np.pi + corner, 2 * np.pi - corner]
         angles = np.concatenate(
@@ -109,13 +109,13 @@ ShapeTable = Annotated[
     | Annotated[ConvexUnion, GetPydanticSchema(_plate_schema)],
     Field(discriminator="kind"),
 ]
-"""Table of a shape, read as the shape itself."""
+"""Table of a shape, which becomes the shape."""
 
 
 ProfileTable = Annotated[
     TrapezoidProfile | CosineProfile | SampledProfile, Field(discriminator="kind")
 ]
-"""Table of a profile, read as the profile itself, in m or rad."""
+"""Table of a profile, which becomes the profile, in m or rad."""
 
 
 class MotionSpec(FileModel):
@@ -124,9 +124,9 @@ class MotionSpec(FileModel):
     Attributes:
         kind: Translation or rotation.
         axis: Unit vector in the world.
-        point_in_body_m: Point of the rotation axis in the body's start frame.
+        point_in_body_m: Point of the rotation axis in the initial body frame.
         profile: Profiles whose sum is the coordinate over time, see `gauge_envs.scene.profiles`. In place of `amount`
-            and `values`, a file states `amount_m` and `values_m`, or `amount_deg` and `values_deg` of a rotation.
+            and `values`, a file has `amount_m` and `values_m`, or `amount_deg` and `values_deg` of a rotation.
         residual_rate_m_per_s: Rate that an action of 1 adds to a translation.
         residual_rate_deg_per_s: Rate that an action of 1 adds to a rotation.
     """
@@ -141,18 +141,18 @@ class MotionSpec(FileModel):
     @model_validator(mode="before")
     @classmethod
     def _profiles_in_si(cls, table: dict[str, Any]) -> dict[str, Any]:
-        """Return the table with the profiles in m or rad."""
+        """Return the table with profiles in m or rad."""
         is_rotation = table.get("kind") == "rotate"
         unit = "deg" if is_rotation else "m"
         profiles = []
-        for index, stated in enumerate(table.get("profile", ())):
-            name = "values" if stated.get("kind") == "sampled" else "amount"
+        for index, profile in enumerate(table.get("profile", ())):
+            name = "values" if profile.get("kind") == "sampled" else "amount"
             key = f"{name}_{unit}"
-            if key not in stated:
+            if key not in profile:
                 raise ValueError(f"profile.{index}: {key} is missing")
-            value = np.radians(stated[key]).tolist() if is_rotation else stated[key]
-            others = {k: v for k, v in stated.items() if k != key}
-            profiles.append(others | {name: value})
+            value = np.radians(profile[key]).tolist() if is_rotation else profile[key]
+            rest = {k: v for k, v in profile.items() if k != key}
+            profiles.append(rest | {name: value})
         return table | {"profile": profiles}
 
     @model_validator(mode="after")
@@ -164,7 +164,7 @@ class MotionSpec(FileModel):
         return self
 
     def build(self, start: Pose) -> DriverMotion:
-        """Return the motion of a body that starts at a pose."""
+        """Return the motion of a body with an initial pose."""
         rate = self.residual_rate_m_per_s or float(
             np.radians(self.residual_rate_deg_per_s)
         )
@@ -182,7 +182,7 @@ class DriverSpec(FileModel):
 
     Attributes:
         body: Name of the body.
-        provenance: Where the motion is from; by material where materials differ.
+        provenance: Origin of the motion; by material if materials differ.
         note: How it was measured or chosen.
         motions: Motions in the order in which they apply.
     """
@@ -193,7 +193,7 @@ class DriverSpec(FileModel):
     motions: tuple[MotionSpec, ...] = Field(min_length=1)
 
     def build(self, start: Pose, material: str) -> Driver:
-        """Return the driver of a body that starts at a pose, in the variant of a material."""
+        """Return the driver of a body with an initial pose, for a material."""
         origin = self.provenance
         if not isinstance(origin, str):
             if material not in origin:

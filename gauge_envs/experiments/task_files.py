@@ -1,4 +1,4 @@
-"""The task files of families. All that differs between variants is data there, and no Python file has a number."""
+"""The task files of families. They hold all data of variants; Python files have no such numbers."""
 
 import hashlib
 from functools import lru_cache
@@ -12,7 +12,7 @@ from gauge_envs.scene.fabrics import Fabric
 
 @lru_cache(maxsize=64)
 def _spec_and_hash(path: Path, modified_ns: int) -> tuple[TaskSpec, str]:
-    """Return the content and the hash of a file; its time distinguishes versions in the cache."""
+    """Return the content and the hash of a file; the time of the file distinguishes versions in the cache."""
     return read_task(path), hashlib.sha256(path.read_bytes()).hexdigest()
 
 

@@ -22,20 +22,20 @@ from gauge_envs.references.metrics import MetricKey
 from gauge_envs.references.tables import FileModel, UnitVector
 from gauge_envs.scene import Attachment, ContactMode, Markers, Motion, Pose
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector, vector
-from gauge_envs.scene.timing import MOST_FRAMES
+from gauge_envs.scene.timing import MAX_FRAMES
 
 Name = Annotated[str, Field(pattern="^[A-Za-z0-9_]+$")]
-"""Part of an id, and so of the names of files."""
+"""Part of an id and of names of files."""
 
-FrameCounts = dict[str, Annotated[int, Field(ge=2, le=MOST_FRAMES)]]
-"""Frames of an episode by material, or for `all`, the first included."""
+FrameCounts = dict[str, Annotated[int, Field(ge=2, le=MAX_FRAMES)]]
+"""Frames of an episode, the first included, by material or for `all`."""
 
-NOT_STATED = "not stated"
-"""Origin of a number that `[provenance]` does not cover."""
+NO_ORIGIN = "not stated"
+"""Origin of a number without an entry in `[provenance]`."""
 
 
 class Group(StrEnum):
-    """Kind of matter that an experiment is about."""
+    """Kind of matter in an experiment."""
 
     RIGID = "rigid"
     ROPE = "rope"
@@ -55,7 +55,7 @@ PoissonRatio = Annotated[float, AfterValidator(_admissible_poisson)]
 
 
 class BodySpec(FileModel):
-    """A rigid body, or `count` equal ones named `<name>-1`, `<name>-2`, ..."""
+    """A rigid body, or `count` equal bodies with the names `<name>-1`, `<name>-2`, ..."""
 
     shape: ShapeTable
     motion: Motion
@@ -90,7 +90,7 @@ AnyBody = BodySpec | ClothSpec | SoftBodySpec | LineSpec
 
 
 class Substituted(FileModel):
-    """A calibrated constant that no simulation can use, and its substitute."""
+    """A calibrated constant that simulations cannot use, and its substitute."""
 
     calibrated: float
     used: float
@@ -98,10 +98,10 @@ class Substituted(FileModel):
 
 
 class RigidConstants(FileModel):
-    """Calibrated constants of a rigid body; friction and restitution hold for its contact in this experiment.
+    """Calibrated constants of a rigid body; friction and restitution apply to its contact in this experiment.
 
     Attributes:
-        inertia_kg_m2: Moment of inertia about every axis through the centre; without it the density is uniform.
+        inertia_kg_m2: Moment of inertia about every axis through the centre; None is that of uniform density.
     """
 
     mass_kg: Positive
@@ -136,17 +136,17 @@ class SolidConstants(FileModel):
 
 
 class Placement(FileModel):
-    """Start of a body, in one of three forms.
+    """Initial pose and velocities of a body; the position has one of three forms.
 
     Attributes:
         position_m: Position of one body.
         positions_m: Positions of counted bodies.
-        hangs_from_m: Anchor of a body on a string or light rod, whose hanging position `euler_deg` rotates.
+        hangs_from_m: Anchor of a body on a string or light rod; `euler_deg` rotates the hanging body about it.
         length_m: Length of that string or rod.
         euler_deg: Rotations about the fixed x, then y, then z axis.
-        velocity_m_per_s: Start velocity of the body origin in the world frame. That of a hinged body follows from its
+        velocity_m_per_s: Initial velocity of the body origin in the world frame. For a hinged body it follows from the
             angular velocity.
-        angular_velocity_deg_per_s: Start angular velocity in the world frame. Only dynamic rigid bodies have start
+        angular_velocity_deg_per_s: Initial angular velocity in the world frame. Only dynamic rigid bodies have initial
             velocities.
     """
 
@@ -159,7 +159,7 @@ class Placement(FileModel):
     angular_velocity_deg_per_s: Vector | None = None
 
     @model_validator(mode="after")
-    def _one_way(self) -> Placement:
+    def _one_placement(self) -> Placement:
         places = (self.position_m, self.positions_m, self.hangs_from_m)
         if sum(place is not None for place in places) != 1:
             raise ValueError(
@@ -171,16 +171,16 @@ class Placement(FileModel):
 
     def poses(self) -> list[Pose]:
         """Return the world poses of the body or bodies."""
-        turned = Pose.from_euler_deg((0.0, 0.0, 0.0), self.euler_deg)
+        rotated = Pose.from_euler_deg((0.0, 0.0, 0.0), self.euler_deg)
         positions = self.positions_m or (self.position_m,)
         if self.hangs_from_m is not None:
-            string_m = turned.to_world(np.array([0.0, 0.0, -(self.length_m or 0.0)]))
+            string_m = rotated.to_world(np.array([0.0, 0.0, -(self.length_m or 0.0)]))
             positions = (vector(self.hangs_from_m + string_m),)
-        return [replace(turned, position_m=place) for place in positions if place]
+        return [replace(rotated, position_m=place) for place in positions if place]
 
 
 class JointSpec(FileModel):
-    """A hinge or a string to the world at the point that the body hangs from."""
+    """A hinge or a string to the world at the point `hangs_from_m` of the body."""
 
     kind: Literal["hinge", "tether"]
     body: str
@@ -194,7 +194,7 @@ class JointSpec(FileModel):
 
 
 class ContactSpec(FileModel):
-    """Two groups of bodies that collide, and the body whose calibrated constants hold for the pair."""
+    """Two groups of bodies that collide, and the body whose calibrated constants apply to each pair."""
 
     bodies: tuple[str, str]
     constants_of: str | None = None
@@ -223,7 +223,7 @@ def _within_markers(markers: Markers) -> Markers:
 
 
 class ScoreSpec(FileModel):
-    """How the experiment is observed and scored."""
+    """Observation and metrics of an experiment."""
 
     observable: Observable
     metrics: tuple[MetricKey, ...] = ()
@@ -231,14 +231,14 @@ class ScoreSpec(FileModel):
 
 
 class ParameterSetSpec(FileModel):
-    """Named alternative values, keyed `body.constant`; by material where they differ."""
+    """Alternative values by `body.constant`, and by material if materials differ."""
 
     summary: str
     values: dict[str, Any] = Field(min_length=1)
 
 
 class SourceSpec(FileModel):
-    """Sources that the file was transcribed from."""
+    """Sources of a task file."""
 
     metadata: str
     paper: str
@@ -246,7 +246,7 @@ class SourceSpec(FileModel):
 
 
 class SubtaskSpec(FileModel):
-    """Values that a subtask adds to the family, or replaces."""
+    """Values that a subtask adds to its family, or replaces."""
 
     title: str
     frames: FrameCounts
@@ -261,9 +261,9 @@ class TaskSpec(FileModel):
     """One task file; its keys are in this order.
 
     Attributes:
-        collection: `gauge` for an experiment of the benchmark, `beyond` for one of other sources, which lists, counts
-            and averages of the benchmark leave out.
-        revision: Raised by one when a change of this file or its references changes scores.
+        collection: `gauge` for an experiment of the benchmark; `beyond` for one of other sources, which lists, counts
+            and averages of the benchmark exclude.
+        revision: Grows by one when a change of this file or its references changes scores.
     """
 
     family: Name
@@ -297,7 +297,7 @@ class TaskSpec(FileModel):
 
     @model_validator(mode="after")
     def _names_are_defined(self) -> TaskSpec:
-        """Raise an error for the name of a body that no table defines; contacts may name several by a pattern."""
+        """Raise an error for the name of a body without a table; contacts may use patterns of names."""
         known = [
             *self.names,
             *(
@@ -313,7 +313,7 @@ class TaskSpec(FileModel):
             used += [attachment.deformable, attachment.to]
         for contacts in (
             self.contacts,
-            *(one.contacts for one in self.subtasks.values()),
+            *(subtask.contacts for subtask in self.subtasks.values()),
         ):
             for contact in contacts or ():
                 used += contact.bodies
@@ -326,15 +326,15 @@ class TaskSpec(FileModel):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all bodies, rigid and deformable, as the file spells them."""
+        """Names of all rigid and deformable bodies in the file."""
         return tuple(self._tables())
 
     def entry(self, body: str) -> str:
-        """Return the name in the file of a body of the scene; `count` equal bodies share one entry."""
+        """Return the name in the file of a body of the scene; equal bodies by `count` share one entry."""
         return body if body in self.names else body.rpartition("-")[0]
 
     def owner(self, body: str) -> BodySpec | ClothSpec | SoftBodySpec | LineSpec | None:
-        """Return the table that defines a body of the scene; None for a body that the file does not have."""
+        """Return the table of a body of the scene; None for a body that the file does not have."""
         return self._tables().get(self.entry(body))
 
     def _tables(self) -> dict[str, AnyBody]:
@@ -382,7 +382,7 @@ class TaskSpec(FileModel):
         return self.drivers if replaced is None else replaced
 
     def placements_of(self, variant: Variant) -> dict[str, Placement]:
-        """Return the start of each body of a variant."""
+        """Return the placement of each body of a variant."""
         subtask = self.subtask_of(variant)
         merged: dict[str, Placement] = {}
         for initial in (self.initial, subtask.initial if subtask else {}):
@@ -413,10 +413,10 @@ class TaskSpec(FileModel):
         return values
 
     def provenance_of(self, key: str) -> str:
-        """Return the origin of the number under a dotted key.
+        """Return the origin of the number under a dotted key; `not stated` without an entry.
 
-        The entry with the longest matching prefix counts; of equally long ones, that with the fewest wildcards. One
-        without an entry is `not stated`.
+        The entry with the longest matching prefix counts. Of equally long entries, the one with the fewest wildcards
+        counts.
         """
         parts = key.split(".")
         for length in range(len(parts), 0, -1):
@@ -431,4 +431,4 @@ class TaskSpec(FileModel):
                 return self.provenance[
                     min(matching, key=lambda pattern: pattern.count("*"))
                 ]
-        return NOT_STATED
+        return NO_ORIGIN

@@ -1,4 +1,4 @@
-"""Read and check one task file. `tests/experiments/test_task_files.py` has the rules for those of the package."""
+"""Read and check one task file. `tests/experiments/test_task_files.py` has the rules for bundled task files."""
 
 from pathlib import Path
 
@@ -14,8 +14,8 @@ def load_task(path: Path) -> TaskSpec:
     """Read one task file, and build the scene of each of its variants.
 
     Raises:
-        TaskFileError: The file is not TOML, or has an unknown key, a value out of range, an undefined name, or a
-            variant without a start, a constant or a number of frames.
+        TaskFileError: The file is not TOML, or has an unknown key, a value out of range or an undefined name. Or a
+            variant lacks a placement, a constant or a number of frames.
     """
     spec = read_task(path)
     for variant in spec.variants():

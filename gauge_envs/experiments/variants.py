@@ -1,7 +1,7 @@
 """List the experiments: family, subtask and material of each.
 
-Those of the package are in `tasks/index.csv`, because parsing all task files takes longer than the rest of an import.
-A test compares the index with the task files. Task files of the user are read whole.
+Bundled experiments are listed in `tasks/index.csv`, because parsing all task files takes longer than the rest of an
+import. A test compares the index with the task files. Task files of the user are parsed.
 """
 
 import csv
@@ -25,12 +25,12 @@ GLOB_CHARACTERS = "*?["
 
 @dataclass(frozen=True)
 class IndexRow:
-    """A variant with what its registration needs.
+    """A variant with the facts that its registration needs.
 
     Attributes:
         variant: Family, subtask and material.
         file: Task file of the family.
-        collection: Where the experiment is from.
+        collection: Origin of the experiment.
         frame_count: Number of frames of an episode, the first included.
     """
 
@@ -67,7 +67,7 @@ def _own_rows(files: tuple[Path, ...]) -> OwnRows:
 
 @lru_cache(maxsize=8)
 def _read_own_rows(files: tuple[Path, ...], times_ns: tuple[int, ...]) -> OwnRows:
-    """Read task files of the user; their times distinguish versions in the cache."""
+    """Read task files of the user; the times of the files distinguish versions in the cache."""
     if not files:
         return (), ()
     from gauge_envs.experiments.task_reader import load_task
@@ -82,7 +82,7 @@ def _read_own_rows(files: tuple[Path, ...], times_ns: tuple[int, ...]) -> OwnRow
             faults.append(error)
             continue
         if spec.family in known:
-            reason = f"{spec.family!r} is that of {known[spec.family].name}: choose another name"
+            reason = f"{spec.family!r} is the family of {known[spec.family].name}: choose another name"
             faults.append(TaskFileError(path, "family", reason))
             continue
         known[spec.family] = path
@@ -116,14 +116,14 @@ def variants() -> tuple[Variant, ...]:
 
 
 def beyond_variants() -> tuple[Variant, ...]:
-    """Return the variants beyond the benchmark: those of the package, then those of the user."""
+    """Return the variants outside the benchmark: those of the package, then those of the user."""
     return tuple(
         row.variant for row in all_rows() if row.collection is Collection.BEYOND
     )
 
 
 def user_variants() -> tuple[Variant, ...]:
-    """Return the variants of the task files that `GAUGE_TASKS` names."""
+    """Return the variants of the task files in `GAUGE_TASKS`."""
     return tuple(row.variant for row in _own_rows(own_task_files())[0])
 
 
@@ -157,13 +157,13 @@ def find_variant(name: str) -> Variant:
         TaskFileError: A task file of the user cannot be used.
     """
     if is_task_path(name):
-        found = _variants_of_file(Path(name))
-        if len(found) > 1:
-            names = ", ".join(variant.name for variant in found)
+        file_variants = _variants_of_file(Path(name))
+        if len(file_variants) > 1:
+            names = ", ".join(variant.name for variant in file_variants)
             raise ParameterError(
-                f"{name} states {len(found)} experiments: {names}. Set {OWN_TASKS}={name} and give the id of one"
+                f"{name} has {len(file_variants)} experiments: {names}. Set {OWN_TASKS}={name} and give one id"
             )
-        return found[0]
+        return file_variants[0]
     plain = name.removeprefix("GAUGE/")
     known = {row.variant.name: row.variant for row in all_rows()}
     if plain not in known:
@@ -174,7 +174,7 @@ def find_variant(name: str) -> Variant:
 def matching_variants(pattern: str) -> list[Variant]:
     """Return the variants of an id, a pattern or a task file.
 
-    A pattern matches the benchmark; only one that matches nothing there matches the variants beyond it.
+    A pattern matches variants of the benchmark; if it matches none, it matches variants outside the benchmark.
     """
     if is_task_path(pattern):
         return _variants_of_file(Path(pattern))
@@ -182,14 +182,14 @@ def matching_variants(pattern: str) -> list[Variant]:
         return [find_variant(pattern)]
     plain = pattern.removeprefix("GAUGE/")
     for known in (variants(), beyond_variants()):
-        found = [variant for variant in known if fnmatchcase(variant.name, plain)]
-        if found:
-            return found
+        matches = [variant for variant in known if fnmatchcase(variant.name, plain)]
+        if matches:
+            return matches
     raise _unknown("experiment", pattern, (row.variant.name for row in all_rows()))
 
 
 def _variants_of_file(path: Path) -> list[Variant]:
-    """Make a task file known to this process and to those that it starts, and return its variants."""
+    """Register a task file in this process and its child processes, and return its variants."""
     path, known = path.absolute(), own_task_files()
     files = known if path in known else (*known, path)
     rows, faults = _own_rows(files)
@@ -203,6 +203,6 @@ def _variants_of_file(path: Path) -> list[Variant]:
 def _unknown(
     kind: str, name: str, known: Iterable[str]
 ) -> TaskFileError | UnknownNameError:
-    """Return the error for an unknown name: that of an unusable task file, which may define it, if there is one."""
+    """Return the error for an unknown name; an unusable task file has priority, because it may define the name."""
     faults = unreadable_task_files()
     return faults[0] if faults else UnknownNameError(kind, name, known)

@@ -1,8 +1,8 @@
-"""Compute how a marked solid is deformed: strain, and the ratio of areas.
+"""Compute the deformation of a marked solid: strain, and the ratio of areas.
 
-The markers at rest and now define a least-squares affine map, x = F X + c. F is the mean deformation gradient of the
-marked material. Its stretch U = (F^T F)^(1/2) is free of the rotation. The Biot strain U - 1 is the elongation per
-length in each direction.
+The markers at rest and after deformation define a least-squares affine map, x = F X + c. F is the mean deformation
+gradient of the marked material. Its stretch U = (F^T F)^(1/2) does not contain the rotation. The Biot strain U - 1 is
+the elongation per length in each direction.
 """
 
 import math
@@ -17,7 +17,7 @@ MIN_EXTENT_M = 2e-3
 """Root-mean-square extent of the markers [m] below which they do not determine F; placement errors reach 0.9 mm."""
 
 SPANNED_COSINE = 0.98
-"""Least length of the projection of a unit axis on the span of the markers, for strain along that axis."""
+"""Smallest projection of a unit axis on the span of the markers that gives a strain along the axis."""
 
 
 def solid_axes(scene: Scene) -> FloatArray:
@@ -32,19 +32,19 @@ def solid_axes(scene: Scene) -> FloatArray:
 
 
 def deformation(
-    rest_m: FloatArray, now_m: FloatArray, axes: FloatArray
+    rest_m: FloatArray, deformed_m: FloatArray, axes: FloatArray
 ) -> Mapping[str, float]:
-    """Return the deformation of a solid by name; NaN is a quantity that the markers do not determine.
+    """Return the deformation of a solid by name; NaN if the markers do not determine a quantity.
 
     - `strain_zz`, `strain_xz`: components of the Biot strain in the axes of the solid, if the markers span these axes.
     - `area_ratio`: area over area at rest, for markers in a plane.
 
     Args:
         rest_m: Marker positions at rest [m], shape [marker_count, 3].
-        now_m: Marker positions now [m], shape [marker_count, 3].
-        axes: As from `solid_axes`.
+        deformed_m: Marker positions of the deformed solid [m], shape [marker_count, 3].
+        axes: Axes of the solid, see `solid_axes`.
     """
-    before, after = rest_m - rest_m.mean(axis=0), now_m - now_m.mean(axis=0)
+    before, after = rest_m - rest_m.mean(axis=0), deformed_m - deformed_m.mean(axis=0)
     _, extents, directions = np.linalg.svd(before, full_matrices=False)
     span = directions[extents > MIN_EXTENT_M * math.sqrt(len(before))]
     gradient = (np.linalg.pinv(before @ span.T) @ after).T @ span

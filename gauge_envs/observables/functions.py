@@ -23,8 +23,8 @@ def angle_deficit_curvature(
     """Return the discrete Gaussian curvature at each marker of a textile (paper, appendix on metrics, K).
 
     k_i is the full angle of a flat sheet at the marker minus the sum of the angles of its faces there. The full angle
-    is 2 pi inside, pi on an edge and pi/2 in a corner. As in the paper, the sum leaves out faces with a missing or a
-    coincident vertex, which raises k_i by their angles.
+    is 2 pi inside, pi on an edge and pi/2 in a corner. As in the paper, the sum skips faces with a missing or a
+    coincident vertex, so k_i grows by their angles.
 
     Args:
         markers_m: Marker positions, shape [frame_count, marker_count, 3], m; NaN where missing.
@@ -44,10 +44,10 @@ def angle_deficit_curvature(
     vertices = markers_m[:, faces]  # [frame, face, vertex, xyz]
     to_next = np.roll(vertices, -1, axis=2) - vertices
     to_previous = np.roll(vertices, 1, axis=2) - vertices
-    # 0 for coincident vertices, which leaves them out of the sum.
+    # The angle at coincident vertices is 0, so the sum skips them.
     angles = _angle_between(to_next, to_previous)
     angles = np.where(np.isnan(angles), 0.0, angles)
-    # A product with the incidence of corners and markers sums the angles of a frame, with the same bits in any batch.
+    # A product with the incidence matrix sums the angles of a frame, with the same bits in any batch.
     incidence = np.zeros((faces.size, marker_count))
     incidence[np.arange(faces.size), faces.ravel()] = 1.0
     curvature = (
@@ -98,7 +98,7 @@ def face_areas_mm2(markers_m: ArrayLike, faces: ArrayLike) -> FloatArray:
         Areas, shape [frame_count, face_count], mm^2; NaN where a vertex is missing.
     """
     markers_m = np.asarray(markers_m, dtype=np.float64)
-    # Whole arrays of x, y and z are several times as fast as vectors of three numbers, with the same bits.
+    # Separate arrays of x, y and z are several times as fast as vectors, with the same bits.
     axes = 1e3 * np.ascontiguousarray(markers_m.transpose(2, 0, 1))
     a, b, c = (axes.take(vertex, axis=2) for vertex in np.asarray(faces).T)
     (x, y, z), (u, v, w) = b - a, c - a
@@ -113,7 +113,7 @@ def assign_markers(
 ) -> IntArray:
     """Return the node of a simulated mesh that is the proxy of each marker.
 
-    Each node is used once, and the summed distance is the least (Hungarian algorithm).
+    Each node is used once, and the summed distance is the smallest (Hungarian algorithm).
 
     Args:
         markers_m: Initial marker positions, shape [marker_count, 3], m.

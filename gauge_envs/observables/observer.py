@@ -1,8 +1,8 @@
 """Observe the generalized trajectory g(t) of a running simulation, from body positions or markers.
 
-Nodes of a simulated body do not coincide with its markers. The marker proxy is by default the material point of the
-marker, interpolated between nodes. The paper uses the nearest node, which moves markers by up to 5 mm on a foam of the
-default mesh; its scores then measure the mesh.
+Nodes of a simulated body do not coincide with its markers. By default, the marker proxy is the material point of the
+marker, interpolated between nodes. The paper uses the nearest node. This shifts markers by up to 5 mm on a foam with
+the default mesh, so its scores depend on the mesh.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -24,12 +24,12 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene import Cloth, Deformable, Markers, Scene
 from gauge_envs.scene.geometry import FloatArray, IntArray, length_of
 
-MARKER_REACH_M = 0.01
+MAX_MARKER_DISTANCE_M = 0.01
 """Largest distance between a marker and its proxy (paper, simulation and track: below 1 cm)."""
 
 
 class MarkerProxy(StrEnum):
-    """Marker proxy: the tracked point of the simulation that is compared with a marker."""
+    """Marker proxy: the point of the simulation that stands for a marker."""
 
     MATERIAL = "material"
     """The material point of the marker, interpolated between the nodes of its element; the default."""
@@ -74,13 +74,13 @@ class ObserverMarkers:
     Args:
         scene: Scene with the positions of the markers at rest.
         observable: Kind of generalized trajectory.
-        simulation: Worlds at the nominal start, which give the nodes.
+        simulation: Worlds at the nominal start, for the nodes at rest.
         proxy: Marker proxy.
 
     Attributes:
         largest_distance_m: Distance of the worst marker from its proxy at rest.
-        indices: Nodes of each marker, shape [marker_count, k]; `weights` are their shares, of the same shape. Not used
-            where the engine has a reader of material points.
+        indices: Nodes of each marker, shape [marker_count, k]; not set if the engine tracks material points.
+        weights: Weights of these nodes, of the same shape.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class ObserverMarkers:
     ) -> None:
         if scene.markers is None:
             raise ShapeError(
-                f"observable {observable.value!r} needs markers, and the scene has none"
+                f"observable {observable.value!r} needs markers, but the scene has none"
             )
         self._markers, self._observable = scene.markers, observable
         self._bodies = scene.markers.bodies
@@ -102,15 +102,17 @@ class ObserverMarkers:
         rest = {name: simulation.nodes(name)[0] for name in self._bodies}
         if proxy is MarkerProxy.NODE:
             nodes = np.concatenate(list(rest.values()))
-            nearest = assign_markers(targets_m, nodes, max_distance_m=MARKER_REACH_M)
+            nearest = assign_markers(
+                targets_m, nodes, max_distance_m=MAX_MARKER_DISTANCE_M
+            )
             self.indices, self.weights = nearest[:, None], np.ones((len(nearest), 1))
         else:
             self._read = _tracker(simulation, self._bodies, targets_m)
         if proxy is MarkerProxy.MATERIAL and self._read is None:
             deformables = {body.name: body for body in scene.deformables}
             self.indices, self.weights = material_points(targets_m, rest, deformables)
-        apart_m = self.markers(simulation)[0] - targets_m
-        self.largest_distance_m = float(np.linalg.norm(apart_m, axis=1).max())
+        offsets_m = self.markers(simulation)[0] - targets_m
+        self.largest_distance_m = float(np.linalg.norm(offsets_m, axis=1).max())
         self.width = self.observe(simulation)[0].shape[1]
 
     def observe(self, simulation: Simulation) -> tuple[FloatArray, FloatArray]:
@@ -127,7 +129,7 @@ class ObserverMarkers:
             return self._read()
         parts = [simulation.nodes(name) for name in self._bodies]
         nodes_m = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-        # Weighted sums of the nodes of each marker.
+        # Add the weighted nodes of each marker.
         markers_m = np.zeros((len(nodes_m), self.marker_count, 3))
         for indices, weights in zip(self.indices.T, self.weights.T, strict=True):
             markers_m += weights[:, None] * nodes_m[:, indices]
@@ -138,13 +140,13 @@ def _tracker(
     simulation: Simulation, names: Iterable[str], targets_m: FloatArray
 ) -> Callable[[], FloatArray] | None:
     """Return the engine's tracker of all markers, or None if the engine has none."""
-    refusal = None
+    fault = None
     for name in names:
         try:
             return simulation.track(name, targets_m)
         except ShapeError as error:
-            refusal = error
-    raise refusal or ShapeError("the markers are on no body")
+            fault = error
+    raise fault or ShapeError("the markers are on no body")
 
 
 def observe_markers(
@@ -178,7 +180,7 @@ def material_points(
 ) -> tuple[IntArray, FloatArray]:
     """Return the nodes and weights that interpolate each marker at rest; cloth uses three of the four.
 
-    Many worlds have the same ones, which are computed once; the arrays are read-only.
+    They are computed once for many worlds; the arrays are read-only.
 
     Args:
         targets_m: Marker positions at rest [m], shape [marker_count, 3].
@@ -189,7 +191,7 @@ def material_points(
         Node indices over the bodies of `rest` in their order, shape [marker_count, 4], and weights of the same shape.
     """
     nodes = tuple(
-        (name, one.tobytes(), deformables[name]) for name, one in rest.items()
+        (name, nodes_m.tobytes(), deformables[name]) for name, nodes_m in rest.items()
     )
     return _material_points(targets_m.tobytes(), nodes)
 
@@ -212,19 +214,20 @@ def _material_points(
                 body.pose.to_body(targets_m)[:, :2],
             )
         for marker, (simplex, share) in enumerate(_barycentric(name, points, queries)):
-            missed = length_of(share @ nodes[simplex] - targets_m[marker])
-            if missed < best[marker]:
-                best[marker] = missed
+            distance_m = length_of(share @ nodes[simplex] - targets_m[marker])
+            if distance_m < best[marker]:
+                best[marker] = distance_m
                 indices[marker], weights[marker] = 0, 0.0
                 indices[marker, : len(simplex)], weights[marker, : len(simplex)] = (
                     first + simplex,
                     share,
                 )
         first += len(nodes)
-    if best.max() > MARKER_REACH_M:
+    if best.max() > MAX_MARKER_DISTANCE_M:
         worst = int(best.argmax())
         raise ShapeError(
-            f"marker {worst} is {1e3 * best[worst]:.1f} mm from the material, more than {1e3 * MARKER_REACH_M:.0f} mm"
+            f"marker {worst} is {1e3 * best[worst]:.1f} mm from the material; "
+            f"the limit is {1e3 * MAX_MARKER_DISTANCE_M:.0f} mm"
         )
     for array in (indices, weights):
         array.flags.writeable = False
@@ -234,7 +237,7 @@ def _material_points(
 def _barycentric(
     name: str, points: FloatArray, queries: FloatArray
 ) -> list[tuple[IntArray, FloatArray]]:
-    """Return simplex and weights of each query; a query outside is moved to the surface of the nearest simplex."""
+    """Return simplex and weights of each query; a query outside moves to the surface of the nearest simplex."""
     from scipy.spatial import Delaunay, QhullError
 
     try:
@@ -244,13 +247,13 @@ def _barycentric(
             f"{name}: its nodes span no area or volume to interpolate in"
         ) from error
     centres = points[mesh.simplices].mean(axis=1)
-    found = mesh.find_simplex(queries, tol=1e-9)
-    outside = found < 0
-    found[outside] = (
+    simplices = mesh.find_simplex(queries, tol=1e-9)
+    outside = simplices < 0
+    simplices[outside] = (
         ((queries[outside, None] - centres[None]) ** 2).sum(axis=2).argmin(axis=1)
     )
     results = []
-    for query, simplex in zip(queries, found, strict=True):
+    for query, simplex in zip(queries, simplices, strict=True):
         transform = mesh.transform[simplex]
         share = transform[:-1] @ (query - transform[-1])
         share = np.clip(np.append(share, 1.0 - share.sum()), 0.0, None)

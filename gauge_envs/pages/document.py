@@ -1,6 +1,6 @@
-"""Documents: what a command shows, as a list of parts.
+"""Documents: the output of a command as a list of parts.
 
-`pages.terminal`, `pages.markdown` and `pages.page` write a document in one form each. Its JSON objects are `as_rows`.
+`pages.terminal`, `pages.markdown` and `pages.page` write a document in one form each. `as_rows` returns JSON objects.
 
 Example:
     >>> from gauge_envs.pages.markdown import as_markdown
@@ -43,21 +43,21 @@ class Heading:
 
 
 class Tone(StrEnum):
-    """What a paragraph is for; the value is its style in a terminal."""
+    """Purpose of a paragraph; the value is its style in a terminal."""
 
     PLAIN = ""
     ANSWER = "bold"
-    """The result in a line."""
+    """The result in one line."""
     NOTE = "dim"
-    """What one needs to read the rest."""
+    """Explanation of the other parts."""
     WARNING = "yellow"
-    """What a reader might miss."""
+    """Fact that a reader must not miss."""
     ERROR = "red"
 
 
 @dataclass(frozen=True)
 class Paragraph:
-    """A few sentences; an empty text is an empty line of a terminal."""
+    """A few sentences; an empty text is an empty line in a terminal."""
 
     text: str
     tone: Tone = Tone.PLAIN
@@ -65,7 +65,7 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Bullets:
-    """Lines below a title. They are sentences of this package, whose marks Markdown keeps.
+    """Lines below a title; they are sentences of this package, so their Markdown is not escaped.
 
     Attributes:
         entries: The lines.
@@ -82,7 +82,7 @@ Part: TypeAlias = Heading | Paragraph | Bullets | Table | Facts | Html
 
 @dataclass(frozen=True, kw_only=True)
 class Document:
-    """What a command shows.
+    """Output of a command.
 
     Attributes:
         parts: From top to bottom.
@@ -96,11 +96,11 @@ class Document:
 
 
 Shown: TypeAlias = Document | Part
-"""A document, or one of its parts alone."""
+"""A document, or a single part."""
 
 
 def document_of(shown: Shown) -> Document:
-    """Return a part as a document of this part alone."""
+    """Return a part as a document; a document stays as it is."""
     return shown if isinstance(shown, Document) else Document(parts=(shown,))
 
 
@@ -121,7 +121,7 @@ def save_file(path: Path, content: str | bytes) -> Path:
         ResultFileError: The file cannot be written.
     """
     if isinstance(content, str):
-        # The name of a file may have bytes that are no UTF-8.
+        # The name of a file may have bytes that are not UTF-8.
         content = content.encode(errors="backslashreplace")
     with os_errors(
         lambda cause: ResultFileError(f"{path}: cannot be written: {cause}")

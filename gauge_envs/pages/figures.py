@@ -1,4 +1,4 @@
-"""Figures by matplotlib: shared colours, axes, and how a figure becomes a file or a part of a page."""
+"""Figures by matplotlib: shared colours and axes, and export to files and pages."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 
 OURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""Colours of results: Okabe and Ito's, which colour-blind readers distinguish."""
+"""Colours of results by Okabe and Ito, which colour-blind readers distinguish."""
 
 
 def color_of(index: int) -> tuple[str, bool]:
-    """Return the colour of a configuration, and whether its lines are dashed: those after the sixth are."""
+    """Return the colour of a configuration, and whether its lines are dashed, which starts at the seventh."""
     return OURS[index % len(OURS)], index % (2 * len(OURS)) >= len(OURS)
 
 
@@ -35,10 +35,10 @@ ENGINES = ("#8c8c8c", "#b0b0b0", "#d0d0d0")
 REAL = "#303030"
 
 LEGEND_WIDTH, KEY_WIDTH = 100, 6
-"""Width of a legend that fits above a panel beside bars, and of its lines and gaps [characters]."""
+"""Width of a legend above a panel, and width of its lines and gaps [characters]."""
 
-MOST_LABEL = 90
-"""Width from which on the name of a curve has another line [characters]."""
+MAX_LABEL_WIDTH = 90
+"""Largest width of a line in the name of a curve [characters]."""
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -69,13 +69,13 @@ def _drawn(figure: Figure, form: str) -> bytes:
     for text in figure.findobj(Text):
         if not isinstance(text, Text):
             continue
-        # A dollar sign in the name or title of an experiment starts no formula; ticks get their formulas later.
+        # A dollar sign in the name of an experiment must not start a formula. Ticks get their formulas later.
         if "$" in text.get_text():
             text.set_parse_math(False)
         lines = text.get_text().split("\n")
         text.set_text("\n".join(map(printable, lines)))
     stream = BytesIO()
-    # The same results give the same file: no date, and no random names of parts.
+    # The same results give the same file, so it has no date and no random names.
     metadata = {"Date": None} if form == "svg" else {}
     with rc_context({"svg.hashsalt": "gauge-envs"}):
         figure.savefig(stream, format=form, dpi=120, metadata=metadata)
@@ -99,7 +99,7 @@ def tidy_axis(axis: Axes) -> None:
 def legend_above(axis: Axes) -> None:
     """Put the legend above the curves, with bold lines for faint curves."""
     handles, texts = axis.get_legend_handles_labels()
-    labels = [fill(text, MOST_LABEL) for text in texts]
+    labels = [fill(text, MAX_LABEL_WIDTH) for text in texts]
     # A legend that is wider than its panel would make the panel narrower.
     longest = max(
         (len(line) for label in labels for line in label.split("\n")), default=0

@@ -1,7 +1,6 @@
-"""HTML elements whose texts are escaped.
+"""HTML elements with escaped texts.
 
-`Html` marks text that is markup. Everything else is text, and `element` escapes it, so that no name in a result file
-can become markup.
+`Html` marks markup. All else is text, which `element` escapes, so that no name in a result file becomes markup.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ Text = str | float | int | None
 
 
 class Html(str):
-    """Markup; as a part of a document, only pages show it."""
+    """Markup; only pages show it as a part of a document."""
 
     __slots__ = ()
 
@@ -28,13 +27,13 @@ VOID = ("br", "img", "input", "link", "meta", "wbr")
 
 
 def element(name: str, /, *content: Text | Html, **attributes: Text | bool) -> Html:
-    """Return an element; text in it is escaped, and markup is not.
+    """Return an element; its text is escaped, and its markup is not.
 
     Args:
         name: Name of the element.
-        *content: Texts, numbers and markup; None is nothing.
-        **attributes: Attributes; `_` in a name stands for `-`, and a last `_` is left out, as in `class_`. None and
-            False leave an attribute out, and True writes it without a value.
+        *content: Texts, numbers and markup; None is empty.
+        **attributes: Attributes; `_` in a name stands for `-`, and a trailing `_` is dropped, as in `class_`. None and
+            False omit an attribute, and True writes it without a value.
     """
     parts = [name]
     for key, value in attributes.items():
@@ -50,7 +49,7 @@ def element(name: str, /, *content: Text | Html, **attributes: Text | bool) -> H
 
 
 def join(parts: Iterable[Text | Html], between: str = "") -> Html:
-    """Return texts and markup one after another."""
+    """Return the concatenation of texts and markup."""
     texts = (
         part if isinstance(part, Html) else escape(_plain(part))
         for part in parts
@@ -60,7 +59,7 @@ def join(parts: Iterable[Text | Html], between: str = "") -> Html:
 
 
 def _plain(value: Text | Html | bool) -> str:
-    # Control characters are no part of HTML.
+    # HTML does not allow control characters.
     return printable(value) if isinstance(value, str) else str(value)
 
 
@@ -72,7 +71,7 @@ def listed(lines: Iterable[Text | Html], **attributes: Text | bool) -> Html:
 def folded(
     summary: Text | Html, *content: Text | Html, **attributes: Text | bool
 ) -> Html:
-    """Return content that opens below its summary."""
+    """Return content that unfolds below its summary."""
     return element("details", element("summary", summary), *content, **attributes)
 
 
@@ -82,7 +81,7 @@ def below(*texts: Text | Html) -> Html:
 
 
 def script_value(value: Any) -> str:
-    """Return a value as JSON that may stand in a script: no `<`, so that no text can end the script."""
+    """Return a value as JSON for a script; it has no `<`, so no text can end the script."""
     return json.dumps(value, allow_nan=False, separators=(",", ":")).replace(
         "<", "\\u003c"
     )

@@ -22,7 +22,7 @@ def as_markdown(shown: Shown) -> str:
 
 
 def _markdown(part: Part) -> str:
-    """Return a part without an empty line below it; markup is not shown."""
+    """Return a part without an empty line below it; markup is omitted."""
     match part:
         case Heading(text, level):
             return f"{'#' * level} {markdown_text(text)}"

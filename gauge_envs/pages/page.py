@@ -36,7 +36,7 @@ def page(
     Args:
         title: Its title, above the parts and for the browser.
         parts: Its content.
-        above: What stands above the title, as links.
+        above: Markup above the title, as links.
         style: File of the style, relative to the page; None writes the style into the page.
         scripts: Script files in the order in which they run.
         look: Class of the body.
@@ -78,11 +78,11 @@ def as_html(part: Part) -> Html:
 
 def _table(table: Table) -> Html:
     columns = table.saved_columns
-    beside = [column for column in columns if column.place is not Place.BELOW]
+    cells_columns = [column for column in columns if column.place is not Place.BELOW]
     below = [column for column in columns if column.place is Place.BELOW]
     head = [
         element("th", column.label, scope="col", class_=_class(column))
-        for column in beside
+        for column in cells_columns
     ]
     body = []
     for row in table.rows:
@@ -90,11 +90,11 @@ def _table(table: Table) -> Html:
             element(
                 "td", column.markup(row), class_=_class(column, column.style_of(row))
             )
-            for column in beside
+            for column in cells_columns
         )
         body.append(element("tr", *cells))
         for text in filter(None, (column.markup(row) for column in below)):
-            cell = element("td", text, colspan=len(beside))
+            cell = element("td", text, colspan=len(cells_columns))
             body.append(element("tr", cell, class_="more"))
     whole = element(
         "table",

@@ -1,4 +1,4 @@
-"""Results in words: labels of configurations, the metrics of their scores, and convergence."""
+"""Texts of results: labels of configurations, metrics of scores, and convergence."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -17,13 +17,13 @@ from gauge_envs.scoring.score import OVER_U, Score
 # --- labels ---
 
 PLAIN = ("parameters", "calibrated")
-"""Part of a configuration that labels leave out."""
+"""Part of a configuration that labels omit."""
 
 
 def configuration_labels(configurations: Sequence[RunConfiguration]) -> list[str]:
-    """Return a label for each configuration: the engine, and what the configurations do not all share.
+    """Return a label for each configuration: the engine, and the parts that are not common to all.
 
-    The label of a single one has all parts, `mujoco, calibrated`. Among several, `calibrated` is left out.
+    A single configuration has all parts, `mujoco, calibrated`. For several, `calibrated` is omitted.
     """
     labels = _labels(configurations, digits=4)
     if len(set(labels)) < len(labels):
@@ -37,10 +37,19 @@ def configuration_labels(configurations: Sequence[RunConfiguration]) -> list[str
 
 
 def _labels(configurations: Sequence[RunConfiguration], *, digits: int) -> list[str]:
-    exact = [configuration_parts(one, digits=17) for one in configurations]
-    rounded = [configuration_parts(one, digits=digits) for one in configurations]
+    exact = [
+        configuration_parts(configuration, digits=17)
+        for configuration in configurations
+    ]
+    rounded = [
+        configuration_parts(configuration, digits=digits)
+        for configuration in configurations
+    ]
     left_out = set.intersection(*map(set, exact)) | {PLAIN} if len(exact) > 1 else set()
-    versions = [(one.backend, versions_text(one)) for one in configurations]
+    versions = [
+        (configuration.backend, versions_text(configuration))
+        for configuration in configurations
+    ]
     engines_of_versions = [backend for backend, _ in set(versions)]
     labels = []
     for parts, shown, (backend, text) in zip(exact, rounded, versions, strict=True):
@@ -69,7 +78,9 @@ def configuration_parts(
     named, asset = configuration.parameters, configuration.asset
     constants = named if isinstance(named, str) else ",".join(assignments(named))
     parts = [("engine", configuration.backend or "file"), ("parameters", constants)]
-    parts += [("setting", one) for one in assignments(configuration.settings_given)]
+    parts += [
+        ("setting", setting) for setting in assignments(configuration.settings_given)
+    ]
     if configuration.jitter:
         parts.append(
             ("jitter", f"jitter {' '.join(assignments(configuration.jitter))}")
@@ -91,7 +102,7 @@ def versions_text(configuration: RunConfiguration) -> str:
 # --- scores ---
 
 ALIGNED = Metric(key="rmse_aligned", title="RMSE aligned", unit=None)
-"""The RMSE after the best constant shift in time, which was not published."""
+"""The RMSE after the best constant time shift, which was not published."""
 
 VERIFIED = Metric(key=OVER_U, title="distance from the solution", unit=None)
 """The distance from a solution of the scene, in its unit and over u."""
@@ -102,7 +113,7 @@ SCORE_METRICS: Mapping[str, Metric] = {
     for metric in (*METRICS.values(), ALIGNED, VERIFIED)
     if metric.is_event is is_event
 }
-"""Metrics of a score by key, in the order of tables: those that need a reference motion come before events."""
+"""Metrics of a score by key, in the order of tables: first those that need a reference motion, then events."""
 
 
 def raw_score(score: Score, metric: str) -> float | None:
@@ -117,7 +128,7 @@ def raw_score(score: Score, metric: str) -> float | None:
 
 
 def normalized_score(score: Score, metric: str) -> float | None:
-    """Return a metric over that of real trials, or over u of a solution; None without a scale."""
+    """Return a metric over its value for real trials, or over u of a solution; None without these."""
     if SCORE_METRICS[metric].is_event:
         event = score.events.get(metric)
         return None if event is None else event.over_real
@@ -133,7 +144,7 @@ def score_interval(score: Score, metric: str) -> tuple[float, float] | None:
 
 
 def score_text_of(score: Score, metric: str) -> str:
-    """Return a metric with its unit, and over its scale in brackets, as `3.33 mm (4.95)`; a dash without it."""
+    """Return a metric with its unit and its ratio in brackets, as `3.33 mm (4.95)`; a dash if it is missing."""
     raw, normalized = raw_score(score, metric), normalized_score(score, metric)
     if raw is None:
         return "-"
@@ -158,15 +169,14 @@ def convergence_text(
     with_unit: bool = False,
     over_trials: bool = True,
 ) -> str:
-    """Return what half the step, half the cell and the preset `training` change, in one line.
+    """Return the effect of half the step, half the cell and the preset `training`, in one line.
 
     Args:
         rows: Rows of `references.convergence.convergence_rows`.
-        has_cells: Whether the experiment has deformable bodies, whose cells can be halved.
+        has_cells: Whether the experiment has deformable bodies with cells.
         with_unit: Whether to add the root mean square and the maximum over frames in the unit of g(t), and the preset
-            `training`: nobody asks for it beside a result.
-        over_trials: Whether a change is a share of the scatter of real trials; else it is the root mean square of g(t),
-            beside a distance from the solution of the scene.
+            `training`.
+        over_trials: Whether a change is a share of the scatter of real trials; else it is the root mean square of g(t).
 
     Example:
         >>> row = {"unit": "mm", "rms": 0.062, "max": 0.18, "share": 0.0034}
@@ -202,7 +212,7 @@ def _speeds(row: Mapping[str, Any]) -> str:
 
 
 def _amount(row: Mapping[str, Any], *, with_unit: bool, over_trials: bool) -> str:
-    """Return the share of the scatter; without a published scatter, the distance of the observed points."""
+    """Return the share of the published scatter; without one, the distance of the observed points."""
     rms, largest = quantity_text(row["rms"]), quantity_text(row["max"])
     ends = f" and {largest} {row['unit']} at most" if with_unit else ""
     if not over_trials:
@@ -217,7 +227,7 @@ def _amount(row: Mapping[str, Any], *, with_unit: bool, over_trials: bool) -> st
 
 
 def percent_text(share: float) -> str:
-    """Return a share in percent with two digits; a share below 0.01 % as such."""
+    """Return a share in percent with two digits, or `less than 0.01`."""
     percent = 100.0 * share
     return (
         "less than 0.01"

@@ -1,4 +1,4 @@
-"""Tables: rows, and columns that state which value of a row they show and how to write it.
+"""Tables: rows, and columns that select a value of a row and format it.
 
 A row is a JSON-ready mapping, a sequence, or an object with attributes.
 """
@@ -13,14 +13,14 @@ from gauge_envs.pages.text import value_text
 
 
 class Place(StrEnum):
-    """Where a column stands in a terminal. In Markdown every column is a column, on a page all but those below are."""
+    """Place of a column in a terminal. Markdown has only columns; pages also have `BELOW`."""
 
     CELL = "cell"
     """In the row."""
     HEADING = "heading"
-    """In a line above all neighbouring rows that share the value."""
+    """In a line above consecutive rows with the same value."""
     BELOW = "below"
-    """In lines of its own below the row, wrapped; on a page in a row of its own."""
+    """In wrapped lines below the row; on a page in a separate row."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,12 @@ class Column:
         key: Path of the value in a row, as `published.newton`; empty for the row itself.
         title: Heading of the column.
         format: Text of a value that is not None.
-        unit: Unit of all values; it stands in brackets behind the title.
+        unit: Unit of all values, in brackets after the title.
         is_number: Whether the texts are aligned on the right.
         wide_only: Whether a terminal shows the column only with `--format wide`.
         narrow_only: Whether only a terminal without `--format wide` shows the column.
-        place: Where the column stands in a terminal.
-        style: Rich style of a value, which is the class of its cell on a page; None for plain text.
+        place: Place of the column in a terminal.
+        style: Rich style of a value, also the class of its cell on a page; None for plain text.
         html: Markup of a value on a page; None for its text.
     """
 
@@ -70,7 +70,7 @@ class Column:
         return value
 
     def text(self, row: Any) -> str:
-        """Return the text of a row; for a missing value a dash, or nothing outside of the cells."""
+        """Return the text of a row; a missing value is a dash in a cell and empty elsewhere."""
         value = self.value(row)
         if value is None:
             return "-" if self.place is Place.CELL else ""
@@ -81,7 +81,7 @@ class Column:
         return "" if self.style is None else self.style(self.value(row))
 
     def markup(self, row: Any) -> Html | str:
-        """Return what a page shows of a row."""
+        """Return the markup or text of a row on a page."""
         return self.text(row) if self.html is None else self.html(self.value(row))
 
 
@@ -91,7 +91,7 @@ class Table:
 
     Attributes:
         columns: From left to right.
-        rows: Mappings, sequences or objects that the columns read.
+        rows: Mappings, sequences or objects.
         title: Line above the table; empty for none.
         notes: Lines below the table.
         wide_only: Whether a terminal shows the table only with `--format wide`.
@@ -125,7 +125,7 @@ def grid(
     number_from: int = 99,
     look: str = "",
 ) -> Table:
-    """Return a table of cells that are texts or markup already.
+    """Return a table of cells that are already texts or markup.
 
     Args:
         titles: Titles of the columns, texts or markup.

@@ -1,6 +1,6 @@
 """Documents in a terminal: rich wraps texts, and tables fit the width of the console.
 
-Cells wrap between words. Columns that do not fit side by side are written below their rows.
+Cells wrap between words. Columns that do not fit side by side move below their rows.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,13 +28,13 @@ GAP = 2
 """Blanks between two columns, and before rows below a heading."""
 
 TITLE_WIDTH = 12
-"""Longer titles wrap where their cells are shorter [characters]."""
+"""Width above which a title wraps if its cells are shorter [characters]."""
 
 MIN_NAME_WIDTH = 12
-"""The first column gets at least this width [characters]."""
+"""Smallest width of the first column [characters]."""
 
 MAX_KEY_WIDTH = 22
-"""Longer names of facts have a line of their own [characters]."""
+"""Width above which the name of a fact has its own line [characters]."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ class Terminal:
     """A document that rich prints at the width of its console.
 
     Attributes:
-        shown: What to print.
-        wide: Whether to show what is left out by default.
+        shown: Document or part.
+        wide: Whether to show columns and tables that are omitted by default.
     """
 
     shown: Shown
@@ -58,7 +58,7 @@ class Terminal:
 
 
 def _lines(part: Part, width: int, *, wide: bool) -> Iterator[RenderableType]:
-    """Yield what a terminal of a width [characters] shows of a part; markup is not shown."""
+    """Yield the lines of a part for a width [characters]; markup is omitted."""
     match part:
         case Heading(text):
             yield Text(f"\n{text}", style="bold")
@@ -76,7 +76,7 @@ def _lines(part: Part, width: int, *, wide: bool) -> Iterator[RenderableType]:
 
 
 def _facts(pairs: Mapping[str, str]) -> Iterator[RenderableType]:
-    """Yield names beside their texts; a long name has a line of its own."""
+    """Yield names with their texts; a long name has its own line."""
     short = [key for key in pairs if len(key) <= MAX_KEY_WIDTH]
     for key, text in pairs.items():
         if key not in short:
@@ -116,7 +116,7 @@ def _rows(table: Table, width: int, *, wide: bool) -> Iterator[RenderableType]:
     yield Padding.indent(_line(shown, widths, titles, vertical="bottom"), indent)
     last_heading = ""
     for row in table.rows:
-        # The first value stands alone, and the others behind their titles.
+        # The first value has no title; the others follow their titles.
         texts = [column.text(row) for column in headings[:1]]
         texts += [f"{column.title} {column.text(row)}" for column in headings[1:]]
         heading = "  ".join(texts)
@@ -146,7 +146,7 @@ def _line(
     """Return texts in columns of given widths [characters]."""
     line = rich.table.Table.grid(padding=(0, GAP, 0, 0))
     for column, width in zip(columns, widths, strict=True):
-        # Blanks would follow the texts of a last column.
+        # A fixed width of the last column would add trailing blanks.
         is_last = column is columns[-1] and not column.is_number
         line.add_column(
             justify="right" if column.is_number else "left",
@@ -167,13 +167,15 @@ def _widths(columns: Sequence[Column], rows: Sequence[object], width: int) -> li
         for column in columns
     ]
     widths = [max(map(cell_len, texts)) for texts in lines]
-    least = [max(map(cell_len, " ".join(texts).split()), default=1) for texts in lines]
-    # A longer name of a row has a line of its own rather than that columns go below their rows.
-    least[0] = min(least[0], MIN_NAME_WIDTH)
-    while len(least) > 1 and sum(least) + GAP * (len(least) - 1) > width:
-        del least[-1], widths[-1]
+    min_widths = [
+        max(map(cell_len, " ".join(texts).split()), default=1) for texts in lines
+    ]
+    # A longer name of a row gets its own line, so that fewer columns move below their rows.
+    min_widths[0] = min(min_widths[0], MIN_NAME_WIDTH)
+    while len(min_widths) > 1 and sum(min_widths) + GAP * (len(min_widths) - 1) > width:
+        del min_widths[-1], widths[-1]
     while sum(widths) + GAP * (len(widths) - 1) > width:
-        spare = [size - word for size, word in zip(widths, least, strict=True)]
+        spare = [size - word for size, word in zip(widths, min_widths, strict=True)]
         if max(spare) <= 0:
             break
         widths[spare.index(max(spare))] -= 1

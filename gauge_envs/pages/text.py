@@ -20,7 +20,7 @@ QUESTIONS = {
     "validation": "Validation: is the motion like reality?",
     "verification": "Verification: does the engine solve the stated scene?",
 }
-"""What references answer. No table, axis or rank mixes the two."""
+"""Questions that references answer. No table, axis or rank mixes the two."""
 
 KIND_NOTES = {
     Kind.TRIALS: "mean and standard deviation of the real trials at each frame",
@@ -32,12 +32,12 @@ KIND_NOTES = {
 
 
 def kind_notes(kinds: Iterable[str]) -> list[str]:
-    """Return what kinds of references are, a line each."""
+    """Return explanations of kinds of references, a line each."""
     return [f"{kind}: {KIND_NOTES[Kind(kind)]}." for kind in sorted(set(kinds))]
 
 
 def event_title(name: str) -> str:
-    """Return the name of an event or estimate in words, without its unit: `lag_mm` is `lag`."""
+    """Return the name of an event or estimate as words without the unit: `lag_mm` is `lag`."""
     words = re.sub(r"_(m_per_s2|deg|mm|hz|s)$", "", name).replace("_", " ")
     return METRIC_TITLES.get(name, words)
 
@@ -70,7 +70,7 @@ def value_text(value: Any) -> str:
 
 
 def vector_text(values: Sequence[float]) -> str:
-    """Return numbers beside each other."""
+    """Return numbers separated by blanks."""
     return " ".join(f"{value:.6g}" for value in values)
 
 
@@ -80,7 +80,7 @@ def short_id(name: str) -> str:
 
 
 def shortened(names: Sequence[str]) -> str:
-    """Return names in a line; of more than six, the first three and the last."""
+    """Return names in a line; if there are more than six, the first three and the last."""
     return (
         ", ".join(names)
         if len(names) <= 6
@@ -94,7 +94,7 @@ def plus_minus_text(mean: float, std: float | None, unit: str) -> str:
 
 
 def with_unit(text: str, unit: str) -> str:
-    """Return a text with its unit; `1` is the unit of plain numbers, which is not written."""
+    """Return a text with its unit; the unit `1` is not written."""
     return text if unit == "1" else f"{text} {unit}"
 
 
@@ -131,7 +131,7 @@ def interval_text(
 
 
 def quantity_text(value: float) -> str:
-    """Return three digits, with an exponent only for a tiny or huge number."""
+    """Return a number with three digits; only tiny and huge numbers have an exponent."""
     size = abs(value)
     if 1e3 <= size < 1e5:
         return f"{value:.0f}"
@@ -139,15 +139,15 @@ def quantity_text(value: float) -> str:
 
 
 class Markdown(str):
-    """Text whose Markdown marks are meant; all other texts are escaped."""
+    """Text with intended Markdown; all other texts are escaped."""
 
     __slots__ = ()
 
 
 def markdown_text(text: str) -> str:
-    """Return a text in one line in which Markdown changes nothing and makes no link, picture or code."""
+    """Return a text in one line with escaped Markdown."""
     if isinstance(text, Markdown):
         return text
     plain = printable(" ".join(text.split()))
-    # A bracket alone stays, as in intervals; it makes a link only with what follows it.
+    # A bracket alone, as in an interval, stays. It starts a link only if a bracket follows.
     return re.sub(r"([|*_<`\\]|\](?=[(\[])|!(?=\[))", r"\\\1", plain)

@@ -1,8 +1,8 @@
 """Bands: the reference motion of each experiment, with its scatter and its uncertainty.
 
-`scoring/bands/<id>.toml` states what a reference is, and `<id>.npz` has its arrays; `scoring/README.md` describes both.
-Real trials that `gauge data import` reads become the same pair in the folder of the user. `<id>.band.toml` and
-`<id>.band.npz` beside a task file of the user are such a pair too.
+`scoring/bands/<id>.toml` describes a reference, and `<id>.npz` has its arrays; `scoring/README.md` explains both.
+`gauge data import` writes the same pair for imported trials in the folder of the user. A user's task file may have the
+pair `<id>.band.toml` and `<id>.band.npz` next to it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from gauge_envs.references.user_data import (
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 
 MARKER_SIGMA_MM = 1.0
-"""Least distance of a marker that a reward counts as 1 [mm]; a choice, as no scatter of markers is published."""
+"""Smallest scale of a marker's distance in a reward [mm]; chosen, because no scatter of markers is published."""
 
 ARRAYS = (
     "projection",
@@ -49,7 +49,7 @@ ARRAYS = (
 )
 """Arrays of a band; `projection`, `uncertainty`, `measured` and those of trials may be absent."""
 
-STATED = (
+FILE_FIELDS = (
     "unit",
     "coordinates",
     "source",
@@ -58,7 +58,7 @@ STATED = (
     "normalized",
     "exact",
 )
-"""Fields of a band that its TOML file states under the same name."""
+"""Fields of a band with the same name in its TOML file."""
 
 MARKER_ARRAYS = ("markers_mm", "markers_uncertainty_mm")
 """Arrays of a numerical solution of cloth or foam: positions of its markers, shape [T, 3 M]."""
@@ -72,7 +72,7 @@ class RecordedEvent(FileModel):
         unit: Unit of the value.
         value: Real value.
         standard_uncertainty: Its standard uncertainty.
-        markers: Indices of the markers that it rests on; empty for all, or none.
+        markers: Indices of the markers that it uses; empty for all of them, or if the event uses none.
         source: Recording and method, one sentence.
     """
 
@@ -91,7 +91,7 @@ class BandFile(FileModel):
         kind: What the reference motion is; `none` for events alone.
         unit: Unit of g(t).
         coordinates: Names of the C coordinates of the band.
-        source: Where the numbers are from, one sentence.
+        source: Origin of the numbers, one sentence.
         licence: Licence of the data.
         trial_count: Number of real trials; None is unknown.
         normalized: Whether distances are divided by the published distance of real trials.
@@ -100,7 +100,7 @@ class BandFile(FileModel):
         exact: Normalized distance of an exact solution of the scene, by parameter set.
         exact_source: How the exact solution was computed, or why there is none.
         events: Real values of events.
-        imported: What `gauge data import` states about the trials; empty for bundled references.
+        imported: Facts of `gauge data import` about the trials; empty for bundled references.
     """
 
     kind: Literal["trials", "recording", "analytic", "numerical", "none"]
@@ -128,21 +128,21 @@ class Band:
         kind: What the mean is.
         unit: Unit of all distances.
         coordinates: Names of the C coordinates.
-        projection: Map from g(t) to the band's coordinates, shape [C, D]; it picks the measured directions.
+        projection: Map from g(t) to the band's coordinates, shape [C, D]; it selects the measured directions.
         mean: Mean at frames 0, 1, ..., shape [T, C]; NaN is unknown.
-        sigma: Standard deviation between real trials, shape [T, C]; for a solution that of the reward.
-        measured: Whether a frame was measured, shape [T]. RMSE and DTW also use extrapolated frames, z does not.
-        source: Where the numbers are from, one sentence.
+        sigma: Standard deviation between real trials, shape [T, C]; for a solution, the scale of the reward.
+        measured: Whether a frame was measured, shape [T]. RMSE and DTW also use extrapolated frames; z does not.
+        source: Origin of the numbers, one sentence.
         licence: Licence of the data.
         trial_count: Number of real trials; None is unknown.
         uncertainty: Standard uncertainty of the mean, or of one measured trial, shape [T, C]; None if not stated.
         trials: Each real trial, shape [N, T, C]; NaN is unknown. None if only mean and scatter are known.
         trial_rmse: RMSE of each real trial to the mean of the others, shape [N]; None without single trials.
-        trial_rmse_aligned: The same after the time shift with the least RMSE, shape [N].
+        trial_rmse_aligned: The same after the time shift with the smallest RMSE, shape [N].
         normalized: Whether distances are divided by the published distance of real trials.
         points: Positions of the markers as a band in mm; scores and rewards of cloth and foam use them.
         exact: Normalized distance of an exact solution with the same constants, by parameter set.
-        stated_uncertainty: `standard_uncertainty` as a file states it; None computes it from the arrays.
+        given_uncertainty: `standard_uncertainty` from a file; None computes it from the arrays.
 
     Raises:
         ShapeError: Arrays do not fit each other.
@@ -165,7 +165,7 @@ class Band:
     normalized: bool = True
     points: Band | None = None
     exact: Mapping[str, float] = field(default_factory=dict)
-    stated_uncertainty: float | None = None
+    given_uncertainty: float | None = None
 
     def __post_init__(self) -> None:
         for name in ARRAYS:
@@ -177,7 +177,7 @@ class Band:
         shape = (len(self.mean), len(self.coordinates))
         for name in ("mean", "sigma", "uncertainty", "trials"):
             values = getattr(self, name)
-            # Trials have an axis before those of frames and coordinates.
+            # The first axis of `trials` is the trial.
             if values is not None and values.shape[-2:] != shape:
                 raise ShapeError(
                     f"{name} has shape {values.shape}, expected {shape} for frames and coordinates"
@@ -190,17 +190,17 @@ class Band:
 
     @property
     def compared(self) -> Band:
-        """The band of the markers where there is one, else this band: what verdicts and rewards are of."""
+        """The band that verdicts and rewards use: the band of the markers if there is one, else this band."""
         return self.points or self
 
     @property
     def marker_count(self) -> int:
-        """Number of markers whose positions are the coordinates; 1 for other coordinates."""
+        """Number of markers if the coordinates are marker positions, else 1."""
         is_of_markers = self.coordinates[0].startswith("marker-")
         return len(self.coordinates) // 3 if is_of_markers and self.unit == "mm" else 1
 
     def length(self, deviation: FloatArray) -> float:
-        """Return the root mean square over known frames of a deviation, shape [T, C]; over markers too, if any."""
+        """Return the root mean square of a deviation, shape [T, C], over known frames and over markers, if any."""
         squares = np.where(np.isfinite(self.mean), np.square(deviation), 0.0)
         of_frames = squares.sum(axis=1)[self.known] / self.marker_count
         return math.sqrt(float(of_frames.mean()))
@@ -209,20 +209,22 @@ class Band:
     def standard_uncertainty(self) -> float:
         """Standard uncertainty u of the mean in the norm of the distance.
 
-        It is the scatter over the root of the number of trials for `trials`, scatter and measurement for `recording`,
-        the discretization for `numerical`. For `analytic` it is what the form leaves open; an exact form has the
-        resolution of motion capture, 1 mm in each coordinate.
+        For `trials` it is the scatter over the root of the number of trials, for `recording` the scatter and the
+        measurement, and for `numerical` the discretization. For `analytic` it is the uncertainty of the closed form; an
+        exact form has the resolution of motion capture, 1 mm in each coordinate.
         """
-        if self.stated_uncertainty is not None:
-            return self.stated_uncertainty
+        if self.given_uncertainty is not None:
+            return self.given_uncertainty
         compared = self.compared
         sigma = compared.sigma
         if self.kind is Kind.TRIALS:
             return compared.length(sigma / math.sqrt(self.trial_count or 1))
-        stated = compared.uncertainty
+        uncertainty = compared.uncertainty
         if self.kind is Kind.RECORDING:
-            return compared.length(np.hypot(sigma, 0.0 if stated is None else stated))
-        return compared.length(sigma if stated is None else stated)
+            return compared.length(
+                np.hypot(sigma, 0.0 if uncertainty is None else uncertainty)
+            )
+        return compared.length(sigma if uncertainty is None else uncertainty)
 
     @cached_property
     def zero_motion_distance(self) -> float:
@@ -236,14 +238,14 @@ class Band:
     def has_release(self) -> bool:
         """Whether the motion starts with a release at an unknown time, as measured motions do.
 
-        Means that follow from published numbers of trials start at frame 0.
+        Means computed from published numbers of trials start at frame 0.
         """
         return self.kind is Kind.RECORDING or self.trials is not None
 
     def of_trial(self, trial: int) -> Band:
-        """Return the band of one of its trials, with the uncertainty of measuring it."""
+        """Return the band of one of its trials, with the uncertainty of the measurement."""
         assert self.trials is not None and self.uncertainty is not None, (
-            "a band of trials, each of them measured"
+            "only a band with single trials and their uncertainty has a band of a trial"
         )
         return replace(
             self,
@@ -255,7 +257,7 @@ class Band:
             trial_rmse=None,
             trial_rmse_aligned=None,
             normalized=False,
-            stated_uncertainty=None,
+            given_uncertainty=None,
             exact={},
         )
 
@@ -275,12 +277,12 @@ class Band:
 def band_file(variant: str, source: DataSource = DataSource.BUNDLED) -> Path | None:
     """Return the TOML file of the reference of a variant; None without one.
 
-    It is that of the package or that beside the user's task file, then that of imported trials. The imported one comes
-    first if `source` asks for it.
+    The first file that exists counts: of the package, next to the user's task file, of imported trials. With
+    `source=imported` the order is reversed.
     """
-    stated = scoring_folder("bands") / f"{variant}.toml"
+    bundled = scoring_folder("bands") / f"{variant}.toml"
     imported = trials_folder() / f"{variant}.toml"
-    files = [stated, own_band_file(variant), imported]
+    files = [bundled, own_band_file(variant), imported]
     if source is DataSource.IMPORTED:
         files.reverse()
     return next((file for file in files if file is not None and file.is_file()), None)
@@ -291,7 +293,7 @@ def load_band(variant: str, source: DataSource = DataSource.BUNDLED) -> Band | N
 
     Args:
         variant: Name of the variant, as `SlopeSlider-2-wood`.
-        source: `bundled`, or `imported` for that of the imported trials.
+        source: `bundled` or `imported`, see `band_file`.
 
     Raises:
         ReferenceFileError: A file is damaged.
@@ -300,34 +302,34 @@ def load_band(variant: str, source: DataSource = DataSource.BUNDLED) -> Band | N
     return None if file is None else _read_band(file, file.stat().st_mtime_ns)
 
 
-def stated_of(file: Path) -> BandFile:
-    """Return what the TOML file of a reference states."""
-    return _stated_of(file, file.stat().st_mtime_ns)
+def read_band_file(file: Path) -> BandFile:
+    """Return the content of the TOML file of a reference."""
+    return _read_band_file(file, file.stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=256)
-def _stated_of(file: Path, modified_ns: int) -> BandFile:
-    """Return the content of a file; its time distinguishes imports in the cache."""
+def _read_band_file(file: Path, modified_ns: int) -> BandFile:
+    """Return the content of a file; its time distinguishes versions in the cache."""
     with faults_of(file):
         return BandFile.model_validate(toml_document(read_content(file)))
 
 
 @lru_cache(maxsize=128)
 def _read_band(file: Path, modified_ns: int) -> Band | None:
-    """Return the band of a TOML file and the NPZ file beside it."""
-    stated = stated_of(file)
-    if Kind(stated.kind) is Kind.NONE:
+    """Return the band of a TOML file and its NPZ file."""
+    content = read_band_file(file)
+    if Kind(content.kind) is Kind.NONE:
         return None
     arrays_file = file.with_suffix(".npz")
     with faults_of(arrays_file):
         arrays = npz_arrays(read_content(arrays_file), (*ARRAYS, *MARKER_ARRAYS))
-        arrays.setdefault("projection", np.eye(len(stated.coordinates)))
+        arrays.setdefault("projection", np.eye(len(content.coordinates)))
         arrays.setdefault("measured", np.isfinite(arrays["mean"]).all(axis=1))
-        facts: dict[str, Any] = {name: getattr(stated, name) for name in STATED}
+        facts: dict[str, Any] = {name: getattr(content, name) for name in FILE_FIELDS}
         facts |= {name: arrays[name] for name in ARRAYS if name in arrays}
         band = Band(
-            kind=Kind(stated.kind),
-            stated_uncertainty=stated.standard_uncertainty,
+            kind=Kind(content.kind),
+            given_uncertainty=content.standard_uncertainty,
             **facts,
         )
         if "markers_mm" not in arrays:
@@ -360,4 +362,4 @@ def recorded_events(
 ) -> tuple[RecordedEvent, ...]:
     """Return the events of a variant that have a real value in a recording."""
     file = band_file(variant, source)
-    return () if file is None else stated_of(file).events
+    return () if file is None else read_band_file(file).events

@@ -1,6 +1,6 @@
-"""Convergence: the change of a whole episode when the time step or the cells are halved, or with the training preset.
+"""Convergence: the change of an episode with half the time step, half the cells, or the training preset.
 
-`scoring/convergence/<engine>.csv` holds it. A row that is absent was not measured.
+It is in `scoring/convergence/<engine>.csv`. A missing row was not measured.
 """
 
 from functools import cache
@@ -24,9 +24,9 @@ class Convergence(FileModel):
     Attributes:
         variant: Variant id, as in `SlopeSlider-2-wood`.
         setting: Setting that differs: `timestep_s` [s], `cell_m` [m], or `training`, the preset.
-        default: Its value in the default run; for a mesh that has no single edge, the smallest edge of its cells. Of
-            `training` the environment steps per second of processor time, both runs in turn on one core.
-        refined: The same in the other run.
+        default: Its value in the default run; for a mesh with several edges, the smallest edge of its cells. For
+            `training`, the environment steps per second of processor time, both runs in turn on one core.
+        refined: Its value in the other run.
         unit: Unit of rms and max.
         rms: Root mean square of the distance over frames; None if one of the runs diverged.
         max: Largest distance of a frame; None if one of the runs diverged.
@@ -57,7 +57,7 @@ def convergence_rows(engine: str | None, name: str) -> dict[str, dict[str, Any]]
     """Return the measured convergence of an experiment on an engine, JSON-ready, by the setting that differs.
 
     Args:
-        engine: Name of the engine; None for a trajectory from a file, which has no rows.
+        engine: Name of the engine; None for a trajectory file, which has no rows.
         name: Id or name of the experiment.
     """
     file = scoring_folder("convergence") / f"{engine}.csv"

@@ -1,8 +1,8 @@
-"""Imported trials: the reference of each variant, its driven motion and its starts, in the folder of the user.
+"""Imported trials: the reference of each variant, its driven motion and its initial states, in the user's folder.
 
-An import is a reference like the bundled ones, `<variant>.toml` and `<variant>.npz`. The TOML file also states the
-origin of the trials, and the NPZ file has the recorded motion of driven bodies and start orientations. The environment
-variable `GAUGE_DATA_DIR` names the folder. The default is the platform's folder for user data, on Linux
+An import is a reference like the bundled ones, `<variant>.toml` and `<variant>.npz`. The TOML file also has the origin
+of the trials. The NPZ file also has the recorded motion of driven bodies and initial orientations. The environment
+variable `GAUGE_DATA_DIR` sets the folder. The default is the platform's folder for user data, on Linux
 `$XDG_DATA_HOME/gauge-envs` or `~/.local/share/gauge-envs`.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from gauge_envs.errors import DatasetError, ReferenceFileError
 from gauge_envs.files import npz_arrays, os_errors, write_whole
-from gauge_envs.references.band import ARRAYS, Band, load_band, stated_of
+from gauge_envs.references.band import ARRAYS, Band, load_band, read_band_file
 from gauge_envs.references.tables import FileModel, faults_of, read_content
 from gauge_envs.references.user_data import DataSource, trials_folder
 from gauge_envs.scene.drivers import Driver
@@ -25,7 +25,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-STATED = (
+WRITTEN_FIELDS = (
     "unit",
     "coordinates",
     "trial_count",
@@ -34,10 +34,10 @@ STATED = (
     "standard_uncertainty",
     "zero_motion_distance",
 )
-"""Attributes of a band that its TOML file states."""
+"""Attributes of a band in its TOML file."""
 
 START_FRAMES = 3
-"""Number of first frames whose positions and orientations give the start velocities of a trial."""
+"""Number of first frames from which the initial velocities of a trial are computed."""
 
 
 class SpreadRecord(FileModel):
@@ -50,7 +50,7 @@ class SpreadRecord(FileModel):
 
     @classmethod
     def of(cls, values: FloatArray, unit: str) -> SpreadRecord | None:
-        """Return the spread of the finite ones of one value per trial; None without any."""
+        """Return the spread of the finite values, one per trial; None without any."""
         finite = values[np.isfinite(values)]
         if not finite.size:
             return None
@@ -61,13 +61,13 @@ class SpreadRecord(FileModel):
 
 
 class DriverRecord(FileModel):
-    """Quality of a recorded driver: how far the trials are from the mean that drives the body.
+    """Quality of a recorded driver: the distance of the trials from the mean that drives the body.
 
     Attributes:
         body: Name of the driven body.
         trial_count: Number of trials that show the body.
-        residual_mm: Root mean square over trials and frames of the distance that the driver's motions cannot follow.
-        residual_deg: Root mean square of the angle that they cannot follow; None if no trial has orientations.
+        residual_mm: Root mean square over trials and frames of the distance that the driver cannot reproduce.
+        residual_deg: Root mean square of the angle that the driver cannot reproduce; None without orientations.
         start_offset_mm: Mean over trials of the distance from the calibrated start, at which the driver starts.
         scatter_mm: Largest standard deviation of a translation over trials, 0 for one trial; None without translation.
         scatter_deg: Largest standard deviation of a rotation over trials, 0 for one trial; None without rotation.
@@ -83,15 +83,15 @@ class DriverRecord(FileModel):
 
 
 class ImportFacts(FileModel):
-    """Origin of the imported trials of one variant, and their scores: the table `imported` of its TOML file.
+    """Origin and scores of the imported trials of one variant: the table `imported` of its TOML file.
 
     Attributes:
         variant: Name of the variant.
-        left_out: Number of trial files that were left out.
-        revision: Revision of the dataset; None for a folder that does not state it.
+        left_out: Number of skipped trial files.
+        revision: Revision of the dataset; None if the folder does not give it.
         files: Paths of the trials below the dataset's folder.
         files_sha256: Hash over the hashes of these files, in that order.
-        task_sha256: Hash of the task file that they were imported for.
+        task_sha256: Hash of the task file at the import.
         metrics: Score of the trials among themselves, by metric.
         drivers: Recorded drivers.
     """
@@ -123,7 +123,7 @@ class ImportedVariant:
         driver_values: Mean recorded coordinates of each driven body relative to its start [m or rad], shape
             [frame_count, motion_count]; NaN where no trial shows the body.
         start_quaternions: Orientations x y z w of the recorded bodies in the first frames of each trial, body to world,
-            shape [trial_count, START_FRAMES, body_count, 4]; NaN where a trial has none. None for an import without.
+            shape [trial_count, START_FRAMES, body_count, 4]; NaN where a trial has none. None without orientations.
     """
 
     facts: ImportFacts
@@ -138,7 +138,7 @@ def write_imported(
     facts: ImportFacts,
     start_quaternions: FloatArray | None = None,
 ) -> None:
-    """Store an imported variant in place of an earlier import of it.
+    """Store an imported variant; it replaces an earlier import.
 
     Args:
         band: Band of the trials, in the coordinates of g(t).
@@ -157,9 +157,9 @@ def write_imported(
         stream,
         **{name: values for name, values in arrays.items() if values is not None},
     )
-    # JSON texts, numbers and lists are TOML too; a TOML string of JSON holds the nested facts.
+    # JSON texts, numbers and lists are valid TOML. A JSON string holds the nested facts.
     lines = [f"kind = {json.dumps(band.kind.value)}"]
-    for name in STATED:
+    for name in WRITTEN_FIELDS:
         value = getattr(band, name)
         if value is not None:
             lines.append(f"{name} = {json.dumps(value)}")
@@ -185,14 +185,14 @@ def load_imported(variant: str) -> ImportedVariant | None:
     file = trials_folder() / f"{variant}.toml"
     if not file.is_file():
         return None
-    stated = stated_of(file)
+    content = read_band_file(file)
     band = load_band(variant, DataSource.IMPORTED)
-    if band is None or "facts" not in stated.imported:
+    if band is None or "facts" not in content.imported:
         raise ReferenceFileError(file, "imported", "gauge data import renews it")
     with faults_of(file):
-        facts = ImportFacts.model_validate_json(stated.imported["facts"])
+        facts = ImportFacts.model_validate_json(content.imported["facts"])
     arrays_file = file.with_suffix(".npz")
-    bodies = [one.body for one in facts.drivers]
+    bodies = [driver.body for driver in facts.drivers]
     names = [f"driver.{body}" for body in bodies]
     with faults_of(arrays_file):
         arrays = npz_arrays(read_content(arrays_file), (*names, "start_quaternions"))
@@ -205,37 +205,37 @@ def load_imported(variant: str) -> ImportedVariant | None:
 
 
 def recorded_drivers(variant: str, bundled: tuple[Driver, ...]) -> tuple[Driver, ...]:
-    """Return the drivers of a variant, with recorded motion for every body that imported trials show.
+    """Return the drivers of a variant, with recorded motion for every body that the imported trials show.
 
     Args:
         variant: Name of the variant.
         bundled: Drivers of the task file; axes and action rates stay.
 
     Raises:
-        ReferenceFileError: The import is of an older task file, with other motions.
+        ReferenceFileError: The import belongs to an older task file with other motions.
     """
     imported = load_imported(variant)
     if imported is None:
         return bundled
-    found = []
+    drivers = []
     for driver in bundled:
         values = imported.driver_values.get(driver.body)
         if values is None:
-            found.append(driver)
+            drivers.append(driver)
         elif values.shape[1:] == (len(driver.motions),):
-            found.append(_recorded(driver, values))
+            drivers.append(_recorded(driver, values))
         else:
             raise ReferenceFileError(
                 trials_folder() / f"{variant}.npz",
                 None,
-                f"the driver of {driver.body} has {len(driver.motions)} motions, imported were {values.shape[-1]}; "
+                f"the driver of {driver.body} has {len(driver.motions)} motions, the import has {values.shape[-1]}; "
                 "gauge data import renews it",
             )
-    return tuple(found)
+    return tuple(drivers)
 
 
 def _recorded(driver: Driver, values: FloatArray) -> Driver:
-    """Return a driver with recorded coordinates, shape [frame_count, motion_count], in place of its own."""
+    """Return a driver that follows recorded coordinates, shape [frame_count, motion_count]."""
     motions = []
     for motion, column in zip(driver.motions, values.T, strict=True):
         frames = np.flatnonzero(np.isfinite(column))
@@ -250,7 +250,7 @@ def _recorded(driver: Driver, values: FloatArray) -> Driver:
 def dataset_record(
     variant: str, *, drivers: DataSource, reference: DataSource
 ) -> dict[str, str]:
-    """Return the sources of drivers and reference, for a result.
+    """Return the sources of drivers and reference for a result.
 
     Args:
         variant: Name of the variant.

@@ -1,4 +1,4 @@
-"""The kind of a reference, in a module that imports nothing heavy."""
+"""The kind of a reference; this module imports nothing heavy."""
 
 from enum import StrEnum
 
@@ -24,5 +24,5 @@ class Kind(StrEnum):
 
     @property
     def is_solution(self) -> bool:
-        """Whether the motion solves the calibrated scene: a distance from it is the error of an engine."""
+        """Whether the motion solves the calibrated scene, so that a distance from it is the error of an engine."""
         return self in (Kind.ANALYTIC, Kind.NUMERICAL)

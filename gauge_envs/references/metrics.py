@@ -1,4 +1,4 @@
-"""The metrics of the benchmark (paper, Table 5): names, titles and units, each stated here alone."""
+"""The metrics of the benchmark (paper, Table 5): names, titles and units."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,8 +13,8 @@ class Metric:
         key: Name in task files, published tables and results.
         title: Name in reports.
         unit: Unit of the raw score; None is the unit of the observable.
-        is_event: Whether it is measured from the swing of a hinged body, and so needs no band.
-        is_normalized: Whether it is divided by the published mean; the mean energy loss of real trials is 0.
+        is_event: Whether it is measured from the swing of a hinged body, so that it needs no band.
+        is_normalized: Whether it is divided by the published mean; not for energy loss, whose real mean is 0.
     """
 
     key: str
@@ -24,7 +24,7 @@ class Metric:
     is_normalized: bool = True
 
     def unit_of(self, observable_unit: str) -> str:
-        """Return the unit of the raw score of an observable with a given unit."""
+        """Return the unit of the raw score for an observable with a unit."""
         return observable_unit if self.unit is None else self.unit
 
 

@@ -29,7 +29,7 @@ class Baseline:
         std: Standard deviation over real trials; None if none was published.
         engines: Published score of `isaacsim`, `genesis` and `newton` over `mean`; None if none was published. For el
             it is the raw score, as the mean is 0.
-        disputed: Why some of these scores cannot be right, by the geometry of g(t); empty without a reason.
+        disputed: Why some of these scores contradict the geometry of g(t); empty if none does.
     """
 
     variant: str
@@ -43,7 +43,7 @@ class Baseline:
 
 
 def published_baselines(variant: str) -> dict[str, Baseline]:
-    """Return the published baselines of a variant by metric, which may be none."""
+    """Return the published baselines of a variant by metric; empty if there are none."""
     return dict(_all_baselines(scoring_folder("published")).get(variant, {}))
 
 

@@ -1,7 +1,7 @@
-"""Single-shot trials: recordings that each have a start of their own, so that no mean over them exists.
+"""Single-trial recordings: each has its own initial state, so they have no mean.
 
-A variant beyond the benchmark may have `scoring/single_shot/<variant>.npz` with the recordings and `<variant>.toml`
-with their source and nuisances (`scoring/README.md`). Recordings are corrected by the nuisances when they are read.
+A variant outside the benchmark may have `scoring/single_shot/<variant>.npz` with the recordings and `<variant>.toml`
+with their source and nuisances (`scoring/README.md`). Reading corrects the recordings by the nuisances.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class SingleShot:
     def poses_at(self, times_s: FloatArray) -> tuple[FloatArray, Rotation]:
         """Return the recorded poses at other times; after the last frame the body keeps its last pose.
 
-        Between frames, positions are a cubic spline without kinks at the frames and rotations have a constant rate.
+        Between frames, positions are a cubic spline, and rotations have a constant rate.
 
         Args:
             times_s: Times [s], shape [Q].
@@ -74,7 +74,7 @@ class SingleShot:
         Returns:
             Positions [m], shape [Q, 3], and orientations.
         """
-        # Lists of experiments need no spline, and the import takes a tenth of a second.
+        # The import takes 0.1 s, and lists of experiments do not need it.
         from scipy.interpolate import CubicSpline
         from scipy.spatial.transform import Slerp
 
@@ -87,16 +87,17 @@ class SingleShot:
 class SingleShots:
     """All recorded trials of a variant.
 
-    Trials keep the numbers of the data set, copies too. The trials of a half are independent: copies are in none.
+    Trials keep the numbers of the data set, including copies. The trials of a half are independent: they contain no
+    copies.
 
     Attributes:
         variant: Name of the variant.
-        stated: Content of the TOML file, with `nuisances`: errors of the recordings that no engine can answer for.
+        metadata: Content of the TOML file; `nuisances` are errors of the recordings, not of an engine.
         arrays: Arrays of the NPZ file.
     """
 
     variant: str
-    stated: Mapping[str, Any]
+    metadata: Mapping[str, Any]
     arrays: Mapping[str, NDArray[Any]]
 
     def __len__(self) -> int:
@@ -104,14 +105,14 @@ class SingleShots:
 
     @property
     def copies(self) -> dict[int, int]:
-        """Trials that repeat an earlier one, with the number of that one."""
-        return {copy["trial"]: copy["of"] for copy in self.stated["copies"]}
+        """Numbers of trials that repeat an earlier trial, with the number of the earlier one."""
+        return {copy["trial"]: copy["of"] for copy in self.metadata["copies"]}
 
     def trials(self, half: Literal["fit", "judge"] | None = None) -> tuple[int, ...]:
-        """Return independent trials: without those that repeat an earlier one.
+        """Return independent trials, without those that repeat an earlier one.
 
         Args:
-            half: `fit` for even numbers, which constants may be fitted on; `judge` for odd ones; None for all.
+            half: `fit` for even numbers, to fit constants; `judge` for odd numbers; None for all.
         """
         first, step = {"fit": (0, 2), "judge": (1, 2), None: (0, 1)}[half]
         chosen = range(first, len(self), step)
@@ -129,20 +130,20 @@ class SingleShots:
             raise ParameterError(
                 f"GAUGE/{self.variant}: trial {trial} does not exist: choose 0 to {len(self) - 1}"
             )
-        data, nuisances = self.arrays, self.stated["nuisances"]
+        data, nuisances = self.arrays, self.metadata["nuisances"]
         rows = slice(*data["first"][trial : trial + 2].tolist())
-        unit_m = self.stated["position_unit_m"] * nuisances["length_scale"]
+        unit_m = self.metadata["position_unit_m"] * nuisances["length_scale"]
         positions_m = unit_m * data["position"][rows].astype(np.float64)
         positions_m[:, 2] += nuisances["height_offset_m"]
         quaternions = QUATERNION_UNIT * data["quaternion"][rows].astype(np.float64)
         quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
         start = Rotation.from_quat(quaternions[0], scalar_first=True)
-        # Recordings state the rate about the axes of the body, scenes about those of the world.
+        # Recordings give the angular velocity in the body frame, scenes in the world frame.
         rate_of_body = data["start_angular_velocity_body"][trial].astype(np.float64)
         return SingleShot(
-            body=self.stated["body"],
+            body=self.metadata["body"],
             source_number=int(data["source_number"][trial]),
-            times_s=np.arange(len(positions_m)) / self.stated["rate_hz"],
+            times_s=np.arange(len(positions_m)) / self.metadata["rate_hz"],
             positions_m=positions_m,
             quaternions=quaternions,
             velocity_m_per_s=data["start_velocity"][trial].astype(np.float64),
@@ -150,13 +151,13 @@ class SingleShots:
         )
 
     def band(self, trial: int, frame_count: int) -> Band:
-        """Return the band of one trial: positions at the frames, and the uncertainty of measuring them.
+        """Return the band of one trial: positions at the frames, and the uncertainty of their measurement.
 
         Args:
             trial: Number of the trial.
             frame_count: Number of 30 Hz frames of an episode.
         """
-        shot, nuisances = self.shot(trial), self.stated["nuisances"]
+        shot, nuisances = self.shot(trial), self.metadata["nuisances"]
         times_s = np.arange(frame_count) / FRAME_RATE_HZ
         mean = 1e3 * shot.poses_at(times_s)[0]
         noise_m = nuisances["position_noise_m"], nuisances["rest_height_std_m"]
@@ -173,7 +174,7 @@ class SingleShots:
             sigma=sigma,
             measured=times_s <= shot.duration_s,
             trial_count=1,
-            source=f"trial {trial}{repeats} of {self.stated['source']}",
+            source=f"trial {trial}{repeats} of {self.metadata['source']}",
             uncertainty=sigma,
             normalized=False,
         )
@@ -185,5 +186,5 @@ def single_shots(variant: str) -> SingleShots | None:
     file = scoring_folder("single_shot") / f"{variant}.npz"
     if not file.is_file():
         return None
-    stated = toml_document(file.with_suffix(".toml").read_bytes())
-    return SingleShots(variant, stated, npz_arrays(file.read_bytes()))
+    metadata = toml_document(file.with_suffix(".toml").read_bytes())
+    return SingleShots(variant, metadata, npz_arrays(file.read_bytes()))

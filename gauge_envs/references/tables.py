@@ -1,4 +1,4 @@
-"""Read the CSV, TOML and JSON files of reference data, each row and table checked by a pydantic model."""
+"""Read the CSV, TOML and JSON files of reference data; a pydantic model checks each row and table."""
 
 import csv
 from collections.abc import Iterator
@@ -35,7 +35,7 @@ UnitVector = Annotated[Vector, AfterValidator(_unit)]
 class FileModel(BaseModel):
     """One table of a file: frozen, without unknown keys, all numbers finite."""
 
-    # A validator is built at first use: most files need few of the tables.
+    # Build a validator at its first use, because most files need few of the tables.
     model_config = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True
     )
@@ -63,7 +63,7 @@ def read_content(file: Path) -> bytes:
 
 @contextmanager
 def faults_of(file: Path) -> Iterator[None]:
-    """Raise an error with the place of what pydantic refuses, or with the reason of another ValueError."""
+    """Turn an error of pydantic, or another ValueError, into an error with the file and the reason."""
     try:
         yield
     except ValidationError as error:
@@ -83,7 +83,7 @@ def read_toml(file: Path, model: type[Model]) -> Model:
 
 
 def read_rows(file: Path, model: type[Model]) -> list[Model]:
-    """Return the rows of a CSV file of the package whose columns are the fields of a model; an empty cell is None."""
+    """Return the rows of a bundled CSV file as models; columns are fields, and an empty cell is None."""
     lines = csv_text(read_content(file))
     rows = csv.DictReader(line for line in lines if not line.startswith("#"))
     return [

@@ -1,10 +1,10 @@
 """Standard uncertainties of published constants."""
 
 FRICTION_SHARES = {"wood": 0.06249, "plastic": 0.1448, "metal": 0.04674}
-"""Standard uncertainty of a published friction, over it, by material."""
+"""Relative standard uncertainty of a published friction, by material."""
 
-OTHER_FRICTION_SHARE = 0.0950
-"""Root mean square of these three, for materials without trials."""
+DEFAULT_FRICTION_SHARE = 0.0950
+"""Root mean square of the three, for materials without trials."""
 
 FRICTION_SOURCE = (
     "distance of the published friction from that of single real slides: 20 wood, 20 plastic and 19 metal trials of "
@@ -12,7 +12,7 @@ FRICTION_SOURCE = (
 )
 
 RESTITUTION_SHARE = 0.2778
-"""Standard uncertainty of a published restitution, over it."""
+"""Relative standard uncertainty of a published restitution."""
 
 RESTITUTION_SOURCE = (
     "distance of the published restitution from the rebound ratio of single real drops: 22 trials of BouncingBall "
@@ -27,4 +27,4 @@ def friction_std(value: float, material: str | None) -> float:
         value: Published value.
         material: Material of the variant.
     """
-    return value * FRICTION_SHARES.get(material or "", OTHER_FRICTION_SHARE)
+    return value * FRICTION_SHARES.get(material or "", DEFAULT_FRICTION_SHARE)

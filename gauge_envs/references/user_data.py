@@ -1,4 +1,4 @@
-"""Data of the user: imported trials, and task files with bands, in a module that imports nothing heavy."""
+"""Data of the user: imported trials, and task files with bands; this module imports nothing heavy."""
 
 import os
 from contextlib import suppress
@@ -9,18 +9,18 @@ from gauge_envs.errors import DatasetError
 from gauge_envs.files import toml_document
 
 OWN_TASKS = "GAUGE_TASKS"
-"""Environment variable with task files of the user and folders of them, as `PATH` lists folders."""
+"""Environment variable that lists task files of the user and folders with them, separated as in `PATH`."""
 
 
 class DataSource(StrEnum):
-    """Source of driven motion or of the band. An argument selects it; an import alone changes nothing."""
+    """Source of driven motion or of the band. Arguments select it; an import alone changes nothing."""
 
     BUNDLED = "bundled"
     """The package: the task file's drivers, the bundled bands and laws."""
     IMPORTED = "imported"
     """The real trials that `gauge data import` read."""
     ACTION = "action"
-    """No recorded motion: driven bodies rest until actions move them. A band has no such source."""
+    """No recorded motion: driven bodies rest until actions move them. Bands do not have this source."""
 
 
 BUNDLED_DATA = {
@@ -56,25 +56,25 @@ def has_import(variant: str) -> bool:
 
 
 def own_task_files() -> tuple[Path, ...]:
-    """Return the task files that `GAUGE_TASKS` names, in its order; a named file need not exist."""
-    found: dict[Path, None] = {}
+    """Return the task files in `GAUGE_TASKS`, in its order; a listed file need not exist."""
+    paths: dict[Path, None] = {}
     for entry in os.environ.get(OWN_TASKS, "").split(os.pathsep):
         if not entry.strip():
             continue
         path = Path(entry).expanduser().absolute()
-        inside = filter(_states_family, sorted(path.glob("*.toml")))
-        found |= dict.fromkeys(inside if path.is_dir() else [path])
-    return tuple(found)
+        folder_files = filter(_is_task_file, sorted(path.glob("*.toml")))
+        paths |= dict.fromkeys(folder_files if path.is_dir() else [path])
+    return tuple(paths)
 
 
-def _states_family(path: Path) -> bool:
-    """Return whether a file of a folder is a task file; other TOML files may lie beside it."""
+def _is_task_file(path: Path) -> bool:
+    """Return whether a TOML file is a task file; its folder may have other TOML files."""
     with suppress(OSError, ValueError):
         return "family" in toml_document(path.read_bytes())
     return False
 
 
 def own_band_file(variant: str) -> Path | None:
-    """Return the file `<id>.band.toml` beside a task file of the user; None without one."""
+    """Return the file `<id>.band.toml` next to a task file of the user; None without one."""
     files = (path.with_name(f"{variant}.band.toml") for path in own_task_files())
     return next((file for file in files if file.is_file()), None)

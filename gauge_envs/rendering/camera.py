@@ -1,4 +1,4 @@
-"""The camera of pictures: that of the task, or a view of the start and of where bodies go."""
+"""Camera of pictures: the camera of the task, or a view of the start and the motion."""
 
 from fnmatch import fnmatchcase
 
@@ -14,28 +14,28 @@ from gauge_envs.scene.meshes import outline_m
 FIELD_OF_VIEW_DEG = 30.0
 """Vertical field of view [deg]."""
 TASK_ASPECT = 4.0 / 3.0
-"""Width over height of the pictures that the cameras of tasks are chosen for."""
+"""Aspect ratio of pictures for which the cameras of tasks are chosen."""
 
-# --- the view of a scene without a camera of its own ---
+# --- view of a scene without a camera ---
 
 AZIMUTH_DEG = 125.0
 ELEVATION_DEG = -18.0
 OFF_AXIS_DEG = 20.0
-"""Angle between the view and the axis of a swing [deg]: nearly face on, so that bodies show two sides."""
+"""Angle between the view and the axis of a swing [deg]; bodies then show two sides."""
 MARGIN = 1.25
-"""Radius of the sphere that fills the height of a picture, over that of the sphere around all places."""
+"""Radius of the sphere that fills the height of a picture, over the radius of the sphere around all places."""
 MIN_RADIUS_M = 0.04
 """Smallest radius of the sphere around all places [m]."""
 FLOOR_IN_VIEW_M = 0.6
-"""Largest distance of the floor below all bodies at which it is in the picture [m]."""
+"""Largest distance of the floor below all bodies at which the picture includes it [m]."""
 
 
 class View(FileModel):
     """A perspective camera without roll.
 
     Attributes:
-        target_m: Point in the middle of the picture [m].
-        distance_m: Distance of the camera from it [m].
+        target_m: Point in the centre of the picture [m].
+        distance_m: Distance of the camera from the target [m].
         azimuth_deg: Direction of the view in the level plane, anticlockwise from the x axis [deg].
         elevation_deg: Angle of the view above the level plane [deg]; negative from above.
     """
@@ -56,7 +56,7 @@ class View(FileModel):
 
     @property
     def height_m(self) -> float:
-        """Height of what a picture shows at the distance of the target [m]."""
+        """Height of the picture at the distance of the target [m]."""
         half_angle = np.radians(0.5 * FIELD_OF_VIEW_DEG)
         return 2.0 * self.distance_m * float(np.tan(half_angle))
 
@@ -72,7 +72,7 @@ class CameraFile(FileModel):
 
 
 def free_camera(view: View) -> mujoco.MjvCamera:
-    """Return the camera of MuJoCo that has a view."""
+    """Return MuJoCo's camera for a view."""
     camera = mujoco.MjvCamera()
     camera.lookat[:] = view.target_m
     camera.distance = view.distance_m
@@ -92,27 +92,27 @@ def experiment_view(
     Args:
         experiment: The experiment.
         aspect: Width of the picture over its height; the camera moves away for a narrow one.
-        places_m: Places that the view of a scene shows too [m], shape [..., 3]; NaN where they are not known.
+        places_m: Further places in the view of a scene [m], shape [..., 3]; NaN if unknown.
     """
     cameras = read_toml(scoring_folder("cameras.toml"), CameraFile).camera
-    stated = [
+    task_views = [
         view
         for pattern, view in cameras.items()
         if fnmatchcase(experiment.name, pattern)
     ]
-    view = stated[0] if stated else scene_view(experiment.scene, places_m)
+    view = task_views[0] if task_views else scene_view(experiment.scene, places_m)
     distance_m = view.distance_m * max(TASK_ASPECT / aspect, 1.0)
     return view.model_copy(update={"distance_m": distance_m})
 
 
 def scene_view(scene: Scene, places_m: FloatArray | None = None) -> View:
-    """Return a view that shows all bodies at the start, and where they can go.
+    """Return a view of all bodies at the start and of their motion.
 
     Args:
         scene: The scene.
-        places_m: Further places that it shows [m], shape [..., 3]; NaN where they are not known.
+        places_m: Further places in the view [m], shape [..., 3]; NaN if unknown.
     """
-    points_m = _start_and_reach_m(scene)
+    points_m = _places_in_view_m(scene)
     if places_m is not None:
         points_m = np.concatenate([points_m, places_m.reshape(-1, 3)])
     low_m, high_m = np.nanmin(points_m, axis=0), np.nanmax(points_m, axis=0)
@@ -129,7 +129,7 @@ def scene_view(scene: Scene, places_m: FloatArray | None = None) -> View:
     )
 
 
-def _start_and_reach_m(scene: Scene) -> FloatArray:
+def _places_in_view_m(scene: Scene) -> FloatArray:
     """Return corners at the start, ends of driven motion and of swings, and the floor below, shape [n, 3]."""
     points = [outline_m(soft) for soft in scene.deformables]
     for body in scene.bodies:

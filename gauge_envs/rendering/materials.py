@@ -1,7 +1,7 @@
 """Looks of materials in pictures.
 
-Colours are chosen by eye after recordings of the real experiments: pale wood, black printed plastic, polished metal,
-black rubber and cream foam. Those of the six fabrics only tell them apart. No colour is a measurement.
+Colours follow recordings of the real experiments by eye: pale wood, black printed plastic, polished metal, black rubber
+and cream foam. The colours of the six fabrics only distinguish them. No colour is measured.
 """
 
 from collections.abc import Mapping
@@ -48,7 +48,7 @@ LOOKS: Mapping[str, Look] = {
 STRING_COLOR = (0.25, 0.25, 0.25)
 """Colour of strings, and of the light rods of pendulums."""
 STRING_RADIUS_M = 0.0015
-"""Radius of a string in the scenes of the site [m]."""
+"""Radius of a string in the scenes of reports [m]."""
 
 
 def material_of(body: RigidBody | Deformable, material: str | None) -> str:
@@ -56,7 +56,7 @@ def material_of(body: RigidBody | Deformable, material: str | None) -> str:
 
     Args:
         body: The body.
-        material: Its material in the task file. Foam is named by its stiffness there: `soft` or `hard`.
+        material: Its material in the task file; for foam this is its stiffness, `soft` or `hard`.
     """
     if material in ("soft", "hard"):
         if isinstance(body, SoftBody):

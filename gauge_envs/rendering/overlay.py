@@ -1,4 +1,4 @@
-"""What a picture can have on top of its scene: tracked points, their paths, and the reference."""
+"""Overlay of a picture: tracked points, their paths, and the reference."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 MAX_PATHS = 12
-"""Largest number of points whose paths are drawn, and of bodies that are marked; more would hide the scene."""
+"""Largest number of paths and of marked bodies in a picture; more would hide the scene."""
 
 
 def _no_points() -> FloatArray:
@@ -28,8 +28,8 @@ class Overlay:
     Attributes:
         markers_m: Points of the simulation [m], shape [n, 3].
         recorded_m: Points of the reference at the same time [m], shape [n, 3].
-        paths: Lines of the simulation so far [m], shape [point_count, 3] each.
-        recorded_paths: Lines of the reference [m].
+        paths: Paths of the simulation so far [m], shape [point_count, 3] each.
+        recorded_paths: Paths of the reference [m].
     """
 
     markers_m: FloatArray = field(default_factory=_no_points)
@@ -46,14 +46,14 @@ def tracked_overlay(
     samples: FloatArray,
     markers_m: FloatArray,
 ) -> Overlay:
-    """Return the overlay of a moment of an episode: what its score compares, as far as that is in space.
+    """Return the overlay at a time of an episode: the compared quantities, if they are positions.
 
     Args:
-        experiment: The experiment, with the start that applies.
+        experiment: The experiment with its effective initial state.
         band: Its reference, or None.
-        time_s: The moment [s].
-        samples: g(t) up to the moment, in its unit, shape [sample_count, coordinate_count].
-        markers_m: Markers at the moment [m], shape [marker_count, 3], which are tracked if g(t) is not of positions.
+        time_s: The time [s].
+        samples: g(t) until this time, in its unit, shape [sample_count, coordinate_count].
+        markers_m: Markers at this time [m], shape [marker_count, 3], shown if g(t) has no positions.
     """
     observable = experiment.score.observable
     if observable is Observable.POSITION and len(experiment.recorded) > MAX_PATHS:
@@ -75,6 +75,6 @@ def tracked_overlay(
 
 
 def _paths(places_m: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the path of each point; none of many points."""
+    """Return the path of each point; empty if there are too many points."""
     is_drawn = places_m.shape[1] <= MAX_PATHS
     return tuple(places_m.swapaxes(0, 1)) if is_drawn else ()

@@ -1,4 +1,4 @@
-"""The reference as pictures and pages draw it: places in space, the same beside a simulation, and words for it."""
+"""The reference in pictures and pages: its positions in space, and a text."""
 
 from dataclasses import dataclass
 
@@ -17,8 +17,8 @@ class ReferencePath:
 
     Attributes:
         names: Names of the points: bodies, or `marker-3`.
-        places_m: Places at the 30 Hz frames [m], shape [frame_count, point_count, 3]; NaN where they are not known.
-        is_full: Whether all directions were measured. The others keep the start of the scene.
+        places_m: Positions at the 30 Hz frames [m], shape [frame_count, point_count, 3]; NaN if unknown.
+        is_full: Whether all directions were measured; the other directions keep the start of the scene.
     """
 
     names: tuple[str, ...]
@@ -27,14 +27,13 @@ class ReferencePath:
 
 
 def reference_path(experiment: Experiment, band: Band | None) -> ReferencePath | None:
-    """Return the mean of a band as places in space; None without a band, or if the band is of other quantities.
+    """Return the mean of a band as positions in space; None without a band or if the band has no positions.
 
-    A band may hold some directions alone. The places then keep the start of the scene in the others: each is the point
-    nearest to the start at which the measured directions have their real values. Points of which no direction was
-    measured are left out.
+    If a band has only some directions, each position is the point nearest to the start with the real values in these
+    directions. Points without a measured direction are left out.
 
     Args:
-        experiment: The experiment, with the start that applies.
+        experiment: The experiment with its effective initial state.
         band: Its band, or None.
     """
     if band is None:
@@ -66,7 +65,7 @@ def reference_path(experiment: Experiment, band: Band | None) -> ReferencePath |
 
 
 def reference_words(kind: Kind, trial_count: int | None) -> str:
-    """Return what the mean of a band is, in words.
+    """Return a text about the mean of a band.
 
     Args:
         kind: Kind of the reference.

@@ -1,4 +1,4 @@
-"""The renderer of a scene: one for all engines, from poses and nodes."""
+"""Renderer of a scene from poses and nodes, the same for all engines."""
 
 import os
 from collections.abc import Mapping
@@ -24,7 +24,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 SIMULATED_COLOR: Color = (0.07, 0.33, 0.85)
-"""Colour of tracked points of a simulation, and of their paths."""
+"""Colour of tracked points of a simulation and of their paths."""
 RECORDED_COLOR: Color = (0.85, 0.05, 0.38)
 """Colour of the reference."""
 STRING_PX = 1.1
@@ -34,20 +34,20 @@ MARKER_PX = 4.0
 PATH_PX = 1.6
 """Radius of a path [pixels]."""
 STEP_PX = 4.0
-"""Shortest part of a path that is drawn [pixels]."""
+"""Shortest drawn part of a path [pixels]."""
 MAX_EXTRA_SHAPES = 10_000
-"""Largest number of balls and tubes of an overlay, and of pieces of strings, ropes and rods."""
+"""Largest number of shapes in overlays, strings, ropes and rods."""
 BALL = mujoco.mjtGeom.mjGEOM_SPHERE
 TUBE = mujoco.mjtGeom.mjGEOM_CAPSULE
 
 DEBIAN_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0"
 
 _drawing_processes: set[int] = set()
-"""Process that has made an off-screen context; a fork inherits the number of the one that it copies."""
+"""Process that has created an off-screen context; a fork inherits the number of its parent."""
 
 
 def _graphics_context(width: int, height: int) -> Any:
-    """Return an off-screen OpenGL context: that of MUJOCO_GL, or else EGL or OSMesa, whichever is installed."""
+    """Return an off-screen OpenGL context: as MUJOCO_GL says, else EGL if it is installed, else OSMesa."""
     if _drawing_processes - {os.getpid()}:
         raise RenderError(
             "this process is a fork of one that has drawn pictures, and OpenGL does not survive a fork. Start new "
@@ -78,7 +78,7 @@ class SceneRenderer:
         width: Picture width [pixels].
         height: Picture height [pixels].
         view: The camera.
-        materials: Material of bodies by name, as `wood`; others have colours by how they move.
+        materials: Material of bodies by name, as `wood`; without one, the kind of motion gives the colour.
         window: Window that `show` draws in, or None for pictures.
     """
 
@@ -93,7 +93,7 @@ class SceneRenderer:
         materials: Mapping[str, str],
         window: Window | None = None,
     ) -> None:
-        # If PyTorch for CUDA loads triton after Mesa has loaded its own LLVM, the process crashes.
+        # The process crashes if PyTorch for CUDA loads triton after Mesa has loaded its own LLVM.
         with suppress(ImportError):
             import_module("triton")
         self._context = window or _graphics_context(width, height)
@@ -120,7 +120,7 @@ class SceneRenderer:
         self._device = mujoco.MjrContext(
             self._model, mujoco.mjtFontScale.mjFONTSCALE_100
         )
-        # The nearest depth is stored as 1 and the farthest as 0, where floating point numbers are densest.
+        # Store the nearest depth as 1 and the farthest as 0, where floating point numbers are densest.
         self._device.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         buffers = mujoco.mjtFramebuffer
         buffer = buffers.mjFB_OFFSCREEN if window is None else buffers.mjFB_WINDOW
@@ -137,7 +137,7 @@ class SceneRenderer:
         Args:
             poses: Position [m] and quaternion w x y z of each body that has moved, shape [7].
             nodes_m: Nodes of each deformable body [m], in the order of `rest_nodes_m`.
-            overlay: What is drawn on top of the scene, or None.
+            overlay: Overlay on the scene, or None.
 
         Returns:
             Picture, shape [height, width, 3], top row first.
@@ -151,11 +151,11 @@ class SceneRenderer:
     def depth_m(
         self, poses: Mapping[str, FloatArray], nodes_m: Mapping[str, FloatArray]
     ) -> NDArray[np.float32]:
-        """Return the distance of what each pixel shows from the plane of the camera [m].
+        """Return the distance of each pixel's point from the camera plane [m].
 
         Args:
-            poses: As for `picture`.
-            nodes_m: As for `picture`.
+            poses: See `picture`.
+            nodes_m: See `picture`.
 
         Returns:
             Distances, shape [height, width], top row first; the background is at the far plane.
@@ -177,7 +177,7 @@ class SceneRenderer:
         nodes_m: Mapping[str, FloatArray],
         overlay: Overlay | None = None,
     ) -> None:
-        """Draw the scene in its window, at most once a frame; the arguments are those of `picture`."""
+        """Draw the scene in its window, at most once a frame; see `picture` for the arguments."""
 
         def draw() -> None:
             viewport = mujoco.MjrRect(0, 0, *window.size)
@@ -186,7 +186,7 @@ class SceneRenderer:
         window.show(draw, interval_s=1.0 / FRAME_RATE_HZ)
 
     def close(self) -> None:
-        """Free what is drawn with; a window stays open."""
+        """Free the graphics context; a window stays open."""
         self._device.free()
         if not isinstance(self._context, Window):
             self._context.free()
@@ -218,7 +218,7 @@ class SceneRenderer:
             mujoco.mjtCatBit.mjCAT_ALL,
             drawing,
         )
-        # Far strings and ropes are drawn thicker than they are, so that they stay visible.
+        # Draw distant strings and ropes thicker than they are, so that they stay visible.
         min_radius_m = STRING_PX * self._pixel_m
         for joint in self._scene.joints:
             ball_m = self._data.body(joint.body).xpos
@@ -233,11 +233,11 @@ class SceneRenderer:
         mujoco.mjr_render(viewport, drawing, self._device)
 
 
-# --- what is drawn after the bodies ---
+# --- shapes drawn after the bodies ---
 
 
 def _add_overlay(drawing: mujoco.MjvScene, overlay: Overlay, pixel_m: float) -> None:
-    """Add an overlay in front of the scene: points in front of paths, and the simulation in front of the reference.
+    """Add an overlay in front of the scene: points before paths, and the simulation before the reference.
 
     Args:
         drawing: The drawing.
@@ -246,7 +246,7 @@ def _add_overlay(drawing: mujoco.MjvScene, overlay: Overlay, pixel_m: float) -> 
     """
     first = drawing.ngeom
     eye_m = 0.5 * np.sum([camera.pos for camera in drawing.camera], axis=0)
-    # A point on the way to the camera is at the same place of the picture.
+    # A point moved towards the camera stays at the same place of the picture.
     for share, color, paths in (
         (0.5, RECORDED_COLOR, overlay.recorded_paths),
         (0.45, SIMULATED_COLOR, overlay.paths),
@@ -266,13 +266,13 @@ def _add_overlay(drawing: mujoco.MjvScene, overlay: Overlay, pixel_m: float) -> 
             if np.isfinite(near_m).all():
                 _add_shape(drawing, BALL, color, size_m, near_m)
     for geom in drawing.geoms[first : drawing.ngeom]:
-        # It casts no shadow, and light of its own keeps its colour readable in the shade.
+        # The overlay casts no shadow. Emission keeps its colour visible in the shade.
         geom.category = mujoco.mjtCatBit.mjCAT_DECOR
         geom.emission = 0.4
 
 
 def _thinned(path_m: FloatArray, step_m: float) -> FloatArray:
-    """Return the points of a path at which its length exceeds the next multiple of a step, and its last one."""
+    """Return the points of a path at which its length passes a multiple of a step, and its last point."""
     steps_m = np.linalg.norm(np.diff(path_m, axis=0), axis=1)
     lengths_m = np.nancumsum(steps_m)
     _, first = np.unique(lengths_m // step_m, return_index=True)

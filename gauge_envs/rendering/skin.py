@@ -1,6 +1,6 @@
-"""Surface of a deformable body in pictures: a mesh over its nodes that moves with them.
+"""Surface of a deformable body in pictures: a mesh that moves with its nodes.
 
-The order of the nodes differs between engines, so the mesh follows from their rest positions.
+The order of nodes differs between engines, so the mesh is built from their rest positions.
 """
 
 import mujoco
@@ -12,9 +12,9 @@ from gauge_envs.scene import Cloth, SoftBody
 from gauge_envs.scene.geometry import FloatArray, IntArray
 
 ON_SIDE = 1e-4
-"""Largest distance of a node from a side of the box around all nodes, relative to its longest edge."""
+"""Largest distance of a node from a side of the box around all nodes, relative to the longest edge of the box."""
 MIN_HALF_THICKNESS_M = 0.0008
-"""Smallest half thickness of cloth in pictures [m]: a cloth on a table must not shine through it."""
+"""Smallest half thickness of cloth in pictures [m]; the table must not show through a cloth."""
 
 
 class Skin:
@@ -28,7 +28,7 @@ class Skin:
 
     Attributes:
         name: Name of the body.
-        faces: Triangles of node indices, of a sheet on its front alone, shape [face_count, 3].
+        faces: Triangles of node indices, for a sheet only of its front, shape [face_count, 3].
     """
 
     def __init__(self, body: Cloth | SoftBody, rest_m: FloatArray) -> None:
@@ -43,14 +43,14 @@ class Skin:
         else:
             sides = _sides(local_m)
             self.faces = np.concatenate(sides)
-        # Every side numbers its own copy of the nodes.
+        # Each side has its own copies of the nodes.
         copies = [side + number * len(rest_m) for number, side in enumerate(sides)]
         used, numbers = np.unique(np.concatenate(copies), return_inverse=True)
         self._nodes = used % len(rest_m)
         self._triangles = numbers.reshape(-1, 3)
 
     def add(self, spec: mujoco.MjSpec, material: str) -> None:
-        """Add the mesh to a visual model: a skin of MuJoCo on a bone that stands still."""
+        """Add the mesh to a visual model: a skin of MuJoCo on a fixed bone."""
         count = len(self._nodes)
         spec.add_skin(
             name=self.name,
@@ -74,7 +74,7 @@ class Skin:
 
 
 def _sides(local_m: FloatArray) -> list[IntArray]:
-    """Return the outward triangles of each side of a block; an irregular cloud of nodes is one side, its hull."""
+    """Return the outward triangles of each side of a block; irregular nodes have one side, their convex hull."""
     low_m, high_m = local_m.min(axis=0), local_m.max(axis=0)
     tolerance_m = ON_SIDE * float((high_m - low_m).max())
     sides = []

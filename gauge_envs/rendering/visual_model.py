@@ -1,4 +1,4 @@
-"""The MuJoCo model that pictures show: shapes without physics, on light ground with a grid."""
+"""The MuJoCo model of pictures: shapes without physics on a light ground with a grid."""
 
 from collections.abc import Mapping, Sequence
 
@@ -35,11 +35,11 @@ STUDIO = """
 """
 """Ground and background of one colour, even light, a light from above, and one from the camera."""
 GRID_PITCHES_M = (0.025, 0.1)
-"""Pitch of the grid [m]: the hole pitch of the real optical table, and a coarser one for wide views."""
+"""Pitch of the grid [m]: the hole pitch of the real optical table, and a coarser pitch for wide views."""
 WIDE_VIEW_M = 0.5
-"""Height of the view from which the grid is coarse [m]."""
+"""Height of the view above which the grid is coarse [m]."""
 STILL = 0.84
-"""Brightness of fixed and driven bodies relative to free ones, which stand out from them."""
+"""Brightness of fixed and driven bodies relative to dynamic bodies."""
 
 
 def visual_model(
@@ -58,7 +58,7 @@ def visual_model(
         skins: Surfaces of its deformable bodies.
         rest_nodes_m: Nodes of each deformable body at the start [m], shape [node_count, 3].
         materials: Material of bodies by name.
-        view: Where the camera is.
+        view: The camera.
         width: Picture width [pixels].
         height: Picture height [pixels].
     """
@@ -79,7 +79,7 @@ def visual_model(
         block = soft[attachment.deformable]
         if isinstance(block, SoftBody):
             material = material_of(block, materials.get(block.name))
-            _add_gripped(spec, scene, attachment, block, rest_nodes_m, material)
+            _add_clamped_part(spec, scene, attachment, block, rest_nodes_m, material)
     return spec.compile()
 
 
@@ -97,7 +97,7 @@ def _add_body(spec: mujoco.MjSpec, body: RigidBody, material: str) -> None:
             geom.rgba = [*(brightness * np.array(LOOKS[material].color)), 1.0]
 
 
-def _add_gripped(
+def _add_clamped_part(
     spec: mujoco.MjSpec,
     scene: Scene,
     attachment: Attachment,
@@ -105,7 +105,7 @@ def _add_gripped(
     rest_nodes_m: Mapping[str, FloatArray],
     material: str,
 ) -> None:
-    """Add the part of a block that a rigid body holds, which engines may leave out of its nodes."""
+    """Add the clamped part of a block, whose nodes an engine may omit."""
     if attachment.to not in {body.name for body in scene.bodies}:
         return
     nodes_m = block.pose.to_body(rest_nodes_m[block.name])
@@ -130,7 +130,7 @@ def _add_gripped(
 
 
 def _place_lights(spec: mujoco.MjSpec, view: View) -> None:
-    """Turn the lights with the camera, and give the ground the colour of the background in them."""
+    """Rotate the lights with the camera, and give the ground the colour of the background."""
     right, _, forward = view.axes
     level = forward * [1.0, 1.0, 0.0]
     directions = {
@@ -138,8 +138,8 @@ def _place_lights(spec: mujoco.MjSpec, view: View) -> None:
         "fill": forward - 0.5 * right,
     }
     brightness = spec.visual.headlight.ambient[0]
-    for name, way in directions.items():
-        direction = way / np.linalg.norm(way)
+    for name, axis in directions.items():
+        direction = axis / np.linalg.norm(axis)
         light = spec.light(name)
         light.dir = direction
         light.pos = view.target_m - 2.0 * view.distance_m * direction

@@ -1,4 +1,4 @@
-"""A window on a scene that a person turns with the mouse."""
+"""A window that shows a scene; the mouse rotates the view."""
 
 import time
 import warnings
@@ -10,29 +10,29 @@ import numpy as np
 from gauge_envs.errors import RenderError
 from gauge_envs.rendering.camera import View, free_camera
 
-TURN_DEG = 180.0
-"""Angle by which a drag over the height of the window turns the scene [deg]."""
+ROTATION_DEG = 180.0
+"""Rotation of the scene by a drag over the height of the window [deg]."""
 STEEPEST_DEG = 89.0
 """Largest elevation of the camera, up and down [deg]."""
 ZOOM_OF_NOTCH = 0.95
-"""Factor on the distance of the camera for a notch of the wheel."""
+"""Factor on the distance of the camera per notch of the wheel."""
 REST_S = 0.005
-"""Longest time without a look at the mouse [s]."""
+"""Longest time between two reads of the mouse [s]."""
 
 
 class Window:
-    """A window with an OpenGL context; drag with left to turn, with right to move, and turn the wheel to zoom.
+    """A window with an OpenGL context; drag left to rotate, drag right to move, and use the wheel to zoom.
 
-    Closing it, or Escape, ends the drawing and not the simulation.
+    Closing it or Escape ends the drawing, but not the simulation.
 
     Args:
         width: Width [pixels].
         height: Height [pixels].
-        title: What its bar says.
-        view: The camera at first.
+        title: Title of the window.
+        view: The initial camera.
 
     Attributes:
-        is_open: Whether nobody has closed it.
+        is_open: Whether the window is open.
         camera: Camera that the mouse moves.
 
     Raises:
@@ -40,13 +40,13 @@ class Window:
     """
 
     def __init__(self, width: int, height: int, title: str, view: View) -> None:
-        # MuJoCo brings this package.
+        # MuJoCo installs this package.
         import glfw
 
         self._glfw: Any = glfw
         self._handle = None
         with warnings.catch_warnings():
-            # glfw warns where there is no display.
+            # glfw warns without a display.
             warnings.simplefilter("ignore")
             if glfw.init():
                 glfw.window_hint(glfw.SAMPLES, 4)
@@ -62,7 +62,7 @@ class Window:
         self._next_s = 0.0
         self._mouse = (0.0, 0.0)
         self.make_current()
-        # The time between pictures is that of the frames, not that of the screen.
+        # Frames set the time between pictures, not the screen.
         glfw.swap_interval(0)
         glfw.set_cursor_pos_callback(self._handle, self._on_cursor)
         glfw.set_scroll_callback(self._handle, self._on_wheel)
@@ -70,20 +70,20 @@ class Window:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of what is drawn [pixels]; a person can change them."""
+        """Width and height of the drawing [pixels], which the user can change."""
         width, height = self._glfw.get_framebuffer_size(self._handle)
         return max(width, 1), max(height, 1)
 
     def make_current(self) -> None:
-        """Let OpenGL draw here."""
+        """Make this window the target of OpenGL."""
         self._glfw.make_context_current(self._handle)
 
     def show(self, draw: Callable[[], None], *, interval_s: float) -> None:
-        """Show a picture, and wait until it is time for the next one; the mouse turns it meanwhile.
+        """Show a picture, and wait until the next one is due; meanwhile the mouse rotates the view.
 
         Args:
             draw: Function that draws the scene.
-            interval_s: Least time between two pictures [s].
+            interval_s: Shortest time between two pictures [s].
         """
         is_drawn = False
         while self.is_open:
@@ -116,8 +116,8 @@ class Window:
         self._mouse = (x, y)
         camera = self.camera
         if glfw.get_mouse_button(handle, glfw.MOUSE_BUTTON_LEFT) == glfw.PRESS:
-            camera.azimuth -= TURN_DEG * right
-            elevation_deg = camera.elevation - TURN_DEG * down
+            camera.azimuth -= ROTATION_DEG * right
+            elevation_deg = camera.elevation - ROTATION_DEG * down
             camera.elevation = np.clip(elevation_deg, -STEEPEST_DEG, STEEPEST_DEG)
             self._is_turned = True
         elif glfw.get_mouse_button(handle, glfw.MOUSE_BUTTON_RIGHT) == glfw.PRESS:

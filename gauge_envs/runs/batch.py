@@ -1,4 +1,4 @@
-"""Runs of many episodes: each result is written when it is complete, and an interrupted run can be resumed."""
+"""Runs of many episodes: each result is written at once, and an interrupted run can resume."""
 
 from __future__ import annotations
 
@@ -32,23 +32,23 @@ _log = logging.getLogger(__name__)
 def check_requests(
     requests: Sequence[RunRequest], *, isolate: bool | None = False
 ) -> None:
-    """Raise an error that would otherwise fail every episode of a run.
+    """Raise an error that would fail every episode of a run.
 
     Args:
         requests: The run, on one or several backends.
-        isolate: As for `run_many`. An engine that crashes here fails each of its episodes later.
+        isolate: See `run_many`. An engine that crashes here fails each of its episodes later.
     """
     runs: dict[str, list[tuple[RunRequest, Experiment]]] = {
         request.backend: [] for request in requests
     }
-    refused = None
+    fault = None
     for request in requests:
         try:
             runs[request.backend].append((request, request.experiment()))
         except ParameterError as error:
-            refused = error
-    if refused is not None and not any(runs.values()):
-        raise refused
+            fault = error
+    if fault is not None and not any(runs.values()):
+        raise fault
     for name, of_engine in runs.items():
         with suppress(CrashError):
             call_engine(
@@ -62,7 +62,7 @@ def check_requests(
 
 
 def _check_backend(name: str, runs: Sequence[tuple[RunRequest, Experiment]]) -> None:
-    """Raise an error if a backend does not exist, cannot read the asset, or does not take the settings."""
+    """Raise an error if a backend does not exist, cannot read the asset, or rejects the settings."""
     engine = backend_for(name, runs[0][1].model_file if runs else None)
     if runs and runs[0][0].asset is not None:
         check_support(runs[0][1], name)
@@ -86,25 +86,24 @@ def run_many(
     memory_limit_gb: float | None = None,
     jobs: int = 1,
 ) -> Generator[Result, None, None]:
-    """Run episodes, repeats together; each result is written before it is yielded, in the order of the requests.
+    """Run episodes, repeats together, and yield the results in the order of the requests, each after it is written.
 
-    An episode that is declined or fails is yielded with its `error` and is not written. The others continue.
+    An unsupported or failed episode is yielded with its `error` and is not written. The other episodes continue.
 
     Args:
-        requests: The runs, in order. Repeats without a jitter have the default `Jitter`.
+        requests: The runs in order. Repeats without a jitter get the default `Jitter`.
         out: Folder for the result files, created if it does not exist; None writes no files.
-        resume: Take a result from `out` if it has the same request, task file, asset, imported trials and versions of
-            engine and gauge-envs. The episode of a damaged file runs again.
-        notify: Receives one sentence for each file that `resume` could not take.
-        isolate: With True, each request runs in a process of its own. With None, requests of engines outside this
-            package run in another process, which is replaced when it crashes. With False, all run in this process. The
-            results have the same bits.
-        time_limit_s: Time limit of a request that runs in another process, with all its repeats [s].
+        resume: Use a result in `out` if its request, task file, asset, imported trials and versions of engine and
+            gauge-envs are the same. The episode of a damaged file runs again.
+        notify: Gets one sentence for each file that `resume` could not use.
+        isolate: True runs each request in its own process. None runs engines outside this package in another process,
+            which is replaced after a crash. False runs all in this process. The results have the same bits.
+        time_limit_s: Time limit of a request in another process, with all its repeats [s].
         memory_limit_gb: Limit of the memory of another process [GB], on Linux; None: no limit.
-        jobs: Number of requests that run at once. More than one run in as many other processes, with the same bits.
+        jobs: Number of parallel requests, each in another process if more than 1. The results have the same bits.
 
     Returns:
-        Iterator over the results. With one job it runs an episode when its result is asked for.
+        Iterator over the results. With one job, it runs an episode when its result is requested.
     """
     limits = Limits(time_limit_s, memory_limit_gb, isolate=bool(isolate))
     workers = [
@@ -115,7 +114,7 @@ def run_many(
     ]
     runs = [replace(request, jitter=request.scatter) for request in requests]
     for run in runs:
-        # An experiment that does not exist is an error of the caller.
+        # Raise the error of an unknown experiment before the first run.
         run.calibrated_experiment()
     if out is not None:
         check_writable(out)
@@ -124,7 +123,7 @@ def run_many(
         if out is None:
             return worker.run(request)
         planned = results_without_run(request)
-        files = [out / result_file_name(one) for one in planned]
+        files = [out / result_file_name(result) for result in planned]
         if resume and all(file.exists() for file in files):
             try:
                 return _earlier_results(files, planned, worker)
@@ -142,14 +141,14 @@ def run_many(
 def _each(
     done: Generator[list[Result], None, None],
 ) -> Generator[Result, None, None]:
-    """Yield the results of lists, and close their iterator at the end."""
+    """Yield the results of all lists, and close their iterator at the end."""
     with closing(done):
         for results in done:
             yield from results
 
 
 def check_writable(out: Path) -> None:
-    """Create a folder for results if it does not exist, and check that files can be written there."""
+    """Create a folder for results if it does not exist, and check that it is writable."""
     probe = out / f".probe.{os.getpid()}.tmp"
     with os_errors(
         lambda cause: ResultFileError(
@@ -186,9 +185,9 @@ def _earlier_results(
     """
     results = []
     for file, wanted in zip(files, planned, strict=True):
-        found = load_result(file)
+        earlier = load_result(file)
         for key in SAME_EPISODE:
-            if getattr(found, key) != getattr(wanted, key):
+            if getattr(earlier, key) != getattr(wanted, key):
                 raise ResultFileError(f"{file}: {key} differs from the request")
         try:
             installed = worker.versions(str(wanted.backend))
@@ -196,9 +195,9 @@ def _earlier_results(
             raise ResultFileError(
                 f"{file}: the versions of {wanted.backend} are unknown: {error}"
             ) from error
-        if difference := found.made_with_other_than(
+        if difference := earlier.version_difference(
             installed | {"gauge-envs": wanted.versions["gauge-envs"]}
         ):
             raise ResultFileError(f"{file}: {difference}")
-        results.append(found)
+        results.append(earlier)
     return results

@@ -1,8 +1,8 @@
 """Run configurations, and results grouped by them.
 
-A configuration states what was tested: the engine and its versions, the parameters of the scene or the edited asset,
-the settings that were given, the jitter of the start, and the marker proxy. Results that differ only in their seed are
-repeats of one configuration.
+A configuration consists of the engine and its versions, the parameters of the scene or the edited asset, the given
+settings, the initial-state noise, and the marker proxy. Results that differ only in their seed are repeats of one
+configuration.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from gauge_envs.runs.result import Result
 
 @dataclass(frozen=True, kw_only=True)
 class RunConfiguration:
-    """What was tested.
+    """Engine, scene and settings of results.
 
     Attributes:
         backend: Name of the physics engine; None for a trajectory file of a user.
         parameters: Name of the parameter set, or the overrides.
         settings_given: Numerical settings that replace those of the preset.
-        jitter: Standard deviations of the start; empty without jitter.
+        jitter: Standard deviations of the initial state; empty without noise.
         marker_proxy: Marker proxy of deformable bodies: `material` or `node`.
         asset: File and hash of an asset that differs from the calibrated scene; empty without one.
         engine_versions: Versions of the engine's packages.
@@ -62,7 +62,7 @@ class RunConfiguration:
 
     @property
     def physics(self) -> str:
-        """Whose physics an engine of this package shows, by `Backend.whose_physics`; else empty."""
+        """Result of `Backend.whose_physics` for an engine of this package; empty for other engines."""
         if self.backend is None or not is_bundled(self.backend):
             return ""
         return uninstalled_backend(self.backend).whose_physics(
@@ -75,16 +75,18 @@ def group_by_configuration(
 ) -> list[tuple[RunConfiguration, list[Result]]]:
     """Return configurations with their results, sorted by engine, calibrated parameters and default settings first.
 
-    A result of an episode that did not run has no versions of the engine. It joins the first configuration that agrees
-    in everything else.
+    A result of an episode that did not run has no engine versions. It joins the first configuration that agrees in all
+    other fields.
     """
     groups: list[tuple[RunConfiguration, list[Result]]] = []
     for result in sorted(results, key=lambda result: result.error is not None):
-        wanted = RunConfiguration.of(result)
-        for one, members in groups:
+        configuration = RunConfiguration.of(result)
+        for known, members in groups:
             if result.error is not None:
-                wanted = replace(wanted, engine_versions=one.engine_versions)
-            if one == wanted:
+                configuration = replace(
+                    configuration, engine_versions=known.engine_versions
+                )
+            if known == configuration:
                 members.append(result)
                 break
         else:
@@ -92,17 +94,25 @@ def group_by_configuration(
     return sorted(groups, key=lambda group: _order(group[0]))
 
 
-def _order(one: RunConfiguration) -> tuple[str, bool, int, str]:
-    changes = (one.settings_given, one.jitter, one.asset, one.engine_versions)
+def _order(configuration: RunConfiguration) -> tuple[str, bool, int, str]:
+    changes = (
+        configuration.settings_given,
+        configuration.jitter,
+        configuration.asset,
+        configuration.engine_versions,
+    )
     changed = (
-        len(one.settings_given)
-        + len(one.jitter)
-        + (one.marker_proxy != MarkerProxy.MATERIAL)
-        + bool(one.asset)
+        len(configuration.settings_given)
+        + len(configuration.jitter)
+        + (configuration.marker_proxy != MarkerProxy.MATERIAL)
+        + bool(configuration.asset)
     )
     return (
-        one.backend or "",
-        one.parameters != "calibrated",
+        configuration.backend or "",
+        configuration.parameters != "calibrated",
         changed,
-        json.dumps((one.parameters, one.marker_proxy, *changes), sort_keys=True),
+        json.dumps(
+            (configuration.parameters, configuration.marker_proxy, *changes),
+            sort_keys=True,
+        ),
     )

@@ -1,4 +1,4 @@
-"""Runs of single episodes and of repeats, and their results."""
+"""Run single episodes and repeats, and return their results."""
 
 import logging
 import time
@@ -20,6 +20,7 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import result_of
+from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import Score
 
 _log = logging.getLogger(__name__)
@@ -29,7 +30,7 @@ def run_episode(request: RunRequest) -> Result:
     """Run one episode without actions, which replays the recorded motion, and score it.
 
     Args:
-        request: The run; its `repeats` and `jitter` do not apply.
+        request: The run; `repeats` and `jitter` are ignored.
     """
     (result,) = run_episodes(replace(request, repeats=1, jitter=None))
     return result
@@ -38,26 +39,24 @@ def run_episode(request: RunRequest) -> Result:
 def run_episodes(request: RunRequest) -> list[Result]:
     """Run the episodes of a request without actions, and score each.
 
-    Repeats and episodes with a jitter are worlds of one simulation if the engine supports that; else simulations that
-    are stepped in turn.
+    Repeats are worlds of one simulation if the engine supports that, else sequential simulations.
 
     Args:
-        request: The run. Its repeats start as those of real trials scatter: with its `jitter`, with the default one, or
-            as the single-shot trial of each seed.
+        request: The run. The initial states of repeats have its `jitter`, the default `Jitter`, or the single-trial
+            recording of each seed.
 
     Returns:
-        Results in the order of their seeds. All are scored against the reference of the calibrated start, or each
-        against its own single-shot trial.
+        Results in the order of their seeds. The reference of all is that of the nominal start, or each has its own
+        single-trial recording.
     """
     experiment = request.experiment()
-    starts = _starts(request, experiment)
+    initial_states = _initial_states(request, experiment)
     engine_versions = versions_of(request.backend)
-    rollout = request.rollout(
-        [experiment] * request.repeats, [request.band(experiment)] * request.repeats
-    )
+    bands = [reference_band(experiment)] * request.repeats
+    rollout = request.rollout([experiment] * request.repeats, bands)
     try:
         wall_s, cpu_s = time.perf_counter(), time.process_time()
-        rollout.reset(starts, request.seed)
+        rollout.reset(initial_states, request.seed)
         rollout.play()
         wall_s = (time.perf_counter() - wall_s) / request.repeats
         cpu_s = (time.process_time() - cpu_s) / request.repeats
@@ -73,15 +72,15 @@ def run_episodes(request: RunRequest) -> list[Result]:
                 times_s=(wall_s, cpu_s),
             )
             for world, (seed, start) in enumerate(
-                zip(request.seeds, starts, strict=True)
+                zip(request.seeds, initial_states, strict=True)
             )
         ]
     finally:
         rollout.simulation.close()
 
 
-def _starts(request: RunRequest, experiment: Experiment) -> list[InitialState]:
-    """Return the start of each episode of a request."""
+def _initial_states(request: RunRequest, experiment: Experiment) -> list[InitialState]:
+    """Return the initial state of each episode of a request."""
     sampler = InitialStates(experiment, request.scatter)
     draw = sampler.of_reset(None, seeded=True)
     return [sampler.sample(draw, seed) for seed in request.seeds]
@@ -90,7 +89,7 @@ def _starts(request: RunRequest, experiment: Experiment) -> list[InitialState]:
 def _start_record(
     request: RunRequest, experiment: Experiment, seed: int
 ) -> dict[str, float]:
-    """Return what a result states of a start, which may not exist."""
+    """Return the entry `jitter` of a result, also if noise is impossible."""
     if request.scatter is not None:
         return request.scatter.to_dict()
     sampler = InitialStates(experiment)
@@ -98,28 +97,28 @@ def _start_record(
 
 
 def run_request(request: RunRequest) -> list[Result]:
-    """Run the episodes of a request; whatever the engine raises becomes the reason of a result.
+    """Run the episodes of a request; an error of the engine becomes the reason of a result.
 
     Args:
-        request: The request, with the jitter that applies.
+        request: The request with the effective jitter.
 
     Returns:
-        The results in the order of their seeds. Those of episodes that were declined or failed hold the reason.
+        The results in the order of their seeds; unsupported and failed episodes have a reason.
     """
-    # Wrong constants decline an episode; wrong settings of the engine fail it.
-    declines: type[GaugeError] = ParameterError
+    # Wrong constants make an episode unsupported; wrong settings of the engine make it fail.
+    unsupported: type[GaugeError] = ParameterError
     try:
         experiment = request.experiment()
         InitialStates(experiment, request.jitter)
-        declines = UnsupportedSceneError
+        unsupported = UnsupportedSceneError
         return run_episodes(request)
     except GaugeError as error:
-        is_declined = isinstance(error, declines)
-        outcome = Outcome.DECLINED if is_declined else Outcome.FAILED
+        is_unsupported = isinstance(error, unsupported)
+        outcome = Outcome.DECLINED if is_unsupported else Outcome.FAILED
         return results_without_run(request, outcome, str(error))
     except KeyboardInterrupt:
         raise
-    # An engine may raise any error, SystemExit included, and the other episodes must still run.
+    # An engine may raise any error, SystemExit included, but the other episodes must still run.
     except BaseException as error:
         _log.exception("%s on %s", request.variant, request.backend)
         cause = f"{type(error).__name__}: {error}".removesuffix(": ")
@@ -134,9 +133,9 @@ def results_without_run(
     """Return the results of episodes that have not run, in the order of their seeds.
 
     Args:
-        request: The request, with the jitter that applies.
+        request: The request with the effective jitter.
         outcome: Outcome of the episodes.
-        reason: Why they have not run.
+        reason: Why they did not run.
     """
     calibrated = request.calibrated_experiment()
     return [
@@ -158,14 +157,14 @@ def episode_result(env: gymnasium.Env[Any, Any], info: Mapping[str, Any]) -> Res
     """Return the result of an episode that has just ended.
 
     Args:
-        env: Environment made by `gymnasium.make`, which the caller has stepped to the end.
+        env: Environment from `gymnasium.make` after its last step.
         info: The `info` of its last step.
     """
     from gauge_envs.envs.env import GaugeEnv
 
     inner = env.unwrapped
     assert isinstance(inner, GaugeEnv)
-    (start,) = inner.rollout.starts
+    (start,) = inner.rollout.initial_states
     return _with_episode(
         _without_run(
             inner.arguments,
@@ -193,9 +192,9 @@ def _without_run(
         arguments: Arguments of its environment.
         experiment: Its experiment, or the calibrated one if the parameters are wrong.
         seed: Seed of the episode.
-        start: Standard deviations or trial of its start.
+        start: Standard deviations or trial of its initial state.
     """
-    band = arguments.band(experiment)
+    band = reference_band(experiment)
     kind = Kind.NONE if band is None else band.kind
     parameters = arguments.parameters
     return result_of(

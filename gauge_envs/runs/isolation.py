@@ -1,8 +1,8 @@
-"""Calls in a process of their own, so that an engine that crashes, exits or hangs costs one call and not the program.
+"""Calls in another process: an engine that crashes, exits or hangs loses one call, and the program continues.
 
-A `Worker` sends a function of this package and its arguments to a second Python process, and waits for its reply until
-the time limit. The process lives on for the next call. It is no `ProcessPoolExecutor`: that one does not say how a
-process died, cannot end one that hangs, and leaves its processes behind when the program is killed.
+A `Worker` sends a function of this package and its arguments to a second Python process, and waits for the reply until
+the time limit. The process stays for the next call. `ProcessPoolExecutor` is unsuitable: it does not report how a
+process died, cannot end a process that hangs, and leaves processes behind when the program is killed.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ TIME_LIMIT_S = 3600.0
 """Default time limit of a call [s]."""
 
 END_S = 10.0
-"""Time in which a process that waits for a call may end itself [s]."""
+"""Time for a waiting process to end itself [s]."""
 
 GRACE_S = 10.0
-"""Time after its limit at which a process ends itself, if the program is gone [s]."""
+"""Time after the limit of a call at which a process ends itself if the program is gone [s]."""
 
 Parameters = ParamSpec("Parameters")
 Value = TypeVar("Value")
 
 
 class CrashError(GaugeError, RuntimeError):
-    """The process of a call ended or exceeded a limit before it had a result."""
+    """The process of a call ended or exceeded a limit before its result."""
 
 
 class Worker:
     """A second Python process that runs calls one after another. It starts at the first call.
 
     Args:
-        time_limit_s: Time limit of each call, with the start of the process [s].
-        memory_limit_gb: Limit of the memory that the process takes for its data [GB], on Linux; None: no limit. The
-            engine gets no more, which most report as an error. Memory of its children and of a GPU does not count.
-        single_thread: Whether libraries compute with one thread, unless the environment states a number. It is for
-            processes that share the cores: threads of linear algebra wait for one another in a loop.
+        time_limit_s: Time limit of each call, including the start of the process [s].
+        memory_limit_gb: Limit of the memory for data of the process [GB], on Linux; None: no limit. Most engines report
+            the lack of memory as an error. Memory of child processes and of a GPU does not count.
+        single_thread: Whether libraries use one thread, unless `OMP_NUM_THREADS` is set. It is for processes that share
+            the cores, because threads of linear algebra wait for one another in a loop.
     """
 
     def __init__(
@@ -89,11 +89,11 @@ class Worker:
         *args: Parameters.args,
         **kwargs: Parameters.kwargs,
     ) -> Value:
-        """Return what a function returns in the process.
+        """Call a function in the process, and return its result.
 
         Args:
             function: A function of a module, found there by its name.
-            *args: Its arguments, which can be pickled, as its result.
+            *args: Its arguments; they and the result can be pickled.
             **kwargs: Its keyword arguments.
 
         Raises:
@@ -121,9 +121,9 @@ class Worker:
         return value
 
     def close(self) -> None:
-        """End the process, which waits for a call. A later call starts another one.
+        """End the waiting process; a later call starts another one.
 
-        It ends itself, so that Genesis can write the kernels that it compiled.
+        The process ends itself, so that Genesis can store its compiled kernels.
         """
         process, self._process = self._process, None
         if process is not None:
@@ -134,21 +134,21 @@ class Worker:
             _end(process)
 
     def kill(self) -> None:
-        """End the process at once and for good, also while another thread waits in `call`."""
+        """Kill the process and reject later calls, also while another thread waits in `call`."""
         with self._lock:
             self._is_killed = True
             if self._process is not None:
                 _kill(self._process)
 
     def _started(self) -> subprocess.Popen[bytes]:
-        """Return the process, with the import path of this one, in a session of its own."""
+        """Return the process, which has the import path of this one and its own session."""
         limits = f"{self._time_limit_s!r}, {self._memory_limit_gb!r}"
         path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)  # noqa: PTH109
         with self._lock:
             if self._is_killed:
                 raise CancelledError
-            # Unbuffered (-u), also in C: what an engine prints before it dies is the cause that its author looks for.
-            # Ctrl-C reaches the program alone, which ends the process and all that it has started.
+            # Unbuffered (-u), also in C, so that the last output of a dying engine is visible. Ctrl-C reaches only the
+            # program, which ends the process and its child processes.
             self._process = self._process or subprocess.Popen(
                 [
                     *(sys.executable, "-u", "-P", "-c"),
@@ -162,10 +162,10 @@ class Worker:
             return self._process
 
     def _cause(self, fault: BaseException, returncode: int) -> str:
-        """Return why a process has no reply.
+        """Return why a process gave no reply.
 
         Args:
-            fault: Error of the wait for it.
+            fault: Error while waiting for the reply.
             returncode: Exit code of the process, or minus its signal.
         """
         if isinstance(fault, TimeoutError):
@@ -183,14 +183,14 @@ def call_engine(
     time_limit_s: float = TIME_LIMIT_S,
     isolate: bool | None = None,
 ) -> Value:
-    """Return what a function returns where an engine runs.
+    """Call a function in the process of an engine, and return its result.
 
     Args:
         backend: Name of the engine.
         function: The function.
         *args: Its arguments.
         time_limit_s: Time limit in another process [s].
-        isolate: Whether it runs in another process; None: for engines outside this package.
+        isolate: Whether to use another process; None only for engines outside this package.
     """
     if not (not is_bundled(backend) if isolate is None else isolate):
         return function(*args)
@@ -208,7 +208,7 @@ def _reply_of(process: subprocess.Popen[bytes], task: bytes) -> tuple[str | None
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
-    """Kill a process, with all that it has started where the system has process groups."""
+    """Kill a process, and its child processes if the system has process groups."""
     if sys.platform == "win32":
         process.kill()
         return
@@ -230,7 +230,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def serve(time_limit_s: float, memory_limit_gb: float | None) -> None:
-    """Run the calls that stdin brings until it ends. What anything prints on stdout goes to stderr.
+    """Run the calls from stdin until it ends; output on stdout goes to stderr.
 
     Args:
         time_limit_s: Time limit of each call [s].
@@ -247,11 +247,11 @@ def serve(time_limit_s: float, memory_limit_gb: float | None) -> None:
 
         limit_bytes = int(1e9 * memory_limit_gb)
         resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, limit_bytes))
-    # At the end of stdin, or where nobody takes the reply, the program has closed the worker or is gone.
+    # At the end of stdin or after a failed reply, the program has closed the worker or is gone.
     with suppress(EOFError, OSError):
         while True:
             function, args, kwargs = pickle.load(tasks)
-            # The program stops a call in time, unless it is gone.
+            # The program stops a call at its time limit, unless the program is gone.
             faulthandler.dump_traceback_later(time_limit_s + GRACE_S, exit=True)
             reply = _reply(function, args, kwargs)
             faulthandler.cancel_dump_traceback_later()

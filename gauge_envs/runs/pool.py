@@ -1,6 +1,6 @@
-"""Workers that run requests one after another, and many of them at once.
+"""Workers that run requests sequentially, and a pool of parallel workers.
 
-The same function runs the episodes everywhere, so results have the same bits in this process, in many and on other
+The same function runs all episodes, so results have the same bits in this process, in many processes and on other
 machines.
 """
 
@@ -28,7 +28,7 @@ class Limits:
     Attributes:
         time_limit_s: Time limit of a request, with all its repeats [s].
         memory_limit_gb: Limit of the memory of a process [GB], on Linux; None: no limit.
-        isolate: Whether each request has a process of its own.
+        isolate: Whether each request has its own process.
     """
 
     time_limit_s: float = TIME_LIMIT_S
@@ -37,29 +37,29 @@ class Limits:
 
 
 class RequestWorker(Protocol):
-    """A place where requests run one after another."""
+    """Worker that runs requests sequentially."""
 
     def run(self, request: RunRequest) -> list[Result]:
-        """Return the results of a request, in the order of its seeds; those without a trajectory hold the reason.
+        """Return the results of a request in the order of its seeds; a result without a trajectory has a reason.
 
         Raises:
             concurrent.futures.CancelledError: `kill` ended the worker.
         """
 
     def close(self) -> None:
-        """End the worker, which waits for a request."""
+        """End the waiting worker."""
 
     def kill(self) -> None:
-        """End the worker at once and for good, also while another thread waits in `run`."""
+        """Kill the worker and reject later requests, also while another thread waits in `run`."""
 
 
 class ProcessWorker:
-    """A worker in another process, which serves one engine; the next engine gets a new process.
+    """Worker in another process for one engine; the next engine gets a new process.
 
     Args:
         limits: Limits of the process.
-        apart: Whether engines run in the other process; None: those of other packages alone.
-        single_thread: Whether libraries compute with one thread; for processes that share the cores.
+        apart: Whether engines run in the other process; None only for engines of other packages.
+        single_thread: Whether libraries use one thread; for processes that share the cores.
     """
 
     def __init__(
@@ -73,15 +73,15 @@ class ProcessWorker:
         self._backend = ""
 
     def run(self, request: RunRequest) -> list[Result]:
-        """Return the results of a request; an episode that ends the process is `failed`, with the cause."""
+        """Return the results of a request; an episode that ends the process is `failed` with the cause."""
         limit_gb = self._limits.memory_limit_gb
         try:
             results = self._call(request.backend, run_request, request)
-            # What an engine keeps after a failure would count against the limit of the next episode.
+            # Memory that an engine keeps after a failure would count against the limit of the next episode.
             is_lost = (
                 limit_gb is not None
                 and self._is_apart(request.backend)
-                and any(one.outcome is Outcome.FAILED for one in results)
+                and any(result.outcome is Outcome.FAILED for result in results)
             )
         except GaugeError as error:
             results = results_without_run(request, Outcome.FAILED, str(error))
@@ -89,12 +89,14 @@ class ProcessWorker:
         if is_lost or self._limits.isolate:
             self._process.close()
         if is_lost and request.repeats > 1:
-            # Each repeat runs on its own, so that only the one that ended the process is lost.
+            # Run each repeat alone, so that only the repeat that ended the process is lost.
             alone = [replace(request, seed=seed, repeats=1) for seed in request.seeds]
-            return [result for one in alone for result in self.run(one)]
+            return [result for repeat in alone for result in self.run(repeat)]
         if is_lost and limit_gb is not None:
             note = f" (memory limit: {limit_gb:g} GB)"
-            return [replace(one, error=f"{one.error}{note}") for one in results]
+            return [
+                replace(result, error=f"{result.error}{note}") for result in results
+            ]
         return results
 
     def versions(self, backend: str) -> dict[str, str]:
@@ -106,14 +108,14 @@ class ProcessWorker:
         self._process.close()
 
     def kill(self) -> None:
-        """End the process at once and for good."""
+        """Kill the process and reject later requests."""
         self._process.kill()
 
     def _is_apart(self, backend: str) -> bool:
         return not is_bundled(backend) if self._apart is None else self._apart
 
     def _call(self, backend: str, function: Callable[..., Any], argument: Any) -> Any:
-        """Return what a function returns where an engine runs."""
+        """Call a function in the process of an engine, and return its result."""
         if not self._is_apart(backend):
             return function(argument)
         if backend != self._backend:
@@ -132,15 +134,15 @@ def run_tasks(
     workers: Sequence[WorkerT],
     perform: Callable[[WorkerT, TaskT], Done],
 ) -> Generator[Done, None, None]:
-    """Yield what a function returns for each task, in their order.
+    """Yield the result of a function for each task, in the order of the tasks.
 
-    A single worker runs a task when its result is asked for; several run in threads. When the iterator is closed before
-    its end, as by Ctrl-C, the workers are killed.
+    A single worker runs a task when its result is requested; several workers run in threads. Closing the iterator
+    before its end, as by Ctrl-C, kills the workers.
 
     Args:
         tasks: The tasks.
         workers: The workers.
-        perform: Runs a task on a worker, and writes its results. An error that it raises ends the run.
+        perform: Function that runs a task on a worker and writes its results; its error ends the run.
     """
     idle: SimpleQueue[WorkerT] = SimpleQueue()
     for worker in workers:
@@ -164,7 +166,7 @@ def run_tasks(
         futures = deque(threads.submit(done, task) for task in tasks)
         while futures:
             yield futures.popleft().result()
-        # The ends of processes take time, and go on at once.
+        # Processes take time to end, so end them in parallel.
         for worker in workers:
             threads.submit(worker.close)
     except BaseException:

@@ -14,12 +14,12 @@ from gauge_envs.scene.jitter import Jitter, can_scatter
 class RunRequest(EnvArguments):
     """One experiment on one engine, with the arguments of its environment.
 
-    The name or id of a variant becomes the `Variant`, so that requests of the same run are equal.
+    A name or id becomes its `Variant`, so that requests of the same run are equal.
 
     Attributes:
         seed: Seed of the first episode, 0 or more; each next repeat has one more.
         repeats: Number of episodes, 1 or more.
-        jitter: Standard deviations of the start; None starts each episode as calibrated.
+        jitter: Standard deviations of the initial state; None is the nominal start.
 
     Example:
         >>> from gauge_envs.runs.episodes import run_episode
@@ -35,10 +35,10 @@ class RunRequest(EnvArguments):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, least in (("seed", 0), ("repeats", 1)):
+        for name, minimum in (("seed", 0), ("repeats", 1)):
             value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or value < least:
-                raise ParameterError(f"{name} is {value!r}, expected {least} or more")
+            if not isinstance(value, int) or isinstance(value, bool) or value < minimum:
+                raise ParameterError(f"{name} is {value!r}, expected {minimum} or more")
         if not isinstance(self.jitter, Jitter | None):
             raise ParameterError(
                 f"jitter is {self.jitter!r}, expected None or a gauge_envs.Jitter"
@@ -53,9 +53,9 @@ class RunRequest(EnvArguments):
 
     @property
     def scatter(self) -> Jitter | None:
-        """The jitter that applies: the default one for repeats.
+        """The effective jitter: repeats have the default `Jitter`.
 
-        Repeats of single-shot trials have recorded starts, and those of clamped bodies start all alike.
+        Repeats of single-trial recordings have recorded initial states, and clamped bodies always start the same.
         """
         if self.jitter is not None or self.repeats == 1:
             return self.jitter
@@ -64,5 +64,5 @@ class RunRequest(EnvArguments):
         return None if is_nominal else Jitter()
 
     def calibrated_experiment(self) -> Experiment:
-        """Load the experiment with calibrated parameters, which exists also if the parameters are wrong."""
+        """Load the experiment with calibrated parameters; it exists even if the parameters are wrong."""
         return replace(self, parameters="calibrated").experiment()

@@ -1,4 +1,4 @@
-"""The result of one episode: everything that is needed to judge, plot or repeat it."""
+"""The result of one episode: all data to judge, plot or repeat it."""
 
 from __future__ import annotations
 
@@ -17,20 +17,18 @@ from gauge_envs.files import json_ready, versions
 from gauge_envs.references.user_data import BUNDLED_DATA
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.metrics import FRAME_TOLERANCE_S
 from gauge_envs.scoring.score import Score
 
 MARKER_DECIMALS = 4
-"""Digits of a marker's position [mm] in a file: 0.1 um, a thousandth of the surest solution."""
+"""Decimals of a marker position in a file [mm]: 0.1 um, a thousandth of the smallest uncertainty of a solution."""
 
 ROUNDING_S = 1e-6
-"""Time by which the sample of the last frame may be late [s]."""
-
-FRAME_TOLERANCE_S = 1e-4
-"""Largest time between a frame and its sample [s]; the same as in scoring."""
+"""Largest delay of the sample of the last frame [s]."""
 
 
 class Outcome(StrEnum):
-    """How an episode ended."""
+    """Outcome of an episode."""
 
     FINISHED = "finished"
     """The episode ran to its last frame."""
@@ -42,7 +40,7 @@ class Outcome(StrEnum):
     """An error ended the episode or prevented it."""
 
 
-# Of 10,000 results lists take half a gigabyte, and arrays a sixth of that. Readers of files and the JSON Schema go by
+# 10,000 results take half a gigabyte as lists, and a sixth of that as arrays. Readers of files and the JSON Schema use
 # the types at run time.
 if TYPE_CHECKING:
     Times = FloatArray
@@ -58,14 +56,14 @@ _NO_ROWS = np.empty((0, 0))
 class RecordedTrajectory:
     """Generalized trajectory of an episode, dense enough to plot and to score again.
 
-    Values that are not finite are NaN; in a file they are null.
+    A value that is not finite is NaN, and null in a file.
 
     Attributes:
         unit: Unit of the samples.
         coordinates: Names of the coordinates, as `cube.x`.
         times_s: Times [s], 180 a second, shape [sample_count].
         samples: g(t) at those times, shape [sample_count, coordinate_count].
-        later_times_s: Times after the last frame [s], which the release alignment needs; shape [later_count].
+        later_times_s: Times after the last frame [s], for the time alignment, shape [later_count].
         later_samples: g(t) at those times, shape [later_count, coordinate_count].
         markers_mm: x, y, z of each marker at the 30 Hz frames [mm], shape [frame_count, 3 marker_count]; empty without
             markers.
@@ -94,7 +92,7 @@ class RecordedTrajectory:
         """Return whether all values are the same; NaN equals NaN."""
         if not isinstance(other, RecordedTrajectory):
             return NotImplemented
-        mine, its = (json_ready(asdict(one)) for one in (self, other))
+        mine, its = (json_ready(asdict(trajectory)) for trajectory in (self, other))
         return bool(mine == its)
 
     @classmethod
@@ -134,7 +132,7 @@ class RecordedTrajectory:
         return recorded_frames(*self.arrays())
 
     def markers_m(self) -> FloatArray | None:
-        """Return the markers at the frames [m], shape [frame_count, marker_count, 3]; None if they are not recorded."""
+        """Return the markers at the frames [m], shape [frame_count, marker_count, 3]; None without markers."""
         if not self.markers_mm.size:
             return None
         return 1e-3 * self.markers_mm.reshape(len(self.markers_mm), -1, 3)
@@ -154,10 +152,10 @@ class RecordedTrajectory:
 
 
 def _rows(values: ArrayLike, width: int | None = None) -> FloatArray:
-    """Return rows of numbers, with NaN for what is not finite.
+    """Return rows of numbers, with NaN for values that are not finite.
 
     Raises:
-        ValueError: Rows differ in length, or do not have the width.
+        ValueError: Rows differ in length, or have another width.
     """
     try:
         rows = np.array(values, dtype=np.float64)
@@ -259,8 +257,8 @@ class Result:
         """Whether an asset stated the scene and differs from the calibrated scene."""
         return bool(self.asset.get("edited"))
 
-    def made_with_other_than(self, installed: Mapping[str, str]) -> str:
-        """Return which package of the result has another version than the installed one; empty if none has."""
+    def version_difference(self, installed: Mapping[str, str]) -> str:
+        """Return the first package whose version differs from the installed one; empty if none differs."""
         for name, version in installed.items():
             if self.versions.get(name) != version:
                 return f"made with {name} {self.versions.get(name)}, not {version}"

@@ -1,4 +1,4 @@
-"""Names, reading and writing of result files, and the scene that a result holds."""
+"""Names, reading and writing of result files, and the scene in a result."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from gauge_envs.scoring.trajectory_file import LARGEST
 def result_file_name(result: Result) -> str:
     """Return the file name of a result, as `SlopeSlider-2-wood.mujoco.calibrated.json`.
 
-    Further parts name what differs from the defaults: hashes of overrides, asset, settings and jitter, imported data,
+    Further parts give differences from the defaults: hashes of overrides, asset, settings and jitter, imported data,
     the marker proxy and the seed.
     """
     named = result.parameters
@@ -99,11 +99,11 @@ OLDER_DEFAULTS: dict[str, Any] = {
     "cpu_s": None,
     "processor": "",
 }
-"""Values of keys that files of older versions lack."""
+"""Values of keys that are missing in files of older versions."""
 
 
 def parse_result(text: bytes, name: str) -> Result:
-    """Return the result that the content of a result file states.
+    """Return the result in the content of a result file.
 
     Args:
         text: Content of the file.
@@ -136,7 +136,7 @@ def parse_result(text: bytes, name: str) -> Result:
 
 @cache
 def _result_adapter() -> TypeAdapter[Result]:
-    """Return what validates results. To build it takes 8 ms, many times the validation of a file."""
+    """Return the validator of results; building it takes 8 ms, much longer than validating a file."""
     return TypeAdapter(Result)
 
 
@@ -154,14 +154,14 @@ class _AssetRecord(BaseModel):
 
 
 def _check(result: Result) -> None:
-    """Check what types alone do not state."""
+    """Check values that the types do not check."""
     if result.asset:
         _AssetRecord.model_validate(result.asset)
     try:
         find_variant(result.id)
     except UnknownNameError as error:
         raise ValueError(
-            f"{error}. If a task file of yours states it, set {OWN_TASKS} to that file or its folder"
+            f"{error}. If one of your task files has it, set {OWN_TASKS} to the file or its folder"
         ) from None
     choices = [
         ("score.kind", result.score.kind, Kind),
@@ -174,7 +174,7 @@ def _check(result: Result) -> None:
 
 
 def _check_trajectory(result: Result) -> None:
-    """Check what the types of a trajectory alone do not state."""
+    """Check a trajectory beyond its types."""
     trajectory = result.trajectory
     if trajectory is None:
         raise ValueError("it has no trajectory")
@@ -194,7 +194,7 @@ def _check_trajectory(result: Result) -> None:
 
 
 def result_of(experiment: Experiment, **values: Any) -> Result:
-    """Return a result that states its experiment.
+    """Return a result with the facts of its experiment.
 
     Args:
         experiment: The experiment.
@@ -221,7 +221,7 @@ def _asset_record(experiment: Experiment) -> dict[str, Any]:
     if asset is None:
         return {}
     record = asset.to_dict()
-    # The scene of a model file is that of the variant; only its engine could read the file back.
+    # For a model file the scene is that of the variant, because only its engine could read the file back.
     if asset.kind is AssetKind.USD and asset.edited:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "scene.usda"
@@ -231,9 +231,9 @@ def _asset_record(experiment: Experiment) -> dict[str, Any]:
 
 
 def recorded_experiment(result: Result) -> Experiment:
-    """Return the experiment of a result with the scene that ran; it needs no other file.
+    """Return the experiment of a result with its scene; it needs no other file.
 
-    If an engine's model file stated the scene, the scene is that of the variant.
+    If the scene came from a model file of an engine, the scene is that of the variant.
     """
     record = result.asset
     revision = task_spec(find_variant(result.id).family).revision

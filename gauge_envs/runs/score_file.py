@@ -1,4 +1,4 @@
-"""Scores of trajectory files of users."""
+"""Score trajectory files of users."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,16 +24,16 @@ from gauge_envs.scoring.metrics import frame_index
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import score_trajectory
 from gauge_envs.scoring.trajectory_file import (
-    StatedOrigin,
+    FileOrigin,
+    file_origin,
     read_trajectory,
-    stated_origin,
 )
 
-MOST_SIGMAS = 6.0
-"""Standard deviations of a start that a trajectory may have."""
+MAX_SIGMAS = 6.0
+"""Largest deviation of the start of a trajectory, in standard deviations of its noise."""
 
 LEVER_M = 1.0
-"""Distance from the axis of a rotated start of the farthest recorded point of any experiment [m]."""
+"""Largest distance of a recorded point from the axis of a rotation by noise, in any experiment [m]."""
 
 
 def score_file(
@@ -48,14 +48,13 @@ def score_file(
     Args:
         file: CSV, NPZ or JSON file.
         variant: Name or id of the experiment, or a task file; None takes that of a JSON file.
-        parameters: Parameters of the scene, for bands that follow from it; None takes those of the file, or
-            `calibrated`.
+        parameters: Parameters of the scene; None takes those of the file, or `calibrated`.
         reference: `bundled` scores against the package's references, `imported` against the imported trials.
 
     Returns:
         The result, and the number of interpolated frames.
     """
-    origin = stated_origin(file)
+    origin = file_origin(file)
     experiment = _experiment_of_file(file, origin, variant, parameters, reference)
     trajectory = read_trajectory(file, experiment)
     experiment = _with_its_trial(experiment, origin, trajectory.values[0])
@@ -83,7 +82,7 @@ def score_file(
         is_checked=True,
     )
     if origin.parameters is None and parameters is None:
-        # The simulator of the file may have used other constants than the exact solution.
+        # The simulator of the file may have other constants than the exact solution.
         score = replace(score, exact=None)
     result = result_of(
         experiment,
@@ -106,34 +105,36 @@ def score_file(
 
 
 def _with_its_trial(
-    experiment: Experiment, origin: StatedOrigin, start: FloatArray
+    experiment: Experiment, origin: FileOrigin, start: FloatArray
 ) -> Experiment:
-    """Return an experiment with the single-shot trial that a trajectory starts as: the stated one, or the nearest.
+    """Return an experiment with the single-trial recording in the file, or else the one with the nearest start.
 
     Args:
         experiment: The experiment.
-        origin: What the file states.
+        origin: Origin in the file.
         start: g(t) of the first frame, shape [coordinate_count].
     """
     shots = shots_of(experiment)
     if shots is None:
         return experiment
-    stated = origin.jitter.get("trial")
-    trials = shots.trials() if stated is None else (stated,)
-    found = [with_trial(experiment, trial) for trial in trials]
-    return min(found, key=lambda one: length_of(start_values(one) - start))
+    trial_number = origin.jitter.get("trial")
+    trials = shots.trials() if trial_number is None else (trial_number,)
+    candidates = [with_trial(experiment, trial) for trial in trials]
+    return min(
+        candidates, key=lambda candidate: length_of(start_values(candidate) - start)
+    )
 
 
-def _jitter_mm(origin: StatedOrigin) -> float:
-    """Return how far the stated jitter of a start may move a point [mm]."""
+def _jitter_mm(origin: FileOrigin) -> float:
+    """Return the largest displacement of a point by the noise in a file [mm]."""
     position_m = origin.jitter.get("position_m", 0.0)
     angle_rad = origin.jitter.get("angle_rad", 0.0)
-    return MOST_SIGMAS * 1e3 * (position_m + LEVER_M * angle_rad)
+    return MAX_SIGMAS * 1e3 * (position_m + LEVER_M * angle_rad)
 
 
 def _experiment_of_file(
     file: Path,
-    origin: StatedOrigin,
+    origin: FileOrigin,
     variant: str | None,
     parameters: Parameters | None,
     reference: DataSource | str,
@@ -144,7 +145,7 @@ def _experiment_of_file(
     name = variant or origin.id
     if name is None:
         raise TrajectoryFileError(
-            f"{file}: the file states no id. Give one, as --id GAUGE/SlopeSlider-2-wood."
+            f"{file}: the file has no id. Give one, as --id GAUGE/SlopeSlider-2-wood."
         )
     if parameters is None:
         known = isinstance(origin.parameters, str | dict) and not origin.has_asset
@@ -157,6 +158,6 @@ def _experiment_of_file(
     )
     if file_id is not None and file_id != experiment.id:
         raise TrajectoryFileError(
-            f"{file}: the id in the file is {origin.id!r}, but {experiment.id} was asked for"
+            f"{file}: the id in the file is {origin.id!r}, not {experiment.id}"
         )
     return experiment

@@ -1,4 +1,4 @@
-"""Vocabulary of a scene, the input from which a physics engine builds and drives one experiment."""
+"""Classes of a scene, from which a physics engine builds and drives one experiment."""
 
 from gauge_envs.scene.air import Air
 from gauge_envs.scene.bodies import (

@@ -1,19 +1,19 @@
 """Air around cloth: drag and lift on each triangle of its mesh.
 
-The law is quasi-steady: the force depends on the present velocity of a triangle relative to the air, and on nothing
-else. With the relative velocity u = v - wind, the unit normal n of the triangle (either side), its area A, the air's
-density rho, and u_n = u . n, u_t = u - u_n n:
+The law is quasi-steady: the force depends only on the present velocity of a triangle relative to the air,
+u = v - wind. n is the unit normal of the triangle (either side), A its area, and rho the density of the air. With
+u_n = u . n and u_t = u - u_n n:
 
     pressure    -1/2 rho A C_n |u_n| u_n n
     friction    -1/2 rho A C_t |u_t| u_t
     lift        -1/2 rho A C_l (|u| u_n n - u_n^2 u / |u|)
 
 Pressure and friction are the normal and tangential forces of Wejchert and Haumann ("Animation aerodynamics", SIGGRAPH
-1991), quadratic in the speed as Newton's law of resistance. The lift is perpendicular to u and has the size
-1/2 rho A C_l |u|^2 sin(a) cos(a), where a is the angle between u and the plane of the triangle: for small angles, a
-flat plate with the lift slope C_l. No part does positive work on the motion relative to the air.
+1991), here quadratic in the speed. The lift is perpendicular to u. Its size is 1/2 rho A C_l |u|^2 sin(a) cos(a), where
+a is the angle between u and the plane of the triangle. For small angles this is a flat plate with the lift slope C_l.
+No part does positive work on the motion relative to the air.
 
-The air is not moved by the cloth: there is no added mass, no wake, and no triangle shields another one.
+The cloth does not move the air: there is no added mass and no wake, and no triangle shields another one.
 """
 
 import math
@@ -27,7 +27,7 @@ from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive, Vector
 
 @dataclass(frozen=True, kw_only=True)
 class Air:
-    """Air of uniform density that acts on the cloth of a scene, by the law of this module.
+    """Air of uniform density that acts on the cloth of a scene by the law of this module.
 
     Attributes:
         density_kg_per_m3: Density rho [kg/m^3].
@@ -85,11 +85,11 @@ class Air:
     def stable_speed_m_per_s(
         self, *, areal_density_kg_per_m2: float, timestep_s: float
     ) -> float:
-        """Return the relative speed up to which explicit steps do not overshoot [m/s].
+        """Return the largest relative speed at which explicit steps do not overshoot [m/s].
 
-        The force changes with the speed at the rate rho C |u| A. An explicit step reduces a deviation without changing
-        its sign while the rate, times the step and over the mass, is at most 1. C is the sum of the largest drag
-        coefficient and the lift coefficient, an upper bound in all directions.
+        The force changes with the speed at the rate rho C |u| A. An explicit step keeps the sign of a deviation while
+        the rate times the step over the mass is at most 1. C is the larger drag coefficient plus the lift coefficient,
+        an upper bound in all directions.
 
         Args:
             areal_density_kg_per_m2: Mass per area of the cloth [kg/m^2].

@@ -18,7 +18,7 @@ class Motion(StrEnum):
     FIXED = "fixed"
     """Never moves."""
     KINEMATIC = "kinematic"
-    """Follows its driver, unaffected by contacts, and carries the bodies that rest on it."""
+    """Follows its driver, is not affected by contacts, and carries the bodies that rest on it."""
 
 
 class ContactMode(StrEnum):
@@ -32,7 +32,7 @@ class ContactMode(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class RigidBody:
-    """Rigid body of uniform density, unless it states its moment of inertia.
+    """Rigid body of uniform density, unless `inertia_kg_m2` is given.
 
     Attributes:
         name: Unique name in the scene.
@@ -40,11 +40,11 @@ class RigidBody:
         motion: Dynamic, fixed or kinematic.
         pose: World pose at the start.
         mass_kg: Mass [kg]; 0 for a plane.
-        linear_velocity_m_per_s: Velocity of the body origin at the start [m/s], in the world frame. Only dynamic bodies
-            have one.
+        linear_velocity_m_per_s: Velocity of the body origin at the start [m/s], in the world frame; only for dynamic
+            bodies.
         angular_velocity_rad_per_s: Angular velocity at the start [rad/s], in the world frame.
-        inertia_kg_m2: Moment of inertia about every axis through the centre of mass [kg m^2], as of a hollow cube. None
-            is that of uniform density.
+        inertia_kg_m2: Moment of inertia about every axis through the centre of mass [kg m^2], for example of a hollow
+            cube. None computes it from uniform density.
     """
 
     name: str
@@ -65,7 +65,7 @@ class RigidBody:
 
     @cached_property
     def heights_m(self) -> tuple[float, float]:
-        """Least and largest height of its corners at the start [m]."""
+        """Smallest and largest height of its corners at the start [m]."""
         heights_m = self.pose.to_world(self.shape.corners_m)[:, 2].tolist()
         return min(heights_m), max(heights_m)
 
@@ -195,7 +195,7 @@ class Contact:
     friction: float
     restitution: float
     mode: ContactMode = ContactMode.SUSTAINED
-    # Hashes of scenes whose contacts have none stay.
+    # `repr=False` keeps the hashes of scenes whose contacts have neither.
     torsion_m: NonNegative = field(default=0.0, repr=False)
     rolling_m: NonNegative = field(default=0.0, repr=False)
 

@@ -1,4 +1,4 @@
-"""Faces at which bodies touch at the start: along them, and not across, a body can start elsewhere."""
+"""Faces at which bodies touch at the start. Initial-state noise moves a body along a face, not across it."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from gauge_envs.scene.geometry import (
 )
 
 TOUCHING_M = 1e-5
-"""Largest gap between two faces that are in contact [m]: published positions have six decimals."""
+"""Largest gap between two faces in contact [m]; published positions have six decimals."""
 
 PartShape = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
 
 PARALLEL = 1.0 - 1e-9
-"""Smallest cosine between normals of the same direction."""
+"""Smallest cosine between normals that count as parallel."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,7 +38,7 @@ class TouchingGroup:
 
     Attributes:
         members: Their names.
-        blocked: Directions along which they cannot start elsewhere, see `blocked_directions`.
+        blocked: Directions in which noise must not move them, see `blocked_directions`.
         centre_m: Mean of their origins [m], shape [3].
     """
 
@@ -54,7 +54,7 @@ class ContactFaces:
 
     Args:
         bodies: The bodies at their start.
-        colliding: Names of each pair that collides; names of others than these bodies count as no pair.
+        colliding: Names of each pair that collides; pairs with unknown names are ignored.
     """
 
     def __init__(
@@ -68,32 +68,32 @@ class ContactFaces:
         for first, second in colliding:
             pair = frozenset((first, second))
             if pair <= named.keys() and pair not in self._normals:
-                one, other = (
+                first_body, second_body = (
                     (named[first], pieces[first]),
                     (named[second], pieces[second]),
                 )
-                if normals := [*_touching(*one, *other)]:
+                if normals := [*_touching(*first_body, *second_body)]:
                     self._normals[pair] = normals
 
     def groups(self, bodies: Sequence[RigidBody]) -> dict[str, TouchingGroup]:
-        """Return the group of each body by its name, of those that touch one another; others join nothing."""
+        """Return the group of touching bodies of each body, by its name; bodies outside `bodies` join no group."""
         group = {body.name: {body.name} for body in bodies}
         for first, second in self._normals:
             if first in group and second in group and group[first] is not group[second]:
                 joined = group[first] | group[second]
                 group.update(dict.fromkeys(joined, joined))
-        found: dict[str, TouchingGroup] = {}
+        groups: dict[str, TouchingGroup] = {}
         for name, names in group.items():
-            if name in found:
+            if name in groups:
                 continue
             poses = [body.pose for body in bodies if body.name in names]
-            one = TouchingGroup(
+            touching = TouchingGroup(
                 members=names,
                 blocked=blocked_directions(poses[0], self.normals(names)),
                 centre_m=np.mean([pose.position_m for pose in poses], axis=0),
             )
-            found.update(dict.fromkeys(names, one))
-        return found
+            groups.update(dict.fromkeys(names, touching))
+        return groups
 
     def normals(self, names: Collection[str]) -> list[FloatArray]:
         """Return the normals at which a group touches other bodies, each direction once, each of shape [3].
@@ -101,22 +101,22 @@ class ContactFaces:
         Args:
             names: Names of the bodies of the group.
         """
-        found: list[FloatArray] = []
+        distinct: list[FloatArray] = []
         for pair, normals in self._normals.items():
             if len(pair.intersection(names)) == 1:
-                found += [
-                    one
-                    for one in normals
-                    if all(abs(one @ other) < PARALLEL for other in found)
+                distinct += [
+                    normal
+                    for normal in normals
+                    if all(abs(normal @ known) < PARALLEL for known in distinct)
                 ]
-        return found
+        return distinct
 
 
 def blocked_directions(pose: Pose, normals: Sequence[FloatArray]) -> FloatArray:
-    """Return the orthonormal directions along which a body cannot start elsewhere, shape [1 to 3, 3].
+    """Return the orthonormal directions in which noise must not move a body, shape [1 to 3, 3].
 
-    They are those of the faces at which it touches others. A body that touches none, as one on a cloth, keeps the plane
-    of its own face: the normal is the body axis that is closest to vertical.
+    They are the normals of the faces at which the body touches others. A body that touches none, for example on a
+    cloth, stays in the plane of its own face: the direction is the body axis closest to vertical.
 
     Args:
         pose: Pose of the body.
@@ -132,7 +132,7 @@ def blocked_directions(pose: Pose, normals: Sequence[FloatArray]) -> FloatArray:
 
 
 def face_normal(pose: Pose) -> FloatArray:
-    """Return the body axis that is closest to vertical, in the world frame, shape [3]."""
+    """Return the body axis closest to vertical, in the world frame, shape [3]."""
     axes: FloatArray = pose.matrix.T
     return axes[int(np.abs(axes[:, 2]).argmax())]
 
@@ -142,7 +142,7 @@ def _pieces(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield corners [m] and planes of flat faces, shape [face_count, 4], of the pieces of a shape, in the world.
 
-    A plane is an outward normal, and minus the distance from the origin along it [m].
+    A plane is an outward normal and an offset: minus the distance from the origin along the normal [m].
     """
     from scipy.spatial import ConvexHull
 
@@ -171,12 +171,12 @@ def _pieces(
 
 def _touching(
     first: RigidBody,
-    pieces: Sequence[tuple[FloatArray, FloatArray]],
+    first_pieces: Sequence[tuple[FloatArray, FloatArray]],
     second: RigidBody,
-    others: Sequence[tuple[FloatArray, FloatArray]],
+    second_pieces: Sequence[tuple[FloatArray, FloatArray]],
 ) -> Iterator[FloatArray]:
     """Yield the normals of the faces at which the pieces of two bodies touch."""
-    for plane, corners in ((first, others), (second, pieces)):
+    for plane, corners in ((first, second_pieces), (second, first_pieces)):
         if isinstance(plane.shape, Plane):
             normal = np.asarray(plane.pose.rotation.apply([0.0, 0.0, 1.0]))
             gaps = [
@@ -186,16 +186,19 @@ def _touching(
             if gaps and abs(min(gaps)) <= TOUCHING_M:
                 yield normal
             return
-    for corners_m, planes in pieces:
-        for other_m, other_planes in others:
-            # Of two convex bodies that touch at a face, the plane of that face separates them, and none does better.
+    for corners_m, planes in first_pieces:
+        for second_corners_m, second_planes in second_pieces:
+            # If two convex bodies touch at a face, the plane of this face separates them with the largest gap.
             candidates = [
                 (float(gaps.max()), faces[int(gaps.argmax()), :3])
-                for faces, points in ((planes, other_m), (other_planes, corners_m))
+                for faces, points in (
+                    (planes, second_corners_m),
+                    (second_planes, corners_m),
+                )
                 if len(faces)
                 for gaps in [(points @ faces[:, :3].T + faces[:, 3]).min(axis=0)]
             ]
             if candidates:
-                gap, normal = max(candidates, key=lambda one: one[0])
+                gap, normal = max(candidates, key=lambda candidate: candidate[0])
                 if abs(gap) <= TOUCHING_M:
                     yield normal / np.linalg.norm(normal)

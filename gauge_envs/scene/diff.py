@@ -9,11 +9,11 @@ import numpy as np
 from gauge_envs.scene.bodies import Attachment, Contact
 from gauge_envs.scene.scene import Scene
 
-MOST_NAMES = 4
-"""Largest number of names of a group that a line lists."""
+MAX_NAMES = 4
+"""Largest number of names that a line lists."""
 
-MOST_NUMBERS = 9
-"""Largest array whose numbers a line lists; larger ones are summarized by count and largest difference."""
+MAX_NUMBERS = 9
+"""Largest array whose numbers a line lists; a larger one is summarized by count and largest difference."""
 
 
 def scene_changes(before: Scene, after: Scene) -> Iterator[str]:
@@ -35,7 +35,7 @@ def scene_changes(before: Scene, after: Scene) -> Iterator[str]:
 def _group_changes(
     group: str, before: Sequence[Any], after: Sequence[Any]
 ) -> Iterator[str]:
-    """Yield the changes of a group such as bodies or contacts; entries without a match count as added or removed."""
+    """Yield the changes of a group such as bodies or contacts; entries without a match are added or removed."""
     old, new = _titled(before), _titled(after)
     yield from (f"{title}: removed" for title in old if title not in new)
     yield from (f"{title}: added" for title in new if title not in old)
@@ -72,13 +72,13 @@ def _title(entry: Any) -> str:
 def _side(names: Sequence[str]) -> str:
     return (
         "+".join(names)
-        if len(names) <= MOST_NAMES
+        if len(names) <= MAX_NAMES
         else f"{names[0]}+...+{names[-1]} ({len(names)})"
     )
 
 
 def _value_changes(title: str, name: str, before: Any, after: Any) -> Iterator[str]:
-    """Yield the changes of one value, down to numbers; a value of another type changes as a whole."""
+    """Yield the changes of one value down to numbers; a value of another type changes as a whole."""
     if before == after:
         return
     if is_dataclass(before) and type(before) is type(after):
@@ -98,16 +98,16 @@ def _value_changes(title: str, name: str, before: Any, after: Any) -> Iterator[s
 
 def _difference(before: Any, after: Any) -> str:
     old, new = _numbers(before), _numbers(after)
-    if old is None or new is None or old.size <= MOST_NUMBERS >= new.size:
+    if old is None or new is None or old.size <= MAX_NUMBERS >= new.size:
         return f"{_text(before)} -> {_text(after)}"
     if old.shape != new.shape:
         return f"{list(old.shape)} numbers -> {list(new.shape)}"
-    apart = np.abs(new - old)
-    return f"{np.count_nonzero(apart)} of {old.size} numbers differ, by up to {apart.max():.6g}"
+    change = np.abs(new - old)
+    return f"{np.count_nonzero(change)} of {old.size} numbers differ, by up to {change.max():.6g}"
 
 
 def _numbers(value: Any) -> Any:
-    """Return a value as an array of numbers, or None if it is not numeric or ragged."""
+    """Return a value as an array of numbers; None if it is not numeric or is ragged."""
     if not isinstance(value, int | float | tuple):
         return None
     try:
@@ -121,8 +121,8 @@ def _text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.10g}"
     if isinstance(value, tuple):
-        shown = [_text(entry) for entry in value[:MOST_NAMES]]
-        return f"({', '.join(shown)}{', ...' if len(value) > MOST_NAMES else ''})"
+        shown = [_text(entry) for entry in value[:MAX_NAMES]]
+        return f"({', '.join(shown)}{', ...' if len(value) > MAX_NAMES else ''})"
     return (
         type(value).__name__
         if is_dataclass(value) or not isinstance(value, str | int | None)

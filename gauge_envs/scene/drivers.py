@@ -1,4 +1,4 @@
-"""Prescribed motion of a kinematic body: motions along and about axes, and the resulting pose and velocity."""
+"""Prescribed motion of a kinematic body: motions along and about axes, with the resulting poses and velocities."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class DriverMotion:
     Attributes:
         kind: `translate` (coordinate in m) or `rotate` (coordinate in rad).
         axis: Unit vector in the world.
-        point_m: A point of the rotation axis [m]; unused by a translation.
+        point_m: A point of the rotation axis [m]; a translation does not use it.
         residual_rate: Rate that an action of 1 adds [m/s or rad/s]; 0 if actions have no effect.
         profiles: Profiles whose sum is the coordinate over time.
     """
@@ -85,19 +85,19 @@ class Driver:
         return Pose.of_state(self.path(start, np.array([time_s]))[0])
 
     def path(self, start: Pose, times_s: FloatArray) -> FloatArray:
-        """Return poses and velocities at times, without actions, as `moved` does; shape [time_count, 13]."""
+        """Return poses and velocities at times, without actions, shape [time_count, 13]; see `moved`."""
         coordinates, rates = recorded_coordinates(self.motions, times_s)
         pose = [*start.position_m, *start.quaternion]
-        starts = np.tile(pose, (len(times_s), 1))
-        return self.moved(starts, coordinates, rates)
+        start_poses = np.tile(pose, (len(times_s), 1))
+        return self.moved(start_poses, coordinates, rates)
 
     def moved(
-        self, starts: FloatArray, coordinates: FloatArray, rates: FloatArray
+        self, start_poses: FloatArray, coordinates: FloatArray, rates: FloatArray
     ) -> FloatArray:
         """Return poses and velocities of the body.
 
         Args:
-            starts: Poses before anything moves, position [m] and quaternion w x y z, shape [count, 7].
+            start_poses: Poses before anything moves, position [m] and quaternion w x y z, shape [count, 7].
             coordinates: Coordinate of each motion [m or rad], shape [count, motion_count].
             rates: Rate of each motion [m/s or rad/s], shape [count, motion_count].
 
@@ -105,7 +105,7 @@ class Driver:
             Position, quaternion, linear velocity of the body origin [m/s] (3) and angular velocity [rad/s] (3) in the
             world frame, shape [count, 13].
         """
-        position, quaternions = starts[:, :3], starts[:, 3:]
+        position, quaternions = start_poses[:, :3], start_poses[:, 3:]
         linear = angular = np.zeros((1, 3))
         for index, motion in enumerate(self.motions):
             value, rate = coordinates[:, index, None], rates[:, index, None]
@@ -114,16 +114,20 @@ class Driver:
                 position = position + value * axis
                 linear = linear + rate * axis
             else:
-                turns = vector_quaternions(value * axis)
-                turn = rotation_matrices(turns)
-                arm = np.matmul(turn, (position - motion.point_m)[:, :, None])[:, :, 0]
+                rotations = vector_quaternions(value * axis)
+                matrices = rotation_matrices(rotations)
+                arm = np.matmul(matrices, (position - motion.point_m)[:, :, None])[
+                    :, :, 0
+                ]
                 position = arm + motion.point_m
-                quaternions = quaternion_products(turns, quaternions)
-                # As `numpy.cross`, which takes twice as long.
+                quaternions = quaternion_products(rotations, quaternions)
+                # This is `numpy.cross` in half the time.
                 (x, y, z), (u, v, w) = (rate * axis).T, arm.T
                 swept = np.array([y * w - z * v, z * u - x * w, x * v - y * u]).T
-                linear = np.matmul(turn, linear[:, :, None])[:, :, 0] + swept
-                angular = np.matmul(turn, angular[:, :, None])[:, :, 0] + rate * axis
+                linear = np.matmul(matrices, linear[:, :, None])[:, :, 0] + swept
+                angular = (
+                    np.matmul(matrices, angular[:, :, None])[:, :, 0] + rate * axis
+                )
         states = np.empty((len(coordinates), 13))
         states[:, :3] = position
         states[:, 3:7] = unit_quaternions(quaternions)

@@ -34,7 +34,7 @@ class Fabric:
 
     @classmethod
     def of(cls, source: Any) -> Fabric:
-        """Return the fabric of a cloth in a scene, or of the constants of one in a task file."""
+        """Return the fabric of a cloth in a scene, or of its constants in a task file."""
         return cls(**{field.name: getattr(source, field.name) for field in fields(cls)})
 
 
@@ -46,13 +46,13 @@ def plate_bending_stiffness(
     Hinge lines, each a row of hinges of length l, divide the mesh into strips of width h. At a curvature kappa about
     these lines, every hinge rotates by kappa h, with a torque K_theta kappa h on its length l. The moment per length of
     a plate is D kappa, so D = K_theta h / l. On a square grid h = l, so D = K_theta for every mesh size. Diagonals do
-    not change this, because the two triangles of a cell stay in one plane if height varies along one grid axis only.
-    Diagonals matter for other directions: at 45 degrees, equal hinges on all edges give 5/2 or 1/2 of D, depending on
-    the direction of the diagonals.
+    not change this: if the height varies along one grid axis only, the two triangles of a cell stay in one plane.
+    Diagonals matter in other directions: at 45 degrees, equal hinges on all edges give 5/2 or 1/2 of D, by the
+    direction of the diagonals.
 
     Assumption: the calibrated K_theta is the stiffness of each hinge of a square grid, so it equals D. No publication
-    defines its hinge. Two facts support the assumption: cantilever tests, which measure K_theta, give a stiffness per
-    width, and with it the six fabrics have bending lengths of 7 to 17 mm (`bending_length_m`), common for cloth.
+    defines the hinge. Two facts support the assumption. Cantilever tests measure K_theta as a stiffness per width. With
+    it, the six fabrics have bending lengths of 7 to 17 mm (`bending_length_m`), common for cloth.
 
     Args:
         hinge_stiffness_n_m_per_rad: K_theta, torque over angle of one hinge.
@@ -66,8 +66,8 @@ def plate_bending_stiffness(
 def bending_length_m(fabric: Fabric) -> float:
     """Return the length at which weight and bending balance [m], (D / (areal density * g))^(1/3).
 
-    It is about the width of folds, and half the overhang at which a strip droops to 41.5 degrees (ASTM D1388). A much
-    coarser mesh cannot fold as the fabric does.
+    It is about the width of folds, and half the overhang at which a strip droops to 41.5 degrees (ASTM D1388). A mesh
+    with much larger cells cannot fold as the fabric does.
     """
     plate = plate_bending_stiffness(
         hinge_stiffness_n_m_per_rad=fabric.bend_stiffness_n_m_per_rad

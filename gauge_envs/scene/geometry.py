@@ -1,4 +1,4 @@
-"""Poses and shapes, in SI units. The `kind` of a shape is its name in files."""
+"""Poses and shapes in SI units. The `kind` of a shape is its name in files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from gauge_envs.errors import needs_extra
 
 if TYPE_CHECKING:
-    # It takes 0.2 s, and only pictures need it.
+    # The import takes 0.2 s, and only pictures need it.
     import trimesh
     from scipy.spatial.transform import Rotation
 
@@ -26,7 +26,7 @@ BoolArray = NDArray[np.bool_]
 PLATE_SIZE_M = (2.0, 2.0, 0.002)
 """Size of the plate that shows a plane in pictures [m]."""
 
-# Bounds of numbers, which pydantic checks where it reads a file. A constructor called by code does not check them.
+# Bounds of numbers. Pydantic checks them when it reads a file; a constructor called by code does not.
 Positive = Annotated[float, Gt(0.0)]
 NonNegative = Annotated[float, Ge(0.0)]
 
@@ -51,13 +51,13 @@ class Pose:
 
     @classmethod
     def from_euler_deg(cls, position_m: Vector, euler_deg: Vector) -> Pose:
-        """Return the pose of rotations about the fixed x, then y, then z axis [deg], as in the trial metadata."""
+        """Return the pose of rotations about the fixed x, then y, then z axis [deg], as in the metadata of trials."""
         quaternion = np.array([1.0, 0.0, 0.0, 0.0])
         for axis, angle_deg in enumerate(euler_deg):
             half_rad = 0.5 * math.radians(angle_deg)
-            turn = np.array([math.cos(half_rad), 0.0, 0.0, 0.0])
-            turn[1 + axis] = math.sin(half_rad)
-            quaternion = quaternion_products(turn, quaternion)
+            rotation = np.array([math.cos(half_rad), 0.0, 0.0, 0.0])
+            rotation[1 + axis] = math.sin(half_rad)
+            quaternion = quaternion_products(rotation, quaternion)
         w, x, y, z = quaternion.tolist()
         return cls(position_m=position_m, quaternion=(w, x, y, z))
 
@@ -101,11 +101,11 @@ class Pose:
         return (np.asarray(points_m) - np.asarray(self.position_m)) @ self.matrix
 
 
-# SciPy's `Rotation` has the same terms in the same order. Its import takes as long as to make an environment.
+# SciPy's `Rotation` has the same terms in the same order, but its import takes as long as making an environment.
 
 
 def _components(quaternions: FloatArray) -> Any:
-    """Return w, x, y, z of one quaternion as floats, which are faster than scalars of NumPy, or of many as arrays."""
+    """Return w, x, y, z: of one quaternion as floats, which are faster than NumPy scalars; of many as arrays."""
     return quaternions.tolist() if quaternions.ndim == 1 else quaternions.T
 
 
@@ -129,7 +129,7 @@ def unit_quaternions(quaternions: FloatArray) -> FloatArray:
 def vector_quaternions(vectors_rad: FloatArray) -> FloatArray:
     """Return the quaternions w, x, y, z of rotation vectors [rad], shape [count, 4]."""
     angles = np.sqrt((vectors_rad * vectors_rad).sum(axis=1))
-    # The sine over a small angle by its series.
+    # For small angles, sin(angle / 2) / angle by its series.
     scales = 0.5 - angles**2 / 48.0 + angles**4 / 3840.0
     large = angles > 1e-3
     scales[large] = np.sin(0.5 * angles[large]) / angles[large]
@@ -145,7 +145,7 @@ def quaternion_vectors(quaternions: FloatArray) -> FloatArray:
     cosines, axes = shorter[:, 0], shorter[:, 1:]
     sines = np.sqrt((axes * axes).sum(axis=1))
     angles = 2.0 * np.arctan2(sines, cosines)
-    # A small angle over its sine by its series.
+    # For small angles, angle / sin(angle / 2) by its series.
     scales = 2.0 + angles**2 / 12.0 + 7.0 * angles**4 / 2880.0
     large = angles > 1e-3
     scales[large] = angles[large] / np.sin(0.5 * angles[large])
@@ -267,7 +267,7 @@ class Plane:
 
 @dataclass(frozen=True, kw_only=True)
 class ConvexUnion:
-    """Solid of convex pieces that touch but do not overlap, exact for every polyhedron.
+    """Solid of convex pieces that touch but do not overlap; it represents every polyhedron exactly.
 
     Attributes:
         kind: Name of the shape in files.
@@ -362,7 +362,7 @@ class Part:
 class Compound:
     """Rigid assembly of solids that share one density; parts may be apart.
 
-    It describes feet of robots, which are capsules and spheres in several places. No task file has this shape.
+    It describes feet of robots: capsules and spheres in several places. No task file has this shape.
     """
 
     parts: tuple[Part, ...]
@@ -399,15 +399,15 @@ def _trimesh() -> Any:
     return trimesh
 
 
-def pose_distance(one: Pose, other: Pose) -> float:
+def pose_distance(first: Pose, second: Pose) -> float:
     """Return the larger of the distance between the origins of two poses [m] and the angle between them [rad].
 
     The angle is twice the chord between quaternions, which is exact for small angles.
     """
-    apart = np.linalg.norm(np.subtract(one.position_m, other.position_m))
+    distance = np.linalg.norm(np.subtract(first.position_m, second.position_m))
     # Take the closer of the two quaternions of a rotation. An arc cosine would lose half the digits.
     chord = min(
-        np.linalg.norm(np.subtract(one.quaternion, np.multiply(s, other.quaternion)))
+        np.linalg.norm(np.subtract(first.quaternion, np.multiply(s, second.quaternion)))
         for s in (1.0, -1.0)
     )
-    return float(max(apart, 2.0 * chord))
+    return float(max(distance, 2.0 * chord))

@@ -1,4 +1,4 @@
-"""Random initial states of a scene, like the scatter of manual set-ups of real trials."""
+"""Random initial states of a scene, like the scatter of real trials that are set up by hand."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.states import nominal_states
 
 JITTER_FORMAT = 3
-"""Version of the draw: a sweep runs its repeats again when it changes."""
+"""Version of the random draw; when it changes, a sweep runs its repeats again."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Jitter:
-    """Standard deviations of start poses and velocities.
+    """Standard deviations of initial poses and velocities.
 
     Attributes:
         position_m: Standard deviation of each coordinate of a position [m]. The heights of 22 real drops of a ball
-            scatter by 1.0 mm. Cubes at rest on a slope of 10 degrees, whose scatter is that of their start, lie 0.6 to
-            1.9 mm from their mean (paper, Table 5).
-        angle_rad: Standard deviation of a rotation [rad]. It has not been measured; 0.5 degrees is 0.2 mm at the edge
-            of a cube of 50 mm.
+            scatter by 1.0 mm. Cubes at rest on a slope of 10 degrees lie 0.6 to 1.9 mm from their mean (paper, Table
+            5).
+        angle_rad: Standard deviation of a rotation [rad]. It was not measured; 0.5 degrees is 0.2 mm at the edge of a
+            cube of 50 mm.
         velocity_m_per_s: Standard deviation of each coordinate of a linear velocity [m/s].
         angular_velocity_rad_per_s: Standard deviation of each coordinate of an angular velocity [rad/s].
 
@@ -58,7 +58,7 @@ class Jitter:
                 )
 
     def to_dict(self) -> dict[str, float]:
-        """Return the standard deviations for a result, without those of velocities that are zero."""
+        """Return the standard deviations for a result, without those of velocities if they are 0."""
         return {
             name: value
             for name, value in vars(self).items()
@@ -67,37 +67,37 @@ class Jitter:
 
 
 def can_scatter(scene: Scene) -> bool:
-    """Return whether a body of a scene can start elsewhere: a free rigid body, or a cloth that nothing clamps."""
+    """Return whether noise can move a body of a scene: a free rigid body, or a cloth that nothing clamps."""
     return bool(scene.free or scene.free_cloths)
 
 
 def perturbed_states(scene: Scene, jitter: Jitter, *, seed: int) -> FloatArray:
     """Return random initial states that keep the contacts of the nominal start, shape [body_count, 13].
 
-    - A dynamic body translates in the plane of the face at which it touches another one, and rotates about the normal
-      of that face. Where it touches none, the normal is the body axis that is closest to vertical. Where it touches
-      faces of several directions, it translates along all of them, and does not rotate.
-    - Bodies that touch one another, as the bricks of a wall, move as one.
+    - A dynamic body translates in the plane of the face at which it touches another body, and rotates about the normal
+      of that face. Without such a face, the normal is the body axis closest to vertical. With faces of several
+      directions, the body translates along all of them and does not rotate.
+    - Bodies that touch one another, such as the bricks of a wall, move together as a rigid body.
     - A ball translates in all three coordinates.
     - A hinged body rotates about its hinge. A tethered body swings with a tight string.
     - A cloth without attachments translates and rotates in its plane.
 
-    Random velocities are added to those of the scene, in the same directions: in the plane of the face and about its
-    normal, about a hinge, or about the anchor of a string. Poses do not depend on the deviations of velocities.
+    Random velocities add to those of the scene in the same directions: in the plane of the face and about its normal,
+    about a hinge, or about the anchor of a string. Poses do not depend on the standard deviations of velocities.
 
-    Fixed and driven bodies and the bodies attached to them do not move: their places belong to the set-up.
+    Fixed and driven bodies, and bodies attached to them, do not move.
 
     Args:
         scene: The scene.
-        jitter: Standard deviations of the start.
+        jitter: Standard deviations of the initial state.
         seed: Seed of the random numbers, 0 or more.
 
     Raises:
-        ParameterError: No body of the scene can start elsewhere.
+        ParameterError: Noise can move no body of the scene.
     """
     if not can_scatter(scene):
         raise ParameterError(
-            "nothing to jitter: every body of this scene is fixed, driven, or attached to one that is"
+            "nothing to jitter: every body of this scene is fixed, driven, or attached to a fixed or driven body"
         )
     states = nominal_states(scene)
     noise = _Noise(scene, jitter, seed)
@@ -115,11 +115,11 @@ def perturbed_states(scene: Scene, jitter: Jitter, *, seed: int) -> FloatArray:
 
 
 class _Noise:
-    """Random moves and pushes of the bodies of a scene.
+    """Random translations, rotations and velocities of the bodies of a scene.
 
     Args:
         scene: The scene.
-        jitter: Standard deviations of the start.
+        jitter: Standard deviations of the initial state.
         seed: Seed of the random numbers.
     """
 
@@ -133,14 +133,14 @@ class _Noise:
         self._group_pushes: dict[TouchingGroup, FloatArray] = {}
 
     def move(self, state: FloatArray, body: RigidBody) -> None:
-        """Move a body without a joint, and all that it touches by the same move and push."""
+        """Move a body without a joint; the bodies that it touches get the same motion."""
         group = self._scene.touching_groups[body.name]
         is_ball = isinstance(body.shape, Sphere)
         blocked = np.zeros((0, 3)) if is_ball else group.blocked
         if group not in self._moves:
             self._moves[group] = self._drawn_move(blocked, _axis(group.blocked))
-        shift_m, turn_rad = self._moves[group]
-        turn(state[:7], turn_rad, group.centre_m)
+        shift_m, rotation_rad = self._moves[group]
+        rotate(state[:7], rotation_rad, group.centre_m)
         state[:3] += shift_m
         if not self._push_std.any():
             return
@@ -158,8 +158,8 @@ class _Noise:
     def move_in_plane(self, state: FloatArray, pose: Pose) -> None:
         """Move a cloth, whose nominal pose is given, in its plane."""
         normal = face_normal(pose)
-        shift_m, turn_rad = self._drawn_move(normal[None], normal)
-        turn(state[:7], turn_rad, state[:3].copy())
+        shift_m, rotation_rad = self._drawn_move(normal[None], normal)
+        rotate(state[:7], rotation_rad, state[:3].copy())
         state[:3] += shift_m
 
     def swing(self, state: FloatArray, joint: Hinge | Tether) -> None:
@@ -167,7 +167,9 @@ class _Noise:
         is_hinge = isinstance(joint, Hinge)
         axis = np.asarray(joint.axis) if isinstance(joint, Hinge) else np.ones(3)
         angles = self._places.standard_normal(1 if is_hinge else 3)
-        turn(state, self._jitter.angle_rad * angles * axis, np.asarray(joint.anchor_m))
+        rotate(
+            state, self._jitter.angle_rad * angles * axis, np.asarray(joint.anchor_m)
+        )
         if not self._push_std.any():
             return
         linear, angular = self._drawn_push().reshape(2, 3)
@@ -175,7 +177,7 @@ class _Noise:
         if is_hinge:
             tangent_m = np.cross(axis, arm_m)
             radius_m2 = float(tangent_m @ tangent_m)
-            # A linear velocity along the circle is also a rate of rotation.
+            # A linear velocity along the circle is a rate of rotation.
             along = tangent_m @ linear / radius_m2 if radius_m2 else 0.0
             angular = (angular @ axis + along) * axis
             linear = np.cross(angular, arm_m)
@@ -188,14 +190,14 @@ class _Noise:
     def _drawn_move(
         self, blocked: FloatArray, axis: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return a random translation [m] across blocked directions, and a rotation vector [rad] about an axis."""
+        """Return a random translation [m] without blocked directions, and a rotation vector [rad] about an axis."""
         shift_m = self._jitter.position_m * self._places.standard_normal(3)
         angle_rad = self._jitter.angle_rad * self._places.standard_normal()
         return across(shift_m, blocked), angle_rad * axis
 
     @cached_property
     def _pushes(self) -> np.random.Generator:
-        """Random numbers of velocities, which poses do not depend on."""
+        """Random numbers of velocities; poses use other random numbers."""
         return np.random.default_rng((self._seed, 1))
 
     def _drawn_push(self) -> FloatArray:
@@ -203,9 +205,9 @@ class _Noise:
         return self._push_std * self._pushes.standard_normal(6)
 
 
-def turn(state: FloatArray, turn_rad: FloatArray, point_m: FloatArray) -> None:
+def rotate(state: FloatArray, rotation_rad: FloatArray, point_m: FloatArray) -> None:
     """Rotate a pose, shape [7], or a state, shape [13], about a world point by a rotation vector [rad], in place."""
-    quaternion = vector_quaternions(turn_rad[None])[0]
+    quaternion = vector_quaternions(rotation_rad[None])[0]
     matrix = rotation_matrices(quaternion)
     state[:3] = matrix @ (state[:3] - point_m) + point_m
     state[3:7] = unit_quaternions(quaternion_products(quaternion, state[3:7]))
@@ -213,12 +215,12 @@ def turn(state: FloatArray, turn_rad: FloatArray, point_m: FloatArray) -> None:
 
 
 def across(vector: FloatArray, blocked: FloatArray) -> FloatArray:
-    """Return the part of a vector that is across orthonormal directions, shape [count, 3]."""
+    """Return the part of a vector perpendicular to orthonormal directions of shape [count, 3]."""
     for direction in blocked:
         vector = vector - (vector @ direction) * direction
     return vector
 
 
 def _axis(blocked: FloatArray) -> FloatArray:
-    """Return the only direction about which a body can rotate, shape [3]; zero where several faces hold it."""
+    """Return the only axis about which a body can rotate, shape [3]; zero if several faces prevent rotation."""
     return blocked[0] if len(blocked) == 1 else np.zeros(3)

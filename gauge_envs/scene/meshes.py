@@ -20,7 +20,7 @@ from gauge_envs.scene.geometry import (
 )
 
 GRID_SPACING_M = 0.02
-"""Edge length of exported grids of cloth and soft bodies [m]; no physical constant depends on it."""
+"""Edge length of the cells of exported cloth and soft bodies [m]; no physical constant depends on it."""
 
 COPLANAR = 1e-7
 """Largest difference of unit normals and offsets [m] between hull facets of one face."""
@@ -46,7 +46,7 @@ def prism(cylinder: Cylinder) -> ConvexUnion:
 def hull_faces(points_m: FloatArray) -> list[tuple[int, ...]]:
     """Return the faces of a convex polyhedron as polygons, counter-clockwise seen from outside.
 
-    Faces and their first vertices are ordered by index, so that the result only depends on the solid.
+    Faces and their first vertices are in the order of indices, so the result depends only on the solid.
 
     Args:
         points_m: Vertices [m], shape [vertex_count, 3].
@@ -89,14 +89,14 @@ def hull_triangles(points_m: FloatArray) -> FloatArray:
     """
     fans = [
         (first, second, third)
-        for first, *others in hull_faces(points_m)
-        for second, third in pairwise(others)
+        for first, *rest in hull_faces(points_m)
+        for second, third in pairwise(rest)
     ]
     return points_m[np.array(fans)]
 
 
 def grid(size_m: tuple[float, float, float]) -> tuple[FloatArray, tuple[int, int, int]]:
-    """Return the nodes of a regular grid about the origin [m], shape [node_count, 3], and the count along each axis."""
+    """Return the nodes of a grid about the origin [m], shape [node_count, 3], and their count along each axis."""
     counts = [
         max(round(edge / GRID_SPACING_M), 1) + 1 if edge else 1 for edge in size_m
     ]
@@ -112,7 +112,7 @@ def tetrahedra(shape: tuple[int, int, int]) -> IntArray:
     """Return six tetrahedra per grid cell about the same diagonal, so that the faces of neighbouring cells match."""
     node = np.arange(np.prod(shape)).reshape(shape)
     x, y, z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
-    # Each path from the low to the high corner along three edges is a tetrahedron; every second path is left-handed.
+    # Each path of three edges from the low to the high corner is a tetrahedron. Every second path is left-handed.
     rows = []
     for first, second, right_handed in (
         (x, y, 1),
@@ -137,7 +137,7 @@ def tetrahedra(shape: tuple[int, int, int]) -> IntArray:
 
 
 def nodes_in(nodes_m: FloatArray, region: Region) -> IntArray:
-    """Return the indices of the nodes in a region of their body; the end itself always belongs to it."""
+    """Return the indices of the nodes in an end region of their body; nodes at the end always belong to it."""
     along = nodes_m[:, "xyz".index(region.axis)]
     depth = along - along.min() if region.side == "low" else along.max() - along
     return np.flatnonzero(depth <= region.depth_m + TOUCHING_M)
@@ -163,11 +163,11 @@ def mass_properties(shape: Shape, mass_kg: float) -> tuple[FloatArray, FloatArra
         )
         volumes_m3 = np.abs(np.linalg.det(corners_m[:, 1:] - corners_m[:, :1])) / 6.0
         masses_kg = mass_kg * volumes_m3 / volumes_m3.sum()
-        # Engines treat a centre of mass at exactly 0 apart, which sums miss by their last bits.
+        # Engines treat a centre of mass at exactly 0 specially. Rounding removes the last bits of the sums.
         centre = np.round(masses_kg @ corners_m.mean(axis=1) / mass_kg, 12) + 0.0
         arms_m = corners_m - centre
         sums_m = arms_m.sum(axis=1)
-        # Second moments of a uniform tetrahedron: m / 20 of the sum over its corners of r r^T, and of their sum's.
+        # Second moments of a uniform tetrahedron with corners r: m / 20 (sum of r r^T + s s^T), with s the sum of r.
         second = np.einsum("t,tci,tcj->ij", masses_kg / 20.0, arms_m, arms_m)
         second += np.einsum("t,ti,tj->ij", masses_kg / 20.0, sums_m, sums_m)
         return centre, np.trace(second) * np.eye(3) - second
@@ -186,15 +186,15 @@ def _tetrahedra(points_m: FloatArray) -> FloatArray:
 
 
 def body_mass_properties(body: RigidBody) -> tuple[FloatArray, FloatArray]:
-    """Return the centre of mass and the inertia of a rigid body, as `mass_properties` does of a uniform solid.
+    """Return the centre of mass and the inertia of a rigid body; see `mass_properties`.
 
-    A body that states `inertia_kg_m2` has this inertia about the centre of the uniform solid.
+    If `inertia_kg_m2` is given, it is the inertia about the centre of the uniform solid.
     """
     centre, inertia = mass_properties(body.shape, body.mass_kg)
-    stated = body.inertia_kg_m2
-    if stated is None:
+    moment_kg_m2 = body.inertia_kg_m2
+    if moment_kg_m2 is None:
         return centre, inertia
-    return centre, stated * np.eye(3)
+    return centre, moment_kg_m2 * np.eye(3)
 
 
 def _compound_properties(
@@ -223,8 +223,8 @@ def _part_properties(
         centre, inertia = np.zeros(3), mass / 5.0 * np.diag([y + z, x + z, x + y])
     else:
         centre, inertia = mass_properties(shape, mass)
-    turn = part.pose.matrix
-    return mass, part.pose.to_world(centre), turn @ inertia @ turn.T
+    rotation = part.pose.matrix
+    return mass, part.pose.to_world(centre), rotation @ inertia @ rotation.T
 
 
 def _capsule_inertia(shape: Capsule, density_kg_per_m3: float) -> FloatArray:

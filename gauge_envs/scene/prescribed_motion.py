@@ -21,7 +21,7 @@ from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 
 class PrescribedMotion:
-    """The motion of one driven body: the recorded motion, and a displacement by actions.
+    """The motion of one driven body: the recorded motion plus a displacement by actions.
 
     Args:
         driver: The driver.
@@ -55,22 +55,23 @@ class PrescribedMotion:
     def reset(
         self,
         drivers: Sequence[Driver] | None = None,
-        starts: FloatArray | None = None,
+        start_poses: FloatArray | None = None,
     ) -> None:
         """Return to the recorded motion.
 
         Args:
-            drivers: Driver of each world, with the same degrees of freedom and action scales; None is the nominal one.
-            starts: Pose of the body in each world before anything moves, shape [N, 7]; None is the nominal one.
+            drivers: Driver of each world, with the same degrees of freedom and action scales; None is the nominal
+                driver.
+            start_poses: Pose of the body in each world before anything moves, shape [N, 7]; None is the nominal pose.
         """
-        nominal_drivers, nominal_starts = self._nominal
+        nominal_drivers, nominal_poses = self._nominal
         self._drivers = list(nominal_drivers if drivers is None else drivers)
-        chosen = nominal_starts if starts is None else starts
+        chosen = nominal_poses if start_poses is None else start_poses
         self._start = np.array(chosen, dtype=np.float64)
         self._start[:, 3:] = unit_quaternions(self._start[:, 3:])
         self._offsets = np.zeros((len(self._start), self.motion_count))
-        # Worlds with the same motion share it: then the axis of the worlds has length 1.
-        is_shared = all(one is self._drivers[0] for one in self._drivers)
+        # If all worlds have the same motion, they share it, and the axis of worlds has length 1.
+        is_shared = all(driver is self._drivers[0] for driver in self._drivers)
         is_shared = is_shared and (self._start == self._start[0]).all()
         worlds = range(1 if is_shared else len(self._drivers))
         recorded = [
@@ -87,12 +88,12 @@ class PrescribedMotion:
         )
 
     def targets(self, first: int, actions: FloatArray, count: int = 1) -> FloatArray:
-        """Return what `Simulation.drive` takes in the next intervals, and add the displacement by the actions.
+        """Return the targets of the next intervals for `Simulation.drive`, and add the displacement by the actions.
 
         Args:
             first: Number of the first interval, from 0.
-            actions: Action for each degree of freedom, from -1 to 1, shape [N, M].
-            count: Number of intervals, in which the actions hold.
+            actions: Action for each degree of freedom, from -1 to 1, shape [N, M], for all of these intervals.
+            count: Number of intervals.
 
         Returns:
             Shape [count, N, 19].
@@ -125,7 +126,7 @@ def prescribed_motions(
 
     Args:
         scene: The scene.
-        seconds: Time for which the scene will be driven [s].
+        seconds: Duration of the motion [s].
         world_count: Number of worlds.
         interval_s: Length of an interval [s].
     """
@@ -155,20 +156,23 @@ def _recorded(
     """
     times_s = interval_s * np.arange(count + 1, dtype=np.float64)
     values, rates = recorded_coordinates(driver.motions, times_s)
-    starts = np.frombuffer(start).reshape(1, 7)
-    states = _states([driver], starts, values[:, None], rates[:, None])
+    start_poses = np.frombuffer(start).reshape(1, 7)
+    states = _states([driver], start_poses, values[:, None], rates[:, None])
     return uniformly_accelerated(states, interval_s)[:, 0], values, rates
 
 
 def _states(
-    drivers: Iterable[Driver], starts: FloatArray, values: FloatArray, rates: FloatArray
+    drivers: Iterable[Driver],
+    start_poses: FloatArray,
+    values: FloatArray,
+    rates: FloatArray,
 ) -> FloatArray:
     """Return states of the body, shape [sample_count, N, 13], from coordinates of shape [sample_count, N, M]."""
     sample_count, world_count, _ = values.shape
     drivers = list(drivers)
     if all(driver is drivers[0] for driver in drivers):
-        # All worlds at once.
-        rows = np.tile(starts, (sample_count, 1))
+        # Compute all worlds in one call.
+        rows = np.tile(start_poses, (sample_count, 1))
         flat = sample_count * world_count
         states = drivers[0].moved(
             rows, values.reshape(flat, -1), rates.reshape(flat, -1)
@@ -176,15 +180,15 @@ def _states(
         return states.reshape(sample_count, world_count, 13)
     each = [
         driver.moved(
-            np.tile(start, (sample_count, 1)), values[:, world], rates[:, world]
+            np.tile(pose, (sample_count, 1)), values[:, world], rates[:, world]
         )
-        for world, (driver, start) in enumerate(zip(drivers, starts, strict=True))
+        for world, (driver, pose) in enumerate(zip(drivers, start_poses, strict=True))
     ]
     return np.stack(each, axis=1)
 
 
 def uniformly_accelerated(states: FloatArray, interval_s: float) -> FloatArray:
-    """Return motions between states, with velocities closest to theirs; each ends at the pose of the next state.
+    """Return uniformly accelerated motions that start at each state and end at the pose of the next one.
 
     Args:
         states: States at the ends of the intervals, shape [count + 1, N, 13].

@@ -1,4 +1,4 @@
-"""How a coordinate changes over time: profiles of motors, and samples of recordings."""
+"""Coordinates over time: profiles of motors, and samples of recordings."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class TrapezoidProfile:
         """Return the coordinate at a time, relative to its start [m or rad]."""
         t = min(max(time_s - self.start_s, 0.0), self.duration_s)
         speed_up = min(t, self.accelerate_s)
-        # Distance at the cruise rate, less the distance lost during acceleration and deceleration.
+        # Distance at the cruise rate, minus the distance lost during acceleration and deceleration.
         value = self.cruise_rate * t
         if self.accelerate_s > 0.0:
             value -= self.cruise_rate * (
@@ -80,7 +80,7 @@ class TrapezoidProfile:
 
 @dataclass(frozen=True, kw_only=True)
 class CosineProfile:
-    """Change by `amount` along half a cosine period, which starts and ends at rest."""
+    """Change by `amount` along half a cosine period, from rest to rest."""
 
     kind: Literal["cosine"] = field(default="cosine", repr=False)
     start_s: float
@@ -135,7 +135,7 @@ class SampledProfile:
 
     @cached_property
     def _curve(self) -> PchipInterpolator:
-        # Lists of experiments need no curve, and the import takes a tenth of a second.
+        # The import takes 0.1 s, and lists of experiments do not need it.
         from scipy.interpolate import PchipInterpolator
 
         return PchipInterpolator(self.times_s, self.values)
@@ -147,7 +147,7 @@ class SampledProfile:
     @property
     def largest_rate(self) -> float:
         """Largest absolute rate [m/s or rad/s]."""
-        # The slope of a cubic piece is extreme at its ends or at a root of its derivative; flat pieces give NaN.
+        # The slope of a cubic piece is extreme at its ends or at a root of its derivative. Flat pieces give NaN.
         inside = self._slope.derivative().roots(extrapolate=False)
         return float(
             np.abs(
@@ -169,7 +169,7 @@ class SampledProfile:
 
 
 class _ByKind:
-    """Metadata of a union whose member is chosen by `kind`; keeps pydantic out of the imports of this module."""
+    """Metadata of a union whose `kind` selects the member; this module does not import pydantic at its top."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         from pydantic import Field
@@ -178,4 +178,4 @@ class _ByKind:
 
 
 Profile = Annotated[TrapezoidProfile | CosineProfile | SampledProfile, _ByKind()]
-"""How a coordinate changes over time."""
+"""Profile of a coordinate over time."""

@@ -1,7 +1,7 @@
 """The engine-neutral scene, in SI units and the motion-capture world frame (z up).
 
-A backend only receives a `Scene`: shapes, masses, contact constants, joints and driven motion, but not the name of the
-experiment.
+A backend receives only a `Scene`: shapes, masses, contact constants, joints and prescribed motions. It does not receive
+the name of the experiment.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 
 
 GRAVITY_M_PER_S2 = 9.80665
-"""Standard gravity [m/s^2], the value that the paper uses (its dynamic-error equation)."""
+"""Standard gravity [m/s^2], as in the paper (its equation of the dynamic error)."""
 
 LEVEL = 0.9999
-"""Smallest z of the unit normal of a level plane: a lean of 0.8 degrees, more than any uncertainty of tilt."""
+"""Smallest z of the unit normal of a level plane: a tilt of 0.8 degrees, more than any uncertainty of tilt."""
 
 SAME_VELOCITY = 1e-5
 """Largest deviation of a start velocity from a rotation about a hinge [m/s, rad/s], relative to the largest number."""
@@ -53,7 +53,7 @@ class Scene:
 
     Attributes:
         bodies: Rigid bodies in a fixed order.
-        duration_s: Duration of the experiment [s], from which bounds on speed and distance follow.
+        duration_s: Duration of the experiment [s]; bounds on speed and distance depend on it.
         deformables: Cloth, soft bodies, ropes and rods.
         joints: Hinges and tethers to the world.
         attachments: Attachments of deformable bodies.
@@ -61,11 +61,11 @@ class Scene:
         drivers: Prescribed motions of kinematic bodies.
         markers: Markers on deformable bodies, if any.
         gravity_m_per_s2: Downward acceleration [m/s^2].
-        air: Air that acts on the cloth, if any; other bodies feel none.
+        air: Air that acts on cloth, if any; it does not act on other bodies.
 
     Raises:
-        ParameterError: A start velocity is not finite, belongs to a body that is not dynamic or is attached to a
-            deformable body, or does not rotate a hinged body about its hinge.
+        ParameterError: A start velocity is not finite, or does not rotate a hinged body about its hinge. Or its body is
+            not dynamic, or is attached to a deformable body.
         ParameterError: A body has two hinges.
         ParameterError: Two contacts list the same pair, or one has torsional or rolling friction without friction.
         ParameterError: There is air and no cloth.
@@ -86,20 +86,20 @@ class Scene:
         for contact in self.contacts:
             if (contact.torsion_m or contact.rolling_m) and not contact.friction:
                 raise ParameterError(
-                    f"scene: {contact.first[0]!r} and {contact.second[0]!r} touch with torsional or rolling friction "
-                    "and without sliding friction, on which engines build both: give a friction above 0"
+                    f"scene: {contact.first[0]!r} and {contact.second[0]!r} have torsional or rolling friction "
+                    "without sliding friction, which engines need for both: give a friction above 0"
                 )
         self._check_pairs()
         if self.air is not None and not self.has(Cloth):
             raise ParameterError(
-                "the scene has air and no cloth. Air acts on cloth alone: remove it"
+                "the scene has air and no cloth. Air acts only on cloth: remove it"
             )
         hinged = [joint.body for joint in self.joints if isinstance(joint, Hinge)]
         for name in self.hinges:
             if hinged.count(name) > 1:
                 raise ParameterError(
-                    f"scene: {name!r} hangs on {hinged.count(name)} hinges, which leave it no motion: give it one, or "
-                    "make the body fixed"
+                    f"scene: {name!r} has {hinged.count(name)} hinges, so it cannot move: keep one, or make it "
+                    "fixed"
                 )
         for body in self.bodies:
             if not body.starts_at_rest:
@@ -113,7 +113,7 @@ class Scene:
     @cached_property
     def hinges(self) -> dict[str, Hinge]:
         """Hinges by the name of their body."""
-        return {one.body: one for one in self.joints if isinstance(one, Hinge)}
+        return {joint.body: joint for joint in self.joints if isinstance(joint, Hinge)}
 
     def _check_pairs(self) -> None:
         """Raise an error if two contacts list the same pair."""
@@ -140,7 +140,7 @@ class Scene:
         if body.motion is not Motion.DYNAMIC:
             raise ParameterError(
                 f"{body.name!r} is {body.motion.value} and has a start velocity. Make the body dynamic, or remove the "
-                "velocity; a driver states the velocity of a kinematic body."
+                "velocity; a driver gives the velocity of a kinematic body."
             )
         if any(attachment.to == body.name for attachment in self.attachments):
             raise ParameterError(
@@ -185,7 +185,7 @@ class Scene:
         )
 
     def colliding_pairs(self, contact: Contact) -> Iterator[tuple[str, str]]:
-        """Yield the distinct pairs of a contact of which at least one body is dynamic or deformable."""
+        """Yield the distinct pairs of a contact in which at least one body is dynamic or deformable."""
         seen: set[tuple[str, str]] = set()
         for pair in product(contact.first, contact.second):
             first, second = pair
@@ -197,11 +197,13 @@ class Scene:
     @cached_property
     def _moving(self) -> frozenset[str]:
         """Names of the dynamic and the deformable bodies."""
-        return frozenset(one.name for one in (*self.dynamic_bodies, *self.deformables))
+        return frozenset(
+            body.name for body in (*self.dynamic_bodies, *self.deformables)
+        )
 
     @cached_property
     def contact_faces(self) -> ContactFaces:
-        """Faces at which bodies that collide touch at the start."""
+        """Faces at which colliding bodies touch at the start."""
         pairs = (
             pair for contact in self.contacts for pair in self.colliding_pairs(contact)
         )
@@ -209,33 +211,33 @@ class Scene:
 
     @cached_property
     def free(self) -> frozenset[str]:
-        """Names of the dynamic bodies that no deformable body is attached to."""
+        """Names of the dynamic bodies without an attached deformable body."""
         attached = {attachment.to for attachment in self.attachments}
-        return frozenset(one.name for one in self.dynamic_bodies) - attached
+        return frozenset(body.name for body in self.dynamic_bodies) - attached
 
     @cached_property
     def free_cloths(self) -> frozenset[str]:
         """Names of the cloths that nothing clamps."""
         clamped = {attachment.deformable for attachment in self.attachments}
-        cloths = (one.name for one in self.deformables if isinstance(one, Cloth))
+        cloths = (body.name for body in self.deformables if isinstance(body, Cloth))
         return frozenset(cloths) - clamped
 
     @cached_property
     def touching_groups(self) -> dict[str, TouchingGroup]:
-        """The group of each free body without a joint, by its name; bodies that touch one another are one group."""
+        """Group of each free body without a joint, by name; bodies that touch one another are one group."""
         jointed = {joint.body for joint in self.joints}
         bodies = [
-            one
-            for one in self.bodies
-            if one.name in self.free and one.name not in jointed
+            body
+            for body in self.bodies
+            if body.name in self.free and body.name not in jointed
         ]
         return self.contact_faces.groups(bodies)
 
     @cached_property
     def floor_height_m(self) -> float:
-        """Lowest height that a body can reach [m]: the highest level plane, or the end of free fall without one.
+        """Lowest height that a body can reach [m]: the highest level plane, or else the end of free fall.
 
-        A leaning plane stops no fall: bodies slide down it.
+        A tilted plane does not stop a fall, because bodies slide down.
         """
         planes = [body.pose for body in self.bodies if isinstance(body.shape, Plane)]
         level = [pose.position_m[2] for pose in planes if pose.matrix[2, 2] > LEVEL]
@@ -250,8 +252,8 @@ class Scene:
         """Upper bound on the speed of dynamic bodies [m/s].
 
         It is three times the speed after free fall from the highest point with the fastest start, plus twice the speed
-        of the drivers. A perfectly elastic hit by a driven body gives a light body twice its speed. The factor three
-        accounts for light bodies that heavy falling bodies hit.
+        of driven bodies. A perfectly elastic hit by a driven body gives a light body twice that speed. The factor three
+        covers light bodies hit by heavy falling bodies.
         """
         highest = max((body.heights_m[1] for body in self.bodies), default=0.0)
         drop = max(highest - self.floor_height_m, 0.1)
@@ -264,7 +266,10 @@ class Scene:
     def _driven_speed_m_per_s(self) -> float:
         """Bound on the speed of a point of a driven body [m/s]."""
         return max(
-            (one.speed_limit_m_per_s(self.body(one.body)) for one in self.drivers),
+            (
+                driver.speed_limit_m_per_s(self.body(driver.body))
+                for driver in self.drivers
+            ),
             default=0.0,
         )
 
@@ -277,6 +282,6 @@ class Scene:
 
 
 def _point_speed_m_per_s(body: RigidBody) -> float:
-    reach_m = np.linalg.norm(body.shape.corners_m, axis=1).max()
+    radius_m = np.linalg.norm(body.shape.corners_m, axis=1).max()
     linear, angular = body.linear_velocity_m_per_s, body.angular_velocity_rad_per_s
-    return float(np.linalg.norm(linear) + np.linalg.norm(angular) * reach_m)
+    return float(np.linalg.norm(linear) + np.linalg.norm(angular) * radius_m)

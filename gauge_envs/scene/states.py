@@ -1,8 +1,8 @@
 """Initial states of a scene as an array.
 
-States have the rows of `Scene.bodies` and then of `Scene.deformables`, and 13 numbers each: position [m], unit
-quaternion w x y z, linear velocity [m/s] and angular velocity [rad/s], in the world frame. A deformable body starts at
-rest; its row has the pose of its frame.
+The rows are those of `Scene.bodies`, then of `Scene.deformables`. Each has 13 numbers in the world frame: position [m],
+unit quaternion w x y z, linear velocity [m/s] and angular velocity [rad/s]. A deformable body starts at rest; its row
+has the pose of its frame.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gauge_envs.scene.scene import Scene
 
 
 def nominal_states(scene: Scene) -> FloatArray:
-    """Return the initial states that the scene gives, shape [body_count, 13]."""
+    """Return the nominal initial states of a scene, shape [body_count, 13]."""
     states = np.zeros((len(scene.bodies) + len(scene.deformables), 13))
     for row, body in zip(states, (*scene.bodies, *scene.deformables), strict=True):
         row[:3] = body.pose.position_m
@@ -35,10 +35,10 @@ def row_of(scene: Scene, name: str) -> int:
 
 
 def bodies_at(scene: Scene, states: FloatArray) -> tuple[RigidBody, ...]:
-    """Return the rigid bodies of a scene at other initial states.
+    """Return the rigid bodies of a scene with other initial states; fixed bodies stay.
 
     Args:
-        scene: The scene, whose fixed bodies stay.
+        scene: The scene.
         states: Initial states of one world, shape [body_count, 13].
     """
     return tuple(
@@ -55,7 +55,7 @@ def bodies_at(scene: Scene, states: FloatArray) -> tuple[RigidBody, ...]:
 
 
 def scene_at(scene: Scene, states: FloatArray) -> Scene:
-    """Return the scene whose nominal start is given by states, shape [body_count, 13]."""
+    """Return the scene with initial states of shape [body_count, 13] in place of the nominal ones."""
     rows = states[len(scene.bodies) :]
     deformables = tuple(
         replace(deformable, pose=Pose.of_state(row))

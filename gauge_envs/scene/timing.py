@@ -1,16 +1,16 @@
-"""Rates at which trajectories are recorded, scored and driven."""
+"""Rates at which this package records, scores and drives motions."""
 
 FRAME_RATE_HZ = 30.0
-"""Rate at which trajectories are recorded and scored [Hz] (paper, data acquisition)."""
+"""Frame rate of recorded and scored trajectories [Hz] (paper, data acquisition)."""
 
-MOST_FRAMES = 18_000
-"""Largest number of frames that a file can state: 10 minutes."""
+MAX_FRAMES = 18_000
+"""Largest number of frames in a task file: 10 minutes."""
 
 SAMPLES_PER_FRAME = 6
-"""Samples kept per frame: 180 Hz, the rate of the motion-capture cameras (paper, data acquisition)."""
+"""Samples per frame: 180 Hz, the rate of the motion-capture cameras (paper, data acquisition)."""
 
 SAMPLE_INTERVAL_S = 1.0 / (FRAME_RATE_HZ * SAMPLES_PER_FRAME)
 """Time between samples [s]."""
 
 DRIVE_INTERVAL_S = 1.0 / 180.0
-"""Interval in which environments prescribe motion and advance the simulation [s]."""
+"""Interval in which environments drive bodies and advance the simulation [s]."""

@@ -1,4 +1,4 @@
-"""Estimates of friction, restitution, period and ringing, of a simulation and of real trials by the same method."""
+"""Estimate friction, restitution, period and ringing, of a simulation and of real trials by the same method."""
 
 from __future__ import annotations
 
@@ -24,50 +24,50 @@ from gauge_envs.scoring.estimators import (
 )
 from gauge_envs.scoring.events import PUBLISHED_TRIALS, oscillation_period
 
-LEAST_SAMPLES = 4
-"""Smallest number of frames that determine an acceleration with its uncertainty."""
+MIN_SAMPLES = 4
+"""Smallest number of frames for an acceleration with its uncertainty."""
 
-LEAST_INCLINE, STEEPEST_INCLINE = 0.05, 0.999
-"""Sine of the slope of a slide: a flatter path is not driven by the weight, and a steeper one is a fall."""
+MIN_INCLINE, MAX_INCLINE = 0.05, 0.999
+"""Range of the sine of a slope: on a flatter path the weight does not drive the slide; a steeper one is a fall."""
 
 TILT_DEG = 0.3
-"""Standard uncertainty of the tilt of the board in real slides [deg], from the recording of SlopeSlider-3."""
+"""Standard uncertainty of the tilt of the board in real slides [deg], measured in the recording of SlopeSlider-3."""
 
 MAX_MISFIT = 0.04
 """Largest root-mean-square misfit of a law of motion, over the root mean square of the displacement.
 
-The mean of real slides, which start at different times, has a misfit of up to 0.032 to uniform acceleration.
+Real slides start at different times. So their mean has a misfit of up to 0.032 from uniform acceleration.
 """
 
 IMPACT_WINDOW_S = 1.0 / 60.0
-"""Longest duration of an impact [s]; that of the ball takes 5 ms."""
+"""Longest duration of an impact [s]; the impact of the ball takes 5 ms."""
 
 IMPACT_SHARE = 0.1
-"""Smallest change of velocity in an impact, over the largest; a second impact has e times the change of the first."""
+"""Smallest change of velocity in an impact, over the largest; the second impact has e times the change of the first."""
 
 LARGEST_DAMPING_RATIO = 0.5
-"""Damping ratio above which a body creeps: each half swing is less than a sixth of the one before."""
+"""Damping ratio above which a body creeps: each half swing is less than a sixth of the previous one."""
 
-LEAST_RINGING_SAMPLES = 12
-"""Smallest number of samples that determine the five constants of the law with their uncertainty."""
+MIN_RINGING_SAMPLES = 12
+"""Smallest number of samples for the five constants of the law with their uncertainty."""
 
 HIGHER_MODES_S = 0.15
-"""Time after the release that is left out [s]: the first swing of the beam has most of the higher bending modes."""
+"""Time after the release that the fit skips [s]: higher bending modes are strongest in the first swing of the beam."""
 
 PADDING = 8
-"""Length of the spectrum that starts the fit, over that of the signal."""
+"""Length of the padded signal, whose spectrum gives the first guess of the fit, over the length of the signal."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """One quantity of a simulated motion, beside that of real trials.
+    """One quantity of a simulated motion, with its value in real trials.
 
     Attributes:
         value: Value of the simulation; None if the event does not happen.
         unit: Unit of all numbers; `1` for a ratio.
         uncertainty: Standard uncertainty of `value` from the fit; 0 for an event.
         real: Value of the real trials or the recording; None if it is not known.
-        real_uncertainty: Standard uncertainty of `real`, with that of the set-up; None if it is not known.
+        real_uncertainty: Standard uncertainty of `real`, including the set-up; None if it is not known.
     """
 
     PRINTED: ClassVar[tuple[str, ...]] = ("over_real",)
@@ -81,12 +81,12 @@ class Measured:
 
     @property
     def over_real(self) -> float | None:
-        """Value over the real value; None without one, or if that is 0."""
+        """Value over the real value; None if either is unknown or the real value is 0."""
         return self.value / self.real if self.value is not None and self.real else None
 
     @property
     def is_inside(self) -> bool | None:
-        """Whether the value is within 1.96 standard uncertainties of the real one; None if that is not known."""
+        """Whether the value is within 1.96 standard uncertainties of the real value; None if that is not known."""
         if self.real is None or self.real_uncertainty is None:
             return None
         if self.value is None:
@@ -98,10 +98,10 @@ RealValue = tuple[float | None, float | None]
 """Value of real trials and its standard uncertainty."""
 
 
-def _beside(
+def _measured(
     real: RealValue | None, value: float, uncertainty: float, unit: str
 ) -> Measured:
-    """Return a quantity with nine digits: the last bits of a fit depend on the memory that holds its samples."""
+    """Return a quantity with nine digits; the last bits of a fit depend on the alignment of memory."""
     mean, error = real or (None, None)
     return Measured(
         value=float(f"{value:.9g}"),
@@ -119,7 +119,7 @@ def estimates(
     times_s: FloatArray,
     values: FloatArray,
 ) -> dict[str, Measured]:
-    """Return what the motion of a single undriven body, or a ringing of markers, implies.
+    """Return the constants that follow from the motion of one undriven body, or from the ringing of markers.
 
     Args:
         experiment: The experiment.
@@ -152,17 +152,17 @@ def _of_free_body(
     """Return the restitution of a rebound, or the friction of a slide."""
     projected = band.project(values)
     contacts = [
-        one
-        for one in experiment.scene.contacts
-        if experiment.recorded[0] in (*one.first, *one.second)
+        contact
+        for contact in experiment.scene.contacts
+        if experiment.recorded[0] in (*contact.first, *contact.second)
     ]
-    if contacts and all(one.mode is ContactMode.IMPACT for one in contacts):
+    if contacts and all(contact.mode is ContactMode.IMPACT for contact in contacts):
         gravity = experiment.scene.gravity_m_per_s2
         along = band.projection @ [0.0, 0.0, -gravity]
         restitution = rebound(times_s, projected, gravity_m_per_s2=along)
         if restitution is not None:
             return {
-                "restitution": _beside(_real_restitution(band), restitution, 0.0, "1")
+                "restitution": _measured(_real_restitution(band), restitution, 0.0, "1")
             }
     if contacts and is_uniformly_accelerated(times_s, projected):
         return _friction(experiment, band, times_s, values)
@@ -172,8 +172,8 @@ def _of_free_body(
 def is_uniformly_accelerated(times_s: FloatArray, values: FloatArray) -> bool:
     """Return whether a motion is one of constant acceleration from rest.
 
-    In a recording the body may rest for a while before it moves. Of each start, the best acceleration leaves a sum of
-    squares that is smaller by the square of the projection on the motion of unit acceleration.
+    In a recording the body may rest before it moves, so each sample of the first half is tried as the start. For each
+    start, the best acceleration reduces the sum of squares by the squared projection on unit acceleration.
 
     Args:
         times_s: Times from 0 on [s], shape [S].
@@ -183,19 +183,19 @@ def is_uniformly_accelerated(times_s: FloatArray, values: FloatArray) -> bool:
     total = float(np.square(moved).sum())
     if total == 0.0:
         return False
-    starts_s = times_s[times_s <= 0.5 * times_s[-1]]
-    motions = 0.5 * np.square(np.maximum(times_s - starts_s[:, None], 0.0))
+    start_times_s = times_s[times_s <= 0.5 * times_s[-1]]
+    motions = 0.5 * np.square(np.maximum(times_s - start_times_s[:, None], 0.0))
     gained = np.square(motions @ moved).sum(axis=1)
     largest = float((gained / np.square(motions).sum(axis=1)).max())
     return total - largest <= MAX_MISFIT**2 * total
 
 
-def _of_trials(found: list[float]) -> tuple[float, float] | None:
-    """Return mean and standard uncertainty of the values of several trials; None of fewer than two."""
-    if len(found) < 2:
+def _of_trials(values: list[float]) -> tuple[float, float] | None:
+    """Return mean and standard uncertainty of the values of trials; None for fewer than two."""
+    if len(values) < 2:
         return None
-    scatter = float(np.std(found, ddof=1))
-    return float(np.mean(found)), scatter / math.sqrt(len(found))
+    scatter = float(np.std(values, ddof=1))
+    return float(np.mean(values)), scatter / math.sqrt(len(values))
 
 
 # --- slide -----------------------------------------------------------------------------------------------------------
@@ -207,7 +207,7 @@ def _friction(
     """Return the friction of a slide: mu = (g sin - a) / (g cos), with the slope of the path."""
     path = values[-1] - values[0]
     direction = path / np.linalg.norm(path)
-    if not LEAST_INCLINE <= -direction[2] <= STEEPEST_INCLINE:
+    if not MIN_INCLINE <= -direction[2] <= MAX_INCLINE:
         return {}
     gravity = experiment.scene.gravity_m_per_s2
     path_m = 1e-3 * (values - values[0]) @ direction
@@ -215,16 +215,16 @@ def _friction(
     slope_rad = math.asin(-float(direction[2]))
     friction = slide_friction(acceleration, slope_rad, gravity_m_per_s2=gravity)
     uncertainty = error / (gravity * math.cos(slope_rad))
-    return {"friction": _beside(_real_friction(band), friction, uncertainty, "1")}
+    return {"friction": _measured(_real_friction(band), friction, uncertainty, "1")}
 
 
 def _acceleration(times_s: FloatArray, path_m: FloatArray) -> tuple[float, float]:
     """Return the acceleration of the moving part of a path that starts at 0, and its standard error [m/s^2].
 
-    Only the part after 2 mm of travel is fitted: a body that is held is not in the law.
+    The fit uses only samples after 2 mm of travel, because the law does not hold before the release.
     """
     moving = path_m > 2e-3
-    if moving.sum() < LEAST_SAMPLES:
+    if moving.sum() < MIN_SAMPLES:
         moving = np.ones(len(path_m), dtype=bool)
     moving_s, moving_m = times_s[moving], path_m[moving]
     return acceleration_m_per_s2(moving_s, moving_m), acceleration_error_m_per_s2(
@@ -234,28 +234,28 @@ def _acceleration(times_s: FloatArray, path_m: FloatArray) -> tuple[float, float
 
 @lru_cache(maxsize=64)
 def _real_friction(band: Band) -> RealValue | None:
-    """Return mean and standard uncertainty of the friction of real trials, tilt included; None without trials."""
+    """Return mean and standard uncertainty, tilt included, of the friction of real trials; None without trials."""
     if band.trials is None or len(band.trials) < 2:
         return None
     path = band.mean[band.measured][-1] - band.mean[band.measured][0]
     along = path / np.linalg.norm(path)
     direction = np.linalg.pinv(band.projection) @ along
     sine = -float(direction[2] / np.linalg.norm(direction))
-    if not LEAST_INCLINE < sine < 1.0:
+    if not MIN_INCLINE < sine < 1.0:
         return None
     slope_rad = math.asin(sine)
     times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
-    found = []
+    frictions = []
     for trial in band.trials:
         seen = band.measured & np.isfinite(trial).all(axis=1)
-        if seen.sum() < LEAST_SAMPLES:
+        if seen.sum() < MIN_SAMPLES:
             continue
         path_m = 1e-3 * (trial[seen] - trial[seen][0]) @ along
         acceleration, _ = _acceleration(times_s[seen], path_m)
-        found.append(
+        frictions.append(
             slide_friction(acceleration, slope_rad, gravity_m_per_s2=GRAVITY_M_PER_S2)
         )
-    real = _of_trials(found)
+    real = _of_trials(frictions)
     if real is None:
         return None
     mean, error = real
@@ -272,8 +272,8 @@ def rebound(
 ) -> float | None:
     """Return the restitution of the first impact of a body between two free flights; None without one.
 
-    The sharpest change of velocity gives the normal; `estimators.first_bounce` along it gives the speeds, where the
-    parabolas before and after the impact meet.
+    The sharpest change of velocity gives the normal. `estimators.first_bounce` along the normal gives the speeds where
+    the parabolas before and after the impact meet.
 
     Args:
         times_s: Times [s], strictly increasing, shape [S].
@@ -286,7 +286,7 @@ def rebound(
     if len(velocity) <= 2 * window:
         return None
     jumps = velocity[window:] - velocity[:-window]
-    # The change of velocity in free flight is not part of an impact. A second impact may change it much less.
+    # Subtract the change of velocity in free flight. A second impact may change the velocity much less.
     sizes = np.linalg.norm(jumps - np.median(jumps, axis=0), axis=1)
     hits = np.flatnonzero(sizes >= IMPACT_SHARE * sizes.max())
     first = hits[0] + int(np.argmax(sizes[hits[0] : hits[0] + window]))
@@ -315,15 +315,15 @@ def _real_restitution(band: Band) -> RealValue | None:
     """Return mean and standard uncertainty of the restitution of real trials; None without trials."""
     times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
     gravity = band.projection @ [0.0, 0.0, -GRAVITY_M_PER_S2]
-    found = []
+    restitutions = []
     for trial in () if band.trials is None else band.trials:
         seen = np.isfinite(trial).all(axis=1)
-        if seen.sum() <= 2 * LEAST_SAMPLES:
+        if seen.sum() <= 2 * MIN_SAMPLES:
             continue
         value = rebound(times_s[seen], trial[seen], gravity_m_per_s2=gravity)
         if value is not None:
-            found.append(value)
-    return _of_trials(found)
+            restitutions.append(value)
+    return _of_trials(restitutions)
 
 
 # --- swing -----------------------------------------------------------------------------------------------------------
@@ -332,7 +332,7 @@ def _real_restitution(band: Band) -> RealValue | None:
 def _period(
     experiment: Experiment, times_s: FloatArray, values: FloatArray
 ) -> dict[str, Measured]:
-    """Return the period of a swing about a hinge, beside the published mean of real trials."""
+    """Return the period of a swing about a hinge, with the published mean of real trials."""
     if not experiment.scene.joints:
         return {}
     axis = "xyz".index(experiment.score.period_axis or "x")
@@ -347,7 +347,7 @@ def _period(
     real = None
     if baseline is not None and baseline.std is not None:
         real = baseline.mean, baseline.std / math.sqrt(PUBLISHED_TRIALS)
-    return {"period": _beside(real, period_s, 0.0, "s")}
+    return {"period": _measured(real, period_s, 0.0, "s")}
 
 
 # --- ringing ---------------------------------------------------------------------------------------------------------
@@ -359,23 +359,23 @@ def _ringing(
     """Return frequency, decay rate and droop of the first coordinate of the band."""
     seen = times_s <= (len(band.mean) - 1) / FRAME_RATE_HZ + 1e-6
     heights_mm = band.project(values[seen])[:, 0]
-    # The simulated body starts level. A recorded one is held by hand, and may be pushed as it is let go.
+    # The simulated body starts level. In a recording, a hand holds the body and may push it at the release.
     level_mm = float(heights_mm[0])
     simulated = fit_ringing(times_s[seen], heights_mm, level_mm=level_mm)
     if simulated is None:
         return {}
     trials = _real_ringing(band, level_mm)
-    found = {}
+    quantities = {}
     for name, unit in (("frequency", "Hz"), ("decay_rate", "1/s"), ("droop", "mm")):
-        # What creeps to its place has no frequency: the fit then describes the creep by any one.
+        # A body that creeps has no frequency; the fit would give an arbitrary one.
         if simulated.damping_ratio > LARGEST_DAMPING_RATIO and name != "droop":
             continue
         real_values = [getattr(trial, name)[0] for trial in trials]
         single = (real_values[0], None) if real_values else None
         real = _of_trials(real_values) or single
         value, uncertainty = getattr(simulated, name)
-        found[name] = _beside(real, value, uncertainty, unit)
-    return found
+        quantities[name] = _measured(real, value, uncertainty, unit)
+    return quantities
 
 
 @lru_cache(maxsize=64)
@@ -394,8 +394,8 @@ class Ringing:
     Attributes:
         frequency: Frequency of the damped swing, and its uncertainty [Hz].
         decay_rate: Decay rate of the amplitude, and its uncertainty [1/s].
-        droop: How far the end hangs below its height in the level body, and its uncertainty [mm].
-        residual_mm: Root mean square of what the law leaves [mm].
+        droop: Height of the end in the level body minus its height at rest, and its uncertainty [mm].
+        residual_mm: Root mean square of the residuals [mm].
     """
 
     frequency: tuple[float, float]
@@ -405,7 +405,7 @@ class Ringing:
 
     @property
     def damping_ratio(self) -> float:
-        """Decay rate over the angular frequency of the same swing without damping."""
+        """Decay rate over the angular frequency of the undamped swing."""
         angular = 2.0 * math.pi * self.frequency[0]
         return self.decay_rate[0] / math.hypot(angular, self.decay_rate[0])
 
@@ -415,20 +415,20 @@ def fit_ringing(
 ) -> Ringing | None:
     """Fit one damped swing to heights after a release.
 
-    The first 0.15 s are left out: one sinusoid does not describe higher bending modes.
+    The fit skips the first 0.15 s, because one sinusoid does not describe higher bending modes.
 
     Args:
         times_s: Times after the release, evenly spaced [s], shape [sample_count].
         heights_mm: Heights at those times [mm], shape [sample_count].
-        level_mm: Height from which the droop counts, that of the level body [mm].
+        level_mm: Height of the level body, from which the droop counts [mm].
 
     Returns:
-        The constants; None for heights that are not finite, do not swing, or have too few samples.
+        The constants; None if a height is not finite, all heights are equal, or there are too few samples.
     """
     later = times_s >= HIGHER_MODES_S
     times, signal = times_s[later], heights_mm[later]
     if (
-        len(times) < LEAST_RINGING_SAMPLES
+        len(times) < MIN_RINGING_SAMPLES
         or not np.isfinite(signal).all()
         or np.ptp(signal) == 0.0
     ):
@@ -448,7 +448,7 @@ def fit_ringing(
         swing = cosine * np.cos(angle) + sine * np.sin(angle)
         return np.asarray(hang + np.exp(-decay * since_s) * swing - signal)
 
-    # The spectrum leaves the phase open. Two starts a quarter of a swing apart reach the same least sum.
+    # The spectrum does not give the phase. Two first guesses a quarter of a swing apart reach the same minimum.
     half = 0.5 * float(np.ptp(signal))
     scale = [1.0, 1.0, 1.0, 1.0, 0.1]
     fits = [
@@ -456,7 +456,7 @@ def fit_ringing(
         for size in ((half, 0.0), (0.0, half))
     ]
     best = min(fits, key=lambda fit: fit.cost)
-    # A law that fits exactly, as in a test, has a covariance of 0.
+    # An exact fit, as in a test, has a covariance of 0.
     variance = 2.0 * best.cost / (len(times) - len(scale))
     covariance = np.linalg.pinv(best.jac.T @ best.jac) * variance
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()

@@ -1,13 +1,13 @@
 """Estimators of physical quantities from sampled motion: one function for each, in SI units.
 
-Checks of engines, recipes, sanity rows, scores and films read these, each with its own tolerance. Every
-function takes positions at known times. None takes velocities: an engine's velocity lags its positions by up to a step,
-and a film has none.
+Engine checks, recipes, sanity checks, scores and videos use them, each with its own tolerance. Every function takes
+positions at known times and no velocities: an engine's velocity lags its positions by up to a step, and a video has
+none.
 
-The estimator of a bounce is the one with the smallest error on closed forms. Over 300 bounces of known restitution that
-are sampled at 180 Hz, beside the contact and with a noise of 0.1 mm, its median error is 2e-5. Speeds of the samples
-beside the contact have 1.4e-4, the vertex of three samples 1.3e-4, and speeds where free parabolas meet 2e-4. For a
-contact that lasts 2 to 20 ms these numbers are 2e-5, 1.3e-4, 1.5e-4 and 1.5e-2.
+The estimator of a bounce has the smallest error of four on closed forms. The test is 300 bounces of known restitution,
+sampled at 180 Hz with a noise of 0.1 mm. Its median error is 2e-5. Speeds of the samples next to the contact have
+1.4e-4, the vertex of three samples 1.3e-4, and speeds where free parabolas meet 2e-4. For a contact of 2 to 20 ms these
+numbers are 2e-5, 1.3e-4, 1.5e-4 and 1.5e-2.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ import numpy as np
 
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 
-LEAST_FLIGHT = 2
+MIN_FLIGHT_SAMPLES = 2
 """Smallest number of samples of a flight, which has two unknown constants."""
 
 CLEARANCE = 0.01
-"""Height over the contact below which a sample is not in flight, over the drop: contact margins are thinner."""
+"""Height over the contact, as a share of the drop, above which a sample is in flight; contact margins are thinner."""
 
 FALLEN = 0.05
-"""Fall from which on a sample belongs to the flight, over the drop: before, a body may still be held."""
+"""Fall, as a share of the drop, after which a sample belongs to the flight; before, a hand may hold the body."""
 
 
 # --- along a line ----------------------------------------------------------------------------------------------------
 
 
 def steady_speed_m_per_s(times_s: FloatArray, path_m: FloatArray) -> float:
-    """Return the speed v of a uniform motion, as creep: least squares of s = s0 + v t.
+    """Return the speed v of a uniform motion, such as creep: least squares of s = s0 + v t.
 
     Args:
         times_s: Times [s], shape [sample_count].
-        path_m: Positions along the motion [m], same shape. The result has their unit per second.
+        path_m: Positions along the motion [m], same shape.
     """
     return float(np.polyfit(times_s, path_m, 1)[0])
 
@@ -45,7 +45,7 @@ def steady_speed_m_per_s(times_s: FloatArray, path_m: FloatArray) -> float:
 def acceleration_m_per_s2(times_s: FloatArray, path_m: FloatArray) -> float:
     """Return the acceleration a of a uniformly accelerated motion: least squares of s = s0 + v0 t + a t^2 / 2.
 
-    A time integration with constant steps has positions on an exact parabola, so that it is not biased by the step.
+    Time integration with constant steps gives positions on an exact parabola, so the step does not bias the estimate.
 
     Args:
         times_s: Times [s], shape [sample_count].
@@ -57,8 +57,8 @@ def acceleration_m_per_s2(times_s: FloatArray, path_m: FloatArray) -> float:
 def acceleration_error_m_per_s2(times_s: FloatArray, path_m: FloatArray) -> float:
     """Return the standard error of `acceleration_m_per_s2` from the scatter about the parabola.
 
-    It is the square root of the last element of s^2 (X'X)^-1, with s^2 the sum of squared residuals over the number of
-    samples beyond three (Draper and Smith, Applied Regression Analysis, section 5.2).
+    It is the square root of the last element of s^2 (X'X)^-1. s^2 is the sum of squared residuals over the number of
+    samples minus three (Draper and Smith, Applied Regression Analysis, section 5.2).
     """
     coefficients, unscaled = np.polyfit(times_s, path_m, 2, cov="unscaled")
     residual_m = path_m - np.polyval(coefficients, times_s)
@@ -75,14 +75,14 @@ def slide_friction(
 ) -> float:
     """Return the coefficient of friction of a body that slides down a slope: mu = (g sin - a) / (g cos + b).
 
-    It is Newton's second law along the slope and off it, with Coulomb's law T = mu N.
+    It follows from Newton's second law along and normal to the slope, with Coulomb's law T = mu N.
 
     Args:
         acceleration_m_per_s2: Acceleration a down the slope.
         slope_rad: Slope [rad].
         gravity_m_per_s2: Gravity g.
-        lift_m_per_s2: Acceleration b off the slope, which adds to the force on the slope. Means over a time will do, if
-            both have the same weights: a body that hops gets its friction from its impacts.
+        lift_m_per_s2: Acceleration b normal to the slope, which adds to the normal force. For a body that hops, give
+            means over time of a and b with the same weights.
     """
     driving = gravity_m_per_s2 * math.sin(slope_rad) - acceleration_m_per_s2
     pressing = gravity_m_per_s2 * math.cos(slope_rad) + lift_m_per_s2
@@ -110,7 +110,7 @@ def pendulum_period_s(
 
 
 def mean_period_s(times_s: FloatArray, values: FloatArray) -> float:
-    """Return the mean period of an oscillation about 0: the mean time between passes through 0 upward.
+    """Return the mean period of an oscillation about 0: the mean time between upward passes through 0.
 
     Linear interpolation between two samples gives the time of a pass.
 
@@ -132,8 +132,8 @@ def mean_period_s(times_s: FloatArray, values: FloatArray) -> float:
 def hann_mean(values: FloatArray) -> FloatArray:
     """Return the mean over the first axis under a Hann window: the centre of an oscillation, damped or not.
 
-    An oscillation with two or more whole periods in the window averages to zero. With any number of periods from four
-    on, less than 1 % is left. A plain mean would leave several per cent.
+    An oscillation with two or more whole periods in the window averages to zero. Four or more periods, whole or not,
+    leave less than 1 % of the amplitude. A plain mean would leave several per cent.
     """
     weights = np.hanning(len(values) + 2)[1:-1]
     return np.asarray(np.tensordot(weights / weights.sum(), values, axes=1))
@@ -148,10 +148,10 @@ class Bounce:
 
     Attributes:
         time_s: Time at which the flights meet [s].
-        until_s: Time of the first sample after the flight that follows, or of the last sample [s].
-        speed_in_m_per_s: Speed against the contact just before it.
-        speed_out_m_per_s: Speed off the contact just after it.
-        misfit: Largest root-mean-square distance of a flight from its parabola, over the height that it covers.
+        until_s: Time of the first sample after the outgoing flight, or of the last sample [s].
+        speed_in_m_per_s: Approach speed just before the contact.
+        speed_out_m_per_s: Separation speed just after the contact.
+        misfit: Larger root-mean-square distance of a flight from its parabola, over the height range of the flight.
     """
 
     time_s: float
@@ -167,7 +167,7 @@ class Bounce:
 
 
 def speed_at_contact_m_per_s(top_m: float, gravity_m_per_s2: float) -> float:
-    """Return the speed at the contact of a body whose flight has its top at a height over it: v = sqrt(2 g h)."""
+    """Return the speed at the contact of a flight whose top is at a height over it: v = sqrt(2 g h)."""
     return math.sqrt(2.0 * gravity_m_per_s2 * max(top_m, 0.0))
 
 
@@ -181,20 +181,20 @@ def first_bounce(
 ) -> Bounce | None:
     """Return the first bounce of a body that falls on a support.
 
-    Free flights are parabolas z = z0 + v t - g t^2 / 2 with a known g, fitted by least squares to the samples that are
-    clear of the contact. Where the contact is known, energy gives the speeds at it: v^2 = 2 g h of the top of each
-    flight. So a contact that lasts some time, or a step that ends beside it, does not matter. Where it is unknown, the
-    speeds are those at the point where both parabolas meet, as of a contact that takes no time.
+    Free flights are parabolas z = z0 + v t - g t^2 / 2 with a known g. Least squares fits them to the samples clear of
+    the contact. If the height of the contact is known, the top of each flight gives its speed: v^2 = 2 g h. So the
+    duration of the contact and the end of a step do not matter. If the height is unknown, the speeds are taken where
+    both parabolas meet, as for a contact without duration.
 
     Args:
         times_s: Times [s], shape [sample_count].
         heights_m: Heights [m], same shape, along the normal of the support.
         gravity_m_per_s2: Gravity along the same axis.
-        contact_m: Height at which it touches the support; None if it is not known.
-        released_m: Height from which it was let go at rest; None fits the fall.
+        contact_m: Height at which the body touches the support; None if it is not known.
+        released_m: Height of the release at rest; None fits it from the fall.
 
     Returns:
-        The bounce; with a speed of 0 after it if the body stays down. None if it does not fall to the contact.
+        The bounce; its outgoing speed is 0 if the body stays down. None if the body does not fall to the contact.
     """
     start_m = float(heights_m[0])
     floor_m = float(heights_m.min()) if contact_m is None else contact_m
@@ -215,7 +215,7 @@ def first_bounce(
     fallen_m = released_m
     if fallen_m is None:
         fallen_m = start_m if flight_in is None else flight_in.top_m
-    # A hop of fewer samples than a flight has the height of its highest sample.
+    # A hop with too few samples for a fit has the height of its highest sample.
     hop_m = flight_out.top_m if flight_out is not None else float(heights_m[low:].max())
     time_s = float(times_s[low])
     if flight_in is not None and flight_out is not None:
@@ -228,7 +228,7 @@ def first_bounce(
         ),
         speed_out_m_per_s=speed_at_contact_m_per_s(hop_m - contact_m, gravity_m_per_s2),
         misfit=max(
-            (one.misfit for one in (flight_in, flight_out) if one is not None),
+            (flight.misfit for flight in (flight_in, flight_out) if flight is not None),
             default=0.0,
         ),
     )
@@ -247,8 +247,8 @@ class _Flight:
     def of(
         cls, times_s: FloatArray, heights_m: FloatArray, gravity_m_per_s2: float
     ) -> _Flight | None:
-        """Return the flight through some samples; None of fewer than `LEAST_FLIGHT`, or if no height changes."""
-        if len(times_s) < LEAST_FLIGHT or not np.ptp(heights_m):
+        """Return the flight through samples; None for fewer than `MIN_FLIGHT_SAMPLES`, or if no height changes."""
+        if len(times_s) < MIN_FLIGHT_SAMPLES or not np.ptp(heights_m):
             return None
         without_fall_m = heights_m + 0.5 * gravity_m_per_s2 * times_s**2
         speed_m_per_s, start_m = np.polyfit(times_s, without_fall_m, 1)
@@ -265,17 +265,17 @@ class _Flight:
         """Return the upward speed at a time [m/s]."""
         return self.speed_m_per_s - self.gravity_m_per_s2 * time_s
 
-    def meets_s(self, other: _Flight) -> float:
-        """Return the time at which two flights of one gravity meet: their difference is a straight line [s]."""
-        return (self.start_m - other.start_m) / (
-            other.speed_m_per_s - self.speed_m_per_s
+    def meets_s(self, flight: _Flight) -> float:
+        """Return the time at which this flight meets another one [s]; their difference is a straight line."""
+        return (self.start_m - flight.start_m) / (
+            flight.speed_m_per_s - self.speed_m_per_s
         )
 
 
 def _meeting(
     flight_in: _Flight | None, flight_out: _Flight | None, until_s: float
 ) -> Bounce | None:
-    """Return the bounce at the point where two flights meet; None without one that turns the speed."""
+    """Return the bounce at the point where two flights meet; None if the speed does not change its sign there."""
     if (
         flight_in is None
         or flight_out is None
@@ -296,7 +296,7 @@ def _meeting(
 
 
 def _first_minimum(heights_m: FloatArray, *, below_m: float) -> int | None:
-    """Return the first sample below a height that the next one rises from; the last one of a body that stays down."""
+    """Return the first sample below a height with a higher next sample; the last sample if the body stays down."""
     fallen = np.flatnonzero(heights_m < below_m)
     if not len(fallen):
         return None
@@ -307,14 +307,14 @@ def _first_minimum(heights_m: FloatArray, *, below_m: float) -> int | None:
 def _flight_after(
     heights_m: FloatArray, clear: BoolArray, low: int, floor_m: float
 ) -> IntArray:
-    """Return the samples of the first flight after a minimum: those that are clear, up to the next minimum."""
+    """Return the samples of the first flight after a minimum: the clear ones up to the next minimum."""
     later = low + 1 + np.flatnonzero(clear[low + 1 :])
     if not len(later):
         return later
     begin = int(later[0])
     blocked = np.flatnonzero(~clear[begin:])
     end = begin + int(blocked[0]) if len(blocked) else len(heights_m)
-    # A second bounce between two samples leaves no sample at the contact.
+    # If the second bounce is between two samples, no sample is at the contact.
     top = begin + int(np.argmax(heights_m[begin:end]))
     second = _first_minimum(
         heights_m[top:end], below_m=0.5 * (heights_m[top] + floor_m)

@@ -1,7 +1,7 @@
 """Events of a swing (paper, LSD, MTE, PD, EL): longest rest, momentum transfer, period, energy loss.
 
 Each function takes evenly sampled coordinates and no reference. It returns NaN for an event that does not happen, and
-raises ShapeError for wrong input. The paper leaves two estimators open; `scoring/README.md` says which ones count.
+raises ShapeError for wrong input. The paper does not define two estimators; `scoring/README.md` defines them.
 """
 
 import math
@@ -26,9 +26,9 @@ MAX_REST_RANGE_MM = 0.5
 MAX_REST_SPEED_MM_PER_S = 5.0
 """Largest speed of one rest [mm/s] (paper, LSD)."""
 
-# Frames on each side of a turning point that locate it; the polynomial through them has twice that degree. At 30 Hz
-# and a period of 1.2 s, a reach of 2 has an error of 3e-6 in energy, and a reach of 4 includes the impact of a cradle.
-_APEX_REACH = 3
+# Frames on each side of a turning point that locate it. The polynomial through them has twice that degree. At 30 Hz and
+# a period of 1.2 s, 2 frames give an error of 3e-6 in energy. 4 frames would include the impact of a cradle.
+_APEX_NEIGHBOURS = 3
 
 
 def event_values(experiment: Experiment, frames: FloatArray) -> dict[str, float]:
@@ -41,7 +41,7 @@ def event_values(experiment: Experiment, frames: FloatArray) -> dict[str, float]
     Returns:
         Values by metric; NaN for an event that does not happen, empty for experiments without events.
     """
-    wanted = [one for one in experiment.score.metrics if one in EVENT_METRICS]
+    wanted = [metric for metric in experiment.score.metrics if metric in EVENT_METRICS]
     if not wanted:
         return {}
     scene, body = experiment.scene, experiment.recorded[0]
@@ -51,7 +51,7 @@ def event_values(experiment: Experiment, frames: FloatArray) -> dict[str, float]
     highest_m = max(scene.body(joint.body).pose.position_m[2] for joint in scene.joints)
     drop_mm = 1e3 * highest_m - rest_mm
     heights_mm = frames[:, 2]
-    # The published period is over the first frames alone.
+    # The published period uses only the first frames.
     baseline = experiment.baselines.get("pd")
     count = len(frames) if baseline is None else baseline.frames
     signal_mm = frames[:count, "xyz".index(experiment.score.period_axis or "x")]
@@ -73,11 +73,11 @@ def longest_stationary_duration(
 ) -> float:
     """Return the longest rest of a cradle's ball between two impulses (paper, equation and thresholds of LSD).
 
-    A rest is a run of frames between which the height changes at most at the speed limit. Its duration counts the
-    frames of its longest part within the height range. A rest that includes the first frame is the hold before the
-    first impact, and one that includes the last frame is cut; neither counts.
+    A rest is a run of frames whose height changes at most at the speed limit. Its duration counts the frames of its
+    longest part within the height range. A rest at the first frame is the hold before the first impact, and a rest at
+    the last frame is cut. Neither counts.
 
-    The paper's condition names a speed and does not define it: here it is that of the height, from frame to frame.
+    The paper does not define the speed of its condition. Here it is the speed of the height from frame to frame.
 
     Args:
         height_mm: Height of the ball at every frame, shape [frame_count], mm.
@@ -86,7 +86,7 @@ def longest_stationary_duration(
     Returns:
         Number of frames of the longest rest over the frame rate, s; 0 if the ball never rests between impulses.
     """
-    heights = _samples("height_mm", height_mm, least=2)
+    heights = _samples("height_mm", height_mm, min_count=2)
     is_slow = np.abs(np.diff(heights)) * frame_rate_hz <= MAX_REST_SPEED_MM_PER_S
     edges = np.diff(np.concatenate(([False], is_slow, [False])).astype(int))
     # Step k joins frames k and k + 1.
@@ -111,13 +111,13 @@ def swing_times(
         times_s: Time of every sample, ascending, shape [sample_count], s.
         height_mm: Height of the last ball, shape [sample_count], mm. The first sample is at rest.
         rest_height_mm: Height of the last ball at rest, mm.
-        leave_height_mm: Rise above rest that separates a swing from a rest, mm.
+        leave_height_mm: Height above rest at which a swing begins and ends, mm.
 
     Returns:
-        `leaves_s`, the time at which each swing begins; `returns_s`, at which it ends, one less if the trajectory ends
-        during a swing; and `rests_s`, the time between the end of a swing and the start of the next.
+        `leaves_s`, the time at which each swing begins; `returns_s`, the time at which it ends; and `rests_s`, the time
+        between a swing and the next. `returns_s` has one entry less if the trajectory ends during a swing.
     """
-    heights = _samples("height_mm", height_mm, least=2) - (
+    heights = _samples("height_mm", height_mm, min_count=2) - (
         rest_height_mm + leave_height_mm
     )
     times = np.asarray(times_s)
@@ -126,7 +126,7 @@ def swing_times(
     crossings = times[before] + share * (times[before + 1] - times[before])
     rising = heights[before + 1] > 0
     leaves, returns = crossings[rising], crossings[~rising]
-    # A trajectory that starts above rest ends a swing that it does not begin.
+    # A trajectory that starts above rest begins within a swing, which does not count.
     returns = returns[returns > leaves[0]] if leaves.size else returns[:0]
     rests = leaves[1:] - returns[: len(leaves) - 1]
     return {"leaves_s": leaves, "returns_s": returns, "rests_s": rests}
@@ -145,13 +145,13 @@ def momentum_transfer_efficiency(
         height_mm_out: Height of the last ball at every frame, shape [frame_count], mm.
         drop_height_mm: Height of the first ball at its release above its height at rest, mm.
         rest_height_mm: Height of the last ball at rest, mm.
-        leave_height_mm: Rise above rest that begins the outgoing swing, larger than the noise of a recording, mm.
+        leave_height_mm: Height above rest at which the outgoing swing begins, more than the noise of a recording, mm.
 
     Returns:
-        sqrt(rise / drop) as a ratio; the paper's Table 5 prints percent. The rise is that of the first maximum after
-        the ball leaves rest, located between frames. NaN if the ball never leaves rest, or never turns.
+        sqrt(rise / drop) as a ratio; the paper's Table 5 prints percent. The rise is the height of the first maximum
+        after the ball leaves rest, located between frames. NaN if the ball never leaves rest, or never turns.
     """
-    height_mm_out = _samples("height_mm_out", height_mm_out, least=2)
+    height_mm_out = _samples("height_mm_out", height_mm_out, min_count=2)
     left = np.flatnonzero(height_mm_out > rest_height_mm + leave_height_mm)
     apexes = _turning_points(height_mm_out)
     apexes = apexes[apexes >= left[0]] if left.size else left
@@ -165,8 +165,8 @@ def momentum_transfer_efficiency(
 def oscillation_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> float:
     """Return the period of the dominant Fourier component (paper, PD).
 
-    The maximum of the Hann-windowed spectrum is located between the bins. A bin of 300 frames is 0.1 Hz wide, which is
-    coarser than the scatter of real trials.
+    The maximum of the Hann-windowed spectrum is located between the bins: a bin of 300 frames is 0.1 Hz wide, coarser
+    than the scatter of real trials.
 
     Args:
         signal: One coordinate that swings once per period, shape [frame_count], any unit. For a pendulum it is the
@@ -176,7 +176,7 @@ def oscillation_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> flo
     Returns:
         Period, s; NaN for a constant signal.
     """
-    signal = _samples("signal", signal, least=4)
+    signal = _samples("signal", signal, min_count=4)
     if np.ptp(signal) <= 1e-12 * np.abs(signal).max():
         return math.nan
     window = np.hanning(len(signal) + 2)[1:-1]
@@ -191,13 +191,13 @@ def oscillation_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> flo
     from scipy.optimize import minimize_scalar
 
     low, high = (peak - 1) / padded_count, min((peak + 1) / padded_count, 0.5)
-    found = minimize_scalar(
+    minimum = minimize_scalar(
         negative_power,
         bounds=(low, high),
         method="bounded",
         options={"xatol": 1e-10},
     )
-    return 1.0 / (float(found.x) * frame_rate_hz)
+    return 1.0 / (float(minimum.x) * frame_rate_hz)
 
 
 def energy_loss(height_mm: ArrayLike, *, rest_height_mm: float) -> float:
@@ -214,7 +214,7 @@ def energy_loss(height_mm: ArrayLike, *, rest_height_mm: float) -> float:
     Returns:
         (E_start - E_end) / E_start; NaN for fewer than two turning points.
     """
-    height_mm = _samples("height_mm", height_mm, least=3)
+    height_mm = _samples("height_mm", height_mm, min_count=3)
     turning_points = _turning_points(height_mm)
     # From rest the drop grows as t^2, fourfold after twice the time. It grows less if the ball falls already.
     first_drop, second_drop = height_mm[0] - height_mm[1:3]
@@ -233,11 +233,11 @@ def energy_loss(height_mm: ArrayLike, *, rest_height_mm: float) -> float:
     return (start_mm - end_mm) / (start_mm - rest_height_mm)
 
 
-def _samples(name: str, values: ArrayLike, *, least: int) -> FloatArray:
+def _samples(name: str, values: ArrayLike, *, min_count: int) -> FloatArray:
     samples = np.asarray(values, dtype=np.float64)
-    if samples.ndim != 1 or len(samples) < least:
+    if samples.ndim != 1 or len(samples) < min_count:
         raise ShapeError(
-            f"{name} has shape {samples.shape}; one coordinate of at least {least} frames is needed"
+            f"{name} has shape {samples.shape}; it needs one coordinate at {min_count} frames or more"
         )
     if not np.isfinite(samples).all():
         frame = np.flatnonzero(~np.isfinite(samples))[0]
@@ -258,17 +258,19 @@ def _longest_window(heights: FloatArray, height_range: float) -> int:
 
 
 def _turning_points(heights: FloatArray) -> IntArray:
-    """Return the frames of the local maxima that have enough neighbours to be located between frames."""
+    """Return the frames of local maxima with enough neighbours to locate the maximum between frames."""
     inner = heights[1:-1]
     maxima = np.flatnonzero((inner > heights[:-2]) & (inner >= heights[2:])) + 1
-    return maxima[(maxima >= _APEX_REACH) & (maxima < len(heights) - _APEX_REACH)]
+    return maxima[
+        (maxima >= _APEX_NEIGHBOURS) & (maxima < len(heights) - _APEX_NEIGHBOURS)
+    ]
 
 
 def _apex_height(heights: FloatArray, frame: int) -> float:
     """Return the height of the turning point next to a frame, from the polynomial through its neighbours."""
-    offsets = np.arange(-_APEX_REACH, _APEX_REACH + 1)
+    offsets = np.arange(-_APEX_NEIGHBOURS, _APEX_NEIGHBOURS + 1)
     around = heights[frame + offsets]
-    polynomial = Polynomial.fit(offsets, around - heights[frame], 2 * _APEX_REACH)
+    polynomial = Polynomial.fit(offsets, around - heights[frame], 2 * _APEX_NEIGHBOURS)
     turns = polynomial.deriv().roots()
     near = np.append(
         turns[(abs(turns.imag) < 1e-9) & (abs(turns.real) <= 1.0)].real, 0.0

@@ -1,10 +1,10 @@
 """95 % intervals of the distance between a simulation and the mean of infinitely many real trials.
 
-The observed deviation is the true one plus the error e of the mean of N trials, whose covariance is S. So the square of
-the observed distance d exceeds that of the true distance D by tr(S) on average. Its variance is 4 D^2 h'Sh + 2 tr(S^2)
-with the unit deviation h. The interval holds each D whose square is less than t standard deviations from
-d^2 - tr(S), with Student's t of N - 1 degrees of freedom (Wilson's interval). At D = 0, (t^2 - 1)^2 tr(S^2) replaces
-2 t^2 tr(S^2): if the error has one direction, D = 0 is excluded as by Student's test.
+The observed deviation is the true deviation plus the error e of the mean of N trials. S is the covariance of e. On
+average, the square of the observed distance d exceeds the square of the true distance D by tr(S). Its variance is
+4 D^2 h'Sh + 2 tr(S^2) with the unit deviation h. The interval holds each D whose square is less than t standard
+deviations from d^2 - tr(S) (Wilson's interval). Student's t has N - 1 degrees of freedom. At D = 0,
+(t^2 - 1)^2 tr(S^2) replaces 2 t^2 tr(S^2). So an error with one direction excludes D = 0 as Student's test does.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gauge_envs.scene.geometry import FloatArray, length_of
 
 
 def distance_interval(distance: float, uncertainty: float) -> tuple[float, float]:
-    """Return the interval of a distance from a reference with a standard uncertainty, in the same unit."""
+    """Return the interval of a distance from a reference with a standard uncertainty, all in one unit."""
     half = 1.96 * uncertainty
     return max(distance - half, 0.0), distance + half
 
@@ -34,11 +34,11 @@ def trials_interval(
     Args:
         deviation: Simulation minus mean, shape [T, C]; NaN is unknown.
         trials: At least two trials in recorded order, shape [N, T, C]; NaN is unknown.
-        velocity: Velocity of the simulation after the best time shift, shape [T, C]; None without alignment,
-            or if the shift is at its bound.
-        uncertainty: Standard uncertainty of the mean that all trials share, shape [T, C]; NaN is none.
+        velocity: Velocity of the simulation after the best time shift, shape [T, C]. None without alignment, or if the
+            shift is at its bound.
+        uncertainty: Standard uncertainty that all trials share, shape [T, C]; NaN counts as 0.
     """
-    # The import takes longer than the interval, and references without trials do not need it.
+    # The import takes longer than the computation, and references without trials do not need it.
     from scipy.special import stdtrit
 
     count = len(trials)
@@ -61,7 +61,7 @@ def trials_interval(
 
     distance = length_of(vector)
     along = rows @ vector / max(distance, 1e-300)
-    # Consecutive trials that are alike count as fewer: AR(1), with the bias 1/N of its correlation.
+    # Correlated consecutive trials count as fewer: AR(1), with the bias 1/N of its correlation.
     series = along[:count]
     square = max(float(series @ series), 1e-300)
     lag = float(series[1:] @ series[:-1]) / square + 1.0 / count
@@ -80,6 +80,6 @@ def trials_interval(
     half = math.sqrt(max(centre**2 - excess**2 + at_zero, 0.0))
     low = math.sqrt(max(centre - half, 0.0))
     high = math.sqrt(max(centre + half, 0.0))
-    # No distance is off by more than the length of the error.
+    # The error of a distance is at most the length of the error vector.
     longest = distance + math.sqrt(student_square * variance)
     return min(low, distance), min(max(high, distance), longest)

@@ -1,4 +1,4 @@
-"""Name the likely mistake of a trajectory of another simulator: its unit, its axes, or another start."""
+"""Find the likely mistake in a trajectory of another simulator: its unit, its axes, or its start."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from gauge_envs.scene.geometry import FloatArray
 START_TOLERANCE_MM = 30.0
 """Largest distance of a point of the first frame from the start of the scene [mm].
 
-It is 1.5 times the largest one of real trials, 19.9 mm. That was found in every second id with a real first frame. The
-largest one of the others is 10 mm."""
+It is 1.5 times 19.9 mm, the largest distance of real trials in half of the ids with a real first frame. In the other
+half, the largest distance is 10 mm."""
 
 AREA_RATIO = 3.0
-"""Largest ratio of an area of the first frame and of the scene; it is 2 with the nearest node in place of a marker."""
+"""Largest ratio of an area of the first frame to that of the scene; nearest nodes in place of markers give up to 2."""
 
 ANGLE_ROUNDING_RAD = 1e-6
-"""Excess of an angle that counts as rounding [rad]."""
+"""Excess of an angle that is only rounding [rad]."""
 
 
 def start_values(experiment: Experiment) -> FloatArray:
@@ -33,8 +33,8 @@ def start_values(experiment: Experiment) -> FloatArray:
         poses = [scene.body(name).pose for name in experiment.recorded]
         return 1e3 * np.array([pose.position_m for pose in poses]).ravel()
     markers_m = np.asarray(scene.markers.positions_m)
-    found: FloatArray = observe_markers(markers_m[None], scene.markers, observable)[0]
-    return found
+    start: FloatArray = observe_markers(markers_m[None], scene.markers, observable)[0]
+    return start
 
 
 def value_mistake(
@@ -43,11 +43,11 @@ def value_mistake(
     *,
     tolerance_mm: float = START_TOLERANCE_MM,
 ) -> str | None:
-    """Return what is probably wrong with the values of a trajectory, and what would be right; None if nothing is.
+    """Return what is probably wrong with the values of a trajectory, and the fix; None if nothing is.
 
     Args:
         experiment: Experiment that was simulated.
-        values: g(t) at the 30 Hz frames in the unit that is expected, shape [T, coordinate_count].
+        values: g(t) at the 30 Hz frames in the expected unit, shape [T, coordinate_count].
         tolerance_mm: Largest distance of a position from the start of the scene.
     """
     observable = experiment.score.observable
@@ -87,11 +87,11 @@ def _place_mistake(
     tolerance: float,
     unit: str,
 ) -> str | None:
-    """Return why places of the first frame are not those of the scene; None if each is within a tolerance.
+    """Return why places of the first frame differ from the scene; None if each is within a tolerance.
 
     Args:
-        places: Places in the unit that is expected, shape [point_count, 3].
-        start: Places of the scene, likewise.
+        places: Places in the expected unit, shape [point_count, 3].
+        start: Places of the scene in the same unit and shape.
         names: Names of the points.
         tolerance: Largest distance of a point.
         unit: `mm` or `m`.
@@ -104,7 +104,7 @@ def _place_mistake(
         f"the first frame has {names[worst]} at {_listed(places[worst])}, "
         f"and the scene at {_listed(start[worst])} {unit}"
     )
-    # Of mistakes that explain the start equally well, the first is the simplest.
+    # If several mistakes explain the start equally well, take the first, which is the simplest.
     mistakes = [
         (round(float(np.linalg.norm(corrected - start, axis=1).max()), 6), text)
         for text, corrected in _corrections(places, unit)
@@ -114,17 +114,17 @@ def _place_mistake(
         return f"{difference}: {text}"
     return (
         f"{difference}, {distances[worst]:.3g} {unit} apart; real starts are within {tolerance:.3g} {unit}. "
-        "Check the id. Start there, in the frame of the scene, z up; or state the start as a parameter, "
+        "Check the id. Start as the scene does, in its frame with z up; or give the start as a parameter, "
         "as 'cube.position_m'"
     )
 
 
 def _corrections(places: FloatArray, unit: str) -> Iterator[tuple[str, FloatArray]]:
-    """Yield likely mistakes, with the places that each would have meant [mm or m], shape [point_count, 3].
+    """Yield likely mistakes, each with the places after its fix [mm or m], shape [point_count, 3].
 
     Args:
         places: Places of the file, shape [point_count, 3].
-        unit: `mm` or `m`, which is expected. Simulators state metres, and motion capture millimetres.
+        unit: Expected unit, `mm` or `m`. Simulators use metres, and motion capture uses millimetres.
     """
     factor, wrong_unit = (1e3, "metres") if unit == "mm" else (1e-3, "millimetres")
     action = "Multiply them by 1,000" if unit == "mm" else "Divide them by 1,000"
@@ -151,7 +151,7 @@ def _listed(numbers: FloatArray) -> str:
 
 
 def _area_mistake(areas_mm2: FloatArray, start_mm2: FloatArray) -> str | None:
-    """Return why areas of the first frame are not those of the scene; None if they are of their size."""
+    """Return why areas of the first frame differ from the scene; None if their ratio is plausible."""
     known = start_mm2 > 0.0
     ratio = float(np.median(areas_mm2[known] / start_mm2[known]))
     if 1.0 / AREA_RATIO <= ratio <= AREA_RATIO:
@@ -165,7 +165,7 @@ def _area_mistake(areas_mm2: FloatArray, start_mm2: FloatArray) -> str | None:
 
 
 def _angle_mistake(experiment: Experiment, angles_rad: FloatArray) -> str | None:
-    """Return which angle is larger than any; None if all are possible."""
+    """Return which angle is impossibly large; None if all are possible."""
     largest_rad = np.full(angles_rad.shape[1], math.pi)
     markers = experiment.scene.markers
     if experiment.score.observable is Observable.CURVATURE and markers is not None:
@@ -180,5 +180,5 @@ def _angle_mistake(experiment: Experiment, angles_rad: FloatArray) -> str | None
     frame, column = np.argwhere(over)[0]
     return (
         f"frame {frame} has {experiment.coordinates[column]} at {angles_rad[frame, column]:.4g} rad, and the largest "
-        f"angle there is {largest_rad[column]:.4g}: the values look like degrees. Divide them by 57.29578"
+        f"possible angle is {largest_rad[column]:.4g}: the values look like degrees. Divide them by 57.29578"
     )

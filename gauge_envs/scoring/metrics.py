@@ -1,7 +1,7 @@
 """Distances of a simulated trajectory from the mean real one: RMSE, DTW, time offset, z (paper, section on metrics).
 
 A trajectory is a float array of shape [frame_count, coordinate_count] in its observable's unit (mm, rad or mm^2).
-NaN is a value that was not measured. Only the real mean may hold it; elsewhere all values must be finite.
+NaN is a value that was not measured. Only the real mean may have NaN.
 """
 
 import math
@@ -14,7 +14,10 @@ from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 MAX_TIME_OFFSET_S = 10 / 30
-"""Largest time shift of an alignment in either direction [s]; recorded bodies are released within 9 frames."""
+"""Largest time shift of the alignment in either direction [s]. Recorded bodies are released within 9 frames."""
+
+FRAME_TOLERANCE_S = 1e-4
+"""Largest time between a 30 Hz frame and the sample that stands for it [s]."""
 
 OFFSET_STEP_S = 1 / 360
 """Step of the grid of time shifts [s]; the best one is refined."""
@@ -48,12 +51,12 @@ def trajectory_rmse(simulated: ArrayLike, real_mean: ArrayLike) -> float:
 def trajectory_dtw(simulated: ArrayLike, real_mean: ArrayLike) -> float:
     """Return the mean distance along the optimal dynamic time warping path (paper, E_DTW).
 
-    The path has steps (1, 0), (0, 1) and (1, 1) and the least sum of distances. Ties prefer the diagonal.
+    The path has steps (1, 0), (0, 1) and (1, 1) and the smallest sum of distances. Ties take the diagonal.
 
     Args:
         simulated: g(t), shape [frame_count, coordinate_count].
         real_mean: Mean over real trials, shape [real_frame_count, coordinate_count]; NaN where nothing was measured.
-            Frames without a measured value are left out.
+            Frames without a measured value do not count.
 
     Raises:
         ShapeError: A simulated value is not finite, or nothing was measured.
@@ -74,18 +77,18 @@ def trajectory_dtw(simulated: ArrayLike, real_mean: ArrayLike) -> float:
 
 def _frame_distances(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the Euclidean distances of all pairs of frames over measured coordinates, shape [T1, T2]."""
-    # One coordinate at a time: all at once take much memory.
+    # A loop over coordinates needs less memory than one array of all.
     squares = np.zeros((len(first), len(second)))
     for column in range(first.shape[1]):
-        apart = first[:, column, None] - second[:, column]
-        squares += np.square(np.nan_to_num(apart))
+        deviation = first[:, column, None] - second[:, column]
+        squares += np.square(np.nan_to_num(deviation))
     return np.sqrt(squares)
 
 
 def _optimal_path(local: FloatArray) -> IntArray:
-    """Return the cells of the path with the least summed cost, from first to last, shape [cell_count, 2].
+    """Return the cells of the path with the smallest summed cost, from first to last, shape [cell_count, 2].
 
-    All cells of one anti-diagonal depend on the two before it alone, so each is one vector operation.
+    The cells of an anti-diagonal depend only on the two anti-diagonals before it. So each is one vector operation.
     """
     row_count, column_count = local.shape
     total = np.full((row_count + 1, column_count + 1), np.inf)
@@ -96,8 +99,8 @@ def _optimal_path(local: FloatArray) -> IntArray:
         )
         columns = diagonal - rows
         straight = np.minimum(total[rows, columns + 1], total[rows + 1, columns])
-        least = np.minimum(straight, total[rows, columns])
-        total[rows + 1, columns + 1] = local[rows, columns] + least
+        lowest_cost = np.minimum(straight, total[rows, columns])
+        total[rows + 1, columns + 1] = local[rows, columns] + lowest_cost
     row, column = row_count - 1, column_count - 1
     cells = [(row, column)]
     while row or column:
@@ -117,9 +120,9 @@ def time_offset(
 ) -> tuple[float, float]:
     """Return the constant time shift of the simulation that minimises its RMSE, and the RMSE after the shift.
 
-    A real object is released some frames after the recording starts, a simulated one at time 0. Shifted by s, frame k
-    shows the simulated state at time k / 30 Hz - s. The state is linear between samples and constant before the first
-    one. A simulation that ends at the last frame is not shifted to earlier times.
+    A real object is released some frames after the recording starts, and a simulated one at time 0. After a shift by s,
+    frame k shows the simulated state at time k / 30 Hz - s. The state is linear between samples and constant before the
+    first. A simulation that ends at the last frame is not shifted to earlier times.
 
     Args:
         times_s: Sample times of the simulation, strictly ascending, time 0 is frame 0, shape [sample_count], s.
@@ -127,8 +130,8 @@ def time_offset(
         real_mean: Mean over real trials at the 30 Hz frames, shape [frame_count, coordinate_count].
 
     Returns:
-        The offset in s, positive if the real object is released later than the simulated one, and the RMSE after the
-        shift. Of equally good shifts the smallest is chosen, so an object at rest has 0.
+        The offset [s] and the RMSE after the shift. The offset is positive if the real object is released later than
+        the simulated one. Of equally good shifts it is the smallest, so an object at rest has 0.
 
     Raises:
         ShapeError: The times are not strictly ascending, or nothing was measured.
@@ -142,21 +145,21 @@ def time_offset(
     is_known = measured.any(axis=1)
     if not is_known.any():
         raise ShapeError("simulated and real_mean share no measured entry")
-    wanted = np.where(measured, real, 0.0)
+    known_mean = np.where(measured, real, 0.0)
     frames_s = np.arange(len(real)) / FRAME_RATE_HZ
 
     def shifted_rmse(offsets_s: FloatArray) -> FloatArray:
         shifted = interpolated(frames_s - offsets_s[:, None], times, values)
-        apart = (shifted - wanted) * measured
-        squares = np.einsum("ofc,ofc->o", apart, apart)
+        deviation = (shifted - known_mean) * measured
+        squares = np.einsum("ofc,ofc->o", deviation, deviation)
         return np.asarray(np.sqrt(squares / np.count_nonzero(is_known)))
 
     step_count = math.ceil(MAX_TIME_OFFSET_S / OFFSET_STEP_S)
     last_s = frames_s[np.flatnonzero(is_known)[-1]]
-    least_s = -min(max(float(times[-1] - last_s), 0.0), MAX_TIME_OFFSET_S)
+    min_s = -min(max(float(times[-1] - last_s), 0.0), MAX_TIME_OFFSET_S)
     grid_s = np.linspace(-MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S, 2 * step_count + 1)
-    grid_s = np.concatenate([[least_s, 0.0], grid_s[grid_s >= least_s]])
-    # Sorted by size: argmin takes the first, hence smallest, of equals.
+    grid_s = np.concatenate([[min_s, 0.0], grid_s[grid_s >= min_s]])
+    # Sort by size: of equal minima, argmin takes the first, which is the smallest shift.
     grid_s = grid_s[np.lexsort((grid_s, np.abs(grid_s)))]
     grid_rmse = shifted_rmse(grid_s)
     best = int(grid_rmse.argmin())
@@ -167,7 +170,7 @@ def time_offset(
     refined = minimize_scalar(
         lambda offset_s: shifted_rmse(np.array([offset_s]))[0],
         bounds=(
-            max(coarse_s - OFFSET_STEP_S, least_s),
+            max(coarse_s - OFFSET_STEP_S, min_s),
             min(coarse_s + OFFSET_STEP_S, MAX_TIME_OFFSET_S),
         ),
         method="bounded",
@@ -210,18 +213,19 @@ def signed_error(simulated: ArrayLike, real_mean: ArrayLike) -> FloatArray:
 def frame_index(
     times_s: FloatArray, frame_count: int, *, name: str = "trajectory"
 ) -> IntArray:
-    """Return the samples at the 30 Hz frames, shape [frame_count].
+    """Return the index of the sample nearest to each 30 Hz frame, shape [frame_count].
 
     Raises:
-        ShapeError: A frame has no sample within 0.1 ms.
+        ShapeError: A frame has no sample within 0.1 ms (`FRAME_TOLERANCE_S`), before or after it.
     """
-    wanted_s = np.arange(frame_count) / FRAME_RATE_HZ
-    index = np.clip(np.searchsorted(times_s, wanted_s - 1e-6), 0, len(times_s) - 1)
-    missing = np.abs(times_s[index] - wanted_s) > 1e-4
+    frames_s = np.arange(frame_count) / FRAME_RATE_HZ
+    between_s = 0.5 * (times_s[1:] + times_s[:-1])
+    index = np.searchsorted(between_s, frames_s)
+    missing = np.abs(times_s[index] - frames_s) > FRAME_TOLERANCE_S
     if missing.any():
         frame = int(missing.argmax())
         raise ShapeError(
-            f"{name} needs {frame_count} frames at 30 Hz: no sample at frame {frame} (t = {wanted_s[frame]:.4f} s)"
+            f"{name} needs {frame_count} frames at 30 Hz: no sample at frame {frame} (t = {frames_s[frame]:.4f} s)"
         )
     return np.asarray(index)
 
@@ -236,7 +240,7 @@ def interpolated(
         times_s: Times of the samples [s], strictly ascending, shape [sample_count].
         values: Samples, shape [sample_count, C].
     """
-    columns = [np.interp(queries_s, times_s, one) for one in values.T]
+    columns = [np.interp(queries_s, times_s, column) for column in values.T]
     return np.stack(columns, axis=-1)
 
 
@@ -247,7 +251,7 @@ def _trajectory(
     trajectory = np.asarray(values, dtype=np.float64)
     if trajectory.ndim != 2 or trajectory.size == 0:
         raise ShapeError(
-            f"{name} has shape {trajectory.shape}; [frame_count, coordinate_count] is needed, none 0"
+            f"{name} has shape {trajectory.shape}; [frame_count, coordinate_count] is needed, neither of them 0"
         )
     wrong = np.isinf(trajectory) if allow_missing else ~np.isfinite(trajectory)
     if wrong.any():

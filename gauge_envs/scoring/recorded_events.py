@@ -1,7 +1,7 @@
-"""Compute the events of an episode that real recordings state, such as the frequency of a swing.
+"""Compute the events that have a real value in a recording, such as the frequency of a swing.
 
-Each event in a file `scoring/bands/<id>.toml` names a function of `EVENTS`. It returns NaN for an event that does not
-happen.
+Each event in a file `scoring/bands/<id>.toml` has the name of a function in `EVENTS`. The function returns NaN for an
+event that does not happen.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Motion:
         times_s: Times of the samples [s], shape [S].
         samples: g(t) at those times, shape [S, C].
         markers_m: Markers at the 30 Hz frames [m], shape [T, M, 3]; M is 0 for rigid bodies.
-        markers: Indices of the markers that the event rests on; none for all.
+        markers: Indices of the markers that the event uses; empty for all.
     """
 
     scene: Scene
@@ -45,9 +45,9 @@ class Motion:
 
 
 def _angles_deg(start_m: FloatArray, end_m: FloatArray) -> FloatArray:
-    """Return the angles of a line from hanging straight down, positive towards +y."""
-    across = end_m - start_m
-    return np.degrees(np.arctan2(across[:, 1], -across[:, 2]))
+    """Return the angles of a line from the downward vertical, positive towards +y."""
+    line_m = end_m - start_m
+    return np.degrees(np.arctan2(line_m[:, 1], -line_m[:, 2]))
 
 
 def _swinging_deg(motion: Motion) -> FloatArray:
@@ -57,7 +57,7 @@ def _swinging_deg(motion: Motion) -> FloatArray:
 
 
 def _lag_mm(motion: Motion, *, from_s: float, until_s: float) -> float:
-    """Return how far the first point of g(t) is behind the driver's translation, mean over a span of time."""
+    """Return the mean lag of the first point of g(t) behind the driver's translation over a span of time."""
     seen = (motion.times_s >= from_s) & (motion.times_s <= until_s)
     drive = motion.scene.drivers[0].motions[0]
     driven_mm = 1e3 * np.array([drive.value(t) for t in motion.times_s[seen]])
@@ -68,9 +68,11 @@ def _lag_mm(motion: Motion, *, from_s: float, until_s: float) -> float:
 def _cradle_s(motion: Motion, *, times: str, number: int) -> float:
     """Return when the ball that starts at rest leaves or returns for the nth time, or how long it then rests."""
     heights_mm = motion.samples[:, 2]
-    seen = swing_times(motion.times_s, heights_mm, rest_height_mm=heights_mm[0])
-    found = seen[times]
-    return float(found[number - 1]) if number <= len(found) else math.nan
+    swings = swing_times(motion.times_s, heights_mm, rest_height_mm=heights_mm[0])
+    event_times_s = swings[times]
+    return (
+        float(event_times_s[number - 1]) if number <= len(event_times_s) else math.nan
+    )
 
 
 def _slide_acceleration_m_per_s2(motion: Motion) -> float:
@@ -86,8 +88,8 @@ def _slide_acceleration_m_per_s2(motion: Motion) -> float:
 def _turning_ratio(motion: Motion) -> float:
     """Return the third turning angle of a pendulum over its angle at the release."""
     anchor_m = np.array(motion.scene.joints[0].anchor_m)
-    across = 1e-3 * motion.samples - anchor_m
-    angles = np.abs(np.arctan2(across[:, 0], -across[:, 2]))
+    string_m = 1e-3 * motion.samples - anchor_m
+    angles = np.abs(np.arctan2(string_m[:, 0], -string_m[:, 2]))
     turns = np.flatnonzero((angles[1:-1] > angles[:-2]) & (angles[1:-1] >= angles[2:]))
     return float(angles[turns[2] + 1] / angles[0]) if len(turns) > 2 else math.nan
 
@@ -95,7 +97,7 @@ def _turning_ratio(motion: Motion) -> float:
 def _chord_deg(
     motion: Motion, extreme: Callable[..., float], from_s: float, until_s: float
 ) -> float:
-    """Return an extreme angle of the chord from a driven rod to the lowest row of markers over a span of time."""
+    """Return an extreme angle, over a span of time, of the chord from a driven rod to the lowest row of markers."""
     (driver,) = motion.scene.drivers
     rod_m = driver.path(motion.scene.body(driver.body).pose, motion.frames_s)[:, :3]
     heights_m = motion.markers_m[0, :, 2]
@@ -108,8 +110,8 @@ def _chord_deg(
 def _deformation(motion: Motion, name: str) -> float:
     """Return a quantity of `deformation` at the last frame."""
     used = motion.markers or range(motion.markers_m.shape[1])
-    rest_m, now_m = motion.markers_m[[0, -1]][:, used]
-    return deformation(rest_m, now_m, solid_axes(motion.scene))[name]
+    rest_m, last_m = motion.markers_m[[0, -1]][:, used]
+    return deformation(rest_m, last_m, solid_axes(motion.scene))[name]
 
 
 EVENTS: dict[str, Callable[[Motion], float]] = {
@@ -134,4 +136,4 @@ EVENTS: dict[str, Callable[[Motion], float]] = {
         for number in (1, 2, 3)
     },
 }
-"""Functions of the events, by the name of an entry."""
+"""Functions of the events by name."""

@@ -1,4 +1,4 @@
-"""The reference of an experiment, and what it cannot judge."""
+"""The reference of an experiment, and the scenes that it cannot score."""
 
 import re
 from functools import lru_cache
@@ -20,14 +20,14 @@ from gauge_envs.scoring.likely_mistakes import START_TOLERANCE_MM, start_values
 GEOMETRY = re.compile(
     r": (added|removed|(pose|shape|size_m|length_m|radius_m|anchor_m|axis|gravity_m_per_s2)\b)"
 )
-"""Changes of a scene, as `scene_changes` states them, that real trials cannot judge: gravity, shapes and places."""
+"""Matches the lines of `scene_changes` about gravity, shapes and poses, which real trials cannot score."""
 
 
 def reference_band(experiment: Experiment) -> Band | None:
     """Return the reference motion of an experiment; None if it has none.
 
-    `reference_source` of the experiment selects the bundled reference or that of the imported trials. Rewards follow
-    the same motion, also where `refusal` says that it cannot score the scene.
+    `reference_source` of the experiment selects the bundled reference or the imported trials. Rewards compare with the
+    same motion, even if `refusal` says that the reference cannot score the scene.
     """
     shots = shots_of(experiment)
     if shots is not None and experiment.trial is not None:
@@ -36,16 +36,16 @@ def reference_band(experiment: Experiment) -> Band | None:
     band = load_band(experiment.name, experiment.reference_source)
     if file is None or band is None:
         return None
-    stated = (len(band.mean), band.projection.shape[1])
-    needed = (
+    shape = (len(band.mean), band.projection.shape[1])
+    expected_shape = (
         experiment.spec.frame_count(experiment.variant),
         len(experiment.coordinates),
     )
-    if stated != needed:
+    if shape != expected_shape:
         raise ReferenceFileError(
             file,
             None,
-            f"it has frames and coordinates of g(t) {stated}, and {experiment.name} has {needed}",
+            f"its frames and coordinates of g(t) are {shape}, but those of {experiment.name} are {expected_shape}",
         )
     return band if experiment.trial is None else band.of_trial(experiment.trial)
 
@@ -53,74 +53,76 @@ def reference_band(experiment: Experiment) -> Band | None:
 def refusal(
     experiment: Experiment, band: Band | None, *, is_moved: bool = False
 ) -> str | None:
-    """Return why a reference does not score a scene, one sentence; None if it does.
+    """Return why a reference cannot score a scene, one sentence; None if it can.
 
-    Real trials judge a scene with their gravity and geometry, and any constants. A solution judges the calibrated scene
-    and start alone, as a distance from it would hold the effect of what differs.
+    Real trials score scenes with their gravity and geometry, and with any constants. A solution scores only the
+    calibrated scene and start: for another scene, the distance would also hold the effect of the change.
 
     Args:
         experiment: The experiment.
         band: Its reference.
-        is_moved: Whether the episode started elsewhere than the scene states.
+        is_moved: Whether the initial state of the episode had noise.
     """
     if band is None:
         return None
     if band.kind.is_solution and is_moved:
-        return f"no score: the {band.kind} reference is of the calibrated start, and this start was scattered"
+        return f"no score: the {band.kind} reference holds for the nominal start, and this start had noise"
     changes = _changes(experiment)
     if band.kind.is_real:
         changes = _of_geometry(experiment, changes)
     if not changes:
         return None
-    judged = "real scene" if band.kind.is_real else "calibrated scene"
+    scored = "real scene" if band.kind.is_real else "calibrated scene"
     more = f", and {len(changes) - 1} more" if len(changes) > 1 else ""
-    return f"no score: the {band.kind} reference is of the {judged}, and this one differs: {changes[0]}{more}"
+    return f"no score: the {band.kind} reference holds for the {scored}, and this scene differs: {changes[0]}{more}"
 
 
 def has_real_geometry(experiment: Experiment) -> bool:
-    """Return whether gravity, shapes and places are those of the real scene, so that real events compare."""
+    """Return whether gravity, shapes and poses equal those of the real scene, so that real events compare."""
     return not _of_geometry(experiment, _changes(experiment))
 
 
 def _changes(experiment: Experiment) -> list[str]:
-    """Return what differs from the calibrated scene, one line each; driven motion of actions does not count."""
+    """Return the differences from the calibrated scene, a line each; driven motion of actions does not count."""
     calibrated = _calibrated_scene(experiment.name, experiment.file_sha256)
     if experiment.scene == calibrated:
         return []
     changes = list(scene_changes(calibrated, experiment.scene))
     if experiment.drivers is DataSource.ACTION:
-        changes = [one for one in changes if not one.startswith("driver of")]
+        changes = [change for change in changes if not change.startswith("driver of")]
     return changes
 
 
 def _of_geometry(experiment: Experiment, changes: list[str]) -> list[str]:
-    """Return the changes of gravity, shapes and places that real trials cannot judge.
+    """Return the changes of gravity, shapes and poses that real trials cannot score.
 
-    Parameter sets of the task file describe the real scene. Starts scatter in reality, so a start counts from
-    `START_TOLERANCE_MM` on.
+    Parameter sets of the task file describe the real scene. Real starts scatter, so a start within
+    `START_TOLERANCE_MM` is no change.
     """
     if experiment.parameters != "custom" and not experiment.edited:
         return []
     moving = {body.name for body in experiment.scene.dynamic_bodies}
-    geometry = [one for one in changes if GEOMETRY.search(one)]
-    starts = [one for one in geometry if one.partition(": pose")[0] in moving]
+    geometry = [change for change in changes if GEOMETRY.search(change)]
+    start_changes = [
+        change for change in geometry if change.partition(": pose")[0] in moving
+    ]
     calibrated = _calibrated_start(experiment.name, experiment.file_sha256)
-    apart = np.abs(start_values(experiment) - calibrated)
+    deviation = np.abs(start_values(experiment) - calibrated)
     is_position = experiment.score.observable.unit == "mm"
-    if not is_position or apart.max() <= START_TOLERANCE_MM:
-        geometry = [one for one in geometry if one not in starts]
+    if not is_position or deviation.max() <= START_TOLERANCE_MM:
+        geometry = [change for change in geometry if change not in start_changes]
     return geometry
 
 
 @lru_cache(maxsize=128)
 def _calibrated_start(variant: str, file_sha256: str) -> FloatArray:
-    """Return g(t) at the start that the task file states, shape [coordinate_count]."""
+    """Return g(t) at the start in the task file, shape [coordinate_count]."""
     return start_values(load_experiment(variant))
 
 
 @lru_cache(maxsize=128)
 def _calibrated_scene(variant: str, file_sha256: str) -> Scene:
-    """Return the scene of a variant as its task file states it; the hash of the file tells versions apart."""
+    """Return the calibrated scene of a variant; the hash of the task file distinguishes versions in the cache."""
     return load_experiment(variant).scene
 
 

@@ -1,4 +1,4 @@
-"""The score of an episode: some twenty numbers that say how far a motion is from its reference, and why."""
+"""The score of an episode: how far its motion is from the reference, and why."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ COVERAGE_FACTOR = 1.96
 OVER_U = "over_uncertainty"
 """Value of `Score.primary` for a solution."""
 
-OLD_SCORE = "its score is of gauge-envs 0.3 or earlier: `gauge score FILE` scores its trajectory anew"
+OLD_SCORE = "gauge-envs 0.3 or earlier wrote its score: run `gauge score FILE` to score its trajectory again"
 """Why a stored score cannot be read."""
 
 Interval = tuple[float, float]
@@ -50,32 +50,32 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Score:
-    """Distance of an episode from its reference. None is a number that does not apply or has no reference.
+    """Distance of an episode from its reference. A field is None if it does not apply or has no reference.
 
     | field | unit | meaning |
     | --- | --- | --- |
     | `kind` | | `trials`, `recording`, `analytic`, `numerical` or `none`: what the reference motion is |
     | `unit` | | unit of the distances |
     | `primary` | | distance that reports show first: `rmse_aligned` for a release, `over_uncertainty` for a solution |
-    | `exact` | 1 | primary distance over real trials of an exact solution with the same constants |
+    | `exact` | 1 | the primary ratio that an exact solution with the same constants has |
     | `rmse` | unit | E_RMSE of the paper |
-    | `rmse_95` | unit | its 95 % interval, from the scatter of single trials, else 1.96 u of the reference |
+    | `rmse_95` | unit | its 95 % interval: from the scatter of single trials, else 1.96 u of the reference |
     | `rmse_normalized` | 1 | `rmse` over the published mean of real trials |
     | `dtw`, `dtw_normalized` | unit, 1 | E_DTW of the paper, and over the published mean of real trials |
-    | `time_offset_s` | s | time shift with the least RMSE; positive when reality is released later |
+    | `time_offset_s` | s | time shift with the smallest RMSE; positive if the real object is released later |
     | `rmse_aligned` | unit | RMSE after that shift |
     | `rmse_aligned_95` | unit | its 95 % interval |
-    | `rmse_aligned_normalized` | 1 | over the mean of that of the real trials, each against the mean of the others |
+    | `rmse_aligned_normalized` | 1 | `rmse_aligned` over the mean of the same distance of real trials |
     | `mean_abs_z` | 1 | mean deviation over the standard deviation of real trials; a real trial has 0.80 |
     | `inside_1sigma`, `inside_2sigma` | 1 | share of measured values within 1 and 2 standard deviations |
     | `percentile` | % | real trials that are closer to the mean of the others, by the primary distance |
     | `signed_error` | unit | mean deviation of each coordinate of the reference |
     | `compared_frames` | | frames that the reference knows |
     | `over_uncertainty` | 1 | distance over the standard uncertainty u of a solution |
-    | `marker_rmse_mm` | mm | distance of the markers of cloth and foam, which `over_uncertainty` is of |
+    | `marker_rmse_mm` | mm | distance of the markers of cloth and foam; `over_uncertainty` divides it by u |
     | `events` | each | `lsd`, `mte`, `pd`, `el` and recorded events, by name (`Measured`) |
     | `estimates` | each | friction, restitution, period of this motion and of the real trials, by name (`Measured`) |
-    | `refused` | | why the reference does not score this motion, one sentence |
+    | `refused` | | why the reference cannot score this motion, one sentence |
     """
 
     kind: str
@@ -143,9 +143,9 @@ class Score:
     def verdict(self) -> str:
         """`inside`, `outside` or `no reference`.
 
-        Inside means: at least one real trial is as far from the mean of the others; without single trials, the distance
-        is at most twice the published mean of real trials, or 1.96 u where none is published; of a solution, it is at
-        most 1.96 u. Without a reference motion, the events with a real value decide, each within 1.96 u.
+        The motion is inside if at least one real trial is as far from the mean of the other trials. Without single
+        trials, the limit is twice the published mean of real trials, or 1.96 u if none is published. For a solution,
+        the limit is 1.96 u. Without a reference motion, each event with a real value must be within 1.96 u.
         """
         if self.refused is not None:
             return "no reference"
@@ -157,9 +157,9 @@ class Score:
             return _word(self.primary_normalized <= 2.0)
         if self.rmse_95 is not None:
             return _word(self.rmse_95[0] == 0.0)
-        found = [one.is_inside for one in self.events.values()]
-        known = [one for one in found if one is not None]
-        return _word(all(known)) if known else "no reference"
+        verdicts = [event.is_inside for event in self.events.values()]
+        known_verdicts = [is_inside for is_inside in verdicts if is_inside is not None]
+        return _word(all(known_verdicts)) if known_verdicts else "no reference"
 
     def summary(self) -> str:
         """Return the score in one sentence."""
@@ -176,12 +176,12 @@ class Score:
 
     @property
     def _measured_texts(self) -> list[str]:
-        """Events and estimates, each beside its real value."""
+        """Events and estimates, each with its real value."""
         measured = {**self.events, **self.estimates}
-        return [_beside_text(name, one) for name, one in measured.items()]
+        return [_compared_text(name, quantity) for name, quantity in measured.items()]
 
     def _scaled_text(self, ratio: float) -> str:
-        """Return the primary distance over its scale, in words."""
+        """Return the primary ratio in words."""
         if self.primary == OVER_U:
             return f"{_text(ratio)} u of the {self.kind} reference"
         text = f"{_text(ratio)} times as far as real trials"
@@ -196,9 +196,9 @@ class Score:
         """Return at most ten lines; `to_dict` has all numbers."""
         left_out = ("events", "estimates", "signed_error", "refused")
         numbers = [
-            f"{one.name}={_value_text(getattr(self, one.name))}"
-            for one in fields(self)
-            if one.name not in left_out and getattr(self, one.name) is not None
+            f"{field.name}={_value_text(getattr(self, field.name))}"
+            for field in fields(self)
+            if field.name not in left_out and getattr(self, field.name) is not None
         ]
         rows = [", ".join(numbers[start : start + 4]) for start in range(0, 24, 4)]
         lines = [self.summary(), *rows, "; ".join(self._measured_texts[:8])]
@@ -213,8 +213,8 @@ class Score:
         }
         for key in ("events", "estimates"):
             values[key] = {
-                name: asdict(one) | {"over_real": one.over_real}
-                for name, one in getattr(self, key).items()
+                name: asdict(measured) | {"over_real": measured.over_real}
+                for name, measured in getattr(self, key).items()
             }
         return values
 
@@ -232,7 +232,7 @@ class Score:
 
 @cache
 def _score_adapter() -> TypeAdapter[Score]:
-    """Return what validates scores; it is slow to build."""
+    """Return the validator of scores; it is slow to build."""
     return TypeAdapter(Score)
 
 
@@ -252,16 +252,22 @@ def _value_text(value: Any) -> str:
     return _text(value) if isinstance(value, float) else str(value)
 
 
-def _beside_text(name: str, one: Measured) -> str:
-    """Return a quantity beside the real one, as `friction 0.273 (real 0.257 +- 0.006)`."""
-    unit = "" if one.unit == "1" else f" {one.unit}"
-    value = "does not happen" if one.value is None else f"{_text(one.value)}{unit}"
-    if one.real is None:
+def _compared_text(name: str, measured: Measured) -> str:
+    """Return a quantity with its real value, as `friction 0.273 (real 0.257 +- 0.006)`."""
+    unit = "" if measured.unit == "1" else f" {measured.unit}"
+    value = (
+        "does not happen"
+        if measured.value is None
+        else f"{_text(measured.value)}{unit}"
+    )
+    if measured.real is None:
         return f"{name} {value}"
     spread = (
-        "" if one.real_uncertainty is None else f" +- {one.real_uncertainty:.2g}{unit}"
+        ""
+        if measured.real_uncertainty is None
+        else f" +- {measured.real_uncertainty:.2g}{unit}"
     )
-    return f"{name} {value} (real {_text(one.real)}{spread})"
+    return f"{name} {value} (real {_text(measured.real)}{spread})"
 
 
 def score_trajectory(
@@ -278,19 +284,19 @@ def score_trajectory(
 
     Args:
         experiment: Experiment that was simulated.
-        band: Reference to score against; None leaves the numbers that need none.
-        times_s: Times of the samples since the first frame [s], strictly increasing, shape [sample_count]. They contain
-            the 30 Hz frames; more samples make the time offset more precise. Samples after the last frame let the
-            simulation be shifted to earlier times.
+        band: Reference to score against. With None, the score holds only numbers that need no reference.
+        times_s: Times of the samples since the first frame [s], strictly increasing, shape [sample_count]. Each 30 Hz
+            frame has a sample within 0.1 ms. More samples make the time offset more precise. Samples after the last
+            frame allow shifts to earlier times.
         values: g(t) at those times, shape [sample_count, coordinate_count].
-        markers_m: Markers at the frames [m], shape [frame_count, marker_count, 3], which solutions of cloth and foam
-            are compared by; None if they are not known.
-        is_moved: Whether the episode started elsewhere than the scene, as by jitter.
-        is_checked: Whether unit and start are known to be right, as those of an episode.
+        markers_m: Markers at the frames [m], shape [frame_count, marker_count, 3]; None if they are not known.
+            Solutions of cloth and foam compare the markers.
+        is_moved: Whether the initial state had noise, as with `jitter`.
+        is_checked: Whether unit and start are known to be right, as in an episode of this package.
 
     Raises:
-        ShapeError: A frame is missing, or values are not finite or have the wrong width; or they have another unit
-            than the observable, or start elsewhere than the scene.
+        ShapeError: A frame is missing, values are not finite or have the wrong width, the unit is wrong, or the motion
+            starts elsewhere than the scene.
     """
     index = frame_index(times_s, experiment.frame_count, name=experiment.name)
     frames = values[index]
@@ -302,11 +308,11 @@ def score_trajectory(
     reason = refusal(experiment, band, is_moved=is_moved)
     if band is not None and reason is None:
         numbers = _distances(experiment, band, times_s, values, frames, markers_m)
-        # The exact solution starts as the scene states.
+        # The exact solution has the nominal start.
         if not is_moved and not experiment.edited:
             numbers["exact"] = band.exact.get(experiment.parameters)
         if band.kind.is_solution and "over_uncertainty" not in numbers:
-            reason = "no verdict: the reference compares markers, which are not given; RMSE and DTW are of g(t)"
+            reason = "no verdict: the reference compares markers, which are not given; RMSE and DTW compare g(t)"
     return Score(
         kind=(Kind.NONE if band is None else band.kind).value,
         unit=experiment.score.observable.unit,
@@ -318,7 +324,7 @@ def score_trajectory(
 
 
 def normalizing_baselines(experiment: Experiment, band: Band) -> Mapping[str, Baseline]:
-    """Return the published distances of real trials that normalize scores against a band, by metric; may be empty."""
+    """Return the published distances of real trials that normalize scores, by metric; empty if there are none."""
     is_normalized = band.kind.is_real and band.normalized
     if not is_normalized:
         return {}
@@ -340,37 +346,42 @@ def _distances(
     """Return the distances of g(t) and of markers from a reference, by field of `Score`."""
     simulated = band.project(frames)
     known = band.known
-    found: dict[str, Any] = {
+    distances: dict[str, Any] = {
         "rmse": trajectory_rmse(simulated, band.mean),
-        # A recording may end before the episode. Frames without a mean would be warped onto its last frame.
+        # A recording may end before the episode. DTW would warp frames without a mean onto its last frame.
         "dtw": trajectory_dtw(simulated[known], band.mean[known]),
         "compared_frames": int(known.sum()),
         "signed_error": tuple(signed_error(simulated, band.mean).tolist()),
     }
     if band.kind.is_solution:
-        return found | _over_uncertainty(
-            band, simulated - band.mean, found["rmse"], markers_m
+        return distances | _over_uncertainty(
+            band, simulated - band.mean, distances["rmse"], markers_m
         )
-    found |= _over_real_trials(
-        experiment, band, found, times_s, band.project(values), simulated - band.mean
+    distances |= _over_real_trials(
+        experiment,
+        band,
+        distances,
+        times_s,
+        band.project(values),
+        simulated - band.mean,
     )
-    return found | _in_scatter(band, simulated)
+    return distances | _in_scatter(band, simulated)
 
 
 def _over_uncertainty(
     band: Band, deviation: FloatArray, rmse: float, markers_m: FloatArray | None
 ) -> dict[str, Any]:
     """Return the distance from a solution over its standard uncertainty, by field of `Score`."""
-    found: dict[str, Any] = {"primary": OVER_U}
+    distances: dict[str, Any] = {"primary": OVER_U}
     compared = _marker_deviation(band, deviation, markers_m)
     if compared is not None:
         distance = band.compared.length(compared)
-        found["over_uncertainty"] = distance / band.standard_uncertainty
+        distances["over_uncertainty"] = distance / band.standard_uncertainty
         if band.compared.marker_count > 1:
-            found["marker_rmse_mm"] = distance
+            distances["marker_rmse_mm"] = distance
     if band.points is None:
-        found["rmse_95"] = distance_interval(rmse, band.standard_uncertainty)
-    return found
+        distances["rmse_95"] = distance_interval(rmse, band.standard_uncertainty)
+    return distances
 
 
 def _over_real_trials(
@@ -381,26 +392,26 @@ def _over_real_trials(
     projected: FloatArray,
     deviation: FloatArray,
 ) -> dict[str, Any]:
-    """Return distances over those of real trials, raw and after a time shift, by field of `Score`."""
-    found: dict[str, Any] = {"primary": "rmse"}
-    found["rmse_95"] = _real_interval(band, distances["rmse"], deviation)
+    """Return the distances over the distances of real trials, raw and after a time shift, by field of `Score`."""
+    ratios: dict[str, Any] = {"primary": "rmse"}
+    ratios["rmse_95"] = _real_interval(band, distances["rmse"], deviation)
     for metric, row in normalizing_baselines(experiment, band).items():
         if metric in distances:
-            found[f"{metric}_normalized"] = distances[metric] / row.mean
+            ratios[f"{metric}_normalized"] = distances[metric] / row.mean
     of_trials, distance = band.trial_rmse, distances["rmse"]
     if band.has_release and experiment.trial is None:
-        found |= _aligned(band, times_s, projected)
+        ratios |= _aligned(band, times_s, projected)
         if not experiment.scene.drivers:
-            found["primary"] = "rmse_aligned"
-            of_trials, distance = band.trial_rmse_aligned, found["rmse_aligned"]
+            ratios["primary"] = "rmse_aligned"
+            of_trials, distance = band.trial_rmse_aligned, ratios["rmse_aligned"]
     if of_trials is not None:
-        found["percentile"] = 100.0 * float(np.mean(of_trials < distance))
-    return found
+        ratios["percentile"] = 100.0 * float(np.mean(of_trials < distance))
+    return ratios
 
 
 def _in_scatter(band: Band, simulated: FloatArray) -> dict[str, float]:
-    """Return how far a motion is in the scatter of real trials, over measured frames, by field of `Score`."""
-    # Frames that were not measured are extrapolated: their mean is usable, their scatter is no data.
+    """Return where a motion lies in the scatter of real trials at measured frames, by field of `Score`."""
+    # Extrapolated frames have a usable mean. Their scatter was not measured.
     sigma = np.where(band.measured[:, None], band.sigma, np.nan)
     z = np.abs(z_scores(simulated, band.mean, sigma))
     z = z[np.isfinite(z)]
@@ -416,7 +427,7 @@ def _in_scatter(band: Band, simulated: FloatArray) -> dict[str, float]:
 def _marker_deviation(
     band: Band, deviation: FloatArray, markers_m: FloatArray | None
 ) -> FloatArray | None:
-    """Return the deviation of the compared coordinates; None if they are markers and these are not known."""
+    """Return the deviation of the compared coordinates; None if these are unknown markers."""
     if band.points is None:
         return deviation
     if markers_m is None or not markers_m.size:
@@ -434,7 +445,7 @@ def _real_interval(
     deviation: FloatArray,
     velocity: FloatArray | None = None,
 ) -> Interval:
-    """Return the 95 % interval of a distance from real trials; arguments as of `trials_interval`."""
+    """Return the 95 % interval of a distance from real trials; see `trials_interval` for the arguments."""
     if band.trials is None or len(band.trials) < 2:
         return distance_interval(distance, band.standard_uncertainty)
     return trials_interval(
@@ -443,15 +454,15 @@ def _real_interval(
 
 
 def _aligned(band: Band, times_s: FloatArray, projected: FloatArray) -> dict[str, Any]:
-    """Return the distance after the time shift with the least RMSE, by field of `Score`."""
+    """Return the distance after the time shift with the smallest RMSE, by field of `Score`."""
     offset_s, rmse = time_offset(times_s, projected, band.mean)
     queries_s = np.arange(len(band.mean)) / FRAME_RATE_HZ - offset_s
     shifted = interpolated(queries_s, times_s, projected)
     velocity = interpolated(queries_s, times_s, np.gradient(projected, times_s, axis=0))
-    # Before its start the simulation is held; at the bound of the shift, it cannot follow an error of the mean.
+    # The simulation rests before its start. At the bound, the shift cannot follow an error of the mean.
     velocity[queries_s < 0.0] = 0.0
     is_free = abs(offset_s) < MAX_TIME_OFFSET_S - 1e-6
-    found = {
+    distances = {
         "time_offset_s": offset_s,
         "rmse_aligned": rmse,
         "rmse_aligned_95": _real_interval(
@@ -461,8 +472,8 @@ def _aligned(band: Band, times_s: FloatArray, projected: FloatArray) -> dict[str
     if band.trial_rmse_aligned is not None:
         mean = float(band.trial_rmse_aligned.mean())
         if 0.0 < mean < math.inf:
-            found["rmse_aligned_normalized"] = rmse / mean
-    return found
+            distances["rmse_aligned_normalized"] = rmse / mean
+    return distances
 
 
 def _events(
@@ -472,21 +483,21 @@ def _events(
     frames: FloatArray,
     markers_m: FloatArray | None,
 ) -> dict[str, Measured]:
-    """Return the events of an episode beside the published and the recorded ones."""
+    """Return the events of an episode with the published and the recorded values."""
     if not has_real_geometry(experiment):
         return {}
-    found = {}
+    events = {}
     for metric, value in event_values(experiment, frames).items():
         row = experiment.baselines.get(metric)
         std = None if row is None else row.std
-        found[metric] = _event(
+        events[metric] = _event(
             value,
             unit=METRICS[metric].unit or experiment.score.observable.unit,
             real=None if row is None else row.mean,
             real_uncertainty=None if std is None else std / math.sqrt(PUBLISHED_TRIALS),
         )
     if markers_m is None and experiment.scene.markers is not None:
-        return found
+        return events
     for event in recorded_events(experiment.name):
         motion = Motion(
             scene=experiment.scene,
@@ -495,19 +506,19 @@ def _events(
             markers_m=np.empty((len(frames), 0, 3)) if markers_m is None else markers_m,
             markers=event.markers,
         )
-        found[event.name] = _event(
+        events[event.name] = _event(
             EVENTS[event.name](motion),
             unit=event.unit,
             real=event.value,
             real_uncertainty=event.standard_uncertainty,
         )
-    return found
+    return events
 
 
 def _event(
     value: float, *, unit: str, real: float | None, real_uncertainty: float | None
 ) -> Measured:
-    """Return an event beside the real one; NaN is an event that does not happen."""
+    """Return an event with its real value; NaN is an event that does not happen."""
     known = None if math.isnan(value) else value
     return Measured(
         value=known, unit=unit, real=real, real_uncertainty=real_uncertainty

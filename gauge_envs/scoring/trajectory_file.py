@@ -3,15 +3,16 @@
 No physics engine is needed. Values are in the unit of the observable: mm for positions, rad for curvatures, mm^2 for
 face areas. Columns are the coordinates of g(t) in the order of `coordinate_names`.
 
-- CSV: one row per sample, an optional header, an optional column `time_s` that the header names. `#` starts a comment.
+- CSV: one row per sample, an optional header, and an optional column `time_s` in the header. `#` starts a comment.
 - NPZ: arrays `g`, shape [T, C]; optionally `time_s`, shape [T], and `markers_m`, shape [T, M, 3], the markers [m].
 - JSON: an object with `g`, a list of rows, and optionally `time_s` and `id`; or a result file of this package.
 
-A CSV header that names coordinates (`cube.x` or `cube.x [mm]`) may list them in any order. Any other header is skipped.
-Without times, rows are the 30 Hz frames. With times, the first is 0. A sample counts as a frame if it is within 0.5 ms
-and within a tenth of the sample spacing. Other frames are interpolated linearly; `interpolated_frames` counts them.
-Samples of up to 10 frames after the last published one serve the time alignment: a file that ends with the last frame
-is not shifted to earlier times. Later ones are not used; without times they are an error, as another rate.
+A CSV header with names of coordinates (`cube.x` or `cube.x [mm]`) may list them in any order. Any other header is
+skipped. Without times, rows are the 30 Hz frames. With times, the first is 0. A sample counts as a frame if it is
+within 0.5 ms and within a tenth of the sample spacing. Other frames are interpolated linearly; `interpolated_frames`
+counts them. The time alignment uses samples of up to 10 frames after the last published one. A file that ends with the
+last frame is not shifted to earlier times. Later samples are ignored; without times they raise an error, because they
+suggest another rate.
 """
 
 from __future__ import annotations
@@ -33,17 +34,17 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, frame_index, interpolated
 
-FRAME_TOLERANCE_S = 5e-4
-"""Samples this close to a frame count as the frame [s]; it is the error of times printed with three digits."""
+FILE_TOLERANCE_S = 5e-4
+"""Largest time between a frame and its sample in a file [s]: the error of times printed with three digits."""
 
 LATER_FRAMES = 10
-"""Largest number of frames after the last one: the time alignment uses them."""
+"""Number of frames after the last one that the time alignment uses."""
 
 TIME = "time_s"
 """Name of the column of times."""
 
 LARGEST = 10**12
-"""Larger values are mistakes, and their squares overflow."""
+"""Largest value; larger ones are mistakes, and their squares overflow."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +56,8 @@ class UserTrajectory:
             [sample_count].
         values: g(t) at those times in the observable's unit, shape [sample_count, coordinate_count].
         interpolated_frames: Number of frames without a sample in the file.
-        markers_m: Marker positions at the 30 Hz frames [m], shape [frame_count, marker_count, 3]; None if the file does
-            not give them. A g(t) of marker positions gives them too.
+        markers_m: Marker positions at the 30 Hz frames [m], shape [frame_count, marker_count, 3], from the file or from
+            a g(t) of marker positions; None without either.
     """
 
     times_s: FloatArray
@@ -66,14 +67,14 @@ class UserTrajectory:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StatedOrigin:
-    """What a trajectory file states about its origin; only JSON files state any of it.
+class FileOrigin:
+    """The origin that a trajectory file gives; only JSON files give one.
 
     Attributes:
         id: Id of the experiment.
         parameters: Parameters of the scene, not checked.
-        has_asset: Whether the file is a result whose scene was that of an asset.
-        jitter: Standard deviations of its start, or its trial, as `Result.jitter`; empty for none.
+        has_asset: Whether the file is a result whose scene came from an asset.
+        jitter: Standard deviations of its initial state, or its trial, as `Result.jitter`; empty for neither.
     """
 
     id: str | None = None
@@ -82,21 +83,21 @@ class StatedOrigin:
     jitter: Mapping[str, Any] = field(default_factory=dict)
 
 
-def stated_origin(file: Path) -> StatedOrigin:
-    """Return what a trajectory file states about its origin.
+def file_origin(file: Path) -> FileOrigin:
+    """Return the origin that a trajectory file gives.
 
     Raises:
-        TrajectoryFileError: The file cannot be read, or its id is no text.
+        TrajectoryFileError: The file cannot be read, or its id is not text.
     """
     if file.suffix.lower() != ".json":
-        return StatedOrigin()
+        return FileOrigin()
     content = _json_object(file)
     name, jitter = content.get("id"), content.get("jitter")
     if not isinstance(name, str | None):
         raise TrajectoryFileError(
             f"{file}: id is {name!r}, expected text such as 'GAUGE/SlopeSlider-2-wood'"
         )
-    return StatedOrigin(
+    return FileOrigin(
         id=name,
         parameters=content.get("parameters"),
         has_asset=bool(content.get("asset")),
@@ -112,7 +113,7 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
         experiment: Experiment that was simulated.
 
     Raises:
-        TrajectoryFileError: The file cannot be read, or a row, a column or a time is wrong; the message names it.
+        TrajectoryFileError: The file cannot be read, or a row, a column or a time is wrong.
     """
     readers = {".csv": _read_csv, ".npz": _read_npz, ".json": _read_json}
     suffix = file.suffix.lower()
@@ -126,8 +127,8 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     times_s = _times_at_frames(file, samples, frames_s)
     missing_s = np.setdiff1d(frames_s, times_s)
     all_times_s = np.union1d(times_s, frames_s)
-    # Samples that are too late for the time alignment are not used.
-    last_s = frames_s[-1] + MAX_TIME_OFFSET_S + FRAME_TOLERANCE_S
+    # The time alignment does not use later samples.
+    last_s = frames_s[-1] + MAX_TIME_OFFSET_S + FILE_TOLERANCE_S
     all_times_s = all_times_s[all_times_s <= last_s]
     values = interpolated(all_times_s, times_s, samples.values)
     markers_m = None
@@ -156,7 +157,7 @@ class _Samples:
     Attributes:
         values: g(t) at the samples, shape [T, C].
         times_s: Times of the samples [s], shape [T]; None for those of the 30 Hz frames.
-        markers_m: Markers [m], shape [T, M, 3], or of fewer rows, which are the first 30 Hz frames.
+        markers_m: Markers [m], shape [T, M, 3], or with fewer rows, the first 30 Hz frames.
     """
 
     values: FloatArray
@@ -210,9 +211,9 @@ def _column_names(
                 f"{file}: header: column {name} is in [{unit}], expected [{wanted}]"
             )
         names.append(name)
-    others = {name for name in names if name != TIME}
-    if len(others) == len(coordinates) and not others & set(coordinates):
-        # Names of another simulator: the columns have the order of the coordinates.
+    columns = {name for name in names if name != TIME}
+    if len(columns) == len(coordinates) and not columns & set(coordinates):
+        # The names are from another simulator; the columns have the order of the coordinates.
         in_order = iter(coordinates)
         names = [name if name == TIME else next(in_order, "") for name in names]
     is_complete = {TIME, *names} == {TIME, *coordinates}
@@ -246,11 +247,13 @@ def _read_json(file: Path, experiment: Experiment) -> _Samples:
         return _of_rows(
             file, experiment, rows=content.get("g"), times_s=content.get(TIME)
         )
-    # A result file: samples after the last frame serve the time alignment.
+    # It is a result file: add the samples after the last frame for the time alignment.
     joined = {}
     for name, later in (("samples", "later_samples"), ("times_s", "later_times_s")):
         parts = recorded.get(name), recorded.get(later)
-        joined[name] = [one for part in parts if isinstance(part, list) for one in part]
+        joined[name] = [
+            sample for part in parts if isinstance(part, list) for sample in part
+        ]
     markers_m = None
     if recorded.get("markers_mm"):
         markers_mm = np.asarray(recorded["markers_mm"], dtype=np.float64)
@@ -286,7 +289,9 @@ def _of_rows(
             f"{file}: {TIME}: expected a list of {len(rows)} times, as g has {len(rows)} rows"
         )
     places = [f"row {number}" for number in range(len(rows))]
-    column = _numbers(file, [[one] for one in times_s], places, [TIME], experiment)
+    column = _numbers(
+        file, [[time_s] for time_s in times_s], places, [TIME], experiment
+    )
     return _Samples(values=values, times_s=column[:, 0], markers_m=markers_m)
 
 
@@ -299,11 +304,11 @@ def _numbers(
 ) -> FloatArray:
     """Return rows of cells as finite numbers, shape [row_count, column_count]."""
     values = np.empty((len(rows), len(names)))
-    for row, place, found in zip(rows, places, values, strict=True):
+    for row, place, numbers in zip(rows, places, values, strict=True):
         if not isinstance(row, list) or len(row) != len(names):
             count = f"{len(row)} columns" if isinstance(row, list) else "no list"
             raise TrajectoryFileError(
-                f"{file}: {place}: {count}, {_expected(experiment)}; a header names a column of times {TIME}"
+                f"{file}: {place}: {count}, {_expected(experiment)}; a column of times needs a header with {TIME}"
             )
         for column, cell in enumerate(row):
             number = _number(cell)
@@ -313,12 +318,12 @@ def _numbers(
                 raise TrajectoryFileError(
                     f"{file}: {place}: {name} is {cell!r:.40}, expected a finite number [{unit}] of at most {LARGEST:g}"
                 )
-            found[column] = number
+            numbers[column] = number
     return values
 
 
 def _number(cell: Any) -> float:
-    """Return a cell as a number; NaN for anything else."""
+    """Return a cell as a number; NaN if it is not one."""
     try:
         return float(cell)
     except (TypeError, ValueError, OverflowError):
@@ -369,16 +374,16 @@ def _json_object(file: Path) -> dict[str, Any]:
 
 
 def _times_at_frames(file: Path, samples: _Samples, frames_s: FloatArray) -> FloatArray:
-    """Return the times of the samples [s], where each that is near a frame has the time of the frame.
+    """Return the times of the samples [s]; a sample near a frame gets the time of the frame.
 
     Raises:
-        TrajectoryFileError: Times do not increase from 0 to the last frame, or a frame is in a gap.
+        TrajectoryFileError: Times do not increase from 0 to the last frame, or a frame has no sample nearby.
     """
     row_count, frame_count = len(samples.values), len(frames_s)
     needed = (
         f"{frame_count} frames are needed, 30 a second from 0 to {frames_s[-1]:.4f} s"
     )
-    # Twice as many rows are frames of 60 Hz.
+    # Twice as many rows look like frames at 60 Hz.
     largest_count = min(frame_count + LATER_FRAMES, 2 * frame_count - 2)
     if samples.times_s is None and row_count > largest_count:
         rate_hz = FRAME_RATE_HZ * (row_count - 1) / (frame_count - 1)
@@ -391,11 +396,11 @@ def _times_at_frames(file: Path, samples: _Samples, frames_s: FloatArray) -> Flo
     if samples.times_s is not None:
         times_s = samples.times_s.copy()
     steps_s = np.diff(times_s)
-    tolerance_s = min(FRAME_TOLERANCE_S, 0.1 * float(np.median(steps_s))) + 1e-9
+    tolerance_s = min(FILE_TOLERANCE_S, 0.1 * float(np.median(steps_s))) + 1e-9
     if (steps_s <= 0.0).any():
         row = int(np.argmax(steps_s <= 0.0)) + 1
         raise TrajectoryFileError(
-            f"{file}: row {row}: {TIME} is {times_s[row]:g} after {times_s[row - 1]:g}, expected increasing times"
+            f"{file}: row {row}: {TIME} is {times_s[row]:g} after {times_s[row - 1]:g}, but times must increase"
         )
     if abs(times_s[0]) > tolerance_s:
         raise TrajectoryFileError(
@@ -424,7 +429,7 @@ def _times_at_frames(file: Path, samples: _Samples, frames_s: FloatArray) -> Flo
 
 
 def _time_unit_text(times_s: FloatArray, frames_s: FloatArray) -> str:
-    """Return which unit the times look like, by their last value."""
+    """Return the unit that the times seem to have, by their last value."""
     ratio = times_s[-1] / frames_s[-1]
     for unit, per_second in (("milliseconds", 1e3), ("frame numbers", FRAME_RATE_HZ)):
         if math.isclose(ratio, per_second, rel_tol=0.2):
@@ -442,7 +447,7 @@ def _markers_at_frames(
     """Return the markers of a file at the frames [m], shape [frame_count, marker_count, 3]."""
     markers = experiment.scene.markers
     count = 0 if markers is None else len(markers.positions_m)
-    # Result files have the markers at the frames alone.
+    # Result files have markers only at the frames.
     rows_s = times_s if len(markers_m) == len(times_s) else frames_s
     if markers_m.shape != (len(rows_s), count, 3) or not np.isfinite(markers_m).all():
         raise TrajectoryFileError(

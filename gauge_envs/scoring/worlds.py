@@ -16,14 +16,14 @@ from gauge_envs.scoring.score import normalizing_baselines
 def score_worlds(
     experiment: Experiment, band: Band, *, times_s: FloatArray, values: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return the distances of many trajectories from a reference, as `score_trajectory` gives them for one.
+    """Return the distances of many trajectories from a reference; `score_trajectory` has the same numbers for one.
 
     Args:
         experiment: Experiment that was simulated.
         band: Its reference.
         times_s: Times of the samples [s], 180 a second from 0, shape [sample_count].
         values: g(t) of each world in the band's unit, shape [world_count, sample_count, coordinate_count]. A world with
-            a frame that is NaN has no distance. NaN after the last frame shortens the range of time shifts.
+            NaN at a frame has no distance. NaN after the last frame shortens the range of time shifts.
 
     Returns:
         Arrays of shape [world_count] by field of `Score`, NaN for a world without a distance: `rmse`; and, where they
@@ -40,8 +40,10 @@ def score_worlds(
             "with a time for each sample"
         )
     projected = values @ band.projection.T
-    apart = projected[:, : last + 1 : SAMPLES_PER_FRAME] - band.mean
-    squares = np.where(np.isfinite(band.mean), np.square(apart), 0.0).sum(axis=(1, 2))
+    deviation = projected[:, : last + 1 : SAMPLES_PER_FRAME] - band.mean
+    squares = np.where(np.isfinite(band.mean), np.square(deviation), 0.0).sum(
+        axis=(1, 2)
+    )
     scores = {"rmse": np.sqrt(squares / np.count_nonzero(band.known))}
     if band.has_release and experiment.trial is None:
         aligned = np.full((len(values), 2), np.nan)

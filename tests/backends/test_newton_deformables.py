@@ -13,9 +13,9 @@ from foam import (
     DENSITY_KG_PER_M3,
     EDGE_M,
     YOUNG_PA,
+    attachment_of,
     block,
     gripped,
-    held,
 )
 from rigid import scene_of, target
 from scipy.sparse import csr_matrix
@@ -236,7 +236,7 @@ def test_segments_of_a_rod_have_the_mass_and_inertia_of_their_pieces():
     part = add_line(
         builder,
         rod,
-        attachments=[held("high", Motion.FIXED, depth_m, body="top")],
+        attachments=[attachment_of("high", Motion.FIXED, depth_m, body="top")],
         bodies={"top": -1},
         settings=SettingsLines(preset="bench", timestep_s=1 / 3600),
     )
@@ -442,7 +442,7 @@ def material_points(voxel_m, step_s):
 def test_voxels_end_at_the_grips():
     """Planes of the grid lie half a voxel off its multiples, within a share of a voxel of both faces."""
     foam, depth_m = block(centre_m=(0.41, 0.39, 0.13)), 0.01285
-    grips = [held(side, Motion.FIXED, depth_m) for side in ("low", "high")]
+    grips = [attachment_of(side, Motion.FIXED, depth_m) for side in ("low", "high")]
     settings = SettingsMPM(preset="test", timestep_s=1 / 180, cell_m=0.018)
     voxel_m = fitted_voxel_m(SoftRow.of([foam], {"foam": grips}), settings)
     faces_m = 0.13 + np.array([-1.0, 1.0]) * (0.1 - depth_m)

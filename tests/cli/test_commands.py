@@ -1,4 +1,4 @@
-"""Each command once from end to end: help, results, exit code, and the message of the mistakes that users make."""
+"""Each command from end to end: help, results, exit codes, and messages for mistakes of users."""
 
 import inspect
 import json
@@ -41,7 +41,7 @@ def test_the_help_names_all_commands_and_the_version(gauge):
     assert gauge("--version").stdout == f"gauge-envs {version('gauge-envs')}\n"
 
 
-def test_rich_markup_removes_no_text_of_the_help():
+def test_rich_markup_does_not_remove_text_of_the_help():
     """Rich reads `[mm]` as a tag and does not print it."""
     texts = {
         text
@@ -65,7 +65,7 @@ def test_an_option_has_one_unit_and_one_kind_in_all_commands():
                 long_name = max(option.opts, key=len)
                 kinds.setdefault(long_name, set()).add((metavar, option.is_flag))
     # These options take other values in each command.
-    differing = {name for name, found in kinds.items() if len(found) > 1}
+    differing = {name for name, forms in kinds.items() if len(forms) > 1}
     assert differing <= {"--out", "--backend", "--format", "--parameter"}
 
 
@@ -146,7 +146,7 @@ def test_score_reads_a_trajectory_of_the_closed_form(gauge, tmp_path):
 
 
 def test_a_cloth_without_motion_is_outside(gauge, tmp_path):
-    """The observable of a swinging cloth is zero by symmetry: only its markers show that nothing moves."""
+    """The observable of a swinging cloth is zero by symmetry; only its markers show that nothing moves."""
     experiment = load_experiment("TextileFlinging-satin")
     rest_m = np.array(experiment.scene.markers.positions_m)
     zeros = np.zeros((experiment.frame_count, len(rest_m)))
@@ -182,7 +182,7 @@ def test_ctrl_c_keeps_finished_episodes_and_resume_continues(
     assert len(rows(resumed)) == 3
 
 
-def test_a_full_disk_keeps_what_is_written(gauge, monkeypatch):
+def test_a_full_disk_keeps_earlier_results(gauge, monkeypatch):
     write, count = batch.write_result, 0
 
     def full_after_the_first(*arguments):
@@ -200,7 +200,7 @@ def test_a_full_disk_keeps_what_is_written(gauge, monkeypatch):
     assert "1 finished; results in results; --resume continues" in message
 
 
-def test_a_missing_extra_is_named(gauge, monkeypatch):
+def test_a_missing_extra_is_in_the_message(gauge, monkeypatch):
     gauge("run", NAME)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     result = gauge("plot")
@@ -260,11 +260,11 @@ recipe --friction 0.3 -> --backend is missing
 recipe --damping 1 --backend mujoco -> no behaviour is requested
 recipe satin wood-on-wood -> wood-on-wood
 """
-"""Requests with a mistake, and what their message must name."""
+"""Requests with a mistake, and a part of their message."""
 
 
 @pytest.mark.parametrize("line", MISTAKES.strip().splitlines())
-def test_the_message_of_a_mistake_says_what_is_right(gauge, tmp_path, line):
+def test_the_message_of_a_mistake_has_a_fix(gauge, tmp_path, line):
     (tmp_path / "bad.csv").write_text("1,2,3\n1,nan,3\n")
     request, _, answer = line.partition(" -> ")
     result = gauge(*shlex.split(request))
@@ -272,7 +272,7 @@ def test_the_message_of_a_mistake_says_what_is_right(gauge, tmp_path, line):
     assert answer in " ".join(result.stderr.replace("│", " ").split())
 
 
-def test_values_of_options_are_read():
+def test_values_of_options_are_parsed():
     assert split_values("newton:dt=1,n=2,rapier", "ENGINE[:NAME=VALUE,...]") == [
         "newton:dt=1,n=2",
         "rapier",

@@ -1,4 +1,4 @@
-"""A command of another package, and what the registry says of files that nobody reads."""
+"""A command of another package, and the error of the registry for unknown scene files."""
 
 import sys
 from importlib.metadata import EntryPoint
@@ -23,7 +23,7 @@ def drift(cm: int = 0) -> None:
 
 @pytest.fixture
 def plugins(tmp_path, monkeypatch):
-    """Install entry points of another author, one of which has the name of a bundled command."""
+    """Install two entry points of another package; one has the name of a bundled command."""
     (tmp_path / "drift_tools.py").write_text(COMMAND)
     points = [
         EntryPoint(name, "drift_tools:drift", PLUGINS_GROUP)
@@ -39,16 +39,16 @@ def plugins(tmp_path, monkeypatch):
     sys.modules.pop("drift_tools", None)
 
 
-def test_a_plug_in_has_its_command_behind_the_bundled_ones(plugins):
+def test_a_plug_in_adds_its_command_after_the_bundled_ones(plugins):
     shown = CliRunner(env={"COLUMNS": "200"}).invoke(app, ["--help"]).stdout
     assert shown.index(" list ") < shown.index(" drift ")
     assert CliRunner().invoke(app, ["drift", "--cm", "3"]).stdout == "drift 3\n"
 
 
-def test_a_plug_in_cannot_take_a_command_of_this_package(plugins):
+def test_a_plug_in_cannot_replace_a_bundled_command(plugins):
     assert commands()["list"].package == "gauge_envs.tools."
 
 
-def test_a_scene_file_that_nobody_reads_is_an_error_with_the_known_suffixes():
+def test_an_unknown_scene_file_gives_an_error_with_the_known_suffixes():
     with pytest.raises(RegistryError, match=r"'\.fbx'; known: .*\.usda"):
         registry.scene_files(".fbx")

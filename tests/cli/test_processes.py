@@ -1,4 +1,4 @@
-"""Commands as processes: stdout holds results only; Ctrl-C, crashes and full disks end with a message."""
+"""Commands as processes: stdout has only results; Ctrl-C, crashes and full disks give a message."""
 
 import json
 import os
@@ -29,7 +29,7 @@ def start(*words, folder, stdout=subprocess.PIPE, **variables):
     )
 
 
-def test_engines_print_to_stderr_and_a_crash_costs_one_episode(tmp_path):
+def test_engines_print_to_stderr_and_a_crash_loses_one_episode(tmp_path):
     site = tmp_path / "site"
     site.mkdir()
     install(site, "talking", "crash")
@@ -64,7 +64,7 @@ def test_a_closed_pipe_ends_the_command_without_a_traceback(tmp_path):
     assert "Traceback" not in stderr
 
 
-def test_an_engine_that_exits_is_named(gauge, monkeypatch):
+def test_an_exit_of_an_engine_gives_a_message(gauge, monkeypatch):
     def exits(*_, **__):
         raise SystemExit(0)
 

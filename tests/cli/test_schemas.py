@@ -1,4 +1,4 @@
-"""Every output with `--json` has a schema, and follows it; `tests/json_lines.py` checks those of all other tests."""
+"""Every output with `--json` has a schema and follows it; `tests/json_lines.py` checks the outputs of all tests."""
 
 import json
 import shlex
@@ -29,7 +29,7 @@ HERE = {
     "backend check": "backend check mujoco --only free-fall",
     **{name: name for name in KINDS},
 }
-"""A command for each schema that is cheap to check here."""
+"""A fast command for each of these schemas."""
 
 ELSEWHERE = {
     "compare": "tools/compare/test_comparison.py",
@@ -46,7 +46,7 @@ def test_every_command_with_json_has_a_schema():
     formatted = {
         name
         for name in commands()
-        if any("--format" in one.opts for one in load_command(name).params)
+        if any("--format" in option.opts for option in load_command(name).params)
     }
     assert {*formatted, *KINDS, "result-file"} == set(schema_names())
     assert {*HERE, *ELSEWHERE, "result-file"} == set(schema_names())
@@ -68,35 +68,35 @@ def test_a_result_file_follows_its_schema(gauge, tmp_path):
     check_lines("result-file", file.read_text())
 
 
-# --- what a schema refuses ---
+# --- values that a schema rejects ---
 
 
 @pytest.mark.parametrize(
     "change",
     [{"colour": "red"}, {"id": None}, {"frames": 1.5}, {"backends": ["mujoco"]}],
 )
-def test_a_wrong_value_is_refused(gauge, change):
+def test_a_wrong_value_is_rejected(gauge, change):
     row = json.loads(gauge("list", "SlopeSlider-2-wood", "--json").stdout)
     check_lines("list", json.dumps(row))
     with pytest.raises(AssertionError, match="list: "):
         check_lines("list", json.dumps(row | change))
 
 
-def test_no_object_of_a_schema_takes_further_keys():
+def test_no_object_of_a_schema_allows_further_keys():
     def objects(schema):
         if isinstance(schema, dict):
             yield from [schema] if "properties" in schema else []
-            for one in schema.values():
-                yield from objects(one)
+            for value in schema.values():
+                yield from objects(value)
         elif isinstance(schema, list):
-            for one in schema:
-                yield from objects(one)
+            for value in schema:
+                yield from objects(value)
 
     count = 0
     for name in schema_names():
         validator(name)
-        for one in objects(output_schema(name)):
-            assert one.get("additionalProperties") is False
+        for entry in objects(output_schema(name)):
+            assert entry.get("additionalProperties") is False
             count += 1
     assert count > 80
 
@@ -133,9 +133,9 @@ def test_a_schema_follows_from_a_type():
     assert whole["required"] == ["parts", "ends", "name"]
     assert whole["properties"]["name"] == {"type": ["string", "null"]}
     assert whole["properties"]["ends"]["anyOf"][0]["minItems"] == 2
-    for refused in (bytes, set[complex], complex):
+    for unsupported in (bytes, set[complex], complex):
         with pytest.raises(TypeError, match="no JSON Schema"):
-            schema_of(refused)
+            schema_of(unsupported)
 
 
 def test_json_takes_every_number():
@@ -168,6 +168,6 @@ def test_the_command_prints_the_schema(gauge):
     shown = json.loads(gauge("show", "backend check", "--schema").stdout)
     assert shown == output_schema("backend check")
     assert shown["$id"] == "urn:gauge-envs:backend-check:3"
-    refused = gauge("show", "lst", "--schema")
-    assert (refused.exit_code, refused.stdout) == (2, "")
-    assert "did you mean list?" in refused.stderr
+    unknown = gauge("show", "lst", "--schema")
+    assert (unknown.exit_code, unknown.stdout) == (2, "")
+    assert "did you mean list?" in unknown.stderr

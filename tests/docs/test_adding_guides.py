@@ -1,4 +1,4 @@
-"""Guide on adding a check: the file works, commands run, the planted fault is found."""
+"""Guide to add a check: the file works, its commands run, and the check finds the planted fault."""
 
 import ast
 import importlib
@@ -29,7 +29,7 @@ def blocks(page, language):
 
 @pytest.fixture
 def parts(request, tmp_path, monkeypatch):
-    """Import the file of a guide under the name that it would have in the package."""
+    """Import the file of a guide under its name in the package."""
     named = {
         "".join(re.findall(r"\A# (\S+\.py)\n", block)): block
         for block in blocks(request.param, "python")
@@ -55,7 +55,7 @@ def guide(page):
 
 
 def outputs(page, start):
-    """Run the commands of a guide that have a start, and return what they print."""
+    """Run the commands of a guide with a prefix, and return their outputs."""
     lines = [
         line
         for block in blocks(page, "sh")
@@ -64,12 +64,12 @@ def outputs(page, start):
     ]
     assert lines
     results = [RUNNER.invoke(app, shlex.split(line)[1:]) for line in lines]
-    assert [one.output for one in results if one.exit_code] == []
-    return [one.stdout for one in results]
+    assert [result.output for result in results if result.exit_code] == []
+    return [result.stdout for result in results]
 
 
 def value_of(code, names):
-    """Return the value of the one expression of a block."""
+    """Return the value of the only expression of a block."""
     (statement,) = ast.parse(code).body
     assert isinstance(statement, ast.Expr)
     return eval(compile(ast.Expression(statement.value), "guide", "eval"), names)
@@ -93,7 +93,7 @@ def test_the_tests_that_a_guide_runs_exist(page):
 
 @guide("adding_a_check.md")
 def test_the_check_passes_and_is_the_only_one_that_its_fault_fails(parts, monkeypatch):
-    module, others = parts
+    module, names = parts
     family = module.__name__.rpartition(".")[2]
     monkeypatch.setitem(model.PHENOMENA, family, "rigid")
     listed, ran = (
@@ -102,7 +102,7 @@ def test_the_check_passes_and_is_the_only_one_that_its_fault_fails(parts, monkey
     )
     assert "fast-flight" in listed[0]
     assert "pass" in ran[0]
-    entry = "{" + others["tests/faults.py"] + "}"
+    entry = "{" + names["tests/faults.py"] + "}"
     ((name, fault),) = value_of(entry, vars(faults)).items()
     assert name not in faults.FAULTS
     mutant = faults.Faulty(backend("mujoco"), fault)
@@ -112,7 +112,7 @@ def test_the_check_passes_and_is_the_only_one_that_its_fault_fails(parts, monkey
             only=["free-*", "start-*", "spin-*", "slide*", "rebound-0*", "fast-flight"],
         )
     )
-    assert [one.check for one in results if one.status is not Status.PASS] == [
+    assert [result.check for result in results if result.status is not Status.PASS] == [
         fault.caught_by
     ]
     assert fault.says in results[-1].diagnosis

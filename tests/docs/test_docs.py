@@ -1,4 +1,4 @@
-"""Documentation: links resolve, code and commands are real, every public name is described."""
+"""Documentation: links resolve, code and commands run, and every public name has a docstring."""
 
 import ast
 import importlib
@@ -40,7 +40,7 @@ RUN_ELSEWHERE = {
     "adding_an_engine.md",
     "ecosystem.md",
 }
-"""Pages whose code other tests run, as it needs an example package or takes long."""
+"""Pages whose code other tests run, because it needs an example package or takes long."""
 COMPILED_ONLY = {"sanity.md", "sweeps.md"}
 """Pages whose code needs a user's own environment or results, or an engine that may be absent."""
 
@@ -72,16 +72,18 @@ SCRIPTS = [
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=name_of)
 def test_scripts_import_names_that_exist(script):
-    """Scripts that take minutes are not run by tests, so that a renamed function would break them unseen."""
+    """Tests do not run scripts that take minutes, so this test finds renamed functions in them."""
     for node in ast.walk(ast.parse(script.read_text())):
         if (
             isinstance(node, ast.ImportFrom)
             and (node.module or "").partition(".")[0] == "gauge_envs"
         ):
             imported = importlib.import_module(node.module or "")
-            absent = [one.name for one in node.names if not hasattr(imported, one.name)]
+            absent = [
+                alias.name for alias in node.names if not hasattr(imported, alias.name)
+            ]
             assert [
-                one for one in absent if find_spec(f"{node.module}.{one}") is None
+                name for name in absent if find_spec(f"{node.module}.{name}") is None
             ] == []
 
 
@@ -89,7 +91,7 @@ def test_scripts_import_names_that_exist(script):
 
 
 def anchors(page):
-    """Anchors of the headings of a page, as GitHub and MyST make them."""
+    """Anchors of the headings of a page, as in GitHub and MyST."""
     text = re.sub(
         r"^```.*?^```$",
         "",
@@ -156,7 +158,7 @@ def test_every_page_is_in_the_table_of_contents():
     ],
     ids=name_of,
 )
-def test_python_blocks_run_and_print_what_they_state(
+def test_python_blocks_run_and_print_their_comments(
     page, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
@@ -169,14 +171,14 @@ def test_python_blocks_run_and_print_what_they_state(
         assert "in a clone of the" in page.read_text()
         (tmp_path / "examples").symlink_to(ROOT / "examples", target_is_directory=True)
     exec(compile(code, page.name, "exec"), {"__name__": "guide"})
-    stated = re.findall(r"^ *print\(.*\)  # (.*)$", code, flags=re.MULTILINE)
-    assert stated
-    assert capsys.readouterr().out.splitlines() == stated
+    expected = re.findall(r"^ *print\(.*\)  # (.*)$", code, flags=re.MULTILINE)
+    assert expected
+    assert capsys.readouterr().out.splitlines() == expected
     check_scores_of_written_files(page)
 
 
 def check_scores_of_written_files(page):
-    """Run `gauge score` on the files that a page has written; it shows their first lines and the output after it."""
+    """Run `gauge score` on the files of a page, which shows their first lines and then the output."""
     text = page.read_text()
     for name, rest in re.findall(r"^gauge score (\S+)(.*)$", text, flags=re.MULTILINE):
         if not Path(name).is_file():
@@ -212,7 +214,8 @@ def mentioned(page):
         flags=re.MULTILINE | re.DOTALL,
     )
     return [
-        shlex.split(found)[1:] for found in re.findall(r"`(gauge [a-z][^`\n]*)`", text)
+        shlex.split(command)[1:]
+        for command in re.findall(r"`(gauge [a-z][^`\n]*)`", text)
     ]
 
 
@@ -225,7 +228,7 @@ def command_of(words):
 
 
 def parse(words):
-    """Raise where an option is unknown or misses its value, or an argument is too many or missing."""
+    """Raise an error for an unknown option, a missing value, or a wrong number of arguments."""
     command, arguments = command_of(words)
     command.make_context(command.name, arguments)
 
@@ -248,8 +251,8 @@ def test_sentences_name_commands_and_options_that_exist(page):
         command, arguments = command_of(words)
         known = {
             option
-            for one in command.params
-            for option in (*one.opts, *one.secondary_opts)
+            for parameter in command.params
+            for option in (*parameter.opts, *parameter.secondary_opts)
         } | {"--help", "--json"}
         unknown += [
             (*words, word)
@@ -276,7 +279,7 @@ def test_the_page_of_commands_lists_every_command_with_an_example():
 
 
 def documented_modules():
-    """Modules on the pages of the API reference, each with the names that are left out there."""
+    """Modules on the pages of the API reference, each with its omitted names."""
     modules = {}
     for page in sorted((DOCS / "api").glob("*.md")):
         for name, body in re.findall(
@@ -299,7 +302,7 @@ def documented_names():
 
 
 def is_described(value):
-    """Whether a docstring is due: of classes and functions, not of type aliases and constants."""
+    """Whether a value needs a docstring: classes and functions do, type aliases and constants do not."""
     return inspect.isclass(value) or inspect.isfunction(value)
 
 

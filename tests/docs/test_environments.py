@@ -1,4 +1,4 @@
-"""Pages of families and `gauge show`: they name every id, fit, and say what environments do."""
+"""Pages of families and `gauge show`: they have every id, fit the screen, and describe the environments."""
 
 import json
 import re
@@ -63,11 +63,11 @@ def test_an_id_is_shown_on_a_screen(name):
     assert values["id"] == f"GAUGE/{name}"
 
 
-# --- what an environment does ----------------------------------------------------------------------------------------
+# --- behaviour of an environment -------------------------------------------------------------------------------------
 
 
 def part(observation, name):
-    """The part of an observation that a row names, as `bodies[:, 0:3]`."""
+    """Return the part of an observation with a name, as `bodies[:, 0:3]`."""
     key, _, columns = name.partition("[:, ")
     first, last = map(int, columns.rstrip("]").split(":")) if columns else (None, None)
     return observation[key][:, first:last] if columns else observation[key]
@@ -97,10 +97,10 @@ def test_rows_of_spaces_describe_observations(name):
 
 @pytest.mark.parametrize("name", ["Turntable-1-wood", "StickStack-soft"])
 def test_an_action_moves_as_its_row_says(name):
-    """An action of 1 for one frame of 1/30 s adds a thirtieth of the stated rate."""
+    """An action of 1 for one frame of 1/30 s adds a thirtieth of the given rate."""
     experiment = load_experiment(name)
     (row,) = action_rows(experiment)
-    found = re.fullmatch(r"times ([\d.]+) (m/s|deg/s)", row["unit"])
+    match = re.fullmatch(r"times ([\d.]+) (m/s|deg/s)", row["unit"])
     ends = []
     for action in (0.0, 1.0):
         env = GaugeEnv(name)
@@ -108,13 +108,13 @@ def test_an_action_moves_as_its_row_says(name):
         observation, *_ = env.step(np.array([action]))
         ends.append(observation["driver"][0])
         env.close()
-    if found[2] == "m/s":
+    if match[2] == "m/s":
         moved = float(np.linalg.norm(ends[1][:3] - ends[0][:3]))
     else:
         moved = np.rad2deg(
             2.0 * np.arccos(min(abs(float(ends[0][3:7] @ ends[1][3:7])), 1.0))
         )
-    assert moved == pytest.approx(float(found[1]) / 30.0, rel=1e-3)
+    assert moved == pytest.approx(float(match[1]) / 30.0, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -123,18 +123,18 @@ def test_an_action_moves_as_its_row_says(name):
 def test_rewards_are_where_their_sentence_says(name):
     env = GaugeEnv(name)
     text = reward_text(env.band)
-    found = re.search(r"at frames (\d+) to (\d+) of (\d+)", text)
+    match = re.search(r"at frames (\d+) to (\d+) of (\d+)", text)
     env.reset(seed=0)
     rewarded = []
-    # Without a reference each frame is like the next.
-    for frame in range(1, min(env.experiment.frame_count, 30 if found else 4)):
+    # Without a reference all frames are alike.
+    for frame in range(1, min(env.experiment.frame_count, 30 if match else 4)):
         if env.step(0)[1] != 0.0:
             rewarded.append(frame)
     env.close()
-    if found is None:
+    if match is None:
         assert text.startswith("0 at every frame") and rewarded == []
     else:
-        first, last, count = map(int, found.groups())
+        first, last, count = map(int, match.groups())
         assert rewarded == list(range(max(first, 1), last + 1))
         assert count == env.experiment.frame_count
 

@@ -1,4 +1,4 @@
-"""The suite behind dm_env's interface, checked by dm_env's own tests and against Gymnasium's numbers."""
+"""The dm_env interface, checked by the tests of dm_env and against the numbers of Gymnasium."""
 
 import gymnasium
 import numpy as np
@@ -47,13 +47,13 @@ def run_to_end(env):
     return steps
 
 
-def test_an_episode_is_that_of_gymnasium():
+def test_an_episode_equals_that_of_gymnasium():
     env = load(DRIVEN)
     steps = run_to_end(env)
-    other = gymnasium.make(f"GAUGE/{DRIVEN}")
-    other.reset(seed=0)
+    single = gymnasium.make(f"GAUGE/{DRIVEN}")
+    single.reset(seed=0)
     for step in steps[1:]:
-        observation, reward, _, truncated, info = other.step(np.zeros(1, np.float32))
+        observation, reward, _, truncated, info = single.step(np.zeros(1, np.float32))
         assert (step.reward, step.discount, step.last()) == (reward, 1.0, truncated)
         assert step.observation.keys() == observation.keys()
         for key, values in observation.items():
@@ -104,14 +104,14 @@ def test_the_score_is_that_of_the_last_complete_episode():
 
 
 def test_each_episode_with_noise_has_the_next_seed():
-    starts = []
+    places = []
     for seed in (3, 3, 4):
         env = load(RIGID, seed=seed, options={"jitter": True})
         episodes = [env.reset().observation["observable"].tolist() for _ in range(2)]
-        starts.append(episodes)
-    assert starts[0] == starts[1]
-    assert starts[0][0] != starts[0][1]
-    assert starts[2][0] == starts[0][1]
+        places.append(episodes)
+    assert places[0] == places[1]
+    assert places[0][0] != places[0][1]
+    assert places[2][0] == places[0][1]
 
 
 def test_an_unknown_name_is_an_error_with_the_nearest():

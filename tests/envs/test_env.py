@@ -1,6 +1,6 @@
-"""An environment observes SI states, rewards by z, adds actions to recorded motion, and ends where it diverges.
+"""Environments: observations in SI units, rewards by z, actions on recorded motion, and divergence.
 
-Expected numbers are closed forms (free fall, prescribed rotation) or the formulas of the documentation, by hand.
+Expected numbers are closed forms (free fall, prescribed rotation) or hand calculations with documented formulas.
 """
 
 import shutil
@@ -64,7 +64,7 @@ def test_a_falling_ball_is_observed_in_si_units():
     assert np.array_equal(trajectory.frames, trajectory.samples[::6])
 
 
-def test_zero_action_replays_the_recorded_motion_and_others_add_to_it():
+def test_a_zero_action_replays_the_recorded_motion_and_other_actions_add_to_it():
     env = make(TURNTABLE)
     angles = []
     for action in (0.0, 1.0, 0.0):
@@ -154,7 +154,7 @@ def test_a_bouncing_ball_with_recorded_constants_is_nearer_than_any_trial():
 
 
 @pytest.mark.parametrize("step_s", [0.004, 0.02])
-def test_between_steps_a_fall_is_off_by_the_stated_error(step_s):
+def test_between_steps_a_fall_has_the_error_of_eulers_method(step_s):
     """Steps of Euler's method lie on a parabola; between them the error is at most g h^2 / 8."""
     scene = load_experiment(BALL).scene
     settings = {"preset": "out_of_box", "timestep_s": step_s}
@@ -173,7 +173,7 @@ def test_between_steps_a_fall_is_off_by_the_stated_error(step_s):
     assert abs(errors_m[17]) < 1e-9
 
 
-def test_eight_threads_with_an_environment_each_give_the_numbers_of_one():
+def test_eight_threads_with_their_own_environment_give_the_same_numbers():
     def frames(name):
         env = make(name)
         run_to_end(env)
@@ -221,7 +221,7 @@ def test_a_deformable_body_may_span_three_times_its_start():
     ("speed", "reason"),
     [(500.0, "ball moves faster than 50 m/s"), (np.nan, "MuJoCo found a velocity")],
 )
-def test_a_divergence_terminates_with_its_reason_and_without_a_score(speed, reason):
+def test_divergence_terminates_with_its_reason_and_without_a_score(speed, reason):
     env = gymnasium.make(f"GAUGE/{BALL}")
     env.reset(seed=0)
     env.unwrapped.rollout.simulation.data.qvel[0] = speed
@@ -250,7 +250,7 @@ def test_observations_are_bounded_by_the_limits_of_divergence():
         (lambda states: np.nan * states, "nan.* for 'cube' at the start"),
     ],
 )
-def test_an_engine_that_returns_wrong_states_is_named(fault, message, monkeypatch):
+def test_wrong_states_of_an_engine_raise_an_error(fault, message, monkeypatch):
     kind = type(make(SLIDE).rollout.simulation)
     states = kind.body_states
     monkeypatch.setattr(
@@ -268,26 +268,27 @@ def test_an_engine_that_returns_wrong_states_is_named(fault, message, monkeypatc
     ("changes", "message"),
     [
         ({"backend": "mujocoo"}, "unknown backend 'mujocoo'; did you mean mujoco"),
+        ({"backend": "isaac"}, "'isaac'; Isaac Sim .*, see docs/engines/isaac_sim.md"),
         ({"parameters": "fitted"}, "no parameter set 'fitted'"),
         ({"settings": "fast"}, "settings is 'fast', expected a mapping"),
         ({"marker_proxy": "nearest"}, "choose 'material' or 'node'"),
         ({"render_mode": "ansi"}, "choose None or .*'rgb_array'"),
     ],
 )
-def test_wrong_arguments_are_named_by_make_and_make_vec(maker, changes, message):
+def test_make_and_make_vec_name_wrong_arguments(maker, changes, message):
     with pytest.raises(GaugeError, match=message):
         maker(f"GAUGE/{SLIDE}", **changes)
 
 
 @pytest.mark.parametrize("name", ["Funnel-satin", "RopeWinding-rubber"])
 @pytest.mark.usefixtures("rigid_only")
-def test_an_id_that_no_engine_builds_is_an_error_of_make(name):
+def test_make_raises_an_error_for_an_unsupported_id(name):
     message = "backend 'mujoco' cannot build it: .*; no other backend"
     with pytest.raises(GaugeError, match=message):
         make(name)
 
 
-def test_calls_out_of_order_are_named():
+def test_calls_out_of_order_raise_an_error():
     env = GaugeEnv(SLIDE, render_mode="rgb_array")
     for call in (lambda: env.step(0), env.render, env.trajectory):
         with pytest.raises(EpisodeError, match="reset"):
@@ -311,8 +312,12 @@ def test_a_wrong_action_is_an_error_and_changes_nothing(name, actions):
     env = make(name)
     env.reset(seed=0)
     for action in actions:
-        with pytest.raises(ActionError):
+        with pytest.raises(ActionError, match=f"GAUGE/{name}: action"):
             env.step(action)
+    if name == TURNTABLE:
+        message = r"has shape \(\), expected \(1,\), as \[0\.0\]"
+        with pytest.raises(ActionError, match=message):
+            env.step(0.0)
     zero = np.zeros(env.action_space.shape, env.action_space.dtype)
     assert env.step(zero)[4]["frame"] == 1
 
@@ -338,7 +343,7 @@ def test_a_spec_as_json_rebuilds_the_run():
 
 
 @needs_opengl
-def test_gymnasiums_checker_passes_with_pictures(monkeypatch):
+def test_the_checker_of_gymnasium_passes_with_pictures(monkeypatch):
     env = make(SLIDE, render_mode="rgb_array", width=80, height=60)
     # A window needs a display.
     modes = [mode for mode in env.metadata["render_modes"] if mode != "human"]
@@ -366,7 +371,7 @@ def test_an_episode_that_is_cut_short_has_no_score():
 
 
 class Writer:
-    """The part of TensorBoard's `SummaryWriter` that is used."""
+    """Part of TensorBoard's `SummaryWriter` that `LogScore` uses."""
 
     def __init__(self):
         self.scalars = []
@@ -375,7 +380,7 @@ class Writer:
         self.scalars.append((global_step, tag, scalar_value))
 
 
-def test_scores_are_sent_to_tensorboard_and_to_functions_like_that_of_wandb():
+def test_scores_are_sent_to_tensorboard_and_to_functions_like_wandb_log():
     writer, calls = Writer(), []
     env = LogScore(gymnasium.make(f"GAUGE/{SLIDE}"), writer)
     env = LogScore(env, lambda values, step: calls.append((step, values)))
@@ -384,7 +389,9 @@ def test_scores_are_sent_to_tensorboard_and_to_functions_like_that_of_wandb():
     assert [step for step, _ in calls] == [18, 36]
     assert calls[1][1]["score/rmse_aligned"] == info["score"].rmse_aligned
     assert "score/over_uncertainty" not in calls[1][1]
-    sent = [(step, name, one) for step, values in calls for name, one in values.items()]
+    sent = [
+        (step, name, value) for step, values in calls for name, value in values.items()
+    ]
     assert writer.scalars == sent
 
 
@@ -394,9 +401,9 @@ def test_scores_are_sent_to_tensorboard_and_to_functions_like_that_of_wandb():
 def warnings_of(*ids, maker=gymnasium.make, **options):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        for one in ids:
-            maker(one, **options)
-    return [one for one in caught if issubclass(one.category, NoRewardWarning)]
+        for name in ids:
+            maker(name, **options)
+    return [warning for warning in caught if warning.category is NoRewardWarning]
 
 
 def test_an_id_without_a_reward_warns_once_at_the_line_of_the_caller(
@@ -410,6 +417,10 @@ def test_an_id_without_a_reward_warns_once_at_the_line_of_the_caller(
         "GAUGE/WallBreaking-wood", maker=gymnasium.make_vec, num_envs=2
     )
     assert Path(vector.filename) == Path(__file__)
+    changes = {"textile.areal_density_kg_per_m2": 0.2}
+    (changed,) = warnings_of("GAUGE/TextileFlinging-satin", parameters=changes)
+    assert "no score: the numerical reference" in str(changed.message)
+    assert "The cause is textile.areal_density_kg_per_m2" in str(changed.message)
     shutil.copy(ROOT / "examples" / "own_experiment" / "crate.toml", tmp_path)
     monkeypatch.setenv("GAUGE_TASKS", str(tmp_path / "crate.toml"))
     gauge_envs.register_all()

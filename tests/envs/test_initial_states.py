@@ -1,7 +1,7 @@
-"""An episode starts nominal, with noise of the seed, or as a trial was recorded, and a reset forgets what was before.
+"""Initial states of episodes: nominal, with noise of a seed, or of a recorded trial; independent of earlier episodes.
 
-Expected starts are the samples of `gauge_envs.scene.jitter`, the recorded data, and synthetic trials of known velocity
-and spin.
+Expected states are samples of `gauge_envs.scene.jitter`, recorded data, and synthetic trials of known velocity and
+spin.
 """
 
 from types import SimpleNamespace
@@ -45,17 +45,17 @@ def start_m(name):
     return np.array(experiment.scene.body(experiment.recorded[0]).pose.position_m)
 
 
-def starts_of_episodes(envs, count, **reset):
+def initial_places(envs, count, **reset):
     """Return g(t) at the starts of consecutive episodes of synchronous worlds, shape [count, N, 3]."""
-    starts = [start_mm(envs, **reset)]
+    places = [start_mm(envs, **reset)]
     action = np.zeros(envs.action_space.shape, envs.action_space.dtype)
     over = False
-    while len(starts) < count:
+    while len(places) < count:
         observations, _, _, truncations, _ = envs.step(action)
         if over:
-            starts.append(observations["observable"].copy())
+            places.append(observations["observable"].copy())
         over = truncations.all()
-    return np.array(starts)
+    return np.array(places)
 
 
 # --- noise ---
@@ -64,24 +64,24 @@ def starts_of_episodes(envs, count, **reset):
 @pytest.mark.parametrize(
     ("arguments", "options"), [({}, {"jitter": True}), ({"jitter": "real"}, None)]
 )
-def test_starts_scatter_by_the_seed_before_and_after_an_autoreset(arguments, options):
+def test_noise_depends_on_the_seed_before_and_after_an_autoreset(arguments, options):
     reset = {"seed": 4, "options": options}
     native = gym.make_vec(f"GAUGE/{SLIDE}", num_envs=3, **arguments)
-    starts = starts_of_episodes(native, 3, **reset)
-    distance_mm = np.linalg.norm(starts - NOMINAL_MM, axis=-1)
+    places = initial_places(native, 3, **reset)
+    distance_mm = np.linalg.norm(places - NOMINAL_MM, axis=-1)
     assert (distance_mm > 1e-3).all() and (distance_mm < 6.0).all()
-    assert len(np.unique(starts.reshape(-1, 3).round(6), axis=0)) == 9
-    for seed, start in zip((4, 5, 6), starts[0], strict=True):
+    assert len(np.unique(places.reshape(-1, 3).round(6), axis=0)) == 9
+    for seed, start in zip((4, 5, 6), places[0], strict=True):
         states = perturbed_states(load_experiment(SLIDE).scene, Jitter(), seed=seed)
         assert start == pytest.approx(1e3 * states[0, :3])
     single = SyncVectorEnv([lambda: make(**arguments)] * 3)
-    assert starts_of_episodes(single, 3, **reset) == pytest.approx(starts)
-    # A reset with a seed takes the option back, and not the argument.
+    assert initial_places(single, 3, **reset) == pytest.approx(places)
+    # A reset with a seed discards the option, but not the argument.
     again = start_mm(native, seed=4)
     assert np.allclose(again, NOMINAL_MM, atol=1e-6) == (options is not None)
 
 
-def test_seeds_mean_what_gymnasium_says():
+def test_seeds_follow_the_rules_of_gymnasium():
     env = make(jitter="real")
     first, again = (
         [start_mm(env, seed=2), *(start_mm(env) for _ in range(3))] for _ in "12"
@@ -91,7 +91,7 @@ def test_seeds_mean_what_gymnasium_says():
     assert not np.allclose(start_mm(make(jitter="real")), first[0])
 
 
-def test_an_option_takes_the_argument_back_until_the_next_seed():
+def test_an_option_disables_the_argument_until_the_next_seed():
     env = make(jitter={"position_m": 0.002, "angle_rad": 0.0})
     assert not np.allclose(start_mm(env, seed=0), NOMINAL_MM, atol=1e-3)
     assert start_mm(env, options={"jitter": False}) == pytest.approx(NOMINAL_MM)
@@ -110,7 +110,7 @@ def test_an_option_takes_the_argument_back_until_the_next_seed():
         pytest.param("TableclothPulling-wood", marks=pytest.mark.slow),
     ],
 )
-def test_an_episode_depends_on_its_seed_and_not_on_episodes_before(name):
+def test_an_episode_depends_on_its_seed_and_not_on_earlier_episodes(name):
     noise = Jitter(velocity_m_per_s=0.01, angular_velocity_rad_per_s=0.01)
     used, new = GaugeEnv(name, jitter=noise), GaugeEnv(name, jitter=noise)
     used.reset(seed=5)
@@ -138,12 +138,12 @@ def test_an_episode_depends_on_its_seed_and_not_on_episodes_before(name):
         ("CantileverBeam-soft", True, "moves no body"),
     ],
 )
-def test_noise_that_cannot_be_is_named(name, jitter, message):
+def test_impossible_noise_raises_an_error(name, jitter, message):
     with pytest.raises(ParameterError, match=message):
         make(name, jitter=jitter)
 
 
-def test_a_throw_is_limited_by_the_height_that_it_starts_from():
+def test_the_limit_of_a_throw_depends_on_its_initial_height():
     env = make("Throw-Limit-rubber", jitter="real")
     limits = []
     for seed in (0, 1, 0):
@@ -153,7 +153,7 @@ def test_a_throw_is_limited_by_the_height_that_it_starts_from():
     assert 1e-4 < abs(limits[1] - limits[0]) < 0.01
 
 
-# --- bundled single-shot trials ---
+# --- bundled single-trial recordings ---
 
 
 def test_a_toss_starts_as_measured_and_is_scored_against_its_own_trial():
@@ -177,7 +177,7 @@ def test_a_toss_starts_as_measured_and_is_scored_against_its_own_trial():
     assert 2.0 < info["score"].rmse < 20.0
 
 
-def test_the_seed_selects_the_trial_in_runs_and_worlds_too():
+def test_the_seed_selects_the_trial_also_in_runs_and_worlds():
     env = make(TOSS)
     assert env.reset(seed=475)[1]["trial"] == 1
     assert env.reset()[1]["trial"] == 0
@@ -190,19 +190,19 @@ def test_the_seed_selects_the_trial_in_runs_and_worlds_too():
         env.reset(options={"trial": 499})
 
 
-def test_real_starts_of_tosses_are_recorded_ones_in_random_order():
+def test_real_noise_of_tosses_draws_recorded_trials():
     shots = single_shots(TOSS)
     recorded_mm = np.array(
         [1e3 * shots.shot(trial).positions_m[0] for trial in shots.trials()]
     )
     env = make(TOSS, jitter="real")
-    starts = [start_mm(env, seed=0), *(start_mm(env) for _ in range(5))]
-    distance_mm = np.linalg.norm(recorded_mm[:, None] - starts, axis=-1)
+    places = [start_mm(env, seed=0), *(start_mm(env) for _ in range(5))]
+    distance_mm = np.linalg.norm(recorded_mm[:, None] - places, axis=-1)
     assert distance_mm.min(axis=0) == pytest.approx(np.zeros(6), abs=1e-3)
     assert len(np.unique(distance_mm.argmin(axis=0))) > 3
 
 
-def test_a_toss_with_a_start_of_the_user_has_no_reference():
+def test_a_toss_with_an_overridden_start_has_no_reference():
     moved = load_experiment(TOSS, {"cube.position_m": (0.0, 0.0, 0.5)})
     assert reference_band(moved) is None
     assert reference_band(load_experiment(TOSS, {"cube.friction": 0.3})) is not None
@@ -213,7 +213,7 @@ def test_a_toss_with_a_start_of_the_user_has_no_reference():
 
 @pytest.fixture
 def imported(tmp_path, monkeypatch):
-    """Imports three trials of a variant; functions give positions [mm] and rotations by trial number and times [s]."""
+    """Import three trials; functions return positions [mm] and rotations for the trial number and times [s]."""
     monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path / "data"))
 
     def run(name, positions_mm, rotations=lambda *_: None):
@@ -221,7 +221,7 @@ def imported(tmp_path, monkeypatch):
         times_s = np.arange(experiment.frame_count + 12)[:, None] / 30
         for number in range(3):
             positions = positions_mm(number, times_s)
-            # An import leaves out equal trials.
+            # An import skips equal trials.
             positions[5:] += 0.01 * number
             asset = body_asset(positions, rotations(number, times_s))
             content = trial_content(dict.fromkeys(experiment.recorded, asset))
@@ -233,7 +233,7 @@ def imported(tmp_path, monkeypatch):
 
 
 def states_of_trial(name, trial):
-    """Return the initial state of the recorded body in a trial, shape [13], and the nominal one."""
+    """Return the initial state of the recorded body in a trial, shape [13], and its nominal state."""
     experiment = load_experiment(name)
     row = row_of(experiment.scene, experiment.recorded[0])
     return trial_states(experiment, trial)[row], nominal_states(experiment.scene)[row]
@@ -241,9 +241,8 @@ def states_of_trial(name, trial):
 
 def turned(state, nominal):
     """Return the rotation vector from one state to another [rad]."""
-    after, before = (
-        Rotation.from_quat(one[3:7], scalar_first=True) for one in (state, nominal)
-    )
+    after = Rotation.from_quat(state[3:7], scalar_first=True)
+    before = Rotation.from_quat(nominal[3:7], scalar_first=True)
     return (after * before.inv()).as_rotvec()
 
 
@@ -259,7 +258,7 @@ FRAME = Rotation.from_euler("xyz", (20.0, -70.0, 130.0), degrees=True)
 """Body frame of the motion capture, relative to that of the scene."""
 
 
-def test_a_ball_starts_flies_and_spins_as_its_trial(imported):
+def test_a_ball_starts_as_in_its_trial(imported):
     spin = np.array([3.0, -5.0, 7.0])
     imported(
         BALL, thrown, lambda _, times_s: Rotation.from_rotvec(times_s * spin) * FRAME
@@ -283,8 +282,8 @@ def test_a_ball_starts_flies_and_spins_as_its_trial(imported):
     assert episode_result(env, info).jitter == {"trial": 1}
 
 
-def test_a_cube_moves_turns_and_spins_on_its_face(imported):
-    """Trials are tilted too, and only the part of each vector in the face, or about its normal, remains."""
+def test_a_cube_moves_and_rotates_only_on_its_face(imported):
+    """Trials are also tilted; only translations in the face and rotations about its normal remain."""
     offset_m, speed = np.array([1e-3, 2e-3, 3e-3]), np.array([0.2, 0.1, 0.3])
     spin = np.array([0.4, -0.3, 2.0])
     yaws_deg = (-3.0, 1.0, 2.0)
@@ -327,13 +326,14 @@ def test_a_pendulum_rotates_about_its_hinge(monkeypatch):
     monkeypatch.setattr(trial_start, "load_imported", lambda name: variant)
     ball, nominal = states_of_trial(SWING, 0)
     assert turned(ball, nominal) == pytest.approx(0.01 * axis, abs=1e-9)
-    # Three frames give the rate up to the third power of the angle between frames.
+    # Three frames give the rate with an error of the third power of the angle between frames.
     assert ball[10:] == pytest.approx(0.3 * axis, abs=1e-4)
-    arm_now_m = np.subtract(ball[:3], hinge.anchor_m)
-    assert ball[7:10] == pytest.approx(np.cross(ball[10:], arm_now_m), abs=1e-9)
+    rotated_arm_m = np.subtract(ball[:3], hinge.anchor_m)
+    expected = np.cross(ball[10:], rotated_arm_m)
+    assert ball[7:10] == pytest.approx(expected, abs=1e-9)
 
 
-def test_what_is_no_trial_is_named(imported):
+def test_an_impossible_trial_raises_an_error(imported):
     def gap(number, times_s):
         positions = thrown(number, times_s)
         positions[1 if number == 1 else 9] = np.nan

@@ -34,7 +34,7 @@ def zeros(envs):
 
 
 def kick(rollout, world):
-    """Give the first body of a MuJoCo world a speed that nothing in the scene can give it."""
+    """Give the first body of a MuJoCo world an impossible speed."""
     rollout.simulation.datas[world].qvel[0] = 900.0
 
 
@@ -71,7 +71,7 @@ def compare(
     tolerance=1e-9,
     **arguments,
 ):
-    """Step worlds and single environments with the same actions; compare all that they return.
+    """Step worlds and single environments with the same actions, and compare all results.
 
     Args:
         name: Name of the variant.
@@ -79,7 +79,7 @@ def compare(
         steps: Number of steps.
         options: Options of the reset.
         constants: Parameters of each world.
-        kicked: Number of a world that is kicked before the third step.
+        kicked: Number of a world that diverges at the third step.
         tolerance: Largest difference, absolute and relative.
         arguments: Other arguments of `gymnasium.make`.
     """
@@ -107,7 +107,7 @@ def compare(
 
 
 def compare_world(batches, world, singles, tolerance):
-    """Compare a world with a single environment, after whose end the world waits."""
+    """Compare a world with a single environment; after the end of the environment, the world waits."""
     for number, batch in enumerate(batches):
         single = singles[min(number, len(singles) - 1)]
         rows = {key: values[world] for key, values in batch[0].items()}
@@ -161,7 +161,7 @@ def test_worlds_of_other_engines_are_single_environments(engine, module, name, h
     compare(name, backend=engine, **how)
 
 
-def test_constants_of_a_world_come_on_top_of_those_of_all():
+def test_constants_of_a_world_add_to_the_parameters_of_all_worlds():
     envs = make(
         SLIDE,
         parameters={"cube.mass_kg": 0.2},
@@ -201,9 +201,9 @@ def test_pictures_are_those_of_single_environments():
     size = {"render_mode": "rgb_array", "width": 80, "height": 60}
     envs = make(SLIDE, **size)
     env = gymnasium.make(f"GAUGE/{SLIDE}", **size)
-    for one, action in ((envs, zeros(envs)), (env, 0)):
-        one.reset(seed=0)
-        one.step(action)
+    for environment, action in ((envs, zeros(envs)), (env, 0)):
+        environment.reset(seed=0)
+        environment.step(action)
     expected = env.render()
     assert len(np.unique(expected)) > 10
     for picture in envs.render():
@@ -222,7 +222,7 @@ def test_a_spec_as_json_rebuilds_a_native_vector_environment():
     assert again.unwrapped.experiment.overrides == {"cube.friction": 0.2}
 
 
-def test_mistakes_are_named():
+def test_mistakes_raise_an_error():
     for options in ({"count": 0}, {"count": 2.5}, {"world_parameters": [{}]}):
         with pytest.raises(ParameterError, match=r"num_envs|world_parameters has 1"):
             make(SLIDE, **options)
@@ -246,12 +246,13 @@ def test_mistakes_are_named():
 # --- scores ---
 
 
-def test_scores_as_arrays_are_those_of_each_world():
-    """The second cube on the turntable starts elsewhere, where the reference does not score it."""
+def test_score_arrays_equal_the_scores_of_the_worlds():
+    """A solution does not score a world with another start or another friction; trials score any friction."""
     place_m = (0.46, 0.40688, 0.213902)
-    for name, constants in (
-        (SLIDE, [{}, {"cube.friction": 0.2}]),
-        ("Turntable-1-wood", [{}, {"cube.position_m": place_m}]),
+    for name, constants, is_scored in (
+        (SLIDE, [{}, {"cube.friction": 0.2}], [True, True]),
+        ("SlopeSlider-3-wood", [{}, {"cube.friction": 0.2}], [True, False]),
+        ("Turntable-1-wood", [{}, {"cube.position_m": place_m}], [True, False]),
     ):
         envs = make(name, world_parameters=constants, score_arrays=True)
         envs.reset(seed=1)
@@ -259,13 +260,14 @@ def test_scores_as_arrays_are_those_of_each_world():
         assert "score" not in infos
         scores = envs.unwrapped.scores()
         for key in ("rmse", "rmse_normalized", "time_offset_s"):
-            expected = np.array([getattr(one, key) for one in scores], dtype=float)
+            expected = np.array([getattr(score, key) for score in scores], dtype=float)
             if key in infos:
                 near = pytest.approx(expected, rel=1e-6, abs=2e-6, nan_ok=True)
                 assert infos[key] == near
             else:
                 assert np.isnan(expected).all()
-    assert infos["_rmse"].tolist() == [True, False]
+        assert infos["_rmse"].tolist() == is_scored
+        assert infos["reference"][0] == infos["reference"][1] != "none"
 
 
 def test_a_world_that_diverged_has_no_score_and_its_own_length():

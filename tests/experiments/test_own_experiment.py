@@ -1,4 +1,4 @@
-"""An experiment of the user: a task file with a band beside it, by path or by `GAUGE_TASKS`.
+"""An experiment of the user: a task file with a band next to it, by path or by `GAUGE_TASKS`.
 
 The example is a crate that slides down 25 degrees with friction 0.3; its band and its motion are the closed form.
 """
@@ -45,9 +45,9 @@ def test_the_crate_and_its_band_slide_as_coulomb_says(example):
     _, info = run_to_end(env)
     assert info["reference"] == "analytic"
     times_s, samples = env.trajectory().dense
-    way_m = 1e-3 * samples @ DOWNHILL
+    path_m = 1e-3 * samples @ DOWNHILL
     course = 0.5 * times_s**2
-    fitted = course @ (way_m - way_m[0]) / (course @ course)
+    fitted = course @ (path_m - path_m[0]) / (course @ course)
     assert fitted == pytest.approx(ACCELERATION, rel=1e-3)
     assert env.score().over_uncertainty < 1.96
     start_m = np.array(env.experiment.scene.body("crate").pose.position_m)
@@ -70,7 +70,7 @@ def test_a_path_is_run_in_another_process_and_its_result_is_read_again(
     monkeypatch.setenv("GAUGE_TASKS", "")
     unknown = gauge("compare", "results")
     assert unknown.exit_code
-    assert "If a task file of yours states it, set GAUGE_TASKS" in unknown.stderr
+    assert "If one of your task files has it, set GAUGE_TASKS" in unknown.stderr
 
 
 def test_a_folder_makes_its_ids_known_and_the_benchmark_stays(
@@ -88,19 +88,19 @@ def test_a_folder_makes_its_ids_known_and_the_benchmark_stays(
     assert "75 ids in 22 families" in listed
 
 
-def test_an_edited_file_is_read_again_and_a_damaged_band_is_named(example):
+def test_an_edited_file_is_read_again_and_a_damaged_band_raises_an_error(example):
     assert load_experiment("crate.toml").frame_count == 31
     changed_text(example / "crate.toml", ("all = 31", "all = 21"))
     os.utime(example / "crate.toml", ns=(0, 0))
     assert load_experiment("crate.toml").frame_count == 21
-    with pytest.raises(ReferenceFileError, match=r"\(31, 3\), and .* has \(21, 3\)"):
+    with pytest.raises(ReferenceFileError, match=r"\(31, 3\), but .* are \(21, 3\)"):
         reference_band(load_experiment(NAME))
     changed_text(example / f"{NAME}.band.toml", ('"analytic"', '"guess"'))
     with pytest.raises(ReferenceFileError, match=r"pine\.band\.toml: kind: "):
         reference_band(load_experiment("crate.toml"))
 
 
-def test_what_is_wrong_with_a_task_file_is_named(example, monkeypatch):
+def test_a_wrong_task_file_raises_an_error(example, monkeypatch):
     text = (example / "crate.toml").read_text()
     two = text.replace('["pine"]', '["pine", "oak"]')
     for name, content, message in (
@@ -132,8 +132,8 @@ def test_a_new_material_of_the_guide_runs_without_a_score(tmp_path, monkeypatch)
     text = text.replace("[constants.cube]\n", f"[constants.cube]\n{rows[0]}\n")
     text = re.sub(r"(frames = \{ wood = (\d+),)", r"\1 glass = \2,", text)
     text = text.replace('metal = "video" }', 'metal = "video", glass = "nominal" }')
-    starts = r"\[subtasks\.(\d)\.initial\.wood\]\n((?:\w.*\n)+)"
-    text = re.sub(starts, r"\g<0>\n[subtasks.\1.initial.glass]\n\2", text)
+    initial_tables = r"\[subtasks\.(\d)\.initial\.wood\]\n((?:\w.*\n)+)"
+    text = re.sub(initial_tables, r"\g<0>\n[subtasks.\1.initial.glass]\n\2", text)
     (tmp_path / "glass.toml").write_text(text)
     monkeypatch.setenv("GAUGE_TASKS", str(tmp_path / "glass.toml"))
     for subtask in "13":

@@ -1,4 +1,4 @@
-"""A USD layer in place of a task file: shipped layers change nothing, edits act as physics says, misfits are named.
+"""A USD layer in place of a task file: shipped layers change nothing, edits follow physics, and misfits raise errors.
 
 The slide of a cube follows Coulomb's law; hashes are SHA-256 of the bytes of files.
 """
@@ -10,7 +10,7 @@ from dataclasses import replace
 import gymnasium
 import numpy as np
 import pytest
-from places import one_of_a_kind
+from places import first_of_each_kind
 from pxr import Gf, Sdf, Usd, UsdUtils, Vt
 
 from gauge_envs import load_experiment, load_experiment_from_asset
@@ -75,7 +75,7 @@ def slippery(edited):
 
 @pytest.mark.parametrize(
     "name",
-    one_of_a_kind(
+    first_of_each_kind(
         (variant.name for variant in variants()), lambda name: name.split("-")[0]
     ),
 )
@@ -92,9 +92,9 @@ def test_the_shipped_layer_is_the_scene_of_the_task_file(name):
 def downhill_acceleration(trajectory):
     """Return the acceleration of a slide from rest down 30 degrees [m/s^2], while the whole cube is on the board."""
     on_board = trajectory.times_s < 0.4
-    way_m = 1e-3 * trajectory.samples[on_board] @ [np.sqrt(0.75), 0.0, -0.5]
+    path_m = 1e-3 * trajectory.samples[on_board] @ [np.sqrt(0.75), 0.0, -0.5]
     course = 0.5 * trajectory.times_s[on_board] ** 2
-    return float(course @ (way_m - way_m[0]) / (course @ course))
+    return float(course @ (path_m - path_m[0]) / (course @ course))
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_an_edited_mass_and_pose_reach_the_simulation(edited):
     path = edited(BALL, setting("ball", xformOp__translate=higher))
     observation, _ = gymnasium.make(f"GAUGE/{BALL}", asset=path).reset(seed=0)
     assert observation["observable"] == pytest.approx(1e3 * np.array(higher), abs=1e-9)
-    # The reference stays that of the calibrated scene.
+    # The reference stays the same.
     bands = [
         reference_band(load_experiment(BALL, asset=asset)) for asset in (path, None)
     ]
@@ -171,7 +171,7 @@ def test_edited_samples_drive_the_body(edited, rollout):
     np.testing.assert_allclose(places[1] - places[0], [0.0, 0.0, 0.02], atol=1e-6)
 
 
-def test_changes_name_what_was_changed():
+def test_changes_name_the_changed_values():
     scene = load_experiment("SlopeSlider-3-wood").scene
     cube = replace(scene.body("cube"), mass_kg=0.2, motion=Motion.FIXED)
     contact = replace(scene.contacts[1], restitution=0.5)
@@ -194,9 +194,9 @@ def test_changes_name_what_was_changed():
 # --- results ---
 
 
-def test_a_result_says_what_it_ran_and_reads_back(slippery, tmp_path):
+def test_a_result_of_an_edited_scene_is_read_back(slippery, tmp_path):
     result, second = run_episodes(RunRequest(SLIDE, asset=slippery, repeats=2))
-    first_m, second_m = (one.trajectory.samples[0] for one in (result, second))
+    first_m, second_m = (run.trajectory.samples[0] for run in (result, second))
     assert 0.0 < np.abs(np.subtract(first_m, second_m)).max() < 10.0
     file = tmp_path / result_file_name(result)
     assert f".asset-{result.asset['sha256'][:8]}." in file.name
@@ -211,17 +211,19 @@ def test_a_result_says_what_it_ran_and_reads_back(slippery, tmp_path):
 
 
 def test_an_edited_scene_is_another_configuration_and_a_shipped_layer_is_not(slippery):
-    task, same, other = (
+    task, same, edited = (
         run_episode(RunRequest(SLIDE, asset=asset))
         for asset in (None, shipped(SLIDE), slippery)
     )
-    assert result_file_name(task) == result_file_name(same) != result_file_name(other)
-    comparison = compare([task, same, other])
-    assert [bool(one.asset) for one in comparison.configurations] == [False, True]
+    assert result_file_name(task) == result_file_name(same) != result_file_name(edited)
+    comparison = compare([task, same, edited])
+    assert [
+        bool(configuration.asset) for configuration in comparison.configurations
+    ] == [False, True]
 
 
-def test_the_hash_covers_every_file_that_the_stage_is_composed_of(tmp_path):
-    """A layer over two others of which one refers to a third: an edit of any is another asset, a move of all is not."""
+def test_the_hash_covers_every_file_of_the_stage(tmp_path):
+    """A layer uses two others, and one of them a third. An edit of any changes the hash; a move of all does not."""
     folder = tmp_path / "here"
     (folder / "parts").mkdir(parents=True)
     head = '#usda 1.0\n(metersPerUnit = 1\nupAxis = "Z"\n'
@@ -304,20 +306,26 @@ KINEMATIC = {"gauge__motion": "kinematic", "physics__kinematicEnabled": True}
 @pytest.mark.parametrize(
     ("name", "change", "message"),
     [
-        (SLIDE, without_cube, "cube: no body of that name, which SlopeSlider-2-wood"),
+        (SLIDE, without_cube, "cube: SlopeSlider-2-wood records this body"),
         (SLIDE, renamed, "it is the scene of SlopeSlider-2-metal"),
         (SLIDE, longer, "it lasts 2 s, but an episode of SlopeSlider-2-wood lasts 0.6"),
-        (SLIDE, setting("cube", **KINEMATIC), "it must move under forces"),
+        (
+            SLIDE,
+            setting("cube", **KINEMATIC),
+            "it must be dynamic, but it is kinematic",
+        ),
         (SLIDE, massless, "/World/cube.*mass"),
         (SLIDE, slider, "/World/slider"),
         (
             "TextileStretching-rayon",
             lambda stage: stage.RemovePrim("/World/Markers"),
-            "no markers, which TextileStretching-rayon records",
+            "TextileStretching-rayon records markers, but the file has none",
         ),
     ],
 )
-def test_what_does_not_fit_the_id_is_named(name, change, message, edited):
+def test_a_layer_that_does_not_fit_the_id_raises_an_error(
+    name, change, message, edited
+):
     with pytest.raises(AssetError, match=message) as caught:
         load_experiment_from_asset(name, edited(name, change))
     assert f"{name}.usda" in str(caught.value)
@@ -328,11 +336,11 @@ def test_what_does_not_fit_the_id_is_named(name, change, message, edited):
     [
         (None, "gone.usda", "cannot be read: No such file"),
         ("PXR-USDC and then nothing", "damaged.usdc", "damaged.usdc"),
-        ("solid", "cube.stl", "suffix '.stl' is neither that of a scene file"),
+        ("solid", "cube.stl", "suffix '.stl' is neither a scene file"),
         ('#usda 1.0\n(upAxis = "Z")\ndef PhysicsScene "P" {}\n', "a.usda", "metersPer"),
     ],
 )
-def test_a_bad_file_is_an_error_of_one_line(content, name, message, gauge, tmp_path):
+def test_a_bad_file_gives_an_error_in_a_line(content, name, message, gauge, tmp_path):
     path = tmp_path / name
     if content is not None:
         path.write_text(content)
@@ -347,6 +355,6 @@ def test_a_bad_file_is_an_error_of_one_line(content, name, message, gauge, tmp_p
 @pytest.mark.parametrize(
     "options", [{"parameters": {"cube.friction": 0.1}}, {"drivers": "imported"}]
 )
-def test_what_the_file_states_cannot_be_given_too(options):
+def test_arguments_that_the_file_has_raise_an_error(options):
     with pytest.raises(ParameterError, match=f"{SLIDE}.usda"):
         gymnasium.make(f"GAUGE/{SLIDE}", asset=shipped(SLIDE), **options)

@@ -1,6 +1,6 @@
-"""An MJCF file in place of a task file: it replays the backend bit for bit, and an edit counts or is named.
+"""An MJCF file in place of a task file: it replays the backend bit for bit, and an edit applies or raises an error.
 
-The file goes through MuJoCo's own reader, and plain MuJoCo replays it without this package.
+MuJoCo's own reader loads the file, and plain MuJoCo replays it without this package.
 """
 
 import re
@@ -9,7 +9,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
-from places import one_of_a_kind
+from places import first_of_each_kind
 from texts import changed_text
 
 from gauge_envs import load_experiment, load_experiment_from_asset
@@ -41,7 +41,9 @@ def edited(tmp_path):
     )
 
 
-@pytest.mark.parametrize("name", one_of_a_kind(IDS, lambda name: name.split("-")[0]))
+@pytest.mark.parametrize(
+    "name", first_of_each_kind(IDS, lambda name: name.split("-")[0])
+)
 def test_the_shipped_file_is_the_scene_of_the_task_file(name):
     experiment = load_experiment_from_asset(name, shipped(name))
     assert experiment.asset.changes == ()
@@ -58,7 +60,9 @@ def test_a_written_file_gives_the_same_trajectory_and_settings(name, tmp_path, r
     env, mjcf, _ = rollout(name, frames=3, asset=tmp_path / f"{name}.xml")
     np.testing.assert_array_equal(mjcf.samples, expected.samples)
     assert not env.experiment.edited
-    file, built = (one.rollout.simulation.settings for one in (env, task))
+    file, built = (
+        environment.rollout.simulation.settings for environment in (env, task)
+    )
     shared = set(file) & set(built)
     assert {"timestep_s", "integrator", "cone", "solver", "iterations"} <= shared
     assert {key: file[key] for key in shared} == {key: built[key] for key in shared}
@@ -119,7 +123,8 @@ def test_an_edited_table_of_stiffness_is_a_change(edited):
 def test_changes_of_a_model_name_every_kind_of_edit_but_colours(old, new, message):
     text = shipped(SLIDE).read_text()
     before, after = (
-        mujoco.MjModel.from_xml_string(one) for one in (text, text.replace(old, new))
+        mujoco.MjModel.from_xml_string(content)
+        for content in (text, text.replace(old, new))
     )
     changes = list(model_changes(after, before))
     if message is None:
@@ -162,8 +167,8 @@ def test_a_start_velocity_of_a_file_is_read_into_the_scene(name, body, start, tm
     write_mjcf(thrown, tmp_path / "thrown.xml")
     file = load_experiment_from_asset(name, tmp_path / "thrown.xml")
     rates = [
-        [*one.linear_velocity_m_per_s, *one.angular_velocity_rad_per_s]
-        for one in (thrown.scene.body(body), file.scene.body(body))
+        [*thrown_body.linear_velocity_m_per_s, *thrown_body.angular_velocity_rad_per_s]
+        for thrown_body in (thrown.scene.body(body), file.scene.body(body))
     ]
     assert rates[1] == pytest.approx(rates[0], abs=1e-9)
     assert np.abs(rates[0]).max() > 0.1
@@ -180,7 +185,7 @@ def test_a_start_velocity_of_a_file_is_read_into_the_scene(name, body, start, tm
 
 
 def driver_rows(columns, factor, offset):
-    """Return the driven motion of the tilted board as it stands in its file, and changed."""
+    """Return the driven motion of the tilted board in its file, and a changed one."""
     text = shipped(TILTED).read_text()
     data = re.search(r'name="driver/board" size="\d+" data="([^"]*)"', text).group(1)
     rows = np.array(data.split(), dtype=np.float64).reshape(-1, 19)
@@ -239,7 +244,7 @@ def keyframe(values):
         (CLOTH, moved_node(), "nodes of a deformable body cannot be moved in MJCF"),
     ],
 )
-def test_what_a_file_lacks_is_named(name, replacement, message, edited):
+def test_a_missing_part_of_a_file_raises_an_error(name, replacement, message, edited):
     with pytest.raises(AssetError, match=message) as caught:
         load_experiment_from_asset(name, edited(name, replacement))
     assert str(caught.value).startswith(f"{caught.value.file}: ")
@@ -254,11 +259,11 @@ def test_a_model_file_has_its_own_settings_and_engine_and_starts_as_the_task():
         UnsupportedSceneError, match=r"model of another engine.*'mujoco'"
     ):
         gymnasium.make(f"GAUGE/{SLIDE}", backend="pybullet", **options)
-    starts = [
-        [one.trajectory.samples[0] for one in run_episodes(request)]
+    places = [
+        [result.trajectory.samples[0] for result in run_episodes(request)]
         for request in (
             RunRequest(SLIDE, repeats=2),
             RunRequest(SLIDE, repeats=2, **options),
         )
     ]
-    assert starts[1] == pytest.approx(np.array(starts[0]), abs=1e-6)
+    assert places[1] == pytest.approx(np.array(places[0]), abs=1e-6)

@@ -1,6 +1,6 @@
-"""The scenes of the ids have the masses, sizes, poses and drives of the paper, and bodies touch without overlap.
+"""Scenes of the ids: masses, sizes, poses and prescribed motions of the paper, and bodies without overlap.
 
-Numbers are from the paper's metadata and from its videos; overlaps come from linear programs on convex pieces.
+Numbers are from the metadata and the videos of the paper. Overlaps are solutions of linear programs on convex pieces.
 """
 
 import itertools
@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from places import RIGID, RIGID_FAMILIES, one_of_a_kind
+from places import RIGID, RIGID_FAMILIES, first_of_each_kind
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
@@ -31,7 +31,7 @@ from gauge_envs.scene import (
 
 G = 9.80665
 TOLERANCE_M = 1e-3
-FEW_BODIES = one_of_a_kind(name for name in RIGID if name != "WallBreaking-wood")
+FEW_BODIES = first_of_each_kind(name for name in RIGID if name != "WallBreaking-wood")
 SOFT = [variant.name for variant in variants() if variant.name not in RIGID]
 FOAMS = [
     f"Foam{motion}-soft"
@@ -65,7 +65,7 @@ def test_masses_places_and_frames_are_published(
     name, body, mass_kg, position_m, frames
 ):
     scene = scene_of(name)
-    bodies = {one.name: one for one in (*scene.bodies, *scene.deformables)}
+    bodies = {body.name: body for body in (*scene.bodies, *scene.deformables)}
     assert bodies[body].mass_kg == mass_kg
     assert bodies[body].pose.position_m == pytest.approx(position_m, abs=1e-9)
     assert experiment(name).frame_count == frames
@@ -80,7 +80,7 @@ def test_constants_are_published():
     assert (foam.young_modulus_pa, foam.poisson_ratio) == (99372.0, 0.34)
     (cloth,) = scene_of("TextileStretching-satin").deformables
     assert (cloth.size_m, cloth.areal_density_kg_per_m2) == ((0.4, 0.4), 0.07121)
-    # A Poisson ratio of 0.62 was calibrated, and an isotropic solid has less than 0.5.
+    # The calibrated Poisson ratio is 0.62, but an isotropic solid has less than 0.5.
     (rod,) = scene_of("StickStack-soft").deformables
     assert rod.poisson_ratio == 0.49
     rod_spec = task_spec("StickStack").constants["rod"]["soft"]
@@ -190,27 +190,27 @@ def overlap_m(first, second):
 
 
 def depth_m(first, second):
-    """Return how deep one rigid body is in another; negative when they are apart."""
+    """Return the penetration of two rigid bodies; negative when they are apart."""
     if isinstance(first.shape, Plane):
         first, second = second, first
     if isinstance(second.shape, Plane):
-        heights = [second.pose.to_body(one)[:, 2].min() for one in pieces(first)]
+        heights = [second.pose.to_body(piece)[:, 2].min() for piece in pieces(first)]
         return -float(min(heights))
     centres = np.subtract(first.pose.position_m, second.pose.position_m)
     if isinstance(first.shape, Sphere) and isinstance(second.shape, Sphere):
         radii_m = first.shape.radius_m + second.shape.radius_m
         return radii_m - float(np.linalg.norm(centres))
-    reach = sum(
+    radii_sum_m = sum(
         np.linalg.norm(body.shape.corners_m, axis=1).max() for body in (first, second)
     )
-    if np.linalg.norm(centres) > reach:
+    if np.linalg.norm(centres) > radii_sum_m:
         return -np.inf
     pairs = itertools.product(pieces(first), pieces(second))
-    return max(overlap_m(one, other) for one, other in pairs)
+    return max(overlap_m(piece, second_piece) for piece, second_piece in pairs)
 
 
 def colliding_pairs(scene):
-    """Return the pairs of rigid bodies of which a contact is stated."""
+    """Return the pairs of rigid bodies with a contact."""
     rigid = {body.name for body in scene.bodies}
     pairs = {
         frozenset(pair)
@@ -223,7 +223,7 @@ def colliding_pairs(scene):
 @pytest.mark.parametrize(
     "name", [pytest.param("WallBreaking-wood", marks=pytest.mark.slow), *FEW_BODIES]
 )
-def test_rigid_bodies_start_outside_each_other(name):
+def test_rigid_bodies_do_not_overlap_at_the_start(name):
     scene = scene_of(name)
     for pair in colliding_pairs(scene):
         assert depth_m(*map(scene.body, pair)) < TOLERANCE_M, pair
@@ -250,7 +250,7 @@ def test_resting_bodies_touch_what_they_rest_on(name, pairs):
 
 
 @pytest.mark.parametrize("name", FOAMS)
-def test_foam_faces_are_the_twelve_published_ones(name):
+def test_foam_has_the_twelve_published_faces(name):
     """Their markers stand in rows at thirds of the width of 50 mm, in steps of 25 mm."""
     markers = scene_of(name).markers
     assert len(set(markers.faces)) == 12
@@ -269,7 +269,7 @@ def driven_pose(name, body, time_s):
 
 
 @pytest.mark.parametrize(
-    ("name", "axis", "way_mm", "uncertainty_mm"),
+    ("name", "axis", "shift_mm", "uncertainty_mm"),
     [
         ("FoamStretching-soft", 2, 9.2, 0.2),
         ("FoamCompressing-soft", 2, -9.0, 0.2),
@@ -277,11 +277,11 @@ def driven_pose(name, body, time_s):
         ("FoamBending-soft", 2, -48.3, 1.0),
     ],
 )
-def test_foam_is_driven_as_the_video_shows(name, axis, way_mm, uncertainty_mm):
+def test_foam_is_driven_as_the_video_shows(name, axis, shift_mm, uncertainty_mm):
     (driver,) = scene_of(name).drivers
     poses = [driven_pose(name, driver.body, time_s) for time_s in (0.0, 10.0)]
     moved_mm = 1e3 * np.subtract(poses[1].position_m, poses[0].position_m)
-    assert moved_mm[axis] == pytest.approx(way_mm, abs=uncertainty_mm)
+    assert moved_mm[axis] == pytest.approx(shift_mm, abs=uncertainty_mm)
     assert np.abs(np.delete(moved_mm, axis)).max() < 2.0
     assert driver.provenance == "video"
 
@@ -303,7 +303,7 @@ def test_the_turntable_repeats_the_recorded_strokes():
 
 
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
-def test_turntables_are_on_the_stated_side_of_slipping(material):
+def test_turntables_slip_or_stick_as_published(material):
     """A cube at radius r needs the friction r |(omega^2, alpha)| / g."""
 
     def needed(name, time_s):
@@ -312,9 +312,9 @@ def test_turntables_are_on_the_stated_side_of_slipping(material):
         cube_m = np.asarray(scene.body("cube").pose.position_m)
         radius_m = np.linalg.norm((cube_m - motion.point_m)[:2])
         step_s = 1e-4
-        before, now, after = (motion.value(time_s + k * step_s) for k in (-1, 0, 1))
+        before, middle, after = (motion.value(time_s + k * step_s) for k in (-1, 0, 1))
         omega = (after - before) / (2 * step_s)
-        alpha = (after - 2 * now + before) / step_s**2
+        alpha = (after - 2 * middle + before) / step_s**2
         return radius_m * np.hypot(omega**2, alpha) / G
 
     friction = scene_of(f"Turntable-2-{material}").contacts[0].friction

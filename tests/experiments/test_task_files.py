@@ -1,6 +1,6 @@
-"""A task file states the origin of every number, a wrong one is named with its key, and overrides change the scene.
+"""Task files: an origin of every number, errors with keys, and overrides that change the scene.
 
-Closed forms check what velocities, gravity and starts of overrides do.
+Closed forms check the effect of overridden velocities, gravity and initial states.
 """
 
 import math
@@ -10,7 +10,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from places import one_of_a_kind
+from places import first_of_each_kind
 from texts import changed_text
 
 from gauge_envs import (
@@ -24,7 +24,7 @@ from gauge_envs.errors import ParameterError, TaskFileError
 from gauge_envs.experiments.scene_builder import SceneBuilder
 from gauge_envs.experiments.tables import Provenance
 from gauge_envs.experiments.task_files import task_spec
-from gauge_envs.experiments.task_format import NOT_STATED, TaskSpec
+from gauge_envs.experiments.task_format import NO_ORIGIN, TaskSpec
 from gauge_envs.experiments.variants import (
     INDEX_FILE,
     Collection,
@@ -45,17 +45,17 @@ def number_keys(value, key=""):
     if isinstance(value, dict):
         for name, inner in value.items():
             yield from number_keys(inner, f"{key}.{name}" if key else name)
-    elif isinstance(value, list) and any(isinstance(one, dict) for one in value):
+    elif isinstance(value, list) and any(isinstance(entry, dict) for entry in value):
         for index, inner in enumerate(value):
             yield from number_keys(inner, f"{key}.{index}")
     elif not isinstance(value, str | bool) and not (
-        isinstance(value, list) and all(isinstance(one, str) for one in value)
+        isinstance(value, list) and all(isinstance(entry, str) for entry in value)
     ):
         yield key
 
 
 def faults_of(path):
-    """Yield what is wrong with the order, the name and the origins of the numbers of a task file."""
+    """Yield faults in the order, the names and the origins of numbers of a task file."""
     spec, raw = load_task(path), tomllib.loads(path.read_text())
     if list(raw) != sorted(raw, key=list(TaskSpec.model_fields).index):
         yield "the tables have another order than in docs/adding_an_experiment.md"
@@ -69,12 +69,12 @@ def faults_of(path):
             yield f"provenance.{key}: {origin!r} is of no known kind"
     numbers = {key: raw[key] for key in raw if key not in ("provenance", "revision")}
     for key in number_keys(numbers):
-        if spec.provenance_of(key) == NOT_STATED:
+        if spec.provenance_of(key) == NO_ORIGIN:
             yield f"{key}: a number without an entry in [provenance]"
 
 
 @pytest.mark.parametrize("path", task_files(), ids=lambda path: path.stem)
-def test_a_file_of_the_package_states_the_origin_of_every_number(path):
+def test_a_bundled_file_has_the_origin_of_every_number(path):
     assert list(faults_of(path)) == []
 
 
@@ -90,7 +90,7 @@ def test_a_file_of_the_package_states_the_origin_of_every_number(path):
 def test_the_rules_find_a_fault(old, new, fault, tmp_path):
     path = tmp_path / "slope_slider.toml"
     changed_text(task_path("SlopeSlider"), (old, new), to=path)
-    assert any(fault in one for one in faults_of(path))
+    assert any(fault in text for text in faults_of(path))
 
 
 def test_the_index_has_the_names_and_frames_of_the_task_files():
@@ -100,18 +100,19 @@ def test_the_index_has_the_names_and_frames_of_the_task_files():
         for path, spec in specs.items():
             if spec.collection is collection:
                 rows += [
-                    f"{path.name},{one.family},{one.subtask or ''},{one.material},{collection},{spec.frame_count(one)}"
-                    for one in spec.variants()
+                    f"{path.name},{variant.family},{variant.subtask or ''},{variant.material},"
+                    f"{collection},{spec.frame_count(variant)}"
+                    for variant in spec.variants()
                 ]
     assert (data_folder("tasks") / INDEX_FILE).read_text().splitlines() == rows
 
 
-def test_provenance_is_that_of_the_longest_matching_key():
+def test_the_longest_matching_key_gives_the_provenance():
     spec = task_spec("SlopeSlider")
     assert spec.provenance_of("initial.all.ground.position_m").startswith("video")
     start = spec.provenance_of("subtasks.2.initial.wood.cube.position_m")
     assert start.startswith("metadata")
-    assert spec.provenance_of("colour") == NOT_STATED
+    assert spec.provenance_of("colour") == NO_ORIGIN
 
 
 @pytest.mark.parametrize(
@@ -135,7 +136,9 @@ def test_provenance_is_that_of_the_longest_matching_key():
         ("BouncingBall", "ground = { ", "ground = { velocity_m_per_s = [1, 0, 0], ", "'ground' is fixed and"),
     ],
 )  # fmt: skip
-def test_a_wrong_file_names_file_key_and_reason(family, old, new, message, tmp_path):
+def test_the_error_of_a_wrong_file_names_file_key_and_reason(
+    family, old, new, message, tmp_path
+):
     path = changed_text(task_path(family), (old, new), to=tmp_path / "edited.toml")
     with pytest.raises(TaskFileError, match=re.escape(message)) as caught:
         load_task(path)
@@ -151,7 +154,7 @@ def built(name, overrides=()):
     return builder, builder.build()
 
 
-@pytest.mark.parametrize("name", one_of_a_kind(ALL))
+@pytest.mark.parametrize("name", first_of_each_kind(ALL))
 def test_each_number_of_a_body_changes_the_scene_or_is_an_error(name):
     builder, calibrated = built(name)
     assert builder.read
@@ -174,12 +177,12 @@ def test_each_number_of_a_body_changes_the_scene_or_is_an_error(name):
             assert built(name, moved)[1] != calibrated, (body, field)
 
 
-@pytest.mark.parametrize("name", one_of_a_kind(ALL))
-def test_a_parameter_set_is_the_overrides_that_it_states(name):
+@pytest.mark.parametrize("name", first_of_each_kind(ALL))
+def test_a_parameter_set_equals_its_overrides(name):
     for label in load_experiment(name).spec.parameters:
-        stated = load_experiment(name, label)
-        assert stated.parameters == label
-        assert load_experiment(name, dict(stated.overrides)).scene == stated.scene
+        named_set = load_experiment(name, label)
+        assert named_set.parameters == label
+        assert load_experiment(name, dict(named_set.overrides)).scene == named_set.scene
 
 
 @pytest.mark.parametrize(
@@ -205,12 +208,12 @@ def test_a_parameter_set_is_the_overrides_that_it_states(name):
         ),
     ],
 )
-def test_a_wrong_override_is_named(name, parameters, message):
+def test_a_wrong_override_raises_an_error(name, parameters, message):
     with pytest.raises(ParameterError, match=message):
         load_experiment(name, parameters)
 
 
-def test_overrides_and_task_files_state_starts_with_velocities(tmp_path):
+def test_overrides_and_task_files_set_initial_velocities(tmp_path):
     overrides = {
         "cube.friction": np.float32(0.3),
         "cube.position_m": np.array([0.1, 0.4, 0.36]),
@@ -242,7 +245,7 @@ def test_the_velocity_of_a_pendulum_follows_from_its_angular_velocity():
 
 
 def test_gravity_and_start_change_the_motion():
-    """A slide in a sixth of the gravity is a sixth as long; one that starts 10 mm aside stays 10 mm aside."""
+    """A sixth of the gravity gives a sixth of the path; a start 10 mm to the side stays 10 mm to the side."""
 
     def path_mm(parameters):
         env = GaugeEnv(SLIDE, parameters=parameters)
@@ -253,7 +256,7 @@ def test_gravity_and_start_change_the_motion():
 
     calibrated = path_mm("calibrated")
     moon = path_mm({"scene.gravity_m_per_s2": 9.80665 / 6.0})
-    lengths = [np.linalg.norm(one[-1] - one[0]) for one in (calibrated, moon)]
+    lengths = [np.linalg.norm(path[-1] - path[0]) for path in (calibrated, moon)]
     assert lengths[1] == pytest.approx(lengths[0] / 6.0, rel=0.03)
     x, y, z = load_experiment(SLIDE).scene.body("cube").pose.position_m
     shift = path_mm({"cube.position_m": (x, y + 0.01, z)}) - calibrated

@@ -1,4 +1,4 @@
-"""Golden numbers: what the suite computed before a change, for `test_every_id.py` to compare with.
+"""Golden numbers: results before a change, which `test_every_id.py` compares.
 
     python -m tests.golden.golden                                    # all numbers
     python -m tests.golden.golden --only fabrics                     # one part
@@ -23,14 +23,14 @@ from gauge_envs.tools.sanity import check
 FILE = Path(__file__).with_name("golden.json")
 
 CHAOTIC = ("Funnel", "RopeWinding", "RotatingBall", "WallBreaking")
-"""Families whose motions diverge by chaos: ten frames of them count, and no score."""
+"""Families with chaotic motions: only ten frames count, and no score."""
 
 LAST_FRAME = dict.fromkeys(CHAOTIC, 10) | {
     "NewtonsCradle": 170,
     "TableclothPulling": 60,
     "TextileFlinging": 150,
 }
-"""Last compared frame of g(t) by family, where rounding decides later ones."""
+"""Last compared frame of g(t) by family; rounding affects later frames."""
 
 SCORE_FIELDS = (
     "rmse",
@@ -93,7 +93,7 @@ def episode(name, *, engine="mujoco", seed=0, options=None, last_frame=None):
 
 
 def score_values(score):
-    """Return the numbers of a score that exist."""
+    """Return the known numbers of a score."""
     values = {name: getattr(score, name) for name in SCORE_FIELDS}
     for name, event in score.events.items():
         if name in ("lsd", "mte", "pd"):
@@ -101,8 +101,13 @@ def score_values(score):
         elif name == "el":
             values[name] = event.value
     values["estimates"] = {
-        name: [one.value, one.uncertainty, one.real, one.real_uncertainty]
-        for name, one in score.estimates.items()
+        name: [
+            estimate.value,
+            estimate.uncertainty,
+            estimate.real,
+            estimate.real_uncertainty,
+        ]
+        for name, estimate in score.estimates.items()
     }
     if score.over_uncertainty is not None:
         values["distance"] = score.distance
@@ -112,7 +117,7 @@ def score_values(score):
 
 
 def jittered(name):
-    """Return the episode of a start with noise of seed 1."""
+    """Return the episode with initial-state noise of seed 1."""
     return episode(name, seed=1, options={"jitter": True})
 
 
@@ -139,9 +144,9 @@ def sanity(target):
 
 
 def fabric(name):
-    """Return the constants of a fabric in the terms of each engine."""
+    """Return the constants of a fabric for each engine."""
     mapped = fabric_constants(fabrics("TextileFlinging")[name])
-    return {engine: dict(one.constants) for engine, one in mapped.items()}
+    return {engine: dict(mapping.constants) for engine, mapping in mapped.items()}
 
 
 PARTS = {
@@ -155,11 +160,11 @@ PARTS = {
 
 
 def plain(value):
-    """Return a value as JSON has it; numbers have ten digits, as the tolerances are wider."""
+    """Return a value as plain JSON; numbers have ten digits, because tolerances are wider."""
     if isinstance(value, dict):
-        return {key: plain(one) for key, one in value.items()}
+        return {key: plain(entry) for key, entry in value.items()}
     if isinstance(value, np.ndarray | list | tuple):
-        return [plain(one) for one in value]
+        return [plain(entry) for entry in value]
     if isinstance(value, float | np.floating):
         return float(f"{value:.10g}")
     return value
@@ -171,18 +176,18 @@ def read():
 
 
 def write(parts):
-    """Write the file with one line an entry, so that a difference shows what changed."""
+    """Write the file with one line per entry, so that a diff shows the changes."""
     texts = []
     for part, entries in parts.items():
         lines = [
-            f"{json.dumps(key)}: {json.dumps(one)}" for key, one in entries.items()
+            f"{json.dumps(key)}: {json.dumps(entry)}" for key, entry in entries.items()
         ]
         texts.append(json.dumps(part) + ": {\n" + ",\n".join(lines) + "\n}")
     FILE.write_text("{\n" + ",\n".join(texts) + "\n}\n", encoding="utf-8")
 
 
 def main():
-    """Compute the entries of the file again; a name that it does not have is added."""
+    """Compute the entries of the file again, and add missing names."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--only", choices=PARTS, help="one part")
     parser.add_argument("names", nargs="*", help="entries of that part")

@@ -1,4 +1,4 @@
-"""Every id passes Gymnasium's checker, starts as its task file says, replays the drivers, and has golden numbers.
+"""Every id passes the checker of Gymnasium, starts as in its task file, replays its drivers, and has golden numbers.
 
 The default run takes the rigid ids whole, two frames of the others, and one id of each kind for the checker; the slow
 set takes all. `golden.json` has the numbers of version 0.3.0, but no tumbling body on other engines: a start
@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from places import RIGID, one_of_a_kind
+from places import RIGID, first_of_each_kind
 
 import gauge_envs
 from gauge_envs import load_experiment, variants
@@ -48,7 +48,7 @@ CHAOTIC_MM = {
     "RotatingBall": (1e-3, 3.0),
     "WallBreaking": (0.2, 1.5),
 }
-"""Limit of the first frame, and its growth a frame, of chaotic motions."""
+"""Limit at the first frame of chaotic motions, and its growth per frame."""
 
 
 def limits(name, engine="mujoco"):
@@ -81,14 +81,17 @@ def limits(name, engine="mujoco"):
 
 
 def differences(computed, stored, limit=(1e-9, 1e-9), path=""):
-    """Yield what differs by more than an absolute plus a relative limit, with its place; limits may be given by key."""
+    """Yield values that differ by more than an absolute plus a relative limit; limits may be given by key."""
     if isinstance(stored, dict | list) and isinstance(computed, type(stored)):
         if isinstance(stored, list):
             computed, stored = dict(enumerate(computed)), dict(enumerate(stored))
         for key in sorted({*computed} | {*stored}, key=str):
-            one, other = computed.get(key, "missing"), stored.get(key, "missing")
+            computed_value, stored_value = (
+                computed.get(key, "missing"),
+                stored.get(key, "missing"),
+            )
             inner = limit.get(key, (0.0, 0.0)) if isinstance(limit, dict) else limit
-            yield from differences(one, other, inner, f"{path}/{key}")
+            yield from differences(computed_value, stored_value, inner, f"{path}/{key}")
     elif isinstance(stored, float) and isinstance(computed, float | int):
         absolute, relative = limit
         if not abs(computed - stored) <= absolute + relative * abs(stored):
@@ -103,9 +106,9 @@ def check_golden(part, name, limit=(1e-9, 1e-9)):
 
 
 def slow_where(names, is_slow):
-    """Return parameters of which some are slow."""
+    """Return parameters, some of them marked slow."""
     slow = pytest.mark.slow
-    return [pytest.param(one, marks=slow if is_slow(one) else ()) for one in names]
+    return [pytest.param(name, marks=slow if is_slow(name) else ()) for name in names]
 
 
 def skip_without(engine):
@@ -116,7 +119,7 @@ def skip_without(engine):
 
 
 def kind_of(name):
-    """What the spaces of an id depend on."""
+    """Return the facts of an id that determine its spaces."""
     if name in CONTROL:
         return name.partition("-")[0]
     experiment = load_experiment(name)
@@ -134,7 +137,7 @@ def test_75_ids_in_22_families_are_registered():
     assert list(STORED["episodes"]) == IDS
 
 
-@pytest.mark.parametrize("name", one_of_a_kind([*IDS, *CONTROL], kind_of))
+@pytest.mark.parametrize("name", first_of_each_kind([*IDS, *CONTROL], kind_of))
 def test_gymnasiums_checker_passes_without_a_warning(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -144,7 +147,7 @@ def test_gymnasiums_checker_passes_without_a_warning(name):
         check_env(env.unwrapped, skip_render_check=True)
 
 
-@pytest.mark.parametrize("name", one_of_a_kind(IDS))
+@pytest.mark.parametrize("name", first_of_each_kind(IDS))
 def test_an_episode_starts_at_the_published_poses_and_replays_the_drivers(name):
     env = gymnasium.make(f"GAUGE/{name}").unwrapped
     scene = env.experiment.scene
@@ -221,7 +224,7 @@ def test_a_fabric_has_golden_constants_in_each_engine(name):
     "name", slow_where(STORED["sanity"], lambda name: name == "Ant-v5")
 )
 def test_a_training_configuration_has_golden_phenomena(name):
-    """Rounding decides how far a wall of bricks drifts, to a tenth of the value."""
+    """Rounding changes the drift of a wall of bricks by up to a tenth."""
     rows = STORED["sanity"][name]
     shares = {row: 0.2 if row.startswith("wall-") else 1e-2 for row in rows}
     check_golden("sanity", name, {row: (1e-6, share) for row, share in shares.items()})

@@ -23,36 +23,36 @@ def mapped(rest_m, gradient):
 @pytest.mark.parametrize("elongation", [0.05, -0.05])
 @pytest.mark.parametrize("turned", [np.eye(3), ROTATION])
 def test_a_stretch_counts_along_the_axes_of_the_block(elongation, turned):
-    """Whichever way the block stands, and however it is rotated afterwards."""
+    """The strain does not depend on the axes of the block and on its rotation."""
     stretch = turned @ np.diag([0.98, 0.98, 1 + elongation]) @ turned.T
     rest = FOAM_MARKERS_M @ turned.T
-    found = deformation(rest, mapped(rest, ROTATION @ stretch), turned)
-    assert found["strain_zz"] == pytest.approx(elongation, abs=1e-12)
-    assert found["strain_xz"] == pytest.approx(0.0, abs=1e-12)
-    assert np.isnan(found["area_ratio"])
+    strains = deformation(rest, mapped(rest, ROTATION @ stretch), turned)
+    assert strains["strain_zz"] == pytest.approx(elongation, abs=1e-12)
+    assert strains["strain_xz"] == pytest.approx(0.0, abs=1e-12)
+    assert np.isnan(strains["area_ratio"])
 
 
 def test_a_simple_shear_has_the_stretch_of_its_polar_decomposition():
     """U of x' = x + gamma z is [[2, gamma], [gamma, 2 + gamma^2]] over sqrt(4 + gamma^2)."""
     gamma = 0.35
-    now = mapped(FOAM_MARKERS_M, [[1, 0, gamma], [0, 1, 0], [0, 0, 1]])
-    found = deformation(FOAM_MARKERS_M, now, np.eye(3))
+    sheared = mapped(FOAM_MARKERS_M, [[1, 0, gamma], [0, 1, 0], [0, 0, 1]])
+    strains = deformation(FOAM_MARKERS_M, sheared, np.eye(3))
     root = np.sqrt(4 + gamma**2)
-    assert found["strain_zz"] == pytest.approx((2 + gamma**2) / root - 1, abs=1e-12)
-    assert found["strain_xz"] == pytest.approx(gamma / root, abs=1e-12)
+    assert strains["strain_zz"] == pytest.approx((2 + gamma**2) / root - 1, abs=1e-12)
+    assert strains["strain_xz"] == pytest.approx(gamma / root, abs=1e-12)
 
 
 @pytest.mark.parametrize("placement_m", [0.0, 0.0009])
 def test_markers_in_a_plane_give_strain_in_the_plane(placement_m):
-    """Dots on a face are off it by less than a millimetre; that is no extent."""
+    """Dots on a face are less than a millimetre off its plane, which does not count as an extent."""
     noise = np.random.default_rng(1).normal(size=PLANE_M.shape)
     rest = PLANE_M + placement_m * noise
-    now = mapped(rest, ROTATION @ np.diag([0.7, 1.1, 0.9]))
-    found = deformation(rest, now, np.eye(3))
+    deformed = mapped(rest, ROTATION @ np.diag([0.7, 1.1, 0.9]))
+    strains = deformation(rest, deformed, np.eye(3))
     tolerance = 1e-12 + 6.0 * placement_m
-    assert found["strain_zz"] == pytest.approx(-0.1, abs=tolerance)
-    assert found["area_ratio"] == pytest.approx(1.1 * 0.9, abs=tolerance)
-    assert np.isnan(found["strain_xz"])
+    assert strains["strain_zz"] == pytest.approx(-0.1, abs=tolerance)
+    assert strains["area_ratio"] == pytest.approx(1.1 * 0.9, abs=tolerance)
+    assert np.isnan(strains["strain_xz"])
     line = PLANE_M[::2]
     on_line = deformation(line, mapped(line, 1.1 * ROTATION), np.eye(3))
     assert np.isnan([*on_line.values()]).all()

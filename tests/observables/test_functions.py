@@ -29,7 +29,7 @@ def fan(count, apex_height):
 
 
 def test_a_sheet_bent_about_one_axis_has_no_curvature():
-    """A cylinder is developable, however strong the bend. A corner is a quarter turn, an edge a half one."""
+    """A cylinder is developable. A corner is a quarter turn, and an edge a half turn."""
     sheet = load_experiment("TextileFlinging-satin").scene.markers
     flat = np.array(sheet.positions_m)
     # The sheet hangs upright, with rows of markers across it.
@@ -49,12 +49,12 @@ def test_a_pyramid_apex_has_the_deficit_of_its_mantle(count, apex_height):
     markers, faces = fan(count, apex_height)
     cosine = (np.cos(2 * np.pi / count) + apex_height**2) / (1 + apex_height**2)
     expected = 2 * np.pi - count * np.arccos(cosine)
-    found = inner_curvature(markers, faces)[0, 0]
-    assert found == pytest.approx(expected, abs=1e-6)
+    curvature = inner_curvature(markers, faces)[0, 0]
+    assert curvature == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_closed_surface_has_two_full_turns_in_total():
-    """Gauss-Bonnet: 4 pi for anything of a sphere's topology, moved or not, in every frame."""
+    """Gauss-Bonnet: the sum is 4 pi for each surface with the topology of a sphere."""
     rng = np.random.default_rng(0)
     points = rng.normal(size=(200, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
@@ -110,8 +110,8 @@ def test_the_area_of_a_right_triangle_in_space():
     np.testing.assert_allclose(areas, expected)
 
 
-def test_markers_get_unique_nodes_of_least_total_distance():
-    """Both markers are nearest to node 0; the second has the better alternative and yields."""
+def test_markers_get_unique_nodes_with_the_smallest_total_distance():
+    """Both markers are nearest to node 0; the second gets its next node, because that costs less."""
     nodes = np.array([[0.0, 0, 0], [0.004, 0, 0], [0.05, 0, 0]])
     markers = np.array([[-0.001, 0, 0], [0.0015, 0, 0]])
     assert assign_markers(markers, nodes).tolist() == [0, 1]

@@ -1,4 +1,4 @@
-"""Markers on deformable bodies: material points are exact in a linear deformation, nodes are as far off as they are."""
+"""Markers on deformable bodies: material points are exact in a linear deformation, and nodes are not."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from gauge_envs.observables.observer import (
 
 
 class Nodes:
-    """Stands for a simulation: nodes of a regular grid in a body, deformed linearly."""
+    """Fake simulation: nodes of a regular grid in a body, deformed linearly."""
 
     def __init__(self, body, size_m, cell_m, shift_m=(0.0, 0.0, 0.0)):
         axes = [
@@ -72,7 +72,7 @@ def test_material_points_are_exact_where_nodes_are_not(case):
     ("cell_m", "shift_m", "proxy", "message"),
     [
         (0.125, (0.0, 0.0, 0.0), MarkerProxy.NODE, "marker"),
-        (0.025, (0.0, 0.02, 0.0), MarkerProxy.MATERIAL, r"20\.0 mm .* than 10 mm"),
+        (0.025, (0.0, 0.02, 0.0), MarkerProxy.MATERIAL, r"20\.0 mm .* limit is 10 mm"),
     ],
 )
 def test_a_marker_that_is_far_from_the_material_is_named(

@@ -1,4 +1,4 @@
-"""The table model: what a terminal, Markdown and JSON show of the same rows."""
+"""Tables: the same rows in a terminal, Markdown and JSON."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_markdown_has_all_columns_in_all_rows():
     ]
 
 
-def test_json_has_the_rows_themselves():
+def test_json_has_the_rows():
     assert json.loads(json.dumps(as_rows(TABLE), allow_nan=False)) == list(ROWS)
 
 
@@ -110,7 +110,7 @@ NAMED = Table(
 )
 
 
-def test_columns_that_do_not_fit_are_written_below_the_row():
+def test_columns_that_do_not_fit_move_below_the_row():
     assert printed(NAMED, 22) == [
         "phenomenon     reality",
         "friction of          1",

@@ -1,4 +1,4 @@
-"""Tables of the command line at 80 columns: nothing is cut, nothing is too long."""
+"""Tables of the command line at 80 columns: no text is cut or too long."""
 
 from dataclasses import replace
 

@@ -11,7 +11,7 @@ from swings import swung_rad
 
 from gauge_envs import load_experiment, variants
 from gauge_envs.errors import ReferenceFileError, ShapeError
-from gauge_envs.references.band import load_band, stated_of
+from gauge_envs.references.band import load_band, read_band_file
 from gauge_envs.references.convergence import convergence_rows, read_convergence
 from gauge_envs.references.imported import ImportFacts, load_imported, write_imported
 from gauge_envs.references.published import published_baselines
@@ -19,44 +19,44 @@ from gauge_envs.references.tables import scoring_folder
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import body_mass_properties
 
-NAMES = [one.name for one in variants()]
+NAMES = [variant.name for variant in variants()]
 BANDS = {name: band for name in NAMES if (band := load_band(name)) is not None}
 GRAVITY = 9.80665
 
 
-def test_62_of_75_ids_have_a_reference_and_each_file_says_what_it_is():
+def test_62_of_75_ids_have_a_reference_and_each_file_gives_its_kind():
     kinds = Counter(band.kind.value for band in BANDS.values())
     assert kinds == {"trials": 8, "recording": 2, "analytic": 22, "numerical": 30}
     assert (len(NAMES), len(BANDS)) == (75, 62)
     for name in NAMES:
-        stated = stated_of(scoring_folder("bands") / f"{name}.toml")
-        assert stated.source and (stated.kind == "none" or stated.licence)
-        assert stated.unit == load_experiment(name).score.observable.unit
+        content = read_band_file(scoring_folder("bands") / f"{name}.toml")
+        assert content.source and (content.kind == "none" or content.licence)
+        assert content.unit == load_experiment(name).score.observable.unit
 
 
 @pytest.mark.parametrize("name", BANDS)
 def test_the_numbers_of_a_band_follow_from_its_arrays(name):
     band, experiment = BANDS[name], load_experiment(name)
     text = (scoring_folder("bands") / f"{name}.toml").read_text(encoding="utf-8")
-    stated = tomllib.loads(text)
+    content = tomllib.loads(text)
     count, width = len(band.coordinates), len(experiment.coordinates)
     assert band.mean.shape == (experiment.frame_count, count)
     assert band.projection.shape == (count, width)
     assert not (band.sigma < 0.0).any()
-    computed = replace(band, stated_uncertainty=None)
-    stated_mm = pytest.approx(stated["zero_motion_distance"])
-    assert computed.zero_motion_distance == stated_mm
-    if "exact" in stated["source"]:
+    computed = replace(band, given_uncertainty=None)
+    expected_mm = pytest.approx(content["zero_motion_distance"])
+    assert computed.zero_motion_distance == expected_mm
+    if "exact" in content["source"]:
         assert band.standard_uncertainty == pytest.approx(math.sqrt(3.0))
     elif band.kind.is_solution or band.trials is not None:
-        stated_mm = pytest.approx(stated["standard_uncertainty"])
-        assert computed.standard_uncertainty == stated_mm
-    # What a scene without motion is told from: else a reference says nothing. A cube that holds does not move.
+        expected_mm = pytest.approx(content["standard_uncertainty"])
+        assert computed.standard_uncertainty == expected_mm
+    # A reference must distinguish a scene without motion. In SlopeSlider-1 the cube does not move.
     if not name.startswith("SlopeSlider-1"):
         assert band.zero_motion_distance > 3.0 * band.standard_uncertainty
 
 
-def test_a_band_of_arrays_that_disagree_is_refused():
+def test_a_band_with_arrays_of_different_lengths_is_rejected():
     band = BANDS["SlopeSlider-2-wood"]
     assert band.project([[2.0, 7.0, 4.0]]) == pytest.approx(3**0.5 - 2.0)
     for changes in ({"sigma": band.sigma[1:]}, {"coordinates": ("a", "b")}):
@@ -73,7 +73,7 @@ def frames_s(band):
     return np.flatnonzero(band.known) / 30.0
 
 
-@pytest.mark.parametrize("name", [one for one in BANDS if "Nonsmooth" in one])
+@pytest.mark.parametrize("name", [name for name in BANDS if "Nonsmooth" in name])
 def test_a_free_fall_is_half_g_t_squared(name):
     band, experiment = BANDS[name], load_experiment(name)
     start = experiment.scene.body(experiment.recorded[0]).pose.position_m
@@ -82,7 +82,7 @@ def test_a_free_fall_is_half_g_t_squared(name):
     np.testing.assert_allclose(band.mean[band.known], expected, atol=1e-9)
 
 
-def test_the_pendulum_swings_as_the_integrated_one():
+def test_the_pendulum_equals_an_integrated_pendulum():
     """I phi'' = -m g l sin(phi) about the hinge, with the moment of inertia of the body's shape."""
     scene, band = load_experiment("Pendulum-metal").scene, BANDS["Pendulum-metal"]
     (joint,) = scene.joints
@@ -104,13 +104,15 @@ def test_the_pendulum_swings_as_the_integrated_one():
     np.testing.assert_allclose(band.mean[band.known], expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", [one for one in BANDS if "Turntable-1" in one])
+@pytest.mark.parametrize("name", [name for name in BANDS if "Turntable-1" in name])
 def test_a_carried_cube_turns_with_the_plate(name):
     scene, band = load_experiment(name).scene, BANDS[name]
-    (turn,) = scene.drivers[0].motions
-    centre_mm = 1e3 * np.array(turn.point_m)
+    (rotation,) = scene.drivers[0].motions
+    centre_mm = 1e3 * np.array(rotation.point_m)
     start = 1e3 * np.array(scene.body("cube").pose.position_m) - centre_mm
-    angles = [turn.value(time_s) * np.sign(turn.axis[2]) for time_s in frames_s(band)]
+    angles = [
+        rotation.value(time_s) * np.sign(rotation.axis[2]) for time_s in frames_s(band)
+    ]
     cosine, sine = np.cos(angles), np.sin(angles)
     x = start[0] * cosine - start[1] * sine
     y = start[0] * sine + start[1] * cosine
@@ -121,9 +123,7 @@ def test_a_carried_cube_turns_with_the_plate(name):
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
-def test_an_import_is_read_as_written_and_only_where_it_is_asked_for(
-    tmp_path, monkeypatch
-):
+def test_an_import_is_read_as_written_and_only_on_request(tmp_path, monkeypatch):
     monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path))
     name = "SlopeSlider-2-wood"
     bundled = load_band(name)
@@ -143,14 +143,14 @@ def test_an_import_is_read_as_written_and_only_where_it_is_asked_for(
         np.testing.assert_array_equal(getattr(imported, array), getattr(bundled, array))
     assert load_imported(name).facts == facts
     (tmp_path / "trials" / f"{name}.npz").write_bytes(b"nothing")
-    stated = tmp_path / "trials" / f"{name}.toml"
-    stated.write_text(stated.read_text() + "\n")
+    file = tmp_path / "trials" / f"{name}.toml"
+    file.write_text(file.read_text() + "\n")
     with pytest.raises(ReferenceFileError, match=rf"{name}\.npz"):
         load_band(name, DataSource.IMPORTED)
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "newton"])
-def test_convergence_is_of_half_a_step_and_over_the_published_scatter(engine):
+def test_convergence_halves_a_step_and_is_relative_to_the_published_scatter(engine):
     rows = read_convergence(scoring_folder("convergence") / f"{engine}.csv")
     assert rows
     for (name, setting), row in rows.items():

@@ -1,4 +1,4 @@
-"""Pushes of a cube, 23 real trials: their travel as stated by the source, an engine, and a replay of one trial."""
+"""Pushes of a cube, 23 real trials: their published travel, an engine, and a replay of one trial."""
 
 import gymnasium
 import numpy as np
@@ -9,12 +9,12 @@ from gauge_envs.references.band import load_band
 NAME = "CubePush-light"
 
 
-def test_the_band_is_that_of_the_trials():
+def test_the_band_is_the_mean_and_scatter_of_the_trials():
     band = load_band(NAME)
     np.testing.assert_allclose(band.trials.mean(axis=0), band.mean, atol=2e-3)
     np.testing.assert_allclose(band.trials.std(axis=0, ddof=1), band.sigma, atol=2e-3)
     travels = band.trials[:, -1, 0] - band.trials[:, 0, 0]
-    # Stated of all 23 trials with the source: 96.0 +- 2.7 mm.
+    # The source gives 96.0 +- 2.7 mm for all 23 trials.
     assert travels.mean() == pytest.approx(96.5, abs=1.0)
     assert travels.std(ddof=1) == pytest.approx(2.7, abs=0.2)
 
@@ -39,5 +39,5 @@ def test_an_engine_is_within_the_scatter_and_replays_a_trial_from_its_start():
     assert score.rmse < band.sigma.max()
     path, of_trial = played(env, trial=3)
     np.testing.assert_allclose(path[0, :1], band.trials[3, 0], atol=1e-3)
-    apart = np.square(path[:, :1] - band.trials[3])
-    assert of_trial.rmse == pytest.approx(np.sqrt(np.mean(apart)), abs=2e-3)
+    squares = np.square(path[:, :1] - band.trials[3])
+    assert of_trial.rmse == pytest.approx(np.sqrt(np.mean(squares)), abs=2e-3)

@@ -1,6 +1,6 @@
-"""Stored solutions against solutions that no engine made: ordinary differential equations by SciPy.
+"""Stored solutions against independent solutions: ordinary differential equations by SciPy.
 
-A stored solution states its standard uncertainty u, so it lies within 1.96 u of the exact one in 95 % of cases.
+A stored solution has a standard uncertainty u. It lies within 1.96 u of the exact solution in 95 % of cases.
 """
 
 import numpy as np
@@ -12,15 +12,17 @@ from gauge_envs.references.band import load_band
 from gauge_envs.scoring.score import score_trajectory
 
 
-def friction_between(scene, one, other):
+def friction_between(scene, first, second):
     (contact,) = [
-        pair for pair in scene.contacts if {one, other} == {*pair.first, *pair.second}
+        pair
+        for pair in scene.contacts
+        if {first, second} == {*pair.first, *pair.second}
     ]
     return contact.friction
 
 
 def distance_in_u(name, exact_mm):
-    """Return the distance of the stored solution from another one, over the u that it states."""
+    """Return the distance of the stored solution from an exact one, over its u."""
     band = load_band(name)
     return band.length(exact_mm - band.mean) / band.standard_uncertainty
 
@@ -29,9 +31,9 @@ def distance_in_u(name, exact_mm):
 
 
 def dragged_rod_lag_m(scene):
-    """Return heights over the foot, and by how much the rod trails its top there while its foot slides [m].
+    """Return heights over the foot, and the lag of the rod behind its top at these heights [m], while the foot slides.
 
-    The rod reaches from its top to the board without a load. Its weight stretches it, so the board bears some of it, N.
+    The unloaded rod reaches from its top to the board. Its weight stretches it, so the board carries a force N.
     Friction mu N bends the rod, and a bent rod is shorter. With s from the foot and the tension T = w s - N:
 
         E I x''' = T x' - mu N,    x'' = 0 at the foot,    x = x' = 0 at the top,
@@ -79,7 +81,7 @@ def test_a_dragged_rod_trails_as_a_rod_that_stretches(name):
     exact_mm = 1e3 * np.interp(1e-3 * rest_mm[:, 2] - foot_m, heights_m, exact_m)
     u_mm = band.uncertainty[frames, ::3].mean(axis=0)
     assert np.all(np.abs(lag_mm - exact_mm) < 1.96 * u_mm)
-    # An interval that holds anything would hold this too: the lag is known to a tenth.
+    # The interval above could be wide; the lag must also agree within a tenth.
     assert lag_mm == pytest.approx(exact_mm, rel=0.1)
 
 
@@ -97,16 +99,16 @@ def tilted_cube_mm(experiment):
         N / m = g cos(phi) - 2 xi' phi' - xi phi'' - eta phi'^2,    |f| <= mu N / m.
     """
     scene = experiment.scene
-    (turn,) = scene.drivers[0].motions
+    (rotation,) = scene.drivers[0].motions
     friction = friction_between(scene, "cube", "board")
     gravity = scene.gravity_m_per_s2
     step_s = 1.0 / (180.0 * STEPS_A_SAMPLE)
     count = 6 * (experiment.frame_count - 1) * STEPS_A_SAMPLE + 1
-    angles = np.array([turn.value(step_s * step) for step in range(count)])
-    rates = np.array([turn.rate(step_s * step) for step in range(count)])
+    angles = np.array([rotation.value(step_s * step) for step in range(count)])
+    rates = np.array([rotation.rate(step_s * step) for step in range(count)])
     gains = np.gradient(rates, step_s)
     cube = scene.body("cube")
-    along, _, height = np.array(cube.pose.position_m) - turn.point_m
+    along, _, height = np.array(cube.pose.position_m) - rotation.point_m
     speed, places = 0.0, []
     for index, (angle, rate, gain) in enumerate(zip(angles, rates, gains, strict=True)):
         sine, cosine = np.sin(angle), np.cos(angle)
@@ -114,17 +116,21 @@ def tilted_cube_mm(experiment):
             x = along * cosine + height * sine
             z = height * cosine - along * sine
             places.append(
-                [turn.point_m[0] + x, cube.pose.position_m[1], turn.point_m[2] + z]
+                [
+                    rotation.point_m[0] + x,
+                    cube.pose.position_m[1],
+                    rotation.point_m[2] + z,
+                ]
             )
         pressed = (
             gravity * cosine - 2.0 * speed * rate - along * gain - height * rate**2
         )
         pulled = gravity * sine + along * rate**2 - height * gain
-        held = friction * pressed
+        friction_limit = friction * pressed
         if speed == 0.0:
-            speed = step_s * np.sign(pulled) * max(abs(pulled) - held, 0.0)
+            speed = step_s * np.sign(pulled) * max(abs(pulled) - friction_limit, 0.0)
         else:
-            faster = speed + step_s * (pulled - np.sign(speed) * held)
+            faster = speed + step_s * (pulled - np.sign(speed) * friction_limit)
             speed = faster if faster * speed > 0.0 else 0.0
         along += step_s * speed
     return 1e3 * np.array(places)
@@ -138,7 +144,7 @@ def test_a_cube_on_a_tilting_board_slides_by_coulombs_law(material):
 
 
 @pytest.mark.parametrize("parameters", ["calibrated", "effective"])
-def test_the_exact_distance_from_a_recording_is_that_of_coulombs_law(
+def test_the_exact_distance_from_a_recording_follows_coulombs_law(
     parameters,
 ):
     experiment = load_experiment("SlopeSlider-3-metal", parameters)
@@ -148,7 +154,7 @@ def test_the_exact_distance_from_a_recording_is_that_of_coulombs_law(
     score = score_trajectory(experiment, band, times_s=times_s, values=values)
     assert score.exact == band.exact[parameters]
     assert score.rmse_normalized == pytest.approx(score.exact, rel=0.01)
-    # The board is driven, so the slide is not one of uniform acceleration.
+    # The board is driven, so the acceleration of the slide is not uniform.
     assert score.estimates == {}
 
 
@@ -163,12 +169,12 @@ def test_a_cube_on_a_turning_plate_slides_by_coulombs_law(material):
     """A point mass, which neither tips nor rotates, is 0.8 mm off, 0.6 u; without friction it would be 100 mm off."""
     experiment = load_experiment(f"Turntable-3-{material}")
     scene = experiment.scene
-    (turn,) = scene.drivers[0].motions
+    (rotation,) = scene.drivers[0].motions
     limit = scene.gravity_m_per_s2 * friction_between(scene, "cube", "plate")
 
     def slopes(time_s, state):
-        arm, velocity = state[:2] - turn.point_m[:2], state[2:]
-        slip = velocity - turn.rate(time_s) * np.array([-arm[1], arm[0]])
+        arm, velocity = state[:2] - rotation.point_m[:2], state[2:]
+        slip = velocity - rotation.rate(time_s) * np.array([-arm[1], arm[0]])
         pull = -limit * slip / np.hypot(np.linalg.norm(slip), CREEP_M_PER_S)
         return np.concatenate([velocity, pull])
 

@@ -1,4 +1,4 @@
-"""`scoring/PROVENANCE.md` has the SHA-256 of each frozen file."""
+"""`scoring/PROVENANCE.md` lists the SHA-256 of each frozen file."""
 
 import hashlib
 import re
@@ -8,20 +8,20 @@ from places import ROOT
 SCORING = ROOT / "scoring"
 
 
-def test_the_hashes_are_those_of_the_files():
+def test_the_listed_hashes_are_those_of_the_files():
     text = (SCORING / "PROVENANCE.md").read_text()
-    stated = {
+    listed = {
         name: digest
         for digest, name in re.findall(r"^([0-9a-f]{64})  (.+)$", text, re.MULTILINE)
     }
     changing = set(re.findall(r"^- `(.+)`$", text, re.MULTILINE))
-    found = {
+    files = {
         file.relative_to(SCORING).as_posix(): file
         for file in SCORING.rglob("*")
         if file.is_file() and file.suffix != ".md"
     }
-    assert stated == {
+    assert listed == {
         name: hashlib.sha256(file.read_bytes()).hexdigest()
-        for name, file in found.items()
+        for name, file in files.items()
         if name not in changing
     }

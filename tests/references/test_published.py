@@ -19,7 +19,7 @@ ROWS = [
 
 
 def test_table_5_is_complete():
-    """Sums over the columns of the paper's table: a digit that slips anywhere moves one of them."""
+    """Sums over the columns of the paper's table; a wrong digit changes one of them."""
     counts = {"rmse": 53, "dtw": 53, "lsd": 1, "mte": 1, "pd": 1, "el": 1}
     assert Counter(row.metric for row in ROWS) == counts
     assert tuple(METRICS) == get_args(MetricKey) == tuple(counts)
@@ -61,7 +61,7 @@ def test_real_trials_reproduce_the_published_baseline(variant):
     rmse = np.sqrt(np.nanmean(squares, axis=1))
     assert np.mean(rmse) == pytest.approx(published["rmse"].mean, rel=0.03)
     assert np.std(rmse, ddof=1) == pytest.approx(published["rmse"].std, rel=0.03)
-    # The stored distances are from the mean of the others, N / (N - 1) times as far.
+    # Stored distances are from the mean of the other trials, N / (N - 1) times as far.
     count = len(band.trials)
     expected = rmse * count / (count - 1)
     np.testing.assert_allclose(band.trial_rmse, expected, rtol=0.02)

@@ -1,4 +1,4 @@
-"""Releases of a silicone beam: bands are what the facts give, and the swing is that of beam theory."""
+"""Releases of a silicone beam: the fit of a swing, and the recorded swing against beam theory."""
 
 import math
 from dataclasses import replace
@@ -49,7 +49,7 @@ def euler_bernoulli_hz(load_kg):
 def test_the_fit_returns_a_known_swing(frequency_hz, decay, droop_mm, rate_hz):
     times_s = np.arange(round(2.5 * rate_hz)) / rate_hz
     heights = swing(times_s, frequency_hz=frequency_hz, decay=decay, droop_mm=droop_mm)
-    # Higher bending modes are left out with the first 0.15 s.
+    # The fit skips the first 0.15 s, which have higher bending modes.
     heights[times_s < 0.149] += 5.0
     exact = fit_ringing(times_s, heights, level_mm=200.0)
     assert exact.residual_mm < 1e-6
@@ -78,7 +78,7 @@ def test_the_uncertainty_of_a_fit_is_its_scatter():
         assert np.std(values) == pytest.approx(np.mean(errors), rel=0.25)
 
 
-def test_what_does_not_swing_has_no_fit():
+def test_heights_that_do_not_swing_have_no_fit():
     times_s = np.arange(75) / 30.0
     assert fit_ringing(times_s, np.full(75, 200.0), level_mm=200.0) is None
     assert fit_ringing(times_s, np.full(75, np.nan), level_mm=200.0) is None
@@ -95,34 +95,36 @@ def estimates_of(load, times_s, heights_mm, **changes):
 
 
 @pytest.mark.parametrize("load", LOADS_KG)
-def test_the_recorded_swing_is_that_of_beam_theory_with_the_fitted_modulus(load):
-    """Within 4 %: theory leaves out shear, the clamp's hold on the width, and the size of the load."""
+def test_the_recorded_swing_follows_beam_theory_with_the_fitted_modulus(load):
+    """Within 4 %: the theory neglects shear, the clamp's constraint of the width, and the size of the load."""
     band = load_band(name_of(load))
     times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
-    # The level is the start of the simulated beam, which is the height of the recorded one before it is let go.
+    # The level is the start of the simulated beam: the height of the recorded beam before its release.
     heights_mm = band.mean.copy()
     heights_mm[0] = 200.0
-    found = estimates_of(load, times_s, heights_mm)
-    assert set(found) == {"frequency", "decay_rate", "droop"}
-    for one in found.values():
-        # The mean of two releases rings as each of them does.
-        scatter = math.sqrt(len(band.trials)) * one.real_uncertainty
-        assert abs(one.value - one.real) < max(2.0 * scatter, 0.02 * one.real)
+    quantities = estimates_of(load, times_s, heights_mm)
+    assert set(quantities) == {"frequency", "decay_rate", "droop"}
+    for quantity in quantities.values():
+        # The mean of two releases rings as each release does.
+        scatter = math.sqrt(len(band.trials)) * quantity.real_uncertainty
+        assert abs(quantity.value - quantity.real) < max(
+            2.0 * scatter, 0.02 * quantity.real
+        )
     expected = euler_bernoulli_hz(LOADS_KG[load])
-    assert found["frequency"].real == pytest.approx(expected, rel=0.04)
+    assert quantities["frequency"].real == pytest.approx(expected, rel=0.04)
     weight_n = GRAVITY * (0.375 * DENSITY * WIDTH_M**2 * LENGTH_M + LOADS_KG[load])
     droop_mm = 1e3 * weight_n * LENGTH_M**3 / (3.0 * STIFFNESS_N_M2)
-    # Large droops are less than linear theory's: at 25 mm of 100 mm a beam with an end load bends 4 % less.
-    assert found["droop"].real == pytest.approx(droop_mm, rel=0.1)
+    # Linear theory overestimates large droops: by 4 % at 25 mm for a beam of 100 mm with an end load.
+    assert quantities["droop"].real == pytest.approx(droop_mm, rel=0.1)
     alone = estimates_of(load, times_s, heights_mm, trials=None)
-    for one in alone.values():
-        assert one.real == pytest.approx(one.value, rel=1e-6)
-        assert one.real_uncertainty is None
+    for quantity in alone.values():
+        assert quantity.real == pytest.approx(quantity.value, rel=1e-6)
+        assert quantity.real_uncertainty is None
 
 
 def test_a_beam_that_creeps_has_a_droop_and_no_frequency():
     times_s = np.arange(451) / 180.0
     heights_mm = 200.0 - 3.3 * (1.0 - np.exp(-3.0 * times_s))
-    found = estimates_of("0g", times_s, heights_mm[:, None])
-    assert list(found) == ["droop"]
-    assert found["droop"].value == pytest.approx(3.3, abs=0.01)
+    quantities = estimates_of("0g", times_s, heights_mm[:, None])
+    assert list(quantities) == ["droop"]
+    assert quantities["droop"].value == pytest.approx(3.3, abs=0.01)

@@ -18,8 +18,8 @@ SHOTS = single_shots(NAME)
 
 
 def flights(half):
-    """Return trials, each with its rotations and its number of frames before the cube is near the table."""
-    found = []
+    """Return trials, each with its rotations and the number of frames before the cube is near the table."""
+    trials = []
     for trial in SHOTS.trials(half)[::4]:
         shot = SHOTS.shot(trial)
         rotations = Rotation.from_quat(shot.quaternions, scalar_first=True)
@@ -27,16 +27,16 @@ def flights(half):
         lowest_m = shot.positions_m[:, 2] + corners_m.min(axis=0)
         count = int(np.argmax(lowest_m < 0.005))
         if count >= 8:
-            found.append((shot, rotations, count))
-    assert len(found) > 40
-    return found
+            trials.append((shot, rotations, count))
+    assert len(trials) > 40
+    return trials
 
 
 @pytest.mark.parametrize("half", ["fit", "judge"])
 def test_recorded_flights_follow_the_closed_form(half):
     """Equal moments of inertia: a constant angular velocity, and a parabola with gravity.
 
-    The judging half has no part in the scale of lengths.
+    The scale of lengths does not use the judging half.
     """
     drifts, falls = [], []
     for shot, rotations, count in flights(half):
@@ -56,7 +56,7 @@ def test_recorded_flights_follow_the_closed_form(half):
 
 
 def test_the_height_of_the_resting_cube_gives_the_scale_a_second_time():
-    nuisances = SHOTS.stated["nuisances"]
+    nuisances = SHOTS.metadata["nuisances"]
     rest_m = [SHOTS.shot(trial).positions_m[-1, 2] for trial in SHOTS.trials("judge")]
     assert np.median(rest_m) == pytest.approx(HALF_WIDTH_M, abs=1e-4)
     unscaled_m = np.median(rest_m) - nuisances["height_offset_m"]
@@ -66,7 +66,7 @@ def test_the_height_of_the_resting_cube_gives_the_scale_a_second_time():
     assert cube.inertia_kg_m2 == pytest.approx(0.295 * HALF_WIDTH_M**2, rel=1e-3)
 
 
-def test_trials_of_a_half_are_independent_and_a_copy_says_so():
+def test_trials_of_a_half_are_independent_and_a_copy_gives_its_original():
     fit, judge = set(SHOTS.trials("fit")), set(SHOTS.trials("judge"))
     counts = len(SHOTS), len(SHOTS.trials()), len(fit), len(judge)
     assert counts == (499, 474, 238, 236)
@@ -79,7 +79,7 @@ def test_trials_of_a_half_are_independent_and_a_copy_says_so():
 
 
 def test_a_band_of_a_trial_has_its_places_and_the_noise_of_measuring_them():
-    shot, nuisances = SHOTS.shot(3), SHOTS.stated["nuisances"]
+    shot, nuisances = SHOTS.shot(3), SHOTS.metadata["nuisances"]
     band = SHOTS.band(3, 60)
     for coordinate, places_m in zip(band.mean.T, shot.positions_m.T, strict=True):
         spline = CubicSpline(shot.times_s, places_m)

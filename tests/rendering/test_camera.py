@@ -1,4 +1,4 @@
-"""The camera: it sees all that moves, as large as it fits."""
+"""The camera shows all moving bodies as large as possible."""
 
 from dataclasses import replace
 from fnmatch import fnmatchcase
@@ -50,7 +50,7 @@ LONG = (
 @pytest.mark.parametrize(
     "name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in LONG)]
 )
-def test_what_moves_is_in_the_picture_and_fills_half_of_it(name):
+def test_moving_bodies_are_in_the_picture_and_fill_half_of_it(name):
     env = GaugeEnv(name)
     env.reset(seed=0)
     experiment = env.rollout.experiment
@@ -80,12 +80,12 @@ def test_what_moves_is_in_the_picture_and_fills_half_of_it(name):
 
 def test_every_id_has_a_camera_and_every_camera_an_id():
     names = [variant.name for variant in variants()]
-    others = [variant.name for variant in beyond_variants()]
+    beyond = [variant.name for variant in beyond_variants()]
     patterns = list(read_toml(scoring_folder("cameras.toml"), CameraFile).camera)
     for name in names:
         assert sum(fnmatchcase(name, pattern) for pattern in patterns) == 1
     for pattern in patterns:
-        assert any(fnmatchcase(name, pattern) for name in names + others)
+        assert any(fnmatchcase(name, pattern) for name in names + beyond)
 
 
 START = Pose(position_m=(0.3, -0.2, 1.0))
@@ -145,7 +145,7 @@ def floor(height_m: float) -> RigidBody:
         ),
     ],
 )
-def test_a_scene_without_a_camera_shows_start_and_reach(
+def test_a_scene_without_a_camera_shows_start_and_motion(
     parts: dict[str, Any], ends: list[list[float]], azimuth_deg: float
 ) -> None:
     """The sphere around the box of all places fills 1 / 1.25 of the height; ends are relative to the body."""

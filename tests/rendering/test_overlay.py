@@ -36,7 +36,7 @@ def test_points_and_paths_are_drawn_in_front_of_the_scene_and_cast_no_shadow():
     path = renderer.picture({}, {}, Overlay(recorded_paths=(path_m,)))
     assert not changed(plain, renderer.picture({}, {})).any()
     renderer.close()
-    # The marker of the simulation covers that of the reference.
+    # The marker of the simulation covers the marker of the reference.
     assert np.abs(marker.astype(int) - both).max() <= 1
     rows, columns = np.nonzero(changed(plain, marker))
     expected = pixels_of(view, centre_m, **SIZE)[0]
@@ -52,7 +52,7 @@ def test_points_and_paths_are_drawn_in_front_of_the_scene_and_cast_no_shadow():
 
 
 @needs_opengl
-def test_environments_draw_the_overlay_on_request_alone():
+def test_environments_draw_the_overlay_only_on_request():
     make = {"render_mode": "rgb_array", **SIZE}
     pictures = {}
     for overlay in (False, True):
@@ -92,12 +92,12 @@ def overlay_at_frame(name, frame_count):
     return env.experiment, env.band, trajectory.samples, overlay
 
 
-def test_the_overlay_of_an_episode_holds_what_its_score_compares():
+def test_the_overlay_of_an_episode_shows_the_compared_positions():
     experiment, band, samples, overlay = overlay_at_frame("SlopeSlider-2-wood", 5)
     (path_m,) = overlay.paths
     assert 1e3 * path_m == pytest.approx(samples)
     assert overlay.markers_m == pytest.approx(path_m[-1:])
-    # The band holds the place along the slope; the drawn reference has it, frame by frame.
+    # The band has the position along the slope, and the drawn reference has the same position in each frame.
     places_m = reference_path(experiment, band).places_m
     assert band.project(1e3 * places_m.reshape(len(places_m), -1)) == pytest.approx(
         band.mean, nan_ok=True
@@ -106,7 +106,7 @@ def test_the_overlay_of_an_episode_holds_what_its_score_compares():
     assert overlay.recorded_paths[0] == pytest.approx(places_m[:, 0])
 
 
-def test_an_episode_of_a_soft_body_shows_its_markers_alone():
+def test_an_episode_of_a_soft_body_shows_only_its_markers():
     experiment, _, _, overlay = overlay_at_frame("FoamTwisting-soft", 0)
     expected_m = np.array(experiment.scene.markers.positions_m)
     assert overlay.markers_m == pytest.approx(expected_m, abs=1e-6)

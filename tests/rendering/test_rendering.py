@@ -17,11 +17,11 @@ from gauge_envs.rendering.camera import experiment_view
 from gauge_envs.rendering.renderer import DEBIAN_PACKAGES, SceneRenderer
 from gauge_envs.rendering.skin import Skin
 
-ONE_EACH = tuple({name.rpartition("-")[0]: name for name in RIGID}.values())
+FIRST_OF_EACH_KIND = tuple({name.rpartition("-")[0]: name for name in RIGID}.values())
 
 
 @needs_opengl
-@pytest.mark.parametrize("name", ONE_EACH[::3])
+@pytest.mark.parametrize("name", FIRST_OF_EACH_KIND[::3])
 def test_picture_shows_the_moving_body(name):
     env = gymnasium.make(
         f"GAUGE/{name}", render_mode="rgb_array", width=160, height=120
@@ -44,7 +44,7 @@ def test_picture_shows_the_moving_body(name):
 
 @needs_opengl
 def test_triton_is_loaded_before_the_first_picture(tmp_path, monkeypatch):
-    """Its LLVM crashes after that of Mesa: with EGL, `render` and then PPO ended in a segmentation fault."""
+    """LLVM of triton crashes after LLVM of Mesa: with EGL, `render` and then PPO ended in a segmentation fault."""
     (tmp_path / "triton.py").write_text(
         "import sys\nassert 'mujoco.egl' not in sys.modules\n"
     )
@@ -94,7 +94,7 @@ def test_missing_opengl_names_the_packages():
 @needs_opengl
 # Gymnasium repeats the error as warnings.
 @pytest.mark.filterwarnings("ignore:.*ERROR:UserWarning")
-def test_fork_of_a_process_that_has_drawn_says_so_and_does_not_hang():
+def test_rendering_in_a_fork_raises_an_error_and_does_not_hang():
     make = {"render_mode": "rgb_array", "width": 40, "height": 30}
     env = gymnasium.make("GAUGE/BouncingBall-rubber", **make)
     env.reset(seed=0)
@@ -169,7 +169,7 @@ def test_deformable_bodies_are_drawn_where_their_nodes_are():
 
 
 @pytest.mark.parametrize("is_irregular", [False, True])
-def test_surface_of_a_block_is_closed_and_turned_outward(is_irregular):
+def test_surface_of_a_block_is_closed_with_outward_normals(is_irregular):
     foam = load_experiment("FoamTwisting-soft").scene.deformables[0]
     nodes_m = block_nodes_m(foam, (4, 4, 9))
     volume_m3 = foam.shape.volume_m3
@@ -177,7 +177,7 @@ def test_surface_of_a_block_is_closed_and_turned_outward(is_irregular):
         nodes_m = np.random.default_rng(0).normal(size=(200, 3))
         volume_m3 = ConvexHull(nodes_m).volume
     corners_m = foam.pose.to_body(nodes_m)[Skin(foam, nodes_m).faces]
-    # Divergence theorem: the volume inside a closed surface that is turned outward.
+    # Divergence theorem: the volume inside a closed surface with outward normals.
     across = np.cross(corners_m[:, 1], corners_m[:, 2])
     assert (corners_m[:, 0] * across).sum() / 6.0 == pytest.approx(volume_m3, rel=1e-6)
 
@@ -203,7 +203,7 @@ def surface(body, rest_m, nodes_m):
 def test_a_sheet_has_two_sides_half_its_thickness_apart_from_its_nodes(
     thickness_m: float, half_m: float
 ) -> None:
-    """On a rolled sheet a normal is the radius: the vertices are on two cylinders, as many as nodes on each."""
+    """On a rolled sheet the normals are radii, so the vertices are on two cylinders, one per node on each."""
     cloth = load_experiment("TextileFlinging-satin").scene.deformables[0]
     cloth = replace(cloth, thickness_m=thickness_m)
     edge = np.linspace(-0.5, 0.5, 21)
@@ -222,7 +222,7 @@ def test_a_sheet_has_two_sides_half_its_thickness_apart_from_its_nodes(
 
 @needs_opengl
 @pytest.mark.parametrize("name", ["FoamTwisting-soft", "FoamShearing-hard"])
-def test_foam_reaches_its_grips(name):
+def test_foam_reaches_its_clamps(name):
     _, colors_at, scene = start_picture(name)
     foam = scene.deformables[0]
     size_m = np.array(foam.shape.size_m)

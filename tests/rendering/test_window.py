@@ -1,4 +1,4 @@
-"""The window on a scene, and pictures of depth."""
+"""The window of a scene, and pictures of depth."""
 
 import subprocess
 import sys
@@ -43,13 +43,13 @@ env.close()
 
 
 @pytest.mark.skipif(not which("xvfb-run"), reason="no virtual display")
-def test_steps_draw_in_a_window_that_the_mouse_turns_and_a_person_may_close():
+def test_steps_draw_in_a_window_and_the_mouse_rotates_the_view():
     subprocess.run(
         ["xvfb-run", "-a", sys.executable, "-c", EPISODE], cwd=ROOT, check=True
     )
 
 
-def test_no_display_is_an_error_that_says_what_else_to_do(monkeypatch):
+def test_no_display_gives_an_error_with_alternatives(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     env = gymnasium.make(BALL, render_mode="human")

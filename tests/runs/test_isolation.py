@@ -1,6 +1,6 @@
-"""An engine that crashes, exits, hangs or takes all memory costs its own episode, and Ctrl-C leaves no process.
+"""An engine that crashes, exits, hangs or takes all memory loses only its episode, and Ctrl-C leaves no process.
 
-Faulty engines are those of `hostile.py`, installed as a package.
+The faulty engines are from `hostile.py`, installed as a package.
 """
 
 import atexit
@@ -40,10 +40,10 @@ CAUSES = {
     "exit": "SystemExit: 5",
     "greedy": "MemoryError (memory limit: 0.8 GB)",
 }
-"""Causes by the engines that fail in the episode of the plastic cube."""
+"""Causes of failure by engine; each engine fails in the episode of the plastic cube."""
 
 
-def test_a_failure_of_an_engine_costs_one_episode(installed):
+def test_a_failure_of_an_engine_loses_one_episode(installed):
     installed(*CAUSES)
     requests = [RunRequest(PLASTIC, backend=engine) for engine in CAUSES]
     requests.insert(1, RunRequest(WOOD, backend="crash"))
@@ -63,7 +63,7 @@ def test_an_engine_that_hangs_is_stopped_at_the_time_limit(installed):
     assert "within the time limit of 0.5 s and was stopped" in result.error
 
 
-def test_a_setting_that_json_does_not_have_costs_its_episode(installed, tmp_path):
+def test_a_setting_without_a_json_form_loses_its_episode(installed, tmp_path):
     installed("no-json")
     requests = [RunRequest(WOOD, backend="no-json"), RunRequest(WOOD)]
     broken, healthy = run_many(requests, out=tmp_path / "out")
@@ -102,7 +102,7 @@ def test_a_list_names_broken_engines_with_their_cause(installed, monkeypatch):
 # --- a worker ---
 
 
-def test_a_worker_goes_on_after_an_error_and_after_a_crash():
+def test_a_worker_continues_after_an_error_and_after_a_crash():
     with Worker() as worker:
         with pytest.raises(GaugeError, match="unknown experiment"):
             worker.call(find_variant, "nothing")
@@ -115,7 +115,7 @@ def test_a_worker_goes_on_after_an_error_and_after_a_crash():
 
 
 def test_a_process_ends_itself_unless_that_takes_long(tmp_path, monkeypatch):
-    """Genesis writes the kernels that it compiled when its process ends."""
+    """Genesis stores its compiled kernels when its process ends."""
     with Worker() as worker:
         worker.call(atexit.register, os.mkdir, str(tmp_path / "kernels"))
     assert (tmp_path / "kernels").is_dir()
@@ -155,10 +155,10 @@ def test_a_limit_is_positive_and_finite(limits):
 
 
 def wait_for_the_end_of(process):
-    """Wait for a process that ends at once; a process that would sleep for 10 minutes fails after 5."""
+    """Wait for a process that ends soon; fail after 5 minutes, because the process would sleep for 10."""
     state = Path(f"/proc/{process}/stat")
     end_s = time.monotonic() + 300.0
-    # A process that has ended and that nobody waits for is a zombie.
+    # A process that has ended without a parent that waits is a zombie.
     while state.exists() and state.read_text().rpartition(")")[2].split()[0] != "Z":
         assert time.monotonic() < end_s
         time.sleep(0.02)
@@ -178,7 +178,7 @@ def test_a_worker_ends_after_its_call_when_its_parent_is_gone():
 
 
 @needs_proc
-def test_the_time_limit_also_ends_what_a_worker_started(tmp_path):
+def test_the_time_limit_also_ends_child_processes_of_a_worker(tmp_path):
     file = tmp_path / "pid"
     with Worker(2.0) as worker, pytest.raises(CrashError, match="time limit of 2 s"):
         worker.call(os.system, f"echo $$ > {file}; sleep 600")
@@ -218,7 +218,7 @@ def run_in_a_fork(folder):
 
 
 @pytest.mark.slow
-def test_kills_at_random_moments_lose_double_and_cut_no_result(tmp_path):
+def test_kills_at_random_times_neither_lose_nor_duplicate_nor_cut_results(tmp_path):
     process = multiprocessing.get_context("fork").Process
     moments = random.Random(0)
     start_s = time.monotonic()

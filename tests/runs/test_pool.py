@@ -1,4 +1,4 @@
-"""Workers of a run: results keep their order, an end reaches every worker, and a lost machine costs one episode."""
+"""Workers of a run: results keep their order, all workers end, and a lost machine loses one episode."""
 
 import sys
 import threading
@@ -38,7 +38,7 @@ def test_results_have_the_order_of_the_tasks_and_an_error_ends_the_run(count):
     assert all(worker.closed for worker in workers)
 
 
-def test_a_closed_run_kills_its_workers_and_starts_nothing_more():
+def test_a_closed_run_kills_its_workers_and_starts_no_task():
     started = threading.Semaphore(0)
     killed = threading.Event()
     done = []
@@ -78,7 +78,7 @@ def test_a_closed_run_of_several_jobs_ends_their_processes(monkeypatch):
     assert all(worker._process is None for worker in workers)
 
 
-def test_repeats_that_die_together_run_one_by_one():
+def test_repeats_that_fail_together_run_again_alone():
     results = mortal_worker(1).run(RunRequest(WOOD, repeats=3))
     outcomes = [result.outcome.value for result in results]
     assert outcomes == ["finished", "failed", "finished"]
@@ -86,7 +86,7 @@ def test_repeats_that_die_together_run_one_by_one():
 
 
 class RayError(Exception):
-    """What a Ray call raises when its actor is gone."""
+    """Error of a Ray call after the loss of its actor."""
 
 
 @pytest.mark.parametrize(("losses", "outcome"), [(2, "finished"), (3, "failed")])

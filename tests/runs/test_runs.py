@@ -1,6 +1,6 @@
-"""An episode becomes a result file that is complete, reads back equal, and is resumed only for the very same episode.
+"""Result files are complete, are read back without change, and resume only the same episode.
 
-Faults of engines, disks and files cost their own episode and are named.
+A fault of an engine, a disk or a file loses only its episode and is named.
 """
 
 import json
@@ -40,7 +40,7 @@ def result():
 
 @pytest.fixture
 def played(monkeypatch):
-    """The episodes that were run, as a list that grows."""
+    """List of the episodes that have run."""
     rollouts = []
     play = Rollout.play
 
@@ -58,13 +58,13 @@ def played(monkeypatch):
 @pytest.mark.parametrize(
     "changes", [{"seed": "x"}, {"seed": -1}, {"repeats": 0}, {"jitter": 1}]
 )
-def test_an_impossible_request_is_an_error_at_once(changes):
+def test_an_impossible_request_raises_an_error(changes):
     with pytest.raises(ParameterError, match=f"{next(iter(changes))} is "):
         RunRequest(NAME, **changes)
 
 
 @pytest.mark.parametrize("name", [NAME, "SlopeSlider-3-wood", "CubeToss-acrylic"])
-def test_a_run_is_the_episode_of_the_environment_with_its_arguments(name):
+def test_a_run_equals_an_episode_of_the_environment(name):
     changes = {"settings": {"timestep_s": 1 / 3600}, "marker_proxy": "node"}
     env = ScoreEpisode(GaugeEnv(name, **changes))
     _, info = run_to_end(env, seed=3)
@@ -74,12 +74,12 @@ def test_a_run_is_the_episode_of_the_environment_with_its_arguments(name):
     assert run.driver_provenance == ("nominal" if "-3-" in name else None)
 
 
-def test_wrong_requests_and_folders_are_named_before_anything_runs(played):
+def test_wrong_requests_and_folders_raise_an_error_before_a_run(played):
     for wrong in ({"parameters": "nonsense"}, {"settings": {"nope": 1}}):
         with pytest.raises(ParameterError):
-            check_requests([replace(one, **wrong) for one in THREE])
+            check_requests([replace(request, **wrong) for request in THREE])
     with pytest.raises(UnknownNameError):
-        check_requests([replace(one, backend="warp") for one in THREE])
+        check_requests([replace(request, backend="warp") for request in THREE])
     for out in ("/proc/nowhere", __file__, f"{__file__}/below"):
         with pytest.raises(ResultFileError, match="cannot be written"):
             run_many(THREE, out=Path(out))
@@ -89,7 +89,7 @@ def test_wrong_requests_and_folders_are_named_before_anything_runs(played):
 # --- results ---
 
 
-def test_a_file_read_back_is_the_same_result_and_scores_the_same(result, tmp_path):
+def test_a_result_is_read_back_and_scored_again_without_change(result, tmp_path):
     file = tmp_path / result_file_name(result)
     assert file.name == "SlopeSlider-2-wood.mujoco.calibrated.json"
     write_result(result, file)
@@ -120,11 +120,11 @@ def test_file_names_differ_between_requests(result):
 def test_repeats_have_noise_and_one_episode_has_none(result):
     first, second = run_episodes(RunRequest(NAME, repeats=2))
     assert not result.jitter and first.jitter and first.jitter == second.jitter
-    starts = {tuple(one.trajectory.samples[0]) for one in (result, first, second)}
-    assert len(starts) == 3
+    places = {tuple(run.trajectory.samples[0]) for run in (result, first, second)}
+    assert len(places) == 3
 
 
-def test_jobs_at_once_give_the_same_results_in_the_same_order(tmp_path):
+def test_parallel_jobs_give_the_same_results_in_the_same_order(tmp_path):
     sequential, parallel = (
         list(run_many(THREE, jobs=jobs, out=tmp_path / str(jobs))) for jobs in (1, 2)
     )
@@ -145,14 +145,14 @@ def test_an_episode_that_cannot_run_does_not_stop_the_others(tmp_path, monkeypat
 
     monkeypatch.setattr(SimulationMuJoCo, "reset", fails_for_plastic)
     results = list(run_many([RunRequest("FoamBending-soft"), *THREE], out=tmp_path))
-    outcomes = [one.outcome.value for one in results]
+    outcomes = [result.outcome.value for result in results]
     assert outcomes == ["declined", "finished", "failed", "finished"]
     assert "deformable" in results[0].error
     assert results[2].error == "RuntimeError: the engine gave up"
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_a_divergence_is_a_result_without_a_score(monkeypatch, tmp_path):
+def test_a_diverged_episode_has_a_result_without_a_score(monkeypatch, tmp_path):
     states = SimulationMuJoCo.body_states
 
     def exploding(self, names):
@@ -188,7 +188,7 @@ def test_a_divergence_is_a_result_without_a_score(monkeypatch, tmp_path):
         ("trajectory.later_samples", [[1e308] * 3] * 60, "amounts of at most 1e+12"),
     ],
 )
-def test_a_damaged_result_is_named(key, value, reason, result, tmp_path):
+def test_a_damaged_result_raises_an_error(key, value, reason, result, tmp_path):
     content = json.loads(json.dumps(result.to_dict()))
     place = content
     *path, last = key.split(".")
@@ -213,7 +213,7 @@ def test_a_command_skips_a_damaged_result_and_shows_the_others(result, gauge, tm
     assert list((tmp_path / "figures").glob("*.png"))
 
 
-def test_keys_of_release_0_3_that_are_gone_are_ignored(result, tmp_path):
+def test_removed_keys_of_release_0_3_are_ignored(result, tmp_path):
     old = json.loads(json.dumps(result.to_dict()))
     old["scatter"] = {"unit": "mm", "run_count": 40, "spreads": [], "verdict": "none"}
     old["score"]["explained"] = [{"name": "friction cube/board", "left": 0.5}]
@@ -242,7 +242,7 @@ def test_resume_continues_after_an_interrupt(tmp_path, monkeypatch, played):
     assert len(list(tmp_path.iterdir())) == 1
     played.clear()
     results = list(run_many(THREE, out=tmp_path, resume=True))
-    assert [one.outcome for one in results] == [Outcome.FINISHED] * 3
+    assert [result.outcome for result in results] == [Outcome.FINISHED] * 3
     assert len(played) == 2
     assert results == list(run_many(THREE, out=tmp_path, resume=True))
     assert len(played) == 2
@@ -258,7 +258,7 @@ def test_resume_continues_after_an_interrupt(tmp_path, monkeypatch, played):
         {"parameters": {"cube.friction": 0.3}},
     ],
 )
-def test_resume_takes_no_result_of_another_request(tmp_path, played, changes):
+def test_resume_ignores_results_of_other_requests(tmp_path, played, changes):
     list(run_many([RunRequest(NAME)], out=tmp_path))
     for _ in range(2):
         list(run_many([RunRequest(NAME, **changes)], out=tmp_path, resume=True))
@@ -276,7 +276,7 @@ def test_resume_takes_no_result_of_another_request(tmp_path, played, changes):
         (None, "not a result file"),
     ],
 )
-def test_resume_runs_a_stale_or_damaged_result_again_and_says_so(
+def test_resume_runs_a_stale_or_damaged_result_again_with_a_note(
     tmp_path, played, result, change, note
 ):
     file = tmp_path / result_file_name(result)

@@ -31,7 +31,7 @@ SATIN = "TextileFlinging-satin"
 @pytest.mark.parametrize("degrees", [0, 20, 50, 90])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_the_force_on_a_triangle_follows_the_angle_of_incidence(degrees, side):
-    """Drag and lift of a plate that moves along x, which its plane meets at an angle, written with the angle alone."""
+    """The plate moves along x at an angle to its plane; drag and lift are written with this angle."""
     angle, speed, area = math.radians(degrees), 3.0, 0.02
     normal = np.array([math.sin(angle), 0.0, math.cos(angle)])
     (force,) = AIR.forces_n(side * area * normal[None], np.array([[speed, 0.0, 0.0]]))
@@ -60,7 +60,7 @@ def test_air_takes_energy_and_lift_does_no_work_relative_to_the_wind():
 
 
 def test_no_step_overshoots_below_the_stable_speed():
-    """An explicit step of the deviation from a motion of that speed keeps its sign; beyond it, it does not."""
+    """Below this speed an explicit step keeps the sign of a deviation; above it, the sign changes."""
     density, step = 0.1, 1e-3
     air = Air(density_kg_per_m3=1.2, normal_coefficient=1.5)
     given = {"areal_density_kg_per_m2": density, "timestep_s": step}
@@ -97,7 +97,7 @@ def test_wrong_overrides_name_what_is_wrong(name, overrides, reason):
         load_experiment(name, overrides)
 
 
-def test_air_is_a_parameter_set_of_the_fling_that_usd_stores_and_others_decline(
+def test_air_is_a_parameter_set_that_usd_stores_and_other_formats_do_not_support(
     tmp_path,
 ):
     calibrated, experiment = load_experiment(SATIN), load_experiment(SATIN, "air")

@@ -56,7 +56,7 @@ def test_rates_are_the_closed_forms():
 
 
 def two_motions(shift=0.2, angle_rad=0.7, duration_s=0.5):
-    """A translation, and a rotation of what was translated, that actions change by 0.3 m/s and 0.3 rad/s."""
+    """A translation followed by a rotation; an action of 1 changes them by 0.3 m/s and 0.3 rad/s."""
     motions = [
         DriverMotion(
             kind=kind,
@@ -83,12 +83,12 @@ def test_velocities_are_those_of_poses_and_poses_those_of_scipy(
     start = Pose.from_euler_deg((0.4, -0.1, 0.2), (20.0, 30.0, 40.0))
     phase = 0.5 * (1.0 - np.cos(0.5 * np.pi * time_s))
     axis, point_m = np.array([0.0, 0.6, 0.8]), np.array([0.1, 0.2, 0.4])
-    turn = Rotation.from_rotvec(phase * angle_rad * axis)
+    rotation = Rotation.from_rotvec(phase * angle_rad * axis)
     arm_m = np.subtract(start.position_m, point_m) + phase * shift * np.eye(3)[0]
-    place_m = point_m + turn.apply(arm_m)
+    place_m = point_m + rotation.apply(arm_m)
     pose = driver.pose(start, time_s)
     assert pose.position_m == pytest.approx(place_m)
-    assert pose.matrix == pytest.approx((turn * start.rotation).as_matrix())
+    assert pose.matrix == pytest.approx((rotation * start.rotation).as_matrix())
     step = 1e-5
     before, after = driver.pose(start, time_s - step), driver.pose(start, time_s + step)
     linear = np.subtract(after.position_m, before.position_m)
@@ -140,21 +140,21 @@ def test_each_interval_ends_where_the_next_one_begins(action):
     values += 0.3 * action * times_s[:, None]
     states = driver.moved(np.tile(START, (60, 1)), values, rates + 0.3 * action)
     assert targets[:, :7] == pytest.approx(states[:, :7], abs=1e-12)
-    # Means over an interval, of which the acceleration is the change of velocity.
+    # The acceleration is the mean over an interval: the change of velocity over its length.
     gains = np.diff(states[:, 7:], axis=0) / SAMPLE_INTERVAL_S
     assert targets[:-1, 13:] == pytest.approx(gains, abs=1e-9)
 
 
-def test_worlds_are_driven_as_one_alone_also_from_other_places_and_by_other_drivers():
+def test_each_world_is_driven_as_a_single_world_with_its_own_start_and_driver():
     """Actions move one motion of the first world, all of the second, and none of the third."""
     together = PrescribedMotion(two_motions(), START, 48, world_count=3)
     together.targets(0, np.ones((3, 2)), 6)
     drivers = [two_motions(), two_motions(angle_rad=0.3), two_motions()]
-    starts = np.array([START, START, START + np.eye(7)[0]])
-    together.reset(drivers, starts)
+    start_poses = np.array([START, START, START + np.eye(7)[0]])
+    together.reset(drivers, start_poses)
     alone = [
         PrescribedMotion(driver, start, 48)
-        for driver, start in zip(drivers, starts, strict=True)
+        for driver, start in zip(drivers, start_poses, strict=True)
     ]
     acted = np.array([[1.0, 0.0], [0.5, -1.0], [0.0, 0.0]])
     for interval in range(5):
@@ -167,13 +167,13 @@ def test_worlds_are_driven_as_one_alone_also_from_other_places_and_by_other_driv
         assert rows == pytest.approx(np.array(expected), abs=1e-9)
     together.reset()
     nominal = PrescribedMotion(two_motions(), START, 48).targets(0, np.zeros((1, 2)))
-    found = together.targets(0, np.zeros((3, 2)))
-    assert found == pytest.approx(np.repeat(nominal, 3, axis=1))
+    targets = together.targets(0, np.zeros((3, 2)))
+    assert targets == pytest.approx(np.repeat(nominal, 3, axis=1))
 
 
 @pytest.mark.parametrize("angle_rad", [0.3, 3.3, -3.5])
 def test_the_mean_rate_of_an_interval_is_the_shorter_rotation(angle_rad):
-    """The rotation vector of SciPy, also where the body turns by more than half a turn in one interval."""
+    """It is SciPy's rotation vector, even if the body rotates by more than half a turn in one interval."""
     profile = SampledProfile(times_s=(0.0, SAMPLE_INTERVAL_S), values=(0.0, angle_rad))
     spin = replace(two_motions().motions[1], profiles=(profile,))
     driver = Driver(body="plate", motions=(spin,), provenance="nominal")

@@ -44,7 +44,7 @@ from gauge_envs.tools.assets.build import shape_to_obj
 
 
 def union_of(*pieces_m):
-    return ConvexUnion(pieces_m=tuple(tuple(map(tuple, one)) for one in pieces_m))
+    return ConvexUnion(pieces_m=tuple(tuple(map(tuple, piece)) for piece in pieces_m))
 
 
 BOX = Box(size_m=(0.2, 0.1, 0.05))
@@ -60,7 +60,7 @@ PLACE = Pose.from_euler_deg((0.1, 0.0, 0.02), (20.0, -40.0, 70.0))
 
 
 def compound_of(shape):
-    """A solid at an angle, and a ball beside it."""
+    """A solid at an angle, with a ball next to it."""
     ball = Part(shape=Sphere(radius_m=0.03), pose=Pose(position_m=(-0.1, 0.05, 0.0)))
     return Compound(parts=(Part(shape=shape, pose=PLACE), ball))
 
@@ -68,7 +68,7 @@ def compound_of(shape):
 # --- rotations -------------------------------------------------------------------------------------------------------
 
 
-def test_a_pose_turns_as_a_rotation_of_scipy():
+def test_a_pose_rotates_as_scipy_does():
     random = np.random.default_rng(0)
     poses, close = [], {"rtol": 0.0, "atol": 2e-15}
     for angles_deg in random.uniform(-200.0, 200.0, (20, 3)):
@@ -95,15 +95,15 @@ def test_quaternions_of_many_rotations_are_those_of_scipy():
     random = np.random.default_rng(0)
     sizes_rad = np.array([0.0, 5e-4, 1e-2, 1.0, 1.7])[:, None]
     vectors_rad = sizes_rad * random.uniform(-1.0, 1.0, (5, 3))
-    other = Rotation.from_quat([0.3, -0.8, 0.4, -0.2])
+    second = Rotation.from_quat([0.3, -0.8, 0.4, -0.2])
     rotations = Rotation.from_rotvec(vectors_rad)
     quaternions = vector_quaternions(vectors_rad)
-    product = quaternion_products(quaternions, other.as_quat(scalar_first=True))
+    product = quaternion_products(quaternions, second.as_quat(scalar_first=True))
     close = {"rtol": 0.0, "atol": 1e-14}
     matrices = rotation_matrices(quaternions)
     np.testing.assert_allclose(matrices, rotations.as_matrix(), **close)
     np.testing.assert_allclose(quaternion_vectors(quaternions), vectors_rad, **close)
-    turned = (rotations * other).as_rotvec()
+    turned = (rotations * second).as_rotvec()
     np.testing.assert_allclose(quaternion_vectors(product), turned, **close)
 
 
@@ -132,7 +132,7 @@ def test_the_inertia_of_a_right_tetrahedron_is_the_closed_form():
     expected = 2.0 * (np.trace(covariance) * np.eye(3) - covariance)
     assert centre_m == pytest.approx(corner_m + legs_m / 4.0, abs=1e-9)
     assert inertia == pytest.approx(expected, rel=1e-6)
-    # A body may state its moment of inertia, as a hollow cube.
+    # A body may give its moment of inertia, for example a hollow cube.
     hollow = solid("body", union_of(points_m), mass_kg=2.0, inertia_kg_m2=0.7)
     centre_m, inertia = body_mass_properties(hollow)
     assert centre_m == pytest.approx(corner_m + legs_m / 4.0, abs=1e-9)
@@ -140,7 +140,7 @@ def test_the_inertia_of_a_right_tetrahedron_is_the_closed_form():
 
 
 def test_the_centre_of_a_symmetric_mesh_is_0_in_any_order_of_its_points():
-    """Engines treat a centre at exactly 0 apart, which sums miss by their last bits."""
+    """Engines treat a centre at exactly 0 specially, and the last bits of a sum would miss it."""
     mesh = load_experiment("NonsmoothContact-1-wood").scene.body("pyramid").shape
     expected = mass_properties(mesh, 0.2)[1]
     for seed in range(5):
@@ -167,7 +167,7 @@ def test_a_mesh_has_the_volume_and_the_bounds_of_its_shape(shape):
     assert mesh.volume == pytest.approx(shape.volume_m3, rel=0.02)
     corners = shape.corners_m
     if isinstance(shape, Compound):
-        # Its corners are those of the boxes around its parts, which may stand at an angle.
+        # Its corners belong to the boxes around its parts, which may be rotated.
         assert (mesh.bounds[0] >= corners.min(axis=0)).all()
         with pytest.raises(ParameterError, match=r"a compound .* has no OBJ file"):
             shape_to_obj(shape, "foot")
@@ -194,7 +194,7 @@ def test_a_prism_replaces_a_cylinder_and_has_whole_polygons_that_turn_outward():
 
 def test_tetrahedra_of_a_grid_fill_its_box_once_and_are_right_handed():
     nodes, counts = grid(BOX.size_m)
-    # Cells of 20 mm, of which two and a half round to two.
+    # Cells are 20 mm; an edge of 2.5 cells has two.
     assert counts == (11, 6, 3)
     assert grid((0.2, 0.1, 0.0))[1] == (11, 6, 1)
     corners = nodes[tetrahedra(counts)]

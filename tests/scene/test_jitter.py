@@ -1,4 +1,4 @@
-"""Random initial states: the directions that contacts and joints leave open, with the standard deviations asked for."""
+"""Random initial states: only in the directions that contacts and joints allow, with the given standard deviations."""
 
 import math
 from dataclasses import replace
@@ -32,11 +32,13 @@ def drawn(scene, name, jitter=PUSHES, count=500):
     """Return shifts [m] and rotation vectors [rad] of a body, and its velocities, each of shape [count, 3]."""
     start = scene.body(name).pose
     bodies = [jittered(scene, jitter, seed=seed).body(name) for seed in range(count)]
-    shifts_m = np.array([one.pose.position_m for one in bodies]) - start.position_m
-    turns = [(one.pose.rotation * start.rotation.inv()).as_rotvec() for one in bodies]
-    linear = [one.linear_velocity_m_per_s for one in bodies]
-    angular = [one.angular_velocity_rad_per_s for one in bodies]
-    return shifts_m, np.array(turns), np.array(linear), np.array(angular)
+    shifts_m = np.array([body.pose.position_m for body in bodies]) - start.position_m
+    rotations = [
+        (body.pose.rotation * start.rotation.inv()).as_rotvec() for body in bodies
+    ]
+    linear = [body.linear_velocity_m_per_s for body in bodies]
+    angular = [body.angular_velocity_rad_per_s for body in bodies]
+    return shifts_m, np.array(rotations), np.array(linear), np.array(angular)
 
 
 def test_a_cube_on_a_slope_moves_along_it_and_rotates_about_its_normal():
@@ -68,12 +70,12 @@ def test_a_hinged_ball_rotates_about_its_hinge():
     scene = scene_named("Pendulum-metal")
     (hinge,) = scene.joints
     arm = np.subtract(scene.body("ball").pose.position_m, hinge.anchor_m)
-    shifts, turns, linear, angular = drawn(scene, "ball")
+    shifts, rotations, linear, angular = drawn(scene, "ball")
     arms, axis = arm + shifts, np.array(hinge.axis)
     length = np.linalg.norm(arm)
     assert np.linalg.norm(arms, axis=1) == pytest.approx(np.full(500, length))
-    assert np.abs(np.cross(turns, axis)).max() < 1e-9
-    assert (turns @ axis).std() == pytest.approx(math.radians(0.5), rel=0.1)
+    assert np.abs(np.cross(rotations, axis)).max() < 1e-9
+    assert (rotations @ axis).std() == pytest.approx(math.radians(0.5), rel=0.1)
     assert linear == pytest.approx(np.cross(angular, arms), abs=1e-12)
     # A linear velocity along the circle is also a rate of rotation.
     rate = math.hypot(0.5, 0.2 / length)
@@ -83,23 +85,23 @@ def test_a_hinged_ball_rotates_about_its_hinge():
 def test_a_tether_stays_tight():
     ball = solid("ball", Sphere(radius_m=0.05), (0.3, 0.0, 0.6))
     tether = Tether(body="ball", anchor_m=(0.0, 0.0, 1.0), length_m=0.5)
-    shifts, turns, linear, angular = drawn(
+    shifts, rotations, linear, angular = drawn(
         scene_of(ball, joints=(tether,)), "ball", count=100
     )
     arms, length = np.add(shifts, [0.3, 0.0, -0.4]), 0.5
     assert np.linalg.norm(arms, axis=1) == pytest.approx(np.full(100, length))
-    assert turns.std(axis=0) == pytest.approx([math.radians(0.5)] * 3, rel=0.25)
+    assert rotations.std(axis=0) == pytest.approx([math.radians(0.5)] * 3, rel=0.25)
     assert np.abs((arms * linear).sum(axis=1)).max() < 1e-12
-    # It swings about its anchor at the rate that it was given, and has another velocity along the sphere.
-    beside = linear - np.cross(angular, arms)
-    assert np.square(beside).sum(axis=1).mean() == pytest.approx(2 * 0.2**2, rel=0.25)
+    # The ball swings about its anchor at the random rate, and has a random velocity along the sphere.
+    along = linear - np.cross(angular, arms)
+    assert np.square(along).sum(axis=1).mean() == pytest.approx(2 * 0.2**2, rel=0.25)
 
 
-def test_what_is_fixed_or_driven_stays_and_free_cloth_keeps_its_plane():
+def test_fixed_and_driven_bodies_stay_and_free_cloth_keeps_its_plane():
     scene = scene_named("RotatingBall-rayon")
-    other = jittered(scene, Jitter(), seed=1)
-    assert other.bodies == scene.bodies
-    cloth, moved = scene.deformables[0].pose, other.deformables[0].pose
+    noisy = jittered(scene, Jitter(), seed=1)
+    assert noisy.bodies == scene.bodies
+    cloth, moved = scene.deformables[0].pose, noisy.deformables[0].pose
     assert moved.position_m[:2] != cloth.position_m[:2]
     assert moved.position_m[2] == pytest.approx(cloth.position_m[2], abs=1e-12)
     assert face_normal(moved) == pytest.approx(face_normal(cloth), abs=1e-12)
@@ -119,10 +121,8 @@ def test_what_is_fixed_or_driven_stays_and_free_cloth_keeps_its_plane():
         ("Pendulum-metal", "ball", [0.162, 0.0, 294.643]),
     ],
 )
-def test_a_seed_has_one_start_which_does_not_depend_on_drawn_velocities(
-    name, body, moved_um
-):
-    """The keys of sweeps hold the format: with the same one, old repeats would count as those of the new draw."""
+def test_the_start_of_a_seed_does_not_depend_on_random_velocities(name, body, moved_um):
+    """Sweeps store JITTER_FORMAT in their keys. If the draw changes, the format must change too."""
     assert JITTER_FORMAT == 3
     scene = scene_named(name)
     for jitter in (Jitter(), PUSHES):
@@ -132,7 +132,7 @@ def test_a_seed_has_one_start_which_does_not_depend_on_drawn_velocities(
         assert moved.starts_at_rest == (jitter != PUSHES)
 
 
-def test_scatter_that_moves_nothing_or_is_no_number_is_refused():
+def test_noise_that_moves_nothing_or_is_not_a_number_is_rejected():
     with pytest.raises(ParameterError, match="nothing to jitter"):
         jittered(scene_named("CantileverBeam-soft"), Jitter(), seed=0)
     for values in ({"position_m": -1e-3}, {"angle_rad": math.nan}):
@@ -144,15 +144,15 @@ def test_scatter_that_moves_nothing_or_is_no_number_is_refused():
 
 @pytest.mark.parametrize("name", ["SlopeContact-wood", "SlopeContact-plastic"])
 def test_a_tetrahedron_on_a_seam_keeps_its_contact(name):
-    """The face that cuts the corner of a cube off makes equal angles with its edges."""
+    """The face on the seam makes equal angles with the edges of a cube."""
     scene = scene_named(name)
     normal = np.array([math.sqrt(2.0), 0.0, 1.0]) / math.sqrt(3.0)
-    shifts, turns, *_ = drawn(scene, "teh", Jitter())
+    shifts, rotations, *_ = drawn(scene, "teh", Jitter())
     assert np.abs(shifts @ normal).max() < 1e-12
     along = np.array([[0.0, 1.0, 0.0], np.cross([0.0, 1.0, 0.0], normal)])
     assert (shifts @ along.T).std(axis=0) == pytest.approx([1e-3] * 2, rel=0.1)
-    assert np.abs(np.cross(turns, normal)).max() < 1e-9
-    assert (turns @ normal).std() == pytest.approx(math.radians(0.5), rel=0.1)
+    assert np.abs(np.cross(rotations, normal)).max() < 1e-9
+    assert (rotations @ normal).std() == pytest.approx(math.radians(0.5), rel=0.1)
 
 
 @pytest.mark.parametrize("count", [2, 12])
@@ -162,15 +162,16 @@ def test_bricks_that_touch_move_as_one_rigid_body(count):
     left_out = bricks[count:]
     bodies = [body for body in scene.bodies if body.name not in left_out]
     scene, bricks = replace(scene, bodies=tuple(bodies)), bricks[:count]
-    other = jittered(scene, PUSHES, seed=4)
-    before, after = ([one.body(name) for name in bricks] for one in (scene, other))
+    noisy = jittered(scene, PUSHES, seed=4)
+    before, after = ([state.body(name) for name in bricks] for state in (scene, noisy))
     places, moved = (
-        np.array([one.pose.position_m for one in bodies]) for bodies in (before, after)
+        np.array([body.pose.position_m for body in bodies])
+        for bodies in (before, after)
     )
     assert pdist(moved) == pytest.approx(pdist(places), abs=1e-12)
     assert moved[:, 2] == pytest.approx(places[:, 2], abs=1e-12)
-    angular = np.array([one.angular_velocity_rad_per_s for one in after])
-    linear = np.array([one.linear_velocity_m_per_s for one in after])
+    angular = np.array([body.angular_velocity_rad_per_s for body in after])
+    linear = np.array([body.linear_velocity_m_per_s for body in after])
     assert angular == pytest.approx(np.tile(angular[0], (len(bricks), 1)))
     expected = linear[0] + np.cross(angular, moved - moved[0])
     assert linear == pytest.approx(expected, abs=1e-12)
@@ -182,8 +183,8 @@ def test_a_body_in_a_corner_moves_along_it_and_does_not_rotate():
     planes = plane_deg(), plane_deg(90.0, "wall")
     contacts = [contact("cube", plane.name, friction=0.3) for plane in planes]
     corner = scene_of(cube, *planes, contacts=tuple(contacts))
-    shifts, turns, linear, angular = drawn(corner, "cube")
+    shifts, rotations, linear, angular = drawn(corner, "cube")
     for vectors, std in ((shifts, 1e-3), (linear, 0.2)):
         assert np.abs(vectors[:, [0, 2]]).max() < 1e-15
         assert vectors[:, 1].std() == pytest.approx(std, rel=0.1)
-    assert max(np.abs(turns).max(), np.abs(angular).max()) < 1e-12
+    assert max(np.abs(rotations).max(), np.abs(angular).max()) < 1e-12

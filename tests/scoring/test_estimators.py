@@ -34,8 +34,8 @@ def test_a_parabola_has_its_acceleration_and_a_line_its_speed(
     times_s = interval_s * np.arange(60)
     line_m = start + speed * times_s
     path_m = line_m + 0.5 * acceleration * times_s**2
-    found = acceleration_m_per_s2(times_s, path_m)
-    assert found == pytest.approx(acceleration, abs=1e-6)
+    estimate = acceleration_m_per_s2(times_s, path_m)
+    assert estimate == pytest.approx(acceleration, abs=1e-6)
     assert steady_speed_m_per_s(times_s, line_m) == pytest.approx(speed, abs=1e-9)
 
 
@@ -50,11 +50,11 @@ def test_the_error_of_an_acceleration_is_its_scatter():
 
 @pytest.mark.parametrize("lift", [0.0, 0.2])
 def test_a_slide_has_its_friction_also_where_it_hops(lift):
-    """Its mean force on the slope is m (g cos + b), of which friction is the share mu."""
+    """The mean normal force is m (g cos + b), and friction is mu times that."""
     slope, friction = math.radians(30.0), 0.3
     down = G * math.sin(slope) - friction * (G * math.cos(slope) + lift)
-    found = slide_friction(down, slope, gravity_m_per_s2=G, lift_m_per_s2=lift)
-    assert found == pytest.approx(friction)
+    estimate = slide_friction(down, slope, gravity_m_per_s2=G, lift_m_per_s2=lift)
+    assert estimate == pytest.approx(friction)
 
 
 def test_a_uniform_acceleration_may_start_late_and_misfits_by_at_most_4_percent():
@@ -88,7 +88,7 @@ def test_a_pendulum_has_the_period_of_the_elliptic_integral(
     times_s = np.arange(0.0, 6.0 * period_s, interval)
     phases = rate * (times_s - 0.123 * period_s)
     angles = 2.0 * np.arcsin(modulus * ellipj(phases, modulus**2)[0])
-    # Between two samples a swing bends by (w dt)^2 / 8 at most; near 0, where it passes, by far less.
+    # The error of linear interpolation is at most (w dt)^2 / 8, and far less near 0.
     assert mean_period_s(times_s, angles) == pytest.approx(period_s, rel=1e-3)
     assert math.isnan(mean_period_s(times_s[:3], np.array([-1.0, 1.0, 2.0])))
 
@@ -138,8 +138,8 @@ def test_a_bounce_sampled_off_the_contact_has_its_restitution(e, drop_m, interva
     if 1.5 * e * fall_s < 6.0 * interval_s:
         return  # Fewer samples than a flight has.
     for released_m in (drop_m, None):
-        found = restitution_of(times_s, heights, released_m=released_m)
-        assert found == pytest.approx(e, abs=1e-9)
+        restitution = restitution_of(times_s, heights, released_m=released_m)
+        assert restitution == pytest.approx(e, abs=1e-9)
     for contact_m in (0.0, None):
         bounce = first_bounce(times_s, heights, gravity_m_per_s2=G, contact_m=contact_m)
         assert bounce.restitution == pytest.approx(e, abs=1e-9)
@@ -162,7 +162,7 @@ def test_only_the_flight_up_to_the_second_bounce_counts():
     assert bounce.restitution == pytest.approx(0.7, abs=1e-9)
     second_s = math.sqrt(0.8 / G) * (1.0 + 2.0 * 0.7)
     assert second_s <= bounce.until_s < second_s + 1.0 / 30.0
-    # A flight of another gravity does not fit: its residual is that of a parabola from a line.
+    # A parabola with another gravity does not fit.
     wrong = first_bounce(times_s, heights, gravity_m_per_s2=2.0 * G)
     assert wrong.misfit > 0.05
 
@@ -200,11 +200,11 @@ def test_an_impact_is_where_a_velocity_reverses(
     speeds = np.where(since_s < 0.0, before_m_per_s, after_m_per_s)
     metres = np.concatenate([0.7 * since_s, speeds * since_s], axis=1)
     metres += 0.5 * gravity * since_s**2
-    found = rebound(times_s + 5.0, 1e3 * metres, gravity_m_per_s2=gravity)
+    restitution = rebound(times_s + 5.0, 1e3 * metres, gravity_m_per_s2=gravity)
     if before_m_per_s > 0.0 or after_m_per_s < 0.0:
-        assert found is None
+        assert restitution is None
         return
     # Gravity acts between the samples whose velocities are compared.
-    assert found == pytest.approx(0.6, rel=0.02)
+    assert restitution == pytest.approx(0.6, rel=0.02)
     assert rebound(times_s[:4], 1e3 * metres[:4], gravity_m_per_s2=gravity) is None
     assert rebound(times_s, 1e3 * metres, gravity_m_per_s2=-gravity) is None

@@ -71,12 +71,12 @@ def test_a_period_is_found_between_the_bins_of_the_spectrum(undamped_rad):
     for phase in (0.0, 0.7, 2.0):
         signal = 25.0 + 7.0 * np.sin(2 * np.pi * times_s / 1.14 + phase)
         assert oscillation_period(signal) == pytest.approx(1.14, rel=1e-4)
-        found = oscillation_period(signal, frame_rate_hz=60.0)
-        assert found == pytest.approx(0.57, rel=1e-4)
+        period_s = oscillation_period(signal, frame_rate_hz=60.0)
+        assert period_s == pytest.approx(0.57, rel=1e-4)
     modulus = math.sin(math.radians(88.2) / 2) ** 2
     exact_s = 4 * math.sqrt(LENGTH_M / GRAVITY) * ellipk(modulus)
-    found = oscillation_period(np.sin(undamped_rad[:300]))
-    assert found == pytest.approx(exact_s, rel=1e-3)
+    period_s = oscillation_period(np.sin(undamped_rad[:300]))
+    assert period_s == pytest.approx(exact_s, rel=1e-3)
     assert math.isnan(oscillation_period(np.full(50, 3.0)))
 
 
@@ -156,16 +156,16 @@ def test_events_of_a_scene_count_from_its_hinges():
     pendulum = load_experiment("Pendulum-metal")
     band = reference_band(pendulum)
     path = band.mean[band.known]
-    found = event_values(pendulum, path)
+    events = event_values(pendulum, path)
     swing_mm = path[:, 0] - 1e3 * pendulum.scene.joints[0].anchor_m[0]
     period_s = mean_period_s(np.arange(len(path)) / 30, swing_mm)
-    assert found["pd"] == pytest.approx(period_s, rel=0.01)
-    assert found["el"] == pytest.approx(0.0, abs=1e-5)
+    assert events["pd"] == pytest.approx(period_s, rel=0.01)
+    assert events["el"] == pytest.approx(0.0, abs=1e-5)
     assert event_values(load_experiment("SlopeSlider-2-wood"), path) == {}
     cradle = load_experiment("NewtonsCradle-metal")
     heights = [body.pose.position_m[2] for body in cradle.scene.dynamic_bodies]
     rest_mm, drop_mm = 1e3 * min(heights), 1e3 * np.ptp(heights)
     hop_mm = 0.81 * drop_mm * np.sin(np.pi * np.arange(13) / 12)
     path = rest_mm + np.concatenate([np.zeros(9), hop_mm, np.zeros(9)])
-    found = event_values(cradle, np.tile(path[:, None], 3))
-    assert found["mte"] == pytest.approx(0.9, rel=1e-3)
+    events = event_values(cradle, np.tile(path[:, None], 3))
+    assert events["mte"] == pytest.approx(0.9, rel=1e-3)

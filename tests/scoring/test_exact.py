@@ -1,6 +1,6 @@
-"""What exact solutions score, and the constants that their motion implies: closed forms, no engine.
+"""Scores of exact solutions, and the constants estimated from their motion: closed forms, no engine.
 
-Real frictions and restitutions are those of `scoring/facts`, which were computed from the published trials.
+Real frictions and restitutions are from `scoring/facts`, computed from the published trials.
 """
 
 import math
@@ -24,7 +24,7 @@ def sample_times_s(experiment):
 
 
 def checked_score(experiment, times_s, positions_m):
-    """Return the score of a solution, which is the one that the band states."""
+    """Return the score of a solution after comparing it with the exact score in the band."""
     band = reference_band(experiment)
     score = score_trajectory(
         experiment, band, times_s=times_s, values=1e3 * positions_m
@@ -70,7 +70,7 @@ def test_a_ball_in_free_fall_with_ideal_rebounds(parameters):
     assert estimate.real == pytest.approx(real["mean"], rel=1e-3)
     expected = real["std"] / math.sqrt(22)
     assert estimate.real_uncertainty == pytest.approx(expected, rel=0.1)
-    # The exact solution is that of the start which the scene gives.
+    # The exact solution has the nominal start.
     moved = score_trajectory(
         experiment,
         load_band("BouncingBall-rubber"),

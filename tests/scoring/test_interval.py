@@ -45,8 +45,10 @@ def test_intervals_hold_the_distance_from_the_mean_of_infinitely_many_trials(
     ("offsets", "lag"),
     [([1.0, -1, -2, 2, -2, 1, -1, 2], 0.0), ([-2.0, -1, 1, 2], 0.3 + 0.25)],
 )
-def test_far_from_trials_that_differ_in_one_direction_it_is_students(offsets, lag):
-    """Trials that resemble the one before count as fewer, by their AR(1) correlation and its bias 1/N."""
+def test_far_from_trials_that_differ_in_one_direction_the_interval_is_students(
+    offsets, lag
+):
+    """Correlated trials count as fewer, by their AR(1) correlation and its bias 1/N."""
     count = len(offsets)
     trials = np.array(offsets)[:, None, None] * np.ones((count, 5, 1))
     low, high = trials_interval(np.full((5, 1), 1000.0), trials)
@@ -68,8 +70,8 @@ def test_an_error_along_the_velocity_is_removed_by_the_shift():
     offsets = np.array([1.0, -1, -2, 2])[:, None, None]
     along = np.array([[3.0, 0.0], [4.0, 0.0]])
     deviation = np.array([[0.0, 5.0], [0.0, 5.0]])
-    found = trials_interval(deviation, offsets * along, velocity=2.0 * along)
-    assert found == pytest.approx((5.0, 5.0))
+    interval = trials_interval(deviation, offsets * along, velocity=2.0 * along)
+    assert interval == pytest.approx((5.0, 5.0))
 
 
 def test_unknown_values_and_shared_errors_widen():
@@ -80,7 +82,7 @@ def test_unknown_values_and_shared_errors_widen():
     fewer = trials_interval(deviation, trials)
     shared = trials_interval(deviation, trials, uncertainty=np.full((6, 2), 1.0))
     assert shared[0] < fewer[0] < low < high < fewer[1] < shared[1]
-    # An error of 1 that all frames share, and no scatter.
+    # All frames share an error of 1, and trials have no scatter.
     shared = trials_interval(
         np.full((5, 1), 1000.0), np.zeros((4, 5, 1)), uncertainty=np.ones((5, 1))
     )

@@ -1,4 +1,4 @@
-"""A trajectory in another unit, in other axes or from another start is refused with its fix; real ones are not."""
+"""A trajectory with a wrong unit, axes or start is rejected with a fix; real trials are accepted."""
 
 import re
 
@@ -29,7 +29,11 @@ from gauge_envs.scoring.likely_mistakes import (
         ("FoamShearing-hard", lambda g: 1e-6 * g, "look like square metres"),
         ("FoamShearing-hard", lambda g: 5.0 * g, "5 times those of the scene"),
         ("TextileFlinging-satin", lambda g: g + 60.0, "look like degrees"),
-        ("TextileBending-satin", lambda g: g + 3.2, "the largest angle there is 3.142"),
+        (
+            "TextileBending-satin",
+            lambda g: g + 3.2,
+            "the largest possible angle is 3.142",
+        ),
     ],
 )
 def test_a_unit_or_place_is_named(name, change, text):
@@ -58,7 +62,7 @@ def test_limits_of_a_start():
 
 @pytest.mark.parametrize("factor", [1.0, 1e-3])
 @pytest.mark.parametrize("axes", ["x,-z,y", "y,x,z", "-x,-y,z", "z,x,y"])
-def test_the_axes_of_the_message_turn_the_file_into_the_scene(axes, factor):
+def test_the_axes_of_the_message_rotate_the_file_into_the_scene(axes, factor):
     places = np.array([start_values(RESOLVED)])
 
     def written(values, names):
@@ -74,21 +78,21 @@ def test_the_axes_of_the_message_turn_the_file_into_the_scene(axes, factor):
 
 
 def test_starts_of_real_trials_are_accepted():
-    for one in (*variants(), *beyond_variants()):
-        experiment = load_experiment(one.name)
+    for variant in (*variants(), *beyond_variants()):
+        experiment = load_experiment(variant.name)
         band = reference_band(experiment)
         if band is None:
             continue
         start = start_values(experiment)
         trials = np.empty((0, *band.mean.shape)) if band.trials is None else band.trials
         for measured in (band.mean[0], *trials[:, 0]):
-            # What was not measured is as in the scene.
-            apart = np.nan_to_num(measured - band.projection @ start)
-            moved = start + np.linalg.pinv(band.projection) @ apart
-            assert value_mistake(experiment, moved[None]) is None, one.name
+            # Directions that were not measured stay as in the scene.
+            deviation = np.nan_to_num(measured - band.projection @ start)
+            moved = start + np.linalg.pinv(band.projection) @ deviation
+            assert value_mistake(experiment, moved[None]) is None, variant.name
 
 
-def test_the_score_refuses_too_unless_the_values_are_known():
+def test_score_trajectory_rejects_mistakes_unless_the_values_are_checked():
     band = reference_band(RESOLVED)
     given = {"times_s": TIMES, "values": 1e-3 * SLIDE}
     with pytest.raises(ShapeError, match="look like metres"):

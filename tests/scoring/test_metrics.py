@@ -35,7 +35,7 @@ def test_rmse_is_the_root_mean_square_over_frames_that_were_measured():
         (np.zeros((2, 1)), np.full((2, 1), np.nan), "no measured entry"),
     ],
 )
-def test_arrays_that_have_no_distance_are_named(score, simulated, real, message):
+def test_arrays_without_a_distance_raise_an_error(score, simulated, real, message):
     with pytest.raises(ShapeError, match=message):
         score(simulated, real)
 
@@ -54,7 +54,9 @@ def textbook_dtw(first, second):
     cell, length = local.shape, 1
     while cell != (1, 1):
         i, j = cell
-        cell = min([(i - 1, j - 1), (i - 1, j), (i, j - 1)], key=lambda one: cost[one])
+        cell = min(
+            [(i - 1, j - 1), (i - 1, j), (i, j - 1)], key=lambda place: cost[place]
+        )
         length += 1
     return cost[-1, -1] / length
 
@@ -72,11 +74,11 @@ def test_dtw_of_random_walks_is_that_of_the_textbook(rows, columns, width, seed)
 
 @pytest.mark.parametrize("seed", range(3))
 def test_dtw_ties_prefer_the_diagonal(seed):
-    """A first frame on the real mean makes waiting there free: without the rule the path could grow, the mean fall."""
+    """A first frame on the real mean makes waiting there free; without the rule, waiting would lower the mean."""
     simulated = np.random.default_rng(seed).uniform(1.0, 2.0, size=(40, 1))
     simulated[0] = 0.0
-    found = trajectory_dtw(simulated, np.zeros((40, 1)))
-    assert found == pytest.approx(simulated.mean())
+    distance = trajectory_dtw(simulated, np.zeros((40, 1)))
+    assert distance == pytest.approx(simulated.mean())
 
 
 # --- time shift ------------------------------------------------------------------------------------------------------
@@ -93,8 +95,8 @@ def test_the_time_shift_of_a_late_release_is_found(offset_s):
     times_s = np.arange(241) / 180
     real = place_mm(FRAMES_S - offset_s, 3.0)
     real[20:] = np.nan
-    found_s, rmse = time_offset(times_s, place_mm(times_s, 0.0), real)
-    assert found_s == pytest.approx(offset_s, abs=1e-4)
+    shift_s, rmse = time_offset(times_s, place_mm(times_s, 0.0), real)
+    assert shift_s == pytest.approx(offset_s, abs=1e-4)
     assert rmse == pytest.approx(3.0, abs=1e-3)
 
 
@@ -105,8 +107,8 @@ def test_no_shift_assumes_motion_after_the_end_or_a_shift_of_more_than_10_frames
     """Two slides of the same acceleration, the real one a second earlier: the shift ends where the simulation ends."""
     times_s = np.arange(round(180 * (1.0 + later_s)) + 1) / 180
     real = 500 * 3.0 * np.square(FRAMES_S + 1.0)[:, None]
-    found_s, _ = time_offset(times_s, 500 * 3.0 * np.square(times_s)[:, None], real)
-    assert found_s == pytest.approx(max(expected_s, -MAX_TIME_OFFSET_S), abs=1e-6)
+    shift_s, _ = time_offset(times_s, 500 * 3.0 * np.square(times_s)[:, None], real)
+    assert shift_s == pytest.approx(max(expected_s, -MAX_TIME_OFFSET_S), abs=1e-6)
     assert pytest.approx(1 / 3) == MAX_TIME_OFFSET_S
 
 
@@ -131,11 +133,15 @@ def test_z_scores_and_signed_error_leave_out_what_was_not_measured():
 
 def test_frames_are_the_samples_at_30_hz_within_a_tenth_of_a_millisecond():
     times_s = np.arange(19) / 180
-    assert frame_index(times_s + 9e-5, 4).tolist() == [0, 6, 12, 18]
+    for shift_s in (-9e-5, 0.0, 9e-5):
+        assert frame_index(times_s + shift_s, 4).tolist() == [0, 6, 12, 18]
+    for shift_s in (-1.1e-4, 1.1e-4):
+        with pytest.raises(ShapeError, match="no sample at frame 0"):
+            frame_index(times_s + shift_s, 4)
     with pytest.raises(ShapeError, match=r"no sample at frame 2 \(t = 0\.0667 s\)"):
         frame_index(np.delete(times_s, 12), 4)
     with pytest.raises(ShapeError, match="needs 5 frames"):
         frame_index(times_s, 5)
     values = np.array([[0.0, 4.0], [2.0, 0.0]])
-    found = interpolated(np.array([-1.0, 0.25, 2.0]), np.array([0.0, 1.0]), values)
-    assert found.tolist() == [[0.0, 4.0], [0.5, 3.0], [2.0, 0.0]]
+    between = interpolated(np.array([-1.0, 0.25, 2.0]), np.array([0.0, 1.0]), values)
+    assert between.tolist() == [[0.0, 4.0], [0.5, 3.0], [2.0, 0.0]]

@@ -13,7 +13,7 @@ TIMES_S = np.arange(600) / 180.0
 FRAMES_S = np.arange(90) / 30.0
 
 
-def found(variant, *names, samples=None, markers_m=None, markers=()):
+def events_of(variant, *names, samples=None, markers_m=None, markers=()):
     """Return events of a scene from made samples at 180 Hz or markers at 30 Hz; the other does not move."""
     samples = np.zeros((1, 3)) if samples is None else samples
     motion = Motion(
@@ -37,7 +37,7 @@ def line_at(angles_deg, length_m=0.1):
 def test_a_damped_swing_has_a_frequency_and_a_mean_from_frame_8_to_42(hertz, centre):
     swing = np.exp(-0.9 * FRAMES_S) * np.cos(2 * np.pi * hertz * FRAMES_S + 0.3)
     angles = centre + 30.0 * swing
-    frequency_hz, mean_deg = found(
+    frequency_hz, mean_deg = events_of(
         "CantileverBeam-soft",
         "swing_frequency_hz",
         "mean_angle_deg",
@@ -49,7 +49,7 @@ def test_a_damped_swing_has_a_frequency_and_a_mean_from_frame_8_to_42(hertz, cen
 
 
 def test_a_body_lags_behind_its_driver():
-    """By the distances of the span of time of the event; outside it, the body is elsewhere."""
+    """The lag counts only within the span of time of the event; outside it, the body is elsewhere."""
     along = np.array([1.0, 0.0, 0.0])
     for variant, name, rate, ends_s, lag_mm in (
         ("StickStack-soft", "foot_lag_mm", 17.25, (1.0, 3.0), 3.0),
@@ -58,7 +58,7 @@ def test_a_body_lags_behind_its_driver():
         inside = abs(TIMES_S - np.mean(ends_s)) < 0.5 * np.ptp(ends_s) + 1e-3
         lag = np.where(inside, lag_mm, 9.0 * np.sign(TIMES_S)) * np.sign(rate)
         samples = 262.0 + (rate * TIMES_S - lag)[:, None] * along
-        assert found(variant, name, samples=samples) == [
+        assert events_of(variant, name, samples=samples) == [
             pytest.approx(lag_mm, abs=1e-3)
         ]
 
@@ -67,7 +67,7 @@ def test_the_last_ball_of_a_cradle_leaves_rests_and_returns():
     out = (TIMES_S > 0.3) & (TIMES_S < 0.7) | (TIMES_S > 1.0) & (TIMES_S < 1.4)
     samples = np.stack([0 * TIMES_S, 0 * TIMES_S, 100 + 20.0 * out], axis=1)
     names = "leaves_1_s", "returns_2_s", "rests_1_s", "leaves_3_s", "rests_2_s"
-    events = found("NewtonsCradle-metal", *names, samples=samples)
+    events = events_of("NewtonsCradle-metal", *names, samples=samples)
     assert events[:3] == pytest.approx([0.3, 1.4, 0.3], abs=0.01)
     assert all(map(math.isnan, events[3:]))
 
@@ -78,9 +78,9 @@ def test_a_slide_has_an_acceleration_between_2_and_90_mm_of_its_path():
     path[path > 90.0] = 110.0
     samples = path[:, None] * np.array([0.6, 0.0, -0.8])
     name = "slide_acceleration_m_per_s2"
-    (acceleration,) = found("SlopeContact-wood", name, samples=samples)
+    (acceleration,) = events_of("SlopeContact-wood", name, samples=samples)
     assert acceleration == pytest.approx(6.5)
-    (at_rest,) = found("SlopeContact-wood", name, samples=0.0 * samples)
+    (at_rest,) = events_of("SlopeContact-wood", name, samples=0.0 * samples)
     assert math.isnan(at_rest)
 
 
@@ -89,9 +89,9 @@ def test_the_turning_ratio_is_that_of_the_third_turn():
     scene = load_experiment("Pendulum-metal").scene
     swing = np.stack([np.sin(angles), 0.0 * angles, -np.cos(angles)], axis=1)
     samples = 1e3 * np.array(scene.joints[0].anchor_m) + 270.0 * swing
-    (ratio,) = found("Pendulum-metal", "turning_ratio", samples=samples)
+    (ratio,) = events_of("Pendulum-metal", "turning_ratio", samples=samples)
     assert ratio == pytest.approx(math.exp(-0.05 * 1.5), abs=1e-4)
-    (early,) = found("Pendulum-metal", "turning_ratio", samples=samples[:200])
+    (early,) = events_of("Pendulum-metal", "turning_ratio", samples=samples[:200])
     assert math.isnan(early)
 
 
@@ -99,12 +99,12 @@ def test_a_foam_is_stretched_and_sheared():
     name = "FoamStretching-soft"
     rest_m = np.array(load_experiment(name).scene.markers.positions_m)
     grown = np.stack([rest_m, rest_m * [0.988, 0.988, 1.05]])
-    assert found(name, "strain_zz", markers_m=grown) == [pytest.approx(0.05)]
+    assert events_of(name, "strain_zz", markers_m=grown) == [pytest.approx(0.05)]
     face = tuple(range(14))
-    (ratio,) = found(name, "area_ratio", markers_m=grown, markers=face)
+    (ratio,) = events_of(name, "area_ratio", markers_m=grown, markers=face)
     assert ratio == pytest.approx(0.988 * 1.05, abs=1e-6)
     sheared = rest_m + 0.2 * rest_m[:, [2, 1, 0]] * [1.0, 0.0, 1.0]
-    (strain,) = found(name, "strain_xz", markers_m=np.stack([rest_m, sheared]))
+    (strain,) = events_of(name, "strain_xz", markers_m=np.stack([rest_m, sheared]))
     assert strain == pytest.approx(0.2)
 
 
@@ -117,12 +117,12 @@ def test_a_cloth_swings_under_its_rod():
     angles[FRAMES_S > 2.81] = 50.0
     names = "cloth_lag_deg", "cloth_swing_deg", "cloth_rebound_deg"
     markers_m = rod_m + line_at(angles, 0.45)
-    events = found("TextileFlinging-satin", *names, markers_m=markers_m)
+    events = events_of("TextileFlinging-satin", *names, markers_m=markers_m)
     assert events == pytest.approx([18.0, -30.0, 6.0])
 
 
 def test_each_entry_has_a_function_and_one_source():
-    entries = [recorded_events(one.name) for one in variants()]
+    entries = [recorded_events(variant.name) for variant in variants()]
     used = set()
     for events in entries:
         names = [event.name for event in events]

@@ -23,7 +23,7 @@ def test_a_closed_form_slide_in_a_csv_scores_as_in_the_library(tmp_path):
     expected = score_trajectory(
         RESOLVED, reference_band(RESOLVED), times_s=TIMES, values=SLIDE
     )
-    # Nobody knows the constants of a CSV file, and so its exact solution.
+    # A CSV file does not give its constants, so its exact solution is unknown.
     assert result.score == replace(expected, exact=None) != expected
     # scoring/README.md: an ideal Coulomb cube with the calibrated friction scores 0.41.
     assert result.score.rmse_normalized == pytest.approx(0.41, abs=0.005)
@@ -80,7 +80,7 @@ def test_frames_between_samples_are_interpolated_and_counted(tmp_path):
     np.testing.assert_allclose(at_frames, SLIDE, atol=0.04)  # a dt^2 / 8 = 0.032 mm
 
 
-def test_ten_frames_after_the_last_one_serve_the_alignment_and_are_no_markers(tmp_path):
+def test_ten_frames_after_the_last_one_are_only_for_the_alignment(tmp_path):
     experiment = load_experiment("CantileverBeam-soft")
     markers_m = np.asarray(experiment.scene.markers.positions_m)
     times = np.arange(4 * experiment.frame_count) / 60.0
@@ -94,7 +94,7 @@ def test_ten_frames_after_the_last_one_serve_the_alignment_and_are_no_markers(tm
 
 
 def test_a_stored_result_is_scored_again(tmp_path):
-    """Rows after the last frame serve the alignment; markers decide on a foam."""
+    """Rows after the last frame are for the alignment; foam is scored by its markers."""
     places = coulomb_slide(np.arange(FRAMES + 10) / 30.0)
     file = write_csv(tmp_path / "a.csv", places)
     experiment = load_experiment("FoamShearing-hard")
@@ -120,7 +120,7 @@ def test_a_file_is_scored_by_the_trial_or_the_scatter_that_it_starts_with(tmp_pa
     file = write_csv(tmp_path / "toss.csv", trial, header="x,y,z")
     result, _ = score_file(file, variant=toss)
     assert (result.jitter, result.score.rmse) == ({"trial": 3}, pytest.approx(0.0))
-    # A start is within six standard deviations of a scatter that the file states.
+    # A start may be six standard deviations of the given noise away.
     for position_m, is_accepted in ((0.014, False), (0.015, True)):
         content = {"id": NAME, "g": np.subtract(SLIDE, [0.0, 0.0, 118.0]).tolist()}
         content["jitter"] = {"position_m": position_m}
@@ -177,10 +177,10 @@ def test_a_likely_mistake_is_named_with_its_place(tmp_path, suffix, content, tex
 
 def test_the_id_is_needed_and_must_not_contradict_the_file(tmp_path):
     file = write_csv(tmp_path / "a.csv", SLIDE)
-    with pytest.raises(TrajectoryFileError, match="states no id"):
+    with pytest.raises(TrajectoryFileError, match="has no id"):
         score_file(file)
     with pytest.raises(TrajectoryFileError, match="No such file"):
         score_file(tmp_path / "b.csv", variant=NAME)
     (tmp_path / "a.json").write_text(json.dumps({"id": NAME, "g": SLIDE.tolist()}))
-    with pytest.raises(TrajectoryFileError, match="SlopeSlider-2-metal was asked for"):
+    with pytest.raises(TrajectoryFileError, match="not GAUGE/SlopeSlider-2-metal"):
         score_file(tmp_path / "a.json", variant="SlopeSlider-2-metal")

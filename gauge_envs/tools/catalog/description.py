@@ -14,7 +14,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Substituted
 from gauge_envs.files import data_folder, json_ready, toml_document
-from gauge_envs.references.band import band_file, recorded_events, stated_of
+from gauge_envs.references.band import band_file, read_band_file, recorded_events
 from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.imported import load_imported
 from gauge_envs.references.user_data import DataSource
@@ -137,7 +137,7 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
     source = experiment.reference_source
     band = reference_band(experiment)
     file = band_file(experiment.name, source)
-    facts = None if file is None else stated_of(file)
+    facts = None if file is None else read_band_file(file)
     return {
         "kind": reference_kind(experiment.name, source).value,
         "unit": band and band.compared.unit,

@@ -27,7 +27,7 @@ from gauge_envs.scene import (
     Scene,
 )
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.jitter import turn
+from gauge_envs.scene.jitter import rotate
 from gauge_envs.scene.states import nominal_states, scene_at
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import (
@@ -154,13 +154,13 @@ def start_of(scene: Scene, share: float) -> FloatArray:
     states = nominal_states(scene)
     for row, one in zip(states, (*scene.bodies, *scene.deformables), strict=True):
         if one.name in scene.hinges:
-            turn(row, 0.7 * share * AXIS, ANCHOR_M)
+            rotate(row, 0.7 * share * AXIS, ANCHOR_M)
             row[10:] = -1.5 * share * AXIS
             row[7:10] = np.cross(row[10:], row[:3] - ANCHOR_M)
         elif getattr(one, "motion", Motion.DYNAMIC) is Motion.DYNAMIC:
             change = np.array([3, -2, 4, 40, -30, 80, 50, 20, -10, 300, -200, 100])
             change = 0.01 * share * change * (one.name != "high")
-            turn(row, change[3:6], row[:3].copy())
+            rotate(row, change[3:6], row[:3].copy())
             row[:3] += change[:3]
             row[7:] += change[6:] * isinstance(one, RigidBody)
     return states

@@ -309,7 +309,9 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """
         if self._frame is None or self.is_over:
             raise EpisodeError(f"{self.FAMILY}: call reset before step")
-        self._ending = self._run_frame(checked_action(action, self.action_space))
+        self._ending = self._run_frame(
+            checked_action(action, self.action_space, self.FAMILY)
+        )
         before, self._rewarded = self._rewarded, self._total_reward()
         reward = self._rewarded - before
         self._frame += 1

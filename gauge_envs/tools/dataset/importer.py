@@ -304,7 +304,7 @@ def _band(experiment: Experiment, trajectories: FloatArray, source: str) -> Band
         trials=trajectories,
         trial_rmse=trial_rmse,
         trial_rmse_aligned=trial_rmse_aligned,
-        stated_uncertainty=rms_over_frames(sigma) / np.sqrt(count),
+        given_uncertainty=rms_over_frames(sigma) / np.sqrt(count),
     )
 
 

@@ -86,7 +86,7 @@ def replay(result: Result) -> Replay:
 
 def _run_again(result: Result, backend: str) -> Replay:
     """Run the episode of a result on its engine, and return the positions of its bodies."""
-    if difference := result.made_with_other_than(versions_of(backend)):
+    if difference := result.version_difference(versions_of(backend)):
         raise ReplayError(difference)
     if result.asset.get("kind") == AssetKind.MODEL:
         raise ReplayError(

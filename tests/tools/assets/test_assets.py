@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from places import RIGID, one_of_a_kind
+from places import RIGID, first_of_each_kind
 from pxr import Usd, UsdPhysics
 
 from gauge_envs import load_experiment
@@ -107,7 +107,7 @@ def test_command_lists_what_each_file_shows(gauge):
 # --- USD -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(params=one_of_a_kind(ALL), scope="module")
+@pytest.fixture(params=first_of_each_kind(ALL), scope="module")
 def pair(request):
     """A checked-in layer, opened once for all tests that read it, and the experiment that it shows."""
     stage = Usd.Stage.Open(str(assets_folder() / "usd" / f"{request.param}.usda"))

@@ -21,7 +21,7 @@ from gauge_envs.envs.rollout import LATER_FRAMES
 from gauge_envs.errors import AssetError
 from gauge_envs.experiments.variants import variants
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.observables.observer import MARKER_REACH_M, observe_markers
+from gauge_envs.observables.observer import MAX_MARKER_DISTANCE_M, observe_markers
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.tools.assets.isaac_sim import isaac_sim_stage, write_isaac_sim_layer
 
@@ -271,7 +271,7 @@ def test_markers_and_observables_of_the_example_are_those_of_the_package(
     markers = load_experiment(name).scene.markers
     stage = layer_of(name)
     read_m = RUN_LAYER.reader(stage, RUN_LAYER.read_plan(stage))()
-    assert np.abs(read_m - np.array(markers.positions_m)).max() < MARKER_REACH_M
+    assert np.abs(read_m - np.array(markers.positions_m)).max() < MAX_MARKER_DISTANCE_M
     points_m = read_m + np.random.default_rng(5).normal(scale=0.02, size=read_m.shape)
     values = RUN_LAYER.generalized(stage, observable.value, points_m[None])
     expected = observe_markers(points_m[None], markers, observable)

@@ -34,7 +34,7 @@ def band_of(mean, *, kind=Kind.TRIALS, trials=None, u=None):
         source="a simulated world",
         trials=trials,
         trial_count=None if trials is None else len(trials),
-        stated_uncertainty=u,
+        given_uncertainty=u,
     )
 
 

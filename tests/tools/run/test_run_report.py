@@ -119,7 +119,7 @@ def test_five_ids_fit_a_screen():
 
 
 def test_the_summary_gives_reasons_for_rejected_and_diverged_results():
-    reason = "no score: the trials reference is of the real scene"
+    reason = "no score: the trials reference holds for the real scene"
     refused = result(replace(NONE, kind="trials", refused=reason))
     diverged = result(NONE, diverged=True, outcome=Outcome.DIVERGED)
     text = shown([refused, diverged])

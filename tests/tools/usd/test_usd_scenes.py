@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from places import one_of_a_kind
+from places import first_of_each_kind
 from pxr import Usd
 
 from gauge_envs import load_experiment
@@ -30,7 +30,7 @@ from gauge_envs.tools.usd.writer import to_usd
 # --- exact return ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", one_of_a_kind(one.name for one in variants()))
+@pytest.mark.parametrize("name", first_of_each_kind(one.name for one in variants()))
 def test_checked_in_layers_are_the_scenes_to_the_bit(name):
     read = read_usd(assets_folder() / "usd" / f"{name}.usda")
     assert read.scene == load_experiment(name).scene
