@@ -91,7 +91,7 @@ def test_training_setup():
         == before["rest-height"]
         == "failed"
     )
-    assert {row.verdict.value for row in found["after"].rows} == {"passed"}
+    assert {row.verdict.value for row in names["after"].rows} == {"passed"}
 
 
 def test_trials_to_settings():

@@ -1,7 +1,7 @@
 """Episodes of one experiment in N worlds, and the only loop over time, `intervals`.
 
-A step drives, advances and observes the worlds six times, and then checks for divergence. Engine checks and control
-tasks use the same loop.
+A step drives, advances and observes the worlds six times, and then checks for divergence. Engine checks, sanity checks
+and control tasks use the same loop.
 """
 
 from __future__ import annotations
@@ -198,8 +198,8 @@ class Rollout:
             for name, nodes in self.rest_nodes_m.items()
         }
         has_release = any(
-            band is not None and band.has_release and experiment.trial is None
-            for band, experiment in zip(bands, experiments, strict=True)
+            band is not None and band.has_release and world.trial is None
+            for band, world in zip(bands, experiments, strict=True)
         )
         self._later_frames = LATER_FRAMES if has_release else 0
         frame_count = experiment.frame_count
@@ -262,16 +262,16 @@ class Rollout:
         trials = [start.trial for start in self.initial_states]
         self.initial_states = initial_states or ()
         states = None
-        if initial_states is not None:
-            states = np.array([start.states for start in initial_states])
-        self.simulation.reset(states, seed)
-        for index, motion in enumerate(self._motions):
-            if initial_states is None or states is None:
+        if initial_states is None:
+            for motion in self._motions:
                 motion.reset()
-                continue
-            row = row_of(self.experiment.scene, motion.body)
-            drivers = [start.drivers[index] for start in initial_states]
-            motion.reset(drivers, states[:, row, :7])
+        else:
+            states = np.array([start.states for start in initial_states])
+            for index, motion in enumerate(self._motions):
+                row = row_of(self.experiment.scene, motion.body)
+                drivers = [start.drivers[index] for start in initial_states]
+                motion.reset(drivers, states[:, row, :7])
+        self.simulation.reset(states, seed)
         if trials != [start.trial for start in self.initial_states]:
             self._set_bands([self._band_of(world) for world in range(self.world_count)])
         self.frame = 0

@@ -89,9 +89,8 @@ def trial_states(experiment: Experiment, trial: int) -> FloatArray:
 
     Recorded bodies move only in directions in which they do not start inside another body, as with noise:
 
-    - A body that is neither a sphere nor on a joint translates in the plane of the face at which it touches another
-      body, and rotates about the normal of that face. Without such a face, the normal is the body axis closest to
-      vertical.
+    - A body without a joint, except a sphere, translates in the plane of the face at which it touches another body. It
+      rotates about the normal of that face. Without such a face, the normal is the body axis closest to vertical.
     - A sphere takes the recorded pose and velocities.
     - A hinged body rotates about its hinge. A tethered body swings with a tight string.
     - A body attached to a deformable body keeps its nominal state.

@@ -209,7 +209,7 @@ class Band:
     def standard_uncertainty(self) -> float:
         """Standard uncertainty u of the mean in the norm of the distance.
 
-        For `trials` it is the scatter over the root of the number of trials, for `recording` the scatter and the
+        For `trials` it is the scatter over the root of the number of trials. For `recording` it is the scatter and the
         measurement, and for `numerical` the discretization. For `analytic` it is the uncertainty of the closed form; an
         exact form has the resolution of motion capture, 1 mm in each coordinate.
         """

@@ -1,8 +1,7 @@
 """Run configurations, and results grouped by them.
 
-A configuration consists of the engine and its versions, the parameters of the scene or the edited asset, the given
-settings, the initial-state noise, and the marker proxy. Results that differ only in their seed are repeats of one
-configuration.
+A configuration consists of engine, versions, parameters or edited asset, given settings, initial-state noise, and
+marker proxy. Results that differ only in their seed are repeats of one configuration.
 """
 
 from __future__ import annotations
