@@ -46,8 +46,9 @@ def list_(
 ) -> bool:
     """List experiments; or backends, checks, phenomena, materials, scenes, ...
 
-    The list has the kind of reference of each experiment, and the engines that can run it. The pattern '*' also lists
-    phenomena of deformable bodies. Exit code 1: a wrong task file was skipped.
+    Without a pattern, the list has a row for each family. With a pattern it has the kind of reference of each id, and
+    the engines that can run it. The pattern '*' also lists phenomena of deformable bodies. Exit code 1: a wrong task
+    file was skipped.
     """
     from gauge_envs.pages.document import Document
 
@@ -63,6 +64,7 @@ def list_(
 
 def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bool:
     """Print the experiments that match patterns, and return whether a task file was skipped."""
+    from gauge_envs.experiments.resolve import load_experiment
     from gauge_envs.experiments.variants import (
         matching_variants,
         unreadable_task_files,
@@ -70,7 +72,7 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     from gauge_envs.pages.document import Document, Paragraph
     from gauge_envs.pages.text import counted
     from gauge_envs.tools.catalog.listing import list_rows
-    from gauge_envs.tools.catalog.report import list_table
+    from gauge_envs.tools.catalog.report import family_table, list_table
 
     faults = unreadable_task_files()
     for fault in faults:
@@ -87,9 +89,18 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     ]
     families = len({row["family"] for row in rows})
     summary = f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}"
-    is_whole = patterns in ([], ["*"]) and not scored
-    lines = [*(_beyond_the_benchmark() if is_whole else ()), summary]
-    print_document(Document(parts=[list_table(rows), *map(Paragraph, lines)]), form)
+    table = list_table(rows)
+    lines = [summary]
+    if not patterns and not scored:
+        lines = [f"{summary}; for the ids of a family: gauge list 'SlopeSlider-*'"]
+        lines += _beyond_the_benchmark()
+        if form is Format.TEXT:
+            evaluated = {
+                variant.family: load_experiment(variant).spec.evaluates
+                for variant in variants
+            }
+            table = family_table(rows, evaluated)
+    print_document(Document(parts=[table, *map(Paragraph, lines)]), form)
     return bool(faults)
 
 

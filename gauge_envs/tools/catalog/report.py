@@ -1,5 +1,6 @@
 """Report the list of experiments, and an experiment on one screen or completely."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part, Tone
 from gauge_envs.pages.results import convergence_text
-from gauge_envs.pages.table import Column, Facts, Table
+from gauge_envs.pages.table import Column, Facts, Table, grid
 from gauge_envs.pages.text import (
     KIND_NOTES,
     METRIC_TITLES,
@@ -48,6 +49,25 @@ PLANTED_ERRORS = {
 
 UNDETECTABLE_SHARE = 0.1
 """Largest undetectable change of a score, divided by the standard uncertainty u."""
+
+
+def family_table(
+    rows: Sequence[Mapping[str, Any]], evaluated: Mapping[str, Sequence[str]]
+) -> Table:
+    """Return one row for each family: number of ids, kinds of reference, and what it evaluates.
+
+    Args:
+        rows: Result of `list_rows`.
+        evaluated: Evaluated quantities of each family, as `["kinetic friction"]`.
+    """
+    families = dict.fromkeys(row["family"] for row in rows)
+    summaries = []
+    for family in families:
+        kinds = Counter(row["kind"] for row in rows if row["family"] == family)
+        kinds_text = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+        evaluated_text = ", ".join(evaluated[family])
+        summaries.append((family, kinds_text, evaluated_text))
+    return grid(("family", "ids by kind of reference", "evaluates"), summaries)
 
 
 def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
