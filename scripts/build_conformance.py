@@ -10,8 +10,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from gauge_envs.tools.conformance import Status, checks
+from gauge_envs.tools.conformance.report import expected_text, verdict_text
 from gauge_envs.tools.conformance.results import EngineColumn, levels, read_columns
-from gauge_envs.tools.conformance.words import expected_text, verdict_text
 from scripts.generated import ROOT, SCORING, markdown_table, page_part
 
 PAGE = ROOT / "docs" / "engines" / "conformance.md"
@@ -39,7 +39,7 @@ def verdicts(columns: Sequence[EngineColumn]) -> Iterator[str]:
 
 def _passed(column: EngineColumn) -> str:
     statuses = [result.status for result in column.results.values()]
-    ran = sum(status is not Status.DECLINED for status in statuses)
+    ran = sum(status is not Status.UNSUPPORTED for status in statuses)
     return f"{statuses.count(Status.PASS)} of {ran}"
 
 

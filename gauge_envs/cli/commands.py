@@ -162,18 +162,18 @@ BUNDLED = (
         "backend check",
         "conformance.command:backend_check",
         "Check engines against closed forms, with the most likely cause of each failure.",
-        line="conformance.lines:FindingLine",
-        version=3,
+        line="conformance.schema:FindingLine",
+        version=4,
     ),
     Command(
         "list backends",
         "conformance.command:list_backends",
-        line="conformance.lines:BackendLine",
+        line="conformance.schema:BackendLine",
     ),
     Command(
         "list checks",
         "conformance.command:list_checks",
-        line="conformance.lines:CheckLine",
+        line="conformance.schema:CheckLine",
     ),
     Command(
         "backend versions",

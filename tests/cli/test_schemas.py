@@ -167,7 +167,7 @@ def test_the_command_prints_the_schema(gauge):
     assert json.loads(listed) == {"name": "list", "version": 5}
     shown = json.loads(gauge("show", "backend check", "--schema").stdout)
     assert shown == output_schema("backend check")
-    assert shown["$id"] == "urn:gauge-envs:backend-check:3"
+    assert shown["$id"] == "urn:gauge-envs:backend-check:4"
     unknown = gauge("show", "lst", "--schema")
     assert (unknown.exit_code, unknown.stdout) == (2, "")
     assert "did you mean list?" in unknown.stderr

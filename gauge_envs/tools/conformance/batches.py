@@ -1,4 +1,4 @@
-"""Many worlds at once: each world of a batch is the single simulation of its start and of its driven motion."""
+"""Batches of worlds: each world equals a single simulation with its initial state and prescribed motion."""
 
 from collections.abc import Sequence
 from contextlib import closing, suppress
@@ -23,13 +23,13 @@ from gauge_envs.tools.conformance.restart import (
     aside,
     cloths,
     gaps,
-    start_of,
+    shifted_states,
     widest,
 )
 
 WORLDS = range(16)
 SINGLES = (0, 1, 5, 10, 14, 15)
-"""Worlds that are compared with single simulations; the reversed order has the same ones."""
+"""Worlds that are compared with single simulations; the reversed order has the same worlds."""
 INTERVALS = 36
 ALONE = Tolerance("single precision, in another order, over one rebound", absolute=1e-4)
 BATCH = "contract (Backend.build_worlds, Simulation.reset, Simulation.drive)"
@@ -40,9 +40,9 @@ def _rigid(lab: Lab) -> Scene:
     return widest(lab, BOUNCE, CARRIED, HUNG)
 
 
-def _starts(scene: Scene, numbers: Sequence[int]) -> FloatArray:
-    """Return the starts of worlds, of which no two are alike, shape [world_count, body_count, 13]."""
-    return np.array([start_of(scene, number / len(WORLDS)) for number in numbers])
+def _initial_states(scene: Scene, numbers: Sequence[int]) -> FloatArray:
+    """Return initial states, different for each world, shape [world_count, body_count, 13]."""
+    return np.array([shifted_states(scene, number / len(WORLDS)) for number in numbers])
 
 
 def _drive(
@@ -64,18 +64,20 @@ def _read(simulation: Simulation, scene: Scene) -> FloatArray:
     """Return the states of the worlds, or the nodes of their cloth."""
     if scene.deformables:
         return np.array(simulation.nodes("cloth"))
-    return np.array(simulation.body_states([one.name for one in scene.bodies]))
+    return np.array(simulation.body_states([body.name for body in scene.bodies]))
 
 
 def _course(
     simulation: Simulation,
     scene: Scene,
     numbers: Sequence[int],
-    starts: FloatArray | None = None,
+    initial_states: FloatArray | None = None,
     wrenches: FloatArray | None = None,
 ) -> FloatArray:
-    """Run worlds from their starts, under wrenches on the stick, and return what is read after each interval."""
-    simulation.reset(_starts(scene, numbers) if starts is None else starts, 0)
+    """Run worlds from their initial states, under wrenches on the stick, and return the states after each interval."""
+    simulation.reset(
+        _initial_states(scene, numbers) if initial_states is None else initial_states, 0
+    )
     if wrenches is not None:
         push(simulation, "stick", wrenches)
     rows = []
@@ -102,15 +104,18 @@ def worlds_shapes(lab: Lab) -> Measurement:
     """
     faults: dict[str, None] = {}
     for scene in (_rigid(lab), *lab.once(cloths)):
-        names = [one.name for one in scene.bodies]
+        names = [body.name for body in scene.bodies]
         for count in (1, 3):
-            starts = _starts(scene, range(count))
-            given = starts.copy()
+            initial_states = _initial_states(scene, range(count))
+            given = initial_states.copy()
             with closing(lab.build(scene, count)) as simulation:
-                simulation.reset(starts, 0)
+                simulation.reset(initial_states, 0)
                 states = simulation.body_states(names)
-                first, unchanged = np.array(states), np.array_equal(starts, given)
-                starts[:] = np.nan
+                first, unchanged = (
+                    np.array(states),
+                    np.array_equal(initial_states, given),
+                )
+                initial_states[:] = np.nan
                 _drive(simulation, scene, range(count), 0)
                 simulation.advance(SAMPLE_INTERVAL_S)
                 later, reasons = _read(simulation, scene), dict(simulation.diverged())
@@ -137,39 +142,39 @@ def worlds_shapes(lab: Lab) -> Measurement:
 
 TOGETHER, THREADS, AGAIN = "world", "in threads simulation", "after the reset world"
 Runs = dict[str, tuple[Sequence[int], FloatArray]]
-"""What ran together -> numbers of the starts, and courses, shape [interval_count, world_count, ...]."""
+"""Kind of run -> numbers of the initial states, and courses, shape [interval_count, world_count, ...]."""
 
 
 def _batches(lab: Lab) -> list[tuple[Scene, dict[int, FloatArray], Runs]]:
-    """Return scenes, the courses of single simulations by the number of their start, and those of batches."""
-    found = []
+    """Return scenes, the courses of single simulations by number of their initial state, and the courses of batches."""
+    batches = []
     for scene in (_rigid(lab), *lab.once(cloths)):
         runs: Runs = {}
         worlds = SINGLES[:3] if scene.deformables else WORLDS
-        with closing(lab.build(scene)) as one:
+        with closing(lab.build(scene)) as simulation:
             singles = {
-                n: _course(one, scene, [n])[:, 0] for n in SINGLES if n in worlds
+                n: _course(simulation, scene, [n])[:, 0] for n in SINGLES if n in worlds
             }
-            if one.releases_gil:
+            if simulation.releases_gil:
                 with closing(
                     LoopedSimulation([lab.build(scene) for _ in SINGLES])
-                ) as many:
-                    runs[THREADS] = SINGLES, _course(many, scene, SINGLES)
+                ) as threaded:
+                    runs[THREADS] = SINGLES, _course(threaded, scene, SINGLES)
         with closing(lab.build(scene, len(worlds))) as batch:
             for what, numbers in ((TOGETHER, worlds), (AGAIN, worlds[::-1])):
                 runs[what] = numbers, _course(batch, scene, numbers)
-        found.append((scene, singles, runs))
-    return found
+        batches.append((scene, singles, runs))
+    return batches
 
 
 def _gap(here: FloatArray, there: FloatArray) -> FloatArray:
-    """Return differences of states or nodes; what is not finite is far away."""
+    """Return differences of states or nodes; a value that is not finite differs by 1e9."""
     gap = gaps(here, there) if here.shape[-1] == 13 else np.abs(here - there)
     return np.nan_to_num(gap, nan=1e9, posinf=1e9)
 
 
 def _compared(lab: Lab, *kinds: str) -> Measurement:
-    """Measure how courses differ from those of single simulations, and name the world, body and interval."""
+    """Measure the largest difference of courses from single simulations, and name its world, body and interval."""
     worst = Measurement(measured=0.0)
     for scene, singles, runs in lab.once(_batches):
         for what, number in product(kinds, singles):
@@ -187,9 +192,9 @@ def _compared(lab: Lab, *kinds: str) -> Measurement:
             body = int(gap[when].max(axis=-1).argmax())
             name = "cloth" if scene.deformables else scene.bodies[body].name
             hint += f", first the {name} in interval {when + 1}"
-            for other, course in singles.items():
-                if other != number and _gap(here, course).max() < 0.01 * gap.max():
-                    hint += f"; it has the course of world {numbers.index(other)}"
+            for twin, course in singles.items():
+                if twin != number and _gap(here, course).max() < 0.01 * gap.max():
+                    hint += f"; it has the course of world {numbers.index(twin)}"
             worst = Measurement(measured=float(gap.max()), hint=hint)
     return worst
 
@@ -242,9 +247,9 @@ def worlds_wrench(lab: Lab) -> Measurement:
     Gain of velocity or spin in ten intervals over force times time through mass, or torque times time through moment of
     inertia, in the world and call that are farthest off.
     """
-    one = ball("ball", (0.0, 0.0, 0.0))
-    inertia = 0.4 * one.mass_kg * 0.03**2
-    scene = Scene(bodies=(one,), duration_s=0.5, gravity_m_per_s2=0.0)
+    floating = ball("ball", (0.0, 0.0, 0.0))
+    inertia = 0.4 * floating.mass_kg * 0.03**2
+    scene = Scene(bodies=(floating,), duration_s=0.5, gravity_m_per_s2=0.0)
     sizes = np.random.default_rng(0).uniform(0.5, 1.5, (3, len(WORLDS), 6))
     wrenches = sizes * np.repeat([0.2, 1e-4], 3)
     speeds = [np.zeros((len(WORLDS), 6))]
@@ -256,7 +261,7 @@ def worlds_wrench(lab: Lab) -> Measurement:
             speeds.append(_read(simulation, scene)[:, 0, 7:])
     gains = np.diff(speeds, axis=0)
     expected = wrenches * 10 * SAMPLE_INTERVAL_S
-    expected /= np.repeat([one.mass_kg, inertia], 3)
+    expected /= np.repeat([floating.mass_kg, inertia], 3)
     ratios = gains / expected
     errors = np.nan_to_num(np.abs(ratios - 1.0), nan=np.inf)
     call, world, axis = np.unravel_index(errors.argmax(), errors.shape)
@@ -264,8 +269,8 @@ def worlds_wrench(lab: Lab) -> Measurement:
     ratio = float(ratios[call, world, axis])
     hint = f"{ratio:.3g} times the {what} of call {call + 1} acts in world {world}"
     alike = np.isclose(expected[..., part], gains[call, world, part], rtol=5e-3)
-    for other_call, other in np.argwhere(alike.all(axis=-1)):
-        hint += f"; it is that of call {other_call + 1} in world {other}"
+    for other_call, other_world in np.argwhere(alike.all(axis=-1)):
+        hint += f"; it is that of call {other_call + 1} in world {other_world}"
     return Measurement(measured=ratio, expected=1.0, hint=hint)
 
 
@@ -283,10 +288,10 @@ def worlds_neighbours(lab: Lab) -> Measurement:
     Largest difference of a state of the second and fourth world within 0.2 s from the run before these changes.
     """
     scene, numbers = _rigid(lab), range(5)
-    watched, others = [1, 3], [0, 2, 4]
-    wrenches, fast = np.zeros((5, 6)), _starts(scene, numbers)
-    wrenches[others] = [0.3, -0.2, 0.4, 0.001, 0.002, -0.003]
-    fast[others, 0, 7] = 1e12
+    watched, changed = [1, 3], [0, 2, 4]
+    wrenches, fast = np.zeros((5, 6)), _initial_states(scene, numbers)
+    wrenches[changed] = [0.3, -0.2, 0.4, 0.001, 0.002, -0.003]
+    fast[changed, 0, 7] = 1e12
     cases: tuple[tuple[str, Sequence[int], Any, Any], ...] = (
         ("are as before", numbers, None, None),
         ("start and move otherwise", (9, 1, 11, 3, 13), None, None),
@@ -294,7 +299,7 @@ def worlds_neighbours(lab: Lab) -> Measurement:
         ("diverge", numbers, fast, None),
         ("have diverged", numbers, None, None),
     )
-    found = {}
+    cases_by_text = {}
     with aside(), lab.running(scene, 5) as five:
         for what, *how in cases:
             with suppress(DeclinedError):
@@ -305,5 +310,5 @@ def worlds_neighbours(lab: Lab) -> Measurement:
                 gap = 1e9 if is_lost else float(_gap(courses, before).max())
                 text = f"world 1 or 3, where worlds 0, 2 and 4 {what},"
                 left = 0.0 if is_lost else gap
-                found[text] = {"": gap, "diverged() names it": left}
-    return largest(found)
+                cases_by_text[text] = {"": gap, "diverged() names it": left}
+    return largest(cases_by_text)

@@ -122,12 +122,12 @@ DEPTHS_M = (0.041, 0.028, 0.053)
 
 
 def _hanging(lab: Lab) -> Recording:
-    strong, other = fabric(2.4, 1250.0, 2e-4), fabric(0.5, 300.0, 2e-4)
+    strong, weak = fabric(2.4, 1250.0, 2e-4), fabric(0.5, 300.0, 2e-4)
     first, second, third = DEPTHS_M
     scenes = (
         hanging_strip(LIGHT_FABRIC, first),
         hanging_strip(strong, second, axis="y"),
-        hanging_strip(other, third),
+        hanging_strip(weak, third),
     )
     return lab.rollout(side_by_side(scenes, HANG_S - HANG_SETTLED_S))
 
@@ -170,8 +170,9 @@ def upright_sheet(made_of: Fabric) -> Scene:
     """Return an upright sheet between two clamped upright edges: sag 0.3 mm, largest shear 1.2 %, period 31 ms.
 
     Far from the upper and lower edge there is shear, and neither bending nor stretch. A bending stiffness of
-    rho g L^3 / 177 (shear buckling of a clamped strip) prevents wrinkles; the sheets have 3.6 times that. A larger one
-    would add to the shear of engines whose bending is a quadratic form in all coordinates: D (pi / L)^2, here 0.5 %.
+    rho g L^3 / 177 (shear buckling of a clamped strip) prevents wrinkles; the sheets have 3.6 times that value. A
+    larger stiffness would add D (pi / L)^2, here 0.5 %, to the shear of engines whose bending is a quadratic form in
+    all coordinates.
     """
     pose = Pose.from_euler_deg(LEVEL.position_m, (90.0, 0.0, 0.0))
     edges = (Region(axis="x", side="low"), Region(axis="x", side="high"))
@@ -238,8 +239,8 @@ def cantilever_strip(
 ) -> Scene:
     """Return a horizontal strip that is clamped at one end.
 
-    Gravity is that with which rho g L^3 / D is the same for every fabric and length, so that the tip's slope is 0.04.
-    The duration has the same number of periods.
+    Gravity makes rho g L^3 / D the same for every fabric and length, so that the slope of the tip is 0.04. The duration
+    has the same number of periods.
 
     Args:
         made_of: The fabric.
@@ -368,10 +369,10 @@ def _cloth_strike(lab: Lab) -> Measurement:
 
 HALF_M, FOLD_S, FOLDED_S = 0.15, 0.6, 1.0
 EDGE_M = (-0.135, 0.01)
-"""Where the rod lays the strip's end: along the strip from the fold, and over the clamped half [m]."""
+"""Final place of the strip's end: along the strip from the fold, and above the clamped half [m]."""
 
 SUPPLE_FABRIC = fabric(0.2, 110.0, 1e-6, 3e-3)
-"""Fabric that sags by 22 mm between the fold and the rod, where nothing is under it."""
+"""Fabric that sags by 22 mm between the fold and the rod without support."""
 
 
 @check(
@@ -393,7 +394,7 @@ def _cloth_touches_itself(lab: Lab) -> Measurement:
     """
     cloth = sheet(SUPPLE_FABRIC, LEVEL, (2.0 * HALF_M, 0.05))
     middle = (0.5 * (HALF_M + EDGE_M[0]), 0.0, LEVEL_M + 0.5 * EDGE_M[1])
-    turn = ramp(-math.pi, start_s=0.0, duration_s=FOLD_S, ramp_s=0.2)
+    fold = ramp(-math.pi, start_s=0.0, duration_s=FOLD_S, ramp_s=0.2)
     half = Region(axis="x", side="low", depth_m=HALF_M)
     end = Region(axis="x", side="high")
     rod = driven_box("rod", (HALF_M, 0.0, LEVEL_M), (0.01, 0.06, 0.01))
@@ -401,7 +402,7 @@ def _cloth_touches_itself(lab: Lab) -> Measurement:
     scene = replace(
         also_attached(flat, rod, end),
         contacts=(contact("cloth", "cloth", friction=0.1),),
-        drivers=(driver("rod", "rotate", (0.0, 1.0, 0.0), turn, point_m=middle),),
+        drivers=(driver("rod", "rotate", (0.0, 1.0, 0.0), fold, point_m=middle),),
     )
     rollout = lab.rollout(scene)
     nodes_m = rollout.nodes_m["cloth"]

@@ -31,13 +31,13 @@ if TYPE_CHECKING:
     from gauge_envs.tools.conformance.results import EngineColumn, Expected
 
 ALWAYS = ("determinism",)
-"""Checks that run whatever `--only` chooses, because a failure makes all other results worthless."""
+"""Checks that always run, because a failure of them makes all other results worthless."""
 
 CHECK_LIMIT_S = 600.0
 """Default time limit of a check in another process [s]."""
 
-REFUSED = "the settings are refused"
-"""First words of the reason of a check whose scene the engine does not build with the given settings."""
+REJECTED = "the settings are rejected"
+"""First words of the reason of a check whose scene the engine cannot build with the given settings."""
 
 LONG_S = 60.0
 """Time after which a line names the check that runs [s]."""
@@ -45,7 +45,7 @@ LONG_S = 60.0
 
 def list_backends(patterns: Sequence[str]) -> list[Table]:
     """Return the table of the installed engines and their versions."""
-    from gauge_envs.tools.conformance.words import backends_table
+    from gauge_envs.tools.conformance.report import backends_table
 
     return arguments.matching([backends_table()], patterns, kind="backend")
 
@@ -53,7 +53,7 @@ def list_backends(patterns: Sequence[str]) -> list[Table]:
 def list_checks(patterns: Sequence[str]) -> list[Table]:
     """Return the table of the checks with their scenes and laws."""
     from gauge_envs.tools.conformance import checks
-    from gauge_envs.tools.conformance.words import checks_table
+    from gauge_envs.tools.conformance.report import checks_table
 
     return [checks_table(checks(patterns))]
 
@@ -65,8 +65,8 @@ def backend_check(
             metavar="NAME",
             show_default=False,
             help="Engines. ENGINE:CONFIGURATION is one of the solvers and presets that an engine declares, as "
-            "mujoco:PGS; patterns as 'mujoco:*' and '*:*' are all. A .json file of --out has columns that are not "
-            "measured again.",
+            "mujoco:PGS; patterns as 'mujoco:*' and '*:*' are all. A .json file of --out adds its columns without new "
+            "runs.",
         ),
     ] = None,
     only: arguments.Only = None,
@@ -74,7 +74,7 @@ def backend_check(
     timeout: Annotated[
         float | None,
         arguments.timeout(
-            "Time of a check, in a process of its own.", "600 in such a one"
+            "Time of a check in a separate process.", "600 in a separate process"
         ),
     ] = None,
     memory: arguments.Memory = None,
@@ -95,8 +95,8 @@ def backend_check(
         Path | None,
         arguments.option(
             arguments.SELECTION,
-            'A TOML file of checks that this engine fails, as rebound-flat = { measured = 0.513, reason = "no model of '
-            'it" }, and of what it declines: exit code 0 when exactly these fail, with these values.',
+            'A TOML file of known failures, as rebound-flat = { measured = 0.513, reason = "no model of it" }, and of '
+            "unsupported checks: exit code 0 when exactly these fail, with these values.",
             metavar="FILE",
         ),
     ] = None,
@@ -113,9 +113,9 @@ def backend_check(
     """Check engines against closed forms, with the most likely cause of each failure.
 
     gauge list checks shows the checks. Exit code 1 when a check that ran failed, or nothing was measured.
-    With --expected: when a result is not as listed. With --baseline: when one became worse or its value moved by more
-    than its tolerance. A declined check is no failure. Engines of other packages run in another process. All engines do
-    so with --isolate, --timeout, --memory, --out or a configuration: one that crashes or hangs there costs one check.
+    With --expected: when a result is not as listed. With --baseline: when a result became worse or moved by more than
+    its tolerance. An unsupported check is not a failure. Engines of other packages run in another process. All engines
+    do so with --isolate, --timeout, --memory, --out or a configuration: a crash or a hang there costs one check.
     """
     from gauge_envs.tools.conformance import checks
     from gauge_envs.tools.conformance.results import (
@@ -129,7 +129,7 @@ def backend_check(
     engines = [name for name in names or () if not name.endswith(".json")]
     is_judged = expected is not None or badge is not None
     _check_names(engines, files, is_judged, baseline)
-    chosen = [one.id for one in checks(only or ())]
+    chosen = [check.id for check in checks(only or ())]
     places = arguments.by_suffix(out, ".html", ".json")
     # Files are read and places checked before anything runs.
     known = None if expected is None else read_expected(expected)
@@ -151,7 +151,7 @@ def backend_check(
                 # A process that is killed leaves the results so far.
                 _write(columns, {".json": places[".json"]})
     except KeyboardInterrupt:
-        if form is not Format.JSON and any(one.results for one in columns):
+        if form is not Format.JSON and any(column.results for column in columns):
             _print(new, columns, form)
         raise
     for path in _write(columns, places):
@@ -180,13 +180,13 @@ def _check_names(
         raise ParameterError(
             "no backend is given: name one, as in gauge backend check mujoco; see gauge list backends"
         )
-    if misplaced := sorted({one.id for one in checks()}.intersection(engines)):
+    if misplaced := sorted({check.id for check in checks()}.intersection(engines)):
         raise ParameterError(
             f"{misplaced[0]!r} is a check and no backend: choose it by --only {misplaced[0]}"
         )
     if is_judged and (len(engines) != 1 or files or baseline):
         raise ParameterError(
-            "--expected and --badge are of one engine: leave out other names and --baseline"
+            "--expected and --badge need exactly one engine: leave out other names and --baseline"
         )
 
 
@@ -202,15 +202,15 @@ def _measured(
         columns: The columns.
         chosen: Ids of the checks.
         limits: Limits of a process: time of a check [s], and memory [GB].
-        is_apart: Whether engines of this package run in another process, too.
+        is_apart: Whether engines of this package also run in another process.
     """
     from gauge_envs.backends.registry import is_bundled
     from gauge_envs.runs.isolation import Worker
 
     total = len(chosen) * len(columns)
     with Progress("checks", total, line_interval_s=LINE_INTERVAL_S) as progress:
-        for engine, group in groupby(columns, key=lambda one: one.backend):
-            # Configurations of one engine share a process, which imports it once; two engines share none.
+        for engine, group in groupby(columns, key=lambda column: column.backend):
+            # Configurations of one engine share a process, which imports it once; each engine has its own.
             with Worker(*limits) as worker:
                 there = worker if is_apart or not is_bundled(engine) else None
                 for column in group:
@@ -222,11 +222,11 @@ def _measured(
 def _run(
     column: EngineColumn, chosen: Sequence[str], worker: Worker | None
 ) -> Iterator[CheckResult]:
-    """Run the checks of a column, and those that always run; yield each result that the column keeps."""
+    """Run the chosen checks of a column and `ALWAYS`; yield each result that the column keeps."""
     from gauge_envs.tools.conformance import checks
     from gauge_envs.tools.conformance.results import run_column
 
-    ids = [one.id for one in checks([*chosen, *ALWAYS])]
+    ids = [check.id for check in checks([*chosen, *ALWAYS])]
     running = iter([*ids, ""])
     with _Watch(column.title) as watch:
         watch.see(next(running))
@@ -252,7 +252,7 @@ class _Watch:
         self._timer.cancel()
 
     def see(self, check: str, waited_s: float = 0.0) -> None:
-        """Watch the check that runs now, which has run for a time [s]."""
+        """Watch the running check, which has run for a time [s]."""
         if waited_s:
             message(f"{self._title}: {check} has run for {waited_s:.0f} s")
         self._timer.cancel()
@@ -265,61 +265,66 @@ class _Watch:
 def _print(
     new: Sequence[EngineColumn], columns: Sequence[EngineColumn], form: Format
 ) -> None:
-    """Print one engine on a screen, or a table of several."""
-    from gauge_envs.tools.conformance.words import columns_document, engine_document
+    """Print the results of one engine, or a table of several engines."""
+    from gauge_envs.tools.conformance.report import columns_document, engine_document
 
     if len(columns) == 1 and new and new[0].results:
         print_document(engine_document([*new[0].results.values()]), form)
     else:
-        print_document(columns_document(columns), form)
+        is_wide = form is Format.WIDE
+        print_document(columns_document(columns, is_wide=is_wide), form)
 
 
 def _check_measured(new: Sequence[EngineColumn]) -> None:
-    """Raise a `ParameterError` where no engine can be used, or all refuse the settings in every scene."""
-    results = [one for column in new for one in column.results.values()]
+    """Raise a `ParameterError` if no engine can be used, or every engine rejects the settings in every scene."""
+    results = [result for column in new for result in column.results.values()]
     reasons = [column.reason for column in new if column.reason]
-    refused = [one for one in results if str(*one.missing[:1]).startswith(REFUSED)]
-    if new and len(refused) == len(results):
-        raise ParameterError((reasons or refused[0].missing)[0])
+    rejected = [
+        result for result in results if str(*result.missing[:1]).startswith(REJECTED)
+    ]
+    if new and len(rejected) == len(results):
+        raise ParameterError((reasons or rejected[0].missing)[0])
 
 
 def _has_failed(new: Sequence[EngineColumn]) -> bool:
     """Print the counts, and return whether a check failed or nothing was measured."""
     from gauge_envs.tools.conformance.results import counts_text
 
-    results = [one for column in new for one in column.results.values()]
+    results = [result for column in new for result in column.results.values()]
     if not new:
         message("no check ran")
         return False
-    is_measured = any(not one.missing for one in results)
+    is_measured = any(not result.missing for result in results)
     message(f"{counts_text(results)}{'' if is_measured else '; nothing was measured'}")
     has_reason = any(column.reason for column in new)
-    return has_reason or not is_measured or any(one.is_bad for one in results)
+    return has_reason or not is_measured or any(result.is_bad for result in results)
 
 
 def _is_surprising(
     column: EngineColumn, expected: Expected | None, file: Path | None
 ) -> bool:
-    """Write the badge, print what is not as expected, and return whether something is not.
+    """Write the badge, print unexpected results, and return whether there are any.
 
     Args:
         column: The engine.
-        expected: What it is expected to fail and to decline; None: nothing, and every decline is expected.
+        expected: Known failures and unsupported checks; None expects no failure, and any unsupported check.
         file: File of the badge, or None.
     """
     from gauge_envs.pages.document import save_file
     from gauge_envs.tools.conformance.results import Expected, badge
 
     results = [*column.results.values()]
-    known = expected or Expected(declined={"*": "no list"})
+    known = expected or Expected(unsupported={"*": "no list"})
     if file is not None:
         save_file(file, f"{json.dumps(badge(results, known))}\n")
     if expected is None:
         return False
-    surprises = [(one.check, text) for one in results if (text := known.surprise(one))]
+    surprises = [
+        (result.check, text) for result in results if (text := known.surprise(result))
+    ]
     for name, text in surprises:
         message(f"not expected: {name} {text}")
-    return bool(surprises or column.reason) or all(one.missing for one in results)
+    return bool(surprises or column.reason) or all(result.missing for result in results)
 
 
 def _check_places(files: Sequence[Path]) -> None:
@@ -340,31 +345,31 @@ def _check_places(files: Sequence[Path]) -> None:
 def _write(columns: Sequence[EngineColumn], places: Mapping[str, Path]) -> list[Path]:
     """Write columns to files by suffix, and return the paths."""
     from gauge_envs.pages.document import save_file
+    from gauge_envs.tools.conformance.report import conformance_page
     from gauge_envs.tools.conformance.results import write_columns
-    from gauge_envs.tools.conformance.words import conformance_page
 
-    found = []
+    paths = []
     if ".json" in places:
-        made = [one for one in columns if one.made]
-        found.append(write_columns(made, places[".json"]))
+        made = [column for column in columns if column.made]
+        paths.append(write_columns(made, places[".json"]))
     if ".html" in places:
         text = conformance_page(columns, join(["gauge", *sys.argv[1:]]))
-        found.append(save_file(places[".html"], text))
-    return found
+        paths.append(save_file(places[".html"], text))
+    return paths
 
 
 def _is_worse(
     columns: Sequence[EngineColumn], before: Sequence[EngineColumn], form: Format
 ) -> bool:
-    """Print what changed since an earlier version of the engines, and return whether something got worse or moved."""
+    """Print the changes since an earlier version of the engines, and return whether a result got worse or moved."""
+    from gauge_envs.tools.conformance.report import changes_table
     from gauge_envs.tools.conformance.results import changes
-    from gauge_envs.tools.conformance.words import changes_table
 
     changed = changes(columns, before)
     if form is not Format.JSON and changed:
         print_document(changes_table(changed), form)
-    kinds = [one.kind for one in changed]
-    counts = [f"{kinds.count(kind)} {kind}" for kind in ("worse", "moved", "mended")]
+    kinds = [change.kind for change in changed]
+    counts = [f"{kinds.count(kind)} {kind}" for kind in ("worse", "moved", "fixed")]
     message(f"{', '.join(counts)} since the baseline")
     is_worse = bool({"worse", "moved"}.intersection(kinds))
     return is_worse or any(column.reason for column in columns)

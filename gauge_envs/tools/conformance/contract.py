@@ -1,4 +1,4 @@
-"""What each call of the contract must keep: arrays, repeatability, start, time and settings."""
+"""Rules of each call of the contract: arrays, repeatability, start, time and settings."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _several(lab: Lab) -> Scene:
 def _arrays(simulation: Simulation, scene: Scene) -> list[Any]:
     names = [body.name for body in scene.bodies]
     states = [simulation.body_states(rows) for rows in (names, names[::-1])]
-    return states + [simulation.nodes(one.name) for one in scene.deformables]
+    return states + [simulation.nodes(body.name) for body in scene.deformables]
 
 
 @check(
@@ -104,15 +104,15 @@ def determinism(lab: Lab) -> Measurement:
     ):
         first = lab.rollout(scene, 0.3)
         again |= apart(first, lab.rollout(scene, 0.3), "in a second simulation")
-        other = replace(scene, gravity_m_per_s2=1.62)
-        with closing(lab.build(scene)) as simulation, lab.running(other) as neighbour:
+        lighter = replace(scene, gravity_m_per_s2=1.62)
+        with closing(lab.build(scene)) as simulation, lab.running(lighter) as neighbour:
             simulation.reset(None, 0)
             neighbour.advance(0.1)
             run = record(simulation, scene, 0.3)
         beside |= apart(first, run, "beside another simulation, which shares gravity,")
-    found = repeated(lab, again, "bits")
-    is_same = found.measured <= (found.width or 0.0)
-    return repeated(lab, beside, "bits") if is_same else found
+    measurement = repeated(lab, again, "bits")
+    is_same = measurement.measured <= (measurement.width or 0.0)
+    return repeated(lab, beside, "bits") if is_same else measurement
 
 
 # --- start -----------------------------------------------------------------------------------------------------------
@@ -132,9 +132,9 @@ def _start(lab: Lab) -> list[dict[str, float]]:
         for name, row, start in zip(names, rows, nominal_states(scene), strict=True):
             off = row - start
             # A quaternion and its opposite are the same orientation.
-            turn = min(length_of(off[3:7]), length_of(row[3:7] + start[3:7]))
+            turned = min(length_of(off[3:7]), length_of(row[3:7] + start[3:7]))
             places[f"the {name} after {call}"] = 1e3 * length_of(off[:3])
-            turns[f"the {name} after {call}"] = turn
+            turns[f"the {name} after {call}"] = turned
             rates[f"the velocity of the {name} after {call}"] = 1e3 * length_of(off[7:])
     return [places, turns, rates]
 
@@ -195,7 +195,7 @@ def start_rest(lab: Lab) -> Measurement:
         late = lab.rollout(scene).cut(0.4, 0.5)
         moved = late.displacement("brick")[-1] / np.ptp(late.times_s)
         off = 1e3 * length_of(late.velocity("brick").mean(axis=0) - moved)
-        # Elsewhere a brick that falls is at fault.
+        # Other checks judge a brick that falls.
         if length_of(moved) < 0.01:
             cases = {**cases, "the velocity of a brick that lies still": off}
     return largest(cases, "mm/s")
@@ -226,18 +226,18 @@ def time(lab: Lab) -> Measurement:
         rows = lab.rollout(scene, interval_s * count, interval_s=interval_s)
         speeds = np.hypot(*rows.velocity("brick")[:, :2].T)
         given = count * np.hypot(*SPEED_M_PER_S[:2])
-        # A brake of the velocity is no fault of time.
+        # Braking is not a fault of time.
         sums = [speeds[:-1].sum(), trapezoid(speeds), given]
         steps = np.diff(rows.position("brick")[:, :2], axis=0)
         path = np.hypot(*steps.T).sum() / interval_s
         shares = path / np.maximum(sums, 1e-9)
         ratios[f"calls of {name}"] = float(shares[np.abs(shares - 1.0).argmin()])
         late.append(count * (1.0 - shares[-1]))
-    found = ratio(ratios, "the simulated time")
+    measurement = ratio(ratios, "the simulated time")
     if not np.allclose(late, 1.0, atol=0.1):
-        return found
+        return measurement
     text = "states are those before the last call of advance: an interval late"
-    return replace(found, hint=text)
+    return replace(measurement, hint=text)
 
 
 STEPS_S = (1 / 360, 1 / 900)
@@ -261,7 +261,7 @@ def settings_step(lab: Lab) -> Measurement:
     scene = lab.in_any_shape(FREE)
     for step_s in STEPS_S:
         ends.append(lab.rollout(scene, timestep_s=step_s).states["brick"])
-        given = lab.settings_in_force.get("timestep_s", np.nan)
+        given = lab.effective_settings.get("timestep_s", np.nan)
         if not abs(given / step_s - 1.0) < 1e-9:
             faults.append(f"settings have timestep_s {given:.6g}, not {step_s:.6g}")
     if np.array_equal(ends[0], ends[1]):

@@ -1,12 +1,12 @@
-"""Parts, scenes and measurements that the checks of cloth, foam, ropes and rods share.
+"""Common parts, scenes and measurements of the checks of cloth, foam, ropes and rods.
 
-Each scene has two or three bodies of a kind that differ in size, material and load, so that an engine that gives all of
-them the constants of one fails.
+Each scene has two or three bodies of a kind that differ in size, material and load. An engine that gives all of them
+the same constants fails.
 
 The contract has no forces on nodes, so the load is the weight. Engines differ in damping: a body may oscillate about
 its equilibrium or creep towards it. The mean under a Hann window over four periods or more is the equilibrium in both
-cases. Each law is fitted with the place of the clamp as a free parameter, since the clamp of a mesh can be off by up
-to one cell.
+cases. Each law is fitted with the place of the clamp as a free parameter, because the clamp of a mesh can be off by
+one cell.
 """
 
 import math
@@ -58,13 +58,13 @@ UP = (0.0, 0.0, 1.0)
 LEVEL = Pose(position_m=(0.0, 0.0, LEVEL_M))
 
 FRAME = fixed_box("frame", (0.0, 0.0, 3.0), (0.1, 0.1, 0.1))
-"""Body to which clamped regions are attached. Its place does not matter, so it is out of reach."""
+"""Body to which clamped regions are attached. Its place does not matter, so it is far away."""
 
 BYSTANDERS = tuple(
     fixed_box(f"bystander {number}", (2.0, 0.3 * number, 0.5), (0.02, 0.02, 0.02))
     for number in range(5)
 )
-"""Bodies that touch nothing. What hangs beside them hangs as without them."""
+"""Bodies without contacts, which must not affect other bodies."""
 
 
 # --- bodies and scenes -----------------------------------------------------------------------------------------------
@@ -125,7 +125,7 @@ def clamped(
     duration_s: float,
     gravity_m_per_s2: float = GRAVITY_M_PER_S2,
 ) -> Scene:
-    """Return a scene of one deformable body, of which some regions are attached to a fixed body."""
+    """Return a scene of one deformable body with some regions attached to a fixed body."""
     return Scene(
         bodies=(FRAME,),
         deformables=(body,),
@@ -156,8 +156,8 @@ SPEED_M_PER_S = 2.0
 def side_by_side(scenes: Sequence[Scene], late_s: float) -> Scene:
     """Return the bodies of several clamped scenes in one, numbered and among bystanders.
 
-    Their frame stands still for the duration of the last scene. Then it reaches 2 m/s upward, keeps it, and turns
-    besides. On a frame with a constant velocity bodies hang as on one at rest (Galilei).
+    Their frame stands still for the duration of the last scene. Then it reaches 2 m/s upward, keeps it, and also turns.
+    On a frame with constant velocity, bodies hang as on a frame at rest (Galilei).
 
     Args:
         scenes: Scenes that `clamped` returns.
@@ -169,7 +169,9 @@ def side_by_side(scenes: Sequence[Scene], late_s: float) -> Scene:
         place_m = np.add(body.pose.position_m, (0.0, APART_M * (number - 1), 0.0))
         name = f"{body.name} {number}"
         bodies.append(replace(placed(body, place_m), name=name))
-        attachments += [replace(one, deformable=name) for one in scene.attachments]
+        attachments += [
+            replace(attachment, deformable=name) for attachment in scene.attachments
+        ]
     moving_s, turn_s = 3.0 * RAMP_S + late_s, scene.duration_s + RAMP_S + late_s
     rise = ramp(
         SPEED_M_PER_S * (moving_s - RAMP_S),
@@ -177,10 +179,10 @@ def side_by_side(scenes: Sequence[Scene], late_s: float) -> Scene:
         duration_s=moving_s,
         ramp_s=RAMP_S,
     )
-    turn = ramp(TURN_RAD, start_s=turn_s, duration_s=2.0 * TURN_S, ramp_s=0.15)
+    rotation = ramp(TURN_RAD, start_s=turn_s, duration_s=2.0 * TURN_S, ramp_s=0.15)
     motions = (
         DriverMotion(kind="translate", axis=UP, profiles=(rise,)),
-        DriverMotion(kind="rotate", axis=UP, profiles=(turn,)),
+        DriverMotion(kind="rotate", axis=UP, profiles=(rotation,)),
     )
     moves = Driver(body=FRAME.name, motions=motions, provenance="nominal")
     return replace(
@@ -199,7 +201,7 @@ MASS_POINTS = 1e5
 def node_masses_kg(body: Deformable, nodes_m: FloatArray) -> FloatArray:
     """Return the mass at each node of a uniform body, from its nodes at the start [m], shape [node_count].
 
-    It is that of the points of the body that are nearest to the node, for any mesh.
+    It is the mass of the points of the body that are nearest to the node, for any mesh.
     """
     size_m = extent_m(body)
     count = round(MASS_POINTS ** (1.0 / np.count_nonzero(size_m)))
@@ -223,7 +225,7 @@ def stiffness(load: float, slope: float, expected: float) -> Measurement:
     """Measure a stiffness from a load and the fitted coefficient of the deformation, load / stiffness.
 
     Args:
-        load: Load in the unit of the stiffness times that of the coefficient.
+        load: Load in the unit of the stiffness times the unit of the coefficient.
         slope: Coefficient of the deformation; when it is not positive, the stiffness is infinite.
         expected: Expected stiffness.
     """
@@ -242,11 +244,11 @@ def equilibrium(
 ) -> tuple[Any, float, FloatArray, FloatArray]:
     """Return a body, the depth of its clamp, its nodes at the start in its frame, and their displacements [m].
 
-    The displacements, along the axes of the world, are those in equilibrium, without that of `FRAME`.
+    The displacements are along the axes of the world, in equilibrium, and relative to `FRAME`.
     """
     scene = rollout.scene
-    (body,) = (one for one in scene.deformables if one.name == name)
-    clamps = [one.region for one in scene.attachments if one.deformable == name]
+    (body,) = (soft for soft in scene.deformables if soft.name == name)
+    clamps = [link.region for link in scene.attachments if link.deformable == name]
     nodes_m = rollout.nodes_m[name] - rollout.displacement(FRAME.name)[:, None]
     settled_m = hann_mean(nodes_m[rollout.between(start_s, end_s)])
     rest_m = body.pose.to_body(nodes_m[0])
@@ -274,7 +276,7 @@ def cantilever(
 def worst_law(
     rollout: Recording, law: Law, what: str, settled_s: float, still_s: float
 ) -> Measurement:
-    """Measure the ratio of a constant to that of the scene that is furthest from 1, of all bodies, at rest and moving.
+    """Measure the worst ratio of a measured to a given constant, of all bodies, at rest and moving.
 
     Args:
         rollout: Recording of a scene of `side_by_side`.
@@ -291,8 +293,8 @@ def worst_law(
     ratios = {}
     for body in rollout.scene.deformables:
         for label, window_s in windows_s.items():
-            found = law(rollout, body.name, *window_s)
-            ratios[f"{body.name} {label}"] = found.measured / found.expected
+            measurement = law(rollout, body.name, *window_s)
+            ratios[f"{body.name} {label}"] = measurement.measured / measurement.expected
     return ratio(ratios, what)
 
 
@@ -323,7 +325,7 @@ def start_error(
     Args:
         lab: The lab.
         bodies: The bodies.
-        turn_deg: Euler angles of the first body; those of the second are twice as large [deg].
+        turn_deg: Euler angles of the first body; the second body has twice these angles [deg].
     """
     turned = []
     for number, body in enumerate(bodies):
@@ -358,13 +360,13 @@ ATTACHED: dict[str, Any] = {
 """Texts of the checks of attached nodes."""
 
 CLAMPED_MM, BEYOND_MM = 0.1, 1.0
-"""Distance from its place within which a node is attached, and that beyond the clamp within which it may be."""
+"""Largest distance of an attached node from its place, and of an attached node beyond the clamp."""
 
 
 def attachment_error(rollout: Recording) -> Measurement:
     """Measure the largest distance of an attached node from its place on the frame [mm]; all regions are at high sides.
 
-    Where nodes beyond the clamp keep their places, it is the distance of the deepest of them from the clamp.
+    If nodes beyond the clamp keep their places, it is the distance of the deepest node from the clamp.
     """
     (moves,) = rollout.scene.drivers
     poses = [moves.pose(FRAME.pose, float(time_s)) for time_s in rollout.times_s]
@@ -378,7 +380,7 @@ def attachment_error(rollout: Recording) -> Measurement:
         axis = "xyz".index(region.axis)
         along_m = body.pose.to_body(nodes_m[0])[:, axis]
         depth_m = 0.5 * extent_m(body)[axis] - along_m
-        # The mesh may leave out what is clamped, and begin at the end of the clamp.
+        # The mesh may leave out the clamped material, and begin at the end of the clamp.
         inside = depth_m < PLACE_TOLERANCE_M + max(depth_m.min(), region.depth_m)
         off_mm = 1e3 * np.linalg.norm(nodes_m - carried_m, axis=2).max(axis=0)
         cases[body.name] = {"": float(off_mm[inside].max())}
@@ -414,7 +416,7 @@ def _paired(
     bodies: Sequence[Deformable], rigid: Sequence[RigidBody], **more: Any
 ) -> Scene:
     """Return a scene in which deformable and rigid bodies touch."""
-    names = [tuple(one.name for one in several) for several in (bodies, rigid)]
+    names = [tuple(body.name for body in group) for group in (bodies, rigid)]
     return Scene(
         bodies=tuple(rigid),
         deformables=tuple(bodies),
@@ -470,7 +472,7 @@ STRUCK = 9
 def momentum_ratio(
     lab: Lab, bodies: Sequence[Deformable], duration_s: float
 ) -> Measurement:
-    """Measure the momentum of bodies and of the free blocks that strike them, over that of the blocks at the start."""
+    """Measure the momentum of bodies and of the blocks that strike them, over the initial momentum of the blocks."""
     struck, blocks = [], []
     for number, body in enumerate(bodies):
         speed_m_per_s, share = STRIKES[number % 3]

@@ -67,7 +67,7 @@ def _blocks(lab: Lab) -> Recording:
         BLOCKS.items()
     ):
         place = np.array([0.3 + number, -0.2, 1.0])
-        turn = DriverMotion(
+        rotation = DriverMotion(
             kind="rotate",
             axis=axis,
             profiles=_strokes(angle),
@@ -75,7 +75,9 @@ def _blocks(lab: Lab) -> Recording:
         )
         move = DriverMotion(kind="translate", axis=line, profiles=_strokes(path_m))
         blocks.append(driven_box(name, vector(place), BLOCK_M, euler_deg=euler_deg))
-        drivers.append(Driver(body=name, motions=(turn, move), provenance="nominal"))
+        drivers.append(
+            Driver(body=name, motions=(rotation, move), provenance="nominal")
+        )
     return lab.rollout(
         Scene(bodies=tuple(blocks), drivers=tuple(drivers), duration_s=2.6)
     )
@@ -83,7 +85,7 @@ def _blocks(lab: Lab) -> Recording:
 
 def _asked(rollout: Recording, name: str) -> FloatArray:
     """Return poses and rates that the scene prescribes for a driven body, shape [sample_count, 13]."""
-    motion = next(one for one in rollout.scene.drivers if one.body == name)
+    motion = next(driven for driven in rollout.scene.drivers if driven.body == name)
     return motion.path(rollout.scene.body(name).pose, rollout.times_s)
 
 
@@ -113,12 +115,12 @@ def driven_velocity(lab: Lab) -> Measurement:
     ):
         states = rollout.states[name]
         asked = _asked(rollout, name)[cruise, rates].mean(axis=0)
-        found = states[cruise, rates].mean(axis=0)
-        share = found @ asked / (asked @ asked)
+        reported = states[cruise, rates].mean(axis=0)
+        share = reported @ asked / (asked @ asked)
         errors = {
-            "": found - asked,
+            "": reported - asked,
             "it stands still, so that drive() has no effect": np.ptp(states[:, :7], 0),
-            f"it reports {share:.4g} times its velocity": found - share * asked,
+            f"it reports {share:.4g} times its velocity": reported - share * asked,
         }
         cases[f"the velocity of the {name}"] = {
             text: 100.0 * length_of(error) / length_of(asked)
@@ -128,7 +130,7 @@ def driven_velocity(lab: Lab) -> Measurement:
 
 
 def _off_path(rollout: Recording, name: str) -> dict[str, float]:
-    """Return the largest distance [mm] of a corner of a block from its path, and what known mistakes leave of it."""
+    """Return the largest distance [mm] of a corner of a block from its path, and the rest after known mistakes."""
     asked = _asked(rollout, name)
     path, places = (
         states[:, None, :3]
@@ -166,7 +168,7 @@ def driven_path(lab: Lab) -> Measurement:
     """
     rollout = lab.once(_blocks)
     cases = {f"the {name}": _off_path(rollout, name) for name in BLOCKS}
-    # The simplest block that is wrong says most.
+    # The simplest wrong block is the most informative.
     wrong = [name for name, errors in cases.items() if not errors[""] < 0.1]
     return largest({name: cases[name] for name in wrong[:1] or cases}, "mm")
 
@@ -212,14 +214,14 @@ def _plates(lab: Lab) -> Recording:
 
 
 def unless_off(
-    found: Measurement, rollout: Recording, supports: Mapping[str, str]
+    measurement: Measurement, rollout: Recording, supports: Mapping[str, str]
 ) -> Measurement:
-    """Return a measurement with a hint that says where a body does not stay on its support; as it is if all do.
+    """Return a measurement, with a hint if a body does not stay on its support.
 
     Args:
-        found: The measurement.
+        measurement: The measurement.
         rollout: A rollout of bodies that move along their supports.
-        supports: What each body lies on.
+        supports: Support of each body.
     """
     for name, support in supports.items():
         fallen_m = -moved_m(rollout, name, support)[-1, 2]
@@ -228,18 +230,18 @@ def unless_off(
         if fallen_m > 0.45 * G * cosine * rollout.times_s[-1] ** 2:
             hint = f"the {name} falls through the {support}: the pair has no contact"
         if fallen_m > 1e-3:
-            return replace(found, hint=hint)
-    return found
+            return replace(measurement, hint=hint)
+    return measurement
 
 
 def worst_friction(
     rollout: Recording, slides: Mapping[str, tuple[float, float, str]]
 ) -> Measurement:
-    """Measure the friction over that of the pair, where it is furthest from 1.
+    """Measure the worst ratio of friction to the friction of the pair.
 
     Args:
         rollout: A rollout of slides.
-        slides: For each body that slides its friction, that of the pair, and its support.
+        slides: Measured friction, friction of the pair, and support of each sliding body.
     """
     shares = {name: friction / pair for name, (friction, pair, _) in slides.items()}
     worst = ratio(shares, "the friction")
@@ -321,7 +323,7 @@ def driven_slow(lab: Lab) -> Measurement:
     for name in ("plate at 2 mm/s", "plate at 0.02 rad/s"):
         asked = _asked(rollout, name)[-1, :3] - rollout.position(name)[0]
         supports[f"cube on {name}"] = name
-        for one in (name, f"cube on {name}"):
-            moved = rollout.displacement(one)[-1]
-            shares[one] = float(moved @ asked / (asked @ asked))
+        for body_name in (name, f"cube on {name}"):
+            moved = rollout.displacement(body_name)[-1]
+            shares[body_name] = float(moved @ asked / (asked @ asked))
     return unless_off(ratio(shares, "the displacement"), rollout, supports)

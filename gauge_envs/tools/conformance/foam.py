@@ -144,11 +144,11 @@ def _foam_tension(lab: Lab) -> Measurement:
     E from the mean sag, and Poisson's ratio from contraction over stretch, at rest and on the moving frame, over those
     of the scene; the worst.
     """
-    found = (
+    measurements = (
         worst_law(lab.once(_hanging), law, what, SETTLED_S, HUNG_S)
         for what, law in (("E", young), ("Poisson's ratio", poisson))
     )
-    return max(found, key=lambda one: abs(one.measured - 1.0))
+    return max(measurements, key=lambda measurement: abs(measurement.measured - 1.0))
 
 
 @check("foam-rests-on", title="foam stands on bodies", law="height = 0", **REST)
@@ -157,7 +157,7 @@ def _foam_rests_on(lab: Lab) -> Measurement:
 
     Mean height of the lowest node over the slab from 60 to 80 ms; the worst.
     """
-    # What has no contact falls by 18 mm within 60 ms.
+    # Without contact, a block falls by 18 mm within 60 ms.
     return rest_error(lab, BLOCKS, 0.08)
 
 

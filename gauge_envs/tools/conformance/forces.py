@@ -28,7 +28,7 @@ FORCE_N_PER_KG = 0.1 * DIRECTION
 
 
 def _push(lab: Lab, bodies: Sequence[RigidBody]) -> Recording:
-    """Push floating bodies by forces and torques at once, which replace others."""
+    """Push floating bodies by forces and torques together, which replace earlier ones."""
     scene = Scene(bodies=(*bodies,), duration_s=PUSH_S, gravity_m_per_s2=0.0)
     with lab.running(scene) as simulation:
         for at, each in enumerate(bodies):

@@ -1,4 +1,4 @@
-"""Bodies that nothing touches: uniform motion, free fall, free rotation, and what is reported of them."""
+"""Bodies without contacts: uniform motion, free fall, free rotation, and their reported states."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ FALLS = ((G, 8.0), (1.62, 0.0), (0.0, 1.0))
 
 
 def _flight(lab: Lab, gravity: float, speed: float, spin: float) -> Recording:
-    """Record solids that fly for 0.5 s, each thrown another way by shares of a speed and a spin."""
+    """Record solids that fly for 0.5 s, each thrown in another direction with a share of a speed and a spin."""
     bodies = [
         thrown(
             each,

@@ -1,4 +1,4 @@
-"""Bodies on hinges and strings: periods, energy, and what the joint keeps."""
+"""Bodies on hinges and strings: periods, energy, arms and lengths."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ def _hinged(names: Sequence[str]) -> Scene:
         pose = Pose.from_euler_deg(ZERO, (20.0 * at, -35.0 * at, 50.0))
         centre = pose.to_world(mass_properties(shape, 1.0)[0])
         pose = replace(pose, position_m=vector(np.add(anchor, arm) - centre))
-        one = body(name, shape, pose, mass_kg=0.1 * 2.0**at)
-        bodies.append(thrown(one, ZERO, np.multiply(rate, axis)))
+        bob = body(name, shape, pose, mass_kg=0.1 * 2.0**at)
+        bodies.append(thrown(bob, ZERO, np.multiply(rate, axis)))
         hinges.append(Hinge(body=name, anchor_m=anchor, axis=axis))
     return Scene(bodies=tuple(bodies), joints=tuple(hinges), duration_s=4.0)
 
@@ -95,12 +95,14 @@ def _pendulums(lab: Lab) -> list[dict[str, float]]:
             gyration_m = float(np.sqrt(inner @ tensor @ inner))
             turning = (gyration_m * spins @ axis) ** 2
             energy = 0.5 * ((speeds**2).sum(axis=1) + turning)
-            # Nothing moves: not a number, which fails.
+            # A body at rest gives NaN, which fails.
             scale = energy.max() or np.nan
             energy += G * path[:, 2]
             if run == pushed:
-                turn = cumulative_trapezoid(spins @ axis, rollout.times_s, initial=0.0)
-                energy -= TORQUE_M2_PER_S2 * turn
+                angle_rad = cumulative_trapezoid(
+                    spins @ axis, rollout.times_s, initial=0.0
+                )
+                energy -= TORQUE_M2_PER_S2 * angle_rad
             elif arm_m:
                 # Lowest direction across the axis.
                 low = axis[2] * np.array(axis) - [0.0, 0.0, 1.0]
@@ -111,8 +113,8 @@ def _pendulums(lab: Lab) -> list[dict[str, float]]:
                     amplitude_rad=float(np.arccos(start @ low / across / arm_m)),
                     gravity_m_per_s2=G * across,
                 )
-                found = mean_period_s(rollout.times_s, arms @ np.cross(axis, low))
-                periods[f"the {name}"] = found / period
+                measured_s = mean_period_s(rollout.times_s, arms @ np.cross(axis, low))
+                periods[f"the {name}"] = measured_s / period
             change = 100.0 / scale * (energy - energy[0])
             percent = np.abs(change).max()
             if len(change) > 3000:
@@ -191,8 +193,8 @@ def _hanging(names: Sequence[str]) -> Scene:
     bodies, strings = [], []
     for name in names:
         anchor, length_m, start_m = STRINGS[name]
-        one = ball(name, vector(np.subtract(anchor, [0.0, 0.0, start_m])))
-        bodies.append(replace(one, shape=BLOCK) if name == "block" else one)
+        bob = ball(name, vector(np.subtract(anchor, [0.0, 0.0, start_m])))
+        bodies.append(replace(bob, shape=BLOCK) if name == "block" else bob)
         strings.append(Tether(body=name, anchor_m=anchor, length_m=length_m))
     return Scene(bodies=tuple(bodies), joints=tuple(strings), duration_s=0.5)
 

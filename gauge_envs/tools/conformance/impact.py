@@ -49,8 +49,8 @@ REBOUND = Tolerance(
 # --- drops -----------------------------------------------------------------------------------------------------------
 
 DROP_M = 0.4
-LEAST_HOP = 0.01
-"""Height of a hop over that of the drop below which a contact settles and does not rebound."""
+MIN_HOP_SHARE = 0.01
+"""Height of a hop, over the height of the drop, below which a contact settles."""
 SUSTAINED = "a pair of the mode SUSTAINED: restitution has no effect there"
 
 
@@ -85,7 +85,7 @@ def rebound_of_balls(lab: Lab) -> Measurement:
     for name in values:
         bounce = bounce_of(rollout, name)
         e = bounce.restitution if bounce else math.inf
-        ratios[name] = e if e**2 > LEAST_HOP else 0.0
+        ratios[name] = e if e**2 > MIN_HOP_SHARE else 0.0
     worst = max(values, key=lambda name: abs(ratios[name] - values[name]))
     hint = f"the rebound is wrong for {worst}"
     if not any(ratios.values()):
@@ -107,13 +107,13 @@ class _Shot:
         speed_m_per_s: Its speed.
         restitution: Restitution of the pairs.
         at_s: Time of the first impact [s].
-        order: -1 if the contact lists what it hits first.
+        order: -1 if the contact lists the target first.
         row: Number of bodies that it hits; 0 for the wall.
-        target_kg: Mass of each of them.
+        target_kg: Mass of each target.
         target_m_per_s: Their speed before the impact.
         shape: Shape of all of them.
-        reach_m: Distance from their middle to where they touch.
-        euler_deg: Turn about x, z and x. What it hits is turned by 55 degrees about x.
+        reach_m: Distance from their middle to the contact point.
+        euler_deg: Turn about x, z and x. Targets are turned by 55 degrees about x.
     """
 
     speed_m_per_s: float
@@ -128,7 +128,7 @@ class _Shot:
     euler_deg: Vector = (0.0, 0.0, 0.0)
 
     def names(self, name: str) -> list[str]:
-        """Return the names of the body and of those that it hits."""
+        """Return the names of the body and of its targets."""
         return [name, *(f"{name} {index}" for index in range(1, self.row + 1))]
 
 
@@ -156,16 +156,16 @@ def _fly(lab: Lab, shots: Mapping[str, _Shot]) -> Recording:
     bodies = [fixed_box("wall", (0.2, 0.5 * width - 0.7, 1.0), (0.4, width, 0.6))]
     contacts = []
     for index, (name, shot) in enumerate(shots.items()):
-        turn = Rotation.from_euler("xzx", shot.euler_deg, degrees=True)
+        rotation = Rotation.from_euler("xzx", shot.euler_deg, degrees=True)
         x, speed, mass_kg = -shot.reach_m, shot.speed_m_per_s, SHOT_KG
         names = shot.names(name)
-        for one in names:
+        for body_name in names:
             place = (x - speed * shot.at_s, 0.4 * index, 1.0)
-            pose = Pose.from_rotation(place, turn)
-            part = body(one, shot.shape, pose, mass_kg=mass_kg)
+            pose = Pose.from_rotation(place, rotation)
+            part = body(body_name, shot.shape, pose, mass_kg=mass_kg)
             bodies.append(thrown(part, (speed, 0.0, 0.0)))
-            x += 2.0 * shot.reach_m + GAP_M * (one != name)
-            turn = Rotation.from_euler("x", 55.0, degrees=True) * turn
+            x += 2.0 * shot.reach_m + GAP_M * (body_name != name)
+            rotation = Rotation.from_euler("x", 55.0, degrees=True) * rotation
             speed, mass_kg = shot.target_m_per_s, shot.target_kg
         for pair in zip(names, names[1:] or ["wall"], strict=False):
             touch = contact(
@@ -177,11 +177,14 @@ def _fly(lab: Lab, shots: Mapping[str, _Shot]) -> Recording:
 
 
 def _rebounds(rollout: Recording, shots: Mapping[str, _Shot]) -> dict[str, float]:
-    """Return the speed of separation of the last two bodies of each shot over that by the law."""
+    """Return the speed of separation of the last two bodies of each shot, over the expected speed."""
     rebounds = {}
     for name, shot in shots.items():
         after = rollout.sample_at(shot.at_s + AFTER_S)
-        speeds = [float(rollout.velocity(one)[after, 0]) for one in shot.names(name)]
+        speeds = [
+            float(rollout.velocity(body_name)[after, 0])
+            for body_name in shot.names(name)
+        ]
         *_, last, target = speeds if shot.row else (*speeds, 0.0)
         # Each ball of a row hits the next equal one with (1 + e) / 2 times its speed.
         passed = (0.5 + 0.5 * shot.restitution) ** max(shot.row - 1, 0)
@@ -307,8 +310,10 @@ def momentum(lab: Lab) -> Measurement:
     ratios = {}
     for name, shot in VOLLEY.items():
         if shot.row:
-            first, *others = [rollout.velocity(one)[:, 0] for one in shot.names(name)]
-            along = SHOT_KG * first + shot.target_kg * np.sum(others, axis=0)
+            first, *other_speeds = [
+                rollout.velocity(body_name)[:, 0] for body_name in shot.names(name)
+            ]
+            along = SHOT_KG * first + shot.target_kg * np.sum(other_speeds, axis=0)
             ratios[name] = float(along[-1] / along[0])
     return ratio(ratios, "the momentum")
 
@@ -386,9 +391,9 @@ def _oblique(lab: Lab) -> dict[str, FloatArray]:
         contacts.append(contact(*pair, friction=friction, restitution=OBLIQUE_E))
     rollout = _weightless(lab, [*balls, ground()], contacts, 0.2)
     speeds = {}
-    for name, turn in turns.items():
-        velocity = turn.apply(rollout.velocity(name)[-1], inverse=True)
-        spin = turn.apply(rollout.angular_velocity(name)[-1], inverse=True)
+    for name, rotation in turns.items():
+        velocity = rotation.apply(rollout.velocity(name)[-1], inverse=True)
+        spin = rotation.apply(rollout.angular_velocity(name)[-1], inverse=True)
         speeds[name] = np.array([velocity[0], velocity[2], RADIUS_M * spin[1]])
     return speeds
 

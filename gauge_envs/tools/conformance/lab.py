@@ -36,9 +36,9 @@ class Measurement:
     Attributes:
         measured: The measured value.
         expected: The value of the closed form, in the same unit.
-        hint: What this particular value shows; may be empty. With a colon, as in `it falls through: the pair has no
-            contact`, it explains the failure. Otherwise the cause of the check follows.
-        width: Largest admissible difference where it depends on the engine; None for that of the check.
+        hint: Meaning of this value; may be empty. With a colon, as in `it falls through: the pair has no contact`, it
+            explains the failure. Otherwise the cause of the check follows.
+        width: Largest admissible difference if it depends on the engine; None for the tolerance of the check.
     """
 
     measured: float
@@ -54,14 +54,14 @@ class ContractError(GaugeError):
 class Lab:
     """An engine, on which checks build and run their scenes.
 
-    The engine gets a copy of each scene, so that expected values stay those of the check whatever it does to it.
+    The engine gets a copy of each scene, so that it cannot change the expected values of the check.
 
     Args:
         backend: The engine.
         settings: Numerical settings that replace its defaults.
 
     Attributes:
-        settings_in_force: Settings of the simulation that was built last.
+        effective_settings: Settings of the simulation that was built last.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Lab:
     ) -> None:
         self.backend = backend
         self.settings = settings
-        self.settings_in_force: dict[str, Any] = {}
+        self.effective_settings: dict[str, Any] = {}
         self._given: list[tuple[Scene, Scene]] = []
         self._kept: dict[Callable[[Lab], Any], tuple[Any, Exception | None]] = {}
 
@@ -84,20 +84,20 @@ class Lab:
     def buildable(
         self, cases: Sequence[T], scene_of: Callable[[Sequence[T]], Scene]
     ) -> Sequence[T]:
-        """Return the cases that the engine can build, all in one scene; all of them if it can build none."""
+        """Return the cases that the engine can build, together in one scene; all cases if it can build none."""
         if self.supports(scene_of(cases)):
             return cases
-        return [one for one in cases if self.supports(scene_of([one]))] or cases
+        return [case for case in cases if self.supports(scene_of([case]))] or cases
 
     def in_any_shape(self, scene: Scene) -> Scene:
-        """Return a scene, with balls in place of its dynamic bodies where the engine builds only those."""
+        """Return a scene, with balls in place of its dynamic bodies if the engine builds only balls."""
         if self.supports(scene):
             return scene
         bodies = [
-            replace(one, shape=Sphere(radius_m=0.03))
-            if one.motion is Motion.DYNAMIC
-            else one
-            for one in scene.bodies
+            replace(body, shape=Sphere(radius_m=0.03))
+            if body.motion is Motion.DYNAMIC
+            else body
+            for body in scene.bodies
         ]
         return replace(scene, bodies=tuple(bodies))
 
@@ -105,7 +105,7 @@ class Lab:
         try:
             return scene_support(self.backend, deepcopy(scene)).missing
         except Exception as error:
-            names = ", ".join(one.name for one in (*scene.bodies, *scene.deformables))
+            names = ", ".join(body.name for body in (*scene.bodies, *scene.deformables))
             raise ContractError(
                 f"supports() raised {type(error).__name__}: {error}{raised_at(error)}; it must return a Support for "
                 f"every scene, also where pairs contain deformable bodies (here: {names})"
@@ -119,13 +119,13 @@ class Lab:
         Args:
             scene: The scene.
             world_count: Number of worlds of a batch; None for `Backend.build`.
-            changes: Settings that replace those of the lab.
+            changes: Settings that replace settings of the lab.
 
         Raises:
-            DeclinedError: The engine reports that it cannot build the scene, or refuses the settings for it.
+            DeclinedError: The engine reports that it cannot build the scene, or rejects the settings for it.
             ContractError: `build` fails although `supports` was true.
         """
-        self.settings_in_force = {}
+        self.effective_settings = {}
         if missing := self._missing(scene):
             raise DeclinedError(missing)
         given = deepcopy(scene)
@@ -139,20 +139,20 @@ class Lab:
             settings_record(self.backend.name, simulation.settings)
         except Exception as error:
             if settings and isinstance(error, ParameterError | UnsupportedSceneError):
-                # `supports` answers for the default settings; a preset for other scenes is no fault of the engine.
-                raise DeclinedError((f"the settings are refused: {error}",)) from error
+                # `supports` answers for the default settings; a preset for other scenes is not a fault of the engine.
+                raise DeclinedError((f"the settings are rejected: {error}",)) from error
             raise ContractError(
                 f"supports() was true, but build() raised {type(error).__name__}: {error}{raised_at(error)}"
             ) from error
-        self.settings_in_force = dict(simulation.settings)
+        self.effective_settings = dict(simulation.settings)
         self._given.append((scene, given))
         return simulation
 
     def check_scenes(self) -> None:
-        """Check that the engine left the scenes as they were that it got since the last call.
+        """Check that the engine did not change the scenes that it received since the last call.
 
         Raises:
-            ContractError: It changed one.
+            ContractError: It changed a scene.
         """
         pairs = self._given
         self._given = []
@@ -186,8 +186,8 @@ class Lab:
             scene: The scene.
             seconds: Time to simulate [s]; None for the duration of the scene.
             interval_s: Time between samples [s].
-            wrenches: Force and torque on each body that is pushed all the time [N, N m], shape [6].
-            changes: Settings that replace those of the lab.
+            wrenches: Constant force and torque on each pushed body [N, N m], shape [6].
+            changes: Settings that replace settings of the lab.
         """
         whole_s = scene.duration_s if seconds is None else seconds
         with self.running(scene, **changes) as simulation:
@@ -196,9 +196,9 @@ class Lab:
             return record(simulation, scene, whole_s, interval_s=interval_s)
 
     def once(self, function: Callable[[Lab], T]) -> T:
-        """Return the value of a function of the lab, which is called at its first use only.
+        """Return the value of a function of the lab, which is called only once.
 
-        Several checks can thus read one recording.
+        Several checks can then read one recording.
 
         Raises:
             Exception: The exception of the function, at each use.
@@ -215,7 +215,7 @@ class Lab:
 
 
 def push(simulation: Simulation, body: str, wrench: ArrayLike) -> None:
-    """Apply a wrench to a body in all worlds; raise `DeclinedError` if the engine applies none.
+    """Apply a wrench to a body in all worlds; raise `DeclinedError` if the engine cannot apply wrenches.
 
     Args:
         simulation: The simulation.
@@ -231,10 +231,10 @@ def push(simulation: Simulation, body: str, wrench: ArrayLike) -> None:
 
 
 def ratio(ratios: Mapping[str, float], what: str) -> Measurement:
-    """Measure the ratio that is furthest from 1; a hint names what it belongs to and what is right."""
+    """Measure the ratio that is furthest from 1; a hint names its case and the correct cases."""
     errors = {
-        name: abs(one - 1.0) if np.isfinite(one) else np.inf
-        for name, one in ratios.items()
+        name: abs(value - 1.0) if np.isfinite(value) else np.inf
+        for name, value in ratios.items()
     }
     worst = max(errors, key=lambda name: errors[name])
     right = [name for name, error in errors.items() if error < 0.1 * errors[worst]]
@@ -249,11 +249,11 @@ def ratio(ratios: Mapping[str, float], what: str) -> Measurement:
 def largest(
     cases: Mapping[str, float | Mapping[str, float]], unit: str = ""
 ) -> Measurement:
-    """Measure the largest error of some cases; a hint names it, and the known mistake that explains it.
+    """Measure the largest error of some cases; a hint names its case, and the known mistake that explains it.
 
     Args:
-        cases: For each case its error by the law; or that and what is left of it by known mistakes, in words. A mistake
-            explains an error of which it leaves 3 % or less.
+        cases: Error of each case; or its error, and the remaining error by the text of each known mistake. A mistake
+            explains an error if 3 % or less of it remain.
         unit: Unit of the errors.
     """
     known = {

@@ -32,7 +32,7 @@ PHENOMENA = {
     "foam": "foam",
     "rope": "rope",
 }
-"""Modules of the checks, from simple to compound, and the level that each belongs to."""
+"""Modules of the checks, from simple to compound, and the level of each."""
 
 LEVELS = tuple(dict.fromkeys(PHENOMENA.values()))
 
@@ -46,8 +46,13 @@ class Status(StrEnum):
     """The measured value is outside the tolerance, or not finite."""
     ERROR = "error"
     """The engine raised an exception, its process died, or it exceeded a limit."""
-    DECLINED = "declined"
-    """The engine reports that it cannot build the scene. This is no failure."""
+    UNSUPPORTED = "unsupported"
+    """The engine reports that it cannot build the scene. This is not a failure."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> Status | None:
+        # Files of gauge-envs before 1.0; accepted until 1.2.
+        return cls.UNSUPPORTED if value == "declined" else None
 
 
 @dataclass(frozen=True)
@@ -113,7 +118,7 @@ class Check:
 
     @property
     def fingerprint(self) -> str:
-        """Digest of what the number means: scene, measured quantity, law, unit and tolerance, and no code."""
+        """Digest of the meaning of the number: scene, measured quantity, law, unit and tolerance, without code."""
         width = [self.tolerance.absolute, self.tolerance.relative]
         parts = [self.id, self.scene, self.measures, self.law, self.unit, width]
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:12]
@@ -176,20 +181,22 @@ def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
     for phenomenon in PHENOMENA:
         import_module(f"gauge_envs.tools.conformance.{phenomenon}")
     order = [*PHENOMENA]
-    # A module may have been imported before another one that precedes it.
+    # Modules may have been imported in another order.
     known = sorted(
         _CHECKS.values(),
-        key=lambda one: (
-            order.index(one.phenomenon) if one.phenomenon in PHENOMENA else len(order)
+        key=lambda entry: (
+            order.index(entry.phenomenon)
+            if entry.phenomenon in PHENOMENA
+            else len(order)
         ),
     )
     for pattern in only:
         if not any(fnmatchcase(name, pattern) for name in _CHECKS):
-            raise UnknownNameError("check", pattern, [one.id for one in known])
+            raise UnknownNameError("check", pattern, [entry.id for entry in known])
     return tuple(
-        one
-        for one in known
-        if not only or any(fnmatchcase(one.id, pattern) for pattern in only)
+        entry
+        for entry in known
+        if not only or any(fnmatchcase(entry.id, pattern) for pattern in only)
     )
 
 
@@ -200,15 +207,15 @@ class CheckResult:
     Attributes:
         of: The check.
         backend: Name of the engine.
-        status: Pass, fail, declined or error.
+        status: Pass, fail, error or unsupported.
         expected: Value of the closed form; None when nothing was measured.
         measured: The measured value; None when nothing was measured. Infinity and NaN fail.
         width: Largest admissible difference; None when nothing was measured.
-        diagnosis: What a failure shows and its most likely cause, or the text of the exception; empty otherwise.
-        missing: Features that the engine lacks, when it declined.
+        diagnosis: Meaning of a failure and its most likely cause, or the text of the exception; empty otherwise.
+        missing: Features that the engine lacks, if the check is unsupported.
         wall_s: Time that the check took [s]; checks that share a recording count it once.
         cpu_s: CPU time over the same span [s]; None if it is not known, as for a process that died.
-        settings: Numerical settings in force in the last scene of the check.
+        settings: Effective numerical settings in the last scene of the check.
         versions: Versions of the engine's packages.
     """
 

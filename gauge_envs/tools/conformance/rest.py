@@ -48,7 +48,7 @@ class _Solid:
         shape: The shape.
         half_m: Half of its height.
         euler_deg: Its Euler angles.
-        centre_m: Its middle, as seen from its origin.
+        centre_m: Its middle, relative to its origin.
     """
 
     shape: Shape
@@ -94,7 +94,7 @@ SUPPORTS = {
     "turned solid": _Solid(PRISM, 0.0175, UPSIDE_DOWN, (0.005, 0.0025, -0.0075)),
 }
 Case = tuple[str, str]
-"""A body, and the motion and shape of what it rests on."""
+"""A body, and the motion and shape of its support."""
 REST_S, SHIFT_MM = 0.2, 0.2
 FALL_M = 0.5 * G * REST_S**2
 
@@ -121,8 +121,8 @@ def _heights(cases: Sequence[Case], has_others: bool = False) -> Scene:
         if what != "plane":
             z = 0.0 if motion == Motion.DYNAMIC else 0.5
             carrier = f"{support} under {kind}"
-            one = SUPPORTS[what].on(carrier, (x, y, z), 1.0)
-            bodies.append(replace(one, motion=Motion(motion)))
+            carrier_body = SUPPORTS[what].on(carrier, (x, y, z), 1.0)
+            bodies.append(replace(carrier_body, motion=Motion(motion)))
             carriers.append(carrier)
             z += 2.0 * SUPPORTS[what].half_m
             if motion == Motion.DYNAMIC:
@@ -147,7 +147,7 @@ def _heights(cases: Sequence[Case], has_others: bool = False) -> Scene:
 
 
 def _rest(lab: Lab) -> list[Recording]:
-    """Return recordings of all pairs, in which nothing moves, and of some pairs below bodies without contacts."""
+    """Return recordings of all pairs, which are at rest, and of some pairs below bodies without contacts."""
     cases = lab.buildable(_cases(), _heights)
     scenes = _heights(cases[::2]), _heights(cases[1::2]), _heights(cases[::7], True)
     return [lab.rollout(scene) for scene in scenes]
@@ -172,12 +172,12 @@ def contact_listed(lab: Lab) -> Measurement:
     missing: set[str] = set()
     extra: set[str] = set()
     for rollout in lab.once(_rest):
-        for one in rollout.scene.dynamic_bodies:
-            fall = -float(rollout.displacement(one.name)[-1, 2]) / FALL_M
-            if " over " not in one.name and fall > 0.5:
-                missing.add(one.name)
-            if " over " in one.name and fall < 0.9:
-                extra.add(one.name)
+        for solid in rollout.scene.dynamic_bodies:
+            fall = -float(rollout.displacement(solid.name)[-1, 2]) / FALL_M
+            if " over " not in solid.name and fall > 0.5:
+                missing.add(solid.name)
+            if " over " in solid.name and fall < 0.9:
+                extra.add(solid.name)
     texts = {
         "listed pairs have no contact, the bodies fall through": missing,
         "bodies without a contact are stopped": extra,
@@ -213,10 +213,10 @@ def rest_heights(lab: Lab) -> Measurement:
     errors_mm = {}
     for rollout in lab.once(_rest):
         last = rollout.between(0.14, REST_S)
-        for one in rollout.scene.dynamic_bodies:
-            kind, on, support = one.name.partition(" on ")
+        for solid in rollout.scene.dynamic_bodies:
+            kind, on, support = solid.name.partition(" on ")
             if on:
-                up_m = rollout.displacement(one.name)[last, 2]
+                up_m = rollout.displacement(solid.name)[last, 2]
                 errors_mm[kind, support] = 1e3 * float(up_m.mean())
     wrong = sorted(errors_mm, key=lambda case: -abs(errors_mm[case]))
     count = sum(abs(mm) > SHIFT_MM for mm in errors_mm.values())
@@ -242,8 +242,10 @@ def _boxes_at(
         box(f"box {index} of {mass_kg:g} kg", place, size_m, mass_kg=mass_kg)
         for index, (place, mass_kg) in enumerate(zip(places_m, masses_kg, strict=False))
     )
-    names = tuple(one.name for one in boxes)
-    contacts = tuple(contact(names, other, friction=0.4) for other in (names, "ground"))
+    names = tuple(body.name for body in boxes)
+    contacts = tuple(
+        contact(names, partners, friction=0.4) for partners in (names, "ground")
+    )
     return lab.rollout(
         Scene(bodies=(*boxes, ground()), contacts=contacts, duration_s=seconds)
     )
@@ -252,14 +254,14 @@ def _boxes_at(
 def _stands(
     rollout: Recording, after_s: float = 0.0, axes: slice = slice(3)
 ) -> Measurement:
-    """Measure the largest displacement along some axes after a time of a box, and of a point 50 mm off by rotation."""
+    """Measure the largest displacement of a box along some axes after a time, and of a point 50 mm off its middle."""
     moved_mm = {}
     late = rollout.between(after_s, rollout.times_s[-1])
-    for one in rollout.scene.dynamic_bodies:
-        turns = rollout.rotation(one.name)
+    for solid in rollout.scene.dynamic_bodies:
+        turns = rollout.rotation(solid.name)
         turned_mm = 50.0 * float((turns[late] * turns[0].inv()).magnitude().max())
-        shifted_mm = largest_mm(rollout.displacement(one.name)[late, axes])
-        moved_mm[one.name] = max(shifted_mm, turned_mm)
+        shifted_mm = largest_mm(rollout.displacement(solid.name)[late, axes])
+        moved_mm[solid.name] = max(shifted_mm, turned_mm)
     worst = max(moved_mm, key=lambda name: moved_mm[name])
     moving = [name for name, mm in moved_mm.items() if not mm < SCATTER_MM]
     down_mm = -1e3 * rollout.displacement(worst)[-1, 2]

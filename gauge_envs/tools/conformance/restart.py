@@ -1,4 +1,4 @@
-"""The life of a simulation: it starts again, from other states, after a failure, and in another process."""
+"""The life of a simulation: restart, initial states, recovery from a failure, and a second process."""
 
 import ctypes
 import os
@@ -112,7 +112,7 @@ TUMBLING: dict[str, Any] = {
 
 
 def widest(lab: Lab, *parts: Mapping[str, Any]) -> Scene:
-    """Return a scene with a thrown stick and those of the parts that the engine can build."""
+    """Return a scene with a thrown stick and all parts that the engine can build."""
     scene = lab.in_any_shape(Scene(bodies=(STICK,), duration_s=0.5))
     for part in parts:
         more = {key: getattr(scene, key) + value for key, value in part.items()}
@@ -142,76 +142,78 @@ CLOTH = Scene(
 
 
 def cloths(lab: Lab) -> list[Scene]:
-    """Return the scene with cloth if the engine can run it; other checks judge its motion. Use it with `Lab.once`."""
+    """Return the scene with cloth if the engine can run it. Use it with `Lab.once`."""
     with suppress(DeclinedError, DivergedError):
         lab.rollout(CLOTH, RUN_S)
         return [CLOTH]
     return []
 
 
-def start_of(scene: Scene, share: float) -> FloatArray:
-    """Return initial states, the further from the nominal ones the larger a share of 0 to 1, shape [body_count, 13]."""
+def shifted_states(scene: Scene, share: float) -> FloatArray:
+    """Return initial states [body_count, 13] whose distance from the nominal states grows with a share of 0 to 1."""
     states = nominal_states(scene)
-    for row, one in zip(states, (*scene.bodies, *scene.deformables), strict=True):
-        if one.name in scene.hinges:
+    for row, item in zip(states, (*scene.bodies, *scene.deformables), strict=True):
+        if item.name in scene.hinges:
             rotate(row, 0.7 * share * AXIS, ANCHOR_M)
             row[10:] = -1.5 * share * AXIS
             row[7:10] = np.cross(row[10:], row[:3] - ANCHOR_M)
-        elif getattr(one, "motion", Motion.DYNAMIC) is Motion.DYNAMIC:
+        elif getattr(item, "motion", Motion.DYNAMIC) is Motion.DYNAMIC:
             change = np.array([3, -2, 4, 40, -30, 80, 50, 20, -10, 300, -200, 100])
-            change = 0.01 * share * change * (one.name != "high")
+            change = 0.01 * share * change * (item.name != "high")
             rotate(row, change[3:6], row[:3].copy())
             row[:3] += change[:3]
-            row[7:] += change[6:] * isinstance(one, RigidBody)
+            row[7:] += change[6:] * isinstance(item, RigidBody)
     return states
 
 
-def gaps(states: FloatArray, others: FloatArray) -> FloatArray:
+def gaps(states: FloatArray, reference: FloatArray) -> FloatArray:
     """Return differences of states, shape [..., 13]; a quaternion and its negative are the same rotation."""
-    turned = np.array(others)
-    products = (states[..., 3:7] * others[..., 3:7]).sum(axis=-1, keepdims=True)
+    turned = np.array(reference)
+    products = (states[..., 3:7] * reference[..., 3:7]).sum(axis=-1, keepdims=True)
     turned[..., 3:7] *= np.sign(products)
     return np.abs(states - turned)
 
 
 Gaps = dict[str, dict[str, float]]
-"""Differences by what differs, as `largest` takes them."""
+"""Differences by case, for `largest`."""
 
 
 def apart(first: Recording, second: Recording, when: str) -> Gaps:
-    """Return by how much two recordings differ, by body and quantity in words."""
-    found = {}
+    """Return the differences of two recordings by the text of body and quantity."""
+    differences = {}
     for name, states in first.states.items():
         gap = gaps(states, second.states[name])
         for what, part in (("pose", gap[:, :7]), ("velocity", gap[:, 7:])):
-            found[f"the {what} of the {name} {when}"] = {"": float(part.max())}
+            differences[f"the {what} of the {name} {when}"] = {"": float(part.max())}
     for name, nodes_m in first.nodes_m.items():
         gap = np.abs(nodes_m - second.nodes_m[name])
-        found[f"the nodes of the {name} {when}"] = {"": float(gap.max())}
-    return found
+        differences[f"the nodes of the {name} {when}"] = {"": float(gap.max())}
+    return differences
 
 
-def repeated(lab: Lab, found: Gaps, kinds: str = "bits run") -> Measurement:
-    """Measure the largest difference of runs that must repeat if `Backend.repeatability` is of one of the kinds."""
+def repeated(lab: Lab, differences: Gaps, kinds: str = "bits run") -> Measurement:
+    """Measure the largest difference of runs; they must be equal if `Backend.repeatability` is one of the kinds."""
     declared = lab.backend.repeatability(lab.settings)
     if declared.kind in kinds:
-        return largest(found)
-    places = {one: gap for one, gap in found.items() if "velocity" not in one}
+        return largest(differences)
+    places = {text: gap for text, gap in differences.items() if "velocity" not in text}
     return replace(largest(places), width=1e3 * declared.start_error)
 
 
 def _used(simulation: Simulation, scene: Scene, seed: int) -> None:
-    """Run a simulation from other starts, under a wrench where the engine applies one."""
-    simulation.reset(start_of(scene, 1.0)[None], seed)
-    for one in scene.bodies:
-        if one.name in ("stick", "brick"):
+    """Run a simulation from other initial states, under a wrench if the engine can apply wrenches."""
+    simulation.reset(shifted_states(scene, 1.0)[None], seed)
+    for rigid_body in scene.bodies:
+        if rigid_body.name in ("stick", "brick"):
             with suppress(DeclinedError):
-                push(simulation, one.name, [0.3, -0.2, 0.4, 0.001, 0.002, -0.003])
+                push(
+                    simulation, rigid_body.name, [0.3, -0.2, 0.4, 0.001, 0.002, -0.003]
+                )
     record(simulation, scene, 0.1)
 
 
 def _again(lab: Lab) -> list[tuple[Recording, list[Recording]]]:
-    """Return what is read of scenes before their first reset, and their runs with seeds 0, 1, 2, 0 and 1."""
+    """Return the states of scenes before their first reset, and their runs with seeds 0, 1, 2, 0 and 1."""
     many = []
     for scene in (lively(lab), *lab.once(cloths)):
         runs: list[Recording] = []
@@ -240,12 +242,12 @@ def reset_start(lab: Lab) -> Measurement:
     Largest difference of a state or node from before the first reset: after that reset, after a reset with seed 1 that
     follows a run, and after one with seed 2 that follows a run from other starts.
     """
-    found: Gaps = {}
+    differences: Gaps = {}
     cases = ("after the first reset", "after a run", "after a run from other starts")
     for built, runs in lab.once(_again):
         for run, when in zip(runs, cases, strict=False):
-            found |= apart(built, run.cut(0.0, 0.0), when)
-    return largest(found)
+            differences |= apart(built, run.cut(0.0, 0.0), when)
+    return largest(differences)
 
 
 @check(
@@ -266,8 +268,10 @@ def wrench_reset(lab: Lab) -> Measurement:
         before = record(simulation, undriven, 0.1)
         _used(simulation, scene, 0)
         simulation.reset(None, 0)
-        found = apart(before, record(simulation, undriven, 0.1), "after the reset")
-    return repeated(lab, found)
+        differences = apart(
+            before, record(simulation, undriven, 0.1), "after the reset"
+        )
+    return repeated(lab, differences)
 
 
 @check(
@@ -283,10 +287,10 @@ def reset_course(lab: Lab) -> Measurement:
     Largest difference of a state or node within 0.2 s between runs of one simulation with the same seed, 0 or 1. Runs
     from other starts and with seeds 1 and 2 lie between. Free flight may not depend on the seed by more than 0.1 mm.
     """
-    found: Gaps = {}
+    differences: Gaps = {}
     for _, runs in lab.once(_again):
         for seed in (0, 1):
-            found |= apart(runs[seed], runs[seed + 3], f"with seed {seed} again")
+            differences |= apart(runs[seed], runs[seed + 3], f"with seed {seed} again")
         flights = [run.states["stick"] for run in runs if "stick" in run.states]
         gap = float(gaps(*flights[:2]).max()) if flights else 0.0
         if gap > STARTED.absolute:
@@ -294,7 +298,7 @@ def reset_course(lab: Lab) -> Measurement:
                 f"seed 1 moves a free stick by {gap:.3g}: a seed is no jitter of starts"
             )
             return Measurement(measured=gap, hint=hint)
-    return repeated(lab, found)
+    return repeated(lab, differences)
 
 
 PLATE = Box(size_m=(0.05, 0.04, 0.02))
@@ -328,29 +332,29 @@ def starts_free(lab: Lab) -> Measurement:
         {"bodies": (body(type(shape).__name__, shape, Pose(position_m=(x, 3, 1))),)}
         for x, shape in enumerate(SHAPES)
     ]
-    found: Gaps = {}
+    differences: Gaps = {}
     for scene in (
         widest(lab, *solids, BOUNCE, CARRIED, HUNG),
         *lab.once(cloths),
     ):
-        states = start_of(scene, 1.0)
-        for row, one in zip(states, scene.bodies, strict=False):
-            row[1] += 0.3 * (one.name in ("plate", "rider"))
+        states = shifted_states(scene, 1.0)
+        for row, rigid_body in zip(states, scene.bodies, strict=False):
+            row[1] += 0.3 * (rigid_body.name in ("plate", "rider"))
         there = scene_at(scene, states)
-        # A cloth that lies crumples in one of many ways.
+        # A cloth on the ground crumples unpredictably.
         seconds = 0.1 if there.deformables else RUN_S
         expected = lab.rollout(there, seconds)
         with lab.running(scene) as simulation:
             record(simulation, scene, 0.1)
             simulation.reset(states[None], 0)
-            now = record(simulation, there, seconds)
-        found |= apart(expected, now, "after reset(starts)")
-    return largest(found)
+            run = record(simulation, there, seconds)
+        differences |= apart(expected, run, "after reset(starts)")
+    return largest(differences)
 
 
 @contextmanager
 def aside() -> Iterator[None]:
-    """Keep what engines write about states that are not finite: on stderr, and as files in the working directory."""
+    """Hide output of engines about states that are not finite: on stderr, and files in the working directory."""
     kept = os.dup(2)
     with (
         TemporaryDirectory() as folder,
@@ -379,21 +383,26 @@ def restart_after_nan(lab: Lab) -> Measurement:
     finite, in `diverged`, or as an error.
     """
     scene = lively(lab)
-    starts = nominal_states(scene)
-    starts[0, 7:] = np.nan
-    with aside(), lab.running(scene) as one:
-        before = record(one, scene, RUN_S)
+    states = nominal_states(scene)
+    states[0, 7:] = np.nan
+    with aside(), lab.running(scene) as simulation:
+        before = record(simulation, scene, RUN_S)
         with suppress(Exception):
-            one.reset(starts[None], 0)
+            simulation.reset(states[None], 0)
             for _ in range(3):
-                one.advance(SAMPLE_INTERVAL_S)
-            if np.isfinite(one.body_states(["stick"])).all() and not one.diverged():
+                simulation.advance(SAMPLE_INTERVAL_S)
+            if (
+                np.isfinite(simulation.body_states(["stick"])).all()
+                and not simulation.diverged()
+            ):
                 hint = "a velocity of NaN became finite, and diverged() names no world"
                 return Measurement(measured=np.inf, hint=hint)
-            push(one, "stick", [1e30, 0.0, 0.0, 0.0, 1e30, 0.0])
-            one.advance(SAMPLE_INTERVAL_S)
-        one.reset(None, 0)
-        return repeated(lab, apart(before, record(one, scene, RUN_S), "after NaN"))
+            push(simulation, "stick", [1e30, 0.0, 0.0, 0.0, 1e30, 0.0])
+            simulation.advance(SAMPLE_INTERVAL_S)
+        simulation.reset(None, 0)
+        return repeated(
+            lab, apart(before, record(simulation, scene, RUN_S), "after NaN")
+        )
 
 
 def _resident_mb() -> float:
@@ -401,7 +410,7 @@ def _resident_mb() -> float:
     file = Path("/proc/self/statm")
     if not file.exists():
         return 0.0
-    # What was freed before would hide a leak until it is taken again. It is a function of glibc.
+    # Memory that was freed before would hide a leak. The function belongs to glibc.
     with suppress(AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
     return 1e-6 * int(file.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
@@ -429,9 +438,9 @@ def life(lab: Lab) -> Measurement:
             runs.append(record(simulation, scene, SAMPLE_INTERVAL_S))
             if number in (49, 199):
                 sizes_mb.append(_resident_mb())
-    found = repeated(lab, apart(runs[0], runs[-1], "after 200 resets"))
-    if found.measured > (found.width or 0.0):
-        return replace(found, measured=np.inf, width=None)
+    measurement = repeated(lab, apart(runs[0], runs[-1], "after 200 resets"))
+    if measurement.measured > (measurement.width or 0.0):
+        return replace(measurement, measured=np.inf, width=None)
     return Measurement(measured=max(sizes_mb[1] - sizes_mb[0], 0.0))
 
 

@@ -1,4 +1,4 @@
-"""What results say together: counts, levels, expected failures, a badge; and columns of engines in a file."""
+"""Summaries of results: counts, levels, expected failures, a badge; and columns of engines in a file."""
 
 import json
 import math
@@ -30,36 +30,36 @@ from gauge_envs.tools.conformance.run import run_checks
 
 
 def counts_text(results: Sequence[CheckResult]) -> str:
-    """Return the counts of all outcomes, as `63 pass, 14 fail, 0 error, 124 declined of 201`."""
-    statuses = [one.status for one in results]
+    """Return the counts of all outcomes, as `63 pass, 14 fail, 0 error, 124 unsupported of 201`."""
+    statuses = [result.status for result in results]
     counts = ", ".join(f"{statuses.count(status)} {status}" for status in Status)
     return f"{counts} of {len(results)}"
 
 
 def levels(results: Sequence[CheckResult]) -> dict[str, str]:
-    """Return the verdict of one engine on each level of which all checks ran.
+    """Return the verdict of one engine on each level whose checks all ran.
 
-    A level passes where no check fails and each check passes that is not optional. `contact` tells little about an
-    engine that fails `rigid`, and so on.
+    A level passes if no check fails and every check passes that is not optional. A level means little for an engine
+    that fails an earlier level.
     """
-    found = {}
+    verdicts = {}
     for level in LEVELS:
-        known = [one for one in checks() if one.level == level]
-        ran = [one for one in results if one.of.level == level]
+        known = [check for check in checks() if check.level == level]
+        ran = [result for result in results if result.of.level == level]
         if len(ran) < len(known):
             continue
-        bad = sum(one.is_bad for one in ran)
-        declined = [one for one in ran if one.status is Status.DECLINED]
-        needed = [one.check for one in declined if not one.of.is_optional]
-        found[level] = "pass"
+        bad = sum(result.is_bad for result in ran)
+        unsupported = [result for result in ran if result.status is Status.UNSUPPORTED]
+        needed = [result.check for result in unsupported if not result.of.is_optional]
+        verdicts[level] = "pass"
         if bad:
-            found[level] = f"{bad} of {len(ran) - len(declined)} fail"
-        elif len(declined) == len(ran):
-            found[level] = "declined"
+            verdicts[level] = f"{bad} of {len(ran) - len(unsupported)} fail"
+        elif len(unsupported) == len(ran):
+            verdicts[level] = "unsupported"
         elif needed:
             rest = f" and {len(needed) - 1} more" if needed[1:] else ""
-            found[level] = f"incomplete, {needed[0]}{rest} declined"
-    return found
+            verdicts[level] = f"incomplete, {needed[0]}{rest} unsupported"
+    return verdicts
 
 
 # --- expected failures -----------------------------------------------------------------------------------------------
@@ -70,8 +70,8 @@ class KnownFailure:
     """A failure that the repository of an engine expects.
 
     Attributes:
-        reason: Why, in words.
-        measured: The measured value; None where the check raises an error.
+        reason: Reason in words.
+        measured: The measured value; None if the check raises an error.
     """
 
     reason: str
@@ -80,24 +80,24 @@ class KnownFailure:
 
 @dataclass(frozen=True, kw_only=True)
 class Expected:
-    """What the repository of an engine expects of its checks.
+    """Results that the repository of an engine expects of its checks.
 
     Attributes:
         failures: Failures by the id of the check.
-        declined: Reasons by patterns of the ids of checks that may be declined.
+        unsupported: Reasons by patterns of the ids of checks that may be unsupported.
     """
 
     failures: Mapping[str, KnownFailure] = field(default_factory=dict)
-    declined: Mapping[str, str] = field(default_factory=dict)
+    unsupported: Mapping[str, str] = field(default_factory=dict)
 
     def surprise(self, result: CheckResult) -> str:
-        """Return what about a result is not as expected, in words; empty if it is as expected."""
+        """Return how a result differs from the expected result, in words; empty if it does not."""
         known = self.failures.get(result.check)
-        if result.status is Status.DECLINED:
-            if any(fnmatchcase(result.check, pattern) for pattern in self.declined):
+        if result.status is Status.UNSUPPORTED:
+            if any(fnmatchcase(result.check, pattern) for pattern in self.unsupported):
                 return ""
             reasons = "; ".join(result.missing)
-            return f'is declined ({reasons}); if that is right, add "{result.check}" to [declined]'
+            return f'is unsupported ({reasons}); if that is right, add "{result.check}" to [unsupported]'
         if result.is_bad and known is None:
             return f"{_failed_text(result)}; if that is known, add {_line(result)}"
         if result.is_bad and not self._is_same(result):
@@ -117,10 +117,10 @@ class Expected:
 
 
 def read_expected(file: Path) -> Expected:
-    """Return what a TOML file expects.
+    """Return the expected results of a TOML file.
 
         rebound-flat = { measured = 0.513, reason = "each point rebounds" }
-        [declined]
+        [unsupported]
         "cloth-*" = "rigid bodies only"
 
     Raises:
@@ -128,13 +128,14 @@ def read_expected(file: Path) -> Expected:
         UnknownNameError: It names a check that does not exist.
     """
     try:
-        found = toml_document(file.read_bytes())
+        document = toml_document(file.read_bytes())
     except (OSError, ValueError) as error:
         raise ParameterError(f"{file}: cannot be read as TOML: {error}") from None
-    declined = found.pop("declined", {})
-    ids = [one.id for one in checks()]
+    # `declined` is the name of the table before 1.0; it is read until 1.2.
+    unsupported = document.pop("declined", {}) | document.pop("unsupported", {})
+    ids = [check.id for check in checks()]
     failures = {}
-    for name, entry in found.items():
+    for name, entry in document.items():
         if name not in ids:
             raise UnknownNameError("check", name, ids)
         known = entry if isinstance(entry, dict) else {}
@@ -150,14 +151,14 @@ def read_expected(file: Path) -> Expected:
                 '{ measured = 0.513, reason = "no model of it" }; a run without its line prints the value'
             )
         failures[name] = KnownFailure(reason=reason, measured=measured)
-    for pattern, reason in declined.items():
+    for pattern, reason in unsupported.items():
         if not any(fnmatchcase(name, pattern) for name in ids):
             raise UnknownNameError("check", pattern, ids)
         if not str(reason).strip():
             raise ParameterError(
-                f"{file}: declined {pattern!r} needs a reason in words"
+                f"{file}: unsupported {pattern!r} needs a reason in words"
             )
-    return Expected(failures=failures, declined=declined)
+    return Expected(failures=failures, unsupported=unsupported)
 
 
 def _failed_text(result: CheckResult) -> str:
@@ -180,11 +181,11 @@ def _line(result: CheckResult) -> str:
 
 
 def badge(results: Sequence[CheckResult], expected: Expected) -> dict[str, str | int]:
-    """Return a badge as shields.io reads it: green, yellow with expected failures or without a level, else red."""
+    """Return a badge for shields.io: red if a result is unexpected, yellow if a level does not pass, else green."""
     verdicts = set(levels(results).values())
-    color = "green" if verdicts <= {"pass", "declined"} else "yellow"
-    is_measured = any(one.status is not Status.DECLINED for one in results)
-    if not is_measured or any(expected.surprise(one) for one in results):
+    color = "green" if verdicts <= {"pass", "unsupported"} else "yellow"
+    is_measured = any(result.status is not Status.UNSUPPORTED for result in results)
+    if not is_measured or any(expected.surprise(result) for result in results):
         color = "red"
     return {
         "schemaVersion": 1,
@@ -205,9 +206,9 @@ class EngineColumn:
         backend: Name of the engine.
         name: Name of the configuration; `default` for the engine's own choice.
         settings: Settings that select it.
-        results: Results by the id of the check; of a file, those whose checks are the same as now.
-        outdated: Ids of checks of a file that were others, or that do not exist any more.
-        reason: Why no check ran; empty if one did.
+        results: Results by the id of the check; of a file, only results of unchanged checks.
+        outdated: Ids of checks of a file that have changed or no longer exist.
+        reason: Why no check ran; empty if a check did.
         versions: Versions of the engine's packages.
         gauge_envs: Version of gauge-envs that ran it; empty before it ran.
         made: Day of the run, as `2026-01-31`; empty before it ran.
@@ -231,7 +232,7 @@ class EngineColumn:
     @property
     def cpu_s(self) -> float:
         """CPU time of all checks whose time is known [s]."""
-        return sum(one.cpu_s or 0.0 for one in self.results.values())
+        return sum(result.cpu_s or 0.0 for result in self.results.values())
 
 
 def engine_columns(
@@ -245,7 +246,7 @@ def engine_columns(
     Args:
         names: Engines or patterns, as `mujoco` for its default; with a colon, configurations that the engine declares,
             as `mujoco:PGS` or `*:*`.
-        settings: Settings for every column, beside those of its configuration.
+        settings: Settings for every column, in addition to those of its configuration.
         isolate: Whether the engines are imported in another process.
 
     Raises:
@@ -254,7 +255,7 @@ def engine_columns(
     columns: dict[tuple[str, str], EngineColumn] = {}
     for name in names:
         pattern, has_configuration, wanted = name.partition(":")
-        engines = [one for one in backend_names() if fnmatchcase(one, pattern)]
+        engines = [engine for engine in backend_names() if fnmatchcase(engine, pattern)]
         if not engines:
             raise UnknownNameError("backend", pattern, backend_names())
         declared: dict[str, dict[str, dict[str, Any]]] = {}
@@ -299,17 +300,17 @@ def run_column(
     Args:
         column: The column.
         only: Ids or patterns of checks.
-        worker: Another process for the checks, so that an engine that crashes costs one of them; None for this one.
+        worker: Another process for the checks, so that an engine that crashes loses one check; None for this process.
     """
     column.gauge_envs = versions()["gauge-envs"]
     column.made = datetime.now(UTC).date().isoformat()
     try:
-        for one in run_checks(
+        for result in run_checks(
             column.backend, settings=column.settings or None, only=only, worker=worker
         ):
-            column.versions = one.versions
-            column.results[one.check] = one
-            yield one
+            column.versions = result.versions
+            column.results[result.check] = result
+            yield result
     except GaugeError as error:
         column.reason = str(error)
 
@@ -325,9 +326,9 @@ def write_columns(columns: Sequence[EngineColumn], path: Path) -> Path:
     for column in columns:
         values = {key: value for key, value in vars(column).items() if key != "results"}
         values["findings"] = {
-            name: {"fingerprint": one.of.fingerprint}
-            | {key: getattr(one, key) for key in STORED}
-            for name, one in column.results.items()
+            name: {"fingerprint": result.of.fingerprint}
+            | {key: getattr(result, key) for key in STORED}
+            for name, result in column.results.items()
         }
         rows.append(json.dumps(json_ready(values), ensure_ascii=False))
     text = ",\n".join(rows)
@@ -345,19 +346,19 @@ def read_columns(path: Path) -> list[EngineColumn]:
     """
     hint = "write it with gauge backend check NAME --out FILE.json"
     try:
-        found = json_document(path.read_bytes())
+        document = json_document(path.read_bytes())
     except (OSError, ValueError) as error:
         raise ResultFileError(f"{path}: cannot be read ({error}); {hint}") from None
-    if not isinstance(found, dict) or found.get("kind") != KIND:
+    if not isinstance(document, dict) or document.get("kind") != KIND:
         raise ResultFileError(f"{path}: has no columns of conformance checks; {hint}")
     try:
-        return [_read_column(row) for row in found["columns"]]
+        return [_read_column(row) for row in document["columns"]]
     except (KeyError, TypeError, ValueError) as error:
         raise ResultFileError(f"{path}: is damaged ({error!r}); {hint}") from None
 
 
 def _read_column(row: Mapping[str, Any]) -> EngineColumn:
-    known = {one.id: one for one in checks()}
+    known = {entry.id: entry for entry in checks()}
     column = EngineColumn(**{key: row[key] for key in _FIELDS})
     outdated = []
     for name, stored in row["findings"].items():
@@ -391,21 +392,21 @@ _FIELDS = (
 def with_columns(
     columns: Sequence[EngineColumn], files: Sequence[Path]
 ) -> list[EngineColumn]:
-    """Return columns together with those of files, grouped by engine in the order of the first appearance.
+    """Return columns and the columns of files, grouped by engine in the order of first appearance.
 
     Raises:
         ParameterError: Two have the same engine and configuration.
     """
-    found = {one.title: one for one in columns}
+    by_title = {column.title: column for column in columns}
     for file in files:
         for column in read_columns(file):
-            if column.title in found:
+            if column.title in by_title:
                 raise ParameterError(
-                    f"{file}: column {column.title!r} is there twice: leave one of them out"
+                    f"{file}: column {column.title!r} is there twice: leave out one of them"
                 )
-            found[column.title] = column
-    engines = list(dict.fromkeys(one.backend for one in found.values()))
-    return sorted(found.values(), key=lambda one: engines.index(one.backend))
+            by_title[column.title] = column
+    engines = list(dict.fromkeys(column.backend for column in by_title.values()))
+    return sorted(by_title.values(), key=lambda column: engines.index(column.backend))
 
 
 # --- an earlier version of an engine ---------------------------------------------------------------------------------
@@ -413,55 +414,57 @@ def with_columns(
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """What a check gives now, where an earlier version of the engine gave another result.
+    """Result of a check that differs from the result of an earlier version of the engine.
 
     Attributes:
         column: Engine and configuration.
-        kind: `worse` if a pass ended, `mended` if a failure ended, else `moved`.
+        kind: `worse` if a pass ended, `fixed` if a failure ended, else `moved`.
         before: The earlier result.
-        now: The present result.
+        after: The current result.
     """
 
     column: str
-    kind: Literal["worse", "moved", "mended"]
+    kind: Literal["worse", "moved", "fixed"]
     before: CheckResult
-    now: CheckResult
+    after: CheckResult
 
 
 def changes(
     columns: Sequence[EngineColumn], before: Sequence[EngineColumn]
 ) -> list[Change]:
-    """Return the checks whose outcome is another one, or whose value moved by more than the tolerance of the check.
+    """Return the checks whose outcome changed, or whose value moved by more than the tolerance of the check.
 
-    Checks that are new, or were others, are left out.
+    New and changed checks are left out.
 
     Raises:
         ParameterError: An engine or configuration has no earlier column.
     """
-    known = {one.title: one for one in before}
-    found = []
+    known = {column.title: column for column in before}
+    changed = []
     for column in columns:
         if column.title not in known:
             raise ParameterError(
                 f"the baseline has no column {column.title!r}; it has {', '.join(known) or 'none'}"
             )
-        for name, now in column.results.items():
+        for name, current in column.results.items():
             old = known[column.title].results.get(name)
-            if old is not None and (kind := _change(old, now)):
-                change = Change(column=column.title, kind=kind, before=old, now=now)
-                found.append(change)
-    return found
+            if old is not None and (kind := _change(old, current)):
+                change = Change(
+                    column=column.title, kind=kind, before=old, after=current
+                )
+                changed.append(change)
+    return changed
 
 
 def _change(
-    old: CheckResult, now: CheckResult
-) -> Literal["", "worse", "moved", "mended"]:
-    if old.status is not now.status:
-        was, is_now = (one.status is Status.PASS for one in (old, now))
-        return "worse" if was else "mended" if is_now else "moved"
-    if old.measured is None or now.measured is None:
+    old: CheckResult, current: CheckResult
+) -> Literal["", "worse", "moved", "fixed"]:
+    if old.status is not current.status:
+        was, is_now = (result.status is Status.PASS for result in (old, current))
+        return "worse" if was else "fixed" if is_now else "moved"
+    if old.measured is None or current.measured is None:
         return ""
-    if math.isnan(old.measured) and math.isnan(now.measured):
+    if math.isnan(old.measured) and math.isnan(current.measured):
         return ""
-    is_near = abs(now.measured - old.measured) <= (now.width or 0.0)
-    return "" if is_near or now.measured == old.measured else "moved"
+    is_near = abs(current.measured - old.measured) <= (current.width or 0.0)
+    return "" if is_near or current.measured == old.measured else "moved"

@@ -27,11 +27,11 @@ def run_checks(
     """Run checks on an engine and yield each result as its check ends.
 
     Args:
-        backend: An engine, or the name of an installed one.
+        backend: An engine, or the name of an installed engine.
         settings: Numerical settings of the engine that replace its defaults, in every scene.
         only: Ids or patterns such as `cloth-*`; all checks when empty.
         worker: Another process, in which the checks of an installed engine run. An engine that crashes, exits or
-            exceeds a limit then costs one check. With None, the checks run in this process.
+            exceeds a limit then loses one check. With None, the checks run in this process.
 
     Raises:
         UnknownNameError: There is no such engine, or a pattern matches no check.
@@ -47,12 +47,12 @@ def run_checks(
             raise CrashError(
                 f"backend {backend!r} cannot be imported: {error}"
             ) from None
-        run = lambda one: _run_there(worker, task, one, versions)  # noqa: E731
+        run = lambda check: _run_there(worker, task, check, versions)  # noqa: E731
     else:
         engine = find_backend(backend) if isinstance(backend, str) else backend
         versions = checked_versions(engine)
         lab = Lab(engine, settings)
-        run = lambda one: run_check(lab, one)  # noqa: E731
+        run = lambda check: run_check(lab, check)  # noqa: E731
     return _results(run, chosen, dict(versions))
 
 
@@ -61,31 +61,33 @@ def _results(
     chosen: Sequence[Check],
     versions: Mapping[str, str],
 ) -> Iterator[CheckResult]:
-    for one in chosen:
+    for check in chosen:
         started_s = time.perf_counter()
-        result = run(one)
+        result = run(check)
         wall_s = time.perf_counter() - started_s
         yield replace(result, versions=versions, wall_s=wall_s)
 
 
 def _run_there(
-    worker: Worker, task: bytes, one: Check, versions: Mapping[str, str]
+    worker: Worker, task: bytes, check: Check, versions: Mapping[str, str]
 ) -> CheckResult:
     """Run a check in another process."""
     name, _ = pickle.loads(task)
     try:
-        values = worker.call(_run_of_task, task, one.id)
-    except GaugeError as error:  # The process died, or the engine raised an error that no check expects.
+        values = worker.call(_run_of_task, task, check.id)
+    except (
+        GaugeError
+    ) as error:  # The process died, or the engine raised an unexpected error.
         return CheckResult(
-            of=one, backend=name, status=Status.ERROR, diagnosis=str(error)
+            of=check, backend=name, status=Status.ERROR, diagnosis=str(error)
         )
-    return CheckResult(of=one, **values)
+    return CheckResult(of=check, **values)
 
 
 def _run_of_task(task: bytes, name: str) -> dict[str, Any]:
-    """Return the fields of a result but its check, which cannot be pickled."""
-    (one,) = checks([name])
-    result = run_check(_lab_of_task(task), one)
+    """Return the fields of a result except its check, which cannot be pickled."""
+    (check,) = checks([name])
+    result = run_check(_lab_of_task(task), check)
     return {key: value for key, value in vars(result).items() if key != "of"}
 
 
@@ -96,23 +98,27 @@ def _lab_of_task(task: bytes) -> Lab:
     return Lab(find_backend(backend), settings)
 
 
-def run_check(lab: Lab, one: Check) -> CheckResult:
+def run_check(lab: Lab, check: Check) -> CheckResult:
     """Run one check in a lab."""
     started_s = time.process_time()
-    result = CheckResult(of=one, backend=lab.backend.name, status=Status.ERROR)
+    result = CheckResult(of=check, backend=lab.backend.name, status=Status.ERROR)
     try:
-        found = one.measure(lab)
+        measurement = check.measure(lab)
         lab.check_scenes()
-    except DeclinedError as declined:
-        result = replace(result, status=Status.DECLINED, missing=declined.missing)
+    except DeclinedError as reason:
+        result = replace(result, status=Status.UNSUPPORTED, missing=reason.missing)
     except KeyboardInterrupt:
         raise
-    # Whatever an engine raises is a result, and the next check may still pass; a panic of Rust is no `Exception`.
+    # Any error of an engine is a result, and the next check may still pass. A panic of Rust is not an `Exception`.
     except BaseException as error:
         result = replace(result, diagnosis=_error_text(error))
     else:
-        expected, measured = float(found.expected), float(found.measured)
-        width = one.tolerance.width(expected) if found.width is None else found.width
+        expected, measured = float(measurement.expected), float(measurement.measured)
+        width = (
+            check.tolerance.width(expected)
+            if measurement.width is None
+            else measurement.width
+        )
         passed = math.isfinite(measured) and abs(measured - expected) <= width
         result = replace(
             result,
@@ -120,19 +126,19 @@ def run_check(lab: Lab, one: Check) -> CheckResult:
             expected=expected,
             measured=measured,
             width=width,
-            diagnosis="" if passed else _message(found.hint, one.cause),
+            diagnosis="" if passed else _message(measurement.hint, check.cause),
         )
     cpu_s = time.process_time() - started_s
-    return replace(result, cpu_s=cpu_s, settings=lab.settings_in_force)
+    return replace(result, cpu_s=cpu_s, settings=lab.effective_settings)
 
 
 def _message(hint: str, cause: str) -> str:
-    """Return what a failure shows, and its most likely cause where the hint does not explain it."""
+    """Return the hint of a failure, and the most likely cause if the hint does not explain it."""
     return hint if ":" in hint else "; ".join(filter(None, (hint, cause)))
 
 
 def _error_text(error: BaseException) -> str:
-    """Return what an engine did wrong; states that are not finite are named first."""
+    """Return the mistake of an engine as text."""
     if isinstance(error, NotFiniteError):
         return f"not finite: {error}"
     if isinstance(error, ContractError):

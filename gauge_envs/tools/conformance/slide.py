@@ -73,13 +73,13 @@ def pucks_friction(lab: Lab) -> Measurement:
         )
     ]
     contacts = []
-    for name, (way_deg, yaw_deg, speed, friction, shape) in PUCKS.items():
+    for name, (direction_deg, yaw_deg, speed, friction, shape) in PUCKS.items():
         pair = (name, "slab") if len(bodies) % 2 else ("slab", name)
         contacts.append(contact(*pair, friction=friction))
         place = (0.0, 0.0, shape.corners_m[:, 2].max())
-        one = body(name, shape, Pose.from_euler_deg(place, (0.0, 0.0, yaw_deg)))
-        way = Rotation.from_euler("z", way_deg, degrees=True)
-        bodies.append(thrown(one, way.apply([speed, 0.0, 0.0])))
+        puck = body(name, shape, Pose.from_euler_deg(place, (0.0, 0.0, yaw_deg)))
+        direction = Rotation.from_euler("z", direction_deg, degrees=True)
+        bodies.append(thrown(puck, direction.apply([speed, 0.0, 0.0])))
     rollout = lab.rollout(
         Scene(bodies=tuple(bodies), contacts=tuple(contacts), duration_s=0.4)
     )
@@ -104,7 +104,7 @@ BOARDS = {
 FLUSH_M, ALMOST_M = -0.575, 1e-7
 """Place along a board of a cube whose rear face is flush with its end, and a distance from it."""
 
-HELD = {
+HOLDING = {
     # Friction, support, and place of the centre along it and across [m].
     "cube that holds": (0.25, "board of 10 degrees", -0.1, 0.0),
     "block that holds": (0.25, "turned board of 10 degrees", -0.1, 0.0),
@@ -123,7 +123,7 @@ BETWEEN = {
     "slab": (0.3, "turned board", -0.4, 0.2),
     "cube on the slab": (0.1, "slab", -0.12, 0.0),
 }
-BOXES = HELD | SLIDING | BETWEEN
+BOXES = HOLDING | SLIDING | BETWEEN
 SIZES_M = {
     "block that holds": (0.1, 0.06, 0.04),
     "tile that holds": (0.08, 0.08, 0.02),
@@ -170,14 +170,14 @@ def hold(lab: Lab) -> Measurement:
     Largest displacement of a box within 0.3 s.
     """
     rollout = lab.once(_boxes).cut(0.0, 0.3)
-    moved_mm = {name: largest_mm(rollout.displacement(name)) for name in HELD}
+    moved_mm = {name: largest_mm(rollout.displacement(name)) for name in HOLDING}
     worst = max(moved_mm, key=lambda name: moved_mm[name])
     hint = f"the {worst} moves by {moved_mm[worst]:.3g} mm"
     # After half the time a body that slides is at a quarter, and one that creeps at a half.
     if largest_mm(rollout.displacement(worst)[:28]) < 0.35 * moved_mm[worst]:
         hint += ": it slides, so that its friction is less than that of the pair"
-    found = Measurement(measured=moved_mm[worst], hint=hint)
-    return unless_off(found, rollout, {worst: HELD[worst][1]})
+    measurement = Measurement(measured=moved_mm[worst], hint=hint)
+    return unless_off(measurement, rollout, {worst: HOLDING[worst][1]})
 
 
 def _frictions(rollout: Recording, names: Iterable[str]) -> Measurement:
@@ -300,12 +300,12 @@ def torsion(lab: Lab) -> Measurement:
 
     Torque over the normal force from the loss of spin, linear fit over 0.5 s, over that length; the worse one.
     """
-    starts = {
+    cases = {
         "torsion_m": (2e-4, SPIN, 0.0, (0.0, 0.0, SPIN_RAD_PER_S)),
         "rolling_m": (1e-3, ROLL, 0.3, (0.0, 0.3 / RADIUS_M, 0.0)),
     }
     shares = {}
-    for name, (arm_m, axis, speed, spin) in starts.items():
+    for name, (arm_m, axis, speed, spin) in cases.items():
         rollout = lab.rollout(turning_scene(0.5, speed, spin, **{name: arm_m}))
         shares[name] = turning_arm_m(rollout, axis) / arm_m
     return ratio(shares, "the arm of the torque")

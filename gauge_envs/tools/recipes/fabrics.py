@@ -89,7 +89,7 @@ def fabric_recipe(
         reached |= strips
         texts += notes
         # The last simulation is the hanging strip.
-        step_s = lab.settings_in_force.get("timestep_s")
+        step_s = lab.effective_settings.get("timestep_s")
     error = {name: difference(reached[name], targets[name]) for name in reached}
     misses = [
         name

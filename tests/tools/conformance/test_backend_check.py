@@ -56,10 +56,10 @@ def rows_of(result):
 
 def test_the_screen_has_counts_failures_and_what_is_declined(broken):
     result = broken(*ONLY)
-    counts = "1 pass, 1 fail, 0 error, 1 declined of 3"
+    counts = "1 pass, 1 fail, 0 error, 1 unsupported of 3"
     assert re.match(rf"mine \(mujoco [\d.]+\): {counts}", joined(result.stdout))
     assert "slide" in result.stdout
-    assert "Declined, 1: it knows no cloth" in result.stdout
+    assert "Unsupported, 1: it knows no cloth" in result.stdout
     assert counts in joined(result.stderr)
     assert result.exit_code == 1
 
@@ -68,8 +68,8 @@ def test_the_screen_has_counts_failures_and_what_is_declined(broken):
     ("options", "statuses", "code"),
     [
         (("--only", "free-fall"), ["pass"], 0),
-        (("--only", "cloth-stretch"), ["declined"], 1),
-        (ONLY, ["pass", "fail", "declined"], 1),
+        (("--only", "cloth-stretch"), ["unsupported"], 1),
+        (ONLY, ["pass", "fail", "unsupported"], 1),
     ],
 )
 def test_each_line_of_json_is_a_result(broken, options, statuses, code):
@@ -106,7 +106,7 @@ def test_a_wrong_request_ends_with_2_and_says_why(gauge, words, message):
 
 # --- expected failures -----------------------------------------------------------------------------------------------
 
-CLOTH = '[declined]\n"cloth-*" = "no cloth"\n'
+CLOTH = '[unsupported]\n"cloth-*" = "no cloth"\n'
 
 
 @pytest.mark.parametrize(
@@ -114,10 +114,15 @@ CLOTH = '[declined]\n"cloth-*" = "no cloth"\n'
     [
         ("SLIDE" + CLOTH, 0, ""),
         (CLOTH, 1, "slide fails, "),
-        ("SLIDE", 1, "cloth-stretch is declined (it knows no cloth); if that is right"),
+        (
+            "SLIDE",
+            1,
+            "cloth-stretch is unsupported (it knows no cloth); if that is right",
+        ),
         ("9SLIDE" + CLOTH, 1, "the list has 9"),
         (
-            'free-fall = { measured = 1.0, reason = "late" }\nSLIDE' + CLOTH,
+            'free-fall = { measured = 1.0, reason = "late" }\nSLIDE'
+            + CLOTH.replace("unsupported", "declined"),
             1,
             "free-fall passes, but is listed as failing (late): delete its line",
         ),
@@ -135,7 +140,7 @@ def test_exactly_the_listed_failures_happen(broken, tmp_path, text, code, messag
     assert result.exit_code == code
     assert message in joined(result.stderr)
     found = json.loads(badge.read_text())
-    assert found["message"] == "1 pass, 1 fail, 0 error, 1 declined of 3"
+    assert found["message"] == "1 pass, 1 fail, 0 error, 1 unsupported of 3"
     assert (found["color"] == "red") == bool(code)
 
 
@@ -155,7 +160,7 @@ def test_a_wrong_list_is_refused_before_anything_runs(broken, tmp_path, text, me
 
 
 def test_checks_are_tests_of_pytest(tmp_path):
-    known = 'time = { measured = 2.0, reason = "late" }\n[declined]\n"*" = "any"\n'
+    known = 'time = { measured = 2.0, reason = "late" }\n[unsupported]\n"*" = "any"\n'
     (tmp_path / "known.toml").write_text(known)
     options = "-p gauge_pytest -p no:cacheprovider --gauge-engine mujoco --gauge-expected known.toml --junitxml out.xml"
     command = [sys.executable, "-m", "pytest", *options.split(), "-k", "start- or time"]
@@ -181,7 +186,11 @@ def test_a_column_has_a_configuration_and_its_results(column):
     columns = engine_columns(["mujoco:*", "mujoco:PGS"], isolate=False)
     assert [one.name for one in columns] == ["default", "PGS", "CG", "out_of_box"]
     found = {name: one.status.value for name, one in column.results.items()}
-    assert found == {"free-fall": "pass", "slide": "pass", "foam-tension": "declined"}
+    assert found == {
+        "free-fall": "pass",
+        "slide": "pass",
+        "foam-tension": "unsupported",
+    }
 
 
 def test_a_column_comes_back_from_its_file_but_for_a_changed_check(column, tmp_path):
@@ -221,8 +230,8 @@ def test_a_page_is_made_of_files_without_a_run(column, tmp_path, gauge):
     [
         (0.5, Status.PASS, None),
         (2.0, Status.PASS, "moved"),
-        (0.0, Status.FAIL, "mended"),
-        (None, Status.DECLINED, "mended"),
+        (0.0, Status.FAIL, "fixed"),
+        (None, Status.UNSUPPORTED, "fixed"),
     ],
 )
 def test_a_baseline_names_what_changed(column, widths, status, kind):
@@ -235,7 +244,7 @@ def test_a_baseline_names_what_changed(column, widths, status, kind):
     }
     before = replace(column, results=earlier)
     assert [one.kind for one in changes([column], [before])] == [kind] * bool(kind)
-    worse = "worse" if kind == "mended" else kind
+    worse = "worse" if kind == "fixed" else kind
     assert [one.kind for one in changes([before], [column])] == [worse] * bool(kind)
 
 

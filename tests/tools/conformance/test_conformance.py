@@ -122,7 +122,7 @@ class Panics(Planted):
 def test_what_is_declined_is_no_failure_and_has_its_reason():
     found = results_of(KnowsNoCloth(MUJOCO, Fault()), "cloth-stretch", "free-fall")
     declined = found["cloth-stretch"]
-    assert (declined.status, declined.is_bad) == (Status.DECLINED, False)
+    assert (declined.status, declined.is_bad) == (Status.UNSUPPORTED, False)
     assert declined.missing == ("it knows no cloth",)
     assert found["free-fall"].status is Status.PASS
 
@@ -179,7 +179,7 @@ def test_settings_reach_the_engine_and_an_unknown_one_is_a_reason():
     (found,) = run_checks("mujoco", settings={"timestep_s": 1 / 900}, only=["time"])
     assert found.settings["timestep_s"] == 1 / 900
     (found,) = run_checks("mujoco", settings={"timestep": 1e-3}, only=["time"])
-    assert found.status is Status.DECLINED
+    assert found.status is Status.UNSUPPORTED
     assert "unknown setting" in found.missing[0]
 
 
@@ -197,8 +197,8 @@ def test_a_level_passes_where_each_check_passes_that_is_not_optional():
     assert set(levels([*passed.values()]).values()) == {"pass"}
     for name, status, verdict in (
         ("free-fall", Status.FAIL, "1 of "),
-        ("free-fall", Status.DECLINED, "incomplete, free-fall declined"),
-        ("torsion", Status.DECLINED, "pass"),
+        ("free-fall", Status.UNSUPPORTED, "incomplete, free-fall unsupported"),
+        ("torsion", Status.UNSUPPORTED, "pass"),
     ):
         changed = {**passed, name: replace(passed[name], status=status)}
         level = passed[name].of.level

@@ -1,4 +1,4 @@
-"""What `gauge backend check` and its lists print with `--json`, a line each."""
+"""JSON lines of `gauge backend check`, `gauge list backends` and `gauge list checks`."""
 
 from collections.abc import Mapping
 from typing import Annotated, NotRequired, TypedDict
@@ -22,7 +22,7 @@ class BackendLine(TypedDict):
 
 
 class CheckTexts(TypedDict):
-    """What a check is about.
+    """Texts of a check.
 
     Attributes:
         title: Subject of the check.
@@ -52,13 +52,13 @@ class CheckLine(CheckTexts):
 
 
 class FindingTexts(CheckTexts):
-    """What a result is of.
+    """Texts of the check of a result.
 
     Attributes:
         rationale: Reason for the width.
         fingerprint: Digest of the scene, law and tolerance of the check.
         gauge_envs: Version of gauge-envs.
-        configuration: Solver or preset of the engine; absent where only engines are checked.
+        configuration: Solver or preset of the engine; absent for the default.
     """
 
     rationale: str

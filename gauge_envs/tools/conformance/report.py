@@ -1,6 +1,8 @@
-"""Results of conformance checks in words: tables of engines and checks, one screen of results, tables of engines."""
+"""Reports of conformance checks: lists of engines and checks, the results of one engine and of several."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from textwrap import shorten
 from typing import Any
 
 from gauge_envs.backends import backend_names, versions_of
@@ -30,27 +32,32 @@ QUERY_LIMIT_S = 60.0
 SIGNS = {
     Status.PASS: "✓",
     Status.FAIL: "✗",
-    Status.DECLINED: "-",
+    Status.UNSUPPORTED: "-",
     Status.ERROR: "✗ error",
 }
 STYLES = {Status.PASS: "green", Status.FAIL: "bold red", Status.ERROR: "bold red"}
-CLASSES = {Status.PASS: "inside", Status.DECLINED: "declined"}
+CLASSES = {Status.PASS: "inside", Status.UNSUPPORTED: "declined"}
 """Classes of outcomes on a page; all others are `wrong`."""
 
-REASON_LINES = 2
-"""Largest number of lines on what an engine declines."""
+MAX_FAILURES = 6
+"""Largest number of failures of one engine on a screen, each with its cause."""
+
+MAX_ROWS = 14
+"""Largest number of checks in the table of several engines on a screen."""
 
 
 def backends_table() -> Table:
-    """Return the installed engines: name, versions, and the error of one that cannot be used.
+    """Return the installed engines: name, versions, and the error of an unusable engine.
 
-    Engines outside this package answer in a process of their own.
+    Engines outside this package answer in a separate process.
     """
     rows: list[dict[str, Any]] = []
     for name in backend_names():
         try:
-            found = call_engine(name, versions_of, name, time_limit_s=QUERY_LIMIT_S)
-            rows.append({"name": name, "versions": found, "error": None})
+            engine_versions = call_engine(
+                name, versions_of, name, time_limit_s=QUERY_LIMIT_S
+            )
+            rows.append({"name": name, "versions": engine_versions, "error": None})
         except GaugeError as error:
             rows.append({"name": name, "versions": {}, "error": str(error)})
     engine = Column(
@@ -74,7 +81,7 @@ def checks_table(checks: Sequence[Check]) -> Table:
             Column("scene", "scene", place=Place.BELOW),
             Column("measures", "measures", place=Place.BELOW),
         ),
-        rows=[{key: getattr(one, key) for key in CHECK_TEXTS} for one in checks],
+        rows=[{key: getattr(check, key) for key in CHECK_TEXTS} for check in checks],
     )
 
 
@@ -82,7 +89,7 @@ def checks_table(checks: Sequence[Check]) -> Table:
 
 
 def engine_document(results: Sequence[CheckResult]) -> Document:
-    """Return the results of one engine on one screen: counts, levels, failures, and what it declines.
+    """Return the results of one engine on one screen: counts, levels, failures with causes, unsupported checks.
 
     The wide form and Markdown have all checks.
     """
@@ -92,41 +99,42 @@ def engine_document(results: Sequence[CheckResult]) -> Document:
     verdicts = ", ".join(f"{level} {text}" for level, text in levels(results).items())
     if verdicts:
         parts.append(Paragraph(f"Levels: {verdicts}."))
-    if bad := sorted((one for one in results if one.is_bad), key=_urgency):
+    failures = sorted((result for result in results if result.is_bad), key=_urgency)
+    if failures:
         columns = (
             Column("check", "check"),
             Column(
                 "",
                 "measured",
-                lambda one: _measured_text(one) or one.status.value,
+                lambda result: _measured_text(result) or result.status.value,
                 style=lambda _: "bold red",
             ),
             Column("", "expected", expected_text),
             Column("", "", _message, place=Place.BELOW),
         )
-        parts.append(Table(columns=columns, rows=bad))
-    parts += [Paragraph(line, Tone.NOTE) for line in _declined_lines(results)]
+        parts.append(Table(columns=columns, rows=failures[:MAX_FAILURES]))
+    parts += [Paragraph(note, Tone.NOTE) for note in _notes(results, failures)]
     everything = Table(
         columns=(
-            Column("", "check", lambda one: f"{one.of.title} ({one.check})"),
+            Column("", "check", lambda result: f"{result.of.title} ({result.check})"),
             Column("", "expected", expected_text),
             Column(
                 "",
                 "measured",
-                lambda one: f"{_measured_text(one)} {one.status}".lstrip(),
-                style=lambda one: STYLES.get(one.status, ""),
+                lambda result: f"{_measured_text(result)} {result.status}".lstrip(),
+                style=lambda result: STYLES.get(result.status, ""),
             ),
             Column("", "", _reason, place=Place.BELOW),
         ),
         rows=results,
         wide_only=True,
     )
-    rows = (one.to_dict() for one in results)
+    rows = (result.to_dict() for result in results)
     return Document(parts=(*parts, everything), rows=rows)
 
 
 def _urgency(result: CheckResult) -> int:
-    """Return the place of a failure: what makes other results worthless comes first."""
+    """Return the rank of a failure; failures that make other results worthless come first."""
     if result.check == "determinism":
         return 0
     if result.diagnosis.startswith("not finite"):
@@ -143,21 +151,23 @@ def _message(result: CheckResult) -> str:
     return f"{title[:1].upper()}{title[1:]}: {result.diagnosis}"
 
 
-def _declined_lines(results: Sequence[CheckResult]) -> Iterator[str]:
-    """Yield lines on what an engine declines, the most frequent reasons first."""
-    by_reason: dict[str, list[str]] = {}
-    for one in results:
-        if one.status is Status.DECLINED:
-            by_reason.setdefault("; ".join(one.missing), []).append(one.check)
-    reasons = sorted(by_reason, key=lambda reason: -len(by_reason[reason]))
-    for reason in reasons[:REASON_LINES]:
-        yield f"Declined, {len(by_reason[reason])}: {_shortened(reason)}"
-    if rest := sum(len(by_reason[reason]) for reason in reasons[REASON_LINES:]):
-        yield f"Declined for other reasons, {rest}: see --format wide"
-
-
-def _shortened(text: str, length: int = 160) -> str:
-    return text if len(text) <= length else f"{text[:length].rsplit(' ', 1)[0]} ..."
+def _notes(
+    results: Sequence[CheckResult], failures: Sequence[CheckResult]
+) -> Iterator[str]:
+    """Yield notes on failures that are not shown, and on the most frequent reason of unsupported checks."""
+    if len(failures) > MAX_FAILURES:
+        yield f"{len(failures) - MAX_FAILURES} more failures: see --format wide"
+    reasons = Counter(
+        "; ".join(result.missing)
+        for result in results
+        if result.status is Status.UNSUPPORTED
+    )
+    if reasons:
+        ((reason, count),) = reasons.most_common(1)
+        text = shorten(reason, 100, placeholder=" ...")
+        rest = reasons.total() - count
+        more = f"; {rest} for other reasons: see --format wide" if rest else ""
+        yield f"Unsupported, {count}: {text}{more}"
 
 
 def expected_text(result: CheckResult) -> str:
@@ -177,9 +187,33 @@ def _measured_text(result: CheckResult) -> str:
 # --- several engines -------------------------------------------------------------------------------------------------
 
 
-def columns_document(columns: Sequence[EngineColumn]) -> Document:
-    """Return the results of several engines and configurations: their counts, then one row for each check."""
-    return Document(parts=(_columns_table(columns), _verdicts_table(columns)))
+def columns_document(
+    columns: Sequence[EngineColumn], *, is_wide: bool = False
+) -> Document:
+    """Return the results of several engines and configurations: failed checks, counts, and a row for each check.
+
+    Args:
+        columns: Engines and configurations.
+        is_wide: Whether a terminal shows all checks, as Markdown does, instead of the first failed checks.
+    """
+    known = {name for column in columns for name in column.results}
+    rows = [check for check in all_checks() if check.id in known]
+    failed = [check for check in rows if _is_failed(check, columns)]
+    ran = [column for column in columns if column.results]
+    answer = f"{len(failed)} of {len(rows)} checks fail in at least one of {len(ran)} engines"
+    short: list[Part] = [Paragraph(answer, Tone.ANSWER), _columns_table(columns)]
+    full = [*short, _verdicts_table(ran, rows)]
+    if failed:
+        short.append(_verdicts_table(ran, failed[:MAX_ROWS]))
+    if len(failed) > MAX_ROWS:
+        more = f"{len(failed) - MAX_ROWS} more failed checks: see --format wide"
+        short.append(Paragraph(more, Tone.NOTE))
+    return Document(parts=full if is_wide else short, markdown=full)
+
+
+def _is_failed(check: Check, columns: Sequence[EngineColumn]) -> bool:
+    results = (column.results.get(check.id) for column in columns)
+    return any(result is not None and result.is_bad for result in results)
 
 
 def _columns_table(columns: Sequence[EngineColumn]) -> Table:
@@ -193,7 +227,9 @@ def _columns_table(columns: Sequence[EngineColumn]) -> Table:
         columns=(
             Column("title", "engine"),
             Column("", "checks", counts),
-            Column("", "CPU time", lambda one: f"{one.cpu_s:.3g} s", is_number=True),
+            Column(
+                "", "CPU time", lambda column: f"{column.cpu_s:.3g} s", is_number=True
+            ),
             Column("settings", "settings", pairs_text, wide_only=True),
             Column("versions", "versions", pairs_text, wide_only=True),
         ),
@@ -201,41 +237,43 @@ def _columns_table(columns: Sequence[EngineColumn]) -> Table:
     )
 
 
-def _verdicts_table(columns: Sequence[EngineColumn]) -> Table:
-    """Return one row for each check and one column for each engine: sign, and the value of a failure."""
-    ran = [column for column in columns if column.results]
-    found = {name for column in ran for name in column.results}
+def _verdicts_table(columns: Sequence[EngineColumn], rows: Sequence[Check]) -> Table:
+    """Return a row for each check and a column for each engine: sign, and the value of a failure."""
 
     def cell(column: EngineColumn) -> Callable[[Check], str]:
         return lambda check: verdict_text(column.results.get(check.id))
 
     def markup(column: EngineColumn) -> Callable[[Check], Html]:
-        def of(check: Check) -> Html:
-            one = column.results.get(check.id)
-            kind = "declined" if one is None else CLASSES.get(one.status, "wrong")
-            hint = "" if one is None else _reason(one)
-            text = verdict_text(one)
+        def badge_of(check: Check) -> Html:
+            result = column.results.get(check.id)
+            kind = "declined" if result is None else CLASSES.get(result.status, "wrong")
+            hint = "" if result is None else _reason(result)
+            text = verdict_text(result)
             return element("span", text, class_=f"badge {kind}", title=hint or None)
 
-        return of
+        return badge_of
 
     def expected(check: Check) -> str:
-        found = (column.results.get(check.id) for column in ran)
-        return next((text for one in found if one and (text := expected_text(one))), "")
+        results = (column.results.get(check.id) for column in columns)
+        texts = (expected_text(result) for result in results if result)
+        return next(filter(None, texts), "")
 
     return Table(
         columns=(
             Column("id", "check"),
             Column("", "expected", expected),
-            *(Column("", one.title, cell(one), html=markup(one)) for one in ran),
+            *(
+                Column("", column.title, cell(column), html=markup(column))
+                for column in columns
+            ),
         ),
-        rows=[one for one in all_checks() if one.id in found],
+        rows=rows,
         look="matrix",
     )
 
 
 def verdict_text(result: CheckResult | None) -> str:
-    """Return the sign of a result, with the value of a failure; `-` also where nothing ran."""
+    """Return the sign of a result, with the value of a failure; `-` if the check did not run."""
     if result is None:
         return "-"
     value = _measured_text(result) if result.status is Status.FAIL else ""
@@ -243,21 +281,20 @@ def verdict_text(result: CheckResult | None) -> str:
 
 
 def changes_table(changes: Iterable[Change]) -> Table:
-    """Return the checks that give another result than an earlier version of the engine."""
+    """Return the checks whose result differs from the result of an earlier version of the engine."""
 
-    def text(one: CheckResult) -> str:
-        value = _measured_text(one)
-        return f"{SIGNS[one.status]} {value}".rstrip()
+    def text(result: CheckResult) -> str:
+        return f"{SIGNS[result.status]} {_measured_text(result)}".rstrip()
 
     return Table(
         columns=(
             Column("column", "engine"),
-            Column("now.check", "check"),
+            Column("after.check", "check"),
             Column("kind", "change"),
             Column("before", "before", text),
-            Column("now", "now", text),
-            Column("now", "expected", expected_text),
-            Column("now.diagnosis", "", place=Place.BELOW),
+            Column("after", "now", text),
+            Column("after", "expected", expected_text),
+            Column("after.diagnosis", "", place=Place.BELOW),
         ),
         rows=list(changes),
     )
@@ -271,7 +308,7 @@ def conformance_page(columns: Sequence[EngineColumn], command: str) -> str:
         command: Command that wrote the page.
     """
     checks = {
-        one.check: one.of for column in columns for one in column.results.values()
+        name: result.of for column in columns for name, result in column.results.items()
     }
     described = Table(
         title="Checks",
@@ -281,7 +318,7 @@ def conformance_page(columns: Sequence[EngineColumn], command: str) -> str:
         rows=list(checks.values()),
     )
     parts = [
-        *columns_document(columns).parts,
+        *columns_document(columns, is_wide=True).parts,
         described,
         element("p", element("code", command)),
     ]
