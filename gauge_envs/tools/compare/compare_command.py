@@ -35,9 +35,9 @@ def compare(
 ) -> bool:
     """Compare engines, parameters and settings: scores with intervals, and ranks.
 
-    Ranks are within each kind of reference. Without a reference, distances between engines are shown. Results that
-    differ in their seed alone are repeats, shown as mean and scatter. Exit code 2 when no result is left, 1 when a
-    damaged file was skipped.
+    Ranks are within each kind of reference. Experiments without a reference have distances between engines. Results
+    that differ only in their seed are repeats, shown as mean and scatter. Exit code 1: a damaged file was skipped;
+    2: no result is left.
     """
     from gauge_envs.tools.compare.comparison import compare as compare_results
     from gauge_envs.tools.compare.report import check_metrics, comparison_document

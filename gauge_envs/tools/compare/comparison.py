@@ -132,11 +132,14 @@ class ExperimentComparison:
         return Kind(self.kind).is_solution
 
     @property
+    def present(self) -> list[tuple[int, Cell]]:
+        """Index and results of each configuration with results."""
+        return [(index, cell) for index, cell in enumerate(self.cells) if cell]
+
+    @property
     def results(self) -> list[Result]:
         """All results."""
-        return [
-            result for cell in self.cells if cell is not None for result in cell.results
-        ]
+        return [result for _, cell in self.present for result in cell.results]
 
     @property
     def primary(self) -> str:
@@ -147,17 +150,13 @@ class ExperimentComparison:
     @cached_property
     def distances(self) -> tuple[Distance, ...]:
         """Distance between each pair of configurations that ran the experiment, computed on first access."""
-        present = [
-            (first, first_cell)
-            for first, first_cell in enumerate(self.cells)
-            if first_cell
-        ]
         baseline = self.baselines.get("rmse")
+        pairs = combinations(self.present, 2)
         distances = (
             trajectory_distance(
                 (first, second), first_cell.results, second_cell.results, baseline
             )
-            for (first, first_cell), (second, second_cell) in combinations(present, 2)
+            for (first, first_cell), (second, second_cell) in pairs
         )
         return tuple(filter(None, distances))
 
@@ -171,6 +170,14 @@ class ExperimentComparison:
             or any(raw_score(score, name) is not None for score in scores)
         ]
         return sorted(names, key=lambda name: name != self.primary)
+
+    def shown_metrics(self, among: Iterable[str] = tuple(SCORE_METRICS)) -> list[str]:
+        """Return the metrics in tables. The distance from a solution replaces RMSE and DTW."""
+        return [
+            name
+            for name in self.metrics(among)
+            if not self.is_solution or name == OVER_U or SCORE_METRICS[name].is_event
+        ]
 
     def unit_of(self, metric: str) -> str:
         """Return the unit of a metric before normalization."""
@@ -192,14 +199,15 @@ class ExperimentComparison:
 
     def scored(self) -> ScoredExperiment:
         """Return the scores of this experiment for ranking within its kind."""
-        present = [(index, cell) for index, cell in enumerate(self.cells) if cell]
         return ScoredExperiment(
             id=self.id,
             deviations={
-                index: cell.deviations for index, cell in present if cell.deviations
+                index: cell.deviations
+                for index, cell in self.present
+                if cell.deviations
             },
             intervals={
-                index: cell.interval_95(self.primary) for index, cell in present
+                index: cell.interval_95(self.primary) for index, cell in self.present
             },
         )
 
@@ -280,18 +288,14 @@ def compare(results: Iterable[Result]) -> Comparison:
         for name in older
     ]
     groups = group_by_configuration(kept)
-    by_cell: dict[tuple[str, int], list[Result]] = {}
-    for index, (_, members) in enumerate(groups):
-        for result in members:
-            by_cell.setdefault((result.id, index), []).append(result)
     # In the order of `gauge list`; experiments of files follow by name.
     places = {variant.id: place for place, variant in enumerate(variants())}
     experiments = []
     for name in sorted(newest, key=lambda name: (places.get(name, len(places)), name)):
-        cells = [
-            _cell(by_cell[name, index], notes) if (name, index) in by_cell else None
-            for index in range(len(groups))
+        repeats_of = [
+            [result for result in members if result.id == name] for _, members in groups
         ]
+        cells = [_cell(repeats, notes) if repeats else None for repeats in repeats_of]
         experiments.append(_experiment(name, cells))
     return Comparison(
         configurations=tuple(configuration for configuration, _ in groups),

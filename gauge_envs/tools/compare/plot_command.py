@@ -33,7 +33,7 @@ def plot(
         for option, is_given in (("metric", metric), ("no-corrected", not corrected)):
             if is_given:
                 raise ParameterError(f"--{option} needs --kind compare")
-    names = check_metrics(metric) if metric else ()
+    names = check_metrics(metric or ())
     if len(names) > 1:
         raise ParameterError(
             f"--metric {','.join(names)}: a picture shows one metric; give one"

@@ -87,17 +87,21 @@ CELL_NOTES = {
 
 
 def check_metrics(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names of metrics without repetition; all metrics if none is given."""
+    """Return the names of metrics without repetition.
+
+    Raises:
+        UnknownNameError: A metric does not exist.
+    """
     chosen = tuple(dict.fromkeys(names))
     for name in chosen:
         if name not in SCORE_METRICS:
             raise UnknownNameError("metric", name, SCORE_METRICS)
-    return chosen or ALL_METRICS
+    return chosen
 
 
 def comparison_document(
     comparison: Comparison,
-    metrics: Sequence[str] = ALL_METRICS,
+    metrics: Sequence[str] = (),
     *,
     is_wide: bool = False,
     with_rows: bool = True,
@@ -108,41 +112,36 @@ def comparison_document(
 
     Args:
         comparison: The comparison.
-        metrics: Metrics to show. For all metrics, a terminal shows the primary metric of each experiment.
+        metrics: Metrics to show. Empty means all; a terminal then shows the primary metric of each experiment.
         is_wide: Whether a terminal shows the same as Markdown: all metrics, published engines, and ranks in each
             experiment.
         with_rows: Whether the document has JSON rows, which need the distance between each pair of configurations.
     """
     answers = [Paragraph(answer, Tone.ANSWER) for answer in _answers(comparison)]
     distances = distance_tables(comparison.experiments, comparison.labels)
-    chosen = None if metrics == ALL_METRICS else metrics
-    short: list[Part] = [*answers, *short_tables(comparison, chosen), *distances]
+    short: list[Part] = [*answers, *short_tables(comparison, metrics), *distances]
     full: list[Part] = [
         *answers,
-        _score_table(comparison, metrics, is_full=True),
+        _score_table(comparison, metrics or ALL_METRICS, is_full=True),
         *_rank_tables(comparison),
         *_mean_rank_tables(comparison),
         *distances,
     ]
     rows: list[dict[str, Any]] = []
     if with_rows:
-        scores = comparison_rows(comparison, metrics)
+        scores = comparison_rows(comparison, metrics or ALL_METRICS)
         rows = [{"record": "experiment", **row} for row in scores]
         rows += _kind_rows(comparison)
     return Document(parts=full if is_wide else short, rows=rows, markdown=full)
 
 
-def short_tables(
-    comparison: Comparison, metrics: Sequence[str] | None = None
-) -> list[Table]:
+def short_tables(comparison: Comparison, metrics: Sequence[str] = ()) -> list[Table]:
     """Return the score of each experiment, and mean ranks within kinds of `MIN_RANKED` or more experiments.
 
     Args:
         comparison: The comparison.
-        metrics: Metrics to show; None for the primary metric of each experiment.
+        metrics: Metrics to show; empty for the primary metric of each experiment.
     """
-    if not comparison.experiments:
-        return []
     ranks = _mean_rank_tables(comparison, min_experiments=MIN_RANKED)
     return [_score_table(comparison, metrics), *ranks]
 
@@ -165,7 +164,7 @@ def _answers(comparison: Comparison) -> Iterator[str]:
         labels = [comparison.labels[index] for index in sorted(set(chain(*ranked)))]
         answer = f"{' and '.join(labels)} are not distinguishable"
         if len(labels) > 2:
-            answer = f"None of {len(labels)} configurations ranks first alone"
+            answer = f"None of {len(labels)} configurations ranks first"
         shared = len(ranked) - firsts.total()
         answer += f" on {shared} of {counted(len(ranked), 'experiment')}"
         wins = [f"{label} ranks first on {count}" for label, count in firsts.items()]
@@ -176,7 +175,7 @@ def _answers(comparison: Comparison) -> Iterator[str]:
 
 
 def comparison_rows(
-    comparison: Comparison, metrics: Sequence[str] = ALL_METRICS
+    comparison: Comparison, metrics: Sequence[str]
 ) -> list[dict[str, Any]]:
     """Return a JSON-ready object for each experiment and metric.
 
@@ -299,13 +298,13 @@ def score_cell_text(cell: Cell, metric: str, unit: str) -> str:
 
 
 def _score_table(
-    comparison: Comparison, metrics: Sequence[str] | None, *, is_full: bool = False
+    comparison: Comparison, metrics: Sequence[str], *, is_full: bool = False
 ) -> Table:
     """Return a table with a row for each experiment and metric, and a column for each configuration.
 
     Args:
         comparison: The comparison.
-        metrics: Metrics to show; None for the primary metric of each experiment.
+        metrics: Metrics to show; empty for the primary metric of each experiment.
         is_full: Whether to show verdicts in words and published engines as columns.
     """
     kinds = list(Kind)
@@ -314,11 +313,7 @@ def _score_table(
         comparison.experiments,
         key=lambda experiment: kinds.index(Kind(experiment.kind)),
     ):
-        names: list[str | None] = [
-            name
-            for name in experiment.metrics(metrics or ALL_METRICS)
-            if _is_shown(experiment, name)
-        ]
+        names: list[str | None] = [*experiment.shown_metrics(metrics or ALL_METRICS)]
         shown = names if metrics else names[:1]
         rows += [
             _score_row(experiment, name, is_full=is_full) for name in shown or [None]
@@ -338,13 +333,6 @@ def _score_table(
         columns=(*cells, *columns),
         rows=rows,
         notes=tuple(_score_notes(comparison, used)),
-    )
-
-
-def _is_shown(experiment: ExperimentComparison, metric: str) -> bool:
-    """Return whether a table shows a metric. The distance from a solution replaces RMSE and DTW."""
-    return (
-        not experiment.is_solution or metric == OVER_U or SCORE_METRICS[metric].is_event
     )
 
 

@@ -40,7 +40,7 @@ def data_download(
             arguments.SELECTION,
             "Commit, branch or tag.",
             metavar="NAME",
-            show_default="that of the bundled data",
+            show_default="revision of the bundled data",
         ),
     ] = None,
     out: Annotated[

@@ -75,7 +75,7 @@ def recipe(
         _asked("--creep", "m/s", "Largest speed on a slope of half the friction."),
     ] = None,
     mass_kg: Annotated[
-        float | None, _asked("--mass", "kg", "Mass of the body.", "that of the pair")
+        float | None, _asked("--mass", "kg", "Mass of the body.", "mass of the pair")
     ] = None,
     engine: Annotated[
         str | None,

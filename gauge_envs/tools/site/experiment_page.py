@@ -106,12 +106,8 @@ def _picture(site: Site, experiment: ExperimentComparison) -> list[Html]:
 
 
 def _scores(site: Site, experiment: ExperimentComparison) -> list[Part]:
-    """Return the table of scores. The distance from a solution replaces RMSE and DTW."""
-    names = [
-        name
-        for name in experiment.metrics()
-        if not experiment.is_solution or name == OVER_U or SCORE_METRICS[name].is_event
-    ]
+    """Return the table of scores."""
+    names = experiment.shown_metrics()
     if not names:
         return []
     ranks = {

@@ -55,7 +55,7 @@ def sweep(
             "Values of a setting: timestep_s=1/1800,1/3600 or mujoco.iterations=10,50.",
             "--set",
             metavar=arguments.ASSIGNED,
-            show_default="those of the engine",
+            show_default="defaults of the engine",
         ),
     ] = None,
     seed: Annotated[
@@ -99,7 +99,7 @@ def sweep(
             "Ids, patterns or task files.",
             "--only",
             metavar="ID",
-            show_default="those of the file",
+            show_default="ids of the file",
         ),
     ] = None,
     shard: Annotated[

@@ -44,7 +44,7 @@ def video_prompts(
         str | None,
         typer.Argument(
             metavar="URL or DIR",
-            show_default="that on GitHub",
+            show_default="GitHub",
             help="Copy of the repository.",
         ),
     ] = None,
@@ -89,7 +89,7 @@ def video_score(
             "Frames per second of the camera; required for a track without times.",
             arguments.SCENE,
             is_positive=True,
-            show_default="that of the video",
+            show_default="rate of the video",
         ),
     ] = None,
     out: Annotated[

@@ -23,8 +23,8 @@ Metrics: TypeAlias = dict[str, float]
 METRICS = ("a", "qfi", "r2", "pd", "mte", "de", "acceleration_m_s2", "form")
 """Names of all metrics, in the order of a result.
 
-GAUGE's paper defines the first six: acceleration [m/s^2] and QFI from the first retained frame, R^2 and period [s] of a
-damped oscillation, momentum transfer, and dynamic error [N]. This package adds two metrics of straight motions:
+GAUGE's paper defines the first six: acceleration [m/s^2] and QFI from the first retained frame; R^2 and period [s] of a
+damped oscillation; momentum transfer; dynamic error [N]. This package adds two metrics of straight motions:
 acceleration with a fitted release, and the residual of the law relative to the displacement.
 """
 

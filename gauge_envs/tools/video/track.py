@@ -106,8 +106,8 @@ def read_track(
 ) -> Track:
     """Return a track from a CSV file of any tracker.
 
-    The file has `time` [s] or `frame`. It has `x` and `y` in pixels of the video, from its top left corner, or `x_grid`
-    and `y_grid` in pixels of the known first frame. Other columns are ignored. Rows without a position have empty cells
+    The file has `time` [s] or `frame`. Pixels of the video, from its top left corner, are in `x` and `y`; pixels of the
+    known first frame are in `x_grid` and `y_grid`. Other columns are ignored. Rows without a position have empty cells
     or are left out.
 
     Args:
@@ -116,8 +116,8 @@ def read_track(
         size_px: Width and height of the video [px].
 
     Raises:
-        VideoError: The file cannot be read, a column or the rate is missing, or a cell is not a number or is outside of
-            the video.
+        VideoError: The file cannot be read, a column or the rate is missing, or a cell is not a number or not in the
+            video.
     """
     values = _columns(Path(path))
     unit = "_grid" if "x_grid" in values else ""

@@ -175,6 +175,11 @@ def test_kinds_are_ranked_apart_and_equal_motions_tie(real):
     assert analytic.scores[0].mean.value == pytest.approx(solved)
     shared = "mujoco and newton are not distinguishable on 3 of 3 experiments."
     assert answer(both) == shared
+    # Only the wide report has mean ranks of fewer than three experiments.
+    document = comparison_document(compare(both))
+    ranks_title = "Mean rank within each kind of reference"
+    assert ranks_title not in [part.title for part in document.parts[1:]]
+    assert ranks_title in [part.title for part in document.markdown[1:]]
 
 
 def test_a_large_difference_ranks(real):
@@ -185,7 +190,7 @@ def test_a_large_difference_ranks(real):
     assert ranks(trials) == [(1, 1), (2, 2)]
     third = replace(wrong, backend="rapier", versions={"rapier": "1.0"})
     results = [real[SLIDER], wrong, third, *map(as_newton, [real[TURNED]])]
-    best = "None of 3 configurations ranks first alone on 0 of 1 experiment; mujoco ranks first on 1."
+    best = "None of 3 configurations ranks first on 0 of 1 experiment; mujoco ranks first on 1."
     assert answer(results) == best
     assert answer([real[SLIDER]]).startswith("No ranks")
 

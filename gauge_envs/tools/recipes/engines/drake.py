@@ -58,9 +58,9 @@ class DrakeSettings(ContactSettings):
         """Return the hardest contact that rebounds enough in Drake's implicit steps, with the remaining dissipation.
 
         An impact is half a period of a spring. Implicit Euler steps multiply an oscillation by 1 / sqrt(1 + r^2), where
-        r is the natural frequency times the step (Hairer and Wanner, Solving Ordinary Differential Equations II, IV.3).
-        An impact then leaves exp(-pi r / 2) of the speed. The damping ratio is half the relaxation time times the
-        natural frequency.
+        r is the natural frequency times the step. Source: Hairer and Wanner, Solving Ordinary Differential Equations
+        II, IV.3. An impact then leaves exp(-pi r / 2) of the speed. The damping ratio is half the relaxation time times
+        the natural frequency.
         """
         rate, ratio = 0.0, 1.0
         depth_m = aim.depth_m(MARGIN)

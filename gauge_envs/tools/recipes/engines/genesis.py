@@ -64,8 +64,8 @@ class GenesisSettings(ContactSettings):
         "impratio": "impratio",
     }
     limits: ClassVar = {
-        "restitution": "Genesis has no coefficient of restitution: a rebound is a damped spring over several steps, "
-        "because the time constant of a contact is at least two steps",
+        "restitution": "Genesis has no coefficient of restitution: a rebound is a damped spring over several steps; "
+        "the time constant of a contact is at least two steps",
         "penetration_m": ConstraintSettings.limits["penetration_m"].replace(
             "MuJoCo", "Genesis"
         ),
