@@ -1,8 +1,8 @@
 """Guard for changes of contact settings: cubes that slide fast must stay on the ground.
 
-A soft contact damps the sliding speed like the normal one. Where it stops a body within a step, friction mu lifts a
-body that slides at v with mu v, and the body hops by mu^2 v^2 / (2 g): 54 mm at 4 m/s. At 2 ms, time constants of two
-steps hop by 58 mm, MuJoCo's default of ten steps by 5 mm, and this package's preset by 1 mm.
+A soft contact damps the sliding speed like the normal speed. Where it stops a body within a step, friction mu lifts a
+body of speed v with mu v. The body then hops by mu^2 v^2 / (2 g): 54 mm at 4 m/s. At a step of 2 ms, a time constant of
+two steps hops by 58 mm. MuJoCo's default of ten steps hops by 5 mm, and this package's preset by 1 mm.
 """
 
 import math

@@ -52,7 +52,7 @@ def check(
     Args:
         target: A `TrainingConfiguration`, or a target of `gauge_envs.tools.sanity.configuration`.
         only: Ids of checks or patterns such as `creep-*`; when empty, all checks of the target's own model and of rigid
-            bodies, and those of grasps if the target is a model with a hand.
+            bodies. A model with a hand also gets those of grasps.
         include_deformables: Whether to check grasps, a wall and deformable bodies too.
         time_limit_s: Time after which no simulation starts [s]; the checks that are left are not measured. None for
             no limit.

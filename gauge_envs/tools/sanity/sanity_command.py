@@ -141,8 +141,8 @@ def sanity(
 
     Runs the target's own model, then measured objects with its numerical settings, and compares both with mechanics and
     real trials; gauge list phenomena shows all checks. A wall and deformable bodies are checked where a pattern of
-    --only is '*' or names them alone. Exit code 0 when all checks were measured and passed, 1 for a verdict of
-    --fail-on or a value farther from reality than in --baseline, 3 when checks were not measured.
+    --only is '*' or names them alone. Exit code 0: all checks were measured and passed. 1: a verdict of --fail-on, or a
+    value farther from reality than in --baseline. 3: checks were not measured.
     """
     from gauge_envs.tools.sanity import check, configuration
     from gauge_envs.tools.sanity.comparison import read_baseline

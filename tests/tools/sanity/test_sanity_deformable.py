@@ -49,11 +49,11 @@ def test_fling_reads_the_angle_of_a_rigid_sheet():
     rod = phenomenon("fling-lag").scenario.scene.body("rod").pose.position_m
     angle = np.radians(13.0) * PULSE[:, None]
     arm = rod[2] - rest[:, 2]
-    way = np.outer(-0.5 * TIMES_S, Y)
-    markers = np.tile(rest, (len(TIMES_S), 1, 1)) + way[:, None]
+    rod_m = np.outer(-0.5 * TIMES_S, Y)
+    markers = np.tile(rest, (len(TIMES_S), 1, 1)) + rod_m[:, None]
     markers[..., 1] += rod[1] + arm * np.sin(angle) - rest[:, 1]
     markers[..., 2] = rod[2] - arm * np.cos(angle)
-    assert read("fling-lag", markers, rod=way) == pytest.approx(13.0, abs=0.01)
+    assert read("fling-lag", markers, rod=rod_m) == pytest.approx(13.0, abs=0.01)
 
 
 def test_area_of_a_face_that_grows_alike_in_all_directions():

@@ -23,7 +23,7 @@ GOOD = {
 BOX = "type='box' size='.005 .01 .02'"
 
 
-def hand(option="", geom="", pad="", motors="left right", tip=BOX, held_m=0.03):
+def hand(option="", geom="", pad="", motors="left right", tip=BOX, height_m=0.03):
     """Return a gripper above a cube on a floor."""
     fingers = "".join(
         f"<body name='{name}' pos='{place} 0 .1'><joint name='{name}' type='slide' axis='1 0 0'/>"
@@ -33,7 +33,7 @@ def hand(option="", geom="", pad="", motors="left right", tip=BOX, held_m=0.03):
     driven = "".join(f"<motor joint='{name}'/>" for name in motors.split())
     return mujoco.MjModel.from_xml_string(
         f"<mujoco><option {option}/><default><geom {geom}/></default><worldbody>"
-        f"<geom name='floor' type='plane' size='2 2 .1'/><body pos='0 0 {held_m}'><freejoint/>"
+        f"<geom name='floor' type='plane' size='2 2 .1'/><body pos='0 0 {height_m}'><freejoint/>"
         f"<geom name='cube' type='box' size='.02 .02 .03' mass='.1'/></body>{fingers}</worldbody>"
         f"<actuator>{driven}</actuator></mujoco>"
     )
@@ -131,7 +131,7 @@ def test_the_contacts_of_a_hand_are_those_of_its_pads_and_a_free_body():
 )
 def test_round_fingertips_without_torsional_friction_are_named(pad, spins):
     """MuJoCo does the same: 5 N on two tips resist 20 mN m with a lever of 2 mm each, or nothing."""
-    model = hand(**GOOD, pad=f'priority="1" {pad}', tip="size='.01'", held_m=0.1)
+    model = hand(**GOOD, pad=f'priority="1" {pad}', tip="size='.01'", height_m=0.1)
     verdicts, report = checked(model)
     assert verdicts["grasp-torsion"] is Verdict.NOT_MEASURED
     assert not any(verdict.is_off for verdict in verdicts.values())

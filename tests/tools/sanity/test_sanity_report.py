@@ -125,9 +125,9 @@ def test_the_screen_has_the_answer_then_the_model_then_objects_then_the_fix():
 
 
 def test_the_screen_fits_in_25_lines():
-    own = [replace(SPIN, phenomenon=f"model-{number}") for number in range(12)]
+    on_target = [replace(SPIN, phenomenon=f"model-{number}") for number in range(12)]
     objects = [replace(CREEP, phenomenon=f"creep-{number}") for number in range(20)]
-    checked = report(*own, *objects, PERIOD, WALL, fix=FIX, unstated="No limit.")
+    checked = report(*on_target, *objects, PERIOD, WALL, fix=FIX, unstated="No limit.")
     assert len(screen(checked)) <= 25
     assert len(screen(checked, is_all=True, details=True)) > 40
 

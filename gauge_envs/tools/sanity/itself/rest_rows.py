@@ -63,8 +63,8 @@ The lowest of twenty equal blocks carries as much. The check rest-height covers 
 def overlap(robot: Robot) -> Finding:
     """Return the largest depth of contacts whose load is many times the weight of their lighter body.
 
-    A contact of MuJoCo with impedance d and stiffness k carries the force m d k r / (1 - d) at a depth r, with the
-    mass m that it accelerates ("Computation", constraint model): d k r / (1 - d) over gravity is load over weight.
+    A contact of MuJoCo with impedance d and stiffness k carries the force m d k r / (1 - d) at a depth r. It moves
+    the mass m, so that d k r / (1 - d) over gravity is load over weight ("Computation", constraint model).
     """
     run, findings = settled(robot), []
     model, data = run.model, run.data

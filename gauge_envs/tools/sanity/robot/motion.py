@@ -29,8 +29,8 @@ def _motion(robot: Robot) -> tuple[float, bool]:
     """Simulate 2 s from the start, with the controls of its keyframe.
 
     Returns:
-        The largest rise of the centre of mass of a tree of bodies [mm], at least the depth of its overlap at the start,
-        infinite for a state that diverges; and whether the robot stands at the end.
+        The largest rise of the centre of mass of a tree of bodies [mm], and whether the robot stands at the end.
+        The rise is at least the depth of the overlap at the start, and infinite for a state that diverges.
     """
     model, standing, up = robot.model, robot.standing, np.asarray(robot.up)
     data = mujoco.MjData(model)

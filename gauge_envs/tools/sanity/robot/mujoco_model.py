@@ -186,8 +186,8 @@ def _groups(
 ) -> tuple[ContactGroup, ...]:
     """Return the pairs grouped by kind and constants, sorted by kind and number of pairs.
 
-    Used are the groups with the constants `used`, and with `all_on_ground` all groups of the first kind but those of
-    free balls alone, which roll and bounce where the objects of the experiments rest and slide.
+    Groups with the constants `used` are in use, and with `all_on_ground` all groups of the first kind. Groups of free
+    balls alone are not: balls roll and bounce where the objects of the experiments rest and slide.
     """
     grasped = all_on_ground * grasp_kinds(model, pairs)
     keys = np.column_stack([pairs.kinds, grasped, pairs.constants])

@@ -46,8 +46,8 @@ def hold_pose(robot: Robot) -> tuple[float, FloatArray]:
     """Simulate a robot whose servos hold the pose in which it stands.
 
     Returns:
-        Height of its centre of mass at the end, over that at the start, and the mean force of the actuators in each
-        degree of freedom late in the motion [N m or N], shape [nv].
+        The ratio of the heights of its centre of mass at the end and at the start, and the mean late force of the
+        actuators in each degree of freedom [N m or N], shape [nv].
 
     Raises:
         NotApplicableError: It does not stand on three feet or more, or not all of its legs have servos.
