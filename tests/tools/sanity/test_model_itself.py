@@ -1,5 +1,7 @@
 """Checks of the model itself: planted faults with their size from mechanics, and right models that pass."""
 
+import re
+
 import mujoco
 import pytest
 from robot_faults import good_xml
@@ -127,3 +129,19 @@ def test_the_solver_is_compared_with_an_exact_one():
     assert rough.verdict is Verdict.FAILED and rough.configured > exact.configured
     creep = result("model-creep", stack(10, 'iterations="1" solver="PGS">'))
     assert (creep.applies, creep.remark) == (False, "model-solver has the cause")
+
+
+def test_a_soft_tower_is_no_crushed_body():
+    """The lower of two boxes carries 11 times its weight, like the lowest of eleven boxes."""
+    soft = 'solref=".1 1"'
+    assert result("model-overlap", stack(10, constants=soft)).configured == 0.0
+
+
+def test_energy_that_a_motion_gains_is_compared_with_its_kinetic_energy():
+    pendulum = """<body pos="0 0 1"><joint axis="0 1 0"/><geom size=".02" pos=".3 0 0" mass="1"/>
+      <body pos=".3 0 0"><joint axis="0 1 0"/><geom size=".02" pos=".3 0 0" mass="1"/></body></body>"""
+    flags = '<flag eulerdamp="disable"/>'
+    row = result("robot-energy", mjcf(pendulum, f'timestep=".05">{flags}'))
+    gained_j, kinetic_j = map(float, re.findall(r"([\d.e+-]+) J", row.remark))
+    assert row.verdict.is_off
+    assert row.configured == pytest.approx(gained_j / kinetic_j, rel=0.01)

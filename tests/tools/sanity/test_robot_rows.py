@@ -4,7 +4,7 @@ import pytest
 from robot_faults import FAULTS, faulty_xml, good_xml
 
 from gauge_envs.tools.sanity import configuration
-from gauge_envs.tools.sanity.robot.joints import unstated
+from gauge_envs.tools.sanity.robot.joints import drives, unstated
 from gauge_envs.tools.sanity.rows import ROWS, row_result
 from gauge_envs.tools.sanity.selection import MODEL_IDS
 
@@ -89,6 +89,13 @@ RIGHT = {
 def test_right_models_pass(name, tmp_path):
     suffix = "urdf" if name == "furuta" else "xml"
     assert flags_of(robot_of(RIGHT[name], tmp_path, suffix)) == {}
+
+
+def test_forces_and_gains_of_a_servo_pass_its_gear(tmp_path):
+    """A gear of 3 gives the joint 3 times the force, and 9 times stiffness and damping."""
+    servo = MOTOR.format('gear="3" kp="50" kv="2" forcerange="-20 20"')
+    (drive,) = drives(robot_of(arm(end=servo), tmp_path))
+    assert (drive.limit, drive.kp, drive.kv) == pytest.approx((60.0, 450.0, 18.0))
 
 
 WRONG = {

@@ -26,7 +26,8 @@ def model(xml):
 def test_a_quadruped_stands_on_four_spheres():
     foot = configuration(model(quadruped_xml())).foot_geometry
     assert (foot.name, foot.foot_count) == ("FL_calf", 4)
-    assert foot.load_kg == pytest.approx(3.0)
+    # Four copies, each with a quarter of the 12 kg, form a rigid body.
+    assert (foot.load_kg, foot.mass_kg) == pytest.approx((3.0, 12.0))
     (part,) = foot.parts
     assert part.shape == Sphere(radius_m=FOOT_RADIUS_M)
     assert part.pose.position_m == pytest.approx([0.0, 0.0, FOOT_RADIUS_M])

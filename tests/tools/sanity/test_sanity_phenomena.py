@@ -11,8 +11,8 @@ from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.bench.recording import DeclinedError, DivergedError
-from gauge_envs.tools.sanity.measure import Measurements, judged
-from gauge_envs.tools.sanity.model import Reality, Verdict
+from gauge_envs.tools.sanity.measure import Measurements, judged, subject_of
+from gauge_envs.tools.sanity.model import Reality, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import RIGID, phenomena, phenomenon
 from gauge_envs.tools.sanity.scenario import run_scenario
 
@@ -223,6 +223,24 @@ def test_the_interval_covers_95_percent_of_further_trials():
 )
 def test_the_verdict_of_a_deviation(deviation, verdict):
     assert Verdict.of(deviation) == verdict
+
+
+@pytest.mark.parametrize(
+    ("solref", "has_rebound"),
+    [
+        ((0.02, 1.0), False),
+        ((0.02, 0.5), True),
+        # Stiffness 1e4 and damping b have the damping ratio b / (2 sqrt 1e4).
+        ((-1e4, -100.0), True),
+        ((-1e4, -300.0), False),
+    ],
+)
+def test_an_impact_counts_where_contacts_are_not_damped_critically(solref, has_rebound):
+    target = TrainingConfiguration(
+        name="a", source="", backend="mujoco", settings={"contact_solref": solref}
+    )
+    subject = subject_of(Measurements(MUJOCO), target, phenomenon("rebound"))
+    assert (subject.advisory == "") is has_rebound
 
 
 # --- engines ---------------------------------------------------------------------------------------------------------

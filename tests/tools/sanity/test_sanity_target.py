@@ -1,11 +1,13 @@
 """What is read from a training configuration: a model's contacts as MuJoCo itself makes them, and its options."""
 
 import warnings
+from dataclasses import replace
 
 import gymnasium
 import mujoco
 import numpy as np
 import pytest
+from quadruped import quadruped_xml
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
@@ -13,6 +15,7 @@ from gauge_envs.errors import TargetError
 from gauge_envs.tools.bench.model_settings import COLUMNS, contact_pairs
 from gauge_envs.tools.sanity.itself.runs import start_data
 from gauge_envs.tools.sanity.stacks import configuration
+from gauge_envs.tools.sanity.target_checks import control_row, gravity_row
 
 # Every rule by which MuJoCo lets geoms collide or mixes their constants; all of it lies in one heap.
 HEAP = """
@@ -351,3 +354,31 @@ def test_a_warning_of_mujoco_on_the_users_file_is_a_note(tmp_path, capfd):
     if mujoco.mj_version() >= 4_000_000:
         assert notes[0].startswith("MuJoCo warns: compiler attribute 'settotalmass'")
     assert capfd.readouterr().err == ""
+
+
+# --- numbers of a target ---------------------------------------------------------------------------------------------
+
+
+def test_an_action_takes_at_most_half_of_the_time_in_which_a_fall_grows_by_e():
+    read = configuration(mujoco.MjModel.from_xml_string(quadruped_xml()))
+    row = control_row(replace(read, frame_skip=5))
+    limit_ms = 500.0 * np.sqrt(read.robot.standing.height_m / 9.80665)
+    # Five steps of 2 ms.
+    assert row.configured == pytest.approx(10.0)
+    assert row.reality.tolerance == pytest.approx(limit_ms)
+    assert row.deviation == pytest.approx(10.0 / limit_ms)
+
+
+@pytest.mark.parametrize(
+    ("gravity", "verdict"),
+    [
+        ((0.0, 0.0, -9.81), "passed"),
+        # A slope of 30 degrees, the Moon, and gravity along the ground.
+        ((4.905, 0.0, -8.4957), "passed"),
+        ((0.0, 0.0, -1.62), "warning"),
+        ((9.81, 0.0, 0.0), "failed"),
+    ],
+)
+def test_gravity_is_that_of_the_earth_and_points_to_the_ground(gravity, verdict):
+    read = replace(configuration("HalfCheetah-v5"), gravity_m_per_s2=gravity)
+    assert gravity_row(read).verdict == verdict
