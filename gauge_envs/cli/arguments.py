@@ -20,12 +20,7 @@ if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
     from gauge_envs.scene.jitter import Jitter
 
-SCENE, NUMERICS, SELECTION, OUTPUT = PANELS = (
-    "Scene",
-    "Numerics",
-    "Selection",
-    "Output",
-)
+SCENE, NUMERICS, SELECTION, OUTPUT = "Scene", "Numerics", "Selection", "Output"
 """Panels of the help: scene, numerics, selection of results, and output."""
 
 ASSIGNED = "NAME=VALUE"
@@ -226,7 +221,7 @@ Repeats = Annotated[
     int,
     option(
         NUMERICS,
-        "Episodes, each with the next seed and its own scattered start.",
+        "Episodes, each with the next seed and its own initial-state noise.",
         "--repeats",
         min=1,
     ),
@@ -236,7 +231,7 @@ Jobs = Annotated[
     int | None,
     option(
         NUMERICS,
-        "Processes at once.",
+        "Parallel processes.",
         "--jobs",
         "-j",
         min=1,

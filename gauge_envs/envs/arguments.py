@@ -281,7 +281,7 @@ def _no_reward_message(experiment: Experiment) -> str:
     missing = f"{experiment.id} has no reference in use, so every reward is 0."
     if experiment.variant in user_variants():
         return (
-            f"{missing} Put {experiment.name}.band.toml and .npz beside its task file."
+            f"{missing} Put {experiment.name}.band.toml and .npz next to its task file."
         )
     fix = "import its real trials with 'gauge data import', then pass reference='imported'"
     if has_import(experiment.name):

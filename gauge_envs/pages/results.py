@@ -6,9 +6,7 @@ from typing import Any
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.text import (
     quantity_text,
-    score_text,
     value_text,
-    with_unit,
 )
 from gauge_envs.references.metrics import METRICS, Metric
 from gauge_envs.runs.configuration import RunConfiguration
@@ -141,16 +139,6 @@ def normalized_score(score: Score, metric: str) -> float | None:
 def score_interval(score: Score, metric: str) -> tuple[float, float] | None:
     """Return the 95 % interval of the normalized metric; None if it is not the primary one."""
     return score.primary_interval if metric == score.primary else None
-
-
-def score_text_of(score: Score, metric: str) -> str:
-    """Return a metric with its unit and its ratio in brackets, as `3.33 mm (4.95)`; a dash if it is missing."""
-    raw, normalized = raw_score(score, metric), normalized_score(score, metric)
-    if raw is None:
-        return "-"
-    unit = SCORE_METRICS[metric].unit_of(score.unit)
-    text = with_unit(score_text(raw), score.distance_unit if metric == OVER_U else unit)
-    return text if normalized is None else f"{text} ({score_text(normalized)})"
 
 
 # --- convergence ---

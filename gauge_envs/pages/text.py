@@ -1,7 +1,7 @@
 """Texts of names, numbers and lists that all documents share."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from gauge_envs.files import printable
@@ -11,14 +11,9 @@ from gauge_envs.references.metrics import METRICS
 METRIC_TITLES = {key: metric.title for key, metric in METRICS.items()}
 
 
-NORMALIZED_NOTE = (
-    "Over real trials: score over the mean of theirs, aligned where the score is. LSD, MTE, PD: over the real value, 1 "
-    "is ideal. EL: 0 is ideal. Engines: as published (GAUGE, Table 5)."
-)
-
 QUESTIONS = {
     "validation": "Validation: is the motion like reality?",
-    "verification": "Verification: does the engine solve the stated scene?",
+    "verification": "Verification: does the engine solve the calibrated scene?",
 }
 """Questions that references answer. No table, axis or rank mixes the two."""
 
@@ -29,11 +24,6 @@ KIND_NOTES = {
     Kind.NUMERICAL: "refined solution of the calibrated scene. The score is the error of the engine",
     Kind.NONE: "no reference motion; events may have real values",
 }
-
-
-def kind_notes(kinds: Iterable[str]) -> list[str]:
-    """Return explanations of kinds of references, a line each."""
-    return [f"{kind}: {KIND_NOTES[Kind(kind)]}." for kind in sorted(set(kinds))]
 
 
 def event_title(name: str) -> str:
@@ -67,11 +57,6 @@ def value_text(value: Any) -> str:
     if isinstance(value, list):
         return f"[{', '.join(map(value_text, value[:4]))}{f', ... {len(value)} in all' if len(value) > 4 else ''}]"
     return str(value)
-
-
-def vector_text(values: Sequence[float]) -> str:
-    """Return numbers separated by blanks."""
-    return " ".join(f"{value:.6g}" for value in values)
 
 
 def short_id(name: str) -> str:

@@ -135,7 +135,7 @@ class Band:
         source: Origin of the numbers, one sentence.
         licence: Licence of the data.
         trial_count: Number of real trials; None is unknown.
-        uncertainty: Standard uncertainty of the mean, or of one measured trial, shape [T, C]; None if not stated.
+        uncertainty: Standard uncertainty of the mean, or of one measured trial, shape [T, C]; None if unknown.
         trials: Each real trial, shape [N, T, C]; NaN is unknown. None if only mean and scatter are known.
         trial_rmse: RMSE of each real trial to the mean of the others, shape [N]; None without single trials.
         trial_rmse_aligned: The same after the time shift with the smallest RMSE, shape [N].

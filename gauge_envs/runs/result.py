@@ -215,11 +215,11 @@ class Result:
         driver_provenance: Source of the driven motion; None without driven bodies.
         dataset: Source of driven motion (`drivers`) and band (`reference`), `bundled` or `imported`. If one of them is
             imported, also `revision` of the dataset and `sha256` over the imported trials.
-        asset: File that stated the scene: its name `file`, `kind`, `sha256`, whether it is `edited`, and its `changes`.
-            A scene that the package does not have is in `scene`, as text of a USD layer. Empty if the task file stated
-            the scene.
+        asset: File with the scene: its name `file`, `kind`, `sha256`, whether it is `edited`, and its `changes`.
+            A scene that the package does not have is in `scene`, as text of a USD layer. Empty if the scene is that of
+            the task file.
         created: Time of creation, ISO 8601, UTC.
-        error: Why the episode was declined or failed; None otherwise.
+        error: Why the episode is unsupported or failed; None otherwise.
         trajectory: Its trajectory; None if it did not run.
     """
 
@@ -254,7 +254,7 @@ class Result:
 
     @property
     def is_edited(self) -> bool:
-        """Whether an asset stated the scene and differs from the calibrated scene."""
+        """Whether the scene comes from an asset and differs from the calibrated scene."""
         return bool(self.asset.get("edited"))
 
     def version_difference(self, installed: Mapping[str, str]) -> str:

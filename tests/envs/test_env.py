@@ -426,4 +426,4 @@ def test_an_id_without_a_reward_warns_once_at_the_line_of_the_caller(
     gauge_envs.register_all()
     (users,) = warnings_of("GAUGE/CrateSlide-pine")
     del gymnasium.registry["GAUGE/CrateSlide-pine"]
-    assert "Put CrateSlide-pine.band.toml and .npz beside" in str(users.message)
+    assert "Put CrateSlide-pine.band.toml and .npz next to" in str(users.message)
