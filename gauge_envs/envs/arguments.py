@@ -264,16 +264,16 @@ def _missing_reward(experiment: Experiment, band: Band | None) -> str:
     last = int(np.flatnonzero(band.compared.known).max(initial=0))
     if last < experiment.frame_count - 1:
         limits.append(
-            f"{experiment.id}: its {band.kind} reference ends at {last / FRAME_RATE_HZ:.2f} of "
-            f"{(experiment.frame_count - 1) / FRAME_RATE_HZ:.2f} s. Later rewards are 0."
+            f"its {band.kind} reference ends at {last / FRAME_RATE_HZ:.2f} of "
+            f"{(experiment.frame_count - 1) / FRAME_RATE_HZ:.2f} s: later rewards are 0"
         )
     reason = refusal(experiment, band)
     if reason is not None:
         cause = ", ".join(experiment.overrides) or "the edited scene"
         limits.append(
-            f"{experiment.id}: {reason}. The cause is {cause}; rewards still compare with the reference."
+            f"{reason}; the cause is {cause}, and rewards still compare with the reference"
         )
-    return " ".join(limits)
+    return f"{experiment.id}: {'; '.join(limits)}" if limits else ""
 
 
 def _no_reward_message(experiment: Experiment) -> str:

@@ -420,7 +420,7 @@ def test_an_id_without_a_reward_warns_once_at_the_line_of_the_caller(
     changes = {"textile.areal_density_kg_per_m2": 0.2}
     (changed,) = warnings_of("GAUGE/TextileFlinging-satin", parameters=changes)
     assert "no score: the numerical reference" in str(changed.message)
-    assert "The cause is textile.areal_density_kg_per_m2" in str(changed.message)
+    assert "the cause is textile.areal_density_kg_per_m2" in str(changed.message)
     shutil.copy(ROOT / "examples" / "own_experiment" / "crate.toml", tmp_path)
     monkeypatch.setenv("GAUGE_TASKS", str(tmp_path / "crate.toml"))
     gauge_envs.register_all()
