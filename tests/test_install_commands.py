@@ -33,11 +33,11 @@ def page_runs():
             needed[command.page].add(command.environment)
     return {
         (environment, page): [
-            one
-            for one in COMMANDS
-            if one.page == page
-            and one.skip is None
-            and one.environment in {environment, DEFAULT}
+            command
+            for command in COMMANDS
+            if command.page == page
+            and command.skip is None
+            and command.environment in {environment, DEFAULT}
         ]
         for page, environments in needed.items()
         for environment in sorted(environments)
