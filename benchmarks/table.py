@@ -87,7 +87,7 @@ def starts() -> Iterator[Row]:
         child_s("import gauge_envs") / gymnasium_s,
         1.3,
     )
-    command = "import sys; sys.argv = ['gauge', 'list']; from gauge_command import main; main()"
+    command = "import sys; sys.argv = ['gauge', 'list']; from gauge_envs.__main__ import main; main()"
     yield Row("gauge list / import gymnasium", child_s(command) / gymnasium_s, 3.5)
     makes = [
         f"import gymnasium, gauge_envs; gymnasium.make({name!r})"

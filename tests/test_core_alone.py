@@ -73,7 +73,6 @@ def core(tmp_path_factory):
     shutil.copytree(
         ROOT / "gauge_envs", package, ignore=shutil.ignore_patterns("__pycache__")
     )
-    shutil.copy(ROOT / "gauge_command.py", folder)
     for name in ("assets", "scoring", "tasks"):
         (folder / name).symlink_to(ROOT / name)
     for guests, kept in (("tools", CORE_INSTRUMENTS), ("backends", CORE_BACKENDS)):
@@ -136,7 +135,7 @@ def scored(text):
 
 def test_the_core_runs_and_scores_as_the_whole_package(core, gauge):
     words = ("run", "SlopeSlider-2-wood", "BouncingBall-rubber", "--json")
-    code = "import sys; sys.argv[0] = 'gauge'; from gauge_command import main; main()"
+    code = "import sys; sys.argv[0] = 'gauge'; from gauge_envs.__main__ import main; main()"
     assert scored(python(core, "-c", code, *words)) == scored(gauge(*words).stdout)
 
 

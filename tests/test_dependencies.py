@@ -53,8 +53,9 @@ EXTRAS = {
 ELSEWHERE = {
     "tools/sanity/gauge_probe.py": {"mjlab"},
     "rendering/window.py": {"glfw"},
+    "pytest_plugin.py": {"pytest"},
 }
-"""Imports of a program that runs in the Python of a training stack, and of a package that MuJoCo installs."""
+"""Imports of programs that run in a training stack and in pytest, and of a package that MuJoCo installs."""
 
 
 def imported(text):

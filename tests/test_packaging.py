@@ -47,7 +47,6 @@ def test_the_wheel_contains_the_data(wheel):
     assert "gauge_envs/_data/scoring/published/engine_results.csv" in names
     assert "gauge_envs/_data/scoring/bands/SlopeSlider-2-wood.npz" in names
     assert "gauge_envs/py.typed" in names
-    assert "gauge_command.py" in names
     assert not any(name.startswith(("tests", "studies")) for name in names)
 
 

@@ -13,7 +13,7 @@ from places import ROOT
 from programs import run_python
 
 NAME = "SlopeSlider-2-wood"
-PROGRAM = "import sys; sys.argv = ['gauge', *sys.argv[1:]]; from gauge_command import main; main()"
+PROGRAM = "import sys; sys.argv = ['gauge', *sys.argv[1:]]; from gauge_envs.__main__ import main; main()"
 
 
 def start(*words, folder, stdout=subprocess.PIPE, **variables):
@@ -93,7 +93,7 @@ def test_ctrl_c_in_the_imports_of_the_command_is_quiet(tmp_path):
         "        if name == 'gauge_envs.cli.app':\n"
         "            os.kill(os.getpid(), signal.SIGINT)\n"
         "sys.meta_path.insert(0, Finder())\n"
-        "from gauge_command import main\n"
+        "from gauge_envs.__main__ import main\n"
         "main()\n"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -118,7 +118,7 @@ def test_a_shell_completes_options_and_ids():
 
 def test_the_help_loads_no_tool_and_no_engine():
     code = (
-        "import atexit, sys; sys.argv = ['gauge', '--help']; from gauge_command import main\n"
+        "import atexit, sys; sys.argv = ['gauge', '--help']; from gauge_envs.__main__ import main\n"
         "heavy = ('gauge_envs.tools.run', 'scipy', 'pydantic', 'mujoco', 'matplotlib')\n"
         "atexit.register(lambda: print([one for one in sys.modules if one.startswith(heavy)], file=sys.stderr))\n"
         "main()"

@@ -190,7 +190,7 @@ def test_the_time_limit_also_ends_child_processes_of_a_worker(tmp_path):
 
 @needs_proc
 def test_ctrl_c_ends_several_jobs_at_once_and_leaves_no_process(tmp_path):
-    command = "from gauge_command import main; main()"
+    command = "from gauge_envs.__main__ import main; main()"
     words = ("run", "*", "--jobs=2", "--out", str(tmp_path))
     with subprocess.Popen(
         [sys.executable, "-c", command, *words],

@@ -157,7 +157,7 @@ def test_a_model_that_diverges_writes_no_log_and_no_warning_of_mujoco(tmp_path):
       <geom size=".02" pos=".3 0 0"/></body></body></worldbody>
       <actuator><position joint="j" kp="50000"/></actuator></mujoco>"""
     (tmp_path / "robot.xml").write_text(model)
-    program = "from gauge_command import main; main()"
+    program = "from gauge_envs.__main__ import main; main()"
     words = ["sanity", "robot.xml", "--only", "robot-holds,robot-energy,rest-height"]
     done = subprocess.run(
         [sys.executable, "-c", program, *words],

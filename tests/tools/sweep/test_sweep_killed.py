@@ -18,7 +18,7 @@ PLAN = {
     "settings": {"timestep_s": [1 / 360, 1 / 720]},
 }
 COUNT = 96
-PROGRAM = [sys.executable, "-c", "from gauge_command import main; main()"]
+PROGRAM = [sys.executable, "-c", "from gauge_envs.__main__ import main; main()"]
 COMMAND = [*PROGRAM, "sweep", "--jobs", "2", "--only=SlopeSlider-2-*", "--repeats=16"]
 COMMAND += ["--set", f"timestep_s={1 / 360!r},{1 / 720!r}", "--retry-failed", "--out"]
 

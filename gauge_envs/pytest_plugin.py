@@ -1,7 +1,7 @@
 """Plugin of pytest: `pytest --gauge-engine NAME` runs the conformance checks of an engine as tests.
 
 Each check is one test, beside those of the repository. A check that the engine declines is skipped, and a failure that
-`--gauge-expected` lists is expected. The module is outside the package, which every run of pytest would import else.
+`--gauge-expected` lists is expected.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Start of the `gauge` command: Ctrl-C ends it with one line, also while the package is being imported.
-
-The module is outside the package because `import gauge_envs` itself takes a third of a second. It imports nothing
-that Python has not loaded already: a Ctrl-C that comes before the handler is in place would end in a traceback.
-"""
+"""Start of the `gauge` command: Ctrl-C ends it with one line, also while the command is being imported."""
 
 import gc
 import os
@@ -36,3 +32,7 @@ def _end(*_: object) -> None:
     """End the process at once. Unlike an exception, this also works while a library in C is being imported."""
     os.write(2, b"interrupted\n")
     os._exit(EXIT_INTERRUPTED)
+
+
+if __name__ == "__main__":
+    main()
