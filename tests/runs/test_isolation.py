@@ -207,7 +207,11 @@ def test_ctrl_c_ends_several_jobs_at_once_and_leaves_no_process(tmp_path):
     assert workers
     assert run.returncode == 130
     assert "--resume continues from there" in errors and "Traceback" not in errors
-    assert not [pid for pid in workers if Path(f"/proc/{pid}").exists()]
+    # A busy machine takes a while to end a process.
+    deadline_s = time.monotonic() + 60.0
+    while any(Path(f"/proc/{pid}").exists() for pid in workers):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
 
 
 def run_in_a_fork(folder):
