@@ -31,10 +31,10 @@ def names() -> tuple[str, ...]:
 
 def summary() -> str:
     """Return the control tasks in a line."""
-    from gauge_envs.pages.text import shortened
-
-    ids = [task.id for task in control_tasks()]
-    return f"extra, {len(ids)} control tasks whose optimum a law gives: {shortened(ids)}; gauge show explains one"
+    tasks = control_tasks()
+    families = dict.fromkeys(task.name.rpartition("-")[0] for task in tasks)
+    names = ", ".join(f"{family}-*" for family in families)
+    return f"Control tasks with a theoretical maximum reward: {names}"
 
 
 def document(name: str) -> Document:

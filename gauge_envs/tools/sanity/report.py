@@ -201,8 +201,8 @@ def _object_flags(report: Report) -> list[Part]:
     if _has_default_contact(report.configuration):
         worst = flags[0]
         text = (
-            f"{worst.verdict}: MuJoCo's default contact, which a file has without solref, solimp and cone: "
-            f"{len(flags)} {flags_text(flags)} of measured objects, such as {worst.phenomenon} with "
+            f"{worst.verdict}: MuJoCo's default contact, as the file sets no solref, solimp and cone. Measured objects: "
+            f"{len(flags)} {flags_text(flags)}, such as {worst.phenomenon} with "
             f"{with_unit(measured_text(worst), worst.unit)}, real {reality_text(worst.reality, worst.unit)}"
         )
         return [Paragraph(text, Tone.WARNING)]
