@@ -60,7 +60,7 @@ def cpu_medians_ms(
 
 
 def inputs() -> dict[str, list[np.ndarray]]:
-    """Return pairs of trajectories by what they are."""
+    """Return pairs of trajectories by description."""
     rng = np.random.default_rng(0)
     return {
         "random walks": [
@@ -85,14 +85,14 @@ def main() -> int:
     slower = False
     for title, (first, second) in inputs().items():
         try:
-            others = competitors(first, second)
+            competitor_calls = competitors(first, second)
             from threadpoolctl import threadpool_limits  # comes with tslearn
         except MissingExtraError as error:
             print(error, file=sys.stderr)
             return 2
         calls = {
             "gauge_envs.trajectory_dtw": lambda a=first, b=second: trajectory_dtw(a, b)
-        } | others
+        } | competitor_calls
         with threadpool_limits(1):
             medians = cpu_medians_ms(calls, repeats)
         ours = medians.pop("gauge_envs.trajectory_dtw")

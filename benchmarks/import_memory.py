@@ -85,8 +85,8 @@ def measure(root: Path) -> dict[str, float]:
     wall_s = time.perf_counter() - start
     scale = 1 if sys.platform == "darwin" else 1024
     return {
-        "trials": sum(one.used for one in imports),
-        "left_out": sum(one.left_out for one in imports),
+        "trials": sum(result.used for result in imports),
+        "left_out": sum(result.left_out for result in imports),
         "wall_s": wall_s,
         "peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * scale,
     }
@@ -113,21 +113,21 @@ def main() -> int:
             capture_output=True,
             text=True,
         )
-    found = json.loads(child.stdout)
+    run = json.loads(child.stdout)
     markers = len(load_experiment(VARIANT).scene.markers.positions_m)
     print(
         f"{options.trials} trials of {options.frames} frames x {markers} markers, {written / 1e6:.0f} MB of JSON"
     )
     print(
-        f"imported {found['trials']:.0f}, left out {found['left_out']:.0f}, in {found['wall_s']:.1f} s:"
+        f"imported {run['trials']:.0f}, left out {run['left_out']:.0f}, in {run['wall_s']:.1f} s:"
     )
     print(
-        f"  {found['trials'] / found['wall_s']:.1f} trials/s, {written / 1e6 / found['wall_s']:.1f} MB/s"
+        f"  {run['trials'] / run['wall_s']:.1f} trials/s, {written / 1e6 / run['wall_s']:.1f} MB/s"
     )
     print(
-        f"  peak memory {found['peak_bytes'] / 1e6:.0f} MB (limit {LIMIT_BYTES / 1e6:.0f} MB)"
+        f"  peak memory {run['peak_bytes'] / 1e6:.0f} MB (limit {LIMIT_BYTES / 1e6:.0f} MB)"
     )
-    return int(found["peak_bytes"] > LIMIT_BYTES or found["trials"] != options.trials)
+    return int(run["peak_bytes"] > LIMIT_BYTES or run["trials"] != options.trials)
 
 
 if __name__ == "__main__":

@@ -65,7 +65,7 @@ def measured(name: str) -> tuple[float, float, float]:
 
 
 def scoring_ms(name: str) -> float:
-    """Return the median time of the last step of an episode minus that of the step before [ms]."""
+    """Return the median time of the last step of an episode minus the time of the step before [ms]."""
     env = gymnasium.make(f"GAUGE/{name}")
     extra = []
     for _ in range(20):

@@ -1,9 +1,9 @@
-"""All costs that users wait for, each as a ratio in one run, with its limit. Exits 1 when one is beyond its limit.
+"""All costs that users wait for, each as a ratio in one run, with its limit. Exits 1 if a ratio exceeds its limit.
 
     python benchmarks/table.py [--only TEXT]
 
-Times are processor times, so that other programs matter little; those of threads and jobs are wall times, which need an
-idle machine, and are left out on a busy one. Limits with a reason:
+Times are processor times, so that other programs matter little. Times of threads and jobs are wall times, which need an
+idle machine; they are left out on a busy machine. Limits with a reason:
 
 - engines: none, as their times are compared and not judged;
 - dynamic time warping: tslearn compiles its loop with Numba, which with scikit-learn adds 280 MB to an installation.
@@ -36,7 +36,7 @@ from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 
 BUSY = 0.3
-"""Load of the machine from which wall times say nothing."""
+"""Load of the machine above which wall times are not measured."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ class Row:
     """One cost.
 
     Attributes:
-        what: What is measured, over what.
-        ratio: The ratio; None where it was not measured.
-        limit: Its limit; infinite for none.
-        is_least: Whether the limit is the least ratio, in place of the largest.
+        what: Description of the ratio.
+        ratio: The ratio; None if it was not measured.
+        limit: Its limit; infinite without a limit.
+        is_least: Whether the limit is the smallest ratio instead of the largest.
     """
 
     what: str
@@ -64,7 +64,7 @@ class Row:
 
 
 def child_s(code: str) -> float:
-    """Return the processor time of a fresh interpreter that runs a program, the least of five [s]."""
+    """Return the processor time of a fresh interpreter that runs a program, the minimum of five [s]."""
     times = []
     for _ in range(5):
         before = os.times()
@@ -79,7 +79,7 @@ def child_s(code: str) -> float:
     return min(times)
 
 
-def starts() -> Iterator[Row]:
+def startup() -> Iterator[Row]:
     """Yield the costs of an import and of commands, over an import of Gymnasium."""
     gymnasium_s = child_s("import gymnasium")
     yield Row(
@@ -98,13 +98,13 @@ def starts() -> Iterator[Row]:
 
 
 def steps() -> Iterator[Row]:
-    """Yield the cost of a step over that of bare MuJoCo."""
+    """Yield the cost of a step over the cost of a bare MuJoCo step."""
     for name in ("SlopeSlider-2-wood", "BouncingBall-rubber", "Pendulum-metal"):
         yield Row(f"env.step / mj_step, {name}", step.measured(name)[2], step.LIMIT)
 
 
 def warping() -> Iterator[Row]:
-    """Yield the cost of dynamic time warping over that of other libraries."""
+    """Yield the cost of dynamic time warping over the cost of other libraries."""
     first, second = dtw.inputs()["one motion, warped and noisy"]
     calls = {"ours": lambda: dtw.dtw_path(first, second)} | dtw.competitors(
         first, second
@@ -118,12 +118,12 @@ def warping() -> Iterator[Row]:
 
 
 def many_worlds() -> Iterator[Row]:
-    """Yield the time of an environment step outside MuJoCo, over what it may take."""
-    for name, most_us in (
+    """Yield the time of an environment step outside MuJoCo, over its limit."""
+    for name, limits_us in (
         ("SlopeSlider-2-wood", {64: 5.0, 1024: 1.0}),
         ("Turntable-1-wood", {64: 5.0, 1024: 1.0}),
     ):
-        for count, limit_us in most_us.items():
+        for count, limit_us in limits_us.items():
             row = worlds.measured(
                 name, "mujoco", count, {}, repeats=2, clock=time.process_time
             )
@@ -135,10 +135,10 @@ def many_worlds() -> Iterator[Row]:
 
 
 def threads() -> Iterator[Row]:
-    """Yield the speed of make_vec in threads over that in one thread."""
+    """Yield the speed of make_vec in threads over the speed in one thread."""
     count = processors()
     is_busy = os.getloadavg()[0] > BUSY * count or count < 2
-    for name, number, least in (
+    for name, number, minimum in (
         ("SlopeSlider-2-wood", 16, 0.9),
         ("TextileBending-satin", 2, 0.8),
     ):
@@ -148,7 +148,7 @@ def threads() -> Iterator[Row]:
         yield Row(
             f"make_vec, {name}, {count} threads / one",
             ratio,
-            least * min(count, number),
+            minimum * min(count, number),
             is_least=True,
         )
 
@@ -185,14 +185,14 @@ def engines() -> Iterator[Row]:
 
 
 def _episode_s(experiment: str, engine: str) -> float:
-    """Return the processor time of reset and steps of an episode, the least of three [s]."""
+    """Return the processor time of reset and steps of an episode, the minimum of three [s]."""
     request = RunRequest(experiment, backend=engine)
     times_s = [run_episode(request).cpu_s for _ in range(3)]
     return min(time_s for time_s in times_s if time_s is not None)
 
 
 PARTS: dict[str, Callable[[], Iterator[Row]]] = {
-    "starts": starts,
+    "startup": startup,
     "threads": threads,
     "steps": steps,
     "warping": warping,

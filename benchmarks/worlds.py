@@ -10,7 +10,7 @@ one frame of one world:
 - `host`: observations, rewards and infos;
 - `scoring`: the scores of all worlds, with the time after the last frame that the release alignment needs.
 
-`--cpu-time` counts processor time, for a CPU that other programs share; it is no measure of a GPU.
+`--cpu-time` counts processor time, for a CPU that other programs share. It does not measure a GPU.
 """
 
 from __future__ import annotations

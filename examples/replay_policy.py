@@ -1,4 +1,4 @@
-"""Replay a policy on the engine of its training and on another one, from the same starts, and print both returns.
+"""Replay a policy on the engine of its training and on another engine, from the same initial states.
 
     python examples/replay_policy.py trained/Throw-Limit-rubber-0.zip --id Throw-Limit-rubber --other newton
     python examples/replay_policy.py my_policies:push --id Push-Limit-wood --trained-on mujoco --other rapier

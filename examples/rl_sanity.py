@@ -59,7 +59,7 @@ class Replay:
 
     Attributes:
         name: Name of the simulator and its configuration.
-        report: What the policy reached, and what the law allows.
+        report: Result of the policy, and limit of the law.
         trajectory: Observations of its frames, shape [frame_count, 5].
     """
 
@@ -68,8 +68,8 @@ class Replay:
     trajectory: NDArray[np.float64]
 
     @property
-    def held(self) -> bool:
-        """Whether the cube held."""
+    def holds(self) -> bool:
+        """Whether the cube holds to the end."""
         return self.report.ending is Ending.HELD
 
 
@@ -141,12 +141,12 @@ def replays(task: str, policy: Policy, training: Training) -> list[Replay]:
 
 def verdict(runs: list[Replay], engine_share: float) -> str:
     """Return the conclusion from the replays, in a few sentences."""
-    trained, *others = runs
-    edges = [run for run in others if "sigma" in run.name]
-    checks = [run for run in others if run not in edges]
-    slipped = [run for run in checks if not run.held]
+    trained, *replayed = runs
+    edges = [run for run in replayed if "sigma" in run.name]
+    checks = [run for run in replayed if run not in edges]
+    slipped = [run for run in checks if not run.holds]
     uses = f"uses {trained.report.ratio:.2f} of what the law allows"
-    if trained.held and len(slipped) == len(checks):
+    if trained.holds and len(slipped) == len(checks):
         first = min(run.report.time_s for run in slipped)
         return (
             f"The policy exploits an error of its simulator. There it {uses}, and the cube holds. In every simulator "
@@ -159,7 +159,7 @@ def verdict(runs: list[Replay], engine_share: float) -> str:
             f"The policy depends on its simulator: it {uses} there, and the cube slips in {len(slipped)} of "
             f"{len(checks)} others: {names}."
         )
-    weak = [run.name for run in edges if not run.held]
+    weak = [run.name for run in edges if not run.holds]
     if weak:
         return (
             f"The policy does not exploit an error of its simulator: it {uses}, and the cube holds wherever contacts "
@@ -181,7 +181,7 @@ def table(runs: list[Replay]) -> Table:
             f"{report.reached:.3f}",
             f"{report.ratio:.2f}",
             f"{report.z:+.1f}",
-            "[green]held[/]" if run.held else f"[red]{report.ending.value} after {report.time_s:.2f} s[/]",
+            "[green]held[/]" if run.holds else f"[red]{report.ending.value} after {report.time_s:.2f} s[/]",
         )
     return rows
 
@@ -199,7 +199,7 @@ def draw(runs: list[Replay], task: str, path: Path) -> None:
         style = {"color": f"C{number}", "ls": ("-", "--", ":", "-.", "-", "--")[number % 6], "lw": 1.6}
         above.plot(time_s, used, label=run.name, **style)
         below.plot(time_s, slip_mm_per_s, **style)
-        if not run.held:
+        if not run.holds:
             above.plot(time_s[-1], used[-1], "X", color=style["color"], ms=9, mec="w")
             below.plot(time_s[-1], slip_mm_per_s[-1], "X", color=style["color"], ms=9, mec="w")
     above.set(ylabel="friction used", ylim=(0.0, 1.25 * limit.value), title=f"{task}: a trained policy, replayed")

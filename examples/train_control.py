@@ -51,7 +51,7 @@ SETTINGS: Mapping[str, Mapping[str, Any]] = {
     "Push": {"timestep_s": 1 / 3600},
     "Fling": {"preset": "training"},
 }
-"""Settings of MuJoCo with which the law's policy reaches 0.96 or more of what it reaches with the default settings."""
+"""Settings of MuJoCo with which the law's policy reaches 0.96 or more of its result with the default settings."""
 
 WORLDS = 16
 """Number of worlds of a training."""
@@ -110,7 +110,7 @@ def deterministic(model: PPO) -> Policy:
 
 
 def make_task(task: str, settings: Mapping[str, Any]) -> ControlEnv:
-    """Return the environment of a task whose body starts within the measured uncertainty of its start."""
+    """Return the environment of a task with initial-state noise of the measured uncertainty."""
     # The rod holds the cloth of Fling, which always starts alike.
     jitter = None if task.startswith("Fling") else "real"
     env = gymnasium.make(f"GAUGE/{task}", settings=settings, jitter=jitter).unwrapped
@@ -119,14 +119,14 @@ def make_task(task: str, settings: Mapping[str, Any]) -> ControlEnv:
 
 
 def played(env: ControlEnv, policy: Policy | None = None) -> tuple[float, list[LimitReport]]:
-    """Return the mean reward and the reports of a policy, or of the law's, on ten unseen starts."""
+    """Return the mean reward and the reports of a policy, or of the law's policy, on ten unseen starts."""
     policy = policy or (lambda _: env.law_action(1.0))
     runs = [play_paid(env, policy, seed=UNSEEN + number) for number in range(10)]
     return float(np.mean([paid for paid, _ in runs])), [report for _, report in runs]
 
 
 def summary(reports: list[LimitReport]) -> str:
-    """Return how many episodes succeeded, and what they reached of the law."""
+    """Return the number of successful episodes, and their results relative to the law."""
     ratios = [report.ratio for report in reports]
     reached = sum(report.ending is Ending.REACHED for report in reports)
     return f"{reached} of {len(reports)} succeed, ratio {np.mean(ratios):.3f} ({min(ratios):.3f} to {max(ratios):.3f})"

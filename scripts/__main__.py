@@ -37,7 +37,7 @@ DRAWN: Mapping[str, Callable[[], object]] = {
 
 
 def build(names: Sequence[str]) -> None:
-    """Write the files of builders, and print those that change."""
+    """Write the files of builders, and print the changed files."""
     for name in names:
         if name in DRAWN:
             DRAWN[name]()
@@ -51,12 +51,12 @@ def build(names: Sequence[str]) -> None:
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    found = argparse.ArgumentParser(
+    result = argparse.ArgumentParser(
         prog="python -m scripts",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    commands = found.add_subparsers(dest="command", required=True)
+    commands = result.add_subparsers(dest="command", required=True)
     pages = commands.add_parser("build", help="write generated files")
     pages.add_argument("names", nargs="*", choices=[[], *PAGES, *DRAWN], metavar="NAME")
     matrix = commands.add_parser("matrix", help="test the wheel on versions of Python")
@@ -68,7 +68,7 @@ def parser() -> argparse.ArgumentParser:
         required=True,
         help="those that pass with the lowest MuJoCo",
     )
-    return found
+    return result
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,4 +1,4 @@
-"""Write which reference the ids have: by kind in `docs/coverage.md`, as counts in `README.md`.
+"""Write the references of the ids: by kind in `docs/coverage.md`, as counts in `README.md`.
 
 The tables leave out imported trials, which differ between users: `gauge list references` reports those.
 """
@@ -23,7 +23,7 @@ REFERENCES = {
     Kind.NUMERICAL: "a numerical solution: most cloth, foam",
     Kind.NONE: "nothing: rope, funnel, wall",
 }
-"""What a score is a distance from, by kind of reference."""
+"""Text of the reference, by kind."""
 
 
 def reference_kind(variant: Variant) -> Kind:

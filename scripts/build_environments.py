@@ -41,7 +41,7 @@ constants and known limits. Below a picture stand the [kinds of the references](
 [gallery](../gallery.md) shows control tasks.
 """.strip()
 COLUMNS = 3
-"""Pictures beside each other in the list."""
+"""Pictures in a row of the list."""
 
 SIZE = (288, 216)
 """Width and height of a picture [pixels]."""
@@ -54,12 +54,12 @@ FILM_QUALITY = 35
 
 @dataclass(frozen=True)
 class Entry:
-    """What the picture of a family shows, on MuJoCo.
+    """Content of the picture of a family, on MuJoCo.
 
     Attributes:
         name: Variant.
         to_s: Time of the last frame [s]; None for the end of the episode.
-        camera: Entries that replace those of the environment's camera, which leaves room for any start.
+        camera: Entries that replace entries of the environment's camera, which leaves room for any initial state.
     """
 
     name: str
@@ -108,7 +108,7 @@ ENTRIES = {
     for entries in GROUPS.values()
     for entry in entries
 }
-"""What the picture of each family shows: the variant and the time."""
+"""Content of the picture of each family: the variant and the time."""
 
 
 def picture_of(family: str) -> Path:
@@ -117,7 +117,7 @@ def picture_of(family: str) -> Path:
 
 
 def captions() -> dict[str, str]:
-    """Return what each picture shows, by family, as it was drawn."""
+    """Return the caption of each picture as it was drawn, by family."""
     known: dict[str, str] = (
         json.loads(CAPTIONS.read_text(encoding="utf-8")) if CAPTIONS.is_file() else {}
     )
@@ -135,7 +135,7 @@ def stride_of(entry: Entry, frame_count: int) -> tuple[int, int]:
 
 
 def caption_of(entry: Entry, experiment: Experiment, band: Band | None) -> str:
-    """Return what the picture of an entry shows."""
+    """Return the caption of the picture of an entry."""
     last, stride = stride_of(entry, experiment.frame_count)
     end_s = last / FRAME_RATE_HZ
     reference = reference_text(experiment, band, end_s=end_s)
@@ -148,7 +148,7 @@ def caption_of(entry: Entry, experiment: Experiment, band: Band | None) -> str:
 
 
 def reference_text(experiment: Experiment, band: Band | None, *, end_s: float) -> str:
-    """Return what a picture shows of a reference; empty if nothing.
+    """Return the text on the reference in a picture; empty without a reference.
 
     Args:
         experiment: The experiment.
@@ -216,7 +216,7 @@ def draw(entry: Entry, file: Path) -> str:
 
 
 def draw_missing() -> None:
-    """Draw the pictures that are missing; one that is interrupted is drawn next time."""
+    """Draw the missing pictures; an interrupted picture is drawn next time."""
     for family, entry in ENTRIES.items():
         file = picture_of(family)
         if not file.is_file():
@@ -241,14 +241,14 @@ def contents() -> dict[Path, str]:
     for variant in (*variants(), *beyond_variants()):
         families.setdefault(variant.family, []).append(variant)
     shown = captions()
-    found = {PAGES / "index.md": enclosed(index_text(families))}
+    pages = {PAGES / "index.md": enclosed(index_text(families))}
     for family in families:
         picture = f"../images/environments/{family}.webp"
         document = family_document(
             family, picture=picture, caption=shown.get(family, "")
         )
-        found[PAGES / f"{family}.md"] = enclosed(as_markdown(document))
-    return found
+        pages[PAGES / f"{family}.md"] = enclosed(as_markdown(document))
+    return pages
 
 
 def index_text(families: Mapping[str, Sequence[Variant]]) -> str:

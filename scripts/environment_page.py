@@ -50,7 +50,7 @@ def family_document(family: str, *, picture: str, caption: str) -> Document:
     Args:
         family: Name of the family.
         picture: Its picture, relative to the page.
-        caption: What the picture shows.
+        caption: Caption of the picture.
     """
     members = [
         description(load_experiment(variant))
@@ -124,7 +124,7 @@ class _Names:
     def grouped(
         self, members: Iterable[Values], value: Callable[[Values], Any]
     ) -> list[tuple[str, Any]]:
-        """Return each different value of members, but None and empty ones, behind the names that have it."""
+        """Return each different value of members with the names that have it; empty values are left out."""
         groups: list[tuple[Any, list[str]]] = []
         for values in members:
             result = value(values)
@@ -140,7 +140,7 @@ class _Names:
     def sentences(
         self, members: Iterable[Values], text: Callable[[Values], str]
     ) -> list[str]:
-        """Return each different text, behind the variants that it describes."""
+        """Return each different text after the variants that it describes."""
         return [
             result if label == "all ids" else f"`{label}`: {result}"
             for label, result in self.grouped(members, text)
@@ -251,7 +251,7 @@ def _events(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
 
 
 def _engines(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
-    """Yield the presets and steps of the engines, and what each does not support."""
+    """Yield the presets and steps of the engines, and their unsupported features."""
     running: dict[tuple[str, str, str], list[str]] = {}
     unsupported: dict[tuple[str, str], list[str]] = {}
     for engine in filter(is_bundled, backend_names()):
@@ -292,7 +292,7 @@ def _engine_row(values: Values, engine: str) -> Values:
 
 
 def _constants(names: _Names, members: Sequence[Values]) -> Part:
-    """Return the constants of the bodies, a column for each group of ids with the same ones."""
+    """Return the constants of the bodies, a column for each group of ids with the same constants."""
     groups = names.grouped(members, lambda values: values["constants"])
     places = dict.fromkeys(
         (body, key)
@@ -311,7 +311,7 @@ def _constants(names: _Names, members: Sequence[Values]) -> Part:
 
 
 def note_of(study: str) -> str:
-    """Return the note of a study, or its heading among those that ended."""
+    """Return the note of a study, or its heading in the list of finished studies."""
     if (ROOT / "studies" / study).is_dir():
         return f"{study}/README.md"
     return f"README.md#{study}"

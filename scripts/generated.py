@@ -1,4 +1,4 @@
-"""What builders share: tables, parts of pages between marks, and the comparison of texts."""
+"""Common code of the builders: tables, parts of pages between marks, and the comparison of texts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROUND_OFF = 1e-9
 
 
 def with_part(page: str, name: str, script: str, part: str) -> str:
-    """Return a page whose generated part of a name is replaced.
+    """Return a page with the generated part of a name replaced.
 
     The part is between the lines `<!-- NAME, written by SCRIPT -->` and `<!-- end of NAME -->`.
 

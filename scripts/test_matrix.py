@@ -46,7 +46,7 @@ FAILS = ("oblique-slip", "rebound-flat")
 
 
 def interpreter(version: str) -> str:
-    """Return a working interpreter of a version: that of the variable, that on the PATH, or one of pyenv.
+    """Return a working interpreter of a version: from the variable, from the PATH, or from pyenv.
 
     Raises:
         SystemExit: There is none.
@@ -58,7 +58,7 @@ def interpreter(version: str) -> str:
         *map(str, sorted(pyenv.glob(f"versions/{version}.*/bin/python"))),
     ]
     for candidate in candidates:
-        # A shim of pyenv may be on the PATH and refuse to run.
+        # A shim of pyenv on the PATH may not run.
         command = [candidate, "-c", "import venv"]
         if (
             shutil.which(candidate)
@@ -82,7 +82,7 @@ def make_environment(
     extras: Sequence[str],
     lowest: bool = False,
 ) -> Path:
-    """Make an environment that holds the wheel and what it requires, and nothing else.
+    """Make an environment with only the wheel and its requirements.
 
     Args:
         folder: Where to make it.
@@ -140,7 +140,7 @@ def _check(commands: Path) -> None:
         command, capture_output=True, text=True, check=False, env=_variables()
     )
     results = [json.loads(line) for line in done.stdout.splitlines()]
-    failed = {one["check"] for one in results if one["status"] in ("fail", "error")}
+    failed = {row["check"] for row in results if row["status"] in ("fail", "error")}
     unsteady = ("rest-heights", "tower-stands")
     expected = {*FAILS, *(unsteady if release in UNSTEADY_BOXES else ())}
     if not results or failed != expected:

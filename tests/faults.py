@@ -29,7 +29,7 @@ class Planted(Simulation):
     """Mixin of a simulation with a fault; fixed bodies report the poses of the given scene.
 
     Attributes:
-        given: The scene that the caller asked for.
+        given: The scene of the caller.
     """
 
     given: Scene
@@ -47,7 +47,7 @@ class Faulty(Backend):
     """An engine with a fault.
 
     Args:
-        healthy: The engine without it.
+        healthy: The engine without the fault.
         planted: The fault.
     """
 
@@ -82,7 +82,7 @@ class Fault:
     Attributes:
         caught_by: Id of the check that names it.
         says: Words of its message.
-        scene: What the engine builds instead of a scene.
+        scene: Function from a scene to the scene that the engine builds instead.
         simulation: Part of the class of its simulation.
         worlds: How it joins the simulations of several worlds.
         engine: Class of the engine.

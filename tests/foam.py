@@ -23,7 +23,7 @@ def block(
     poisson=0.0,
     density=DENSITY_KG_PER_M3,
 ):
-    """Square bar along z of its frame."""
+    """Return a square bar along z of its frame."""
     return SoftBody(
         name=name,
         shape=Box(size_m=(EDGE_M, EDGE_M, length_m)),
@@ -41,7 +41,7 @@ def attachment_of(side, motion, depth_m=0.0, axis="z", body=""):
 
 
 def gripped(foam, *, depth_m=0.01285):
-    """A weightless bar along z, clamped by a fixed body `low` and a driven body `high`, both at the origin."""
+    """Return a weightless bar along z, clamped by a fixed body `low` and a driven body `high` at the origin."""
     grips = tuple(
         Attachment(
             deformable=foam.name,

@@ -27,7 +27,7 @@ LAWS = {
 
 
 def ratio_at_rest(engine, check, settings=None):
-    """Ratio of measured to expected for the first body of a check with a fixed frame."""
+    """Return the ratio of measured to expected for the first body of a check with a fixed frame."""
     scene, law, settled_s = LAWS[check]
     rollout = Lab(backend(engine), settings).rollout(scene)
     (body,) = scene.deformables

@@ -15,7 +15,7 @@ SLIDE_M_PER_S2 = GRAVITY_M_PER_S2 * (np.sin(np.pi / 6) - FRICTION * np.cos(np.pi
 
 
 def solid(name, shape, position_m=(0.0, 0.0, 0.0), **changes):
-    """A dynamic body of 0.1 kg with some changes."""
+    """Return a dynamic body of 0.1 kg with some changes."""
     return replace(body(name, shape, Pose(position_m=position_m)), **changes)
 
 
@@ -25,18 +25,18 @@ def target(pose, velocity, acceleration=(0.0,) * 6):
 
 
 def plane_deg(lean_deg=0.0, name="ground"):
-    """A fixed plane through the origin, tilted about y."""
+    """Return a fixed plane through the origin, tilted about y."""
     pose = Pose.from_euler_deg((0.0, 0.0, 0.0), (0.0, lean_deg, 0.0))
     return body(name, Plane(), pose, mass_kg=0.0, motion=Motion.FIXED)
 
 
 def scene_of(*bodies, seconds=1.0, **parts):
-    """A scene of bodies."""
+    """Return a scene of bodies."""
     return Scene(bodies=bodies, duration_s=seconds, **parts)
 
 
 def states(engine, scene, names, seconds, *, interval_s=1 / 180, **settings):
-    """States at the start and after each interval, shape [interval_count + 1, len(names), 13]."""
+    """Return states at the start and after each interval, shape [interval_count + 1, len(names), 13]."""
     with closing(engine.build(scene, settings)) as simulation:
         rows = [simulation.body_states(names)[0]]
         for _ in range(round(seconds / interval_s)):
@@ -46,7 +46,7 @@ def states(engine, scene, names, seconds, *, interval_s=1 / 180, **settings):
 
 
 def sliding_scene():
-    """A cube on a board with a slope of 30 degrees."""
+    """Return a cube on a board with a slope of 30 degrees."""
 
     def on_slope(position_m):
         return Pose.from_rotation(tuple(SLOPE.apply(position_m).tolist()), SLOPE)
@@ -64,7 +64,7 @@ def sliding_scene():
 
 
 def slide(engine, seconds, **settings):
-    """Acceleration of the cube over that of Coulomb's law, and its largest height over the board [m]."""
+    """Return the acceleration of the cube over Coulomb's law, and its largest height over the board [m]."""
     places = states(engine, sliding_scene(), ["cube"], seconds, **settings)[:, 0, :3]
     along = SLOPE.inv().apply(places)
     times_s = np.arange(len(along)) / 180

@@ -55,7 +55,7 @@ class Driver:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a layer states about its simulation.
+    """Settings of a simulation in a layer.
 
     Attributes:
         steps_per_second: Rate of the solver.
@@ -85,22 +85,22 @@ class Plan:
 
 
 def read_plan(stage: Any) -> Plan:
-    """Read what a layer states about its simulation.
+    """Read the settings of the simulation in a layer.
 
     Raises:
         LayerError: `gauge data isaac-sim` did not write the layer.
     """
     layer = stage.GetRootLayer()
-    stated = layer.customLayerData.get("gauge", {}).get("isaac_sim")
-    if stated is None:
+    entries = layer.customLayerData.get("gauge", {}).get("isaac_sim")
+    if entries is None:
         raise LayerError(f"{layer.identifier}: not a layer of 'gauge data isaac-sim'; write one with that command")
     plan = Plan(
-        steps_per_second=int(stated["steps_per_second"]),
-        frame_count=int(stated["frame_count"]),
-        observable=str(stated["observable"]),
-        unit=str(stated["unit"]),
-        coordinates=tuple(map(str, stated["coordinates"])),
-        recorded=tuple(map(str, stated["recorded"])),
+        steps_per_second=int(entries["steps_per_second"]),
+        frame_count=int(entries["frame_count"]),
+        observable=str(entries["observable"]),
+        unit=str(entries["unit"]),
+        coordinates=tuple(map(str, entries["coordinates"])),
+        recorded=tuple(map(str, entries["recorded"])),
     )
     return replace(plan, drivers=tuple(read_drivers(stage, plan)))
 
@@ -120,12 +120,12 @@ def read_drivers(stage: Any, plan: Plan) -> list[Driver]:
         if not prim.HasAttribute("gauge:driver"):
             continue
         translate, orient = (prim.GetAttribute(f"xformOp:{name}") for name in ("translate", "orient"))
-        turns = [orient.Get(code) for code in codes]
+        quaternions = [orient.Get(code) for code in codes]
         drivers.append(
             Driver(
                 path=str(prim.GetPath()),
                 positions_m=np.array([translate.Get(code) for code in codes], dtype=np.float64),
-                quaternions=np.array([[turn.GetReal(), *turn.GetImaginary()] for turn in turns], dtype=np.float64),
+                quaternions=np.array([[q.GetReal(), *q.GetImaginary()] for q in quaternions], dtype=np.float64),
             )
         )
     return drivers
@@ -153,7 +153,7 @@ def place(stage: Any, driver: Driver, step: int) -> None:
 
 
 def reader(stage: Any, plan: Plan) -> Callable[[], FloatArray]:
-    """Return a function that reads the recorded points now [m], shape [point_count, 3]."""
+    """Return a reader of the current recorded points [m], shape [point_count, 3]."""
     from pxr import Usd, UsdGeom
 
     def to_world(path: str, points: FloatArray) -> FloatArray:
@@ -182,7 +182,7 @@ def generalized(stage: Any, observable: str, points_m: FloatArray) -> FloatArray
     """Return g(t) of recorded points.
 
     Args:
-        stage: The stage, whose `/World/Markers` states faces, lines, corners and edges.
+        stage: The stage; its `/World/Markers` has faces, lines, corners and edges.
         observable: Kind of g(t).
         points_m: Points [m], shape [frame_count, point_count, 3].
 
@@ -235,9 +235,9 @@ def curvatures(
     return deficit
 
 
-def angles_between(one: FloatArray, other: FloatArray) -> FloatArray:
+def angles_between(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the angles between vectors in [0, pi], shape of the vectors without the last axis."""
-    return np.arctan2(np.linalg.norm(np.cross(one, other), axis=-1), (one * other).sum(axis=-1))
+    return np.arctan2(np.linalg.norm(np.cross(first, second), axis=-1), (first * second).sum(axis=-1))
 
 
 # --- simulation ------------------------------------------------------------------------------------------------------
@@ -342,7 +342,7 @@ def main(arguments: Sequence[str]) -> int:
     """Simulate a layer and write its trajectory; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("layer", type=Path, help="layer of 'gauge data isaac-sim'")
-    parser.add_argument("--out", type=Path, help="CSV to write; by default beside the layer")
+    parser.add_argument("--out", type=Path, help="CSV to write; by default next to the layer")
     parser.add_argument("--record-hz", type=int, choices=RECORD_HZ, default=FRAME_RATE_HZ, help="samples per second")
     parser.add_argument("--gui", action="store_true", help="show the window")
     chosen = parser.parse_args(arguments)

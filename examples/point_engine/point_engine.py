@@ -33,7 +33,7 @@ POSITION, QUATERNION, LINEAR, TWIST = slice(0, 3), slice(3, 7), slice(7, 10), sl
 """Columns of position, orientation, linear velocity, and linear with angular velocity in the state of a body."""
 
 LARGEST_OVERLAP_M = 1e-6
-"""More is declined, since nothing pushes overlapping bodies apart; rounding puts a ball 1e-17 m into its plane."""
+"""Larger overlaps are unsupported, since nothing pushes bodies apart; rounding puts a ball 1e-17 m into its plane."""
 
 # Flight and impacts do not depend on the step. A ball whose next hop would be shorter than it stays on its plane; hops
 # of 1/1800 s are 0.4 micrometres high.
@@ -79,7 +79,7 @@ def _settings(changes: Mapping[str, Any] | None) -> SteppedSettings:
 
 
 def _lacking(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Yield what of a scene the engine cannot do: what it is about, and the reason."""
+    """Yield the unsupported parts of a scene: the subject and the reason."""
     for deformable in scene.deformables:
         yield repr(deformable.name), f"is a {type(deformable).__name__}, and only rigid bodies are simulated"
     for joint in scene.joints:
@@ -100,25 +100,25 @@ def _lacking(scene: Scene) -> Iterator[tuple[str, str]]:
             continue
         if len(touched) > 1:
             yield repr(body.name), "may touch more than one body"
-        for other in touched:
-            if reason := _untouchable(scene, body, other):
-                yield " and ".join(sorted([repr(body.name), repr(other.name)])), reason
+        for partner in touched:
+            if reason := _untouchable(scene, body, partner):
+                yield " and ".join(sorted([repr(body.name), repr(partner.name)])), reason
 
 
-def _untouchable(scene: Scene, ball: RigidBody, other: RigidBody) -> str | None:
+def _untouchable(scene: Scene, ball: RigidBody, partner: RigidBody) -> str | None:
     """Return why a ball cannot touch a body; None where it can."""
-    if not isinstance(other.shape, Plane):
+    if not isinstance(partner.shape, Plane):
         return "may touch, and balls touch only planes"
     shifted = {d.body for d in scene.drivers if all(motion.kind == "translate" for motion in d.motions)}
-    if other.motion is Motion.KINEMATIC and other.name not in shifted:
+    if partner.motion is Motion.KINEMATIC and partner.name not in shifted:
         return "may touch, and planes that balls touch can be shifted, not turned"
-    overlap_m = _radius_m(ball) - float(other.pose.to_body(np.asarray(ball.pose.position_m))[2])
+    overlap_m = _radius_m(ball) - float(partner.pose.to_body(np.asarray(ball.pose.position_m))[2])
     return f"overlap by {1e3 * overlap_m:.3g} mm at the start" if overlap_m > LARGEST_OVERLAP_M else None
 
 
 def _first_of(names: Sequence[str]) -> str:
-    others = len(set(names)) - 1
-    return f"{names[0]} (and {others} more)" if others else names[0]
+    rest = len(set(names)) - 1
+    return f"{names[0]} (and {rest} more)" if rest else names[0]
 
 
 def _touched(scene: Scene, ball: RigidBody) -> dict[str, Contact]:
@@ -169,12 +169,12 @@ class SimulationPoint(Simulation):
         self.reset()
 
     def reset(self, starts: Array | None = None, seed: int = 0) -> None:
-        """Start all worlds; nothing is random, so the seed changes nothing."""
+        """Start all worlds; nothing is random, so the seed has no effect."""
         self._states = (self._nominal if starts is None else starts).copy()
         self._accelerations = np.tile(self._gravity, (self.world_count, 1, 1))
 
     def drive(self, body: str, targets: Array) -> None:
-        """Put a driven body where its interval starts; `advance` accelerates it."""
+        """Move a driven body to the start of its interval; `advance` accelerates it."""
         row = self._rows[body]
         self._states[:, row] = targets[:, :13]
         self._accelerations[:, row] = targets[:, 13:]

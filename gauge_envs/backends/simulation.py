@@ -174,62 +174,52 @@ class LoopedSimulation(Simulation):
 
     def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
         """Start each world."""
-        for number, simulation in enumerate(self._simulations):
-            simulation.reset(
-                None if starts is None else starts[number : number + 1], seed
-            )
+        for number, world in enumerate(self._simulations):
+            world.reset(None if starts is None else starts[number : number + 1], seed)
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Prescribe the motion of a body in each world."""
-        for number, simulation in enumerate(self._simulations):
-            simulation.drive(body, targets[number : number + 1])
+        for number, world in enumerate(self._simulations):
+            world.drive(body, targets[number : number + 1])
 
     def advance(self, seconds: float) -> None:
         """Advance each world."""
         apply = map if self._threads is None else self._threads.map
         # The results of the map raise the errors of its calls.
-        list(apply(lambda simulation: simulation.advance(seconds), self._simulations))
+        list(apply(lambda world: world.advance(seconds), self._simulations))
 
     def body_states(self, names: Sequence[str]) -> FloatArray:
         """Return the states of each world."""
-        return np.concatenate(
-            [simulation.body_states(names) for simulation in self._simulations]
-        )
+        return np.concatenate([world.body_states(names) for world in self._simulations])
 
     def nodes(self, name: str) -> FloatArray:
         """Return the nodes of each world."""
-        return np.concatenate(
-            [simulation.nodes(name) for simulation in self._simulations]
-        )
+        return np.concatenate([world.nodes(name) for world in self._simulations])
 
     def diverged(self) -> Mapping[int, str]:
         """Return the reason of each world that diverged."""
-        reasons = [simulation.diverged().get(0) for simulation in self._simulations]
+        reasons = [world.diverged().get(0) for world in self._simulations]
         return {number: reason for number, reason in enumerate(reasons) if reason}
 
     def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
         """Apply a force and a torque in each world."""
-        for number, simulation in enumerate(self._simulations):
-            simulation.apply_wrench(body, wrenches[number : number + 1])
+        for number, world in enumerate(self._simulations):
+            world.apply_wrench(body, wrenches[number : number + 1])
 
     def contact_forces(self, pairs: Sequence[tuple[str, str]]) -> ContactForces | None:
         """Return a reader of the contact forces in each world."""
-        return _joined(
-            [simulation.contact_forces(pairs) for simulation in self._simulations]
-        )
+        return _joined([world.contact_forces(pairs) for world in self._simulations])
 
     def track(self, name: str, points_m: FloatArray) -> MaterialPoints | None:
         """Return a reader of material points in each world."""
-        return _joined(
-            [simulation.track(name, points_m) for simulation in self._simulations]
-        )
+        return _joined([world.track(name, points_m) for world in self._simulations])
 
     def close(self) -> None:
         """Close each world."""
         if self._threads is not None:
             self._threads.shutdown()
-        for simulation in self._simulations:
-            simulation.close()
+        for world in self._simulations:
+            world.close()
 
 
 def _joined(

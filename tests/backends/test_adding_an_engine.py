@@ -109,7 +109,7 @@ def ball_on_plane(*, drop_m=0.0, motion=Motion.FIXED, drivers=()):
 
 
 @pytest.mark.usefixtures("example")
-def test_the_example_declines_what_it_does_not_build_with_reasons():
+def test_the_example_gives_reasons_for_unsupported_scenes():
     def missing(name):
         return backend("point").supports(gauge_envs.load_experiment(name).scene).missing
 
@@ -145,18 +145,18 @@ SHORT = (
     "only", [SHORT, pytest.param((), marks=pytest.mark.slow)], ids=["short", "all"]
 )
 def test_no_check_finds_a_fault_of_the_example(only):
-    found = [one.status.value for one in run_checks("point", only=only)]
-    assert set(found) == {"pass", "unsupported"}
-    assert found.count("pass") > 8
+    statuses = [result.status.value for result in run_checks("point", only=only)]
+    assert set(statuses) == {"pass", "unsupported"}
+    assert statuses.count("pass") > 8
 
 
-def test_the_engine_of_the_guide_passes_what_it_does_not_decline():
+def test_the_engine_of_the_guide_passes_all_supported_checks():
     (block,) = fenced(GUIDE, "python")
     names = {"__name__": "guide"}
     exec(block, names)
     results = list(run_checks(names["BackendFlying"]()))
-    assert [one.check for one in results if one.is_bad] == []
-    passed = {one.check for one in results if not one.missing}
+    assert [result.check for result in results if result.is_bad] == []
+    passed = {result.check for result in results if not result.missing}
     assert passed >= {"free-fall", "time", "driven-path", "worlds-single"}
 
 
@@ -172,7 +172,7 @@ def test_the_table_of_mistakes_has_the_messages_of_the_checks():
 
 
 @pytest.mark.usefixtures("example")
-def test_toml_of_the_guide_is_that_of_the_example():
+def test_toml_of_the_guide_equals_the_example():
     assert fenced(GUIDE, "toml")[0] in (PACKAGE / "pyproject.toml").read_text()
 
 
@@ -224,7 +224,7 @@ class EntryPoint:
 
 @pytest.fixture
 def others(monkeypatch):
-    """Installs an engine that works, one that cannot be imported, and one whose extra is missing."""
+    """Install a working engine, an engine that cannot be imported, and an engine whose extra is missing."""
     lacking = ModuleNotFoundError(name="other_engine")
     points = [
         EntryPoint("nothing"),
@@ -241,7 +241,9 @@ def others(monkeypatch):
 
 
 @pytest.mark.usefixtures("others")
-def test_an_engine_that_cannot_be_loaded_is_named_and_costs_no_other(monkeypatch):
+def test_an_engine_that_cannot_be_loaded_is_named_and_affects_no_other_engine(
+    monkeypatch,
+):
     assert backend_names() == ("broken", "nothing", "other")
     place = r"'broken' \(somebody:Backend\): OSError: libengine\.so"
     with pytest.raises(BackendError, match=place):
@@ -259,7 +261,7 @@ def test_an_engine_that_cannot_be_loaded_is_named_and_costs_no_other(monkeypatch
     assert "libengine.so" in row["backends"]["broken"][0]
 
 
-def test_ctrl_c_in_an_import_is_no_error_of_the_engine():
+def test_ctrl_c_in_an_import_is_not_an_error_of_the_engine():
     def interrupted_import():
         try:
             raise KeyboardInterrupt
@@ -287,7 +289,7 @@ class Old(Simulation):
         ("from gauge_envs.backends import World", r"belongs to the engine contract"),
     ],
 )
-def test_an_engine_of_0_3_learns_what_to_change(source, message):
+def test_an_engine_of_0_3_gets_instructions(source, message):
     with pytest.raises((BackendError, ImportError), match=message) as caught:
         exec(source, {"__name__": "old_engine"})
     assert "CHANGELOG.md lists the changes" in str(caught.value)
@@ -348,7 +350,7 @@ def test_a_looped_simulation_gives_each_world_its_row():
     expected[..., 0] += 0.5
     np.testing.assert_array_equal(looped.body_states(["body"]), expected)
     np.testing.assert_array_equal(looped.nodes("cloth"), expected[..., :3])
-    assert [one.seed for one in worlds] == [5, 5, 5]
+    assert [world.seed for world in worlds] == [5, 5, 5]
     assert looped.diverged() == {1: "gave up"}
     targets, wrenches = np.arange(57.0).reshape(3, 19), np.arange(18.0).reshape(3, 6)
     looped.drive("body", targets)
@@ -357,7 +359,7 @@ def test_a_looped_simulation_gives_each_world_its_row():
     np.testing.assert_array_equal(forces[:, 0], targets[:, 7:10] + wrenches[:, :3])
     assert looped.track("cloth", np.zeros((1, 3))) is None
     looped.close()
-    assert not any(one.is_open for one in worlds)
+    assert not any(world.is_open for world in worlds)
 
 
 def test_worlds_that_free_python_advance_in_threads(monkeypatch):
@@ -367,7 +369,7 @@ def test_worlds_that_free_python_advance_in_threads(monkeypatch):
     looped = LoopedSimulation(worlds)
     looped.advance(0.5)
     assert looped.body_states(["body"])[:, 0, 0].tolist() == [0.5, 0.5]
-    assert get_ident() not in {one.thread for one in worlds}
+    assert get_ident() not in {world.thread for world in worlds}
     worlds[1].advance = lambda seconds: 1 / 0
     with pytest.raises(ZeroDivisionError):
         looped.advance(0.5)

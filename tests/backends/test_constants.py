@@ -1,6 +1,6 @@
 """Constants of fabrics and of pairs of bodies in each engine's terms: they return what was measured, or name the loss.
 
-The formulas are those of the paper; energies of membranes, springs, hinges and MuJoCo's flex check them independently.
+The formulas are from the paper; energies of membranes, springs, hinges and MuJoCo's flex check them independently.
 """
 
 import math
@@ -49,7 +49,7 @@ def fabric(**changes):
     return Fabric(**(values | changes))
 
 
-def test_six_fabrics_are_those_of_all_families():
+def test_six_fabrics_cover_all_families():
     assert tuple(SIX) == ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
     for name, expected in SIX.items():
         (cloth,) = load_experiment(f"TextileFlinging-{name}").scene.deformables
@@ -98,7 +98,7 @@ def test_constants_by_hand():
         (4.0, 0.45, True, True),
     ],
 )
-def test_a_fallback_replaces_what_the_law_cannot_give(
+def test_a_fallback_replaces_constants_outside_the_law(
     ratio, poisson, is_isaac_replaced, is_newton_replaced
 ):
     stiff = fabric(
@@ -278,7 +278,7 @@ TRIANGLE = {("a", "b"): 0.2, ("b", "c"): 0.3, ("a", "c"): 0.6}
         ("product", {}, {}),
     ],
 )
-def test_values_of_bodies_give_those_of_pairs(rule, pairs, expected):
+def test_values_of_bodies_give_the_values_of_pairs(rule, pairs, expected):
     assert body_values(pairs, rule) == pytest.approx(expected, abs=1e-9)
 
 
@@ -388,9 +388,9 @@ def test_pairs_have_their_friction(engine, motion, boards):
     down = scene.body("low").pose.rotation.apply([1.0, 0.0, 0.0])
     for pair in pairs:
         moved_m = rollout.position(pair[0]) @ down
-        found = acceleration_m_per_s2(rollout.times_s, moved_m - moved_m[0])
+        acceleration = acceleration_m_per_s2(rollout.times_s, moved_m - moved_m[0])
         normal = GRAVITY_M_PER_S2 * np.cos(np.pi / 6)
-        friction = (0.5 * GRAVITY_M_PER_S2 - found) / normal
+        friction = (0.5 * GRAVITY_M_PER_S2 - acceleration) / normal
         # A step of the soft contacts of MuJoCo's solver ends before their friction does.
         limit = 0.012 if engine.name in ("mujoco", "newton") else 0.0015
         assert friction == pytest.approx(FRICTIONS[pair], abs=limit)

@@ -1,7 +1,7 @@
-"""The contract of simulations, once over all installed engines; the conformance checks state the laws.
+"""The contract of simulations on all installed engines; the conformance checks have the laws.
 
-A reset begins anew, worlds do not know of each other, driven and pushed bodies move as closed forms say, and the
-settings are those of the preset that the contents of a scene choose.
+A reset restores the start, and worlds are independent. Driven and pushed bodies follow closed forms. The contents of a
+scene choose the preset of its settings.
 """
 
 import gc
@@ -39,16 +39,16 @@ def scene_for(engine, name, parameters="calibrated"):
 
 def everything(simulation, scene):
     """Return all states and nodes of each world, shape [N, number_count]."""
-    parts = [simulation.body_states([one.name for one in scene.bodies])]
-    parts += [simulation.nodes(one.name) for one in scene.deformables]
+    parts = [simulation.body_states([body.name for body in scene.bodies])]
+    parts += [simulation.nodes(body.name) for body in scene.deformables]
     return np.hstack([part.reshape(len(part), -1) for part in parts])
 
 
 def course(simulation, scene, count):
-    """Drive a simulation by its recorded motion; return what it is after each interval, shape [count, N, ...]."""
+    """Drive a simulation by its recorded motion; return its states after each interval, shape [count, N, ...]."""
     worlds = simulation.world_count
     motions = prescribed_motions(scene, 1.0, world_count=worlds)
-    actions = [np.zeros((worlds, one.motion_count)) for one in motions]
+    actions = [np.zeros((worlds, motion.motion_count)) for motion in motions]
     steps = intervals(simulation, motions, 0, count, actions)
     return np.array([everything(simulation, scene) for _ in steps])
 
@@ -118,20 +118,22 @@ def test_a_reset_clears_a_divergence(engine):
 @pytest.mark.parametrize(
     "name", ["SlopeSlider-3-wood", "NewtonsCradle-metal", "RotatingBall-satin"]
 )
-def test_worlds_are_single_simulations_of_their_starts(engine, name):
+def test_worlds_equal_single_simulations_of_their_initial_states(engine, name):
     scene = scene_for(engine, name)
     scatter = Jitter(velocity_m_per_s=0.01, angular_velocity_rad_per_s=0.1)
-    starts = np.array([perturbed_states(scene, scatter, seed=seed) for seed in (0, 1)])
+    initial_states = np.array(
+        [perturbed_states(scene, scatter, seed=seed) for seed in (0, 1)]
+    )
     with closing(engine.build_worlds(scene, 2)) as worlds:
         assert worlds.world_count == 2
-        worlds.reset(starts[::-1].copy())
+        worlds.reset(initial_states[::-1].copy())
         course(worlds, scene, 2)
-        worlds.reset(starts)
+        worlds.reset(initial_states)
         together = course(worlds, scene, 4)
     assert np.abs(together[:, 0] - together[:, 1]).max() > 1e-4
     with closing(engine.build(scene)) as single:
         for world in range(2):
-            single.reset(starts[world : world + 1])
+            single.reset(initial_states[world : world + 1])
             alone = course(single, scene, 4)[:, 0]
             np.testing.assert_allclose(together[:, world], alone, atol=1e-9)
 
@@ -155,8 +157,8 @@ def test_a_driven_body_accelerates_about_the_axes_of_the_world(engine):
     moved = velocity * INTERVAL_S + 0.5 * acceleration * INTERVAL_S**2
     assert state[:3] == pytest.approx(start.position_m + moved[:3], abs=1e-6)
     turned = Rotation.from_rotvec(moved[3:]) * start.rotation
-    found = Rotation.from_quat(state[3:7], scalar_first=True)
-    assert (found * turned.inv()).magnitude() < 1e-4
+    rotation = Rotation.from_quat(state[3:7], scalar_first=True)
+    assert (rotation * turned.inv()).magnitude() < 1e-4
 
 
 def test_a_wrench_replaces_the_last_one(engine):
@@ -305,7 +307,7 @@ def test_a_missing_engine_names_its_extra(name, monkeypatch):
         kind()
 
 
-def test_a_folder_with_the_name_of_an_engine_is_no_engine(monkeypatch, tmp_path):
+def test_a_folder_with_the_name_of_an_engine_is_not_an_engine(monkeypatch, tmp_path):
     (tmp_path / "engine_of_a_checkout").mkdir()
     monkeypatch.syspath_prepend(tmp_path)
     assert not is_installed("engine_of_a_checkout")

@@ -56,10 +56,10 @@ QUICK = {"timestep_s": 1 / 3600, "cell_m": 0.02, "rope_strain": 2e-3}
 
 
 def rope(direction, middle_m):
-    turn = Rotation.align_vectors([direction], [[1.0, 0.0, 0.0]])[0]
+    rotation = Rotation.align_vectors([direction], [[1.0, 0.0, 0.0]])[0]
     return Rope(
         name="rope",
-        pose=Pose.from_rotation(tuple(middle_m.tolist()), turn),
+        pose=Pose.from_rotation(tuple(middle_m.tolist()), rotation),
         length_m=ROPE_M,
         radius_m=ROPE_RADIUS_M,
         mass_kg=0.005,
@@ -230,7 +230,7 @@ def test_a_heavy_rod_hangs_like_an_elastica(engine):
 
 
 def clamped(*bodies, depths_m=(0.0, 0.0)):
-    """Return a row of bars along z between two bodies at the origin, one of which is driven."""
+    """Return a row of bars along z between a fixed and a driven body at the origin."""
     ends = ((bodies[0], "low", depths_m[0]), (bodies[-1], "high", depths_m[1]))
     attachments = [
         Attachment(
@@ -259,7 +259,7 @@ def clamped(*bodies, depths_m=(0.0, 0.0)):
 
 
 def pull(simulation, seconds, motion, ramp_s, read):
-    """Move the driven end by a motion (displacement, rotation vector) within a time; return what is read on the way."""
+    """Move the driven end by a displacement and a rotation vector within a time; return the readings on the way."""
     motion, rows = np.array(motion), []
     for index in range(round(seconds / INTERVAL_S)):
         shares = np.minimum(INTERVAL_S * np.array([index, index + 1]) / ramp_s, 1.0)
@@ -276,8 +276,8 @@ def pull(simulation, seconds, motion, ramp_s, read):
 @pytest.mark.parametrize(
     ("axis", "euler_deg"), [(1, (90.0, 0.0, 0.0)), (0, (0.0, 90.0, 0.0))]
 )
-def test_a_turned_bar_lies_where_its_pose_says(engine, axis, euler_deg):
-    """Its low end is at the low end of its own z axis, and the clamp removes what it holds."""
+def test_a_rotated_bar_lies_at_its_pose(engine, axis, euler_deg):
+    """Its low end is at the low end of its z axis, and the clamp removes the clamped material."""
     centre, depth_m = np.array([0.4, 0.3, 0.2]), 0.01285
     bar = block(centre_m=tuple(centre.tolist()), euler_deg=euler_deg)
     scene = clamped(bar, depths_m=(depth_m, 0.0))
@@ -409,8 +409,8 @@ def test_a_flung_cloth_stays_on_its_rod_and_in_one_piece(engine):
     assert np.ptp(states[:, :3], axis=0).max() > 0.05
     limit_m = 1e-4 if engine.name == "mujoco" else 1e-6
     for state, edge in zip(states, nodes[:, on_rod], strict=True):
-        turn = Rotation.from_quat(state[3:7], scalar_first=True)
-        assert np.abs(turn.apply(arms) + state[:3] - edge).max() < limit_m
+        rotation = Rotation.from_quat(state[3:7], scalar_first=True)
+        assert np.abs(rotation.apply(arms) + state[:3] - edge).max() < limit_m
     counts = [round(size / 0.025) + 1 for size in scene.deformables[0].size_m]
     grid = nodes.reshape(len(nodes), *counts, 3)
     for axis in (1, 2):

@@ -73,7 +73,7 @@ def impact(approximation, restitution, phase, speed, impact_speed=1.0):
 
 @pytest.mark.parametrize("approximation", ["sap", "similar", "lagged"])
 @pytest.mark.parametrize("restitution", [0.2, 0.577])
-def test_the_scheme_of_an_impact_is_that_of_drake(approximation, restitution):
+def test_the_scheme_of_an_impact_equals_drakes(approximation, restitution):
     law = "relaxation" if approximation == "sap" else "hunt_crossley"
     expected = rebound(law, *impact_constants(law, restitution, 0.1))
     for index in (0, 7):
@@ -95,7 +95,7 @@ def test_fitted_constants_have_the_restitution(law, spread, restitution):
     assert rebound(law, *fitted, weight).mean() == pytest.approx(restitution, abs=1e-6)
 
 
-def test_constants_follow_their_closed_forms_when_the_step_is_short():
+def test_constants_follow_their_closed_forms_for_short_steps():
     """Hunt and Crossley: u - ln(1 + u) is the same for u = d v0 and u = -d e v0. The other law is a damped spring."""
     _, dissipation = impact_constants("hunt_crossley", 0.5, 0.005)
     approach = dissipation - np.log1p(dissipation)
@@ -133,7 +133,7 @@ def test_a_box_that_lands_flat_rebounds():
     assert ratio == pytest.approx(0.5, rel=0.015)
 
 
-def test_the_impact_speed_is_that_of_the_scene():
+def test_the_impact_speed_comes_from_the_scene():
     start = {"ball.position_m": (0.0, 0.0, 0.33)}
     scene = load_experiment("BouncingBall-rubber", start).scene
     (ball,) = scene.dynamic_bodies
@@ -181,16 +181,16 @@ def test_lagged_contacts_that_are_too_stiff_or_have_few_points_stick(
     (prism,) = scene.dynamic_bodies
     places_m = states(DRAKE, scene, [prism.name], 25 / 180, **settings)[5:, 0, :3]
     travelled_m = np.linalg.norm(places_m - places_m[0], axis=1)
-    found = 2.0 * np.polyfit(np.arange(21) / 180, travelled_m, 2)[0]
-    # Faces of the base lean as those of a cube on its corner.
+    acceleration = 2.0 * np.polyfit(np.arange(21) / 180, travelled_m, 2)[0]
+    # Faces of the base lean like the faces of a cube on its corner.
     slope_rad = np.arctan(np.sqrt(2.0))
     friction = scene.contacts[0].friction
     law = G * (np.sin(slope_rad) - friction * np.cos(slope_rad))
-    assert low < found / law < high
+    assert low < acceleration / law < high
 
 
 def test_a_driven_plate_of_huge_mass_carries_nothing():
-    """The solver stops at an error relative to the momentum of all bodies, beside which the cube's is none."""
+    """The solver stops at an error relative to the momentum of all bodies, which is far above the cube's momentum."""
     flat = Box(size_m=(0.5, 0.3, 0.02))
     plate = solid("plate", flat, (0.0, 0.0, 0.5), motion=Motion.KINEMATIC)
     cube = solid("cube", Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.0, 0.535))
@@ -220,14 +220,14 @@ def sinking_corner_mm(preset):
     }
     scene = load_experiment("CubeToss-acrylic", start).scene
     rows = states(DRAKE, scene, ["cube"], 0.2, interval_s=1 / 540, preset=preset)[:, 0]
-    turns = Rotation.from_quat(rows[:, 3:7], scalar_first=True)
+    rotations = Rotation.from_quat(rows[:, 3:7], scalar_first=True)
     corners_m = scene.body("cube").shape.corners_m
-    below_m = [turn.apply(corners_m)[:, 2].min() for turn in turns]
+    below_m = [rotation.apply(corners_m)[:, 2].min() for rotation in rotations]
     return -1e3 * float((below_m + rows[:, 2]).min())
 
 
 @pytest.mark.skipif(HAS_TAMSI, reason="this Drake has TAMSI")
-def test_an_approximation_that_drake_has_dropped_is_an_error():
+def test_an_approximation_that_drake_lacks_is_an_error():
     with pytest.raises(ParameterError, match="sap, similar, lagged"):
         DRAKE.build(load_experiment("SlopeSlider-2-wood").scene, {"preset": "tamsi"})
 

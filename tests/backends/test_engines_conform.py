@@ -1,4 +1,4 @@
-"""Every installed engine passes, fails and declines the conformance checks as published in `scoring/conformance.json`.
+"""Every installed engine has the results of the conformance checks that `scoring/conformance.json` publishes.
 
 The default run has checks that meet each method of an adapter once, but for contacts and driven motion, which
 `test_constants.py` and `test_contract.py` have; `-m slow` runs all checks.
@@ -9,7 +9,7 @@ import json
 import pytest
 from places import ROOT
 
-from gauge_envs.tools.conformance import checks, run_checks
+from gauge_envs.tools.conformance import Status, checks, run_checks
 
 MODULES = {
     "mujoco": "mujoco",
@@ -54,11 +54,11 @@ PUBLISHED = {
 def agrees(engine, only):
     pytest.importorskip(MODULES[engine])
     results = list(run_checks(engine, only=only))
-    assert {one.check for one in results} == set(only)
+    assert {result.check for result in results} == set(only)
     moved = [
-        f"{one.check}: {one.status} {one.measured} {one.diagnosis} {one.missing}"
-        for one in results
-        if one.status != PUBLISHED[engine][one.check]["status"]
+        f"{result.check}: {result.status} {result.measured} {result.diagnosis} {result.missing}"
+        for result in results
+        if result.status != Status(PUBLISHED[engine][result.check]["status"])
     ]
     assert moved == [], "scoring/conformance.json has other results"
 
@@ -72,4 +72,4 @@ def test_an_adapter_has_the_published_results(engine):
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", MODULES)
 def test_an_engine_has_all_published_results(engine):
-    agrees(engine, [one.id for one in checks()])
+    agrees(engine, [check.id for check in checks()])

@@ -1,4 +1,4 @@
-"""Traps of Genesis with rigid bodies: friction that it changes, contact laws, worlds that it gives up, precision.
+"""Traps of Genesis with rigid bodies: friction that it changes, contact laws, worlds that it stops, precision.
 
 Expected values follow from Coulomb's law, a spring that only pushes, and Genesis's own objects.
 """
@@ -65,7 +65,7 @@ def test_torsional_friction_does_not_depend_on_earlier_scenes():
 
 
 @pytest.mark.parametrize("friction", [0.0099, 5.1])
-def test_friction_that_genesis_would_change_is_declined(friction):
+def test_friction_that_genesis_would_change_is_unsupported(friction):
     contacts = (
         contact("cube", "board", friction=friction),
         contact("cube", "ground", friction=0.3),
@@ -78,7 +78,7 @@ def test_friction_that_genesis_would_change_is_declined(friction):
         GENESIS.build(scene)
 
 
-def test_a_scene_whose_contacts_all_lack_friction_has_none():
+def test_a_scene_without_friction_has_no_friction_in_genesis():
     touch = contact("cube", "board", friction=0.0)
     scene = replace(sliding_scene(), contacts=(touch,))
     places_m = states(GENESIS, scene, ["cube"], 0.2, **FAST)[:, 0, :3]
@@ -89,7 +89,7 @@ def test_a_scene_whose_contacts_all_lack_friction_has_none():
 
 
 @pytest.mark.parametrize("restitution", [0.2, 0.577, 0.95])
-def test_the_damping_ratio_is_that_of_a_spring_that_only_pushes(restitution):
+def test_the_damping_ratio_fits_a_spring_that_only_pushes(restitution):
     """In continuous time: exp(-z / sqrt(1 - z^2) times the angle at which the force vanishes)."""
     ratio = damping_ratio(restitution, 2000)
     root = np.sqrt(1.0 - ratio**2)
@@ -97,7 +97,7 @@ def test_the_damping_ratio_is_that_of_a_spring_that_only_pushes(restitution):
     assert np.exp(-ratio / root * end_rad) == pytest.approx(restitution, abs=2e-3)
 
 
-def test_more_contacts_than_genesis_holds_are_declined():
+def test_more_contacts_than_genesis_holds_are_unsupported():
     can = Cylinder(radius_m=0.03, length_m=0.1)
     names = [f"can-{number}" for number in range(CONTACT_LIMIT + 1)]
     cans = (solid(name, can) for name in names)
@@ -129,18 +129,18 @@ def test_the_engine_takes_a_driven_body_to_the_end_of_its_interval():
     assert lag == pytest.approx([0.0, 0.0, 3.0 / 1800 / 180 / 2], abs=1e-8)
 
 
-def test_a_world_that_genesis_gives_up_leaves_the_others():
+def test_a_world_that_genesis_stops_does_not_affect_the_others():
     simulation = GENESIS.build_worlds(sliding_scene(), 2, FAST)
     simulation.advance(0.1)
     expected = simulation.body_states(["cube"])[0]
     simulation.reset()
     simulation.apply_wrench("cube", np.array([[0.0] * 6, [np.nan] * 6]))
     simulation.advance(0.1)
-    found, diverged = simulation.body_states(["cube"])[0], simulation.diverged()
+    states, diverged = simulation.body_states(["cube"])[0], simulation.diverged()
     simulation.reset()
     assert simulation.diverged() == {}
     simulation.close()
-    assert found == pytest.approx(expected, abs=1e-9)
+    assert states == pytest.approx(expected, abs=1e-9)
     assert set(diverged) == {1}
     assert "Genesis stopped" in diverged[1]
 
@@ -164,7 +164,7 @@ def genesis_32():
     release(gs)
 
 
-def test_out_of_box_has_the_values_of_a_genesis_scene_that_states_nothing(request):
+def test_out_of_box_has_genesis_defaults(request):
     simulation = GENESIS.build(sliding_scene(), {"preset": "out_of_box"})
     ours, step_s = simulation._solver._options, simulation.settings["timestep_s"]
     simulation.close()
@@ -194,7 +194,7 @@ def test_out_of_box_has_the_values_of_a_genesis_scene_that_states_nothing(reques
     )
 
 
-def test_saved_options_are_those_of_the_scene(genesis_32, tmp_path):
+def test_saved_options_equal_the_scene(genesis_32, tmp_path):
     """A user saves the options of a scene, and the sanity check reads them."""
     gs = genesis_32
     options = gs.options.SimOptions(dt=0.004, substeps=2, gravity=(0.0, 0.0, -3.7))

@@ -180,7 +180,7 @@ def test_a_vibration_decays_as_the_step_says():
 
 @pytest.mark.slow
 def test_sheets_collide_only_in_the_contacts_of_the_scene():
-    """A sheet falls on another that falls more slowly, with no body beside them."""
+    """A sheet falls on a sheet that falls more slowly; there is no other body."""
     square = replace(
         cloth_of("leather"), size_m=(0.1, 0.1), mass_kg=0.02, thickness_m=4e-3
     )
@@ -238,7 +238,7 @@ def test_the_step_of_material_points_is_a_share_of_the_time_of_sound():
     assert soft_presets(FOAM)["mpm"].timestep_s <= longest_s
 
 
-def test_foam_out_of_the_box_has_the_values_of_a_program_that_states_none():
+def test_foam_out_of_the_box_has_genesis_defaults():
     options, presets = engine().options, soft_presets(FOAM)
     preset = presets["out_of_box"]
     points_m = preset.cell_m / preset.points_per_voxel_edge
@@ -246,7 +246,7 @@ def test_foam_out_of_the_box_has_the_values_of_a_program_that_states_none():
     assert points_m == pytest.approx(options.MPMOptions().particle_size)
     assert preset.model == engine().materials.MPM.Elastic().model
     assert preset.contact_softness_m == engine().materials.Rigid().coup_softness
-    # Genesis's default step is longer than the interval, of which each step is a part.
+    # Genesis's default step is longer than the interval, and a step must divide the interval.
     assert preset.timestep_s == preset.drive_interval_s < options.SimOptions().dt
     paper = preset.model_copy(update={"preset": "paper", "timestep_s": 1 / 900})
     assert paper == presets["paper"]
@@ -274,9 +274,9 @@ def test_the_longest_step_that_the_error_names_holds():
 # --- support ---------------------------------------------------------------------------------------------------------
 
 
-def test_deformable_bodies_that_genesis_cannot_simulate_are_declined():
-    rod, *others = SATIN.bodies
-    dynamic = (replace(rod, motion=Motion.DYNAMIC), *others)
+def test_deformable_bodies_that_genesis_cannot_simulate_are_unsupported():
+    rod, *rest = SATIN.bodies
+    dynamic = (replace(rod, motion=Motion.DYNAMIC), *rest)
     both = (*FOAM.deformables, *SATIN.deformables)
     beam = load_experiment("CantileverBeam-soft").scene
     touch = contact("cube-1", "cube-3", friction=0.1)

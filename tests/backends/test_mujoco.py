@@ -1,4 +1,4 @@
-"""Traps of MuJoCo with rigid bodies: heavy driven bodies, states that it puts back, and settings of other versions.
+"""Traps of MuJoCo with rigid bodies: heavy driven bodies, states that it resets, and settings of other versions.
 
 Expected values follow from Coulomb's law, from symmetry, and from MuJoCo's release notes.
 """
@@ -46,7 +46,7 @@ def test_a_tilting_board_lets_a_cube_go_at_the_friction_angle(rollout):
 
 
 @pytest.mark.skipif(
-    mujoco.__version__ in UNSTEADY_BOXES, reason="contacts of boxes hop in this release"
+    mujoco.__version__ in UNSTEADY_BOXES, reason="box contacts jump in this release"
 )
 def test_the_residual_of_a_heavy_driven_board_does_not_move_a_light_cube(rollout):
     """The cube stays in the plane of symmetry. The tolerance of the solver is relative to the board's 1000 kg."""
@@ -62,7 +62,7 @@ def test_the_residual_of_a_heavy_driven_board_does_not_move_a_light_cube(rollout
     assert fine_mm < 0.1 * coarse_mm
 
 
-def test_a_state_that_mujoco_puts_back_to_its_start_counts_as_diverged():
+def test_a_state_that_mujoco_resets_counts_as_diverged():
     unstable = {
         "sustained_solref": [1e-6, 0.1],
         "refsafe": False,

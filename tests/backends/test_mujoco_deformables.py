@@ -79,7 +79,7 @@ def test_a_strained_sheet_has_the_energy_of_its_stiffnesses(name):
 
 
 @pytest.mark.parametrize("angle_deg", [0, 20, 90, 135])
-def test_bending_energy_is_that_of_an_isotropic_plate(angle_deg):
+def test_bending_energy_equals_an_isotropic_plate(angle_deg):
     """Cylinders in all directions: within the hinges that a mesh lacks along its rim, half a cell on each side."""
     bending_n_m, curvature_per_m, size_m = 1e-2, 1e-4, 0.5
     cosine, sine = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
@@ -108,8 +108,8 @@ def elastic_j(simulation, pose):
     )
     state = mujoco.MjData(model)
     state.qpos[:] = simulation.data.qpos
-    turn = Rotation.from_quat(simulation.data.qpos[3:7], scalar_first=True)
-    rigid_m = turn.apply(pose.to_body(part.rest_m)) + simulation.data.qpos[:3]
+    rotation = Rotation.from_quat(simulation.data.qpos[3:7], scalar_first=True)
+    rigid_m = rotation.apply(pose.to_body(part.rest_m)) + simulation.data.qpos[:3]
     start_m = (rigid_m - part.rest_m)[free]
     displaced_m = simulation.data.qpos[addresses] - start_m
     work_j = 0.0
@@ -259,7 +259,7 @@ def test_a_fold_is_found_although_flat_cloth_is_not_searched_for_contacts(monkey
 
 
 def test_vertices_receive_the_force_and_the_power_of_the_air_on_the_triangles():
-    """Also those of the vertices on the rod, which turns and moves; MuJoCo integrates their positions."""
+    """The vertices on the moving and turning rod are included; MuJoCo integrates their positions."""
     simulation = MUJOCO.build(load_experiment("TextileFlinging-satin", "air").scene)
     model, data = simulation.model, simulation.data
     (air,), part = simulation._air, simulation._parts["textile"]
@@ -289,7 +289,7 @@ SOFT_PA, HARD_PA = 9285115.0, 1e9
 
 
 def clamped_rod(young_pa, gravity_m_per_s2):
-    """A rod along x, whose low end is in the middle of a fixed box."""
+    """Return a rod along x with its low end in the middle of a fixed box."""
     rod = Rod(
         name="rod",
         pose=Pose.from_euler_deg((0.5 * ROD_M, 0.0, 0.0), (0.0, 90.0, 0.0)),
@@ -363,8 +363,8 @@ GRIP_M = 0.01285
 def reaction(foam, moved_m=(0.0, 0.0, 0.0), turned_rad=0.0, **settings):
     """Force [N] and torque [N m] that hold the driven grip at rest, shape [6]."""
     simulation = MUJOCO.build(gripped(foam), {"timestep_s": 1 / 180} | settings)
-    turn = Rotation.from_rotvec([0.0, 0.0, turned_rad])
-    row = target(Pose.from_rotation(moved_m, turn), np.zeros(6))
+    rotation = Rotation.from_rotvec([0.0, 0.0, turned_rad])
+    row = target(Pose.from_rotation(moved_m, rotation), np.zeros(6))
     settle(simulation, 1.0, lambda: simulation.drive("high", row))
     simulation.drive("high", row)
     mujoco.mj_forward(simulation.model, simulation.data)
@@ -382,7 +382,7 @@ def test_tension_is_exact_without_lateral_contraction():
 
 
 @pytest.mark.parametrize("poisson", [0.0, pytest.param(0.23, marks=pytest.mark.slow)])
-def test_shear_of_a_clamped_and_guided_bar_is_that_of_timoshenko(poisson):
+def test_shear_of_a_clamped_and_guided_bar_follows_timoshenko(poisson):
     """Clamps that keep the ends from contracting add up to 4 %."""
     force_n = reaction(block(poisson=poisson), (1e-3, 0.0, 0.0))[0]
     free_m, shear_pa = 0.2 - 2.0 * GRIP_M, YOUNG_PA / (2.0 * (1.0 + poisson))
@@ -393,7 +393,7 @@ def test_shear_of_a_clamped_and_guided_bar_is_that_of_timoshenko(poisson):
 
 
 @pytest.mark.slow
-def test_torsion_of_a_square_bar_is_that_of_saint_venant():
+def test_torsion_of_a_square_bar_follows_saint_venant():
     """0.1406 G a^4, as the difference of two lengths: clamps keep the ends from warping."""
     compliances = []
     for length_m in (0.2, 0.4):
@@ -405,7 +405,7 @@ def test_torsion_of_a_square_bar_is_that_of_saint_venant():
     assert np.diff(compliances)[0] == pytest.approx(expected, rel=0.03)
 
 
-def test_mass_and_points_are_those_of_the_elements():
+def test_mass_and_points_follow_the_elements():
     foam = block(poisson=0.3)
     simulation = MUJOCO.build(gripped(foam))
     model, data, part = simulation.model, simulation.data, simulation._parts["foam"]

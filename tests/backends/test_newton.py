@@ -52,8 +52,8 @@ def test_a_tower_sinks_by_the_compliance_of_its_contacts(count, preset, impedanc
         box(str(index), (0.0, 0.0, 0.05 * (index + 0.5)), size_m)
         for index in range(count)
     ]
-    names = tuple(one.name for one in boxes)
-    touch = [contact(names, other, friction=0.4) for other in (names, "ground")]
+    names = tuple(brick.name for brick in boxes)
+    touch = [contact(names, partner, friction=0.4) for partner in (names, "ground")]
     scene = Scene(bodies=(*boxes, ground()), contacts=tuple(touch), duration_s=0.3)
     simulation = NEWTON.build(scene)
     simulation.advance(scene.duration_s)
@@ -90,16 +90,16 @@ def test_meshes_that_touch_in_one_point_creep_as_published():
     assert score_of(name, preset="out_of_box").rmse / baseline.mean < 0.5
 
 
-def test_contact_forces_are_those_of_each_world():
+def test_contact_forces_belong_to_each_world():
     """A box at rest weighs on the ground in one world, and flies in the other."""
     brick = box("box", (0.0, 0.0, 0.05), (0.1, 0.1, 0.1))
     touch = contact("box", "ground", friction=0.4)
     scene = Scene(bodies=(brick, ground()), contacts=(touch,), duration_s=0.3)
     simulation = NEWTON.build_worlds(scene, 2)
     read = simulation.contact_forces([("box", "ground"), ("ground", "box")])
-    starts = np.stack([nominal_states(scene)] * 2)
-    starts[1, 0, 2] += 0.5
-    simulation.reset(starts)
+    initial_states = np.stack([nominal_states(scene)] * 2)
+    initial_states[1, 0, 2] += 0.5
+    simulation.reset(initial_states)
     for _ in range(36):
         simulation.advance(1 / 180)
     weight_n = brick.mass_kg * GRAVITY_M_PER_S2

@@ -116,7 +116,7 @@ def test_a_sheet_between_two_walls_shears_under_its_weight():
 def test_hinges_have_the_energy_of_the_bending_stiffness():
     """A cylinder along warp. Newton's hinges are as stiff as they are long.
 
-    A square grid with diagonals therefore has the cell over the mean edge length, 0.88, of what its constant says.
+    A square grid with diagonals therefore has 0.88 of its nominal constant: the cell over the mean edge length.
     """
     cloth = fabric("satin", (0.5, 0.5))
     simulation = NEWTON.build(scene_of(deformables=(cloth,)), {"cell_m": CELL_M})
@@ -312,7 +312,7 @@ def test_linear_elasticity_on_the_same_mesh_is_in_balance(euler_deg, gravity):
     assert np.abs(moved_m - expected_m).max() < 0.02 * np.abs(expected_m).max()
 
 
-def test_mass_is_that_of_the_material_and_points_are_those_of_the_elements():
+def test_mass_follows_the_material_and_points_follow_the_elements():
     stiff = block("stiff", length_m=0.1, centre_m=(0, 0, -0.05), density=1000.0)
     foam = block("soft", length_m=0.05, centre_m=(0, 0, 0.025))
     bond = Attachment(deformable="soft", region=edge("z"), to="stiff")
@@ -376,11 +376,11 @@ def lowest_m(*bodies, touching, bonds=(), seconds):
     )
     simulation = NEWTON.build_worlds(scene, 2, {"preset": "soft_row", "cell_m": 0.025})
     simulation.advance(seconds)
-    heights = [simulation.nodes(one.name)[:, :, 2].min(axis=1) for one in bodies]
+    heights = [simulation.nodes(body.name)[:, :, 2].min(axis=1) for body in bodies]
     return np.transpose(heights)
 
 
-def test_each_body_collides_with_what_its_contacts_say():
+def test_each_body_collides_only_in_its_contacts():
     """An implicit Euler step falls half a step further each time."""
     bodies = falling("held", 0.0), falling("passing", 0.2)
     rest_m, passed_m = lowest_m(*bodies, touching="held", seconds=0.2).T
@@ -397,7 +397,7 @@ def test_blocks_of_a_row_collide_on_their_own(touching):
     bond = Attachment(deformable="rubber", region=edge("x"), to="foam")
     ends_m = lowest_m(foam, rubber, touching=touching, bonds=(bond,), seconds=0.1)
     if touching == "rubber":
-        # Both rest on the layer that keeps nodes off what they touch.
+        # Both rest on the contact layer of the nodes.
         assert ends_m == pytest.approx(1e-4, abs=2e-5)
     else:
         # The heavy end tips over the edge of the light one, through the slab.
@@ -418,8 +418,8 @@ def test_blocks_of_a_row_collide_on_their_own(touching):
     ],
 )
 def test_bodies_move_as_in_mujoco(rollout, name, frames, moved_mm, apart_mm):
-    def distance_mm(one, other):
-        return 1e3 * np.sqrt(np.square(one - other).sum(axis=-1).mean(axis=-1))
+    def distance_mm(first, second):
+        return 1e3 * np.sqrt(np.square(first - second).sum(axis=-1).mean(axis=-1))
 
     options = {"frames": frames, "marker_proxy": "material"}
     _, ours, _ = rollout(name, backend="newton", **options)

@@ -1,6 +1,6 @@
-"""The preset `out_of_box` has the values of a program that sets nothing, as each engine's own objects report them.
+"""The preset `out_of_box` has each engine's defaults, as the engine's objects report them.
 
-PhysX, PyBullet and Genesis have such tests in their folders.
+PhysX, PyBullet and Genesis have such tests in their files.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ def check(ours, theirs):
         assert ours[name] == expected, name
 
 
-def test_out_of_box_is_a_mujoco_model_that_sets_nothing():
+def test_out_of_box_has_mujocos_defaults():
     import mujoco
 
     plain = mujoco.MjModel.from_xml_string(
@@ -36,7 +36,7 @@ def test_out_of_box_is_a_mujoco_model_that_sets_nothing():
     assert not built.pair_margin.any() and not built.pair_gap.any()
 
 
-def test_out_of_box_is_a_rapier_world_that_sets_nothing():
+def test_out_of_box_has_rapiers_defaults():
     rapier = pytest.importorskip("rapier3d")
     from gauge_envs.backends.rapier.settings import PRESETS
 
@@ -65,11 +65,11 @@ def test_out_of_box_is_a_rapier_world_that_sets_nothing():
         "ccd": body.ccd_enabled,
     }
     check(PRESETS["out_of_box"].model_dump(), theirs)
-    # What the adapter assumes besides the settings.
+    # Further assumptions of the adapter.
     assert body.gyroscopic_forces_enabled and plain.length_unit == 1.0
 
 
-def test_out_of_box_is_a_drake_plant_that_sets_nothing():
+def test_out_of_box_has_drakes_defaults():
     plant = pytest.importorskip("pydrake.multibody.plant")
     from gauge_envs.backends.drake.settings import PRESETS
 

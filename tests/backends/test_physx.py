@@ -55,7 +55,7 @@ ROWS = st.tuples(
 
 @settings(max_examples=50)
 @given(st.lists(ROWS, max_size=6))
-def test_bodies_touch_with_the_constants_of_their_contact_and_no_others(rows):
+def test_bodies_touch_only_with_the_constants_of_their_contact(rows):
     """Shapes collide by SAPIEN's documented rule: a bit of one's first word is in the other's second word."""
     bodies = [ball(name, (0, 0, 1)) for name in NAMES]
     contacts, expected = [], {}
@@ -68,15 +68,17 @@ def test_bodies_touch_with_the_constants_of_their_contact_and_no_others(rows):
             expected |= {pair: {(friction, restitution)} for pair in pairs}
     scene = scene_of(*bodies, contacts=tuple(contacts))
     groups = groups_of_bodies(scene, sustained_restitution=False)
-    found = {}
-    for one, other in combinations(NAMES, 2):
-        for constants, (first, second, _, number) in groups[one].items():
-            for others, (third, fourth, _, other_number) in groups[other].items():
+    met = {}
+    for name, partner in combinations(NAMES, 2):
+        for constants, (first, second, _, number) in groups[name].items():
+            for partner_constants, (third, fourth, _, other_number) in groups[
+                partner
+            ].items():
                 if number == other_number and (first & fourth or third & second):
                     # The mean of equal values is exact.
-                    assert constants == others
-                    found.setdefault(frozenset((one, other)), set()).add(constants)
-    assert found == expected
+                    assert constants == partner_constants
+                    met.setdefault(frozenset((name, partner)), set()).add(constants)
+    assert met == expected
 
 
 def test_a_sustained_contact_has_no_restitution_unless_the_setting_keeps_it():
@@ -111,8 +113,8 @@ def test_a_cylinder_that_is_shorter_than_its_diameter_rolls_like_a_prism(
 ):
     """Acceleration down 20 degrees over 2/3 g sin 20; docs/engines/physx.md states what a short cylinder loses."""
     lean = Rotation.from_euler("y", 20, degrees=True)
-    turn = lean * Rotation.from_euler("x", 90, degrees=True)
-    pose = Pose.from_rotation(tuple(0.03 * lean.apply([0.0, 0.0, 1.0])), turn)
+    rotation = lean * Rotation.from_euler("x", 90, degrees=True)
+    pose = Pose.from_rotation(tuple(0.03 * lean.apply([0.0, 0.0, 1.0])), rotation)
     roller = solid("roller", Cylinder(radius_m=0.03, length_m=length_m), pose=pose)
     touch = contact("roller", "ground", friction=0.5)
     scene = scene_of(roller, plane_deg(20.0), contacts=(touch,))
@@ -167,11 +169,11 @@ def test_thin_and_round_pieces_keep_their_vertices():
     touch = contact(("sliver", "plate"), "ground", friction=0.3)
     scene = scene_of(*bodies, plane_deg(), contacts=(touch,))
     with closing(PHYSX.build(scene)) as simulation:
-        for one in bodies:
-            component = simulation._model.parts[one.name].component
+        for body in bodies:
+            component = simulation._model.parts[body.name].component
             (shape,) = component.collision_shapes
             vertices_m = shape.vertices * shape.scale
-            apart_m = np.array(one.shape.pieces_m[0])[:, None] - vertices_m
+            apart_m = np.array(body.shape.pieces_m[0])[:, None] - vertices_m
             assert np.linalg.norm(apart_m, axis=2).min(axis=1).max() < 1e-7
 
 
@@ -207,8 +209,10 @@ def test_persistent_contacts_turn_a_cube_that_slides_on_a_convex_mesh(
             simulation.drive("plate", target(pose, time_s * rate, rate))
             simulation.advance(INTERVAL_S)
         quaternion = simulation.body_states(["cube"])[0, 0, 3:7]
-    turn = Rotation.from_quat(quaternion, scalar_first=True).as_rotvec(degrees=True)
-    assert low_deg <= abs(turn[2]) < high_deg
+    rotation_deg = Rotation.from_quat(quaternion, scalar_first=True).as_rotvec(
+        degrees=True
+    )
+    assert low_deg <= abs(rotation_deg[2]) < high_deg
 
 
 # --- settings --------------------------------------------------------------------------------------------------------

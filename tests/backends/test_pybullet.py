@@ -80,12 +80,16 @@ def test_bodies_that_contacts_do_not_move_get_a_copy_for_each_surface():
         ("two", "bar"): 0.3,
     }
     contacts = tuple(contact(*pair, friction=mu) for pair, mu in frictions.items())
-    found = surfaces(scene_of(*BODIES, contacts=contacts))
-    assert [len(found[name]) for name in ("one", "two")] == [1, 1]
-    assert len(found["board"]) + len(found["bar"]) <= 4
-    for (one, other), friction in frictions.items():
-        (first,) = [mu for (mu, _), names in found[one].items() if other in names]
-        (second,) = [mu for (mu, _), names in found[other].items() if one in names]
+    surfaces_by_name = surfaces(scene_of(*BODIES, contacts=contacts))
+    assert [len(surfaces_by_name[name]) for name in ("one", "two")] == [1, 1]
+    assert len(surfaces_by_name["board"]) + len(surfaces_by_name["bar"]) <= 4
+    for (name, partner), friction in frictions.items():
+        (first,) = [
+            mu for (mu, _), names in surfaces_by_name[name].items() if partner in names
+        ]
+        (second,) = [
+            mu for (mu, _), names in surfaces_by_name[partner].items() if name in names
+        ]
         assert first * second == pytest.approx(friction, rel=1e-9)
 
 
@@ -237,8 +241,8 @@ def test_foam_slides_by_the_law_one_margin_above_the_board(friction):
             simulation.advance(1 / 180)
             places_m.append(simulation.nodes("foam")[0].mean(axis=0))
     down_m, _, up_m = slope.apply(places_m, inverse=True).T
-    found = 2.0 * np.polyfit(np.arange(40) / 180, down_m[20:], 2)[0]
-    assert found == pytest.approx(G * (0.5 - friction * np.sqrt(0.75)), rel=1e-3)
+    acceleration = 2.0 * np.polyfit(np.arange(40) / 180, down_m[20:], 2)[0]
+    assert acceleration == pytest.approx(G * (0.5 - friction * np.sqrt(0.75)), rel=1e-3)
     assert up_m[-1] == pytest.approx(middle_m, abs=1e-4)
 
 
@@ -274,7 +278,7 @@ def test_a_bob_on_a_light_rope_is_a_pendulum():
 # --- settings --------------------------------------------------------------------------------------------------------
 
 
-def test_out_of_box_is_the_engine_as_it_starts(monkeypatch):
+def test_out_of_box_has_bullets_defaults(monkeypatch):
     """The values of the preset are PyBullet's: a world to which they are not given moves as one to which they are."""
     scene = load_experiment("NonsmoothContact-1-wood").scene
 

@@ -1,4 +1,4 @@
-"""Traps of Rapier: choices of the default preset, friction of the Coulomb model, errors that its page states, forks.
+"""Traps of Rapier: choices of the default preset, friction of the Coulomb model, errors on its page, forks.
 
 Expected values follow from Coulomb's law, Newton's rule of impact, and the energy of a pendulum.
 """
@@ -29,7 +29,7 @@ GROUND = plane_deg()
 
 
 def course(scene, name, seconds, *, timestep_s=1 / 1800, **settings):
-    """Times, shape [n], and states of a body, shape [n, 13], from the start on, at each step."""
+    """Return times, shape [n], and states of a body, shape [n, 13], at the start and after each step."""
     settings |= {"timestep_s": timestep_s, "drive_interval_s": timestep_s}
     rows = states(RAPIER, scene, [name], seconds, interval_s=timestep_s, **settings)
     return timestep_s * np.arange(len(rows)), rows[:, 0]
@@ -62,14 +62,14 @@ def test_each_choice_of_the_default_preset_is_needed(settings, check):
 
 @pytest.mark.parametrize(("rate_hz", "iterations"), [(180, 4), (3600, 1)])
 def test_a_slide_has_coulombs_acceleration_at_every_step(rate_hz, iterations):
-    found = measured("slide", timestep_s=1 / rate_hz, solver_iterations=iterations)
-    assert found.measured == pytest.approx(found.expected, rel=1e-3)
+    result = measured("slide", timestep_s=1 / rate_hz, solver_iterations=iterations)
+    assert result.measured == pytest.approx(result.expected, rel=1e-3)
 
 
 def test_the_coulomb_model_loses_friction_by_the_angle_between_impulse_and_slip():
     """The impulse of a corner is along K^-1 v. For a cube K is [[4, 1.5], [1.5, 4]] / m; lateral parts cancel."""
-    found = measured("slide", friction_model="coulomb")
-    assert found.measured == pytest.approx(4.0 / np.hypot(4.0, 1.5), rel=2e-3)
+    result = measured("slide", friction_model="coulomb")
+    assert result.measured == pytest.approx(4.0 / np.hypot(4.0, 1.5), rel=2e-3)
 
 
 def dropped(body, restitution):
@@ -86,7 +86,7 @@ def test_the_speed_of_a_rebound_is_exact_at_every_step(restitution, rate_hz):
     assert speeds[hit] == pytest.approx(-restitution * speeds[hit - 1], rel=1e-4)
 
 
-# --- errors of the engine that its page states -----------------------------------------------------------------------
+# --- errors of the engine on its page --------------------------------------------------------------------------------
 
 
 def test_a_flat_impact_spins_a_box():
@@ -113,8 +113,8 @@ def test_a_cylinder_rolls_too_fast_on_a_box_and_right_on_a_plane(support, ratio)
     scene = scene_of(roller, ground, contacts=(touch,))
     times_s, rows = course(scene, "roller", 0.8)
     late, down_m = times_s > 0.1, rows[:, :3] @ [cosine, 0.0, -sine]
-    found = 2.0 * np.polyfit(times_s[late], down_m[late], 2)[0]
-    assert found / (2.0 / 3.0 * G * sine) == pytest.approx(ratio, abs=0.02)
+    acceleration = 2.0 * np.polyfit(times_s[late], down_m[late], 2)[0]
+    assert acceleration / (2.0 / 3.0 * G * sine) == pytest.approx(ratio, abs=0.02)
 
 
 def test_impulse_hinges_lose_energy_in_the_stabilization():
@@ -150,21 +150,23 @@ def test_bodies_have_a_collider_for_each_contact_and_meet_only_its_other_side():
     scene = scene_of(*bodies, GROUND, contacts=contacts)
     layers = collider_layers(scene)
     listed = {
-        frozenset(pair): [(one.friction, 0.0 if one is sustained else one.restitution)]
-        for one in contacts
-        for pair in scene.colliding_pairs(one)
+        frozenset(pair): [
+            (touch.friction, 0.0 if touch is sustained else touch.restitution)
+        ]
+        for touch in contacts
+        for pair in scene.colliding_pairs(touch)
     }
-    for one, other in permutations([*names, "ground"], 2):
+    for name, partner in permutations([*names, "ground"], 2):
         met = []
-        for mine in layers[one]:
-            for theirs in layers[other]:
+        for mine in layers[name]:
+            for theirs in layers[partner]:
                 if mine.memberships & theirs.filter and (
                     theirs.memberships & mine.filter
                 ):
                     assert mine.restitution == theirs.restitution
                     assert mine.friction == theirs.friction
                     met.append((mine.friction, mine.restitution))
-        assert met == listed.get(frozenset((one, other)), [])
+        assert met == listed.get(frozenset((name, partner)), [])
 
 
 def test_each_setting_reaches_the_engine():

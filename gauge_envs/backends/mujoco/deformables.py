@@ -157,6 +157,7 @@ def _deformable_names(scene: Scene, contact: Contact) -> set[str]:
 
 def _rigid_names(scene: Scene, contact: Contact) -> set[str]:
     """Return the rigid bodies that collide with the deformable bodies of a contact."""
+    # A body does not collide with the body that it is attached to: they would touch all along the seam.
     seams = {
         a.to
         for a in scene.attachments

@@ -109,14 +109,12 @@ def carried_constants(
     pairs: dict[frozenset[str], ShapeConstants],
 ) -> dict[str, ShapeConstants]:
     """Return the constants of each body whose contacts all have the same; such a body carries them with priority."""
-    constants_by_name: dict[str, set[ShapeConstants]] = {}
+    by_name: dict[str, set[ShapeConstants]] = {}
     for pair, constants in pairs.items():
         for name in pair:
-            constants_by_name.setdefault(name, set()).add(constants)
+            by_name.setdefault(name, set()).add(constants)
     return {
-        name: next(iter(every))
-        for name, every in constants_by_name.items()
-        if len(every) == 1
+        name: next(iter(every)) for name, every in by_name.items() if len(every) == 1
     }
 
 

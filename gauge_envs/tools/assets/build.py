@@ -98,7 +98,7 @@ def stale_asset(
 ) -> Path | None:
     """Return the first file that is missing, differs from its current text, or is no longer generated; else None.
 
-    Files that differ in the last digits of numbers alone are equal.
+    Files that differ only in the last digits of numbers are equal.
     """
     left_over = set(_generated(folder))
     for name, text in texts or asset_texts():
@@ -144,7 +144,7 @@ def _is_same(text: str, expected: str) -> bool:
     if NUMBER.split(text) != NUMBER.split(expected):
         return False
     numbers, expected_numbers = (
-        np.array(NUMBER.findall(one), dtype=np.float64) for one in (text, expected)
+        np.array(NUMBER.findall(page), dtype=np.float64) for page in (text, expected)
     )
     return np.allclose(
         numbers, expected_numbers, rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE

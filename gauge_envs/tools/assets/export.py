@@ -58,7 +58,7 @@ def experiment_stage(
 def write_mjcf(experiment: Experiment, path: Path) -> None:
     """Write the MuJoCo model of a variant as a self-contained file in full precision.
 
-    Custom numbers `driver/<body>` hold the motion of driven bodies, `grip/<body>` the nodes that move with them.
+    Custom numbers `driver/<body>` hold the motion of driven bodies, and `grip/<body>` the nodes that move with them.
     Custom numbers `<table>/<body>/...` hold the compiled tables of deformable bodies that MuJoCo cannot derive from
     XML. A comment at the top explains their use.
     """

@@ -115,9 +115,9 @@ def _write_solver(stage: Usd.Stage, rate_hz: int, *, has_deformables: bool) -> N
 def _write_deformable(prims: Prims, scene: Scene, body: Deformable) -> None:
     """Write PhysX's attributes of a cloth or a soft body.
 
-    Without a rest offset, PhysX holds deformable bodies 20 mm off what they touch. Here contact begins at the
-    surface: at half the thickness of a cloth, and at the mesh of a soft body. PhysX needs a collider on every body,
-    so one that touches nothing has its pairs filtered instead.
+    Without a rest offset, PhysX keeps deformable bodies 20 mm off other bodies. Here contact begins at the surface: at
+    half the thickness of a cloth, and at the mesh of a soft body. PhysX needs a collider on every body, so the pairs of
+    a body without contacts are filtered instead.
     """
     prim, name = prims[body.name], body.name
     kind, rest_offset_m = "Base", 0.0
@@ -133,13 +133,13 @@ def _write_deformable(prims: Prims, scene: Scene, body: Deformable) -> None:
     collider = UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr()
     if not collider.Get():
         collider.Set(True)
-        others = [prims[other].GetPath() for other in prims if other != name]
+        paths = [prims[partner].GetPath() for partner in prims if partner != name]
         filtered = UsdPhysics.FilteredPairsAPI.Apply(prim)
-        filtered.CreateFilteredPairsRel().SetTargets(others)
+        filtered.CreateFilteredPairsRel().SetTargets(paths)
 
 
 def _write_body_constants(stage: Usd.Stage, scene: Scene, prims: Prims) -> None:
-    """Write constants of bodies whose averages are the constants of the pairs, where those of the layer are not.
+    """Write constants of bodies whose averages are the constants of the pairs, unless the layer has them already.
 
     A layer binds each body to the material of its first contact. PhysX averages the materials of two bodies.
     """
@@ -163,7 +163,7 @@ def _write_body_constants(stage: Usd.Stage, scene: Scene, prims: Prims) -> None:
     deformables = [body.name for body in scene.deformables]
     materials: dict[tuple[float, float], str] = {}
     for body, friction in friction_of.items():
-        # Differences in the last digits are those of the solution.
+        # The solution is not exact in the last digits.
         values = round(friction, 9), round(restitution_of[body], 9)
         binding = UsdShade.MaterialBindingAPI(prims[body])
         if body in deformables:
@@ -174,7 +174,7 @@ def _write_body_constants(stage: Usd.Stage, scene: Scene, prims: Prims) -> None:
             material = UsdShade.Material.Define(stage, path)
             binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
         _write_coefficients(material.GetPrim(), *values)
-        # The material's constants follow from those of the contacts of the body.
+        # The constants of the material follow from the contacts of the body.
         for index, contact in enumerate(scene.contacts):
             if body in (*contact.first, *contact.second):
                 prim = stage.GetPrimAtPath(f"/World/Contacts/contact_{index}")
@@ -186,7 +186,7 @@ def _write_body_constants(stage: Usd.Stage, scene: Scene, prims: Prims) -> None:
 
 
 def _write_coefficients(prim: Usd.Prim, friction: float, restitution: float) -> None:
-    """Write contact constants of a body, which follow from those of its pairs."""
+    """Write contact constants of a body, which follow from the constants of its pairs."""
     UsdPhysics.MaterialAPI.Apply(prim)
     values = {
         "physics:restitution": restitution,

@@ -42,7 +42,7 @@ def sampled_motions(
     4. a rotation about a fixed axis;
     5. rotations about the body's origin, followed by translations.
 
-    Motions along an axis of `like` keep the axis and the action's rate of that motion.
+    Motions along an axis of `like` keep the axis and the action's rate of the motion in `like`.
 
     Args:
         start: Pose of the body before anything moves.
@@ -88,9 +88,9 @@ def sampled_motions(
                 return motions
             # Actions are part of the largest rate.
             return tuple(
-                one
-                for one in motions
-                if one.largest_rate > 0.0 or abs(one.value(0.0)) > SAME_POSE
+                motion
+                for motion in motions
+                if motion.largest_rate > 0.0 or abs(motion.value(0.0)) > SAME_POSE
             )
     raise ShapeError(
         "no three successive rotations describe its rotation: keep it closer to a rotation about a fixed axis"
@@ -165,8 +165,8 @@ def _basis(like: Sequence[DriverMotion]) -> FloatArray:
     ):
         return np.eye(3)
     rest = np.eye(3) - linear.T @ linear
-    others = np.linalg.svd(rest)[2][: 3 - len(linear)]
-    return np.concatenate([linear, others])
+    orthogonal = np.linalg.svd(rest)[2][: 3 - len(linear)]
+    return np.concatenate([linear, orthogonal])
 
 
 def _centre(start: Pose, positions: FloatArray, rotations: Rotation) -> Vector:
@@ -191,7 +191,7 @@ def motion_coordinates(
     positions_m: FloatArray,
     rotations: Rotation,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the coordinates whose poses are closest to given ones, the inverse of `Driver.pose`.
+    """Return the coordinates whose poses are closest to given poses, the inverse of `Driver.pose`.
 
     Args:
         motions: Motions with no rotation, with one rotation, or with three rotations about the body's origin that

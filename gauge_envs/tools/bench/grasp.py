@@ -1,8 +1,8 @@
-"""Grasps: an object between two pads on hinged jaws, on which torques act that press with a known force.
+"""Grasps: an object between two pads on hinged jaws, which known torques press together.
 
-A jaw turns about a vertical axis in the plane of its face, so that neither weight nor friction has a moment about it.
-Its pad presses with N = torque / length to 0.5 %, wherever on its face: rigid bodies leave the pressure open. Friction
-holds 2 mu N, and pads with a face hold a torque about their axis too, as a soft finger does; balls hold none.
+A jaw turns about a vertical axis in the plane of its face, so neither weight nor friction has a moment about it. Its
+pad presses with N = torque / length, within 0.5 %, wherever the force acts on its face. Friction holds 2 mu N. Pads
+with a face also hold a torque about their axis, as a soft finger does; balls do not.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ OBJECT = box("object", (0.0, 0.0, 1.0), SIZE_M, mass_kg=MASS_KG)
 
 
 def grasp_wrenches(force_n: float) -> Mapping[str, FloatArray]:
-    """Return the torques on the jaws with which each pad presses with a force [N], as wrenches by body, shape [6]."""
+    """Return the torques on the jaws that make each pad press with a force [N], as wrenches by body, shape [6]."""
     torque = np.array([0.0, 0.0, 0.0, 0.0, 0.0, force_n * JAW_M])
     return {"left": -torque, "right": torque}
 
@@ -71,13 +71,13 @@ def grasp_scene(
 
 
 _spun = replace(OBJECT, angular_velocity_rad_per_s=(20.0, 0.0, 0.0))
-HELD = grasp_scene(1.5)
+GRASPED = grasp_scene(1.5)
 TURNED = grasp_scene(0.15, grasped=_spun, gravity=0.0)
 PRESSED = grasp_wrenches(2.0 * WEIGHT_N)
 """The box at rest, and with a spin about the axis of its pads, which Coulomb's law stops after 0.18 s or later."""
 
 STILL_S, SHAKEN_S = 0.5, 1.5
-"""Time in which a held box has settled and is not yet shaken [s]."""
+"""Interval in which a grasped box has settled and is not yet shaken [s]."""
 
 SHARES = (0.3826, 0.7071)
 """Mean distance from the centre of a square's points, and of its corners, over its side."""

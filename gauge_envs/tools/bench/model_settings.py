@@ -1,7 +1,7 @@
 """Read settings of this backend from a compiled MuJoCo model: its options, and the contact constants of its pairs.
 
-The rules for pairs of geoms that can collide, and for their constants, are those of MuJoCo's documentation ("Collision
-detection" and "Contact parameters"), for all pairs at once.
+The rules for colliding pairs of geoms and for their constants follow MuJoCo's documentation ("Collision detection" and
+"Contact parameters"). They are applied to all pairs together.
 """
 
 from collections.abc import Mapping
@@ -136,7 +136,7 @@ def _implicit_pairs(model: mujoco.MjModel) -> IntArray:
 def _mixed_constants(
     model: mujoco.MjModel, first: IntArray, second: IntArray
 ) -> FloatArray:
-    """Return constants of pairs, mixed from those of their geoms, shape [pair_count, 17]."""
+    """Return constants of pairs, mixed from the constants of their geoms, shape [pair_count, 17]."""
     table = np.zeros((len(first), 17))
     rank = model.geom_priority[first] - model.geom_priority[second]
     share = _share(model.geom_solmix[first], model.geom_solmix[second])
@@ -146,10 +146,10 @@ def _mixed_constants(
 
     def by_priority(values: NDArray[Any]) -> NDArray[Any]:
         """Return the value of the geom with the higher priority, or the greater value for equal priorities."""
-        found = np.maximum(values[first], values[second])
-        found[rank > 0] = values[first[rank > 0]]
-        found[rank < 0] = values[second[rank < 0]]
-        return found
+        chosen = np.maximum(values[first], values[second])
+        chosen[rank > 0] = values[first[rank > 0]]
+        chosen[rank < 0] = values[second[rank < 0]]
+        return chosen
 
     def mixed(values: FloatArray) -> FloatArray:
         return share * values[first] + (1.0 - share) * values[second]
@@ -159,7 +159,7 @@ def _mixed_constants(
     table[:, COLUMNS["friction"]] = by_priority(model.geom_friction)[:, [0, 0, 1, 2, 2]]
     solref = model.geom_solref
     is_standard = (solref[first, 0] > 0.0) & (solref[second, 0] > 0.0) | (rank != 0)
-    # The direct format, minus stiffness and damping, is not averaged: the minimum is the stiffer one.
+    # The direct format, minus stiffness and damping, is not averaged: the minimum is the stiffer value.
     direct = np.minimum(solref[first], solref[second])
     table[:, COLUMNS["solref"]] = np.where(is_standard[:, None], mixed(solref), direct)
     table[:, COLUMNS["solimp"]] = mixed(model.geom_solimp)
@@ -193,7 +193,7 @@ def _explicit_constants(model: mujoco.MjModel, rows: IntArray) -> FloatArray:
 
 
 def _override(model: mujoco.MjModel, constants: FloatArray) -> None:
-    """Replace constants by those that the flag `override` gives to all contacts."""
+    """Replace constants by the constants that the flag `override` gives to all contacts."""
     option = model.opt
     for name, value in (
         ("friction", option.o_friction),
@@ -232,10 +232,10 @@ def overrides_contacts(model: mujoco.MjModel) -> bool:
 
 
 def effective_constants(model: mujoco.MjModel, constants: FloatArray) -> FloatArray:
-    """Return contact constants with zeros for those that `contact_settings` does not use.
+    """Return contact constants with zeros for constants that `contact_settings` does not use.
 
-    These are constants without effect in the model. Sliding friction is another one, unless the model overrides it,
-    since experiments have the friction of real objects.
+    These are constants without effect in the model, and sliding friction, unless the model overrides it, since
+    experiments have the friction of real objects.
 
     Args:
         model: The model.
@@ -254,7 +254,7 @@ def effective_constants(model: mujoco.MjModel, constants: FloatArray) -> FloatAr
 
 
 def contact_settings(model: mujoco.MjModel, constants: FloatArray) -> dict[str, Any]:
-    """Return the settings that give every contact a pair's constants, without those at their defaults.
+    """Return the settings that give every contact a pair's constants; settings at their defaults are left out.
 
     Args:
         model: The model.

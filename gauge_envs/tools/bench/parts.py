@@ -1,4 +1,4 @@
-"""Bodies, contacts and motions that the scenes of the bench and of the checks are made of."""
+"""Bodies, contacts and motions for the scenes of the bench and of the checks."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from gauge_envs.scene.profiles import TrapezoidProfile
 
 
 def corners(low_m: Vector, high_m: Vector) -> tuple[Vector, ...]:
-    """Return the corners of a block between two of them [m]."""
+    """Return the corners of a block between two opposite corners [m]."""
     return tuple(map(vector, product(*zip(low_m, high_m, strict=True))))
 
 
@@ -88,7 +88,7 @@ def driven_box(
     *,
     euler_deg: Vector = (0.0, 0.0, 0.0),
 ) -> RigidBody:
-    """Return a box that a driver moves."""
+    """Return a box with prescribed motion."""
     return replace(
         fixed_box(name, position_m, size_m, euler_deg=euler_deg),
         motion=Motion.KINEMATIC,
@@ -96,11 +96,11 @@ def driven_box(
 
 
 def thrown(
-    one: RigidBody, velocity: ArrayLike, spin: ArrayLike = (0.0, 0.0, 0.0)
+    body: RigidBody, velocity: ArrayLike, spin: ArrayLike = (0.0, 0.0, 0.0)
 ) -> RigidBody:
     """Return a body that starts with a velocity [m/s] and an angular velocity [rad/s]."""
     return replace(
-        one,
+        body,
         linear_velocity_m_per_s=vector(velocity),
         angular_velocity_rad_per_s=vector(spin),
     )
@@ -124,8 +124,10 @@ def contact(
     friction: float,
     restitution: float | None = None,
 ) -> Contact:
-    """Return a contact between bodies: an impact with a restitution, or a sustained one without."""
-    first, second = ((one,) if isinstance(one, str) else one for one in (first, second))
+    """Return a contact between bodies: an impact with a restitution, or a sustained contact without."""
+    first, second = (
+        (names,) if isinstance(names, str) else names for names in (first, second)
+    )
     if restitution is None:
         return Contact(first=first, second=second, friction=friction, restitution=0.0)
     return Contact(
@@ -157,7 +159,7 @@ def driver(
     *profiles: TrapezoidProfile,
     point_m: Vector = (0.0, 0.0, 0.0),
 ) -> Driver:
-    """Return a driver of one body by one motion."""
+    """Return a prescribed motion of one body along or about one axis."""
     motion = DriverMotion(kind=kind, axis=axis, profiles=profiles, point_m=point_m)
     return Driver(body=name, motions=(motion,), provenance="nominal")
 

@@ -1,4 +1,4 @@
-"""Record what happens in a scene on an engine, through the public contract alone."""
+"""Record a scene on an engine, through the public contract alone."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 PACKAGE = Path(__file__).parents[2]
 
 REST_S = 0.05
-"""Time for which bodies are slow when they are at rest [s]: longer than what they stop at the turn of a vibration."""
+"""Time for which bodies must be slow to be at rest [s]: longer than they stop at a turning point of a vibration."""
 
 
 NO_MARKERS = np.zeros((0, 3))
@@ -35,10 +35,10 @@ NO_MARKERS = np.zeros((0, 3))
 
 
 class DeclinedError(GaugeError):
-    """The backend cannot build a scene, or refuses the settings for it.
+    """The backend cannot build a scene, or rejects the settings for it.
 
     Attributes:
-        missing: Its reasons.
+        missing: The reasons.
     """
 
     def __init__(self, missing: tuple[str, ...]) -> None:
@@ -47,7 +47,7 @@ class DeclinedError(GaugeError):
 
 
 class DivergedError(GaugeError):
-    """The engine failed, or a body is where or as fast as the scene does not allow."""
+    """The engine failed, or a body left the bounds of position or speed of the scene."""
 
 
 class NotFiniteError(DivergedError):
@@ -143,7 +143,8 @@ def record(
         nodes_of: Deformable bodies whose nodes are kept; all when None.
         speed_limit_m_per_s: Highest plausible speed of a dynamic or deformable body [m/s].
         ends_beyond_m: Displacement of a rigid body with which the rollout ends [m].
-        rest_m_per_s: Speed along each axis below which all dynamic bodies must stay for `REST_S` to end it too [m/s].
+        rest_m_per_s: Speed along each axis; the rollout also ends if all dynamic bodies stay below it for `REST_S`
+            [m/s].
     """
     count = round(seconds / interval_s)
     motions = prescribed_motions(scene, seconds, interval_s=interval_s)
@@ -164,15 +165,15 @@ def record(
     last_motion = 0
     for index in range(count + 1):
         time = f"after {index * interval_s:.3g} s"
-        now = _read(simulation, scene, names, observer)
+        sample = _read(simulation, scene, names, observer)
         if reason := simulation.diverged().get(0):
             raise DivergedError(f"{time} {reason}")
-        if name := _not_finite(names, now):
+        if name := _not_finite(names, sample):
             raise NotFiniteError(f"{time} {name!r} is not finite")
-        speeds = _speeds_m_per_s(dynamic, last or now, now, interval_s)
+        speeds = _speeds_m_per_s(dynamic, last or sample, sample, interval_s)
         fastest_m_per_s = max(speeds, default=0.0)
         if fastest_m_per_s > speed_limit_m_per_s:
-            several = [*(names[index] for index in dynamic), *now.nodes_m]
+            several = [*(names[index] for index in dynamic), *sample.nodes_m]
             name = several[speeds.index(fastest_m_per_s)]
             limit = f"the scene allows {speed_limit_m_per_s:.3g} m/s at most"
             raise DivergedError(
@@ -180,15 +181,15 @@ def record(
             )
         kept = {
             name: nodes
-            for name, nodes in now.nodes_m.items()
+            for name, nodes in sample.nodes_m.items()
             if nodes_of is None or name in nodes_of
         }
-        samples.append(now._replace(nodes_m=kept) if now.nodes_m else now)
-        last = now
+        samples.append(sample._replace(nodes_m=kept) if sample.nodes_m else sample)
+        last = sample
         if fastest_m_per_s >= rest_m_per_s:
             last_motion = index
         is_at_rest = (index - last_motion) * interval_s >= REST_S
-        if is_at_rest or _has_left(samples[0], now, ends_beyond_m):
+        if is_at_rest or _has_left(samples[0], sample, ends_beyond_m):
             break
         if index < count:
             _advance(simulation, motions, actions, index, interval_s, time)
@@ -206,9 +207,9 @@ def record(
 
 
 def raised_at(error: BaseException) -> str:
-    """Return where an engine raised an error, as ` (advance, my_engine.py, line 12)`; or "" for an error on purpose.
+    """Return where an engine raised an error, as ` (advance, my_engine.py, line 12)`; or "" for an intended error.
 
-    That is the last line of the engine's own folder. A line of a library that it called comes behind.
+    The place is the last line in the engine's own folder, followed by the line of a library that it called.
     """
     if isinstance(error, BackendError) and error.__cause__ is not None:
         error = error.__cause__
@@ -232,7 +233,7 @@ def raised_at(error: BaseException) -> str:
 
 
 def _is_of_engine(folder: Path) -> bool:
-    """Return whether the files of a folder are an engine's: not those of this package, but for its bundled engines."""
+    """Return whether a folder belongs to an engine: a folder outside this package or of a bundled engine."""
     return not folder.is_relative_to(PACKAGE) or (
         folder.parent == PACKAGE / "backends" and folder.name != "shared"
     )
@@ -282,7 +283,7 @@ def _advance(
             simulation, motions, index, 1, actions, interval_s=interval_s
         ):
             pass
-    # Engines raise exceptions of any kind, such as MuJoCo when a diverged scene has more contacts than fit in memory.
+    # Engines raise any exception; MuJoCo does when a diverged scene has more contacts than fit in memory.
     except Exception as error:
         reason = " ".join(str(error).split())
         raise DivergedError(
@@ -290,23 +291,23 @@ def _advance(
         ) from error
 
 
-def _has_left(start: _Sample, now: _Sample, beyond_m: float) -> bool:
+def _has_left(start: _Sample, sample: _Sample, beyond_m: float) -> bool:
     """Return whether a rigid body is farther from its start than a distance [m]."""
     if beyond_m == math.inf:
         return False
-    moved_m = now.states[:, :3] - start.states[:, :3]
+    moved_m = sample.states[:, :3] - start.states[:, :3]
     return bool((np.linalg.norm(moved_m, axis=-1) > beyond_m).any())
 
 
-def _not_finite(names: Sequence[str], now: _Sample) -> str:
+def _not_finite(names: Sequence[str], sample: _Sample) -> str:
     """Return the first body whose state or node is not finite; empty when all are."""
-    if np.isfinite(now.states).all() and not now.nodes_m:
+    if np.isfinite(sample.states).all() and not sample.nodes_m:
         return ""
-    rigid = dict(zip(names, now.states, strict=True))
+    rigid = dict(zip(names, sample.states, strict=True))
     return next(
         (
             name
-            for name, values in (rigid | now.nodes_m).items()
+            for name, values in (rigid | sample.nodes_m).items()
             if not np.isfinite(values).all()
         ),
         "",
@@ -314,19 +315,19 @@ def _not_finite(names: Sequence[str], now: _Sample) -> str:
 
 
 def _speeds_m_per_s(
-    dynamic: Sequence[int], last: _Sample, now: _Sample, interval_s: float
+    dynamic: Sequence[int], last: _Sample, sample: _Sample, interval_s: float
 ) -> list[float]:
     """Return the largest speed along an axis of each dynamic and deformable body, reported or from displacements.
 
     The displacement is bounded like the speed, since an engine may set diverged bodies back to the start.
     """
-    speeds = np.abs(now.states[:, 7:10])
-    between = np.abs(now.states[:, :3] - last.states[:, :3])
+    speeds = np.abs(sample.states[:, 7:10])
+    between = np.abs(sample.states[:, :3] - last.states[:, :3])
     between /= interval_s
     largest: list[float] = (
         np.maximum(speeds, between).max(axis=1).take(dynamic).tolist()
     )
-    for name, nodes in now.nodes_m.items():
+    for name, nodes in sample.nodes_m.items():
         moved_m = np.abs(nodes - last.nodes_m[name]).max(initial=0.0)
         largest.append(float(moved_m) / interval_s)
     return largest

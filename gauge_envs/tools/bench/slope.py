@@ -1,4 +1,4 @@
-"""Slides, creep and rest on a support: displacements along and off it, and what they say.
+"""Slides, creep and rest on a support: displacements along and off it, and measures of them.
 
 A body moves on a plane or on the upper face of a box, level or leaning. `Slope` gives the axes of that face.
 """

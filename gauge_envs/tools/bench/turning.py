@@ -1,4 +1,4 @@
-"""Balls that spin or roll on level ground, and the torque against it over the normal force."""
+"""Balls that spin or roll on level ground, and the resisting torque over the normal force."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ def turning_scene(
 def turning_arm_m(
     rollout: Recording, axis: tuple[float, float, float], *, start_s: float = 0.0
 ) -> float:
-    """Return the torque against a turn over the normal force [m], from the spin that a ball loses: -I / (m g) dw/dt.
+    """Return the resisting torque over the normal force [m], from the loss of spin of a ball: -I / (m g) dw/dt.
 
     Args:
         rollout: The rollout.
         axis: `SPIN` or `ROLL`.
-        start_s: Time from which on it is measured [s].
+        start_s: Start of the measurement [s].
     """
     seen = rollout.times_s >= start_s
     spin_rad_per_s = rollout.angular_velocity("ball")[seen] @ np.array(axis)

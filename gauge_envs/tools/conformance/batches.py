@@ -299,7 +299,7 @@ def worlds_neighbours(lab: Lab) -> Measurement:
         ("diverge", numbers, fast, None),
         ("have diverged", numbers, None, None),
     )
-    cases_by_text = {}
+    results = {}
     with aside(), lab.running(scene, 5) as five:
         for what, *how in cases:
             with suppress(DeclinedError):
@@ -310,5 +310,5 @@ def worlds_neighbours(lab: Lab) -> Measurement:
                 gap = 1e9 if is_lost else float(_gap(courses, before).max())
                 text = f"world 1 or 3, where worlds 0, 2 and 4 {what},"
                 left = 0.0 if is_lost else gap
-                cases_by_text[text] = {"": gap, "diverged() names it": left}
-    return largest(cases_by_text)
+                results[text] = {"": gap, "diverged() names it": left}
+    return largest(results)

@@ -159,12 +159,12 @@ def _fly(lab: Lab, shots: Mapping[str, _Shot]) -> Recording:
         rotation = Rotation.from_euler("xzx", shot.euler_deg, degrees=True)
         x, speed, mass_kg = -shot.reach_m, shot.speed_m_per_s, SHOT_KG
         names = shot.names(name)
-        for body_name in names:
+        for label in names:
             place = (x - speed * shot.at_s, 0.4 * index, 1.0)
             pose = Pose.from_rotation(place, rotation)
-            part = body(body_name, shot.shape, pose, mass_kg=mass_kg)
+            part = body(label, shot.shape, pose, mass_kg=mass_kg)
             bodies.append(thrown(part, (speed, 0.0, 0.0)))
-            x += 2.0 * shot.reach_m + GAP_M * (body_name != name)
+            x += 2.0 * shot.reach_m + GAP_M * (label != name)
             rotation = Rotation.from_euler("x", 55.0, degrees=True) * rotation
             speed, mass_kg = shot.target_m_per_s, shot.target_kg
         for pair in zip(names, names[1:] or ["wall"], strict=False):
@@ -182,8 +182,7 @@ def _rebounds(rollout: Recording, shots: Mapping[str, _Shot]) -> dict[str, float
     for name, shot in shots.items():
         after = rollout.sample_at(shot.at_s + AFTER_S)
         speeds = [
-            float(rollout.velocity(body_name)[after, 0])
-            for body_name in shot.names(name)
+            float(rollout.velocity(label)[after, 0]) for label in shot.names(name)
         ]
         *_, last, target = speeds if shot.row else (*speeds, 0.0)
         # Each ball of a row hits the next equal one with (1 + e) / 2 times its speed.
@@ -311,7 +310,7 @@ def momentum(lab: Lab) -> Measurement:
     for name, shot in VOLLEY.items():
         if shot.row:
             first, *other_speeds = [
-                rollout.velocity(body_name)[:, 0] for body_name in shot.names(name)
+                rollout.velocity(label)[:, 0] for label in shot.names(name)
             ]
             along = SHOT_KG * first + shot.target_kg * np.sum(other_speeds, axis=0)
             ratios[name] = float(along[-1] / along[0])

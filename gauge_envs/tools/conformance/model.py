@@ -184,19 +184,19 @@ def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
     # Modules may have been imported in another order.
     known = sorted(
         _CHECKS.values(),
-        key=lambda entry: (
-            order.index(entry.phenomenon)
-            if entry.phenomenon in PHENOMENA
+        key=lambda check: (
+            order.index(check.phenomenon)
+            if check.phenomenon in PHENOMENA
             else len(order)
         ),
     )
     for pattern in only:
         if not any(fnmatchcase(name, pattern) for name in _CHECKS):
-            raise UnknownNameError("check", pattern, [entry.id for entry in known])
+            raise UnknownNameError("check", pattern, [check.id for check in known])
     return tuple(
-        entry
-        for entry in known
-        if not only or any(fnmatchcase(entry.id, pattern) for pattern in only)
+        check
+        for check in known
+        if not only or any(fnmatchcase(check.id, pattern) for pattern in only)
     )
 
 

@@ -198,7 +198,13 @@ def columns_document(
     """
     known = {name for column in columns for name in column.results}
     rows = [check for check in all_checks() if check.id in known]
-    failed = [check for check in rows if _is_failed(check, columns)]
+    bad = {
+        result.check
+        for column in columns
+        for result in column.results.values()
+        if result.is_bad
+    }
+    failed = [check for check in rows if check.id in bad]
     ran = [column for column in columns if column.results]
     answer = f"{len(failed)} of {len(rows)} checks fail in at least one of {len(ran)} engines"
     short: list[Part] = [Paragraph(answer, Tone.ANSWER), _columns_table(columns)]
@@ -209,11 +215,6 @@ def columns_document(
         more = f"{len(failed) - MAX_ROWS} more failed checks: see --format wide"
         short.append(Paragraph(more, Tone.NOTE))
     return Document(parts=full if is_wide else short, markdown=full)
-
-
-def _is_failed(check: Check, columns: Sequence[EngineColumn]) -> bool:
-    results = (column.results.get(check.id) for column in columns)
-    return any(result is not None and result.is_bad for result in results)
 
 
 def _columns_table(columns: Sequence[EngineColumn]) -> Table:

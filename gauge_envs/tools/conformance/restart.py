@@ -203,12 +203,10 @@ def repeated(lab: Lab, differences: Gaps, kinds: str = "bits run") -> Measuremen
 def _used(simulation: Simulation, scene: Scene, seed: int) -> None:
     """Run a simulation from other initial states, under a wrench if the engine can apply wrenches."""
     simulation.reset(shifted_states(scene, 1.0)[None], seed)
-    for rigid_body in scene.bodies:
-        if rigid_body.name in ("stick", "brick"):
+    for item in scene.bodies:
+        if item.name in ("stick", "brick"):
             with suppress(DeclinedError):
-                push(
-                    simulation, rigid_body.name, [0.3, -0.2, 0.4, 0.001, 0.002, -0.003]
-                )
+                push(simulation, item.name, [0.3, -0.2, 0.4, 0.001, 0.002, -0.003])
     record(simulation, scene, 0.1)
 
 
@@ -338,8 +336,8 @@ def starts_free(lab: Lab) -> Measurement:
         *lab.once(cloths),
     ):
         states = shifted_states(scene, 1.0)
-        for row, rigid_body in zip(states, scene.bodies, strict=False):
-            row[1] += 0.3 * (rigid_body.name in ("plate", "rider"))
+        for row, item in zip(states, scene.bodies, strict=False):
+            row[1] += 0.3 * (item.name in ("plate", "rider"))
         there = scene_at(scene, states)
         # A cloth on the ground crumples unpredictably.
         seconds = 0.1 if there.deformables else RUN_S

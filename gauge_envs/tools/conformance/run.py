@@ -75,9 +75,7 @@ def _run_there(
     name, _ = pickle.loads(task)
     try:
         values = worker.call(_run_of_task, task, check.id)
-    except (
-        GaugeError
-    ) as error:  # The process died, or the engine raised an unexpected error.
+    except GaugeError as error:  # The process died, or the engine raised an error.
         return CheckResult(
             of=check, backend=name, status=Status.ERROR, diagnosis=str(error)
         )
@@ -114,11 +112,9 @@ def run_check(lab: Lab, check: Check) -> CheckResult:
         result = replace(result, diagnosis=_error_text(error))
     else:
         expected, measured = float(measurement.expected), float(measurement.measured)
-        width = (
-            check.tolerance.width(expected)
-            if measurement.width is None
-            else measurement.width
-        )
+        width = measurement.width
+        if width is None:
+            width = check.tolerance.width(expected)
         passed = math.isfinite(measured) and abs(measured - expected) <= width
         result = replace(
             result,

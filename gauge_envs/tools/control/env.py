@@ -48,8 +48,7 @@ BOUNDS: Mapping[str, float] = {
     "_s": 10.0,
     "": 1e4,
 }
-"""Bounds on the absolute values of observations, by the ends of their names: no episode that has not diverged reaches
-them."""
+"""Bounds on the absolute values of observations, by the ends of their names. Only diverged episodes reach them."""
 
 
 class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
@@ -59,21 +58,21 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
     for each of `COMMANDED`. The subclass documents what they command, the observation, and the reward with its proof.
 
     `info`: `frame`, `time_s`, and `diverged` (the reason) if the simulation diverged. The last step of an episode adds
-    `limit`, a `LimitReport` of what the policy reached and what the law allows.
+    `limit`, a `LimitReport` of the policy's result and the law's limit.
 
     Args:
         material: Material of the cube, the ball or the cloth.
         backend: Name of an installed physics engine.
         parameters: `calibrated`, another parameter set of the task file, or overrides such as
             `{"cube.friction": 0.3}`.
-        settings: Numerical settings of the engine that replace those of the preset, and of `MUJOCO_TIMESTEPS_S`.
+        settings: Numerical settings of the engine that replace the preset and `MUJOCO_TIMESTEPS_S`.
         render_mode: None; `human` for a window that the mouse turns, drawn by `reset` and `step`; `rgb_array`;
             `depth_array`, the distance from the plane of the camera [m], float32; `rgbd_tuple`, both.
         width: Picture width [pixels]; None is 640.
         height: Picture height [pixels]; None is 480.
-        camera: Entries that replace those of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
+        camera: Entries that replace entries of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
             `elevation_deg`.
-        jitter: Noise of the start of every episode, as for `GaugeEnv`: `real`, or a `Jitter`. The random numbers of
+        jitter: Initial-state noise of every episode, as for `GaugeEnv`: `real`, or a `Jitter`. The random numbers of
             the environment draw it, then the goal, if any.
 
     Attributes:
@@ -83,9 +82,9 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         LAW: The law, in words and symbols.
         SIGMA_SOURCE: Source of the limit's uncertainty.
         FAMILY: Name of the task without its material, in `FAMILIES`.
-        MUJOCO_TIMESTEPS_S: Time steps of the task in MuJoCo [s] by preset, in place of those of the preset;
+        MUJOCO_TIMESTEPS_S: Time steps of the task in MuJoCo [s] by preset, in place of the preset's time step;
             studies/steps has the rule that chose them.
-        CAMERA: Entries of the camera that show all places to which actions bring bodies; empty for the scene's.
+        CAMERA: Entries of the camera that show the whole workspace of the actions; empty for the scene's camera.
         COMMANDED: Names of the action's entries.
         OBSERVED: Names of the observation's entries, with units.
         TIME_LIMIT_ENDING: Ending of an episode that reaches its last frame.
@@ -180,19 +179,19 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
     """The body that actions accelerate, or None."""
 
     def _start_parameters(self, parameters: Parameters) -> Parameters:
-        """Return the parameters, with the start of the task if it differs from that of the experiment."""
+        """Return the parameters, with the initial state of the task if it differs from the experiment."""
         return parameters
 
     def _scene(self, scene: Scene) -> Scene:
-        """Return the scene of the task, from that of the experiment, in which driven bodies rest without actions."""
+        """Return the scene of the task, from the experiment's scene, in which driven bodies rest without actions."""
         return scene
 
     def _follow(self, states: FloatArray) -> None:
-        """Move what the task adds along with bodies that start elsewhere; states have shape [body_count, 13]."""
+        """Move bodies of the task along with changed initial states, shape [body_count, 13]."""
 
     @abstractmethod
     def _prepare(self, scene: Scene) -> None:
-        """Compute what stays the same in all episodes from a start, from the scene of the task with that start."""
+        """Compute the constants of all episodes with the same initial state, from the scene with this state."""
 
     @abstractmethod
     def _limit(self) -> tuple[float, float]:
@@ -202,14 +201,14 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
 
     @abstractmethod
     def _begin(self) -> None:
-        """Record the start of an episode; the simulation is at it."""
+        """Record the initial state of an episode, which the simulation has."""
 
     def _before_step(self, command: FloatArray) -> None:
         """Apply an action other than the acceleration of the stage."""
 
     @abstractmethod
     def _after_interval(self) -> Ending | None:
-        """Read the world, which has advanced by 1/180 s; return the ending, if the episode ended in it."""
+        """Read the world after 1/180 s; return the ending if the episode ended."""
 
     @abstractmethod
     def _total_reward(self) -> float:
@@ -221,18 +220,18 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
 
     @abstractmethod
     def _reached(self) -> float:
-        """Return what the policy reached in an episode that did not fail, in the unit of the limit."""
+        """Return the value that the policy reached in a successful episode, in the unit of the limit."""
 
     @abstractmethod
     def _law_command(self, fraction: float) -> float | FloatArray:
         """Return the action of `law_action` before it is clipped to [-1, 1]."""
 
     def law_action(self, fraction: float) -> NDArray[np.float32]:
-        """Return the action that the law suggests now, shape [len(COMMANDED)].
+        """Return the action of the law's policy, shape [len(COMMANDED)].
 
         Args:
             fraction: Share of the law's limit that the policy uses. In an engine that obeys the law, a share just below
-                1 succeeds and one just above 1 fails.
+                1 succeeds and a share just above 1 fails.
         """
         command = np.atleast_1d(np.float32(self._law_command(fraction)))
         return np.clip(command, -1.0, 1.0)
@@ -260,12 +259,12 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """Start a new episode.
 
         Args:
-            seed: Seed of the random numbers, which draw the noise of the start and the goal, if there are any.
-                Without it they go on.
-            options: `{"jitter": True}` adds noise to the start, as for `GaugeEnv`; it holds for autoreset too.
+            seed: Seed of the random numbers, which draw the initial-state noise and the goal, if there are any.
+                Without it they continue.
+            options: `{"jitter": True}` adds initial-state noise, as for `GaugeEnv`; it also applies to autoreset.
 
         Raises:
-            ParameterError: There is no such option, or no body of the scene can start elsewhere.
+            ParameterError: There is no such option, or no body of the scene can have another initial state.
         """
         super().reset(seed=seed)
         draw = self._initial_states.of_reset(options, seeded=seed is not None)
@@ -288,7 +287,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         return self._observe(), self._info()
 
     def _start_from(self, scene: Scene) -> None:
-        """Prepare the task and its limit for the start of a scene."""
+        """Prepare the task and its limit for the initial state of a scene."""
         self._prepare(scene)
         value, sigma = self._limit()
         self.limit = Limit(
@@ -369,7 +368,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         return self._ending is not None
 
     def report(self) -> LimitReport:
-        """Return what the policy reached in the episode and what the law allows.
+        """Return the policy's result in the episode and the law's limit.
 
         Raises:
             EpisodeError: The episode is not over.
@@ -386,14 +385,14 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         self._pictures.close()
         self.simulation.close()
 
-    # --- the world now, and its picture ---
+    # --- the current world, and its picture ---
 
     def _state(self, name: str) -> FloatArray:
         """Return the state of a rigid body, shape [13]."""
         return self.simulation.body_states((name,))[0, 0]
 
     def nodes_m(self) -> dict[str, FloatArray]:
-        """Return the nodes of each deformable body now [m], shape [node_count, 3], by name."""
+        """Return the current nodes of each deformable body [m], shape [node_count, 3], by name."""
         return {
             body.name: self.simulation.nodes(body.name)[0].copy()
             for body in self.experiment.scene.deformables

@@ -27,22 +27,21 @@ PUSHES = 5
 class FlingLimit(ControlEnv):
     """Swing a hanging cloth up by moving its rod sideways, in the scene of TextileFlinging.
 
-    **Law.** Let U be the sum of all changes of the rod's speed. Seen from the rod, the cloth of mass M gains energy E
-    only by the inertial force, and at most with the power M |a| v, v = sqrt(2 E / M). So v grows by |a| dt at most, and
-    the centre of mass rises by at most U^2 / (2 g): with any fabric, and any motion of the rod.
+    **Law.** Let U be the sum of all changes of the rod's speed. Relative to the rod, only the inertial force gives
+    energy E to the cloth of mass M. Its power is at most M |a| v with v = sqrt(2 E / M). So v grows by |a| dt at most,
+    and the centre of mass rises by at most U^2 / (2 g), with any fabric and any motion of the rod.
 
     **Task.** The rod has speed, acceleration and stroke of the recorded motion, and starts in the middle of the stroke.
-    U is that of the recorded motion: when it is spent, the rod moves on without acceleration. The episode then ends
-    where the centre of mass begins to fall. It also ends, as lost, when the rod is at an end of its stroke.
+    U is taken from the recorded motion: when it is spent, the rod moves on without acceleration. The episode then ends
+    when the centre of mass begins to fall. It also ends, as lost, when the rod is at an end of its stroke.
 
-    **Reward.** The gain of the largest height so far, over the law's. No policy earns more than 1.
+    **Reward.** The gain of the largest height so far, over the law's gain. No policy earns more than 1.
 
     **Reached** is the largest height of the centre of mass above its start, in m; 0 unless U was spent.
 
     **Action.** Acceleration of the rod along y, in units of the recorded motion's largest, 1.62 m/s^2.
 
-    Places and velocities of centre and lines are seen from the rod. The centre's place is relative to its start, as are
-    those of the lines.
+    Places and velocities of centre and lines are relative to the rod. All places are also relative to the start.
 
     Args:
         material: Fabric: `satin`.
@@ -52,7 +51,7 @@ class FlingLimit(ControlEnv):
     SCENE = "TextileFlinging"
     QUANTITY = "rise of the centre of mass"
     UNIT = "m"
-    LAW = "seen from the rod, sqrt(2 E / M) grows by |dv| at most, so g h <= U^2 / 2 with U the sum of all |dv|"
+    LAW = "relative to the rod, sqrt(2 E / M) grows by |dv| at most, so g h <= U^2 / 2; U is the sum of all |dv|"
     SIGMA_SOURCE = (
         "the rod's largest speed in the recording, half of U: 0.67 +- 0.05 m/s"
     )
@@ -104,7 +103,7 @@ class FlingLimit(ControlEnv):
         self._highest_m = 0.0
 
     def _seen_m(self) -> FloatArray:
-        """Return y and z of centre and lines, seen from the rod [m], shape [1 + line_count, 2]."""
+        """Return y and z of centre and lines relative to the rod [m], shape [1 + line_count, 2]."""
         (nodes_m,) = self.nodes_m().values()
         return (self._weights @ nodes_m)[:, 1:] - [self._stage.offset[0], 0.0]
 
@@ -118,7 +117,7 @@ class FlingLimit(ControlEnv):
             return Ending.LOST
         self._left_m_per_s = stage.speed_changes_left[stage.sample]
         self._highest_m = max(self._highest_m, float(places_m[0, 1]))
-        # What is left after the last push is a rounding error.
+        # The rest after the last push is a rounding error.
         if self._left_m_per_s < 1e-9 and rose and self._velocities[0, 1] <= 0.0:
             return Ending.REACHED
         return None

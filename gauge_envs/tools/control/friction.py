@@ -27,14 +27,14 @@ HOLD_FRAMES = round(HOLD_S * FRAME_RATE_HZ)
 """`HOLD_S` in frames."""
 
 SLIP_SPEED_M_PER_S = 0.02
-"""Speed on the carrier from which the cube counts as slipping [m/s]: that of its fastest corner, mean over a frame.
+"""Speed on the carrier from which the cube counts as slipping [m/s]: the mean speed of its fastest corner in a frame.
 
-The value lies between the creep of a cube that holds and the slip of one that does not. A carried cube creeps because
+The value lies between the creep of a cube that holds and the slip of a cube that slides. A carried cube creeps because
 contacts are not rigid. On the turntable at mu g the speed is half the contact's time constant times mu g: 3.7 mm/s in
 MuJoCo with this package's preset, 9.3 mm/s in Newton. A cube that uses 2 % too much friction reaches 20 mm/s after
-0.3 s. Slower slips do not count. Where the mean over a frame is 20 mm/s, the speed at its end is up to 30 mm/s, if the
-actuator raises the friction used as fast as it can. So a policy can use 30 mm/s / (g HOLD_S) = 0.003 more friction than
-the law allows, 0.8 to 1.2 % of it.
+0.3 s. Slower slips do not count. If the actuator raises the friction as fast as it can, a mean of 20 mm/s in a frame
+ends at up to 30 mm/s. So a policy can use 30 mm/s / (g HOLD_S) = 0.003 more friction than the law allows, 0.8 to 1.2 %
+of it.
 """
 
 TURNTABLE_APPROACH_S = 2.0 / FRAME_RATE_HZ
@@ -58,8 +58,8 @@ class CubeLimit(ControlEnv):
         self._stage = Stage(scene, self.ACCELERATION)
 
     def _limit(self) -> tuple[float, float]:
-        # The first contact of each scene is that of the cube with the face below it. The uncertainty is that of the
-        # calibrated coefficient, also if an override replaces the coefficient.
+        # The first contact of each scene is the contact of the cube with the face below it. The uncertainty belongs to
+        # the calibrated coefficient, also if an override replaces the coefficient.
         value, calibrated = (
             scene.contacts[0].friction
             for scene in (self.experiment.scene, self.calibrated)
@@ -70,7 +70,7 @@ class CubeLimit(ControlEnv):
 class FrictionLimit(CubeLimit):
     """Use as much of the friction of a cube on a driven body as the law allows.
 
-    **Law.** The force that carries the cube, over its mass, is f = a - g, where a is the acceleration of the carrier at
+    **Law.** The force that carries the cube, over its mass, is f = a - g. Here a is the acceleration of the carrier at
     the cube. Normal and tangential to the face under the cube, f has the parts f_n and f_t. Friction holds while the
     *friction used*, f_t / f_n, is at most mu.
 
@@ -80,15 +80,15 @@ class FrictionLimit(CubeLimit):
 
         integral of used dt <= mu T + v_s / f_n,
 
-    also if a policy crosses the limit repeatedly. So no policy earns more than mu for each step, apart from one v_s,
-    and a policy that always uses mu earns mu for each step. The optimum of the reward is the law's limit, reached as
-    soon as the actuator allows and held to the end.
+    also if a policy crosses the limit repeatedly. So no policy earns more than mu for each step, apart from one v_s.
+    A policy that always uses mu earns mu for each step. The optimum of the reward is the law's limit, reached as soon
+    as the actuator allows and kept to the end.
 
     **Reached** is the largest mean of the friction used over `HOLD_S` without slip: at most mu + v_s / (g HOLD_S).
 
-    This holds for a force of one direction on the carrier, as on the slope. On the turntable it can turn: a plate that
-    accelerates to and fro uses sqrt(mu^2 + (alpha r / g)^2) on average where friction holds the mean force, 1.0 to
-    1.4 % more. A slip outward is also carried by the Coriolis force, 0.3 % at 20 mm/s.
+    This holds for a force of one direction on the carrier, as on the slope. On the turntable the direction can change.
+    A plate that accelerates to and fro uses sqrt(mu^2 + (alpha r / g)^2) on average, 1.0 to 1.4 % more, while friction
+    holds the mean force. The Coriolis force also supports a slip outward, by 0.3 % at 20 mm/s.
 
     **Action.** Angular acceleration of the carrier, in units of `ACCELERATION`, in rad/s^2.
 
@@ -110,9 +110,9 @@ class FrictionLimit(CubeLimit):
 
     def _prepare(self, scene: Scene) -> None:
         super()._prepare(scene)
-        (turn,) = scene.drivers[0].motions
-        self._axis = np.array(turn.axis)
-        self._point_m = np.array(turn.point_m)
+        (rotation,) = scene.drivers[0].motions
+        self._axis = np.array(rotation.axis)
+        self._point_m = np.array(rotation.point_m)
         self._corners_m = scene.body(CUBE).shape.corners_m
 
     # --- episode ---
@@ -148,7 +148,7 @@ class FrictionLimit(CubeLimit):
         across_axis = np.cross(self._axis, np.eye(3))
         around_m = (np.array(self._cube_m) - self._point_m) @ across_axis
         inward_m = around_m @ across_axis
-        # Of a unit of mass [m/s^2]: the acceleration of the carrier, alpha x r + omega^2 r inward, minus gravity.
+        # Force per mass [m/s^2]: the acceleration of the carrier, alpha x r + omega^2 r inward, minus gravity.
         forces = stage.acceleration[0] * around_m + stage.rates[1:] ** 2 * inward_m
         forces[:, 2] += self.gravity_m_per_s2
         normals = rotation_matrices(stage.states[1:, 3:7])[:, :, 2]
@@ -182,10 +182,10 @@ class FrictionLimit(CubeLimit):
 class TurntableLimit(FrictionLimit):
     """Turn as fast as possible without a slip of the cube, in the scene of Turntable-1.
 
-    On a level plate with angular velocity omega and angular acceleration alpha, a cube at the radius r uses the
-    friction sqrt((omega^2 r)^2 + (alpha r)^2) / g. So the law at a steady speed is omega^2 r = mu g: 6.5 to 7.0 rad/s
-    here. The cube slips before it tips, because it is as wide as it is high and mu is below 1. See `FrictionLimit` for
-    reward and proof.
+    A level plate has the angular velocity omega and the angular acceleration alpha. A cube at the radius r then uses
+    the friction sqrt((omega^2 r)^2 + (alpha r)^2) / g. So the law at a steady speed is omega^2 r = mu g: 6.5 to 7.0
+    rad/s here. The cube slips before it tips, because it is as wide as it is high and mu is below 1. See
+    `FrictionLimit` for reward and proof.
 
     A simulated cube creeps outward, so a constant speed uses more and more friction. The observation holds the friction
     used at the current place of the cube.
@@ -194,14 +194,14 @@ class TurntableLimit(FrictionLimit):
     SCENE = "Turntable-1"
     LAW = "sqrt((omega^2 r)^2 + (alpha r)^2) / g <= mu, so at a steady speed omega^2 r = mu g"
     SIGMA_SOURCE = (
-        "no trial shows where cubes slip on the turntable: the relative uncertainty of the same cube's friction on the "
-        "slope, where calibrated coefficients and 19 or 20 trials are known, measured by the same method"
+        "relative uncertainty of the same cube's friction on the slope, from calibrated coefficients and 19 or 20 "
+        "trials by the same method; no trial shows where cubes slip on the turntable"
     )
     FAMILY = "Turntable"
     """Time of an episode: 1.2 s to the limit at full acceleration, and three times as long to hold it."""
     MUJOCO_TIMESTEPS_S: ClassVar = {"training": 1 / 180}
     ACCELERATION = 6.0
-    """This acceleration reaches the limit in 1.2 s. Its own friction used, 0.046, adds less than 1 % to the limit's."""
+    """This acceleration reaches the limit in 1.2 s. It uses a friction of 0.046, which adds under 1 % to the limit."""
 
     def _law_command(self, fraction: float) -> float:
         """Return the action that approaches omega = sqrt(fraction mu g / r), with r the current radius of the cube."""

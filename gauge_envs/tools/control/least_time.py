@@ -35,7 +35,7 @@ ARRIVAL_SHARE = 2.0 / 3.0
 FALLEN_M = 0.01
 """Height that a carried cube loses as it leaves the plate [m]."""
 ASIDE_SHARE = 0.2
-"""Share of the friction with which the law's carrying policy returns to the line, and leaves the rest to the line."""
+"""Share of the friction with which the law's carrying policy returns to the line; the rest acts along the line."""
 
 PUSHER = "pusher"
 PUSHER_SIZE_M = (0.02, 0.12, 0.03)
@@ -54,20 +54,20 @@ class LeastTimeLimit(CubeLimit):
     """Bring a cube to a goal, to rest and without turning it, in the least time.
 
     **Law.** Only friction holds the cube on the level face below it, so its horizontal acceleration is at most mu g.
-    Each subclass states the least time that follows.
+    Each subclass gives the least time that follows.
 
     **Goal.** A displacement of the cube of fixed length; the seed of the reset draws its direction. The cube has
-    arrived when its centre is within 15 mm of the goal, it has turned by less than 10 degrees, and it is slower than
+    arrived when its centre is within 15 mm of the goal, its rotation is below 10 degrees, and its speed is below
     20 mm/s.
 
     **Reached** is the smallest friction with which any motion could bring the cube as far in the same time, with the
-    speed that it has left: at most mu. It is 0 if the cube did not arrive.
+    same final speed. It is at most mu, and 0 if the cube did not arrive.
 
-    **Reward.** A third of the decrease of the time to go, over that at the start, and on arrival two thirds of reached
-    over mu. The time to go is the least time from the cube's place and velocity to rest at the goal, 0 on arrival. Its
-    decreases add up to 1 at most, so an arrival earns 1/3 + 2/3 reached / mu, which the law limits to 1, and any other
-    ending 1/3 at most. Time costs nothing by itself and the loss of the cube takes nothing: with such costs, to leave
-    the cube alone is better than most of what exploration does.
+    **Reward.** A third of the decrease of the time to go, over the time to go at the start; on arrival, two thirds of
+    reached over mu. The time to go is the least time from the cube's place and velocity to rest at the goal, 0 on
+    arrival. Its decreases add up to 1 at most. So an arrival earns 1/3 + 2/3 reached / mu, which the law limits to 1.
+    Any other ending earns 1/3 at most. Time and the loss of the cube cost nothing: with such costs, not moving the cube
+    would earn more than most exploration.
 
     **Action.** Acceleration of the driven body along x and y, in units of `ACCELERATION`, in m/s^2.
 
@@ -79,7 +79,7 @@ class LeastTimeLimit(CubeLimit):
         DRIVEN: Name of the driven body.
         DISTANCE_M: Distance of the goal.
         MAX_ANGLE_RAD: Largest angle between the goal and the x axis.
-        goal_m: Displacement of the cube that is asked for [m], shape [2].
+        goal_m: Desired displacement of the cube [m], shape [2].
     """
 
     DRIVEN: ClassVar[str]
@@ -100,14 +100,14 @@ class LeastTimeLimit(CubeLimit):
         "time_s",
     )
 
-    # --- what a subclass adds ---
+    # --- hooks of a subclass ---
 
     @staticmethod
     @abstractmethod
     def time_to_go_s(
         distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float
     ) -> float:
-        """Return the time [s] that is left at a distance from the goal with a speed towards it, negative if away."""
+        """Return the remaining time [s] at a distance from the goal, with a speed towards it, negative if away."""
 
     @abstractmethod
     def _is_lost(self, driven_from_cube_m: FloatArray, risen_m: float) -> bool:
@@ -159,8 +159,8 @@ class LeastTimeLimit(CubeLimit):
     @property
     def _yaw_rad(self) -> float:
         """Component along z of the cube's rotation vector since the start [rad]."""
-        start, now = Pose.of_state(self._start), Pose.of_state(self._cube)
-        return float((now.rotation * start.rotation.inv()).as_rotvec()[2])
+        start, current = Pose.of_state(self._start), Pose.of_state(self._cube)
+        return float((current.rotation * start.rotation.inv()).as_rotvec()[2])
 
     @property
     def _driven_from_cube_m(self) -> FloatArray:
@@ -185,7 +185,7 @@ class LeastTimeLimit(CubeLimit):
         return -(1.0 - ARRIVAL_SHARE) * self._time_to_go()
 
     def _time_to_go(self) -> float:
-        """Return the time to go, over that at the start. Speed across the line to the goal adds its braking time."""
+        """Return the time to go over its initial value. Speed across the line to the goal adds its braking time."""
         limit_m_per_s2 = self.limit.value * self.gravity_m_per_s2
         velocity, to_goal_m = self._cube_velocity, self._to_goal_m
         left_m = math.hypot(*to_goal_m)
@@ -200,15 +200,15 @@ class CarryLimit(LeastTimeLimit):
     """Carry a cube that stands on a plate over half a metre, in the scene of Turntable-1.
 
     The plate moves horizontally and does not turn. The cube speeds up and brakes with mu g at most, so from rest to
-    rest it needs T_law = 2 sqrt(D / (mu g)): 0.73 to 0.80 s here. With the speed v left at the end, the least friction
-    a / g solves 4 a D = (a T + v)^2 - 2 v^2. The goal lies in any direction. See `LeastTimeLimit`.
+    rest it needs T_law = 2 sqrt(D / (mu g)): 0.73 to 0.80 s here. With the final speed v, the least friction a / g
+    solves 4 a D = (a T + v)^2 - 2 v^2. The goal lies in any direction. See `LeastTimeLimit`.
     """
 
     SCENE = "Turntable-1"
     DRIVEN = "plate"
     LAW = "the cube's acceleration is at most mu g, so 4 D / T^2 <= mu g from rest to rest"
     SIGMA_SOURCE = (
-        "the relative uncertainty of the same cube's friction on the slope, from 19 or 20 real trials; no trial shows "
+        "relative uncertainty of the same cube's friction on the slope, from 19 or 20 real trials; no trial shows "
         "where cubes slip on the plate"
     )
     FAMILY = "Carry"
@@ -272,21 +272,21 @@ class PushLimit(LeastTimeLimit):
     """Push a cube over the level board to a goal 0.2 m away, in the scene of SlopeSlider-3.
 
     A pusher stands behind the cube, a bar that actions accelerate along x and y. It may push as hard as it likes, but
-    friction alone brakes the cube. At the time t before its end, a motion that ends with the speed v is at most at
-    v + mu g t. So the distance is at most D = v T + mu g T^2 / 2, and from rest to rest T_law = sqrt(2 D / (mu g)):
-    0.39 s here. A pusher of the acceleration A that touches the cube from the start needs sqrt(1 + mu g / A) times as
-    long: 7 % here. So the optimum uses 0.88 of the limit or more. An impact can bring it nearer, and nothing beyond.
+    friction alone brakes the cube. At the time t before the end, a motion with the final speed v has the speed
+    v + mu g t at most. So the distance is at most D = v T + mu g T^2 / 2. From rest to rest, T_law = sqrt(2 D / (mu g))
+    is 0.39 s here. A pusher of the acceleration A that touches the cube from the start needs sqrt(1 + mu g / A) times
+    as long: 7 % here. So the optimum uses 0.88 of the limit or more. An impact can come nearer to the limit, but not
+    pass it.
 
     The goal lies up to 8 degrees off the x axis, so the pusher must move obliquely, and the cube must not turn. The
-    episode ends where the law would not hold: the pusher's front passes the cube's rear face by 5 mm, so that it could
-    brake the cube, or the cube's centre leaves its height by 3 mm. See `LeastTimeLimit`.
+    episode ends if the law would no longer hold. Then the pusher's front is 5 mm past the cube's rear face, so that it
+    could brake the cube, or the cube's centre has left its height by 3 mm. See `LeastTimeLimit`.
 
-    Two ways are left to pass the limit by a little, in an ideal engine too. The pusher's friction can brake the motion
-    across x, where the cube ends up to 12 degrees off: 1 / cos 12 = 1.023. And friction that a lifted cube lacks comes
-    later, at its fall, which lengthens the distance by 0.8 mm. So `ratio` is at most 1.03; without an
-    impact it is 0.88.
+    Two effects can pass the limit by a little, in an ideal engine too. The pusher's friction can brake the motion
+    across x, if the cube ends up to 12 degrees off: 1 / cos 12 = 1.023. A lifted cube lacks friction until it falls,
+    which lengthens the distance by 0.8 mm. So `ratio` is at most 1.03; without an impact it is 0.88.
 
-    Friction and restitution between pusher and cube are those of board and cube, as none were measured.
+    Friction and restitution between pusher and cube equal those of board and cube, because none were measured.
     """
 
     SCENE = "SlopeSlider-3"
@@ -299,7 +299,7 @@ class PushLimit(LeastTimeLimit):
     FAMILY = "Push"
     """Time of an episode: five times the least time."""
     ACCELERATION = 20.0
-    """Seven times what friction brakes with."""
+    """Seven times the deceleration by friction."""
     DISTANCE_M = 0.2
     MAX_ANGLE_RAD = math.radians(8.0)
     CAMERA: ClassVar = {"target_m": (0.29, 0.39, 0.15), "distance_m": 1.5}
@@ -322,7 +322,7 @@ class PushLimit(LeastTimeLimit):
         return half_cube_m + 0.5 * PUSHER_SIZE_M[0]
 
     def _follow(self, states: FloatArray) -> None:
-        """Keep the pusher as far behind the cube as at its calibrated start."""
+        """Keep the calibrated distance of the pusher behind the cube."""
         scene = self.experiment.scene
         cube, pusher = row_of(scene, CUBE), row_of(scene, PUSHER)
         states[pusher, :3] += states[cube, :3] - scene.body(CUBE).pose.position_m
@@ -331,7 +331,7 @@ class PushLimit(LeastTimeLimit):
     def time_to_go_s(
         distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float
     ) -> float:
-        """Return the time [s] of coasting to the goal, or past it and, if that were possible, back."""
+        """Return the time [s] of coasting to the goal, or past it and back, if that were possible."""
         braked_s = abs(speed_m_per_s) / deceleration_m_per_s2
         over_m = 0.5 * speed_m_per_s * braked_s - distance_m
         if over_m <= 0.0:

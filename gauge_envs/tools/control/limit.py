@@ -1,4 +1,4 @@
-"""Limit of a law in a control task, its uncertainty, and what a policy reached relative to it."""
+"""Limit of a law in a control task, its uncertainty, and the result of a policy relative to it."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -14,15 +14,15 @@ class Ending(StrEnum):
     REACHED = "reached"
     """The ball was at its height, or the cube came to rest at its goal."""
     MISSED = "missed"
-    """The last frame is reached, and the ball or the cube has not been where it should."""
+    """The last frame is reached, and the ball or the cube has not reached its goal."""
     LOST = "lost"
-    """The ball or the cube can no longer get where it should."""
+    """The ball or the cube can no longer reach its goal."""
     DIVERGED = "diverged"
     """The simulation diverged."""
 
 
 FAILED = (Ending.MISSED, Ending.LOST, Ending.DIVERGED)
-"""Endings of episodes that reached nothing."""
+"""Endings of episodes without a result."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +33,7 @@ class Limit:
         quantity: The limited quantity, in words.
         unit: Its unit; `1` for a ratio.
         value: The limit, with the constants of the scene.
-        sigma: Its standard uncertainty, from that of the measured constants.
+        sigma: Its standard uncertainty, from the uncertainty of the measured constants.
         law: The law, in words and symbols.
         sigma_source: Source of the uncertainty.
     """
@@ -48,11 +48,11 @@ class Limit:
 
 @dataclass(frozen=True, kw_only=True)
 class LimitReport:
-    """What a policy reached in an episode, and what the law allows.
+    """Result of a policy in an episode, and the limit of the law.
 
     Attributes:
         limit: The best that the law allows.
-        reached: What the policy reached, in the limit's unit; 0 if the episode failed.
+        reached: Value that the policy reached, in the limit's unit; 0 if the episode failed.
         ending: How the episode ended.
         time_s: Time of the ending [s].
     """

@@ -13,7 +13,7 @@ from gauge_envs.tools.control.tasks import ControlTask
 
 
 def control_document(task: ControlTask) -> Document:
-    """Return what defines a control task, in words and as a JSON-ready object."""
+    """Return the definition of a control task, as text and as a JSON-ready object."""
     env = gymnasium.make(task.id).unwrapped
     assert isinstance(env, ControlEnv)
     limit = env.limit

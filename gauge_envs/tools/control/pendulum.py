@@ -35,7 +35,7 @@ class PendulumLimit(ControlEnv):
     h_t. By the law this is at most x, so at most 1. A policy earns 1 only if it reaches the target at rest and never
     brakes. The episode ends at the target.
 
-    W is the sum of torque times rotation over the samples in which that is positive. It is at least the sum over all
+    W is the sum of torque times rotation over the samples with a positive product. It is at least the sum over all
     samples, which the law bounds.
 
     **Reached** is the height of the target over the work, in m/J, or 0 if the ball did not reach it; the limit is
@@ -82,7 +82,7 @@ class PendulumLimit(ControlEnv):
         length_m = math.dist(ball.pose.position_m, hinge.anchor_m)
         self._anchor_m = np.asarray(hinge.anchor_m)
         self._axis = np.asarray(hinge.axis)
-        # Angles and heights are those from hanging straight down, wherever the ball starts.
+        # Angles and heights are relative to hanging straight down, wherever the ball starts.
         self._hanging = np.array([0.0, 0.0, -length_m])
         self._sideways = np.cross(self._axis, self._hanging)
         self._length_m = length_m
@@ -149,7 +149,7 @@ class PendulumLimit(ControlEnv):
     def _law_command(self, fraction: float) -> float:
         """Return a torque along the swing until the work is m g h_t / fraction, and then 0.
 
-        A `fraction` below 1 does more than the least work and reaches the target; one above 1 does less and does not.
+        A `fraction` below 1 does more than the least work and reaches the target; a `fraction` above 1 does not.
         """
         left_j = self._least_work_j / fraction - self._work_j
         has_begun = self._work_j > 0.0

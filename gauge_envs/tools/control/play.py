@@ -27,7 +27,7 @@ def play_paid(
     Args:
         env: The task, without wrappers; it then holds the episode's trajectory.
         policy: The policy.
-        seed: Seed of the reset, which draws the goal of a task that has one.
+        seed: Seed of the reset, which draws the goal of a task with a goal.
     """
     observation, _ = env.reset(seed=seed)
     paid = 0.0
@@ -49,11 +49,11 @@ def engine_limit(
 
     Args:
         env: The task, without wrappers.
-        bounds: A share of the limit with which the policy succeeds, and one with which it fails.
+        bounds: A share of the limit with which the policy succeeds, and a share with which it fails.
         resolution: Largest width of the last interval; the result is its middle.
 
     Raises:
-        ParameterError: The policy fails with the lower bound, or succeeds with the upper one.
+        ParameterError: The policy fails with the lower bound, or succeeds with the upper bound.
     """
     low, high = bounds
 

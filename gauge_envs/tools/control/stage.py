@@ -31,7 +31,7 @@ def stage_driver(body: str, *axes: Vector) -> Driver:
 
 
 def with_box(scene: Scene, size_m: Vector, position_m: Vector, driver: Driver) -> Scene:
-    """Return a scene with one more box, which actions move; it touches a body as the first contact states.
+    """Return a scene with an additional box, which actions move; its contact equals the first contact of the scene.
 
     Args:
         scene: The scene.
@@ -72,7 +72,7 @@ class Stage:
         acceleration: Acceleration of each coordinate in the frame, shape [1, motion_count].
         offsets: Coordinates at the samples of the frame, shape [sample_count, motion_count].
         rates: Their rates, of the same shape.
-        speed_changes_left: What is left of `speed_change` at the samples.
+        speed_changes_left: Rest of `speed_change` at the samples.
         states: States of the body at the samples, shape [sample_count, 13].
     """
 
@@ -100,24 +100,24 @@ class Stage:
 
     @property
     def offset(self) -> FloatArray:
-        """Coordinates now [m or rad], shape [motion_count]."""
+        """Current coordinates [m or rad], shape [motion_count]."""
         return self.offsets[self.sample]
 
     @property
     def rate(self) -> FloatArray:
-        """Rates of the coordinates now [m/s or rad/s], shape [motion_count]."""
+        """Current rates of the coordinates [m/s or rad/s], shape [motion_count]."""
         return self.rates[self.sample]
 
     @property
     def state(self) -> FloatArray:
-        """State of the body now, shape [13]."""
+        """Current state of the body, shape [13]."""
         return self.states[self.sample]
 
     def targets(self, first: int, actions: FloatArray, count: int = 1) -> FloatArray:
-        """Return what `Simulation.drive` takes in the next intervals of uniform acceleration.
+        """Return the targets of `Simulation.drive` in the next intervals of uniform acceleration.
 
         Args:
-            first: Number of the first interval, of no use here.
+            first: Number of the first interval; unused.
             actions: Action for each coordinate, from -1 to 1, shape [1, motion_count].
             count: Number of intervals.
 
@@ -142,8 +142,8 @@ class Stage:
         self.sample = 0
         self.offsets, self.rates = np.array(offsets), np.array(rates)
         self.speed_changes_left = lefts
-        starts = np.tile(self._start, (count + 1, 1))
-        self.states = self._driver.moved(starts, self.offsets, self.rates)
+        start_states = np.tile(self._start, (count + 1, 1))
+        self.states = self._driver.moved(start_states, self.offsets, self.rates)
         return uniformly_accelerated(self.states[:, None], SAMPLE_INTERVAL_S)
 
 
@@ -152,8 +152,8 @@ def acceleration_to_rest(
 ) -> float:
     """Return the acceleration of the next frame on the fastest way to rest at a distance.
 
-    The body speeds up with the largest acceleration, and brakes with it. In the frame between, the acceleration is the
-    one from which the braking distance ends at the place.
+    The body speeds up and brakes with the largest acceleration. In the frame between, the acceleration is chosen so
+    that the braking distance ends at the place.
 
     Args:
         distance_m: Signed distance to the place [m].

@@ -36,7 +36,7 @@ EDGE_M = 0.01
 """Width of the strip at the plate's edges along x where an impact does not count [m].
 
 An edge can face sideways, and then the plate's speed along x throws the ball too. Ball and plate move by less than this
-relative to each other in 1/180 s, so the ball is above the top when it is within the strips before and after.
+relative to each other in 1/180 s. So the ball is above the top if it is within the strips before and after.
 """
 START_STD_M = 0.001
 """Standard uncertainty of the ball's start [m]. The start height of 22 drops of BouncingBall scatters by 0.95 mm."""
@@ -51,9 +51,9 @@ LOWEST_M = -STROKE_M + 0.005
 def highest_m(drop_m: float, restitution: float, gravity_m_per_s2: float) -> float:
     """Return the largest height that a ball can reach with three impacts on the plate [m].
 
-    A ball that comes from the height H to the place z of the plate has the speed v = sqrt(2 g (H - z)) there. It leaves
-    with e v + (1 + e) V at most, V being the plate's largest speed. The next height is z + (e v + (1 + e) V)^2 / (2 g),
-    at the best z of the stroke. It grows with H, so the best height after each impact gives the best one after all.
+    A ball that falls from the height H to the place z of the plate has the speed v = sqrt(2 g (H - z)). It leaves with
+    e v + (1 + e) V at most, V being the plate's largest speed. The next height is z + (e v + (1 + e) V)^2 / (2 g), at
+    the best z of the stroke. It grows with H, so the best height after each impact gives the best final height.
 
     Args:
         drop_m: Height of the ball at rest at the start, above the middle of the stroke [m]. Heights are those of
@@ -67,7 +67,7 @@ def highest_m(drop_m: float, restitution: float, gravity_m_per_s2: float) -> flo
             math.sqrt(2.0 * gravity_m_per_s2 * max(drop_m - place_m, 0.0))
             for place_m in (-STROKE_M, STROKE_M)
         )
-        # Where the derivative of the height by v is 0, if the stroke reaches there.
+        # The speed at which the derivative of the height by v is 0, if the stroke allows it.
         best = math.inf
         if restitution < 1.0:
             best = restitution * extra / (1.0 - restitution**2)
@@ -80,13 +80,13 @@ def highest_m(drop_m: float, restitution: float, gravity_m_per_s2: float) -> flo
 class ThrowLimit(ControlEnv):
     """Bounce a falling ball as high as possible with three impacts on a plate, with the ball of BouncingBall.
 
-    **Law.** An impact gives a ball at most the speed e v + (1 + e) V, with v the speed at which it comes and V that of
-    the plate, here 1 m/s at most. `highest_m` derives the largest height after three impacts: 0.67 m from 0.26 m.
+    **Law.** An impact gives a ball at most the speed e v + (1 + e) V. Here v is the speed of the ball and V the speed
+    of the plate, at most 1 m/s. `highest_m` derives the largest height after three impacts: 0.67 m from 0.26 m.
 
     **Task.** The plate starts 0.15 m beside the ball's vertical and must move under it. An episode ends at the highest
     place after the third time that the ball turns upwards. It also ends, as lost, when the ball falls past the plate or
-    turns upwards less than 1 cm inside the plate's edge, where the law does not hold: the speed of an edge that is hit
-    from the side has a part along x too.
+    turns upwards less than 1 cm inside the plate's edge. There the law does not hold: the speed of an edge that is hit
+    from the side also has a part along x.
 
     **Reward.** The gain of the largest height so far, over the law's largest gain. No policy earns more than 1.
 
@@ -95,7 +95,7 @@ class ThrowLimit(ControlEnv):
 
     **Action.** Acceleration of the plate along x and z, in units of 30 m/s^2.
 
-    Friction and restitution of ball and plate are those of ball and ground in the experiment.
+    Friction and restitution of ball and plate equal those of ball and ground in the experiment.
 
     Args:
         material: Material of the ball: `rubber`.
@@ -158,7 +158,7 @@ class ThrowLimit(ControlEnv):
         restitution = scene.contacts[0].restitution
         gravity = scene.gravity_m_per_s2
         value = highest_m(self._drop_m, restitution, gravity)
-        # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
+        # The uncertainty belongs to the calibrated coefficient, also if an override replaces the coefficient.
         std = RESTITUTION_SHARE * self.calibrated.contacts[0].restitution
         bouncier_m = highest_m(self._drop_m, restitution + std, gravity)
         started_higher_m = highest_m(self._drop_m + START_STD_M, restitution, gravity)
@@ -228,7 +228,7 @@ class ThrowLimit(ControlEnv):
         rate_x, rate_z = self._stage.rate.tolist()
         across = acceleration_to_rest(across_m, rate_x, braking_m_per_s2)
         height_m = float(self._stage.offset[1])
-        # A plate that is on this line in time, half a frame from now, meets the ball at its place with its speed.
+        # A plate that is on this line in time, half a frame later, meets the ball at its place with its speed.
         if MEETING_M - speed * (meets_s - 0.5 * FRAME_S) >= height_m:
             up = (speed - rate_z) / FRAME_S
         else:

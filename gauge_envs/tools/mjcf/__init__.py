@@ -1,4 +1,4 @@
-"""MJCF files of scenes: read in place of a scene, and written for other tools."""
+"""MJCF files of scenes: reader of files that replace a scene, and writer for other tools."""
 
 from gauge_envs.tools.mjcf.writer import (
     DRIVER_COLUMNS,

@@ -13,7 +13,7 @@ SINGLE_TOLERANCE = 3e-7
 """Relative difference below which single-precision numbers, such as mesh vertices, are equal."""
 
 OBJECT_TYPES = {"jnt": "joint", "eq": "equality"}
-"""MuJoCo's type of the named objects, by the prefix of their arrays where it is another one."""
+"""MuJoCo's type of the named objects, by the prefix of their arrays, if it differs from the prefix."""
 
 FIELDS: Mapping[str, str] = {
     "body": "mass inertia ipos iquat pos quat gravcomp",

@@ -5,8 +5,8 @@ bodies of the scene under their names, and a free joint of the same name for eac
 bodies must be where the backend places them. `writer` writes such files. Custom numbers hold the data for which MJCF
 has no element:
 
-- `driver/<body>`: rows of qpos (7), qvel (6) and xfrc_applied (6) to write before every 1/180 s. They must be those of
-  the scene's driver.
+- `driver/<body>`: rows of qpos (7), qvel (6) and xfrc_applied (6) to write before every 1/180 s. They must equal the
+  prescribed motion of the scene.
 - `flex_stiffness/<body>/kinds` and `/kind`: distinct rows of the table, and the index of the distinct row for each row.
 - `flex_bending/<body>/weight`: a factor on each row of the table.
 
@@ -70,7 +70,7 @@ class BackendMJCF(BackendMuJoCo):
     """MuJoCo with the model of a file, which contains all numerical settings.
 
     Args:
-        path: The file. The scenes that it builds are those that `read_model` returned for it.
+        path: The file. It builds only scenes that `read_model` returned for it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -84,7 +84,7 @@ class BackendMJCF(BackendMuJoCo):
 
         Raises:
             ParameterError: There are `settings`.
-            AssetError: The file is damaged, or the scene starts elsewhere.
+            AssetError: The file is damaged, or the scene has other initial states.
         """
         path = self._path
         if settings:
@@ -104,9 +104,9 @@ class BackendMJCF(BackendMuJoCo):
                 raise AssetError(path, body.name, reason)
         if advice := sparse_advice(model):
             warnings.warn(f"{path.name}: {advice}", stacklevel=2)
-        in_effect = _settings(path, model)
+        effective = _settings(path, model)
         return SimulationMuJoCo(
-            scene, in_effect, spec, model, parts, world_count=world_count
+            scene, effective, spec, model, parts, world_count=world_count
         )
 
 
@@ -199,7 +199,7 @@ def _apply_tables(path: Path, model: mujoco.MjModel) -> None:
             raise AssetError(path, name, reason) from None
 
 
-# --- what a file must contain ----------------------------------------------------------------------------------------
+# --- required contents -----------------------------------------------------------------------------------------------
 
 
 def _check_contents(
@@ -210,8 +210,8 @@ def _check_contents(
         names = rows_by_name(model, kind)
         for name in rows_by_name(built, kind):
             if name not in names:
-                others = [other for other in names if other != "world"]
-                reason = f"no {kind} of that name: the file has {first_names(others)}"
+                present = [known for known in names if known != "world"]
+                reason = f"no {kind} of that name: the file has {first_names(present)}"
                 raise AssetError(path, name, reason)
     rigid = {body.name: body for body in scene.bodies}
     for name, index in rows_by_name(built, "body").items():
@@ -228,7 +228,7 @@ def _check_contents(
 def _joint_fault(
     model: mujoco.MjModel, built: mujoco.MjModel, body: RigidBody, *, is_hinged: bool
 ) -> str:
-    """Return what a rigid body of a file lacks or has in excess; empty for a body that fits."""
+    """Return the missing or unsupported part of a rigid body of a file; empty for a body that fits."""
     if body.motion is Motion.FIXED:
         return ""
     number = model.body(body.name).id
@@ -245,8 +245,8 @@ def _joint_fault(
     if unsupported:
         return f"unsupported joint: remove {', '.join(unsupported)}: joints of a scene move freely to the world"
     values = [
-        np.append(one.body(body.name).inertia, one.body(body.name).mass)
-        for one in (model, built)
+        np.append(source.body(body.name).inertia, source.body(body.name).mass)
+        for source in (model, built)
     ]
     if body.motion is Motion.KINEMATIC and not is_same(*values):
         return "its mass and its moments of inertia must be the same as in the export: it is driven"
@@ -297,15 +297,15 @@ def _start_data(path: Path, model: mujoco.MjModel, scene: Scene) -> mujoco.MjDat
 def _placed_scene(
     path: Path, model: mujoco.MjModel, built: mujoco.MjModel, scene: Scene
 ) -> Scene:
-    """Return a scene with the masses, starts, hinges and gravity of a file.
+    """Return a scene with the masses, initial states, hinges and gravity of a file.
 
-    Values that equal those of the model that the backend builds stay those of the scene, bit for bit.
+    Values that equal the model of the backend stay the values of the scene, bit for bit.
 
     Raises:
-        AssetError: The file lacks a body, or has what a scene has not.
+        AssetError: The file lacks a body, or has an unsupported part.
     """
     _check_contents(path, model, built, scene)
-    data, expected = (_start_data(path, one, scene) for one in (model, built))
+    data, expected = (_start_data(path, source, scene) for source in (model, built))
     joints = []
     for joint in scene.joints:
         if isinstance(joint, Hinge):
@@ -328,22 +328,22 @@ def _placed_scene(
 def _placed_body(
     body: RigidBody, data: mujoco.MjData, expected: mujoco.MjData
 ) -> RigidBody:
-    """Return a body with the values of a file that are not those that the backend gives it.
+    """Return a body with the values of a file that differ from the backend's values.
 
     Args:
         body: Body of the scene.
         data: Start of the model of the file.
         expected: Start of the model that the backend builds.
     """
-    (mass_kg, pose, velocity), built = (
-        _start_of(one, body.name) for one in (data, expected)
+    (mass_kg, pose, velocity), expected_values = (
+        _initial_state(source, body.name) for source in (data, expected)
     )
     # The mass of a driven body is a numerical setting of the backend.
-    if body.motion is Motion.DYNAMIC and not is_same(mass_kg, built[0]):
+    if body.motion is Motion.DYNAMIC and not is_same(mass_kg, expected_values[0]):
         body = replace(body, mass_kg=mass_kg)
-    if not is_same(pose, built[1]):
+    if not is_same(pose, expected_values[1]):
         body = replace(body, pose=Pose.of_state(pose))
-    if not is_same(velocity, built[2]):
+    if not is_same(velocity, expected_values[2]):
         body = replace(
             body,
             linear_velocity_m_per_s=vector(velocity[3:]),
@@ -352,7 +352,9 @@ def _placed_body(
     return body
 
 
-def _start_of(data: mujoco.MjData, name: str) -> tuple[float, FloatArray, FloatArray]:
+def _initial_state(
+    data: mujoco.MjData, name: str
+) -> tuple[float, FloatArray, FloatArray]:
     """Return the start of a body in the world frame.
 
     Returns:

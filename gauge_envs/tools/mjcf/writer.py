@@ -236,7 +236,7 @@ ALIASES = {
 
 
 def _exact_xml(simulation: SimulationMuJoCo) -> ElementTree.Element:
-    """Return MuJoCo's XML with all digits; MuJoCo's writer drops those after the sixth."""
+    """Return MuJoCo's XML with all digits; MuJoCo's writer drops all digits after the sixth."""
     root = ElementTree.fromstring(simulation.spec.to_xml())
     for element, source in _sources(root, simulation.spec):
         _restore_digits(element, source)

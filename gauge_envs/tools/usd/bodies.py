@@ -29,19 +29,19 @@ from gauge_envs.tools.usd.layer import VELOCITIES, WRITTEN, body_velocities
 from gauge_envs.tools.usd.source import Source, StoredValue, single
 
 SAME_FRAME = 1e-9
-"""Largest distance [m] and angle [rad] at which a collider's frame is that of its body."""
+"""Largest distance [m] and angle [rad] at which a collider's frame counts as the frame of its body."""
 
 MAX_CONCAVITY = 1e-3
 """Largest relative difference between the volumes of a convex mesh and its hull."""
 
 UNIFORM_RELATIVE = 0.01
-"""Largest relative difference of a given inertia from that of uniform density, and of a given centre of mass relative
-to the radius of gyration."""
+"""Largest relative difference of a given inertia from the inertia of uniform density, and of a given centre of mass
+relative to the radius of gyration."""
 
 IDENTITY = Pose(position_m=(0.0, 0.0, 0.0))
 
 APPROXIMATIONS = ("convexHull", "none", "meshSimplification", "convexDecomposition")
-"""Approximations of meshes; all but the first keep the mesh's own shape, which must be convex."""
+"""Approximations of meshes; all except the first keep the shape of the mesh, which must be convex."""
 
 
 class Solid(NamedTuple):
@@ -128,13 +128,13 @@ def _motion(source: Source, prim: Usd.Prim) -> Motion:
 def _velocities(
     source: Source, prim: Usd.Prim, axes: Pose, pose: Pose, shape: Shape
 ) -> FloatArray:
-    """Return the start velocities of a dynamic body: the doubles, or the standard attributes if those were edited.
+    """Return the initial velocities of a dynamic body: the doubles, or the standard attributes if they were edited.
 
     Args:
         source: The stage.
         prim: Prim of the body.
-        axes: Pose of the prim; UsdPhysics states velocities along its axes, see `body_velocities`.
-        pose: Pose of the body, which may differ from that of the prim.
+        axes: Pose of the prim; UsdPhysics gives velocities along its axes, see `body_velocities`.
+        pose: Pose of the body, which may differ from the pose of the prim.
         shape: Shape of the body.
 
     Returns:
@@ -145,7 +145,7 @@ def _velocities(
     """
     api = UsdPhysics.RigidBodyAPI(prim)
     attributes = [api.GetVelocityAttr(), api.GetAngularVelocityAttr()]
-    standard = np.array([source.numbers(one, (3,)) for one in attributes])
+    standard = np.array([source.numbers(attribute, (3,)) for attribute in attributes])
     centre_m_per_s, spin_rad_per_s = axes.rotation.apply(
         [source.metres * standard[0], np.radians(standard[1])]
     )
@@ -312,9 +312,11 @@ def _colliders_kg(source: Source, body: Usd.Prim, solids: Sequence[Solid]) -> fl
         material = UsdPhysics.MaterialAPI(source.material(solid.prim))
         holders = [UsdPhysics.MassAPI(solid.prim), UsdPhysics.MassAPI(body), material]
         given = [
-            _authored(source, one.GetDensityAttr(), unit) for one in holders if one
+            _authored(source, schema.GetDensityAttr(), unit)
+            for schema in holders
+            if schema
         ]
-        densities += [float(one.value) for one in given if one is not None][:1]
+        densities += [float(d.value) for d in given if d is not None][:1]
     if len(densities) < len(solids) or np.ptp(densities) > 1e-6 * max(densities):
         raise source.fault(
             body,
@@ -334,7 +336,7 @@ def _authored(
 def _check_mass_distribution(
     source: Source, prim: Usd.Prim, body: RigidBody, solid: Pose, scale: FloatArray
 ) -> None:
-    """Check that a given centre of mass and given principal moments of inertia are those of the body.
+    """Check that a given centre of mass and given principal moments of inertia agree with the body.
 
     Args:
         source: The stage.

@@ -26,7 +26,7 @@ COMBINE_MODES: dict[str, Callable[[float, float], float]] = {
     "multiply": operator.mul,
     "max": max,
 }
-"""Combine modes of PhysX in increasing priority: the last one counts where two materials differ."""
+"""Combine modes of PhysX in increasing priority: the later mode applies if two materials differ."""
 
 COEFFICIENT_ATTRIBUTES = {
     "friction": (
@@ -41,7 +41,7 @@ COEFFICIENT_ATTRIBUTES = {
 
 
 class Collider(NamedTuple):
-    """A body with the prims of its geometry, which are none for ropes and rods: UsdPhysics does not support them.
+    """A body with the prims of its geometry; ropes and rods have none, because UsdPhysics does not support them.
 
     Attributes:
         name: Name of the body in the scene.
@@ -66,10 +66,10 @@ def read_contacts(
     Args:
         source: The stage.
         bodies: All bodies.
-        friction: The coefficient that counts if static and dynamic friction of a material differ.
+        friction: The coefficient to use if static and dynamic friction of a material differ.
 
-    `gauge:first` and `gauge:second` define the pairs of the bodies of this package's layers; UsdPhysics defines all
-    others: all enabled colliders except filtered pairs.
+    `gauge:first` and `gauge:second` define the pairs of the bodies of this package's layers. UsdPhysics defines all
+    other pairs: all enabled colliders except filtered pairs.
 
     Raises:
         AssetError: A constant is missing, or UsdPhysics filters a pair of `gauge:first` and `gauge:second`.
@@ -161,7 +161,7 @@ def _coefficient(source: Source, prim: Usd.Prim, name: str, value: Any) -> float
 
 
 def _colliding_pairs(source: Source, bodies: Sequence[Collider]) -> set[Pair]:
-    """Return the pairs of bodies that UsdPhysics lets collide; a filter of a part of a body counts for the body."""
+    """Return the pairs of bodies that UsdPhysics lets collide; a filter of a part applies to the whole body."""
     solid = [body for body in bodies if any(map(is_enabled, body.shapes))]
     pairs = {
         frozenset((first.name, second.name))
@@ -242,9 +242,9 @@ def _combined(first: Coefficient, second: Coefficient) -> float:
 def _groups(
     names: Sequence[str], pairs: set[Pair], moving: set[str]
 ) -> list[tuple[str, ...]]:
-    """Return one group of all bodies if the pairs are all that it has with a moving body, else a group for each pair.
+    """Return one group of all bodies if the pairs are all its pairs with a moving body, else a group for each pair.
 
-    One contact of many bodies tells an engine that impacts travel through them.
+    A contact of many bodies means that impacts travel through them.
     """
     group = [name for name in names if any(name in pair for pair in pairs)]
     listed = list(combinations(group, 2))

@@ -32,7 +32,7 @@ APIS = {
     Cloth: "OmniPhysicsSurfaceDeformableSimAPI",
     SoftBody: "OmniPhysicsVolumeDeformableSimAPI",
 }
-"""Schemas of deformable meshes; usd-core does not have them, and Omniverse recognizes their names."""
+"""Schemas of deformable meshes; usd-core lacks them, and Omniverse recognizes their names."""
 
 STIFFNESSES = "gauge:stretch_, gauge:shear_ and gauge:bend_stiffness_..."
 REGION = "gauge:region_axis, gauge:region_side and gauge:region_depth_m"
@@ -171,18 +171,18 @@ def _write_derived(
 def write_attachment(target: Target, index: int, attachment: Attachment) -> None:
     """Write an attachment, for Omniverse with the attached vertices of the mesh in this file."""
     soft = {body.name: body for body in target.scene.deformables}
-    body, other = soft[attachment.deformable], soft.get(attachment.to)
+    body, partner = soft[attachment.deformable], soft.get(attachment.to)
     nodes = deformable_nodes(body)
     attached = nodes_in(nodes, attachment.region)
-    kind = "VtxXform" if other is None else "VtxVtx"
+    kind = "VtxXform" if partner is None else "VtxVtx"
     path = f"{target.group('Attachments')}/attachment_{index}"
     prim = target.stage.DefinePrim(path, f"OmniPhysics{kind}Attachment")
-    pose = target.scene.body(attachment.to).pose if other is None else other.pose
+    pose = target.scene.body(attachment.to).pose if partner is None else partner.pose
     local = pose.to_body(body.pose.to_world(nodes[attached]))
-    if other is None:
+    if partner is None:
         _write_derived(prim, "localPositionsSrc1", "point3f[]", local, REGION)
     else:
-        partners = deformable_nodes(other)
+        partners = deformable_nodes(partner)
         distance = np.linalg.norm(local[:, None] - partners[None], axis=-1)
         touching = distance.min(axis=1) < TOUCHING_M
         attached = attached[touching]

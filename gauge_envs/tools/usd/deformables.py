@@ -98,7 +98,7 @@ def _constant(source: Source, prim: Usd.Prim, name: str) -> float:
 
 
 def read_air(prim: Usd.Prim) -> Air | None:
-    """Return the air of a PhysicsScene prim, which UsdPhysics has not; None without `gauge:air:` attributes."""
+    """Return the air of a PhysicsScene prim, which UsdPhysics lacks; None without `gauge:air:` attributes."""
     values: dict[str, Any] = {}
     for attribute in prim.GetAuthoredPropertiesInNamespace(AIR_PREFIX):
         name, value = attribute.GetName().removeprefix(AIR_PREFIX), attribute.Get()

@@ -34,7 +34,7 @@ def read_driven(
     """Return the start pose and the driver of a kinematic body.
 
     `gauge:driver` contains the exact motion relative to the start pose; the time samples of the transform contain its
-    poses at the frames. Edited samples count, and otherwise `gauge:driver`. Edited samples, and samples without
+    poses at the frames. Edited samples override `gauge:driver`. Edited samples, and samples without
     `gauge:driver`, become sampled motions with monotone cubic interpolation. An edited motion was not measured, so its
     provenance is `nominal` and mentions the edit.
 

@@ -23,7 +23,7 @@ LIMITS = (
     "physics:breakForce",
     "physics:breakTorque",
 )
-"""Attributes that limit a joint where they are finite."""
+"""Attributes that limit a joint if they are finite."""
 
 RESISTANCES = (
     "mjc:armature",
@@ -34,7 +34,7 @@ RESISTANCES = (
     "physxJoint:armature",
     "physxJoint:jointFriction",
 )
-"""Attributes that resist the motion of a joint where they are above 0."""
+"""Attributes that resist the motion of a joint if they are above 0."""
 
 
 class _End(NamedTuple):

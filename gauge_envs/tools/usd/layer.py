@@ -51,10 +51,10 @@ VELOCITIES = ("linear_velocity_m_per_s", "angular_velocity_rad_per_s")
 """Fields of a rigid body for its start velocities, and names of the doubles."""
 
 ARMS = ("torsion_m", "rolling_m")
-"""Fields of a contact beyond UsdPhysics, written where they are not zero."""
+"""Fields of a contact that UsdPhysics lacks, written if they are not zero."""
 
 AIR_KINDS = {"wind_m_per_s": "double3"}
-"""Type in USD of the fields of the air that are no double."""
+"""Type in USD of the fields of the air that are not doubles."""
 
 MARKER_INDICES = {"faces": (-1, 3), "lines": (-1, 2), "corner": (-1,), "edge": (-1,)}
 """Shape of each kind of marker indices; -1 stands for any length."""
@@ -114,7 +114,7 @@ def _hash(content: bytes) -> str:
 
 
 def record_follower(attribute: Usd.Attribute, source: str) -> None:
-    """Record that an attribute is computed from others, so that the reader detects an edit.
+    """Record that an attribute is computed from other attributes, so that the reader detects an edit.
 
     Args:
         attribute: The attribute, with its value.
@@ -131,12 +131,12 @@ def record_follower(attribute: Usd.Attribute, source: str) -> None:
 
 
 def body_velocities(pose: Pose, shape: Shape, velocities: FloatArray) -> FloatArray:
-    """Return the velocities of UsdPhysics for those of a scene.
+    """Return the velocities of UsdPhysics for the velocities of a scene.
 
-    UsdPhysics states the velocities of a rigid body "in the same space as the node's xform", in distance/second and
-    degrees/second (schema of `PhysicsRigidBodyAPI`), which its overview calls local space. It does not state the point
-    of the body. Newton's importer takes the axes of the body's own frame and the velocity of the centre of mass, and
-    so does this package. The `gauge:` doubles are those of the scene: of the body origin, in the world frame.
+    UsdPhysics gives the velocities of a rigid body "in the same space as the node's xform" (schema of
+    `PhysicsRigidBodyAPI`), which its overview calls local space. Units are distance/second and degrees/second. It does
+    not define the point of the body. Newton's importer uses the axes of the body frame and the velocity of the centre
+    of mass, and so does this package. The `gauge:` doubles refer to the body origin in the world frame.
 
     Args:
         pose: Pose of the body.

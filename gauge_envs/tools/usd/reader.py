@@ -73,18 +73,18 @@ def read_usd(
     """Read the whole content of a USD file, written by `to_usd` or as plain UsdPhysics.
 
     A scene that `to_usd` wrote is restored exactly. If a number was edited in such a file, in the `gauge:` double or in
-    the standard attribute, the edited value counts. The keywords are for files of other tools, whose contacts are all
+    the standard attribute, the edited value applies. The keywords are for files of other tools, whose contacts are all
     sustained.
 
     Args:
         path: File of any format that USD reads.
         duration_s: Duration of the experiment [s], for files without `gauge:duration_s`. It replaces the start and end
             time codes of the file.
-        friction: The coefficient that counts if static and dynamic friction of a material differ.
-        unstated_duration_s: Duration of a file that states none [s].
+        friction: The coefficient to use if static and dynamic friction of a material differ.
+        unstated_duration_s: Duration of a file without one [s].
 
     Raises:
-        AssetError: The file cannot be read, or holds what a scene does not have; the message names the prim.
+        AssetError: The file cannot be read, or has a part that scenes lack; the message names the prim.
     """
     source = Source(Path(path))
     with source.errors_at(""):
@@ -207,7 +207,7 @@ def _duration_s(
     duration_s: float | None,
     unstated_duration_s: float | None,
 ) -> float:
-    """Return `gauge:duration_s`, else the given duration, else that of the time codes, else that for unstated ones."""
+    """Return `gauge:duration_s`, else the given duration, else the duration of the time codes, else the default."""
     double = physics.GetPrim().GetAttribute("gauge:duration_s")
     exact_s = source.number(double)
     stated_s = None
@@ -227,7 +227,7 @@ def _duration_s(
 
 
 def _rigid_bodies(source: Source) -> dict[Usd.Prim, list[Usd.Prim]]:
-    """Return rigid bodies in the stage's order with their colliders; one without a rigid body is a fixed body."""
+    """Return rigid bodies in the stage's order with their colliders; a collider without a body is a fixed body."""
     colliders: dict[Usd.Prim, list[Usd.Prim]] = {}
     for prim in source.prims():
         body = source.body_of(prim)

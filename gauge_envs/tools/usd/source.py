@@ -95,8 +95,8 @@ class Source:
     def errors_at(self, place: Usd.Object | str) -> Iterator[None]:
         """Convert errors at a prim or attribute to AssetError.
 
-        Such errors come from USD, from NumPy if an attribute has another type than the reader expects, and from a
-        scene whose parts contradict each other.
+        Such errors come from USD, from NumPy if an attribute has an unexpected type, and from a scene whose parts
+        contradict each other.
         """
         try:
             yield
@@ -114,7 +114,7 @@ class Source:
     def read_each(
         self, prims: Iterable[Usd.Prim], read: Callable[[Usd.Prim], Value]
     ) -> list[Value]:
-        """Return what a function reads from each prim; errors name the prim."""
+        """Return the value of a function for each prim; errors name the prim."""
         values = []
         for prim in prims:
             with self.errors_at(prim):
@@ -158,7 +158,7 @@ class Source:
         return None if array is None else float(array)
 
     def text(self, attribute: Usd.Attribute, known: Sequence[str] = ()) -> str | None:
-        """Return the string or token of an attribute, one of the known ones, or None if it has no value."""
+        """Return the string or token of an attribute, one of the known texts, or None if it has no value."""
         value = attribute.Get()
         if value is None or (isinstance(value, str) and (not known or value in known)):
             return value
@@ -191,9 +191,9 @@ class Source:
         stored: Sequence[StoredValue | None],
         shape: tuple[int, ...] = (),
     ) -> FloatArray | None:
-        """Return a quantity that is stored as a `gauge:` double and in standard attributes: the edited value counts.
+        """Return a quantity that is stored as a `gauge:` double and in standard attributes: the edited value applies.
 
-        The double counts if its standard counterparts have their written values. An edited standard value replaces the
+        The double applies if its standard counterparts have their written values. An edited standard value replaces the
         double, element by element in an array.
 
         Args:
@@ -223,11 +223,11 @@ class Source:
     ) -> StoredValue | None:
         """Return the first value that was edited, or None; edited values must agree."""
         edited = [value for value in values if not is_written(value.raw, written)]
-        for other in edited[1:]:
-            if not is_written(edited[0].raw, other.raw):
+        for value in edited[1:]:
+            if not is_written(edited[0].raw, value.raw):
                 raise self.fault(
                     place,
-                    f"was edited to {edited[0].value}, and to {other.value} in a standard attribute: make them agree",
+                    f"was edited to {edited[0].value}, and to {value.value} in a standard attribute: make them agree",
                 )
         return edited[0] if edited else None
 
@@ -339,7 +339,7 @@ class Source:
         return rotation, scale
 
     def to_world(self, prim: Usd.Prim | None, points: FloatArray) -> FloatArray:
-        """Return points in a prim's space, or in that of the stage, in world coordinates [m], shape [..., 3]."""
+        """Return points in a prim's space, or in the stage's space, in world coordinates [m], shape [..., 3]."""
         if prim is not None:
             xform = UsdGeom.Imageable(prim)
             matrix = np.array(xform.ComputeLocalToWorldTransform(self.start))

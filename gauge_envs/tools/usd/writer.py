@@ -1,4 +1,4 @@
-"""Writer of scenes as USD layers: standard UsdPhysics attributes with exact `gauge:` doubles beside them.
+"""Writer of scenes as USD layers: standard UsdPhysics attributes and exact `gauge:` doubles.
 
 UsdPhysics has single precision, one material per body instead of constants per pair, and no deformable bodies yet. The
 layer therefore also contains every number of the scene as a custom double under its name in `gauge_envs.scene`
@@ -6,8 +6,8 @@ layer therefore also contains every number of the scene as a custom double under
 under Omniverse's names (`omniphysics:`).
 
 A number that is stored twice can be edited in either place. The custom data of the double contains the written value of
-the standard attribute, from which the reader detects the edited one. A derived attribute that cannot be inverted, such
-as the mesh of a cloth, contains its written value and the names of the attributes to edit instead.
+the standard attribute, from which the reader detects the edited value. Some derived attributes cannot be
+inverted, such as the mesh of a cloth. They contain their written value and the names of the attributes to edit instead.
 """
 
 import json
@@ -181,7 +181,7 @@ def _write_contact(target: Target, index: int, contact: Contact) -> None:
 
 
 def _write_pairs(target: Target, physics: UsdPhysics.Scene) -> None:
-    """Filter all pairs without a contact, since UsdPhysics lets all collide, and write a hash of the other pairs."""
+    """Filter all pairs without a contact, since UsdPhysics lets all collide, and write a hash of the contact pairs."""
     scene = target.scene
     allowed = {
         frozenset(pair)
@@ -192,9 +192,9 @@ def _write_pairs(target: Target, physics: UsdPhysics.Scene) -> None:
     colliding = [name for name in target.paths if name in target.collides]
     for index, name in enumerate(colliding):
         filtered = [
-            target.paths[other]
-            for other in colliding[index + 1 :]
-            if moving & {name, other} and frozenset((name, other)) not in allowed
+            target.paths[partner]
+            for partner in colliding[index + 1 :]
+            if moving & {name, partner} and frozenset((name, partner)) not in allowed
         ]
         if filtered:
             prim = target.stage.GetPrimAtPath(target.paths[name])
@@ -329,31 +329,31 @@ def _write_driver(
 # --- joints and markers ----------------------------------------------------------------------------------------------
 
 
-def _write_joint(target: Target, path: str, stated: Hinge | Tether) -> None:
-    """Write a joint of a body and the world; a joint without a first body is one to the world."""
-    pose = target.scene.body(stated.body).pose
+def _write_joint(target: Target, path: str, scene_joint: Hinge | Tether) -> None:
+    """Write a joint of a body and the world; a joint without a first body connects to the world."""
+    pose = target.scene.body(scene_joint.body).pose
     local_m = (0.0, 0.0, 0.0)
     joint: UsdPhysics.Joint
-    if isinstance(stated, Hinge):
+    if isinstance(scene_joint, Hinge):
         joint = UsdPhysics.RevoluteJoint.Define(target.stage, path)
         joint.CreateAxisAttr(UsdPhysics.Tokens.x)
-        rotation = hinge_frame(stated.axis)
+        rotation = hinge_frame(scene_joint.axis)
         inverse = Gf.Quatd(*pose.quaternion).GetInverse()
         world = joint.CreateLocalRot0Attr(rotation).Get()
         local = joint.CreateLocalRot1Attr(Gf.Quatf(inverse * Gf.Quatd(rotation)))
         local.SetCustomDataByKey(WRITTEN, local.Get())
         written = digest(hinge_axis(as_array(world)))
-        write(joint, "gauge:axis", stated.axis, "double3", written=written)
-        local_m = vector(pose.to_body(np.asarray(stated.anchor_m)))
+        write(joint, "gauge:axis", scene_joint.axis, "double3", written=written)
+        local_m = vector(pose.to_body(np.asarray(scene_joint.anchor_m)))
     else:
         joint = UsdPhysics.DistanceJoint.Define(target.stage, path)
-        longest = joint.CreateMaxDistanceAttr(stated.length_m).Get()
-        write(joint, "gauge:length_m", stated.length_m, written=longest)
-    joint.CreateBody1Rel().SetTargets([target.paths[stated.body]])
-    world = joint.CreateLocalPos0Attr(stated.anchor_m).Get()
+        longest = joint.CreateMaxDistanceAttr(scene_joint.length_m).Get()
+        write(joint, "gauge:length_m", scene_joint.length_m, written=longest)
+    joint.CreateBody1Rel().SetTargets([target.paths[scene_joint.body]])
+    world = joint.CreateLocalPos0Attr(scene_joint.anchor_m).Get()
     local = joint.CreateLocalPos1Attr(local_m)
     local.SetCustomDataByKey(WRITTEN, local.Get())
-    write(joint, "gauge:anchor_m", stated.anchor_m, "double3", written=world)
+    write(joint, "gauge:anchor_m", scene_joint.anchor_m, "double3", written=world)
 
 
 def _write_markers(target: Target, markers: Markers) -> None:

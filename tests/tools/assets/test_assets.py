@@ -1,4 +1,4 @@
-"""The checked-in assets are current, say what the scenes say, and open in other tools."""
+"""The checked-in assets are current, equal the scenes, and open in other tools."""
 
 import json
 import re
@@ -114,7 +114,9 @@ def pair(request):
     return stage, load_experiment(request.param)
 
 
-def test_without_its_doubles_a_layer_says_the_same_in_single_precision(pair, tmp_path):
+def test_a_layer_without_doubles_has_the_same_values_in_single_precision(
+    pair, tmp_path
+):
     """What other tools read: bodies, shapes, masses, joints, contacts, samples of drivers, fabrics and markers."""
     stage, experiment = pair
     plain = Usd.Stage.CreateInMemory()
@@ -125,15 +127,15 @@ def test_without_its_doubles_a_layer_says_the_same_in_single_precision(pair, tmp
                 prim.RemoveProperty(attribute.GetName())
     plain.GetRootLayer().Export(str(tmp_path / "plain.usda"))
     read, scene = from_usd(tmp_path / "plain.usda"), experiment.scene
-    texts = [repr(replace(one, drivers=())) for one in (read, scene)]
+    texts = [repr(replace(version, drivers=())) for version in (read, scene)]
     assert NUMBER.split(texts[0]) == NUMBER.split(texts[1])
     numbers = [np.array(NUMBER.findall(text), dtype=np.float64) for text in texts]
     np.testing.assert_allclose(*numbers, rtol=1e-6, atol=1e-7)
-    for driver, stated in zip(read.drivers, scene.drivers, strict=True):
-        start = scene.body(stated.body).pose
+    for driver, original in zip(read.drivers, scene.drivers, strict=True):
+        start = scene.body(original.body).pose
         for frame in range(experiment.frame_count):
             time_s = frame / FRAME_RATE_HZ
-            moved, expected = driver.pose(start, time_s), stated.pose(start, time_s)
+            moved, expected = driver.pose(start, time_s), original.pose(start, time_s)
             assert pose_distance(moved, expected) < 1e-7
 
 
@@ -150,7 +152,7 @@ def test_usd_physics_reads_bodies_and_joints(pair):
     # Renamed in usd-core 26.
     load = getattr(UsdPhysics, "UsdPhysicsLoadStageFromPrimRange", None)
     read = (load or UsdPhysics.LoadUsdPhysicsFromRange)(stage, ["/World"])
-    assert all(one.isValid for _, group in read.values() for one in group)
+    assert all(layer.isValid for _, group in read.values() for layer in group)
     kinds, scene = UsdPhysics.ObjectType, experiment.scene
     paths, bodies = read.get(kinds.RigidBody, ([], []))
     names = {
@@ -176,7 +178,7 @@ QUICK = (
 
 
 def loaded(text):
-    """The model of a file, with what its comment tells to do after loading."""
+    """Return the model of a file after the instructions of its comment."""
     model = mujoco.MjModel.from_xml_string(text)
     comment = text[: text.index("-->")]
     lines = [line for line in comment.splitlines() if line.startswith(" " * 8)]

@@ -61,7 +61,7 @@ def with_builtins(names):
 
 
 def schema_faults(prim):
-    """What a prim states about PhysX that the published schemas do not have, or have otherwise."""
+    """Return PhysX attributes of a prim that the published schemas lack, or define differently."""
     kind = str(prim.GetTypeName())
     names = [kind, *map(str, prim.GetPrimTypeInfo().GetAppliedAPISchemas())]
     for name in names:
@@ -79,9 +79,9 @@ def schema_faults(prim):
             assert any(name in schema.get("relationships", []) for schema in schemas)
             continue
         assert not attribute.IsCustom()
-        stated = str(attribute.GetTypeName()), attribute.GetVariability()
+        written = str(attribute.GetTypeName()), attribute.GetVariability()
         known = [
-            stated
+            written
             == (
                 schema["attributes"][name],
                 VARIABILITY[name in schema.get("uniform", [])],
@@ -90,7 +90,9 @@ def schema_faults(prim):
             if name in schema.get("attributes", {})
         ]
         tokens = [
-            one["tokens"][name] for one in schemas if name in one.get("tokens", {})
+            schema["tokens"][name]
+            for schema in schemas
+            if name in schema.get("tokens", {})
         ]
         if not any(known) or any(attribute.Get() not in allowed for allowed in tokens):
             yield f"{attribute.GetPath()}: no applied schema has it so"
@@ -148,8 +150,8 @@ def test_cloth_has_the_mapped_constants(name, touches_itself):
         cloth.bend_stiffness_n_m_per_rad / (4.0 * thickness_m**3),
         thickness_m,
     ]
-    found = attributes(material_of(stage, "textile"), names)
-    assert found == pytest.approx(expected, rel=1e-6)
+    constants = attributes(material_of(stage, "textile"), names)
+    assert constants == pytest.approx(expected, rel=1e-6)
     prim = stage.GetPrimAtPath("/World/textile")
     names = "physxCollision:restOffset physxDeformableBody:selfCollision"
     half_m = pytest.approx(0.5 * thickness_m, rel=1e-6)

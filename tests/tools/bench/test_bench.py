@@ -16,7 +16,7 @@ from gauge_envs.tools.bench.drop import (
     fall_s,
 )
 from gauge_envs.tools.bench.grasp import (
-    HELD,
+    GRASPED,
     OBJECT,
     TURNED,
     from_pads_m,
@@ -139,7 +139,7 @@ def test_pads_that_close_sink_in_and_a_box_that_falls_creeps():
     times_s = np.linspace(0.0, 1.5, 271)
     closed = np.outer(np.where(times_s > 0.0, 3e-6, 0.0), [1.0, 0.0, 0.0])
     fallen = np.outer(-2e-6 * times_s, [0.0, 0.0, 1.0])
-    grasp = recording_of(HELD, times_s, left=closed, right=-closed, object=fallen)
+    grasp = recording_of(GRASPED, times_s, left=closed, right=-closed, object=fallen)
     assert pad_depth_um(grasp) == pytest.approx(3.0)
     assert pad_creep_um_per_s(grasp) == pytest.approx(2.0)
     assert from_pads_m(grasp)[-1] == pytest.approx([0.0, 0.0, -3e-6])

@@ -33,7 +33,7 @@ class KnowsNoCloth(Faulty):
 
 @pytest.fixture
 def broken(monkeypatch, gauge):
-    """Runs the command; `mine` is an engine whose friction is 20 % low and that knows no cloth."""
+    """Run the command on `mine`, an engine with 20 % too little friction and without cloth."""
     engine = KnowsNoCloth(backend("mujoco"), FAULTS["friction 20 % low"])
     engine.name = "mine"
     monkeypatch.setattr(registry, "is_bundled", lambda name: True)
@@ -54,7 +54,7 @@ def rows_of(result):
 # --- one engine ------------------------------------------------------------------------------------------------------
 
 
-def test_the_screen_has_counts_failures_and_what_is_declined(broken):
+def test_the_screen_has_counts_failures_and_unsupported_checks(broken):
     result = broken(*ONLY)
     counts = "1 pass, 1 fail, 0 error, 1 unsupported of 3"
     assert re.match(rf"mine \(mujoco [\d.]+\): {counts}", joined(result.stdout))
@@ -129,7 +129,7 @@ CLOTH = '[unsupported]\n"cloth-*" = "no cloth"\n'
     ],
 )
 def test_exactly_the_listed_failures_happen(broken, tmp_path, text, code, message):
-    """`SLIDE` stands for the line of the slide's value, `9SLIDE` for that of nine more."""
+    """`SLIDE` stands for the line with the slide's value, `9SLIDE` for a line with the value 9."""
     file, badge = tmp_path / "known.toml", tmp_path / "badge.json"
     (row,) = rows_of(broken("--only", "slide", "--json"))
     for mark, value in (("9SLIDE", 9.0), ("SLIDE", row["measured"])):
@@ -139,9 +139,9 @@ def test_exactly_the_listed_failures_happen(broken, tmp_path, text, code, messag
     result = broken("--expected", file, "--badge", badge, *ONLY)
     assert result.exit_code == code
     assert message in joined(result.stderr)
-    found = json.loads(badge.read_text())
-    assert found["message"] == "1 pass, 1 fail, 0 error, 1 unsupported of 3"
-    assert (found["color"] == "red") == bool(code)
+    content = json.loads(badge.read_text())
+    assert content["message"] == "1 pass, 1 fail, 0 error, 1 unsupported of 3"
+    assert (content["color"] == "red") == bool(code)
 
 
 @pytest.mark.parametrize(
@@ -151,7 +151,7 @@ def test_exactly_the_listed_failures_happen(broken, tmp_path, text, code, messag
         ('slide = "low"', "slide needs a value and a reason, as slide = { measured"),
     ],
 )
-def test_a_wrong_list_is_refused_before_anything_runs(broken, tmp_path, text, message):
+def test_a_wrong_list_is_rejected_before_anything_runs(broken, tmp_path, text, message):
     file = tmp_path / "known.toml"
     file.write_text(text)
     result = broken("--expected", file, *ONLY)
@@ -169,7 +169,7 @@ def test_checks_are_tests_of_pytest(tmp_path):
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)
     assert done.returncode == 1, done.stdout
     cases = ElementTree.parse(tmp_path / "out.xml").iter("testcase")
-    failures = {one.get("name"): one.find("failure") for one in cases}
+    failures = {case.get("name"): case.find("failure") for case in cases}
     assert failures["start-position"] is None
     assert "listed as failing (late)" in failures["time"].get("message")
 
@@ -179,36 +179,36 @@ def test_checks_are_tests_of_pytest(tmp_path):
 
 @pytest.fixture(scope="module")
 def column():
-    (found,) = engine_columns(["mujoco:PGS"], isolate=False)
-    list(run_column(found, ["free-fall", "foam-tension", "slide"], None))
-    return found
+    (column,) = engine_columns(["mujoco:PGS"], isolate=False)
+    list(run_column(column, ["free-fall", "foam-tension", "slide"], None))
+    return column
 
 
 def test_a_column_has_a_configuration_and_its_results(column):
     columns = engine_columns(["mujoco:*", "mujoco:PGS"], isolate=False)
-    assert [one.name for one in columns] == ["default", "PGS", "CG", "out_of_box"]
-    found = {name: one.status.value for name, one in column.results.items()}
-    assert found == {
+    assert [column.name for column in columns] == ["default", "PGS", "CG", "out_of_box"]
+    statuses = {name: result.status.value for name, result in column.results.items()}
+    assert statuses == {
         "free-fall": "pass",
         "slide": "pass",
         "foam-tension": "unsupported",
     }
 
 
-def test_a_column_comes_back_from_its_file_but_for_a_changed_check(column, tmp_path):
+def test_a_column_comes_back_from_its_file_except_a_changed_check(column, tmp_path):
     file = write_columns([column], tmp_path / "deep" / "column.json")
-    (found,) = read_columns(file)
-    assert (found.settings, found.versions) == (column.settings, column.versions)
+    (stored,) = read_columns(file)
+    assert (stored.settings, stored.versions) == (column.settings, column.versions)
     for name, result in column.results.items():
-        again = found.results[name]
+        again = stored.results[name]
         for key in ("of", "status", "missing", "measured", "expected", "width"):
             assert getattr(again, key) == getattr(result, key)
     document = json.loads(file.read_text())
     document["columns"][0]["findings"]["slide"]["fingerprint"] = "0" * 12
     file.write_text(json.dumps(document))
-    (found,) = read_columns(file)
-    assert found.outdated == ("slide",)
-    assert "slide" not in found.results
+    (stored,) = read_columns(file)
+    assert stored.outdated == ("slide",)
+    assert "slide" not in stored.results
     with pytest.raises(ParameterError, match="mujoco PGS' is there twice"):
         with_columns([column], [file])
     file.write_text('{"columns": []}')
@@ -218,13 +218,13 @@ def test_a_column_comes_back_from_its_file_but_for_a_changed_check(column, tmp_p
 
 def test_a_page_is_made_of_files_without_a_run(column, tmp_path, gauge):
     first = write_columns([column], tmp_path / "first.json")
-    other = replace(column, backend="other", name="default")
-    second = write_columns([other], tmp_path / "second.json")
+    renamed = replace(column, backend="other", name="default")
+    second = write_columns([renamed], tmp_path / "second.json")
     page, both = tmp_path / "page.html", tmp_path / "both.json"
     result = gauge("backend", "check", first, second, "--out", page, "--out", both)
     assert result.exit_code == 0, result.output
     assert "mujoco PGS" in page.read_text() and "<td>other" in page.read_text()
-    assert [one.title for one in read_columns(both)] == ["mujoco PGS", "other"]
+    assert [column.title for column in read_columns(both)] == ["mujoco PGS", "other"]
 
 
 @pytest.mark.parametrize(
@@ -236,7 +236,7 @@ def test_a_page_is_made_of_files_without_a_run(column, tmp_path, gauge):
         (None, Status.UNSUPPORTED, "fixed"),
     ],
 )
-def test_a_baseline_names_what_changed(column, widths, status, kind):
+def test_a_baseline_names_the_changes(column, widths, status, kind):
     """A value moved if it differs by more than the tolerance of its check."""
     result = column.results["free-fall"]
     value = None if widths is None else result.measured + widths * result.width
@@ -245,9 +245,13 @@ def test_a_baseline_names_what_changed(column, widths, status, kind):
         "free-fall": replace(result, status=status, measured=value),
     }
     before = replace(column, results=earlier)
-    assert [one.kind for one in changes([column], [before])] == [kind] * bool(kind)
+    assert [change.kind for change in changes([column], [before])] == [kind] * bool(
+        kind
+    )
     worse = "worse" if kind == "fixed" else kind
-    assert [one.kind for one in changes([before], [column])] == [worse] * bool(kind)
+    assert [change.kind for change in changes([before], [column])] == [worse] * bool(
+        kind
+    )
 
 
 def test_results_so_far_are_in_the_file_where_a_run_is_stopped(
@@ -265,14 +269,14 @@ def test_results_so_far_are_in_the_file_where_a_run_is_stopped(
     monkeypatch.setattr(command, "_run", stopped)
     result = gauge("backend", "check", "mujoco", "--out", file, "--only", "time")
     assert result.exit_code != 0
-    (found,) = read_columns(file)
-    assert list(found.results) == ["time"]
+    (column,) = read_columns(file)
+    assert list(column.results) == ["time"]
 
 
 # --- engines that die ------------------------------------------------------------------------------------------------
 
 THREE = ("--only", "free-fall", "--only", "slide", "--only", "stated-inertia")
-"""Of these, only the second has contacts."""
+"""Checks of which only the second has contacts."""
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Conformance checks name planted mistakes of engines, and an engine that raises or declines costs its checks alone."""
+"""Conformance checks name planted mistakes of engines; errors and unsupported scenes affect only their checks."""
 
 import json
 from dataclasses import replace
@@ -25,7 +25,7 @@ def simulated_by(simulation):
 
 
 def results_of(engine, *only):
-    return {one.check: one for one in run_checks(engine, only=only)}
+    return {result.check: result for result in run_checks(engine, only=only)}
 
 
 # --- planted mistakes ------------------------------------------------------------------------------------------------
@@ -42,11 +42,13 @@ def test_a_check_names_the_mistake(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FAULTS)
 def test_no_earlier_check_fails(name):
-    ids = [one.id for one in checks()]
+    ids = [check.id for check in checks()]
     earlier = ids[: ids.index(FAULTS[name].caught_by)]
     if earlier:
         assert [
-            one.check for one in run_checks(planted(name), only=earlier) if one.is_bad
+            result.check
+            for result in run_checks(planted(name), only=earlier)
+            if result.is_bad
         ] == []
 
 
@@ -62,14 +64,14 @@ class OtherSign(Planted):
         return states
 
 
-def test_the_sign_of_a_quaternion_is_no_fault():
+def test_the_sign_of_a_quaternion_is_not_a_fault():
     ids = ("start-orientation", "glide-reports", "determinism", "worlds-single")
-    found = results_of(simulated_by(OtherSign), *ids)
-    assert {one.diagnosis for one in found.values()} == {""}
+    results = results_of(simulated_by(OtherSign), *ids)
+    assert {result.diagnosis for result in results.values()} == {""}
 
 
 class AddsInAnyOrder(Planted):
-    """Its steps end in random last digits, as those of kernels that add in any order."""
+    """Its steps end in random last digits, like kernels that add in any order."""
 
     random = np.random.default_rng(0)
 
@@ -84,11 +86,11 @@ def test_runs_may_differ_as_an_engine_declares(kind, is_bad):
     error = 0.0 if kind == "bits" else 1e-6
     declared = Repeatability(kind=kind, start_error=error)
     engine.repeatability = lambda settings=None: declared
-    (found,) = run_checks(engine, only=["determinism"])
-    assert found.is_bad == is_bad
+    (result,) = run_checks(engine, only=["determinism"])
+    assert result.is_bad == is_bad
 
 
-# --- what engines raise and decline ----------------------------------------------------------------------------------
+# --- errors and unsupported scenes of engines ------------------------------------------------------------------------
 
 
 class KnowsNoCloth(Faulty):
@@ -109,7 +111,7 @@ class VersionOfText(Faulty):
 
 
 class PanicException(BaseException):
-    """What engines in Rust raise."""
+    """Exception of engines in Rust."""
 
 
 class Panics(Planted):
@@ -119,27 +121,29 @@ class Panics(Planted):
         raise self.error
 
 
-def test_what_is_declined_is_no_failure_and_has_its_reason():
-    found = results_of(KnowsNoCloth(MUJOCO, Fault()), "cloth-stretch", "free-fall")
-    declined = found["cloth-stretch"]
-    assert (declined.status, declined.is_bad) == (Status.UNSUPPORTED, False)
-    assert declined.missing == ("it knows no cloth",)
-    assert found["free-fall"].status is Status.PASS
+def test_an_unsupported_check_is_not_a_failure_and_has_its_reason():
+    results = results_of(KnowsNoCloth(MUJOCO, Fault()), "cloth-stretch", "free-fall")
+    unsupported = results["cloth-stretch"]
+    assert (unsupported.status, unsupported.is_bad) == (Status.UNSUPPORTED, False)
+    assert unsupported.missing == ("it knows no cloth",)
+    assert results["free-fall"].status is Status.PASS
 
 
 def test_an_exception_costs_its_checks_and_has_its_place():
-    found = results_of(CannotBuildCloth(MUJOCO, Fault()), "cloth-stretch", "free-fall")
-    assert found["free-fall"].status is Status.PASS
-    text = found["cloth-stretch"].diagnosis
+    results = results_of(
+        CannotBuildCloth(MUJOCO, Fault()), "cloth-stretch", "free-fall"
+    )
+    assert results["free-fall"].status is Status.PASS
+    text = results["cloth-stretch"].diagnosis
     assert "supports() was true, but build() raised KeyError: 'mesh' (build, " in text
     with pytest.raises(BackendError, match=r"versions returned '1.0', expected texts"):
         run_checks(VersionOfText(MUJOCO, Fault()), only=["time"])
 
 
 def test_a_panic_is_a_result_and_ctrl_c_ends_the_run(monkeypatch):
-    (found,) = run_checks(simulated_by(Panics), only=["free-fall"])
-    assert found.status is Status.ERROR
-    assert "PanicException: assertion failed (advance, test_conf" in found.diagnosis
+    (result,) = run_checks(simulated_by(Panics), only=["free-fall"])
+    assert result.status is Status.ERROR
+    assert "PanicException: assertion failed (advance, test_conf" in result.diagnosis
     monkeypatch.setattr(Panics, "error", KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
         list(run_checks(simulated_by(Panics), only=["free-fall"]))
@@ -149,10 +153,17 @@ def test_a_panic_is_a_result_and_ctrl_c_ends_the_run(monkeypatch):
 
 
 def test_a_check_has_all_its_texts():
-    for one in checks():
-        texts = (one.title, one.scene, one.measures, one.law, one.source, one.cause)
-        assert all(texts), one.id
-        assert one.tolerance.rationale, one.id
+    for entry in checks():
+        texts = (
+            entry.title,
+            entry.scene,
+            entry.measures,
+            entry.law,
+            entry.source,
+            entry.cause,
+        )
+        assert all(texts), entry.id
+        assert entry.tolerance.rationale, entry.id
     first = checks()[0]
     texts = {key: getattr(first, key) for key in ("title", "law", "source", "cause")}
     again = check(first.id, tolerance=first.tolerance, **texts)
@@ -162,8 +173,8 @@ def test_a_check_has_all_its_texts():
 
 def test_a_result_is_json_and_has_its_numbers():
     """Coulomb: a tolerance of 1 %, and a friction that is 20 % low."""
-    (found,) = run_checks(planted("friction 20 % low"), only=["slide"])
-    values = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    (result,) = run_checks(planted("friction 20 % low"), only=["slide"])
+    values = json.loads(json.dumps(result.to_dict(), allow_nan=False))
     assert values["status"] == "fail"
     assert abs(values["measured"] - values["expected"]) > values["width"]
     assert values["versions"] == MUJOCO.versions()
@@ -176,14 +187,14 @@ def test_a_tolerance_has_an_absolute_and_a_relative_part():
 
 
 def test_settings_reach_the_engine_and_an_unknown_one_is_a_reason():
-    (found,) = run_checks("mujoco", settings={"timestep_s": 1 / 900}, only=["time"])
-    assert found.settings["timestep_s"] == 1 / 900
-    (found,) = run_checks("mujoco", settings={"timestep": 1e-3}, only=["time"])
-    assert found.status is Status.UNSUPPORTED
-    assert "unknown setting" in found.missing[0]
+    (result,) = run_checks("mujoco", settings={"timestep_s": 1 / 900}, only=["time"])
+    assert result.settings["timestep_s"] == 1 / 900
+    (result,) = run_checks("mujoco", settings={"timestep": 1e-3}, only=["time"])
+    assert result.status is Status.UNSUPPORTED
+    assert "unknown setting" in result.missing[0]
 
 
-def test_unknown_names_are_refused_before_anything_runs():
+def test_unknown_names_are_rejected_before_anything_runs():
     with pytest.raises(UnknownNameError, match="free-fall"):
         run_checks("mujoco", only=["free-fal"])
     with pytest.raises(UnknownNameError, match="backend"):
@@ -193,7 +204,7 @@ def test_unknown_names_are_refused_before_anything_runs():
 def test_a_level_passes_where_each_check_passes_that_is_not_optional():
     (result,) = run_checks("mujoco", only=["start-position"])
     assert levels([result]) == {}
-    passed = {one.id: replace(result, of=one) for one in checks()}
+    passed = {entry.id: replace(result, of=entry) for entry in checks()}
     assert set(levels([*passed.values()]).values()) == {"pass"}
     for name, status, verdict in (
         ("free-fall", Status.FAIL, "1 of "),

@@ -6,7 +6,7 @@ from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.play import play_paid
 
 FAST = {"timestep_s": 1 / 1080}
-"""The longest step that the default contacts allow, where the accuracy of the engine is not what is tested."""
+"""The longest step that the default contacts allow, for tests that do not need an accurate engine."""
 
 
 def make(name, **options):

@@ -50,11 +50,13 @@ def test_a_page_shows_the_law_and_its_limit(gauge):
 
 def test_an_override_changes_the_limit_and_not_its_uncertainty():
     nominal = make("Turntable-Limit-plastic").limit
-    other = make("Turntable-Limit-plastic", parameters={"cube.friction": 0.2}).limit
+    overridden = make(
+        "Turntable-Limit-plastic", parameters={"cube.friction": 0.2}
+    ).limit
     scene = load_experiment("Turntable-1-plastic").scene
     assert nominal.value == scene.contacts[0].friction
-    assert other.value == 0.2
-    assert other.sigma == nominal.sigma == friction_std(nominal.value, "plastic")
+    assert overridden.value == 0.2
+    assert overridden.sigma == nominal.sigma == friction_std(nominal.value, "plastic")
 
 
 def test_a_task_steps_as_chosen_unless_settings_are_given():
@@ -66,7 +68,7 @@ def test_a_task_steps_as_chosen_unless_settings_are_given():
         assert env.simulation.settings["timestep_s"] == step_s
 
 
-def test_a_scattered_start_has_its_limit_and_the_next_start_the_nominal_one():
+def test_a_noisy_start_has_its_limit_and_the_next_start_the_nominal_limit():
     env = make("Throw-Limit-rubber")
     nominal = env.limit.value
     env.reset(seed=1, options={"jitter": True})

@@ -1,4 +1,4 @@
-"""Fling: the law is that of the energy seen from the rod, and no motion of the rod beats it."""
+"""Fling: the law follows from the energy relative to the rod, and no motion of the rod beats it."""
 
 import numpy as np
 import pytest

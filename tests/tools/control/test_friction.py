@@ -54,7 +54,7 @@ def test_engine_limit_of_soft_contacts():
 
 @pytest.mark.parametrize("name", WOOD)
 def test_friction_used_is_that_of_the_contact_forces(name):
-    """The engine's contact forces on the cube, tangential over normal, are what the kinematics ask for."""
+    """The engine's contact forces on the cube, tangential over normal, agree with the kinematics."""
     # The force at one instant scatters by 1 % with the slope's own step, 1/1800 s.
     env = make(name, settings={"timestep_s": 1 / 9000})
     env.reset()
@@ -80,10 +80,10 @@ def test_friction_used_is_that_of_the_contact_forces(name):
 @pytest.mark.parametrize("name", WOOD)
 def test_reward_is_the_friction_used_and_slipping_takes_it_back(name):
     env = make(name, settings=FAST)
-    held, _ = by_law(env, 0.95)
-    assert held == pytest.approx(env.trajectory()[1:, 2].sum())
+    holding, _ = by_law(env, 0.95)
+    assert holding == pytest.approx(env.trajectory()[1:, 2].sum())
     closer, _ = by_law(env, 0.99)
-    assert held < closer < env.limit.value * env.steps
+    assert holding < closer < env.limit.value * env.steps
     slipped, report = by_law(env, 1.05)
     assert report.ending is Ending.SLIPPED
     used = env.trajectory()[1:-1, 2]

@@ -36,15 +36,15 @@ def made(task, material="wood", **options):
 )
 def test_time_to_go_is_that_of_the_fastest_motion(distance, speed):
     """By integration of the motion with the switching curve v |v| = 2 a x, which is time-optimal."""
-    most, step = 3.2, 1e-4
+    limit, step = 3.2, 1e-4
     place, rate, time_s = distance, speed, 0.0
     while time_s < 5.0 and (place**2 + rate**2) > 1e-5:
-        acceleration = most if 2.0 * most * place > rate * abs(rate) else -most
+        acceleration = limit if 2.0 * limit * place > rate * abs(rate) else -limit
         place -= (rate + 0.5 * acceleration * step) * step
         rate += acceleration * step
         time_s += step
     expected = pytest.approx(time_s, abs=4e-3)
-    assert CarryLimit.time_to_go_s(distance, speed, most) == expected
+    assert CarryLimit.time_to_go_s(distance, speed, limit) == expected
 
 
 # --- episodes ---
@@ -78,7 +78,7 @@ def test_push_at_the_law(material):
     assert 0.7 < paid <= 1.0
 
 
-def test_yaw_is_that_since_the_start():
+def test_yaw_is_relative_to_the_start():
     env = made(CarryLimit)
     observation, _ = env.reset(seed=0, options={"jitter": True})
     assert abs(env._start[6]) > 1e-4
@@ -123,7 +123,7 @@ def test_no_motion_beats_the_law(task):
 
 
 def test_carry_with_more_friction_than_the_law_knows_is_seen():
-    """A planted fault: the simulated friction is 1.2 times that of the limit."""
+    """A planted fault: the simulated friction is 1.2 times the friction of the limit."""
     slippery = made(CarryLimit, parameters={"cube.friction": 1.2 * 0.378789})
     paid, report = by_law(with_limit_of(slippery, made(CarryLimit)), 1.17)
     assert report.ratio > 1.08

@@ -1,4 +1,4 @@
-"""Throw: the law's height is that of an ideal ball on the best plate, and engines let the law's policy have it."""
+"""Throw: an ideal ball on the best plate reaches the law's height, and so does the law's policy in engines."""
 
 import csv
 import math
@@ -36,7 +36,7 @@ def test_height_is_the_best_of_all_places(restitution):
     assert highest == pytest.approx(heights.max(), rel=1e-4)
 
 
-def test_uncertainty_is_that_of_restitution_and_start(env):
+def test_the_uncertainty_comes_from_restitution_and_start(env):
     known, drop = 0.576733, 0.451023 - 0.013297 - 0.15 - 0.03
     value = highest_m(drop, known, GRAVITY_M_PER_S2)
     by_restitution = highest_m(drop, known + 0.1602, GRAVITY_M_PER_S2) - value
@@ -73,7 +73,7 @@ def test_the_plate_is_no_faster_than_the_law_assumes(env):
 
 @pytest.mark.parametrize("aside_m", [0.08, 0.103])
 def test_an_impact_at_an_edge_loses_the_ball(env, aside_m):
-    """The law's policy, with the ball beside the middle of the plate by a distance."""
+    """Return the law's policy with the ball at a distance from the middle of the plate."""
 
     def aside(_):
         env._from_plate_m -= aside_m

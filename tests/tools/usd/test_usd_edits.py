@@ -1,4 +1,4 @@
-"""What is edited in a USD file counts, wherever it stands; and what is not edited stays as it is, to the bit."""
+"""An edited value of a USD file applies, in either place; all other values stay the same, to the bit."""
 
 import math
 from ast import literal_eval
@@ -91,7 +91,7 @@ def changed(value, place, to):
     name, _, rest = place.partition(".")
     if not isinstance(value, tuple):
         return replace(value, **{name: changed(getattr(value, name), rest, to)})
-    names = [getattr(one, "name", "") for one in value]
+    names = [getattr(part, "name", "") for part in value]
     index = int(name) if name.isdecimal() else names.index(name)
     return (*value[:index], changed(value[index], rest, to), *value[index + 1 :])
 
@@ -161,7 +161,7 @@ COUNTED = {
         for row in rows.strip().splitlines()
     ],
 )
-def test_the_edited_value_counts_and_no_other_changes(source, row, tmp_path):
+def test_the_edited_value_applies_and_no_other_changes(source, row, tmp_path):
     path, value, place, *to = row.split()
     source = THROW if source == "throw" else source
     before = original(source) if isinstance(source, str) else source
@@ -192,11 +192,11 @@ def test_a_duration_and_a_marker_count(tmp_path):
 
 
 def test_a_hinge_turned_in_the_joint_frame_turns(tmp_path):
-    turn = Rotation.from_euler("xyz", [10.0, 20.0, 80.0], degrees=True)
-    quaternion = Gf.Quatf(*turn.as_quat(scalar_first=True))
+    rotation = Rotation.from_euler("xyz", [10.0, 20.0, 80.0], degrees=True)
+    quaternion = Gf.Quatf(*rotation.as_quat(scalar_first=True))
     edit = {f"{JOINT}.physics:localRot0": quaternion, f"{JOINT}.gauge:axis": (0.0, 1.0, 0.0)}  # fmt: skip
     (hinge,) = edited(PENDULUM, tmp_path, edit).joints
-    np.testing.assert_allclose(hinge.axis, turn.apply([1.0, 0.0, 0.0]), atol=1e-6)
+    np.testing.assert_allclose(hinge.axis, rotation.apply([1.0, 0.0, 0.0]), atol=1e-6)
     assert np.linalg.norm(hinge.axis) == pytest.approx(1.0, abs=1e-15)
 
 
@@ -210,7 +210,7 @@ def test_an_edited_standard_velocity_counts(tmp_path):
         "/World/thrown.physics:angularVelocity": spin_deg_per_s,
     }
     body = edited(THROW, tmp_path, edit).body("thrown")
-    # The centre of mass is at (0.05, 0.03, 0.015) in the body's axes, along which UsdPhysics states its velocity.
+    # The centre of mass is at (0.05, 0.03, 0.015) in the body's axes, along which UsdPhysics gives its velocity.
     linear = (-0.015 * np.pi / 2, 0.0, 2.0 + 0.05 * np.pi / 2)
     rotation = THROWN.pose.rotation
     assert body.linear_velocity_m_per_s == pytest.approx(rotation.apply(linear))
@@ -223,13 +223,13 @@ def test_an_edited_standard_velocity_counts(tmp_path):
 TABLE_FRAMES = range(95)
 
 
-def turning(turn):
+def turning(rotation_at):
     """Sets every sample of the turntable's orientation."""
 
     def edit(stage):
         attribute = stage.GetAttributeAtPath(f"{PLATE}.xformOp:orient")
         for frame in TABLE_FRAMES:
-            quaternion = turn(frame / FRAME_RATE_HZ).as_quat(scalar_first=True)
+            quaternion = rotation_at(frame / FRAME_RATE_HZ).as_quat(scalar_first=True)
             attribute.Set(Gf.Quatd(*quaternion), frame)
 
     return edit

@@ -37,8 +37,8 @@ def prim(kind, name, text="", apis=""):
 
 
 def body(name="box", kind="Cube", text="", apis=RIGID, mass="2"):
-    stated = f"float physics:mass = {mass}\n" if mass else ""
-    return prim(kind, name, BOUND + stated + text, apis)
+    mass_text = f"float physics:mass = {mass}\n" if mass else ""
+    return prim(kind, name, BOUND + mass_text + text, apis)
 
 
 def collider(name, kind, text="", apis='"PhysicsCollisionAPI"'):
@@ -166,10 +166,12 @@ def test_a_slope_of_another_tool_becomes_a_scene_and_slides_as_newton_says(tmp_p
     simulation = BackendMuJoCo().build(scene)
     start = simulation.body_states(("Crate",))[0, 0].copy()
     simulation.advance(0.5)
-    way = np.linalg.norm(simulation.body_states(("Crate",))[0, 0, :3] - start[:3])
+    displacement_m = np.linalg.norm(
+        simulation.body_states(("Crate",))[0, 0, :3] - start[:3]
+    )
     angle = np.radians(30.0)
     a = 9.81 * (np.sin(angle) - 0.2 * np.cos(angle))
-    assert way == pytest.approx(0.5 * a * 0.5**2, rel=0.01)
+    assert displacement_m == pytest.approx(0.5 * a * 0.5**2, rel=0.01)
 
 
 def test_references_and_instances_are_followed(tmp_path):
@@ -284,9 +286,11 @@ def test_joints_to_the_world(joint_text, expected, tmp_path):
 
 
 def spinner(end_deg):
-    turn = op("float xformOp:rotateZ.timeSamples", f"{{0: 0, 48: {end_deg}}}")
-    turn = turn.replace('["xformOp:rotateZ.timeSamples"]', '["xformOp:rotateZ"]')
-    return body(text="bool physics:kinematicEnabled = 1\n" + turn)
+    rotation = op("float xformOp:rotateZ.timeSamples", f"{{0: 0, 48: {end_deg}}}")
+    rotation = rotation.replace(
+        '["xformOp:rotateZ.timeSamples"]', '["xformOp:rotateZ"]'
+    )
+    return body(text="bool physics:kinematicEnabled = 1\n" + rotation)
 
 
 def test_whole_turns_between_two_keys_are_not_lost(tmp_path):
@@ -301,9 +305,9 @@ def test_pairs_that_are_filtered_or_disabled_do_not_collide(tmp_path):
     def named(name, place, text="", apis=RIGID):
         return body(name, "Sphere", text + moved(place, 0, 0), apis=apis)
 
-    def group(name, members, other):
+    def group(name, members, filtered):
         includes = f"prepend rel collection:colliders:includes = [{members}]"
-        return f'def PhysicsCollisionGroup "{name}"\n{{\n{includes}\nrel physics:filteredGroups = {other}\n}}\n'
+        return f'def PhysicsCollisionGroup "{name}"\n{{\n{includes}\nrel physics:filteredGroups = {filtered}\n}}\n'
 
     filters = RIGID + ', "PhysicsFilteredPairsAPI"'
     a = named("a", 0, "rel physics:filteredPairs = </b>\n", filters)
@@ -343,7 +347,7 @@ def test_a_keyword_chooses_between_static_and_dynamic_friction(tmp_path):
         assert scene.contacts[0].friction == friction
 
 
-# --- what a scene does not have --------------------------------------------------------------------------------------
+# --- parts that scenes lack ------------------------------------------------------------------------------------------
 
 
 SLIPPERY = RUBBER.replace("Rubber", "Two").replace(

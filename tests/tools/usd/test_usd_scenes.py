@@ -30,7 +30,9 @@ from gauge_envs.tools.usd.writer import to_usd
 # --- exact return ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", first_of_each_kind(one.name for one in variants()))
+@pytest.mark.parametrize(
+    "name", first_of_each_kind(variant.name for variant in variants())
+)
 def test_checked_in_layers_are_the_scenes_to_the_bit(name):
     read = read_usd(assets_folder() / "usd" / f"{name}.usda")
     assert read.scene == load_experiment(name).scene
@@ -38,7 +40,7 @@ def test_checked_in_layers_are_the_scenes_to_the_bit(name):
     assert set(read.paths) >= {body.name for body in read.scene.bodies}
 
 
-def test_a_scene_that_no_file_shows_comes_back_to_the_bit(tmp_path):
+def test_a_scene_with_every_feature_comes_back_to_the_bit(tmp_path):
     """Names that USD does not allow, start velocities, a string of a third of a metre, and a motion by samples."""
     bob = RigidBody(
         name="a_1",

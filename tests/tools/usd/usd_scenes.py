@@ -3,10 +3,10 @@
 
 def pairs(scene):
     """Return the pairs that collide; no contact lists one of another."""
-    found = [
+    names = [
         frozenset(pair)
         for contact in scene.contacts
         for pair in scene.colliding_pairs(contact)
     ]
-    assert len(found) == len(set(found))
-    return set(found)
+    assert len(names) == len(set(names))
+    return set(names)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.bench.grasp import (
-    HELD,
+    GRASPED,
     PRESSED,
     TURNED,
     pad_creep_um_per_s,
@@ -57,14 +57,14 @@ def creep() -> Phenomenon:
         "0.1 mm, as for a cube that holds, in a carry of 10 s",
     )
     title = "creep of a box out of its grasp"
-    return _row(title, "grasp", HELD, "um/s", law, pad_creep_um_per_s)
+    return _row(title, "grasp", GRASPED, "um/s", law, pad_creep_um_per_s)
 
 
 def sink() -> Phenomenon:
     """Return the depth of these pads in the box."""
     law = Reality(0.0, 200.0, "rigid bodies: depth = 0", "as for a height at rest")
     title = "depth of two pads in the box that they grasp"
-    return _row(title, "grasp", HELD, "um", law, pad_depth_um)
+    return _row(title, "grasp", GRASPED, "um", law, pad_depth_um)
 
 
 def torsion() -> Phenomenon:

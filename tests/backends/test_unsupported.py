@@ -1,4 +1,4 @@
-"""Each scene or setting that an engine does not build raises an error that names what is wrong.
+"""Each unsupported scene or setting of an engine raises an error with its reason.
 
 One row for each kind of limit: settings, presets for other scenes, contacts, shapes, joints and deformable bodies.
 """
@@ -74,7 +74,7 @@ BOB = ball("ball-1", (0.0, 0.0, 0.8))
 
 
 def rope_between(motion, **parts):
-    """Return a rope between two bodies, one of which is fixed."""
+    """Return a rope between a fixed body and another body."""
     rope = Rope(
         name="rope",
         pose=Pose(position_m=(0.0, 0.0, 1.0)),
@@ -85,8 +85,8 @@ def rope_between(motion, **parts):
     )
     motions = {"low": Motion.FIXED, "high": motion}
     bodies = (
-        replace(fixed_box(side, (0.0, 0.0, 2.0), (0.1,) * 3), motion=one)
-        for side, one in motions.items()
+        replace(fixed_box(side, (0.0, 0.0, 2.0), (0.1,) * 3), motion=motion)
+        for side, motion in motions.items()
     )
     ends = tuple(
         Attachment(deformable="rope", region=Region(axis="x", side=side), to=side)
@@ -98,17 +98,19 @@ def rope_between(motion, **parts):
 def attached(name, **region):
     """Return an experiment whose first attachment has another region."""
     scene = load_experiment(name).scene
-    first, *others = scene.attachments
+    first, *rest = scene.attachments
     first = replace(first, region=replace(first.region, **region))
-    return replace(scene, attachments=(first, *others))
+    return replace(scene, attachments=(first, *rest))
 
 
 def released(name):
     """Return an experiment whose driven bodies move under forces."""
     scene = load_experiment(name).scene
     bodies = tuple(
-        replace(one, motion=Motion.DYNAMIC) if one.motion is Motion.KINEMATIC else one
-        for one in scene.bodies
+        replace(part, motion=Motion.DYNAMIC)
+        if part.motion is Motion.KINEMATIC
+        else part
+        for part in scene.bodies
     )
     return replace(scene, bodies=bodies, drivers=())
 
@@ -116,10 +118,10 @@ def released(name):
 def two_cloths(*contacts):
     """Return the scene of a pulled tablecloth with a second cloth, and more contacts."""
     scene = load_experiment("TableclothPulling-metal").scene
-    other = replace(scene.deformables[0], name="other")
+    second = replace(scene.deformables[0], name="other")
     return replace(
         scene,
-        deformables=(*scene.deformables, other),
+        deformables=(*scene.deformables, second),
         contacts=(*scene.contacts, *contacts),
     )
 
@@ -237,7 +239,9 @@ def refusal(engine, scene, settings):
 @pytest.mark.parametrize(
     ("engine", "scene", "settings", "reason"), ROWS, indirect=["engine"]
 )
-def test_what_an_engine_refuses_has_its_reason(engine, scene, settings, reason):
+def test_an_unsupported_scene_or_setting_has_its_reason(
+    engine, scene, settings, reason
+):
     assert re.search(reason, refusal(engine, scene, settings))
 
 
@@ -257,7 +261,7 @@ def test_impossible_settings_are_named(engine, settings, reason):
 
 
 @pytest.mark.parametrize("engine", ["rapier"], indirect=True)
-def test_an_engine_without_rolling_friction_declines_it(engine):
+def test_rolling_friction_is_unsupported_by_an_engine_without_it(engine):
     touch = replace(contact("ball", "ground", friction=0.5), rolling_m=0.001)
     scene = of(ball("ball", (0.0, 0.0, 0.03)), ground(), contacts=(touch,))
     (reason,) = scene_support(engine, scene).missing
