@@ -201,7 +201,7 @@ def _object_flags(report: Report) -> list[Part]:
     if _has_default_contact(report.configuration):
         worst = flags[0]
         text = (
-            f"{worst.verdict}: MuJoCo's default contact, as the file sets no solref, solimp and cone. Measured objects: "
+            f"{worst.verdict}: MuJoCo's default contact, as the file sets no solref, solimp, cone. Measured objects: "
             f"{len(flags)} {flags_text(flags)}, such as {worst.phenomenon} with "
             f"{with_unit(measured_text(worst), worst.unit)}, real {reality_text(worst.reality, worst.unit)}"
         )
