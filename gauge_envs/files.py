@@ -1,5 +1,6 @@
 """Find data folders, read and write files, and prepare values for JSON."""
 
+import codecs
 import errno
 import io
 import json
@@ -58,31 +59,51 @@ def os_errors(raised: Callable[[str], Exception]) -> Iterator[None]:
 # --- reading ---------------------------------------------------------------------------------------------------------
 
 
+def text_of(content: bytes) -> str:
+    """Return text in UTF-8, with or without a byte-order mark, or in UTF-16 with one.
+
+    Raises:
+        ValueError: The content is neither.
+    """
+    is_wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        return content.decode("utf-16" if is_wide else "utf-8-sig")
+    except UnicodeDecodeError:
+        raise ValueError("it is not text in UTF-8; save it as UTF-8") from None
+
+
 def json_document(content: bytes) -> Any:
-    """Return the value of a JSON document in UTF-8.
+    """Return the value of a JSON document; see `text_of` for the encoding.
 
     Raises:
         ValueError: The content is not JSON.
     """
-    return json.loads(content.decode("utf-8-sig"))
+    return json.loads(text_of(content))
 
 
 def csv_text(content: bytes) -> io.StringIO:
-    """Return CSV in UTF-8 with commas; it may have a byte-order mark, or semicolons and decimal commas."""
-    text = content.decode("utf-8-sig")
+    """Return CSV with commas; the file may have semicolons, tabs or spaces, and decimal commas with the first two.
+
+    Raises:
+        ValueError: The content is not text.
+    """
+    text = text_of(content)
     header = next((line for line in text.splitlines() if not line.startswith("#")), "")
-    if ";" in header:
-        text = text.replace(",", ".").replace(";", ",")
+    separator = next((mark for mark in ";\t" if mark in header), None)
+    if separator is not None:
+        text = text.replace(",", ".").replace(separator, ",")
+    elif "," not in header:
+        text = "\n".join(",".join(line.split()) for line in text.splitlines())
     return io.StringIO(text, newline="")
 
 
 def toml_document(content: bytes) -> dict[str, Any]:
-    """Return the tables of a TOML document in UTF-8.
+    """Return the tables of a TOML document; see `text_of` for the encoding.
 
     Raises:
         ValueError: The content is not TOML.
     """
-    return tomllib.loads(content.decode("utf-8-sig"))
+    return tomllib.loads(text_of(content))
 
 
 def npz_arrays(

@@ -20,7 +20,8 @@ from gauge_envs.scoring.likely_mistakes import (
     start_values,
     value_mistake,
 )
-from gauge_envs.scoring.metrics import frame_index
+from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, frame_index
+from gauge_envs.scoring.motion_checks import unusual_motion
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import score_trajectory
 from gauge_envs.scoring.trajectory_file import (
@@ -42,7 +43,7 @@ def score_file(
     variant: str | None = None,
     parameters: Parameters | None = None,
     reference: DataSource | str = DataSource.BUNDLED,
-) -> tuple[Result, int]:
+) -> tuple[Result, tuple[str, ...]]:
     """Score a trajectory file of a user's own simulator; see `scoring.trajectory_file` for the formats.
 
     Args:
@@ -52,7 +53,7 @@ def score_file(
         reference: `bundled` scores against the package's references, `imported` against the imported trials.
 
     Returns:
-        The result, and the number of interpolated frames.
+        The result, and notes on interpolated frames and on unusual motion.
     """
     origin = file_origin(file)
     experiment = _experiment_of_file(file, origin, variant, parameters, reference)
@@ -62,9 +63,10 @@ def score_file(
     index = frame_index(
         trajectory.times_s, experiment.frame_count, name=experiment.name
     )
+    frames = trajectory.values[index]
     mistake = value_mistake(
         experiment,
-        trajectory.values[index],
+        frames,
         tolerance_mm=START_TOLERANCE_MM + _jitter_mm(origin),
     )
     if mistake is None and trajectory.markers_m is not None:
@@ -72,6 +74,11 @@ def score_file(
         mistake = mistake and f"markers_m: {mistake}"
     if mistake is not None:
         raise TrajectoryFileError(f"{file}: {mistake}")
+    unusual = [] if band is None else [*unusual_motion(experiment, band, frames)]
+    if trajectory.likely_rate_hz is not None:
+        unusual.append(
+            f"without time_s, rows are at 30 Hz; this motion follows the reference at {trajectory.likely_rate_hz} Hz"
+        )
     score = score_trajectory(
         experiment,
         band,
@@ -81,6 +88,13 @@ def score_file(
         is_moved=bool(origin.jitter) and experiment.trial is None,
         is_checked=True,
     )
+    offset_s = score.time_offset_s or 0.0
+    if abs(offset_s) > MAX_TIME_OFFSET_S - 1e-6:
+        unusual.append(
+            f"the time offset {offset_s:+.3f} s is a limit of its search, not an estimate"
+        )
+    if unusual:
+        score = replace(score, estimates={})
     if origin.parameters is None and parameters is None:
         # The simulator of the file may have other constants than the exact solution.
         score = replace(score, exact=None)
@@ -101,7 +115,11 @@ def score_file(
             markers_m=trajectory.markers_m,
         ),
     )
-    return result, trajectory.interpolated_frames
+    if trajectory.interpolated_frames:
+        unusual.append(
+            f"{trajectory.interpolated_frames} of {len(frames)} frames have no sample: interpolated linearly"
+        )
+    return result, tuple(unusual)
 
 
 def _with_its_trial(

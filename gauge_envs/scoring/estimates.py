@@ -164,7 +164,8 @@ def _of_free_body(
             return {
                 "restitution": _measured(_real_restitution(band), restitution, 0.0, "1")
             }
-    if contacts and is_uniformly_accelerated(times_s, projected):
+    # Motion across the slide is not of a slide from rest.
+    if contacts and is_uniformly_accelerated(times_s, values):
         return _friction(experiment, band, times_s, values)
     return {}
 

@@ -4,15 +4,16 @@ No physics engine is needed. Values are in the unit of the observable: mm for po
 face areas. Columns are the coordinates of g(t) in the order of `coordinate_names`.
 
 - CSV: one row per sample, an optional header, and an optional column `time_s` in the header. `#` starts a comment.
+  Commas, semicolons, tabs or spaces separate columns. The text is in UTF-8, or in UTF-16 with a byte-order mark.
 - NPZ: arrays `g`, shape [T, C]; optionally `time_s`, shape [T], and `markers_m`, shape [T, M, 3], the markers [m].
 - JSON: an object with `g`, a list of rows, and optionally `time_s` and `id`; or a result file of this package.
 
 A CSV header with names of coordinates (`cube.x` or `cube.x [mm]`) may list them in any order. Any other header is
 skipped. Without times, rows are the 30 Hz frames. With times, the first is 0. A sample counts as a frame if it is
-within 0.5 ms and within a tenth of the sample spacing. Other frames are interpolated linearly; `interpolated_frames`
-counts them. The time alignment uses samples of up to 10 frames after the last published one. A file that ends with the
-last frame is not shifted to earlier times. Later samples are ignored; without times they raise an error, because they
-suggest another rate.
+within 0.5 ms and within a tenth of the sample spacing. Other frames are interpolated linearly, also between the samples
+of a clock that jitters by up to 5 ms; `interpolated_frames` counts them. The time alignment uses samples of up to 10
+frames after the last published one. A file that ends with the last frame is not shifted to earlier times. Later samples
+are ignored; without times they raise an error, because they suggest another rate.
 """
 
 from __future__ import annotations
@@ -33,9 +34,14 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, frame_index, interpolated
+from gauge_envs.scoring.motion_checks import likely_rate_hz, lost_marker
+from gauge_envs.scoring.reference import reference_band
 
 FILE_TOLERANCE_S = 5e-4
 """Largest time between a frame and its sample in a file [s]: the error of times printed with three digits."""
+
+MAX_JITTER_S = 5e-3
+"""Largest time between a frame and its sample by a clock that jitters [s]; the frame is interpolated."""
 
 LATER_FRAMES = 10
 """Number of frames after the last one that the time alignment uses."""
@@ -56,6 +62,7 @@ class UserTrajectory:
             [sample_count].
         values: g(t) at those times in the observable's unit, shape [sample_count, coordinate_count].
         interpolated_frames: Number of frames without a sample in the file.
+        likely_rate_hz: Rate at which rows without times follow the reference, if it is not 30 Hz.
         markers_m: Marker positions at the 30 Hz frames [m], shape [frame_count, marker_count, 3], from the file or from
             a g(t) of marker positions; None without either.
     """
@@ -63,6 +70,7 @@ class UserTrajectory:
     times_s: FloatArray
     values: FloatArray
     interpolated_frames: int
+    likely_rate_hz: int | None = None
     markers_m: FloatArray | None = None
 
 
@@ -124,13 +132,25 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     samples = readers[suffix](file, experiment)
     frame_count = experiment.frame_count
     frames_s = np.arange(frame_count) / FRAME_RATE_HZ
-    times_s = _times_at_frames(file, samples, frames_s)
+    rate_hz = None
+    band = reference_band(experiment)
+    if samples.times_s is None and band is not None and len(samples.values):
+        rate_hz = likely_rate_hz(band, samples.values)
+    times_s = _times_at_frames(file, samples, frames_s, rate_hz)
+    lost = lost_marker(experiment, times_s, samples.values)
+    if lost is not None:
+        raise TrajectoryFileError(f"{file}: {lost}")
     missing_s = np.setdiff1d(frames_s, times_s)
     all_times_s = np.union1d(times_s, frames_s)
     # The time alignment does not use later samples.
     last_s = frames_s[-1] + MAX_TIME_OFFSET_S + FILE_TOLERANCE_S
-    all_times_s = all_times_s[all_times_s <= last_s]
+    all_times_s = all_times_s[(all_times_s >= 0.0) & (all_times_s <= last_s)]
     values = interpolated(all_times_s, times_s, samples.values)
+    # The clock may start up to 5 ms late, or stop up to 5 ms early.
+    if times_s[0] > 0.0:
+        values[0] = _on_line(0.0, times_s[:2], samples.values[:2])
+    if times_s[-1] < frames_s[-1]:
+        values[-1] = _on_line(frames_s[-1], times_s[-2:], samples.values[-2:])
     markers_m = None
     if experiment.score.observable is Observable.MARKER_POSITION:
         at_frames = values[frame_index(all_times_s, frame_count)]
@@ -143,6 +163,7 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
         times_s=all_times_s,
         values=values,
         interpolated_frames=len(missing_s),
+        likely_rate_hz=rate_hz,
         markers_m=markers_m,
     )
 
@@ -173,18 +194,21 @@ def _read_csv(file: Path, experiment: Experiment) -> _Samples:
         reader = csv.reader(csv_text(_content(file)))
         for line in reader:
             cells = [cell.strip() for cell in line]
-            if not any(cells):
+            # Spreadsheets write separators of empty columns.
+            while cells and not cells[-1]:
+                cells.pop()
+            if not cells:
                 continue
             if cells[0].startswith("#"):
                 # numpy.savetxt writes its header as a comment.
-                names = [cell.strip("# ") for cell in cells]
+                names = [name for cell in cells if (name := cell.strip("# "))]
                 header = names if TIME in names else header
             elif not rows and not any(map(_is_number, cells)) and "" not in cells:
                 header = cells
             else:
                 rows.append(cells)
                 places.append(f"line {reader.line_num}")
-    except (UnicodeDecodeError, csv.Error) as error:
+    except (ValueError, csv.Error) as error:
         raise TrajectoryFileError(f"{file}: not a CSV file: {error}") from error
     coordinates = experiment.coordinates
     names = list(coordinates)
@@ -373,8 +397,16 @@ def _json_object(file: Path) -> dict[str, Any]:
 # --- times -----------------------------------------------------------------------------------------------------------
 
 
-def _times_at_frames(file: Path, samples: _Samples, frames_s: FloatArray) -> FloatArray:
+def _times_at_frames(
+    file: Path, samples: _Samples, frames_s: FloatArray, rate_hz: int | None
+) -> FloatArray:
     """Return the times of the samples [s]; a sample near a frame gets the time of the frame.
+
+    Args:
+        file: The file.
+        samples: Its content.
+        frames_s: Times of the frames [s].
+        rate_hz: Likely rate of rows without times; None is unknown.
 
     Raises:
         TrajectoryFileError: Times do not increase from 0 to the last frame, or a frame has no sample nearby.
@@ -386,9 +418,12 @@ def _times_at_frames(file: Path, samples: _Samples, frames_s: FloatArray) -> Flo
     # Twice as many rows look like frames at 60 Hz.
     largest_count = min(frame_count + LATER_FRAMES, 2 * frame_count - 2)
     if samples.times_s is None and row_count > largest_count:
-        rate_hz = FRAME_RATE_HZ * (row_count - 1) / (frame_count - 1)
+        max_hz = FRAME_RATE_HZ * (row_count - 1) / (frame_count - 1)
+        # The file may contain the frames for the time alignment.
+        min_hz = FRAME_RATE_HZ * row_count / (frame_count + LATER_FRAMES)
+        rates = f"{min_hz:.0f} to {max_hz:.0f}" if rate_hz is None else str(rate_hz)
         raise TrajectoryFileError(
-            f"{file}: {row_count} rows without {TIME} look like {rate_hz:.0f} Hz; {needed}. Add a column {TIME} [s]"
+            f"{file}: {row_count} rows without {TIME} look like {rates} Hz; {needed}. Add a column {TIME} [s]"
         )
     if row_count < 2:
         raise TrajectoryFileError(f"{file}: {row_count} rows; {needed}")
@@ -402,22 +437,24 @@ def _times_at_frames(file: Path, samples: _Samples, frames_s: FloatArray) -> Flo
         raise TrajectoryFileError(
             f"{file}: row {row}: {TIME} is {times_s[row]:g} after {times_s[row - 1]:g}, but times must increase"
         )
-    if abs(times_s[0]) > tolerance_s:
+    if abs(times_s[0]) > MAX_JITTER_S:
         raise TrajectoryFileError(
             f"{file}: row 0: {TIME} is {times_s[0]:g}, expected 0: the episode starts there"
         )
-    if times_s[-1] < frames_s[-1] - tolerance_s:
+    if times_s[-1] < frames_s[-1] - MAX_JITTER_S:
         raise TrajectoryFileError(
             f"{file}: {row_count} rows end at {times_s[-1]:.4f} s; {needed}"
         )
     between_s = 0.5 * (times_s[1:] + times_s[:-1])
     nearest = np.searchsorted(between_s, frames_s)
-    is_near = np.abs(times_s[nearest] - frames_s) <= tolerance_s
+    distances_s = np.abs(times_s[nearest] - frames_s)
+    is_near = distances_s <= tolerance_s
+    is_far = distances_s[~is_near] > MAX_JITTER_S
     times_s[nearest[is_near]] = frames_s[is_near]
     missing_s = frames_s[~is_near]
-    after = np.searchsorted(times_s, missing_s)
+    after = np.searchsorted(times_s[1:-1], missing_s) + 1
     gaps_s = times_s[after] - times_s[after - 1]
-    is_wide = gaps_s > 1.0 / FRAME_RATE_HZ + 2.0 * tolerance_s
+    is_wide = is_far & (gaps_s > 1.0 / FRAME_RATE_HZ + 2.0 * tolerance_s)
     if is_wide.any():
         first = int(is_wide.argmax())
         before_s, after_s = times_s[after[first] - 1], times_s[after[first]]
@@ -426,6 +463,12 @@ def _times_at_frames(file: Path, samples: _Samples, frames_s: FloatArray) -> Flo
             f"are at {before_s:.4f} and {after_s:.4f} s; {needed}. {_time_unit_text(times_s, frames_s)}"
         )
     return times_s
+
+
+def _on_line(time_s: float, times_s: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the value at a time [s] on the line through two samples, shape [C]."""
+    share = (time_s - times_s[0]) / (times_s[1] - times_s[0])
+    return np.asarray(values[0] + share * (values[1] - values[0]))
 
 
 def _time_unit_text(times_s: FloatArray, frames_s: FloatArray) -> str:

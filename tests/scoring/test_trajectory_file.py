@@ -1,6 +1,7 @@
 """Trajectory files of users: each format is read as it was written, and a likely mistake is named with its place."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +20,7 @@ from gauge_envs.scoring.trajectory_file import read_trajectory
 
 def test_a_closed_form_slide_in_a_csv_scores_as_in_the_library(tmp_path):
     file = write_csv(tmp_path / "slide.csv", SLIDE)
-    result, interpolated = score_file(file, variant=NAME)
+    result, notes = score_file(file, variant=NAME)
     expected = score_trajectory(
         RESOLVED, reference_band(RESOLVED), times_s=TIMES, values=SLIDE
     )
@@ -27,12 +28,12 @@ def test_a_closed_form_slide_in_a_csv_scores_as_in_the_library(tmp_path):
     assert result.score == replace(expected, exact=None) != expected
     # scoring/README.md: an ideal Coulomb cube with the calibrated friction scores 0.41.
     assert result.score.rmse_normalized == pytest.approx(0.41, abs=0.005)
-    assert (interpolated, result.frames, result.sim_s) == (0, FRAMES, 0.6)
+    assert (notes, result.frames, result.sim_s) == ((), FRAMES, 0.6)
 
 
 @settings(max_examples=40)
 @given(
-    values=arrays(float, (FRAMES + 3, 3), elements=st.floats(-1e9, 1e9)),
+    values=arrays(float, (FRAMES + 3, 3), elements=st.floats(-0.5, 0.5)),
     order=st.permutations(range(3)),
     has_times=st.booleans(),
 )
@@ -67,6 +68,29 @@ def test_headers_of_other_tools_go_by_position(tmp_path):
     np.savetxt(tmp_path / "b.csv", table, delimiter=",", header="time_s,x,y,z")
     read = read_trajectory(tmp_path / "b.csv", RESOLVED)
     np.testing.assert_allclose(read.values, SLIDE)
+
+
+@pytest.mark.parametrize(
+    ("separator", "end", "encoding"),
+    [(",", ",,", "utf-8-sig"), ("\t", "\t", "utf-16"), (" ", "", "utf-8")],
+)
+def test_files_of_other_programs(tmp_path, separator, end, encoding):
+    file = write_csv(tmp_path / "a.csv", SLIDE, header="time_s,x,y,z", times=TIMES)
+    lines = file.read_text().replace(",", separator).splitlines()
+    file.write_text("".join(f"{line}{end}\n" for line in lines), encoding=encoding)
+    np.testing.assert_array_equal(read_trajectory(file, RESOLVED).values, SLIDE)
+
+
+def test_a_clock_may_jitter_by_5_ms(tmp_path):
+    times = TIMES + np.random.default_rng(0).uniform(-0.0049, 0.0049, FRAMES)
+    times[[0, -1]] = 0.004, 0.596
+    places = coulomb_slide(times)
+    file = write_csv(tmp_path / "a.csv", places, header="time_s,x,y,z", times=times)
+    read = read_trajectory(file, RESOLVED)
+    at_frames = read.values[np.isin(read.times_s, TIMES)]
+    np.testing.assert_allclose(at_frames, SLIDE, atol=0.6)  # a dt^2 / 8 = 0.6 mm
+    _, notes = score_file(file, variant=NAME)
+    assert "of 19 frames have no sample: interpolated" in notes[0]
 
 
 def test_frames_between_samples_are_interpolated_and_counted(tmp_path):
@@ -133,6 +157,41 @@ def test_a_file_is_scored_by_the_trial_or_the_scatter_that_it_starts_with(tmp_pa
             score_file(file)
 
 
+@pytest.mark.parametrize(
+    ("motion", "text"),
+    [
+        (lambda t: coulomb_slide(0.5 * t), "follows the reference at 60 Hz"),
+        (
+            lambda t: 2 * SLIDE[0] - coulomb_slide(t),
+            "frame .* moves .* against the reference",
+        ),
+        (lambda t: 2 * SLIDE[0] - coulomb_slide(t), "offset .* a limit of its search"),
+        (
+            lambda t: coulomb_slide(t) + np.outer(t, [0.0, 600.0, 0.0]),
+            r"frame 18 .*: 360 mm of motion across is not scored, mainly cube\.y",
+        ),
+    ],
+)
+def test_unusual_motion_is_noted_and_gives_no_estimate(tmp_path, motion, text):
+    times = np.arange(FRAMES + 10) / 30.0
+    usual, notes = score_file(
+        write_csv(tmp_path / "a.csv", coulomb_slide(times)), variant=NAME
+    )
+    assert notes == ()
+    assert usual.score.estimates["friction"].value == pytest.approx(0.2737, abs=1e-3)
+    unusual, notes = score_file(
+        write_csv(tmp_path / "a.csv", motion(times)), variant=NAME
+    )
+    assert re.search(text, "\n".join(notes))
+    assert not unusual.score.estimates
+
+
+def lost(rows, value):
+    places = SLIDE.copy()
+    places[rows] = value
+    return {"g": places}
+
+
 def broken(row, column, text):
     rows = [[repr(float(v)) for v in r] for r in SLIDE]
     rows[row][column] = text
@@ -154,7 +213,23 @@ NAN_ROW[3, 1] = np.nan
         (".csv", broken(4, 1, "nan"), r"line 6: cube.y is 'nan', .* number \[mm\]"),
         (".csv", "cube.x [m],cube.y,cube.z\n1,2,3\n", r"in \[m\], expected \[mm\]"),
         (".csv", "1,2,3\n" * 18, r"18 rows end at 0\.5667 s; 19 frames are needed"),
-        (".csv", "1,2,3\n" * 30, "30 rows without time_s look like 48 Hz"),
+        (".csv", "1,2,3\n" * 30, "30 rows without time_s look like 31 to 48 Hz"),
+        (".npz", {"g": coulomb_slide(np.arange(58) / 60.0)}, "58 rows .* like 60 Hz"),
+        (
+            ".npz",
+            lost(slice(8, 11), 0.0),
+            r"rows 8 to 10 \(t = 0.2667 s\): cube.x is 0",
+        ),
+        (".npz", lost(slice(8, 11), SLIDE[8]), r"rows 8 to 10 .* the marker was lost"),
+        (".npz", lost(slice(16, 19), 0.0), "rows 16 to 18 .* the marker was lost"),
+        (
+            ".npz",
+            {"g": SLIDE[np.arange(19) // 3 * 3]},
+            "rows 3 to 5 .* marker was lost",
+        ),
+        (".csv", broken(0, 1, "0"), r"row 0 .* cube\.y is 0"),
+        (".csv", broken(4, 1, "-9999"), r"row 4 .*: cube\.y is -9999"),
+        (".csv", broken(12, 2, "150"), r"row 12 .*: cube\.z is 150"),
         (".csv", timed(1e3 * TIMES), "no sample at frame 1 .* look like milliseconds"),
         (".csv", timed([0.0, 0.2, 0.1, 0.6]), r"row 2: time_s is 0\.1 after 0\.2"),
         (".csv", timed([0.0, 1 / 30, 0.5, 0.6]), r"frame 2 .* 0\.0333 and 0\.5000 s"),

@@ -21,7 +21,6 @@ from gauge_envs.cli.output import (
 from gauge_envs.cli.results import reported
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.files import processors
-from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
     from gauge_envs.runs.request import RunRequest
@@ -193,13 +192,13 @@ def score(
     from gauge_envs.runs.score_file import score_file
     from gauge_envs.tools.run.report import summary_document
 
-    result, interpolated = score_file(
+    result, notes = score_file(
         file,
         variant=name,
         parameters=arguments.parsed_parameters(parameters),
         **arguments.parsed_use(use, "reference"),
     )
-    if interpolated:
-        note(f"{counted(interpolated, 'frame')} between samples: interpolated linearly")
+    for text in notes:
+        note(text)
     document = summary_document([result], details=details or form is Format.WIDE)
     print_document(replace(document, rows=[result.to_dict(trajectory=False)]), form)

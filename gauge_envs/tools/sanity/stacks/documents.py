@@ -6,13 +6,12 @@ None. Nothing of a file is run.
 
 from __future__ import annotations
 
-import codecs
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from gauge_envs.errors import TargetError, needs_extra
-from gauge_envs.files import os_errors
+from gauge_envs.files import os_errors, text_of
 
 PYTHON = "tag:yaml.org,2002:python/"
 
@@ -27,11 +26,10 @@ def file_text(path: Path) -> str:
         raise TargetError(f"{path}: there is no such file")
     with os_errors(lambda cause: TargetError(f"{path}: cannot be read: {cause}")):
         content = path.read_bytes()
-    is_wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        text = content.decode("utf-16" if is_wide else "utf-8-sig")
-    except UnicodeDecodeError:
-        raise TargetError(f"{path}: is no text in UTF-8: save it as UTF-8") from None
+        text = text_of(content)
+    except ValueError as error:
+        raise TargetError(f"{path}: {error}") from None
     if not text.strip():
         raise TargetError(f"{path}: is empty")
     return text
