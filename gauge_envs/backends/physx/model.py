@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -38,7 +38,7 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.meshes import body_mass_properties, prism
 
 with warnings.catch_warnings():
@@ -48,6 +48,9 @@ with warnings.catch_warnings():
 
 ROOT_MASS_KG = 1.0
 """Mass of the fixed base of a hinge, which has no effect."""
+
+HINGE_SPAN_M = 1.0
+"""Distance [m] of the two points that hold a hinge; so far apart, the second one hardly bears the weight of a body."""
 
 PRISM_SHARE = 0.995
 """Radius of the prism in a cylinder that rolls on a capsule, over the cylinder's radius. An edge that comes down at
@@ -283,16 +286,22 @@ def _component(body: RigidBody) -> physx.PhysxRigidBaseComponent:
 def _add_hinge(
     component: physx.PhysxRigidDynamicComponent, body: RigidBody, hinge: Hinge
 ) -> None:
-    """Connect a body to the world with a constraint that leaves one rotation free."""
+    """Connect a body to the world at two points of the axis, which leave one rotation free.
+
+    SAPIEN stores limits of swing angles, but leaves these angles free.
+    """
     frame = hinge_frame(hinge)
-    joint = physx.PhysxDriveComponent(component)
-    joint.pose_in_parent = physx_pose(frame)
-    joint.pose_in_child = physx_pose(frame.relative_to(body.pose))
-    joint.set_limit_x(0.0, 0.0)
-    joint.set_limit_y(0.0, 0.0)
-    joint.set_limit_z(0.0, 0.0)
-    joint.set_limit_pyramid(0.0, 0.0, 0.0, 0.0)
-    component.entity.add_component(joint)
+    for x_m in (0.0, HINGE_SPAN_M):
+        point_m = vector(np.add(hinge.anchor_m, np.multiply(x_m, hinge.axis)))
+        point = replace(frame, position_m=point_m)
+        joint = physx.PhysxDriveComponent(component)
+        joint.pose_in_parent = physx_pose(point)
+        joint.pose_in_child = physx_pose(point.relative_to(body.pose))
+        if not x_m:
+            joint.set_limit_x(0.0, 0.0)
+        joint.set_limit_y(0.0, 0.0)
+        joint.set_limit_z(0.0, 0.0)
+        component.entity.add_component(joint)
 
 
 def _add_tether(component: physx.PhysxRigidBodyComponent, tether: Tether) -> None:

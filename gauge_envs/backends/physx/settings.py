@@ -49,8 +49,8 @@ class SettingsPhysX(SteppedSettings):
         tolerance_length_m: Length scale of the engine. SAPIEN leaves PhysX's friction offset threshold at 0.04 and its
             friction correlation distance at 0.025 of it.
         tolerance_speed_m_per_s: Speed scale of the engine.
-        hinges: `articulation` (reduced coordinates: the hinge cannot open) or `joint` (maximal coordinates: a
-            constraint that the solver iterates).
+        hinges: `articulation` (reduced coordinates: the hinge cannot open) or `joint` (maximal coordinates:
+            constraints that the solver iterates).
         sustained_restitution: Give sustained contacts the scene's restitution too, instead of 0.
     """
 
