@@ -123,6 +123,8 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     Raises:
         TrajectoryFileError: The file cannot be read, or a row, a column or a time is wrong.
     """
+    from scipy.interpolate import make_interp_spline
+
     readers = {".csv": _read_csv, ".npz": _read_npz, ".json": _read_json}
     suffix = file.suffix.lower()
     if suffix not in readers:
@@ -145,12 +147,8 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     # The time alignment does not use later samples.
     last_s = frames_s[-1] + MAX_TIME_OFFSET_S + FILE_TOLERANCE_S
     all_times_s = all_times_s[(all_times_s >= 0.0) & (all_times_s <= last_s)]
-    values = interpolated(all_times_s, times_s, samples.values)
-    # The clock may start up to 5 ms late, or stop up to 5 ms early.
-    if times_s[0] > 0.0:
-        values[0] = _on_line(0.0, times_s[:2], samples.values[:2])
-    if times_s[-1] < frames_s[-1]:
-        values[-1] = _on_line(frames_s[-1], times_s[-2:], samples.values[-2:])
+    # A clock may start up to 5 ms late or stop up to 5 ms early: lines go on there.
+    values = make_interp_spline(times_s, samples.values, k=1)(all_times_s)
     markers_m = None
     if experiment.score.observable is Observable.MARKER_POSITION:
         at_frames = values[frame_index(all_times_s, frame_count)]
@@ -463,12 +461,6 @@ def _times_at_frames(
             f"are at {before_s:.4f} and {after_s:.4f} s; {needed}. {_time_unit_text(times_s, frames_s)}"
         )
     return times_s
-
-
-def _on_line(time_s: float, times_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the value at a time [s] on the line through two samples, shape [C]."""
-    share = (time_s - times_s[0]) / (times_s[1] - times_s[0])
-    return np.asarray(values[0] + share * (values[1] - values[0]))
 
 
 def _time_unit_text(times_s: FloatArray, frames_s: FloatArray) -> str:

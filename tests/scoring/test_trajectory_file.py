@@ -225,7 +225,7 @@ NAN_ROW[3, 1] = np.nan
         (
             ".npz",
             {"g": SLIDE[np.arange(19) // 3 * 3]},
-            "rows 3 to 5 .* marker was lost",
+            "rows 9 to 11 .* marker was lost",
         ),
         (".csv", broken(0, 1, "0"), r"row 0 .* cube\.y is 0"),
         (".csv", broken(4, 1, "-9999"), r"row 4 .*: cube\.y is -9999"),
