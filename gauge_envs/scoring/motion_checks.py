@@ -108,13 +108,15 @@ def _distances_off_path(path: FloatArray, counts: IntArray) -> FloatArray:
     return distances
 
 
-def likely_rate_hz(band: Band, values: FloatArray) -> int | None:
+def likely_rate_hz(band: Band | None, values: FloatArray) -> int | None:
     """Return the rate at which rows without times follow the reference, if 30 Hz does not; else None.
 
     Args:
-        band: The reference.
+        band: The reference; None is unknown.
         values: g(t), shape [row_count, coordinate_count].
     """
+    if band is None or not len(values):
+        return None
     projected = band.project(values)
     if not MIN_MISFIT < _misfit(band, projected, FRAME_RATE_HZ) < np.inf:
         return None

@@ -135,9 +135,8 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     frame_count = experiment.frame_count
     frames_s = np.arange(frame_count) / FRAME_RATE_HZ
     rate_hz = None
-    band = reference_band(experiment)
-    if samples.times_s is None and band is not None and len(samples.values):
-        rate_hz = likely_rate_hz(band, samples.values)
+    if samples.times_s is None:
+        rate_hz = likely_rate_hz(reference_band(experiment), samples.values)
     times_s = _times_at_frames(file, samples, frames_s, rate_hz)
     lost = lost_marker(experiment, times_s, samples.values)
     if lost is not None:
@@ -416,12 +415,9 @@ def _times_at_frames(
     # Twice as many rows look like frames at 60 Hz.
     largest_count = min(frame_count + LATER_FRAMES, 2 * frame_count - 2)
     if samples.times_s is None and row_count > largest_count:
-        max_hz = FRAME_RATE_HZ * (row_count - 1) / (frame_count - 1)
-        # The file may contain the frames for the time alignment.
-        min_hz = FRAME_RATE_HZ * row_count / (frame_count + LATER_FRAMES)
-        rates = f"{min_hz:.0f} to {max_hz:.0f}" if rate_hz is None else str(rate_hz)
+        rate = "another rate" if rate_hz is None else f"{rate_hz} Hz"
         raise TrajectoryFileError(
-            f"{file}: {row_count} rows without {TIME} look like {rates} Hz; {needed}. Add a column {TIME} [s]"
+            f"{file}: {row_count} rows without {TIME} look like {rate}; {needed}. Add a column {TIME} [s]"
         )
     if row_count < 2:
         raise TrajectoryFileError(f"{file}: {row_count} rows; {needed}")
