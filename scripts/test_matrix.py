@@ -2,11 +2,10 @@
 
     python -m scripts matrix 3.12:lowest 3.13:newest --tests tests/cli tests/scene --rigid-tests tests/scene
 
-Each entry makes a fresh environment, installs the wheel with the extras `plot`, `sanity` and `usd`, and without any
-engine but MuJoCo, runs the conformance checks of MuJoCo, and runs the tests from a copy that holds no sources of the
-package. The lowest MuJoCo has no deformable bodies. An entry with the lowest dependencies runs `--rigid-tests` with it,
-and the other tests with the lowest MuJoCo that has them. PYTHON3_12=/path/to/python names an interpreter that is not on
-the PATH.
+Each entry makes a fresh environment and installs the wheel with the extras `plot`, `sanity` and `usd`. The only engine
+is MuJoCo. The entry runs its conformance checks, and the tests from a copy without sources of the package. The lowest
+MuJoCo has no deformable bodies. An entry with the lowest dependencies runs `--rigid-tests` with it, and the other tests
+with the lowest MuJoCo that has them. PYTHON3_12=/path/to/python names an interpreter that is not on the PATH.
 """
 
 from __future__ import annotations

@@ -223,7 +223,7 @@ class EntryPoint:
 
 
 @pytest.fixture
-def others(monkeypatch):
+def installed_engines(monkeypatch):
     """Install a working engine, an engine that cannot be imported, and an engine whose extra is missing."""
     lacking = ModuleNotFoundError(name="other_engine")
     points = [
@@ -240,7 +240,7 @@ def others(monkeypatch):
     backend.cache_clear()
 
 
-@pytest.mark.usefixtures("others")
+@pytest.mark.usefixtures("installed_engines")
 def test_an_engine_that_cannot_be_loaded_is_named_and_affects_no_other_engine(
     monkeypatch,
 ):
