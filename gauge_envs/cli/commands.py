@@ -77,7 +77,7 @@ BUNDLED = (
         "catalog.command:show",
         "Show one experiment or control task: reference, reward, spaces, engines, constants.",
         line="catalog.schema:Show",
-        version=6,
+        version=7,
     ),
     Command(
         "list schemas",

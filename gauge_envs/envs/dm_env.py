@@ -18,16 +18,15 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from gauge_envs.envs.env import GaugeEnv
-from gauge_envs.errors import UnknownNameError, needs_extra
+from gauge_envs.envs.wrappers import scored_env
+from gauge_envs.errors import needs_extra
+from gauge_envs.experiments.variants import find_variant
+from gauge_envs.registry import id_modules
 from gauge_envs.scoring.score import Score
 
 with needs_extra("gauge_envs.envs.dm_env", "dm"):
     import dm_env
     from dm_env import specs
-
-
-SCORED = "gauge_envs.envs.wrappers:scored_env"
-"""Entry point of the ids of experiments; control tasks have other entry points."""
 
 
 def load(
@@ -37,13 +36,16 @@ def load(
     options: Mapping[str, Any] | None = None,
     **arguments: Any,
 ) -> DmEnvironment:
-    """Return an experiment as a `dm_env.Environment`.
+    """Return an experiment or a control task as a `dm_env.Environment`.
 
     Args:
-        name: Name of the variant, as `SlopeSlider-2-wood`, or its Gymnasium id.
+        name: Name of the experiment or control task, as `SlopeSlider-2-wood`; its Gymnasium id; or a task file.
         seed: Seed of the first episode; each next episode has one more.
         options: Options of every reset, as `{"jitter": True}`.
-        **arguments: Keywords of `GaugeEnv`: `backend`, `settings`, `parameters`, ...
+        **arguments: Keywords of `GaugeEnv` or of the control task: `backend`, `settings`, `parameters`, ...
+
+    Raises:
+        UnknownNameError: There is no such experiment or control task.
 
     Example:
         >>> from gauge_envs.envs.dm_env import load
@@ -54,13 +56,12 @@ def load(
         >>> step.discount, round(env.score.rmse_normalized, 2)
         (1.0, 0.41)
     """
-    scored = [
-        spec.name for spec in gymnasium.registry.values() if spec.entry_point == SCORED
-    ]
-    variant = name.removeprefix("GAUGE/")
-    if variant not in scored:
-        raise UnknownNameError("experiment", name, scored)
-    env = gymnasium.make(f"GAUGE/{variant}", disable_env_checker=True, **arguments)
+    plain = name.removeprefix("GAUGE/")
+    env: gymnasium.Env[Any, Any]
+    if any(plain in ids.names() for ids in id_modules()):
+        env = gymnasium.make(f"GAUGE/{plain}", disable_env_checker=True, **arguments)
+    else:
+        env = scored_env(variant=find_variant(name), **arguments)
     return DmEnvironment(env, seed=seed, options=options)
 
 
@@ -76,7 +77,8 @@ class DmEnvironment(dm_env.Environment):
         options: Options of every reset.
 
     Attributes:
-        score: Score of the last completed episode; None before it, or if a wrapper cut the episode short.
+        score: Score of the last completed episode; None before it, if a wrapper cut the episode short, and for control
+            tasks, whose result is `info["limit"]`.
         info: Gymnasium's `info` of the last step.
     """
 
@@ -111,8 +113,9 @@ class DmEnvironment(dm_env.Environment):
         self._is_over = terminated or truncated
         if not self._is_over:
             return dm_env.transition(reward, observation)
-        inner: GaugeEnv = self._env.unwrapped  # type: ignore[assignment]
-        self.score = inner.score()
+        inner = self._env.unwrapped
+        if isinstance(inner, GaugeEnv):
+            self.score = inner.score()
         end = dm_env.termination if terminated else dm_env.truncation
         return end(reward, observation)
 
@@ -133,8 +136,10 @@ class DmEnvironment(dm_env.Environment):
         )
 
     def reward_spec(self) -> specs.BoundedArray:
-        """Return the spec of a number of at most 0."""
-        return specs.BoundedArray((), np.float64, -np.inf, 0.0, name="reward")
+        """Return the spec of a number: at most 0 for an experiment, without bounds for a control task."""
+        is_experiment = isinstance(self._env.unwrapped, GaugeEnv)
+        largest = 0.0 if is_experiment else np.inf
+        return specs.BoundedArray((), np.float64, -np.inf, largest, name="reward")
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return a picture of the scene; see `GaugeEnv.render`."""

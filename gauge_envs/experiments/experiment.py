@@ -6,12 +6,13 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from gauge_envs.errors import first_names
 from gauge_envs.experiments.names import Variant
 from gauge_envs.experiments.task_format import ScoreSpec, TaskSpec
 from gauge_envs.observables.kinds import coordinate_names
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.references.user_data import DataSource
-from gauge_envs.scene import Scene
+from gauge_envs.scene import ContactMode, Scene
 
 
 class AssetKind(StrEnum):
@@ -145,6 +146,22 @@ class Experiment:
     def edited(self) -> bool:
         """Whether the scene comes from an asset and differs from the calibrated scene."""
         return self.asset is not None and self.asset.edited
+
+    @property
+    def unused_restitution(self) -> str:
+        """The sentence that contacts with a restitution are sustained, and so do not rebound; empty without those."""
+        pairs = [
+            f"{contact.first[0]}/{contact.second[0]} {contact.restitution:g}"
+            for contact in self.scene.contacts
+            if contact.mode is ContactMode.SUSTAINED
+            and contact.restitution
+            and contact.first
+            and contact.second
+        ]
+        if not pairs or self.model_file is not None:
+            return ""
+        fix = "" if self.asset else ': set mode = "impact" in the contact to use it'
+        return f"{self.name}: restitution has no effect in sustained contacts ({first_names(pairs, 3)}){fix}"
 
     @property
     def model_file(self) -> Path | None:

@@ -19,7 +19,7 @@ from gauge_envs.experiments.variants import Variant, find_variant, task_path
 from gauge_envs.references.imported import load_imported, recorded_drivers
 from gauge_envs.references.single_shot import SingleShots, single_shots
 from gauge_envs.references.user_data import DataSource
-from gauge_envs.scene import Pose, Scene
+from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.geometry import vector
 
 
@@ -71,11 +71,7 @@ def load_experiment(
         variant=variant,
         spec=spec,
         scene=scene,
-        recorded=tuple(
-            body.name
-            for body in scene.bodies
-            if spec.bodies[spec.entry(body.name)].recorded
-        ),
+        recorded=_recorded(variant, scene),
         frame_count=spec.frame_count(variant),
         parameters=label,
         overrides=overrides,
@@ -112,6 +108,22 @@ def _built(
         for key, value in overrides.items()
         if key in builder.read or not builder.is_constant(key)
     }
+
+
+def _recorded(variant: Variant, scene: Scene) -> tuple[str, ...]:
+    """Return the names of the recorded bodies, which forces move."""
+    spec, path = task_spec(variant.family), task_path(variant.family)
+    recorded = [
+        body for body in scene.bodies if spec.bodies[spec.entry(body.name)].recorded
+    ]
+    for body in recorded:
+        if body.motion is not Motion.DYNAMIC:
+            reason = f"its motion is {body.motion}, but recorded bodies are dynamic"
+            raise TaskFileError(path, f"bodies.{body.name}", reason)
+    if not recorded and scene.markers is None:
+        reason = "no body is recorded: add recorded = true to a dynamic body"
+        raise TaskFileError(path, "bodies", reason)
+    return tuple(body.name for body in recorded)
 
 
 def load_experiment_from_asset(

@@ -16,6 +16,7 @@ from gauge_envs.errors import ParameterError, TaskFileError, UnknownNameError
 from gauge_envs.experiments.names import Collection as Collection, Variant as Variant
 from gauge_envs.files import data_folder
 from gauge_envs.references.user_data import OWN_TASKS, own_task_files
+from gauge_envs.registry import id_modules
 
 INDEX_FILE = "index.csv"
 """File in `tasks/` with a row for each experiment of the package."""
@@ -205,4 +206,10 @@ def _unknown(
 ) -> TaskFileError | UnknownNameError:
     """Return the error for an unknown name; an unusable task file has priority, because it may define the name."""
     faults = unreadable_task_files()
-    return faults[0] if faults else UnknownNameError(kind, name, known)
+    if faults:
+        return faults[0]
+    plain = name.removeprefix("GAUGE/")
+    hint = ""
+    if any(plain in ids.names() for ids in id_modules()):
+        hint = f"it is a control task: use gymnasium.make('GAUGE/{plain}') or gauge show {plain}"
+    return UnknownNameError(kind, name, known, hint)

@@ -94,6 +94,15 @@ def test_an_older_version_runs_rigid_scenes_without_the_settings_that_it_lacks()
     assert settings["integrator"] == "Euler"
 
 
+@pytest.mark.parametrize(
+    ("settings", "condim"),
+    [({"torsional_friction_m": 0.1}, 4), ({"rolling_friction_m": 0.1, "condim": 4}, 6)],
+)
+def test_a_friction_that_condim_ignores_is_an_error(settings, condim):
+    with pytest.raises(ParameterError, match=f"change nothing: set condim={condim}"):
+        MUJOCO.build(RIGID, settings)
+
+
 @pytest.mark.usefixtures("older")
 @pytest.mark.parametrize(
     ("settings", "message"),

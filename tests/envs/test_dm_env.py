@@ -3,6 +3,7 @@
 import gymnasium
 import numpy as np
 import pytest
+from places import ROOT
 
 from gauge_envs import GaugeEnv
 
@@ -15,6 +16,10 @@ from gauge_envs.envs.dm_env import DmEnvironment, load  # noqa: E402
 from gauge_envs.errors import UnknownNameError  # noqa: E402
 
 RIGID, DRIVEN = "SlopeSlider-2-wood", "SlopeSlider-3-metal"
+CONTROL, TASK_FILE = (
+    "GAUGE/Push-Limit-wood",
+    ROOT / "examples/own_experiment/crate.toml",
+)
 
 
 class Suite(test_utils.EnvironmentTestMixin):
@@ -112,6 +117,26 @@ def test_each_episode_with_noise_has_the_next_seed():
     assert places[0] == places[1]
     assert places[0][0] != places[0][1]
     assert places[2][0] == places[0][1]
+
+
+def test_a_control_task_has_the_rewards_of_gymnasium_and_its_report():
+    env = load(CONTROL)
+    single = gymnasium.make(CONTROL)
+    single.reset(seed=0)
+    steps = run_to_end(env)
+    for step in steps[1:]:
+        action = np.zeros(env.action_spec().shape, np.float32)
+        assert step.reward == single.step(action)[1]
+    assert env.info["limit"].ending == "missed"
+    assert env.score is None
+    assert env.reward_spec().maximum == np.inf
+
+
+def test_a_task_file_is_an_experiment(monkeypatch):
+    monkeypatch.setenv("GAUGE_TASKS", "")
+    env = load(str(TASK_FILE))
+    run_to_end(env)
+    assert env.score.kind == "analytic"
 
 
 def test_an_unknown_name_is_an_error_with_the_nearest():

@@ -73,6 +73,19 @@ def test_a_path_is_run_in_another_process_and_its_result_is_read_again(
     assert "If one of your task files has it, set GAUGE_TASKS" in unknown.stderr
 
 
+def test_a_restitution_without_effect_is_named(example, gauge):
+    changed_text(example / "crate.toml", ("restitution = 0.0", "restitution = 0.5"))
+    for command in ("show", "run"):
+        noted = gauge(command, "crate.toml").stderr
+        assert "no effect in sustained contacts (crate/ramp 0.5)" in noted
+    contact = 'constants_of = "crate"'
+    changed_text(example / "crate.toml", (contact, f'{contact}\nmode = "impact"'))
+    assert "no effect" not in gauge("run", "crate.toml").stderr
+    given = ("run", "SlopeSlider-2-wood", "-p", "cube.restitution=0.9")
+    assert "cube/board 0.9" in gauge(*given).stderr
+    assert "no effect" not in gauge(*given[:2]).stderr
+
+
 def test_a_folder_makes_its_ids_known_and_the_benchmark_stays(
     example, gauge, monkeypatch
 ):
@@ -102,10 +115,14 @@ def test_an_edited_file_is_read_again_and_a_damaged_band_raises_an_error(example
 
 def test_a_wrong_task_file_raises_an_error(example, monkeypatch):
     text = (example / "crate.toml").read_text()
+    silent = text.replace("recorded = true", "").replace("CrateSlide", "Silent")
+    fixed = text.replace('"dynamic"', '"fixed"').replace("CrateSlide", "Fixed")
     two = text.replace('["pine"]', '["pine", "oak"]')
     for name, content, message in (
         ("two", re.sub("pine = (.*)", r"pine = \1\noak = \1", two), "2 experiments"),
         ("family", text.replace("CrateSlide", "SlopeSlider"), "choose another name"),
+        ("silent", silent, "no body is recorded"),
+        ("fixed", fixed, r"bodies\.crate: its motion is fixed"),
         ("mass", text.replace("kg = 4.0", "kg = -4.0"), r"crate\.pine\.mass_kg: "),
         ("syntax", "family = [", r"syntax\.toml: Invalid value"),
     ):

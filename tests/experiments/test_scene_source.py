@@ -290,11 +290,6 @@ def longer(stage):
     stage.SetEndTimeCode(60)
 
 
-def massless(stage):
-    for name in ("gauge:mass_kg", "physics:mass"):
-        stage.GetPrimAtPath("/World/cube").RemoveProperty(name)
-
-
 def slider(stage):
     joint = stage.DefinePrim("/World/slider", "PhysicsPrismaticJoint")
     joint.CreateRelationship("physics:body1").SetTargets([Sdf.Path("/World/cube")])
@@ -314,7 +309,6 @@ KINEMATIC = {"gauge__motion": "kinematic", "physics__kinematicEnabled": True}
             setting("cube", **KINEMATIC),
             "it must be dynamic, but it is kinematic",
         ),
-        (SLIDE, massless, "/World/cube.*mass"),
         (SLIDE, slider, "/World/slider"),
         (
             "TextileStretching-rayon",

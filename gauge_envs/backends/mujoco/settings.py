@@ -156,6 +156,14 @@ class SettingsMuJoCo(SteppedSettings):
     cloth_solimp: tuple[float, float, float] | None = (0.9, 0.95, 0.001)
     cloth_softness_m2_per_kg: float | None = Field(default=None, gt=0.0)
 
+    @field_validator("torsional_friction_m", "rolling_friction_m")
+    @classmethod
+    def _condim_has_it(cls, length_m: float, info: ValidationInfo) -> float:
+        needed = 6 if info.field_name == "rolling_friction_m" else 4
+        if length_m and (info.data.get("condim") or 3) < needed:
+            raise ValueError(f"would change nothing: set condim={needed} too")
+        return length_m
+
     @field_validator("cloth_softness_m2_per_kg")
     @classmethod
     def _exactly_one_given(

@@ -174,5 +174,7 @@ def show(
     experiment = load_experiment(
         name, asset=asset, **arguments.parsed_use(use, "drivers", "reference")
     )
+    if experiment.unused_restitution:
+        note(experiment.unused_restitution)
     document = experiment_document if form is Format.TEXT else full_document
     print_document(document(description(experiment)), form)

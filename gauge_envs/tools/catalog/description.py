@@ -98,6 +98,7 @@ def description(experiment: Experiment) -> dict[str, Any]:
             ],
             "attachments": list(map(dataclasses.asdict, scene.attachments)),
             "drivers": _drivers(experiment),
+            "gravity_m_per_s2": scene.gravity_m_per_s2,
             "air": scene.air and dataclasses.asdict(scene.air),
             "markers": scene.markers and {"count": len(scene.markers.positions_m)},
             "action": action_rows(experiment),

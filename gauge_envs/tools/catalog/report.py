@@ -132,7 +132,7 @@ def experiment_document(values: Mapping[str, Any]) -> Document:
         "engines": _engines_text(values["engines"]),
         "published": _published_text(values["baselines"]),
         "published wrongly": reference["impossible"],
-        **_asset_facts(values["asset"]),
+        **_asset_facts(values["asset"], values["gravity_m_per_s2"]),
         **_constants(values["constants"]),
     }
     limits = [counted(len(values["limits"]), "known limit")] if values["limits"] else []
@@ -240,11 +240,14 @@ def _published_text(baselines: Sequence[Mapping[str, Any]]) -> str:
     return "; ".join(texts)
 
 
-def _asset_facts(asset: Mapping[str, Any] | None) -> dict[str, str]:
+def _asset_facts(
+    asset: Mapping[str, Any] | None, gravity_m_per_s2: float
+) -> dict[str, str]:
     if asset is None:
         return {}
     return {
         "asset": f"{asset['file']}, sha256 {asset['sha256'][:8]}",
+        "gravity": f"{gravity_m_per_s2:g} m/s^2",
         "edited": "; ".join(asset["changes"]) or "no: the calibrated scene",
     }
 

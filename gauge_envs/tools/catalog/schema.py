@@ -115,6 +115,7 @@ class ShowLine(TypedDict):
         joints: Joints, with the fields of their class in `gauge_envs.scene`.
         attachments: Clamped deformable bodies.
         drivers: Driven bodies: `body`, `provenance`, `imported`, `note`, `motions`.
+        gravity_m_per_s2: Gravity.
         air: Constants of the air.
         markers: Number of markers on bodies; null without markers.
         action: Entries of the action: name, shape, bounds, unit, meaning.
@@ -145,6 +146,7 @@ class ShowLine(TypedDict):
     joints: Sequence[Values]
     attachments: Sequence[Attachment]
     drivers: Sequence[Values]
+    gravity_m_per_s2: float
     air: Mapping[str, float] | None
     markers: Values | None
     action: Sequence[Values]

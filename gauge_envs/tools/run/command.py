@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -117,6 +118,8 @@ def run(
     ]
     is_apart = True if isolate or timeout or memory else None
     check_requests(requests, isolate=is_apart)
+    for text in _unused_restitutions(requests):
+        note(text)
     episodes = run_many(
         requests,
         out=out,
@@ -153,6 +156,23 @@ def run(
         or (result.outcome is Outcome.DECLINED and result.id in named)
         for result in results
     )
+
+
+def _unused_restitutions(requests: Sequence[RunRequest]) -> list[str]:
+    """Return a sentence for each experiment with a restitution of the user that has no effect."""
+    from gauge_envs.experiments.variants import user_variants
+
+    texts = []
+    for request in requests:
+        # Some engines do not support the experiment of a pattern.
+        with suppress(ParameterError):
+            experiment = request.experiment()
+            is_given = any(
+                name.endswith(".restitution") for name in experiment.overrides
+            )
+            if is_given or experiment.edited or experiment.variant in user_variants():
+                texts.append(experiment.unused_restitution)
+    return [text for text in dict.fromkeys(texts) if text]
 
 
 def _default_jobs(requests: Sequence[RunRequest]) -> int:

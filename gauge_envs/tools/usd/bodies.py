@@ -38,6 +38,22 @@ UNIFORM_RELATIVE = 0.01
 """Largest relative difference of a given inertia from the inertia of uniform density, and of a given centre of mass
 relative to the radius of gyration."""
 
+DEFAULT_DENSITY_KG_PER_M3 = 1000.0
+"""Density of a collider without mass and density in UsdPhysics."""
+
+UNSUPPORTED = {
+    "physics:startsAsleep": "engines start it awake",
+    "physxRigidBody:disableGravity": "gravity acts on it",
+    "physxRigidBody:linearDamping": "scenes have no damping",
+    "physxRigidBody:angularDamping": "scenes have no damping",
+    "physxCollision:torsionalPatchRadius": "its contacts have no torsional friction",
+    "newton:torsionalFriction": "its contacts have no torsional friction",
+    "newton:rollingFriction": "its contacts have no rolling friction",
+    "mjc:torsionalfriction": "its contacts have no torsional friction",
+    "mjc:rollingfriction": "its contacts have no rolling friction",
+}
+"""What happens instead of each attribute of a dynamic body, its colliders or their materials that a scene lacks."""
+
 IDENTITY = Pose(position_m=(0.0, 0.0, 0.0))
 
 APPROXIMATIONS = ("convexHull", "none", "meshSimplification", "convexDecomposition")
@@ -105,8 +121,23 @@ def read_body(
         inertia_kg_m2=source.number(prim.GetAttribute("gauge:inertia_kg_m2")),
     )
     if motion is Motion.DYNAMIC:
+        _check_effects(source, prim, colliders)
         _check_mass_distribution(source, prim, body, solid.pose, scale)
     return body, driver, index
+
+
+def _check_effects(
+    source: Source, body: Usd.Prim, colliders: Sequence[Usd.Prim]
+) -> None:
+    """Check that no attribute in `UNSUPPORTED` has an effect in other tools."""
+    materials = filter(None, map(source.material, colliders))
+    for prim in (body, *colliders, *materials):
+        for name, consequence in UNSUPPORTED.items():
+            attribute = prim.GetAttribute(name)
+            if value := attribute.Get():
+                raise source.fault(
+                    attribute, f"is {value:g}, but {consequence}: remove it"
+                )
 
 
 def _motion(source: Source, prim: Usd.Prim) -> Motion:
@@ -257,7 +288,7 @@ def _vertices(
     )
     try:
         hull = ConvexHull(source.edited(exact, [stored], (-1, 3)))
-    except (QhullError, ValueError):
+    except (QhullError, ValueError, IndexError):
         raise source.fault(
             prim, "is flat or has fewer than four vertices: it encloses no volume"
         ) from None
@@ -305,22 +336,29 @@ def _mass_kg(
 
 
 def _colliders_kg(source: Source, body: Usd.Prim, solids: Sequence[Solid]) -> float:
-    """Return the mass of colliders [kg] from densities in the precedence of UsdPhysics: collider, body, material."""
+    """Return the mass of colliders [kg] from densities in the precedence of UsdPhysics.
+
+    The mass of a collider counts first; then the densities of the collider, its body and its material; then 1000 kg/m^3
+    (UsdPhysics, rigid body properties).
+    """
     unit = source.kilograms / source.metres**3
     densities = []
     for solid in solids:
-        material = UsdPhysics.MaterialAPI(source.material(solid.prim))
-        holders = [UsdPhysics.MassAPI(solid.prim), UsdPhysics.MassAPI(body), material]
-        given = [
-            _authored(source, schema.GetDensityAttr(), unit)
-            for schema in holders
-            if schema
+        mass_unit = source.kilograms / solid.shape.volume_m3
+        collider, material = UsdPhysics.MassAPI(solid.prim), source.material(solid.prim)
+        given = [_authored(source, collider.GetMassAttr(), mass_unit)]
+        schemas = [collider, UsdPhysics.MassAPI(body)]
+        if material is not None:
+            schemas.append(UsdPhysics.MaterialAPI(material))
+        given += [
+            _authored(source, schema.GetDensityAttr(), unit) for schema in schemas
         ]
-        densities += [float(d.value) for d in given if d is not None][:1]
-    if len(densities) < len(solids) or np.ptp(densities) > 1e-6 * max(densities):
+        values = [float(density.value) for density in given if density is not None]
+        densities.append(values[0] if values else DEFAULT_DENSITY_KG_PER_M3)
+    if np.ptp(densities) > 1e-6 * max(densities):
         raise source.fault(
             body,
-            f"needs physics:mass, or one physics:density of all its colliders, which have {densities or 'none'}",
+            f"has colliders of densities {densities} kg/m^3: give all the same physics:density",
         )
     return sum(solid.shape.volume_m3 for solid in solids) * densities[0]
 

@@ -46,6 +46,13 @@ LEVEL = 1e-6
 """Largest angle between gravity and the vertical [rad]."""
 
 
+UNIT_FACTORS = (1e-3, 1e-2, 1e2, 1e3)
+"""Ratios of a gravity in a wrong unit of length to that of the earth."""
+
+UNIT_RELATIVE = 0.02
+"""Largest relative difference of a ratio from a factor of `UNIT_FACTORS`; gravities are often rounded, as to 10."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class UsdScene:
     """Content of a USD file.
@@ -197,8 +204,19 @@ def _gravity_m_per_s2(source: Source, physics: UsdPhysics.Scene) -> float:
     if magnitude.Get() >= 0.0:
         stored = source.stored(magnitude, (), lambda value: value * source.metres)
     exact = physics.GetPrim().GetAttribute("gauge:gravity_m_per_s2")
-    gravity = source.edited(exact, [stored])
-    return GRAVITY_M_PER_S2 if gravity is None else float(gravity)
+    value = source.edited(exact, [stored])
+    gravity = GRAVITY_M_PER_S2 if value is None else float(value)
+    ratio = gravity / GRAVITY_M_PER_S2
+    factors = [
+        factor for factor in UNIT_FACTORS if abs(ratio / factor - 1.0) < UNIT_RELATIVE
+    ]
+    if factors:
+        raise source.fault(
+            magnitude,
+            f"is {gravity:g} m/s^2, {factors[0]:g} times the earth's: in units of metersPerUnit = {source.metres:g}, "
+            f"the earth's is {GRAVITY_M_PER_S2 / source.metres:g}",
+        )
+    return gravity
 
 
 def _duration_s(

@@ -21,8 +21,8 @@ def backend_versions(
         str,
         typer.Argument(
             metavar="SUBJECT",
-            help="Model file (MJCF, URDF, USD), id of this suite or of Gymnasium, or module:function that returns "
-            "an environment or a model.",
+            help="Model file (MJCF, URDF, USD), task file, id of this suite or of Gymnasium, or module:function that "
+            "returns an environment or a model.",
         ),
     ],
     versions: Annotated[

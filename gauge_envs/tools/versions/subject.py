@@ -18,7 +18,12 @@ import numpy as np
 
 from gauge_envs.cli import arguments
 from gauge_envs.errors import ParameterError, needs_extra
-from gauge_envs.experiments.variants import variants
+from gauge_envs.experiments.variants import (
+    beyond_variants,
+    find_variant,
+    is_task_path,
+    variants,
+)
 from gauge_envs.registry import SCENE_SUFFIXES, engine_points
 from gauge_envs.tools.versions.environments import (
     Bench,
@@ -48,7 +53,12 @@ FORMS = (
 
 MODEL_FILES = (".xml", ".mjcf", ".urdf")
 
-MODEL_ATTRIBUTES = ("model", "sim.model._model", "physics.model._model", "mj_model")
+MODEL_ATTRIBUTES = (
+    "model",
+    "sim.model._model",
+    "physics.model._model",
+    "mj_model",
+)
 """Attributes of an environment that may have its compiled model."""
 
 COMPARED = ("body_mass", "geom_size", "geom_friction", "dof_damping")
@@ -98,8 +108,16 @@ def read_sides(text: str) -> list[Side]:
 
 
 def is_suite_id(subject: str) -> bool:
-    """Return whether a subject is an id of this suite."""
-    return any(subject in (variant.name, variant.id) for variant in variants())
+    """Return whether a subject is an id or a task file of an experiment.
+
+    Raises:
+        TaskFileError: The task file is wrong.
+        ParameterError: The task file has several experiments.
+    """
+    if is_task_path(subject):
+        return bool(find_variant(subject))
+    known = (*variants(), *beyond_variants())
+    return any(subject in (variant.name, variant.id) for variant in known)
 
 
 def compares_motions(subject: str, sides: Sequence[Side]) -> bool:
@@ -118,8 +136,9 @@ def compares_motions(subject: str, sides: Sequence[Side]) -> bool:
     is_suite = is_suite_id(subject)
     if needs_motion and (releases or not is_suite):
         raise ParameterError(
-            f"{subject} and {needs_motion[0]}: compare other engines and their settings with each other on an id of "
-            "this suite; compare releases of MuJoCo with each other and with mujoco and its options, as iterations=4"
+            f"{subject} and {needs_motion[0]}: compare other engines and their settings with each other on an "
+            "experiment, as SlopeSlider-2-wood or a task file; compare releases of MuJoCo with each other and with "
+            "mujoco and its options, as iterations=4"
         )
     if needs_motion or releases or not is_suite:
         return bool(needs_motion)
@@ -185,8 +204,8 @@ def read_subject(text: str, folder: Path) -> Path:
     """Return the model file of a subject.
 
     Args:
-        text: Model file, USD layer, id of this suite or of Gymnasium, or `module:function` that returns an environment
-            or a model.
+        text: Model file, USD layer, task file, id of this suite or of Gymnasium, or `module:function` that returns an
+            environment or a model.
         folder: Folder of written files.
 
     Raises:

@@ -244,6 +244,33 @@ def test_density_of_the_body_counts_before_that_of_the_material(tmp_path):
     assert box.mass_kg == pytest.approx(80.0)
 
 
+@pytest.mark.parametrize("units", [(1, 1), (0.01, 0.001)])
+def test_a_box_without_mass_has_the_density_of_water(tmp_path, units):
+    """The default of UsdPhysics is 1000 kg/m^3, in any units."""
+    metres, kilograms = units
+    text = f"double size = {0.1 / metres}\n"
+    head = HEAD.replace("= 1\n", f"= {metres}\n kilogramsPerUnit = {kilograms}\n", 1)
+    (box,) = read(tmp_path, body(text=text, mass=""), head=head).bodies
+    assert box.mass_kg == pytest.approx(1.0)
+
+
+def test_masses_of_colliders_count_before_the_density_of_their_body(tmp_path):
+    parts = [
+        collider(
+            name,
+            "Cube",
+            f"double size = {size}\nfloat physics:mass = {size**3}\n" + moved(0, 0, z),
+            '"PhysicsCollisionAPI", "PhysicsMassAPI"',
+        )
+        for name, size, z in (("a", 1, 0), ("b", 2, 1.5))
+    ]
+    density = "float physics:density = 10\n"
+    thing = body("thing", "Xform", density + "".join(parts), apis=XFORM, mass="")
+    assert read(tmp_path, thing).bodies[0].mass_kg == pytest.approx(9.0)
+    with pytest.raises(AssetError, match=r"/thing: has colliders of densities"):
+        read(tmp_path, thing.replace("mass = 8", "mass = 4"))
+
+
 def inertia(*moments):
     return f"float3 physics:diagonalInertia = {moments}\npoint3f physics:centerOfMass = (0, 0, 0)\n"
 
@@ -366,7 +393,22 @@ HINGED = TO_BALL + "point3f physics:localPos1 = (0, 0, 1)\ndouble "
 
 # Prims, and the place and the fault in the words of the error.
 REFUSED = [
-    (body(mass=""), r"/box: needs physics:mass, or one physics:density"),
+    (
+        body(text="bool physics:startsAsleep = 1\n"),
+        r"/box.physics:startsAsleep: is 1, but engines start it awake",
+    ),
+    (
+        body(text="float physxRigidBody:angularDamping = 0.05\n"),
+        r"/box.physxRigidBody:angularDamping: is 0.05, but scenes have no damping",
+    ),
+    (
+        BOX.replace("</Rubber>", "</Clay>")
+        + SLIPPERY.replace("Two", "Clay").replace(
+            "{", "{\nfloat newton:rollingFriction = 0.01\n", 1
+        ),
+        r"/Clay.newton:rollingFriction: .* no rolling friction",
+    ),
+    (body("m", "Mesh"), r"/m: is flat or has fewer than four vertices"),
     (body(mass="-1"), r"/box: its mass is -1.0 kg"),
     (
         body(text=BRICK + inertia(2.0, 2.0, 2.0)),
@@ -425,6 +467,11 @@ def test_what_a_scene_does_not_have_is_an_error_that_names_the_prim(
         read(tmp_path, prims)
 
 
+HEAVY = PHYSICS.replace("{", "{\nfloat physics:gravityMagnitude = 981\n")
+CENTIMETRES = {
+    "head": HEAD.replace("= 1", "= 0.01", 1),
+    "physics": RUBBER + HEAVY.replace("981", "9.81"),
+}
 DOWN = PHYSICS.replace("{", "{\nvector3f physics:gravityDirection = (0, -1, 0)\n")
 
 
@@ -435,6 +482,8 @@ DOWN = PHYSICS.replace("{", "{\nvector3f physics:gravityDirection = (0, -1, 0)\n
         ({"duration_s": None}, "its duration is None s"),
         ({"physics": RUBBER}, "0 PhysicsScene prims"),
         ({"physics": RUBBER + DOWN}, "gravity must point down"),
+        (CENTIMETRES, r"0.0981 m/s\^2, 0.01 times the earth's: .* = 0.01, the earth's is 980.665"),
+        ({"physics": RUBBER + HEAVY}, r"981 m/s\^2, 100 times the earth's"),
     ],
 )  # fmt: skip
 def test_units_duration_and_gravity_must_be_known(options, words, tmp_path):

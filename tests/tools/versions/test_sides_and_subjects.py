@@ -6,6 +6,7 @@ import sys
 import mujoco
 import numpy as np
 import pytest
+from places import ROOT
 from planted_models import SCENE, Planted, side
 
 from gauge_envs.errors import ParameterError
@@ -17,6 +18,9 @@ from gauge_envs.tools.versions.subject import (
     read_subject,
     releases_between,
 )
+
+TASK_FILE = ROOT / "examples/own_experiment/crate.toml"
+RAPIERS = ("rapier==0.36.0", "rapier==0.36.1")
 
 # --- sides -----------------------------------------------------------------------------------------------------------
 
@@ -48,8 +52,15 @@ def test_an_unknown_version_is_an_error_with_the_forms(text):
 )
 def test_engines_are_compared_with_each_other_on_ids(subject, texts):
     sides = [side for text in texts for side in read_sides(text)]
-    with pytest.raises(ParameterError, match="on an id of this suite"):
+    with pytest.raises(ParameterError, match="on an experiment, as SlopeSlider"):
         compares_motions(subject, sides)
+
+
+@pytest.mark.parametrize("subject", ["GAUGE/CubePush-light", TASK_FILE])
+def test_releases_of_an_engine_are_compared_on_every_experiment(subject, monkeypatch):
+    monkeypatch.setenv("GAUGE_TASKS", "")
+    sides = [side for text in RAPIERS for side in read_sides(text)]
+    assert compares_motions(str(subject), sides)
 
 
 # --- environments ----------------------------------------------------------------------------------------------------
