@@ -9,6 +9,7 @@ from typing import Any
 from gauge_envs.errors import first_names
 from gauge_envs.experiments.names import Variant
 from gauge_envs.experiments.task_format import ScoreSpec, TaskSpec
+from gauge_envs.experiments.variants import user_variants
 from gauge_envs.observables.kinds import coordinate_names
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.references.user_data import DataSource
@@ -149,16 +150,20 @@ class Experiment:
 
     @property
     def unused_restitution(self) -> str:
-        """The sentence that contacts with a restitution are sustained, and so do not rebound; empty without those."""
+        """The sentence that a restitution of the user has no effect, because its contact is sustained; else empty."""
+        is_given = any(name.endswith(".restitution") for name in self.overrides)
+        is_users = is_given or self.edited or self.variant in user_variants()
+        if not is_users or self.model_file is not None:
+            return ""
         pairs = [
-            f"{contact.first[0]}/{contact.second[0]} {contact.restitution:g}"
+            f"{contact.first[0]}/{contact.second[-1]} {contact.restitution:g}"
             for contact in self.scene.contacts
             if contact.mode is ContactMode.SUSTAINED
             and contact.restitution
             and contact.first
             and contact.second
         ]
-        if not pairs or self.model_file is not None:
+        if not pairs:
             return ""
         fix = "" if self.asset else ': set mode = "impact" in the contact to use it'
         return f"{self.name}: restitution has no effect in sustained contacts ({first_names(pairs, 3)}){fix}"

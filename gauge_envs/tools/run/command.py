@@ -160,18 +160,11 @@ def run(
 
 def _unused_restitutions(requests: Sequence[RunRequest]) -> list[str]:
     """Return a sentence for each experiment with a restitution of the user that has no effect."""
-    from gauge_envs.experiments.variants import user_variants
-
     texts = []
-    for request in requests:
+    for request in {request.variant: request for request in requests}.values():
         # Some engines do not support the experiment of a pattern.
         with suppress(ParameterError):
-            experiment = request.experiment()
-            is_given = any(
-                name.endswith(".restitution") for name in experiment.overrides
-            )
-            if is_given or experiment.edited or experiment.variant in user_variants():
-                texts.append(experiment.unused_restitution)
+            texts.append(request.experiment().unused_restitution)
     return [text for text in dict.fromkeys(texts) if text]
 
 

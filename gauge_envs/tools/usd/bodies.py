@@ -327,12 +327,16 @@ def _mass_kg(
     """Return the given mass of a body, or the sum over its colliders [kg]; fixed and driven bodies may have none."""
     given = _authored(source, UsdPhysics.MassAPI(body).GetMassAttr(), source.kilograms)
     value = source.edited(body.GetAttribute("gauge:mass_kg"), [given])
-    if value is None:
-        is_dynamic = motion is Motion.DYNAMIC
-        return _colliders_kg(source, body, solids) if is_dynamic else 0.0
-    if motion is Motion.DYNAMIC and value <= 0.0:
-        raise source.fault(body, f"its mass is {value} kg: a positive one is expected")
-    return float(value)
+    is_dynamic = motion is Motion.DYNAMIC
+    if value is not None:
+        mass_kg = float(value)
+    else:
+        mass_kg = _colliders_kg(source, body, solids) if is_dynamic else 0.0
+    if is_dynamic and mass_kg <= 0.0:
+        raise source.fault(
+            body, f"its mass is {mass_kg} kg: a positive one is expected"
+        )
+    return mass_kg
 
 
 def _colliders_kg(source: Source, body: Usd.Prim, solids: Sequence[Solid]) -> float:
@@ -344,7 +348,10 @@ def _colliders_kg(source: Source, body: Usd.Prim, solids: Sequence[Solid]) -> fl
     unit = source.kilograms / source.metres**3
     densities = []
     for solid in solids:
-        mass_unit = source.kilograms / solid.shape.volume_m3
+        volume_m3 = solid.shape.volume_m3
+        if not volume_m3:
+            raise source.fault(solid.prim, "encloses no volume: give it a size")
+        mass_unit = source.kilograms / volume_m3
         collider, material = UsdPhysics.MassAPI(solid.prim), source.material(solid.prim)
         given = [_authored(source, collider.GetMassAttr(), mass_unit)]
         schemas = [collider, UsdPhysics.MassAPI(body)]
@@ -355,7 +362,7 @@ def _colliders_kg(source: Source, body: Usd.Prim, solids: Sequence[Solid]) -> fl
         ]
         values = [float(density.value) for density in given if density is not None]
         densities.append(values[0] if values else DEFAULT_DENSITY_KG_PER_M3)
-    if np.ptp(densities) > 1e-6 * max(densities):
+    if np.ptp(densities) > 1e-6 * np.abs(densities).max():
         raise source.fault(
             body,
             f"has colliders of densities {densities} kg/m^3: give all the same physics:density",

@@ -409,6 +409,8 @@ REFUSED = [
         r"/Clay.newton:rollingFriction: .* no rolling friction",
     ),
     (body("m", "Mesh"), r"/m: is flat or has fewer than four vertices"),
+    (body(text="double size = 0\n", mass=""), r"/box: encloses no volume"),
+    (body(text="float physics:density = -5\n", mass=""), r"/box: its mass is -"),
     (body(mass="-1"), r"/box: its mass is -1.0 kg"),
     (
         body(text=BRICK + inertia(2.0, 2.0, 2.0)),
