@@ -328,10 +328,11 @@ def _mass_kg(
     given = _authored(source, UsdPhysics.MassAPI(body).GetMassAttr(), source.kilograms)
     value = source.edited(body.GetAttribute("gauge:mass_kg"), [given])
     is_dynamic = motion is Motion.DYNAMIC
+    mass_kg = 0.0
     if value is not None:
         mass_kg = float(value)
-    else:
-        mass_kg = _colliders_kg(source, body, solids) if is_dynamic else 0.0
+    elif is_dynamic:
+        mass_kg = _colliders_kg(source, body, solids)
     if is_dynamic and mass_kg <= 0.0:
         raise source.fault(
             body, f"its mass is {mass_kg} kg: a positive one is expected"
