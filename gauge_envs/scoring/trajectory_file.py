@@ -10,10 +10,10 @@ face areas. Columns are the coordinates of g(t) in the order of `coordinate_name
 
 A CSV header with names of coordinates (`cube.x` or `cube.x [mm]`) may list them in any order. Any other header is
 skipped. Without times, rows are the 30 Hz frames. With times, the first is 0. A sample counts as a frame if it is
-within 0.5 ms and within a tenth of the sample spacing. Other frames are interpolated linearly, also between the samples
-of a clock that jitters by up to 5 ms; `interpolated_frames` counts them. The time alignment uses samples of up to 10
-frames after the last published one. A file that ends with the last frame is not shifted to earlier times. Later samples
-are ignored; without times they raise an error, because they suggest another rate.
+within 0.5 ms and within a tenth of the sample spacing. Other frames are interpolated linearly from samples within half
+a frame, as those of a clock that jitters by up to 5 ms; `interpolated_frames` counts them. The time alignment uses
+samples of up to 10 frames after the last published one. A file that ends with the last frame is not shifted to earlier
+times. Later samples are ignored; without times they raise an error, because they suggest another rate.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ FILE_TOLERANCE_S = 5e-4
 """Largest time between a frame and its sample in a file [s]: the error of times printed with three digits."""
 
 MAX_JITTER_S = 5e-3
-"""Largest time between a frame and its sample by a clock that jitters [s]; the frame is interpolated."""
+"""Largest time of the first sample, and between the last one and the last frame, by a clock that jitters [s]."""
 
 LATER_FRAMES = 10
 """Number of frames after the last one that the time alignment uses."""
@@ -442,20 +442,15 @@ def _times_at_frames(
     between_s = 0.5 * (times_s[1:] + times_s[:-1])
     nearest = np.searchsorted(between_s, frames_s)
     distances_s = np.abs(times_s[nearest] - frames_s)
-    is_near = distances_s <= tolerance_s
-    is_far = distances_s[~is_near] > MAX_JITTER_S
-    times_s[nearest[is_near]] = frames_s[is_near]
-    missing_s = frames_s[~is_near]
-    after = np.searchsorted(times_s[1:-1], missing_s) + 1
-    gaps_s = times_s[after] - times_s[after - 1]
-    is_wide = is_far & (gaps_s > 1.0 / FRAME_RATE_HZ + 2.0 * tolerance_s)
-    if is_wide.any():
-        first = int(is_wide.argmax())
-        before_s, after_s = times_s[after[first] - 1], times_s[after[first]]
+    is_far = distances_s > 0.5 / FRAME_RATE_HZ + tolerance_s
+    if is_far.any():
+        frame = int(is_far.argmax())
         raise TrajectoryFileError(
-            f"{file}: no sample at frame {np.flatnonzero(~is_near)[first]} (t = {missing_s[first]:.4f} s), the nearest "
-            f"are at {before_s:.4f} and {after_s:.4f} s; {needed}. {_time_unit_text(times_s, frames_s)}"
+            f"{file}: no sample at frame {frame} (t = {frames_s[frame]:.4f} s), the nearest is at "
+            f"{times_s[nearest[frame]]:.4f} s; {needed}. {_time_unit_text(times_s, frames_s)}"
         )
+    is_near = distances_s <= tolerance_s
+    times_s[nearest[is_near]] = frames_s[is_near]
     return times_s
 
 
