@@ -117,6 +117,12 @@ def test_an_edited_table_of_stiffness_is_a_change(edited):
         ("<worldbody>", '<option density="1.2"/><worldbody>', "option: density 0 -> 1"),
         ('type="free" />', 'type="free" damping=".1" />', "dof_damping: 6 of 6 number"),
         ('<body name="cube"', '<body name="cube" gravcomp="1"', "cube: body_gravcomp"),
+        ("0 0 0", ".1 0 0", "contact cube/board: condim 3 ignores torsional"),
+        (
+            '"0.273673 0.273673 0 0 0"',
+            '".3 .3 .1 .1 0" condim="4"',
+            "contact cube/board: condim 4",
+        ),
         ('<geom name="cube"', '<geom name="cube" rgba="1 0 0 1"', None),
     ],
 )
