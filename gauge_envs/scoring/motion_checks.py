@@ -101,9 +101,9 @@ def _distances_off_path(path: FloatArray, counts: IntArray) -> FloatArray:
     before, out, after = np.abs([steps[1:-2], steps[2:-1], steps[3:]])
     is_late = (out > 2.0 * np.maximum(before, after)) & (out < 2.0 * counts * before)
     is_held = is_late & (counts > 1)
-    distances[is_held] = out[is_held]
-    # In a file of a slower clock, most rows repeat.
-    if np.median(counts) >= 2.0:
+    distances[is_held] = (out - out / counts)[is_held]
+    # In a file of a slower clock, most rows repeat. A body may rest, move within a few rows, and rest again.
+    if len(path) > 5 and np.median(counts) >= 2.0:
         distances[len(path) // 2] = out.max()
     return distances
 
