@@ -266,7 +266,8 @@ def test_masses_of_colliders_count_before_the_density_of_their_body(tmp_path):
     ]
     density = "float physics:density = 10\n"
     thing = body("thing", "Xform", density + "".join(parts), apis=XFORM, mass="")
-    assert read(tmp_path, thing).bodies[0].mass_kg == pytest.approx(9.0)
+    head = HEAD.replace("(", "(\n kilogramsPerUnit = 2", 1)
+    assert read(tmp_path, thing, head=head).bodies[0].mass_kg == pytest.approx(18.0)
     with pytest.raises(AssetError, match=r"/thing: has colliders of densities"):
         read(tmp_path, thing.replace("mass = 8", "mass = 4"))
 
