@@ -118,11 +118,17 @@ def _recorded(variant: Variant, scene: Scene) -> tuple[str, ...]:
     ]
     for body in recorded:
         if body.motion is not Motion.DYNAMIC:
-            reason = f"its motion is {body.motion}, but recorded bodies are dynamic"
-            raise TaskFileError(path, f"bodies.{body.name}", reason)
+            raise TaskFileError(
+                path,
+                f"bodies.{body.name}",
+                f"its motion is {body.motion}, but recorded bodies are dynamic",
+            )
     if not recorded and scene.markers is None:
-        reason = "no body is recorded: add recorded = true to a dynamic body"
-        raise TaskFileError(path, "bodies", reason)
+        raise TaskFileError(
+            path,
+            "bodies",
+            "no body is recorded: add recorded = true to a dynamic body",
+        )
     return tuple(body.name for body in recorded)
 
 

@@ -128,7 +128,6 @@ def test_a_control_task_has_the_rewards_of_gymnasium_and_its_report():
         action = np.zeros(env.action_spec().shape, np.float32)
         assert step.reward == single.step(action)[1]
     assert env.info["limit"].ending == "missed"
-    assert env.score is None
     assert env.reward_spec().maximum == np.inf
 
 

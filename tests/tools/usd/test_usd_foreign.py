@@ -244,10 +244,9 @@ def test_density_of_the_body_counts_before_that_of_the_material(tmp_path):
     assert box.mass_kg == pytest.approx(80.0)
 
 
-@pytest.mark.parametrize("units", [(1, 1), (0.01, 0.001)])
-def test_a_box_without_mass_has_the_density_of_water(tmp_path, units):
+@pytest.mark.parametrize(("metres", "kilograms"), [(1, 1), (0.01, 0.001)])
+def test_a_box_without_mass_has_the_density_of_water(tmp_path, metres, kilograms):
     """The default of UsdPhysics is 1000 kg/m^3, in any units."""
-    metres, kilograms = units
     text = f"double size = {0.1 / metres}\n"
     head = HEAD.replace("= 1\n", f"= {metres}\n kilogramsPerUnit = {kilograms}\n", 1)
     (box,) = read(tmp_path, body(text=text, mass=""), head=head).bodies
