@@ -20,7 +20,6 @@ from gauge_envs.tools.versions.subject import (
 )
 
 TASK_FILE = ROOT / "examples/own_experiment/crate.toml"
-RAPIERS = ("rapier==0.36.0", "rapier==0.36.1")
 
 # --- sides -----------------------------------------------------------------------------------------------------------
 
@@ -59,7 +58,7 @@ def test_engines_are_compared_with_each_other_on_ids(subject, texts):
 @pytest.mark.parametrize("subject", ["GAUGE/CubePush-light", TASK_FILE])
 def test_releases_of_an_engine_are_compared_on_every_experiment(subject, monkeypatch):
     monkeypatch.setenv("GAUGE_TASKS", "")
-    sides = [side for text in RAPIERS for side in read_sides(text)]
+    sides = [*read_sides("rapier==0.36.0"), *read_sides("rapier==0.36.1")]
     assert compares_motions(str(subject), sides)
 
 
