@@ -54,6 +54,9 @@ UNSUPPORTED = {
 }
 """What happens instead of each attribute of a dynamic body, its colliders or their materials that a scene lacks."""
 
+SCHEMA_DEFAULTS = {"physxRigidBody:angularDamping": float(np.float32(0.05))}
+"""Values that PhysX has without the attribute too; scenes without it are read."""
+
 IDENTITY = Pose(position_m=(0.0, 0.0, 0.0))
 
 APPROXIMATIONS = ("convexHull", "none", "meshSimplification", "convexDecomposition")
@@ -134,7 +137,8 @@ def _check_effects(
     for prim in (body, *colliders, *materials):
         for name, consequence in UNSUPPORTED.items():
             attribute = prim.GetAttribute(name)
-            if value := attribute.Get():
+            value = attribute.Get()
+            if value and value != SCHEMA_DEFAULTS.get(name):
                 raise source.fault(
                     attribute, f"is {value:g}, but {consequence}: remove it"
                 )

@@ -398,8 +398,8 @@ REFUSED = [
         r"/box.physics:startsAsleep: is 1, but engines start it awake",
     ),
     (
-        body(text="float physxRigidBody:angularDamping = 0.05\n"),
-        r"/box.physxRigidBody:angularDamping: is 0.05, but scenes have no damping",
+        body(text="float physxRigidBody:angularDamping = 0.5\n"),
+        r"/box.physxRigidBody:angularDamping: is 0.5, but scenes have no damping",
     ),
     (
         BOX.replace("</Rubber>", "</Clay>")
