@@ -140,6 +140,12 @@ BUNDLED = (
         line="sanity.schema:PhenomenonLine",
     ),
     Command(
+        "replay",
+        "replay.command:replay",
+        "Name the cause that makes a robot, or another simulator, move unlike your model.",
+        line="replay.schema:ReplayLine",
+    ),
+    Command(
         "recipe",
         "recipes.recipe_command:recipe",
         "Find contact settings of an engine for a measured behaviour, and measure what they reach.",

@@ -1,0 +1,27 @@
+"""Replay of a log by a model: where they part, which cause explains it, and the line to paste."""
+
+from typing import TYPE_CHECKING
+
+from gauge_envs.registry import lazy_names
+
+if TYPE_CHECKING:
+    from gauge_envs.tools.replay.log import (
+        Log as Log,
+        LogMap as LogMap,
+        read_log as read_log,
+        read_map as read_map,
+    )
+    from gauge_envs.tools.replay.replay import Replay as Replay, replay as replay
+    from gauge_envs.tools.replay.schema import (
+        ReplayLine as ReplayLine,
+        Verdict as Verdict,
+    )
+else:
+    __getattr__, __all__ = lazy_names(
+        __name__,
+        {
+            ".log": ["Log", "LogMap", "read_log", "read_map"],
+            ".replay": ["Replay", "replay"],
+            ".schema": ["ReplayLine", "Verdict"],
+        },
+    )

@@ -1,0 +1,135 @@
+"""What `gauge replay` prints with `--json`: one object."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Verdict(StrEnum):
+    """What explains the difference between the model and the log."""
+
+    NOISE = "within the noise"
+    """Nothing is left to explain."""
+    CAUSE = "one cause"
+    SEVERAL = "several causes"
+    NOTHING = "nothing in the list"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prediction:
+    """Predictions of a joint from recorded states.
+
+    Attributes:
+        horizon_s: Length of the predictions; one interval of the log for the shortest [s].
+        rms: Root mean square of predicted minus recorded [rad or m].
+        over_noise: The same over what the noise of the log alone gives.
+        over_motion: The same over the motion in that time.
+        held_velocity_rms: Error of the baseline that keeps the recorded velocity [rad or m].
+    """
+
+    horizon_s: float
+    rms: float
+    over_noise: float
+    over_motion: float
+    held_velocity_rms: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointReport:
+    """Where the prediction of a joint leaves the noise.
+
+    Attributes:
+        joint: Name of the joint.
+        noise: Standard deviation of the noise of the log [rad or m].
+        parts_s: First time at which predictions of 0.1 s leave the noise; None if they never do.
+        condition: Condition of the joint then: free, contact, limit or saturation; empty if they never do.
+        repeat_rms: Difference to the first log, where two logs have the same commands [rad or m].
+        predictions: One for each horizon.
+    """
+
+    joint: str
+    noise: float
+    parts_s: float | None
+    condition: str
+    repeat_rms: float | None
+    predictions: tuple[Prediction, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Value:
+    """A number of a cause.
+
+    Attributes:
+        parameter: What it belongs to, as a joint.
+        present: Value of the model; None for no limit.
+        fitted: Value that explains the log.
+        low, high: 95 % interval; None where none was computed.
+        changes: Whether there is an interval, and it leaves out the present value.
+    """
+
+    parameter: str
+    present: float | None
+    fitted: float
+    low: float | None
+    high: float | None
+    changes: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Explained:
+    """A candidate.
+
+    Attributes:
+        cause: As `delay`.
+        text: The cause with its value.
+        share: Share of the error beyond the noise that it explains, on pieces of the log that the fit has not seen.
+        unit: Unit of the values.
+        values: Its numbers.
+    """
+
+    cause: str
+    text: str
+    share: float
+    unit: str
+    values: tuple[Value, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayLine:
+    """What a log and a model say of each other.
+
+    Attributes:
+        log: The log that is explained.
+        baseline: The first of two logs, or None.
+        model: The model.
+        verdict: What explains the difference.
+        sentence: The answer.
+        error_over_noise: Mean squared error of predictions of 0.25 s over that of the noise.
+        error_after: The same after the best change.
+        baseline_over_noise: The same for the first of two logs.
+        findings: What is wrong in the logs.
+        joints: A row a joint.
+        conditions: Error over noise of predictions of 0.1 s by condition.
+        candidates: Causes alone, the best first.
+        alike: Causes that the log cannot tell from the first.
+        several: Causes that together explain more than one; each share is that of all.
+        paste: Lines to paste by stack.
+    """
+
+    log: str
+    baseline: str | None
+    model: str
+    verdict: Verdict
+    sentence: str
+    error_over_noise: float
+    error_after: float
+    baseline_over_noise: float | None
+    findings: tuple[str, ...]
+    joints: tuple[JointReport, ...]
+    conditions: Mapping[str, float]
+    candidates: tuple[Explained, ...]
+    alike: tuple[str, ...]
+    several: tuple[Explained, ...]
+    paste: Mapping[str, str]

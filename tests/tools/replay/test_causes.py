@@ -1,0 +1,140 @@
+"""Planted causes are named with their value; what is not in the list is not."""
+
+import numpy as np
+import pytest
+from planted_arm import record
+
+from gauge_envs.tools.replay import Verdict, replay
+from gauge_envs.tools.replay.fit import Problem
+from gauge_envs.tools.replay.log import ControlMap, read_log
+from gauge_envs.tools.replay.model import build_setup, load_model
+from gauge_envs.tools.replay.predict import Replayer
+from gauge_envs.tools.replay.report import replay_line
+
+
+def set_stiffness(model):
+    model.actuator_gainprm[:, 0] *= 0.7
+    model.actuator_biasprm[:, 1] *= 0.7
+
+
+def set_friction(model):
+    model.dof_frictionloss[1] = 0.3
+
+
+def set_armature(model):
+    model.dof_armature[1] = 0.03
+
+
+def set_gravity(model):
+    model.opt.gravity[2] = -7.0
+
+
+def set_effort(model):
+    model.actuator_forcelimited[0] = 1
+    model.actuator_forcerange[0] = -3.0, 3.0
+
+
+def set_stop(model):
+    model.jnt_limited[1] = 1
+    model.jnt_range[1] = -3.0, 0.3
+
+
+PLANTED = {
+    "delay": ({"delay_s": 0.03}, 0.03),
+    "joint order": ({"columns": (1, 0)}, None),
+    "kp": ({"change": set_stiffness}, 28.0),
+    "dry friction": ({"change": set_friction}, 0.3),
+    "armature": ({"change": set_armature}, 0.03),
+    "gravity or tilt": ({"change": set_gravity}, -7.0),
+    "effort limit": ({"change": set_effort}, 3.0),
+    "joint limit": ({"change": set_stop}, 0.3),
+}
+"""What is planted, and the value of the first number of the answer."""
+
+
+@pytest.mark.parametrize("cause", PLANTED)
+def test_a_planted_cause_is_named_with_its_value(tmp_path, cause):
+    planted, value = PLANTED[cause]
+    line = replay_line(replay(*record(tmp_path, **planted)))
+    best = line.candidates[0]
+    assert line.verdict is Verdict.CAUSE
+    assert best.cause == cause
+    assert best.share > 0.97
+    if value is not None:
+        assert best.values[0].fitted == pytest.approx(value, rel=0.05)
+
+
+def test_the_error_of_the_right_model_is_that_of_the_noise(tmp_path):
+    log, model = record(tmp_path)
+    result = replay(log, model)
+    problem = result.explanation.problem
+    assert result.verdict is Verdict.NOISE
+    assert np.mean(problem.before**2) == pytest.approx(1.0, abs=0.25)
+
+
+def test_two_causes_are_named_together(tmp_path):
+    line = replay_line(replay(*record(tmp_path, change=set_stiffness, delay_s=0.03)))
+    assert line.verdict is Verdict.SEVERAL
+    assert {each.cause for each in line.several} == {"kp", "delay"}
+
+
+def test_a_force_that_is_not_in_the_list_is_not_explained(tmp_path):
+    line = replay_line(
+        replay(*record(tmp_path, push=lambda now_s: 6.0 * np.sign(np.sin(7.0 * now_s))))
+    )
+    assert line.verdict is Verdict.NOTHING
+    assert line.sentence.startswith("Nothing in the list explains it (best: ")
+    assert line.paste == {}
+
+
+def test_laws_that_are_one_are_both_named(tmp_path):
+    def change(model):
+        model.actuator_biasprm[0, 2] -= 2.0
+
+    line = replay_line(replay(*record(tmp_path, change=change)))
+    assert {line.candidates[0].cause, *line.alike} >= {"kd", "damping"}
+
+
+def test_lines_to_paste_have_the_value_and_leave_out_what_the_log_does_not_show(
+    tmp_path,
+):
+    line = replay_line(replay(*record(tmp_path, change=set_friction)))
+    paste = line.paste
+    assert '<joint name="elbow" frictionloss="0.' in paste["MJCF"]
+    assert paste["Isaac Lab"].startswith("friction={'elbow': 0.")
+    assert paste["mjlab"].startswith("frictionloss={'elbow': 0.")
+    assert "shoulder" not in "".join(paste.values())
+    delayed = replay_line(replay(*record(tmp_path, delay_s=0.03))).paste
+    assert "min_delay=15" in delayed["Isaac Lab"]
+
+
+def test_two_logs_compare_with_the_first(tmp_path):
+    first, model = record(tmp_path, change=set_armature)
+    first = first.rename(tmp_path / "first.npz")
+    second, _ = record(tmp_path, change=set_armature)
+    line = replay_line(replay(first, model, second))
+    assert line.verdict is Verdict.NOISE
+    assert line.baseline_over_noise > 2.0
+    assert line.sentence.startswith("The model predicts log.npz as badly as first.npz")
+    assert all(row.repeat_rms < 1e-6 for row in line.joints)
+
+
+def test_a_motor_with_targets_takes_its_law_from_the_map(tmp_path):
+    log, file = record(tmp_path)
+    servo = load_model(file)
+    motors = (
+        file.read_text()
+        .replace("<position", "<motor")
+        .replace('kp="40" kv="1.5"', "")
+        .replace('kp="20" kv="0.8"', "")
+    )
+    file.write_text(motors)
+    model, read = load_model(file), read_log(log)
+    control = ControlMap(
+        kp={"shoulder": 40.0, "elbow": 20.0}, kd={"shoulder": 1.5, "elbow": 0.8}
+    )
+    errors = []
+    for each, law in ((servo, ControlMap()), (model, control)):
+        setup = build_setup(each, read, law)
+        errors.append(Problem(Replayer(read, setup.model), setup).before)
+    assert np.allclose(*errors, atol=1e-6)

@@ -1,0 +1,187 @@
+"""Flaws of logs are named and handled; files that cannot be used say why."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import ROOT
+from planted_arm import record
+from scipy.spatial.transform import Rotation
+from texts import fenced
+
+from gauge_envs.errors import GaugeError
+from gauge_envs.tools.replay import LogMap, Verdict, read_log, read_map, replay
+from gauge_envs.tools.replay.report import replay_line
+
+EXAMPLE = ROOT / "examples" / "replay"
+
+
+def saved(folder, log, **changes):
+    """A log with changed columns."""
+    file = folder / "changed.npz"
+    np.savez(file, **{**dict(np.load(log)), **changes})
+    return file
+
+
+def flawed(columns, flaw):
+    """Columns with a flaw, and the words that name it."""
+    time_s, position, rng = columns["t"], columns["q"].copy(), np.random.default_rng(1)
+    if flaw == "zeros":
+        position[[50, 120]] = 0.0
+        return {"q": position}, "2 lost samples, written as 0"
+    if flaw == "wraps":
+        return {"q": np.mod(position, 2.0 * np.pi)}, "angles modulo 2 pi"
+    if flaw == "jitter":
+        return {
+            "t": time_s + rng.uniform(0.0, 0.006, len(time_s))
+        }, "samples are taken as regular"
+    if flaw == "noise":
+        return {"q": position + rng.normal(0.0, 0.02, position.shape)}, "noise of"
+    if flaw == "unit":
+        return {"dq": np.rad2deg(columns["dq"])}, "velocities are 5"
+    repeated = {
+        key: np.repeat(columns[key], 5, axis=0) for key in ("q", "dq", "target")
+    }
+    return {
+        "t": np.arange(5 * len(time_s)) * 0.004,
+        **repeated,
+    }, "positions are held for 5 rows"
+
+
+@pytest.mark.parametrize("flaw", ["zeros", "wraps", "jitter", "noise", "unit", "held"])
+def test_a_flaw_is_named_and_makes_no_cause(tmp_path, flaw):
+    log, model = record(tmp_path)
+    changes, words = flawed(dict(np.load(log)), flaw)
+    file = saved(tmp_path, log, **changes)
+    assert any(words in text for text in read_log(file).findings)
+    if flaw != "unit":
+        assert replay(file, model).verdict is Verdict.NOISE
+
+
+def test_noise_of_each_joint_is_estimated(tmp_path):
+    log, _ = record(tmp_path)
+    assert read_log(log).position_noise == pytest.approx(5e-4, rel=0.25)
+
+
+def test_names_signs_zeros_and_units_come_from_the_map(tmp_path):
+    log, model = record(tmp_path)
+    columns = dict(np.load(log))
+    other = np.rad2deg(columns["q"]) * [-1, 1], np.rad2deg(columns["dq"]) * [-1, 1]
+    target = np.rad2deg(columns["target"]) * [-1, 1]
+    rows = np.column_stack([columns["t"], *other, target])
+    names = [f"{kind}_{name}" for kind in ("q", "dq", "target") for name in ("a", "b")]
+    file = tmp_path / "log.csv"
+    np.savetxt(file, rows, delimiter=",", header=",".join(["t", *names]), comments="")
+    map_file = tmp_path / "map.toml"
+    map_file.write_text(
+        'unit = "deg"\n[joints.shoulder]\nlog = "a"\nsign = -1\n[joints.elbow]\nlog = "b"\n'
+    )
+    assert replay(file, model, mapped=read_map(map_file)).verdict is Verdict.NOISE
+
+
+def test_frames_and_order_of_the_base_are_recognised(tmp_path):
+    time_s = np.arange(0.0, 4.0, 0.01)
+    angles = np.stack([0.5 * np.sin(k * time_s) for k in (1.0, 1.7, 2.3)], axis=1)
+    turn = Rotation.from_euler("xyz", angles)
+    body_rate = (turn[:-1].inv() * turn[1:]).as_rotvec() / 0.01
+    rate = turn.apply(np.vstack([body_rate, body_rate[-1:]]))
+    place = np.stack([np.sin(time_s), np.cos(2.0 * time_s), time_s], axis=1)
+    velocity = np.stack(
+        [np.cos(time_s), -2.0 * np.sin(2.0 * time_s), 0.0 * time_s + 1.0], axis=1
+    )
+    file = tmp_path / "base.npz"
+    np.savez(
+        file,
+        t=time_s,
+        q=angles,
+        base_pos=place,
+        base_quat=turn.as_quat(),
+        base_angvel=rate,
+        base_linvel=turn.inv().apply(velocity),
+    )
+    log = read_log(file)
+    assert [text.split(":")[0] for text in log.findings if "base" in text] == [
+        "the quaternion of the base is x y z w",
+        "the angular velocity of the base is in the world frame",
+        "the linear velocity of the base is in its own frame",
+    ]
+    assert np.allclose(log.base["linear_velocity"], velocity, atol=1e-9)
+
+
+def test_the_recorder_of_the_page_writes_a_log_of_gymnasium(tmp_path):
+    import gymnasium as gym
+
+    space: dict = {}
+    exec(fenced(ROOT / "docs" / "replay.md", "python")[0], space)
+    env = gym.make("InvertedPendulum-v5", reset_noise_scale=0.1).unwrapped
+    env.reset(seed=0)
+    recorder = space["Recorder"](["slider", "hinge"])
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        control = rng.uniform(-0.3, 0.3, 1)
+        recorder.add(env.data.time, q=env.data.qpos, dq=env.data.qvel, ctrl=control)
+        env.do_simulation(control, env.frame_skip)
+    recorder.save(tmp_path / "log.npz")
+    assert replay(tmp_path / "log.npz", Path(env.fullpath)).verdict is Verdict.NOISE
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (
+            {"joints": np.array(["shoulder", "wrist"])},
+            "wrist: the model has no such joint; it has shoulder, elbow",
+        ),
+        ({"t": np.zeros(400)}, "the time does not increase"),
+        ({"q": np.zeros((399, 2))}, "400 times and 399 positions"),
+    ],
+)
+def test_a_log_that_cannot_be_used_says_why(tmp_path, changes, words):
+    log, model = record(tmp_path)
+    with pytest.raises(GaugeError, match=words):
+        replay(saved(tmp_path, log, **changes), model)
+
+
+def test_a_free_base_without_a_pose_is_an_error(tmp_path):
+    log, model = record(tmp_path)
+    free = '<worldbody><body><freejoint/><geom size="0.1"/>'
+    text = model.read_text().replace("<worldbody>", free)
+    model.write_text(text.replace("</worldbody>", "</body></worldbody>"))
+    with pytest.raises(GaugeError, match="the base of the model is free"):
+        replay(log, model)
+
+
+def test_the_real_pendulum_needs_armature_and_losses(gauge, tmp_path):
+    log, model = EXAMPLE / "double_pendulum_day1.npz", EXAMPLE / "double_pendulum.xml"
+    line = replay_line(replay(log, model))
+    found = {
+        (each.cause, value.parameter): value.fitted
+        for each in line.several
+        for value in each.values
+    }
+    assert line.verdict is Verdict.NOTHING
+    assert 0.002 < found["armature", "elbow"] < 0.008
+    assert len(line.alike) > 0
+    picture = tmp_path / "replay.png"
+    second = EXAMPLE / "double_pendulum_day4.npz"
+    fitted = EXAMPLE / "double_pendulum_fitted.xml"
+    shown = gauge(
+        "replay",
+        log,
+        "--against",
+        second,
+        "--model",
+        fitted,
+        "--json",
+        "--out",
+        picture,
+    )
+    rows = {row["joint"]: row for row in json.loads(shown.stdout)["joints"]}
+    assert rows["elbow"]["repeat_rms"] == pytest.approx(0.040, abs=0.002)
+    assert rows["elbow"]["predictions"][2]["rms"] < 0.06
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_default_map_changes_nothing():
+    assert read_map(None) == LogMap()
