@@ -279,6 +279,11 @@ def inertia(*moments):
 BRICK = "double size = 1\n" + scaled(1, 2, 3)
 
 
+def test_the_angular_damping_that_physx_has_by_default_is_accepted(tmp_path):
+    scene = read(tmp_path, body(text="float physxRigidBody:angularDamping = 0.05\n"))
+    assert scene.body("box").mass_kg == 2.0
+
+
 def test_an_inertia_of_uniform_density_is_accepted(tmp_path):
     (box,) = read(tmp_path, body(text=BRICK + inertia(13 / 6, 10 / 6, 5 / 6))).bodies
     assert box.shape == Box(size_m=(1.0, 2.0, 3.0))
