@@ -68,6 +68,12 @@ def compound_of(shape):
 # --- rotations -------------------------------------------------------------------------------------------------------
 
 
+def test_the_box_around_a_capsule_holds_its_hemispheres():
+    corners_m = SOLIDS["capsule"].corners_m
+    assert corners_m.max(axis=0) == pytest.approx([0.05, 0.05, 0.15])
+    assert corners_m.min(axis=0) == pytest.approx([-0.05, -0.05, -0.15])
+
+
 def test_a_pose_rotates_as_scipy_does():
     random = np.random.default_rng(0)
     poses, close = [], {"rtol": 0.0, "atol": 2e-15}

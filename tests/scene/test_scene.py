@@ -19,7 +19,7 @@ from gauge_envs.scene import (
     Sphere,
 )
 from gauge_envs.scene.diff import scene_changes
-from gauge_envs.tools.bench.parts import contact
+from gauge_envs.tools.bench.parts import contact, driver, ramp
 
 LINEAR, ANGULAR = (1.2, -0.8, 0.5), (2.0, 5.0, -3.0)
 THROWN = solid(
@@ -135,6 +135,16 @@ def test_the_bounds_of_a_scene_follow_from_a_fall_with_the_fastest_start():
     thrown = scene_of(fast, GROUND)
     expected = 3.0 * math.hypot(fall_m_per_s, 3.2)
     assert thrown.speed_limit_m_per_s == pytest.approx(expected)
+    # An elastic hit by a driven body gives a light body twice the speed of the driven body.
+    plate = replace(GROUND, name="plate", motion=Motion.KINEMATIC)
+    lift = driver(
+        "plate",
+        "translate",
+        (0.0, 0.0, 1.0),
+        ramp(1.5, start_s=0.0, duration_s=2.0, ramp_s=0.5),
+    )
+    driven = scene_of(fast, GROUND, plate, drivers=(lift,))
+    assert driven.speed_limit_m_per_s == pytest.approx(expected + 2.0)
     # A leaning plane stops no fall.
     slope = scene_of(fast, plane_deg(2.0), seconds=0.5)
     fallen_m = 3.2 * 0.5 + 0.5 * GRAVITY_M_PER_S2 * 0.5**2
