@@ -9,7 +9,7 @@ import json
 import math
 import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,14 +20,18 @@ from PIL import Image
 from gauge_envs import find_variant
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.variants import Variant, beyond_variants, variants
 from gauge_envs.pages.markdown import as_markdown
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.rendering.reference_path import reference_path, reference_words
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.reference import reference_kind
-from scripts.environment_page import family_document
+from scripts.environment_page import (
+    READING,
+    Families,
+    described_families,
+    family_document,
+    reading_document,
+)
 from scripts.generated import ROOT, markdown_table
 
 SCRIPT = f"scripts/{Path(__file__).name}"
@@ -36,9 +40,9 @@ PICTURES = ROOT / "docs" / "images" / "environments"
 CAPTIONS = PICTURES / "captions.json"
 
 INTRODUCTION = """
-After this page you can choose an experiment. Each family has a page with its spaces, reward, reference, engines,
-constants and known limits. Below a picture stand the [kinds of the references](../coverage.md) of its ids. The
-[gallery](../gallery.md) shows control tasks.
+After this page you can choose an experiment. Each family has a page; [How to read these pages](reading.md) has their
+terms. Below a picture stand the [kinds of the references](../coverage.md) of its ids. The [gallery](../gallery.md)
+shows control tasks.
 """.strip()
 COLUMNS = 3
 """Pictures in a row of the list."""
@@ -141,10 +145,7 @@ def caption_of(entry: Entry, experiment: Experiment, band: Band | None) -> str:
     reference = reference_text(experiment, band, end_s=end_s)
     red = f"; red: {reference}" if reference else ""
     speed = stride * FPS / FRAME_RATE_HZ
-    return (
-        f"{entry.name} on MuJoCo with zero actions, {end_s:.2f} s, speed x {speed:.2g}. "
-        f"Blue: what is tracked, and its path{red}."
-    )
+    return f"{entry.name}, {end_s:.2f} s, speed x {speed:.2g}{red}."
 
 
 def reference_text(experiment: Experiment, band: Band | None, *, end_s: float) -> str:
@@ -237,21 +238,21 @@ def enclosed(text: str) -> str:
 
 def contents() -> dict[Path, str]:
     """Return every page with its text."""
-    families: dict[str, list[Variant]] = {}
-    for variant in (*variants(), *beyond_variants()):
-        families.setdefault(variant.family, []).append(variant)
+    families = described_families()
     shown = captions()
-    pages = {PAGES / "index.md": enclosed(index_text(families))}
+    pages = {
+        PAGES / "index.md": enclosed(index_text(families)),
+        PAGES / READING: enclosed(as_markdown(reading_document(families))),
+    }
     for family in families:
         picture = f"../images/environments/{family}.webp"
-        document = family_document(
-            family, picture=picture, caption=shown.get(family, "")
-        )
+        caption = shown.get(family, "")
+        document = family_document(family, families, picture=picture, caption=caption)
         pages[PAGES / f"{family}.md"] = enclosed(as_markdown(document))
     return pages
 
 
-def index_text(families: Mapping[str, Sequence[Variant]]) -> str:
+def index_text(families: Families) -> str:
     """Return the list of all families with their pictures."""
     lines = ["# Experiments", "", INTRODUCTION, ""]
     for title, entries in GROUPS.items():
@@ -264,11 +265,12 @@ def index_text(families: Mapping[str, Sequence[Variant]]) -> str:
         ]
         rows[-1] += [""] * (COLUMNS - len(rows[-1]))
         lines += [*markdown_table([""] * COLUMNS, rows), ""]
-    return "\n".join([*lines, "```{toctree}", ":hidden:", "", *families, "```", ""])
+    names = [READING.removesuffix(".md"), *families]
+    return "\n".join([*lines, "```{toctree}", ":hidden:", "", *names, "```", ""])
 
 
-def index_cell(family: str, families: Mapping[str, Sequence[Variant]]) -> str:
+def index_cell(family: str, families: Families) -> str:
     """Return picture, name and numbers of a family, with a link to its page."""
-    kinds = Counter(reference_kind(variant.name) for variant in families[family])
+    kinds = Counter(Kind(values["reference"]["kind"]) for values in families[family])
     count = ", ".join(f"{kinds[kind]} x {kind.value}" for kind in Kind if kinds[kind])
     return f"[![{family}](../images/environments/{family}.webp)]({family}.md) [{family}]({family}.md): {count}"
