@@ -170,13 +170,19 @@ class _Names:
                 groups.append((result, [name]))
         return [(self.short(same), result) for result, same in groups if result]
 
-    def sentences(
-        self, members: Iterable[Values], text: Callable[[Values], str]
+    def facts(
+        self, title: str, members: Iterable[Values], text: Callable[[Values], str]
     ) -> list[str]:
-        """Return each different text after the variants that it describes."""
+        """Return each different text after its title and the variants that it describes."""
         return [
-            _labelled(label, result) for label, result in self.grouped(members, text)
+            _fact(title, label, result) for label, result in self.grouped(members, text)
         ]
+
+
+def _fact(title: str, label: str, text: str) -> str:
+    """Return a text after its title and the ids that it describes."""
+    ids = "" if label == "all ids" else f", `{label}`"
+    return f"**{title}**{ids}: {text}"
 
 
 def _labelled(label: str, text: str) -> str:
@@ -208,7 +214,7 @@ def _ids(members: Sequence[Values]) -> Part:
         is_partial = known and known < frames
         rows.append(
             (
-                Markdown(values["id"]),
+                short_id(values["id"]),
                 f"{known} of {frames}" if is_partial else str(frames),
                 reference["kind"],
                 _distance(reference, "standard_uncertainty", common_unit=unit),
@@ -258,8 +264,8 @@ def _spaces(names: _Names, members: Sequence[Values]) -> Iterator[str]:
     def action(values: Values) -> str:
         rows = [f"{row['meaning']}, {row['unit']}" for row in values["action"]]
         if values["action"][0]["unit"] == "1":
-            return "Action: 0."
-        return f"Action: {'; '.join(rows)}."
+            return "0."
+        return f"{'; '.join(rows)}."
 
     def observation(values: Values) -> str:
         sizes: dict[str, list[int]] = {}
@@ -267,14 +273,15 @@ def _spaces(names: _Names, members: Sequence[Values]) -> Iterator[str]:
             shape = sizes.setdefault(row["entry"], [*row["shape"][:-1], 0])
             shape[-1] += row["shape"][-1]
         entries = [f"{name} {shape_text(shape)}" for name, shape in sizes.items()]
-        return f"Observation: {', '.join(entries)}."
+        return f"{', '.join(entries)}."
 
     def observable(values: Values) -> str:
         kind = values["observable"]["kind"].replace("_", " ")
-        return f"Observable: {kind} [{values['observable']['unit']}]."
+        return f"{kind} [{values['observable']['unit']}]."
 
-    for text in (action, observation, observable):
-        yield from names.sentences(members, text)
+    yield from names.facts("Action", members, action)
+    yield from names.facts("Observation", members, observation)
+    yield from names.facts("Observable", members, observable)
 
 
 def _rewards(names: _Names, members: Sequence[Values]) -> list[str]:
@@ -284,11 +291,11 @@ def _rewards(names: _Names, members: Sequence[Values]) -> list[str]:
         text = values["reference"]["reward"]
         match = REWARDED.search(text)
         if match is None:
-            return "Reward: 0."
+            return "0."
         form = "-z / (1 + z)" if text.startswith("-z") else "-z"
-        return f"Reward: {form}, z over {match['names']}."
+        return f"{form}, z over {match['names']}."
 
-    return names.sentences(members, reward)
+    return names.facts("Reward", members, reward)
 
 
 def _sources(names: _Names, members: Sequence[Values]) -> Iterator[str]:
@@ -306,7 +313,8 @@ def _sources(names: _Names, members: Sequence[Values]) -> Iterator[str]:
             for column, text in zip(numbers, between[1:], strict=True)
         )
         label = names.short(name for same in texts.values() for name in same)
-        yield _labelled(label, _sentences(filled))
+        title, _, text = filled.partition(": ")
+        yield _fact(title, label, _sentences(text))
 
 
 def _source(values: Values) -> str:
@@ -331,9 +339,9 @@ def _events(names: _Names, members: Sequence[Values]) -> list[str]:
             )
             for event in values["reference"]["events"]
         ]
-        return f"Real events: {', '.join(texts)}." if texts else ""
+        return f"{', '.join(texts)}." if texts else ""
 
-    return names.sentences(members, events)
+    return names.facts("Real events", members, events)
 
 
 # --- engines ----------------------------------------------------------------------------------------------------------
@@ -377,7 +385,7 @@ def _engines(
             listed = "" if label == "all ids" else f", `{label}`"
             unsupported.setdefault(listed + text, []).append(title)
     for label, texts in running.items():
-        yield _labelled(label, f"Preset and step [s]: {', '.join(texts)}.")
+        yield _fact("Preset and step [s]", label, f"{', '.join(texts)}.")
     for text, titles in unsupported.items():
         yield f"Not on {', '.join(titles)}{text}."
 
@@ -417,7 +425,8 @@ def _constants(
         for key, value in _material_constants(families[family], body).items()
     }
     used = [(short_id(values["id"]), _used_constants(values)) for values in members]
-    shared, rows = set(), {}
+    shared: set[str] = set()
+    rows = {}
     for place in dict.fromkeys(place for _, table in used for place in table):
         cells = {name: table.get(place) for name, table in used}
         known = [
@@ -599,6 +608,7 @@ The pictures show MuJoCo with zero actions. Blue are the tracked points and thei
 
 | column | meaning |
 | --- | --- |
+| id | without `GAUGE/`, which `gymnasium.make` needs |
 | frames | length at 30 Hz; `13 of 18`: the reference knows 13 |
 | reference | its [kind](../scores.md#kinds-of-reference) |
 | u | standard uncertainty of the reference |
