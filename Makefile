@@ -38,7 +38,7 @@ slow: $(VENV)/.installed
 	$(PYTEST) tests/backends -k drake
 	$(PYTEST) -m slow
 
-# Generated pages: all of them, or those of NAME.
+# Generated pages: all of them, or those of NAME, as `make build NAME=cheat_sheet`.
 build: $(VENV)/.installed
 	$(BIN)/python -m scripts build $(NAME)
 

@@ -1,7 +1,7 @@
 """Commands of a checkout.
 
 python -m scripts build               writes the generated pages, after a task or an engine has changed
-python -m scripts build NAME ...      writes those of some builders; `assets` and `pictures` run only by name
+python -m scripts build NAME ...      writes those of some builders, as `assets`, `pictures` and `cheat_sheet`
 python -m scripts matrix ENTRY ...    tests the wheel on several versions of Python
 """
 
@@ -15,6 +15,7 @@ from pathlib import Path
 from gauge_envs.files import write_whole
 from gauge_envs.tools.assets.build import assets_folder, build_assets
 from scripts import (
+    build_cheat_sheet,
     build_conformance,
     build_coverage,
     build_environments,
@@ -32,8 +33,9 @@ PAGES: Mapping[str, Callable[[], Mapping[Path, str]]] = {
 DRAWN: Mapping[str, Callable[[], object]] = {
     "assets": lambda: build_assets(assets_folder()),
     "pictures": build_environments.draw_missing,
+    "cheat_sheet": build_cheat_sheet.draw,
 }
-"""Builders that take a minute: scenes in `assets/`, and the pictures of families that were deleted before."""
+"""Builders of scenes in `assets/`, of deleted pictures of families, and of the cheat sheet as PDF."""
 
 
 def build(names: Sequence[str]) -> None:

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
         SanityWrapper as SanityWrapper,
     )
 else:
-    __getattr__, __all__ = lazy_names(
+    _public_name, __all__ = lazy_names(
         __name__,
         {
             ".comparison": ["difference"],
@@ -65,3 +65,12 @@ else:
             ".wrapper": ["SanityWarning", "SanityWrapper"],
         },
     )
+
+    def __getattr__(name):
+        """Return a public name; `Cure`, the name of `Fix` before 1.0, is read until 1.2."""
+        if name != "Cure":
+            return _public_name(name)
+        from gauge_envs.tools.sanity.model import warn_renamed
+
+        warn_renamed("Cure", "Fix")
+        return _public_name("Fix")

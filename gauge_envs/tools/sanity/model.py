@@ -41,7 +41,8 @@ RENAMED_VERDICTS = {
 """Verdicts by their names before 1.0, which are read until 1.2."""
 
 
-def _warn_renamed(old: str, new: str, stacklevel: int = 3) -> None:
+def warn_renamed(old: str, new: str, stacklevel: int = 3) -> None:
+    """Warn that a name of 0.3 has a new one."""
     text = f"`{old}` is now `{new}`; the old name is read until 1.2"
     warnings.warn(text, DeprecationWarning, stacklevel=stacklevel)
 
@@ -53,7 +54,7 @@ class _VerdictType(EnumType):
         if name.lower() not in RENAMED_VERDICTS:
             raise AttributeError(name)
         new = RENAMED_VERDICTS[name.lower()]
-        _warn_renamed(name, new)
+        warn_renamed(name, new)
         return cls(new)
 
 
@@ -76,7 +77,7 @@ class Verdict(StrEnum, metaclass=_VerdictType):
         if new is None:
             return None
         # Python's `Enum` makes two calls in between.
-        _warn_renamed(str(value), new, stacklevel=5)
+        warn_renamed(str(value), new, stacklevel=5)
         return cls(new)
 
     @property
@@ -408,7 +409,7 @@ class Report:
     @property
     def cure(self) -> Fix | None:
         """The fix by its name before 1.0, which is read until 1.2."""
-        _warn_renamed("cure", "fix")
+        warn_renamed("cure", "fix")
         return self.fix
 
     @property

@@ -274,6 +274,8 @@ def test_names_of_python_before_1_0_are_read():
         assert Verdict("visible") is Verdict.WARNING
     with pytest.warns(DeprecationWarning, match="`cure` is now `fix`"):
         assert report(fix=FIX).cure is FIX
+    with pytest.warns(DeprecationWarning, match="`Cure` is now `Fix`"):
+        assert sanity.Cure is type(FIX)
 
 
 # --- in training -----------------------------------------------------------------------------------------------------
