@@ -35,8 +35,11 @@ Values = Mapping[str, Any]
 Families = Mapping[str, Sequence[Values]]
 """Descriptions of the variants of each family."""
 
-MAX_WORDS = 25
-"""Longest text that stays one sentence."""
+MAX_WORDS = 22
+"""Longest text that stays one sentence; a title may precede it."""
+
+BREAKS = re.compile(r"; (?![^(]*\))|: (?=it |both )")
+"""Where a long text becomes several sentences."""
 
 READING = "reading.md"
 """Page of what families share, in the folder of the pages."""
@@ -190,10 +193,10 @@ def _labelled(label: str, text: str) -> str:
 
 
 def _sentences(text: str) -> str:
-    """Return a text with a full stop; in a long one, sentences replace the parts between semicolons."""
+    """Return a text with a full stop; a long one is split into sentences."""
     text = text.rstrip(".")
     if len(text.split()) > MAX_WORDS:
-        first, *others = re.split(r"; (?![^(]*\))", text)
+        first, *others = BREAKS.split(text)
         text = ". ".join([first, *map(_capitalized, others)])
     return f"{text}."
 
@@ -265,7 +268,7 @@ def _spaces(names: _Names, members: Sequence[Values]) -> Iterator[str]:
         rows = [f"{row['meaning']}, {row['unit']}" for row in values["action"]]
         if values["action"][0]["unit"] == "1":
             return "0."
-        return f"{'; '.join(rows)}."
+        return _sentences("; ".join(rows))
 
     def observation(values: Values) -> str:
         sizes: dict[str, list[int]] = {}
@@ -476,7 +479,11 @@ def _places_text(
 
 
 def _constant_text(cell: Values | None) -> str:
-    return "-" if cell is None else f"{cell['value']:.4g}"
+    """Return a constant with four digits, or a large one without an exponent; a dash for None."""
+    if cell is None:
+        return "-"
+    value = cell["value"]
+    return f"{value:.0f}" if value >= 1e4 else f"{value:.4g}"
 
 
 def _used_constants(values: Values) -> dict[tuple[str, str], Values]:
