@@ -608,8 +608,8 @@ def _limits(
 # --- page of what families share --------------------------------------------------------------------------------------
 
 INTRODUCTION = """
-After this page you can read the page of each experiment. `gauge show ID` prints the same facts. `--format wide` adds
-published scores, the scores of planted errors, convergence, sources and decisions.
+After this page you can read the page of each experiment. `gauge show ID` also prints published scores and the scores
+of planted errors. `--format wide` adds convergence, sources and decisions.
 
 The pictures show MuJoCo with zero actions. Blue are the tracked points and their paths, red is the reference.
 
