@@ -109,7 +109,7 @@ def family_document(
             Paragraph(
                 f"{_sentences(first['summary'])} It evaluates {', '.join(first['evaluates'])}."
             ),
-            _ids(members),
+            *_ids(names, members),
             Paragraph(Markdown(f"[Terms of this page]({READING})")),
             Bullets([*facts, *_sources(names, members), *_events(names, members)]),
             Heading("Engines"),
@@ -206,36 +206,45 @@ def _capitalized(text: str) -> str:
     return text if re.match(r"\w\b", text) else text[:1].upper() + text[1:]
 
 
-def _ids(members: Sequence[Values]) -> Part:
-    """Return the table of the ids: their references, and what their scores detect."""
-    rows = []
-    units = dict.fromkeys(values["reference"]["unit"] for values in members)
-    unit = next(iter(units)) if len(units) == 1 else None
+def _ids(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
+    """Yield the ids, and a table of their references and of what their scores detect; similar ids share a row."""
+    listed = ", ".join(f"`{short_id(values['id'])}`" for values in members)
+    yield Paragraph(Markdown(f"Ids: {listed}."))
+    groups: dict[tuple[str, ...], list[Values]] = {}
     for values in members:
         reference = values["reference"]
-        known, frames = reference["known_frames"], values["frames"]
-        is_partial = known and known < frames
+        is_partial = (reference["known_frames"] or values["frames"]) < values["frames"]
+        key = (reference["kind"], str(is_partial), *_detected(reference))
+        groups.setdefault(key, []).append(values)
+    rows = []
+    for (kind, _, *errors), same in groups.items():
+        references = [values["reference"] for values in same]
+        frames = _range([values["frames"] for values in same], str)
+        known = _range([reference["known_frames"] for reference in references], str)
         rows.append(
             (
-                short_id(values["id"]),
-                f"{known} of {frames}" if is_partial else str(frames),
-                reference["kind"],
-                _distance(reference, "standard_uncertainty", common_unit=unit),
-                _distance(reference, "zero_motion_distance", common_unit=unit),
-                *_detected(reference),
+                names.short(short_id(values["id"]) for values in same),
+                frames if known in ("-", frames) else f"{known} of {frames}",
+                kind,
+                _distance(references, "standard_uncertainty"),
+                _distance(references, "zero_motion_distance"),
+                *errors,
             )
         )
-    suffix = f" [{unit}]" if unit else ""
-    head = ("id", "frames", "reference", f"u{suffix}", f"rest{suffix}")
-    return grid((*head, "detects", "misses"), rows)
+    yield grid(("ids", "frames", "reference", "u", "rest", "detects", "misses"), rows)
 
 
-def _distance(reference: Values, key: str, *, common_unit: str | None) -> str:
-    """Return a distance of the reference, with its unit unless all have the same; a dash without a reference."""
-    if reference[key] is None:
+def _distance(references: Sequence[Values], key: str) -> str:
+    """Return the range of a distance with its unit; a dash without a reference."""
+    text = _range([reference[key] for reference in references], quantity_text)
+    return text if text == "-" else f"{text} {references[0]['unit']}"
+
+
+def _range(values: Sequence[Any], text: Callable[[Any], str]) -> str:
+    """Return `least to largest`, one value if they are equal, or a dash for None."""
+    if None in values:
         return "-"
-    unit = "" if common_unit else f" {reference['unit']}"
-    return f"{quantity_text(reference[key])}{unit}"
+    return " to ".join(dict.fromkeys((text(min(values)), text(max(values)))))
 
 
 def _detected(reference: Values) -> list[str]:
@@ -615,7 +624,7 @@ The pictures show MuJoCo with zero actions. Blue are the tracked points and thei
 
 | column | meaning |
 | --- | --- |
-| id | without `GAUGE/`, which `gymnasium.make` needs |
+| ids | without `GAUGE/`, which `gymnasium.make` needs; similar ids share a row |
 | frames | length at 30 Hz; `13 of 18`: the reference knows 13 |
 | reference | its [kind](../scores.md#kinds-of-reference) |
 | u | standard uncertainty of the reference |

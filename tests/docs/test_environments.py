@@ -40,7 +40,7 @@ def test_every_registered_experiment_has_a_page_that_names_it():
     absent = []
     for variant in VARIANTS:
         page = (PAGES / f"{variant.family}.md").read_text()
-        if f"\n| {variant.name} |" not in page:
+        if f"`{variant.name}`" not in page:
             absent.append(variant.id)
     assert absent == []
 
