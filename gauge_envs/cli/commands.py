@@ -186,7 +186,7 @@ BUNDLED = (
         "versions.command:backend_versions",
         "Compare releases of MuJoCo on your model, settings or engines: what changed, and which side is right.",
         line="versions.schema:VersionsLine",
-        version=4,
+        version=5,
     ),
     Command(
         "data download",

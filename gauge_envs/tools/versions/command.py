@@ -1,10 +1,8 @@
 """`gauge backend versions`."""
 
-from __future__ import annotations
-
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from tempfile import TemporaryDirectory
+from typing import Annotated
 
 import typer
 
@@ -12,17 +10,14 @@ from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Format, Progress, print_document
 from gauge_envs.errors import ParameterError
 
-if TYPE_CHECKING:
-    from gauge_envs.tools.versions.schema import Release
-
 
 def backend_versions(
     subject: Annotated[
         str,
         typer.Argument(
             metavar="SUBJECT",
-            help="Model file (MJCF, URDF, USD), task file, id of this suite or of Gymnasium, or module:function that "
-            "returns an environment or a model.",
+            help="Model file (MJCF, URDF), task file, id of this suite or of Gymnasium, or module:function that "
+            "returns an environment with a model file, or an MjSpec.",
         ),
     ],
     versions: Annotated[
@@ -55,7 +50,7 @@ def backend_versions(
         str | None,
         arguments.option(
             arguments.SCENE,
-            "Compare return and success of a policy (module:function) or of actions (.npy).",
+            "Compare the return of a policy (module:function) or of actions (.npy).",
             metavar="POLICY",
         ),
     ] = None,
@@ -101,9 +96,9 @@ def backend_versions(
     from gauge_envs.tools.versions.episodes import compare_motions, compare_returns
     from gauge_envs.tools.versions.schema import Side, Verdict
     from gauge_envs.tools.versions.subject import (
-        bench,
         compares_motions,
         read_sides,
+        read_subject,
         releases_between,
     )
 
@@ -117,13 +112,12 @@ def backend_versions(
             f"expected two versions, got {len(sides)}: for example gauge backend versions {subject} "
             "mujoco==3.3.0 mujoco==4.0.0"
         )
-    if bisect and not all(side.requirement.startswith("mujoco") for side in sides):
-        raise ParameterError(
-            "--bisect needs a range of releases, for example mujoco==3.1.0..4.0.0"
-        )
-    used = [*sides]
+    releases = releases_between(sides) if bisect else sides
     try:
-        with Progress("comparing", None):
+        with (
+            Progress("comparing", None),
+            TemporaryDirectory(prefix="gauge-versions-") as folder,
+        ):
             if policy is not None:
                 returns = compare_returns(
                     subject, *sides, policy=policy, seeds=repeats, seed=seed
@@ -134,18 +128,20 @@ def backend_versions(
                 verdict = motions.verdict
                 document = report.motions_document(motions, scores)
             else:
-                tried: list[Release] = []
-                with bench(subject, states, steps=steps, seed=seed) as model:
-                    if bisect:
-                        releases = releases_between(sides)
-                        used += releases
-                        sides, tried = find_change(model, releases)
-                    comparison = compare(model, *sides)
-                comparison = replace(comparison, tried=tuple(tried))
+                job = {
+                    "title": subject,
+                    "model": str(read_subject(subject, Path(folder)).resolve()),
+                    "saved": states and str(states.resolve()),
+                    "steps": steps,
+                    "seed": seed,
+                }
+                comparison = (
+                    find_change(job, releases) if bisect else compare(job, *sides)
+                )
                 verdict = comparison.verdict
                 document = report.comparison_document(comparison)
     finally:
-        for side in () if keep else used:
+        for side in () if keep else [*sides, *releases]:
             if side.requirement:
                 remove_environment(side.requirement)
     print_document(document, form, files=files)

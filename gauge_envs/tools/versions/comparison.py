@@ -1,34 +1,32 @@
 """Compare one step of two MuJoCo versions from the same states, and decide which side is right."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator, Mapping, Sequence
+from bisect import bisect_left
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import Any
+from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from gauge_envs.cli.output import message
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.versions.environments import (
-    Arrays,
-    Bench,
-    Output,
-    VersionsError,
-)
+from gauge_envs.tools.versions.environments import Arrays, Job, VersionsError, work
 from gauge_envs.tools.versions.schema import (
     Comparison,
+    Difference,
     FieldChange,
-    Parting,
     Quantity,
     Release,
     Ruling,
     Side,
     Verdict,
 )
+from gauge_envs.tools.versions.worker import STATE
+
+Contacts: TypeAlias = dict[tuple[int, int], list[float]]
+"""Sorted distances of contacts [m] by pair of geoms."""
 
 MIN_LIMIT = 1e-6
 """Smallest relevant difference of accelerations, divided by the larger one. With constraints, the limit is at least
@@ -63,6 +61,13 @@ LAW_RATIO = 10.0
 MAX_SOLVED = 24
 """Maximum number of states in which both sides also solve their equations exactly."""
 
+ACCELERATIONS = {
+    Quantity.SMOOTH: "smooth",
+    Quantity.CONSTRAINT: "qacc",
+    Quantity.STEP: "step_acc",
+}
+"""Accelerations of a probe, in the order of computation."""
+
 BOX = float(mujoco.mjtGeom.mjGEOM_BOX)
 
 EXACT = {
@@ -76,132 +81,105 @@ EXACT = {
 """Settings with which a side solves its equations exactly."""
 
 
-def compare(bench: Bench, before: Side, after: Side) -> Comparison:
-    """Return the differences between two versions on the model of a bench.
+def compare(job: Job, before: Side, after: Side) -> Comparison:
+    """Return the differences between two versions on the model of a job.
 
     Raises:
         VersionsError: The installation of an environment fails, or a version cannot run the model.
     """
     sides = (before, after)
-    runs, states = _runs(bench, sides)
-    gap = Gap(*bench.work("probe", sides, states))
-    first, second = (run.description for run in runs)
-    verdict = Verdict.SAME
-    if np.any(gap.differs):
-        verdict = Verdict.DIFFERENT
-    elif gap.is_identical:
-        verdict = Verdict.IDENTICAL
-    partings: list[Parting | None] = [None, None]
+    runs, states = visited_states(job, sides)
+    gap = Gap(*work("probe", job, sides, states))
+    first, second = runs
+    differences: list[Difference | None] = [None, None]
     rulings: list[Ruling] = []
-    if len(gap.worst):
-        indices = (int(np.argmax(gap.differs)), gap.worst[0])
-        partings = [_parting(gap, index, states, first["names"]) for index in indices]
-        rulings = list(_rulings(bench, sides, gap, states, first["fields"]))
+    if gap.worst:
+        indices = (min(gap.worst), gap.worst[0])
+        differences = [_difference(gap, index, states, first) for index in indices]
+        rulings = list(_rulings(job, sides, gap, states, first))
     rights = {ruling.right for ruling in rulings if ruling.right}
     return Comparison(
-        subject=bench.title,
+        subject=job["title"],
         before=before.title,
         after=after.title,
-        versions=(first["version"], second["version"]),
-        verdict=verdict,
+        versions=(str(first["version"]), str(second["version"])),
+        verdict=Verdict.DIFFERENT if gap.worst else Verdict.SAME,
         states=len(gap.relative),
-        differing=int(np.sum(gap.differs)),
+        differing=len(gap.worst),
         largest=float(np.max(gap.relative)),
         noise=float(np.median(gap.noise)),
-        first=partings[0],
-        worst=partings[1],
-        fields=tuple(field_changes(first["fields"], second["fields"], first["names"])),
-        new_fields=tuple(sorted({*first["fields"]} ^ {*second["fields"]})),
-        dropped=(first["dropped"], second["dropped"]),
+        first=differences[0],
+        worst=differences[1],
+        fields=tuple(field_changes(first, second)),
         rulings=tuple(rulings),
         right=rights.pop() if len(rights) == 1 else "",
     )
 
 
-def find_change(
-    bench: Bench, releases: Sequence[Side]
-) -> tuple[list[Side], list[Release]]:
-    """Return the two neighbouring releases between which a difference appears.
+def find_change(job: Job, releases: Sequence[Side]) -> Comparison:
+    """Compare the two neighbouring releases between which a difference appears.
 
     A release belongs to the end of the range with the nearer accelerations, in the states that both ends visit. If the
-    range has several changes, this finds one of them.
+    range has several changes, this finds one of them. If the ends do not differ, it compares the ends.
 
     Args:
-        bench: The bench.
+        job: Job of the model.
         releases: The releases, oldest first.
-
-    Returns:
-        The two releases, or the ends of the range if these do not differ; and the tested releases in their order.
     """
-    low, high = 0, len(releases) - 1
-    ends = (releases[low], releases[high])
-    _, states = _runs(bench, ends)
-    first, last = bench.work("probe", ends, states)
+    ends = (releases[0], releases[-1])
+    _, states = visited_states(job, ends)
+    first, last = work("probe", job, ends, states)
+    tried: list[Release] = []
 
-    def attempt(side: Side, probe: Output) -> Release:
-        """Return the distances of a release from both ends."""
-        from_first, from_last = Gap(first, probe).distance, Gap(probe, last).distance
-        like = "first" if from_first <= from_last else "last"
-        return Release(
-            release=side.title, from_first=from_first, from_last=from_last, like=like
+    def is_like_last(side: Side) -> bool:
+        """Return whether a release is nearer to the last one than to the first one."""
+        (probe,) = work("probe", job, [side], states)
+        is_new = Gap(first, probe).distance > Gap(probe, last).distance
+        like = "last" if is_new else "first"
+        tried.append(Release(release=side.title, like=like))
+        return is_new
+
+    neighbours: Sequence[Side] = ends
+    if Gap(first, last).worst:
+        index = bisect_left(
+            releases, True, lo=1, hi=len(releases) - 1, key=is_like_last
         )
-
-    tried = {low: attempt(ends[0], first), high: attempt(ends[1], last)}
-    while tried[high].from_first and high - low > 1:
-        middle = (low + high) // 2
-        side = releases[middle]
-        tried[middle] = attempt(side, *bench.work("probe", [side], states))
-        message(f"{side.title} is like the {tried[middle].like} release")
-        if tried[middle].like == "first":
-            low = middle
-        else:
-            high = middle
-    return [releases[low], releases[high]], [tried[index] for index in sorted(tried)]
+        neighbours = releases[index - 1 : index + 1]
+    return replace(compare(job, *neighbours), tried=tuple(tried))
 
 
-def _runs(bench: Bench, sides: Sequence[Side]) -> tuple[list[Output], Arrays]:
+def visited_states(job: Job, sides: Sequence[Side]) -> tuple[list[Arrays], Arrays]:
     """Run the model on both sides, and return the outputs and the states of both sides."""
-    runs = bench.work("run", sides)
-    before, after = (run.description["sizes"] for run in runs)
+    runs = work("run", job, sides)
+    before, after = (run["sizes"] for run in runs)
     if before != after:
         raise VersionsError(
-            f"{bench.title}: {sides[0].title} compiles {before}; {sides[1].title} compiles {after}. No state fits both."
+            f"{job['title']}: {sides[0].title} compiles {before}; {sides[1].title} compiles {after}. No state fits "
+            "both."
         )
-    first, second = (run.arrays for run in runs)
-    states = {name: np.concatenate([first[name], second[name]]) for name in first}
-    titles = [side.title for side in sides]
-    states["of"] = np.repeat(titles, [len(first["step"]), len(second["step"])])
+    names = ("step", "segment", *STATE)
+    states = {name: np.concatenate([run[name] for run in runs]) for name in names}
     return runs, states
 
 
 # --- compiled fields -------------------------------------------------------------------------------------------------
 
 
-def field_changes(
-    before: Mapping[str, Any], after: Mapping[str, Any], names: Mapping[str, list[str]]
-) -> Iterator[FieldChange]:
-    """Yield the differing compiled fields of two sides: the row with the largest difference, and the number of rows.
-
-    Args:
-        before: Fields of the first side.
-        after: Fields of the second side.
-        names: Names of objects by the prefix of their fields.
-    """
+def field_changes(before: Arrays, after: Arrays) -> Iterator[FieldChange]:
+    """Yield the differing compiled fields of two sides: the row with the largest difference, and the number of rows."""
     for name in sorted(before.keys() & after.keys()):
-        first, second = np.array(before[name]), np.array(after[name])
-        if first.shape != second.shape:
-            shapes = {"before": first.shape, "after": second.shape}
-            yield FieldChange(field=name, where="shape", count=1, **shapes)
+        first, second = before[name], after[name]
+        if not name.startswith("field ") or first.shape != second.shape:
             continue
-        sizes = np.abs(first - second)
-        sizes[np.isclose(first, second, rtol=FIELD_TOLERANCE, atol=1e-12)] = 0.0
-        if np.any(sizes):
-            row = int(np.unravel_index(np.argmax(sizes), sizes.shape)[0])
-            owners = names.get(name.partition("_")[0], [""])
+        is_same = np.isclose(first, second, rtol=FIELD_TOLERANCE, atol=1e-12)
+        rows = np.unique(np.nonzero(~is_same)[0])
+        if len(rows):
+            sizes = np.abs(first - second)[rows].reshape(len(rows), -1).max(axis=1)
+            row = int(rows[np.argmax(sizes)])
             yield FieldChange(
-                field=name,
-                where=owners[row] if len(owners) == len(sizes) else f"row {row}",
-                count=len(np.unique(np.nonzero(sizes)[0])),
+                field=name.removeprefix("field "),
+                row=row,
+                count=len(rows),
                 before=first[row].tolist(),
                 after=second[row].tolist(),
             )
@@ -211,201 +189,164 @@ def field_changes(
 
 
 class Gap:
-    """Differences between the outputs of two sides from the same states.
+    """Differences between the probes of two sides from the same states.
 
     Args:
-        before, after: Output of each side.
+        before, after: Arrays of each side.
 
     Attributes:
-        outputs: Output of each side.
         sides: Arrays of each side.
-        touching: Sorted distances of contacts [m] by pair of geoms, for each state and side.
         relative: Difference of the accelerations, divided by the larger one, shape [states].
         noise: Change by a velocity difference of 1e-10 or a cold start of the solver, on the quieter side,
             shape [states].
-        limit: Smallest relevant difference, shape [states].
-        differs: Whether the difference exceeds the limit, shape [states].
         worst: Indices of the states where the difference exceeds the limit, largest difference first.
     """
 
-    def __init__(self, before: Output, after: Output) -> None:
-        self.outputs = (before, after)
-        self.sides = (before.arrays, after.arrays)
-        self.touching = [output.description["touching"] for output in self.outputs]
+    def __init__(self, before: Arrays, after: Arrays) -> None:
+        self.sides = (before, after)
+        names = ("qacc", "step_acc", "smooth")
+        # Shape [sides, names, states, nv].
+        values = np.array([[side[name] for name in names] for side in self.sides])
         # At rest, the acceleration is 0, but the acceleration without constraints is gravity.
-        accelerations = [
-            *self.pair("qacc"),
-            *self.pair("smooth"),
-            *self.pair("step_acc"),
-        ]
-        scale = np.fmax.reduce(np.linalg.norm(accelerations, axis=2), initial=1e-9)
-        differences = [np.subtract(*self.pair(name)) for name in ("qacc", "step_acc")]
-        distances = np.linalg.norm(differences, axis=2) / scale
+        sizes = np.linalg.norm(values, axis=3)
+        scale = np.fmax.reduce(sizes, axis=(0, 1), initial=1e-9)
+        distances = np.linalg.norm(values[0, :2] - values[1, :2], axis=2) / scale
         # If one side is NaN, the distance is at its maximum.
         self.relative = np.nan_to_num(distances, nan=2.0).max(axis=0)
-        self.noise = np.fmin(*self.pair("noise")) / scale
-        limits = [NOISE_FACTOR * self.noise, *self.pair("solver_error")]
-        self.limit = np.fmax(np.max(limits, axis=0), MIN_LIMIT)
-        self.differs = self.relative > self.limit
+        self.noise = np.fmin(before["noise"], after["noise"]) / scale
+        limits = [
+            NOISE_FACTOR * self.noise,
+            before["solver_error"],
+            after["solver_error"],
+        ]
+        limit = np.max(limits, axis=0, initial=MIN_LIMIT)
         order = np.argsort(-self.relative, kind="stable")
-        self.worst = order[self.differs[order]].tolist()
-
-    def pair(self, name: str) -> tuple[FloatArray, FloatArray]:
-        """Return an array of both sides."""
-        before, after = self.sides
-        return before[name], after[name]
-
-    @property
-    def is_identical(self) -> bool:
-        """Whether both sides compute the same bits."""
-        before, after = self.touching
-        names = ("qacc", "step_acc")
-        return before == after and all(
-            np.array_equal(*self.pair(name)) for name in names
-        )
+        self.worst = order[(self.relative > limit)[order]].tolist()
 
     @property
     def distance(self) -> float:
         """Root mean square of the differences above the limit."""
-        counted = np.where(self.differs, np.minimum(self.relative, 2.0), 0.0)
-        return float(np.sqrt(np.mean(counted**2)))
+        counted = np.minimum(self.relative[self.worst], 2.0)
+        return float(np.sqrt(np.sum(counted**2) / len(self.relative)))
 
-    def is_close(self, name: str, index: int) -> bool:
-        """Return whether both sides agree in a state, up to rounding."""
-        first, second = (values[index] for values in self.pair(name))
-        size = max(np.linalg.norm(first), np.linalg.norm(second))
-        return bool(np.linalg.norm(first - second) <= ROUNDING * size)
+    def contacts(self, index: int) -> list[Contacts]:
+        """Return the contacts of each side in a state."""
+        pairs: list[Contacts] = []
+        for side in self.sides:
+            distances_m: Contacts = defaultdict(list)
+            rows = side["contacts"]
+            for _, first, second, distance_m in rows[rows[:, 0] == index].tolist():
+                distances_m[int(first), int(second)].append(distance_m)
+            pairs.append(distances_m)
+        return pairs
 
 
-def _parting(
-    gap: Gap, index: int, states: Arrays, names: Mapping[str, list[str]]
-) -> Parting:
-    """Return the difference of two sides in a state.
+def _difference(gap: Gap, index: int, states: Arrays, model: Arrays) -> Difference:
+    """Return the first differing quantity of two sides in a state, in the order of computation.
 
     Args:
         gap: The differences.
         index: The state.
-        states: Segment and step of each state; `of` is the side that visits it.
-        names: Names of geoms and degrees of freedom.
+        states: Segment and step of each state.
+        model: Description of the model, with the names of geoms and degrees of freedom.
     """
-    quantity, detail = _cause(gap, index, names["geom"])
-    kind = "step_acc" if gap.is_close("qacc", index) else "qacc"
-    difference = np.abs(np.subtract(*gap.pair(kind))[index])
-    dof = int(np.argmax(np.nan_to_num(difference, nan=np.inf)))
-    place = {name: states[name][index].item() for name in ("segment", "step", "of")}
-    for when, side in zip(("before", "after"), gap.sides, strict=True):
-        place[f"acceleration_{when}"] = float(side[kind][index, dof])
-        for name in ("contacts", "iterations", "warnings"):
-            place[f"{name}_{when}"] = int(side[name][index])
-    return Parting(
+    quantity, places, values = next(
+        (quantity, places, values)
+        for quantity, places, values, tolerance in _quantities(gap, index, model)
+        # NaN differs.
+        if not np.linalg.norm(np.subtract(*values)) <= tolerance
+    )
+    changes = np.abs(np.subtract(*values))
+    place = int(np.argmax(np.nan_to_num(changes, nan=np.inf)))
+    return Difference(
+        segment=str(states["segment"][index]),
+        step=int(states["step"][index]),
         quantity=quantity,
-        detail=detail,
-        where=names["dof"][dof],
-        acceleration=float(gap.relative[index]),
-        limit=float(gap.limit[index]),
-        **place,
+        where=str(places[place]),
+        before=float(values[0][place]),
+        after=float(values[1][place]),
     )
 
 
-def _cause(gap: Gap, index: int, geoms: list[str]) -> tuple[Quantity, str]:
-    """Return the quantity that differs first in the order of computation, and both values in words."""
-    before, after = (touching[index] for touching in gap.touching)
-    for pair in sorted({*before, *after}, key=_geoms):
-        first, second = before.get(pair, []), after.get(pair, [])
-        title = " and ".join(geoms[geom] for geom in _geoms(pair))
-        if len(first) != len(second):
-            text = f"{title}: {len(first)} and {len(second)} contacts"
-            return Quantity.CONTACTS, text
-        changes_m = np.abs(np.subtract(first, second))
-        contact = int(np.argmax(changes_m))
-        if changes_m[contact] > DEPTH_TOLERANCE_M:
-            depths_mm = (-1e3 * first[contact], -1e3 * second[contact])
-            return Quantity.DEPTH, "{}: {:.6g} and {:.6g} mm".format(title, *depths_mm)
-    if not gap.is_close("smooth", index):
-        return Quantity.SMOOTH, "the accelerations without contacts and limits differ"
-    if not gap.is_close("qacc", index):
-        first, second = gap.pair("iterations")
-        counts = f"{first[index]} and {second[index]}"
-        text = f"equal contacts, different forces; the solver took {counts} iterations"
-        return Quantity.CONSTRAINT, text
-    return Quantity.STEP, "equal accelerations; the velocities after the step differ"
-
-
-def _geoms(pair: str) -> tuple[int, ...]:
-    """Return the indices of the geoms of a pair."""
-    return tuple(map(int, pair.split()))
+def _quantities(
+    gap: Gap, index: int, model: Arrays
+) -> Iterator[tuple[Quantity, Sequence[str], Any, float]]:
+    """Yield each quantity of a state, in the order of computation: places, values of both sides, and tolerance."""
+    contacts = gap.contacts(index)
+    pairs = sorted({*contacts[0], *contacts[1]})
+    places = [" and ".join(model["names geom"][[*pair]]) for pair in pairs]
+    counts = [[len(side[pair]) for pair in pairs] for side in contacts]
+    yield Quantity.CONTACTS, places, counts, 0.0
+    depths_m = [[-min(side[pair]) for pair in pairs] for side in contacts]
+    yield Quantity.DEPTH, places, depths_m, DEPTH_TOLERANCE_M
+    for quantity, name in ACCELERATIONS.items():
+        values = [side[name][index] for side in gap.sides]
+        size = np.max(np.linalg.norm(values, axis=1))
+        yield quantity, model["names dof"].tolist(), values, ROUNDING * size
 
 
 # --- laws ------------------------------------------------------------------------------------------------------------
 
 
 def _rulings(
-    bench: Bench,
-    sides: Sequence[Side],
-    gap: Gap,
-    states: Arrays,
-    fields: Mapping[str, Any],
+    job: Job, sides: Sequence[Side], gap: Gap, states: Arrays, model: Arrays
 ) -> Iterator[Ruling]:
     """Yield each applicable law with the error of each side, in the states that differ most.
 
     Args:
-        bench: The bench.
+        job: Job of the model.
         sides: Both sides.
         gap: Differences of both sides.
         states: The states.
-        fields: Compiled fields of the first side.
+        model: Description of the model, with its compiled fields.
     """
     worst = gap.worst[:MAX_SOLVED]
     solved = {name: states[name][worst] for name in states}
     exact = [replace(side, settings={**side.settings, **EXACT}) for side in sides]
-    outputs = bench.work("probe", exact, solved)
-    misses = []
-    for output, solution in zip(gap.outputs, outputs, strict=True):
-        arrays = {name: output.arrays[name][worst] for name in output.arrays}
-        misses.append(Gap(Output(output.description, arrays), solution).relative)
-    yield _ruling(SOLVER_LAW, np.array(misses), SOLVER_LIMIT, sides)
-    depths = list(_depth_misses(gap, worst, fields))
-    if depths:
-        yield _ruling(DEPTH_LAW, np.transpose(depths), DEPTH_LIMIT, sides)
+    errors = []
+    for side, solution in zip(
+        gap.sides, work("probe", job, exact, solved), strict=True
+    ):
+        probed = {name: side[name][worst] for name in side if name != "contacts"}
+        errors.append(Gap(probed, solution).relative)
+    depths = np.transpose(list(_depth_errors(gap, worst, model)))
+    laws = ((SOLVER_LAW, SOLVER_LIMIT, errors), (DEPTH_LAW, DEPTH_LIMIT, depths))
+    for law, limit, values in laws:
+        if not len(values):
+            continue
+        first, second = np.max(values, axis=1).tolist()
+        is_decided = max(first, second) > max(limit, LAW_RATIO * min(first, second))
+        yield Ruling(
+            law=law,
+            before=first,
+            after=second,
+            states=len(values[0]),
+            right=sides[int(first > second)].title if is_decided else "",
+        )
 
 
-def _ruling(
-    law: str, misses: FloatArray, limit: float, sides: Sequence[Side]
-) -> Ruling:
-    """Return the side that satisfies a law, from errors of shape [2, states]."""
-    before, after = misses.max(axis=1).tolist()
-    right = ""
-    if max(before, after) > max(limit, LAW_RATIO * min(before, after)):
-        right = sides[int(before > after)].title
-    count = misses.shape[1]
-    return Ruling(law=law, before=before, after=after, states=count, right=right)
-
-
-def _depth_misses(
-    gap: Gap, states: Sequence[int], fields: Mapping[str, Any]
+def _depth_errors(
+    gap: Gap, states: Sequence[int], model: Arrays
 ) -> Iterator[FloatArray]:
     """Yield the relative error of each side in the depth of a pair of boxes."""
-    positions_m, rotations = (gap.sides[0][f"geom_x{name}"] for name in ("pos", "mat"))
+    poses = gap.sides[0]
     for index in states:
-        contacts = [touching[index] for touching in gap.touching]
+        contacts = gap.contacts(index)
         for pair in sorted({*contacts[0], *contacts[1]}):
-            geoms = _geoms(pair)
-            if any(fields["geom_type"][geom] != BOX for geom in geoms):
+            if np.any(model["field geom_type"][[*pair]] != BOX):
                 continue
             boxes = [
                 corners_m(
-                    fields["geom_size"][geom],
-                    positions_m[index, geom],
-                    rotations[index, geom].reshape(3, 3),
+                    model["field geom_size"][geom],
+                    poses["geom_xpos"][index, geom],
+                    poses["geom_xmat"][index, geom].reshape(3, 3),
                 )
-                for geom in geoms
+                for geom in pair
             ]
             true_m = depth_m(*boxes)
             if true_m > MIN_DEPTH_M:
-                depths_m = np.array(
-                    [-min(distances_m.get(pair, [0.0])) for distances_m in contacts]
-                )
-                yield np.abs(depths_m - true_m) / true_m
+                depths_m = [-min(side[pair], default=0.0) for side in contacts]
+                yield np.abs(np.subtract(depths_m, true_m)) / true_m
 
 
 def depth_m(first: FloatArray, second: FloatArray) -> float:

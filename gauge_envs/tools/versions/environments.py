@@ -1,30 +1,26 @@
 """Install releases into cached Python environments, and run processes in them."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import sysconfig
 import venv
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from platformdirs import user_cache_path
 
 from gauge_envs.cli.output import message
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import locked, os_errors
-from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.versions.schema import Side
 
 TAG = f"-{sys.implementation.cache_tag}-{sysconfig.get_platform()}"
@@ -48,7 +44,11 @@ PROCESS_VARIABLES = {
     "PYTHONSAFEPATH": "1",
 }
 
-Arrays: TypeAlias = Mapping[str, FloatArray]
+Job: TypeAlias = Mapping[str, Any]
+"""Job of the worker, as its module describes."""
+
+Arrays: TypeAlias = Mapping[str, NDArray[Any]]
+"""Arrays of the worker by name."""
 
 
 class VersionsError(GaugeError, RuntimeError):
@@ -112,16 +112,13 @@ def _install(requirement: str, folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     with TemporaryDirectory(dir=folder.parent) as parent:
         part = Path(parent) / "environment"
-        install: list[str | Path] = [part / PYTHON, *PIP, "install"]
         if uv := shutil.which("uv"):
-            # --seed installs pip, which lists the releases of a range.
+            # A Python of a Linux distribution may lack `ensurepip`, which venv needs.
             run([uv, "venv", "--seed", "--python", sys.executable, part], requirement)
-            install = [uv, "pip", "install", "--python", part / PYTHON]
         else:
             venv.create(part, with_pip=True)
-        install += ["--only-binary", ":all:", *packages]
         run(
-            install,
+            [part / PYTHON, *PIP, "install", "--only-binary", ":all:", *packages],
             f"{requirement} cannot be installed; --python FILE uses an existing environment",
         )
         part.rename(folder)
@@ -160,87 +157,64 @@ def run(
     with os_errors(lambda cause: VersionsError(f"{problem}: {command[0]}: {cause}")):
         done = subprocess.run(command, capture_output=True, text=True, env=env)
     # A traceback ends with the exception; its message may have several lines.
-    cause = re.split(r"^(?=\w[\w.]*: )", done.stderr, flags=re.M)[-1]
-    if done.returncode < 0:
-        cause = f"it crashes ({signal.Signals(-done.returncode).name})"
     if done.returncode:
-        raise VersionsError(f"{problem}: {' '.join(cause.split())}")
+        cause = re.split(r"^(?=\w[\w.]*: )", done.stderr, flags=re.M)[-1]
+        text = " ".join(cause.split()) or f"exit code {done.returncode}"
+        raise VersionsError(f"{problem}: {text}")
     return done.stdout
 
 
-def run_python(side: Side, words: Sequence[str | Path], title: str) -> None:
-    """Run Python to its end, with the packages of a side before the packages of the user.
-
-    Args:
-        side: The side.
-        words: Arguments of Python.
-        title: Name of the program, for messages.
+def run_worker(side: Side, job: Job) -> None:
+    """Run the worker on a job, with the packages of a side before the packages of the user.
 
     Raises:
-        VersionsError: Python fails.
+        VersionsError: The worker fails.
     """
     variables = dict(PROCESS_VARIABLES)
     if side.requirement:
-        base = str(make_environment(side.requirement))
-        bases = {"base": base, "platbase": base}
-        packages = sysconfig.get_path("platlib", "venv", bases)
-        paths = filter(None, [packages, os.environ.get("PYTHONPATH")])
+        packages = next(make_environment(side.requirement).rglob("site-packages"))
+        paths = filter(None, [str(packages), os.environ.get("PYTHONPATH")])
         variables["PYTHONPATH"] = os.pathsep.join(paths)
-    command = [side.python or sys.executable, "-B", *words]
-    run(command, f"{side.title} cannot run {title}", variables)
+    command: list[str | Path] = [
+        side.python or sys.executable,
+        "-B",
+        WORKER,
+        json.dumps(job),
+    ]
+    run(command, f"{side.title} cannot run {job['title']}", variables)
 
 
-class Output(NamedTuple):
-    """Output of a worker: a description of the model, and arrays."""
+def work(
+    task: str, job: Job, sides: Sequence[Side], states: Mapping[str, Any] = {}
+) -> list[Arrays]:
+    """Run a task of the worker on each side, two sides at a time, and return the arrays of each.
 
-    description: Mapping[str, Any]
-    arrays: Arrays
+    Args:
+        task: The task.
+        job: Common entries of the job; `title` is the model or environment, as given by the user.
+        sides: The sides.
+        states: States of a probe.
 
-
-@dataclass(kw_only=True)
-class Bench:
-    """Runs tasks on a model or an environment.
-
-    Attributes:
-        title: Name of the model or environment, as given by the user.
-        job: Common entries of every job.
+    Raises:
+        VersionsError: The installation of an environment fails, or a version cannot run the model.
     """
-
-    title: str
-    job: Mapping[str, Any]
-
-    def work(
-        self, task: str, sides: Sequence[Side], states: Arrays | None = None
-    ) -> list[Output]:
-        """Run a task on each side, two sides at a time.
-
-        Args:
-            task: Task of the worker.
-            sides: The sides.
-            states: States of a probe.
-
-        Raises:
-            VersionsError: The installation of an environment fails, or a version cannot run the model.
-        """
-        with TemporaryDirectory(prefix="gauge-versions-") as folder:
-            shared = {**self.job, "task": task, "states": f"{folder}/states.npz"}
-            np.savez(shared["states"], allow_pickle=False, **(states or {}))
-            jobs = [
-                {**shared, "settings": side.settings, "out": f"{folder}/{index}.npz"}
-                for index, side in enumerate(sides)
-            ]
-            with ThreadPoolExecutor(2) as pool:
-                list(pool.map(self.execute, sides, jobs))
-            # NumPy parses array headers with `ast`, which is not thread-safe in Python 3.11.
-            return [_output(job["out"]) for job in jobs]
-
-    def execute(self, side: Side, job: Mapping[str, Any]) -> None:
-        """Run the worker on a job in the environment of a side."""
-        run_python(side, [WORKER, json.dumps(job)], self.title)
-
-
-def _output(file: str) -> Output:
-    """Return the output of a worker from its file."""
-    with np.load(file) as stored:
-        arrays = dict(stored)
-    return Output(json.loads(str(arrays.pop("description"))), arrays)
+    with TemporaryDirectory(prefix="gauge-versions-") as folder:
+        shared = {**job, "task": task, "states": f"{folder}/states.npz"}
+        np.savez(shared["states"], **states)
+        jobs = [
+            {
+                **shared,
+                "engine": side.engine,
+                "settings": side.settings,
+                "out": f"{folder}/{index}.npz",
+            }
+            for index, side in enumerate(sides)
+        ]
+        with ThreadPoolExecutor(2) as pool:
+            list(pool.map(run_worker, sides, jobs))
+        outputs: list[Arrays] = []
+        # NumPy parses array headers with `ast`, which is not thread-safe in Python 3.11.
+        for job in jobs:
+            with np.load(job["out"]) as arrays:
+                outputs.append(dict(arrays))
+        return outputs

@@ -1,27 +1,21 @@
 """Report a comparison: the answer, and the details for a maintainer."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from gauge_envs.pages.document import Bullets, Document, Paragraph, Part, Tone
+from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Table
-from gauge_envs.pages.text import counted, interval_text, quantity_text, value_text
+from gauge_envs.pages.text import counted, quantity_text, value_text
+from gauge_envs.tools.compare import Comparison as ScoreComparison, short_tables
 from gauge_envs.tools.versions.schema import (
     Comparison,
-    Estimate,
     MotionComparison,
     ReturnComparison,
     Verdict,
 )
 
-if TYPE_CHECKING:
-    from gauge_envs.tools.compare import Comparison as ScoreComparison
-
 DIFFER = {
-    Verdict.IDENTICAL: "are equal, bit for bit,",
     Verdict.SAME: "do not differ by more than the noise",
     Verdict.DIFFERENT: "differ",
 }
@@ -29,71 +23,53 @@ DIFFER = {
 
 def comparison_document(comparison: Comparison) -> Document:
     """Return the answer, the first and largest difference, the tables of differences, and which side is right."""
-    titles = (comparison.before, comparison.after)
     answer = (
-        f"{' and '.join(titles)} {DIFFER[comparison.verdict]} on {comparison.subject}: in {comparison.differing} of "
-        f"{counted(comparison.states, 'state')} one step from the same state gives different accelerations, by up to "
-        f"{100.0 * comparison.largest:.3g} %."
+        f"{comparison.before} and {comparison.after} {DIFFER[comparison.verdict]} on {comparison.subject}: in "
+        f"{comparison.differing} of {counted(comparison.states, 'state')} one step from the same state gives "
+        f"different accelerations, by up to {100.0 * comparison.largest:.3g} %."
     )
-    unknown = [
-        f"{title} ignores unknown attributes: {', '.join(dropped)}."
-        for title, dropped in zip(titles, comparison.dropped, strict=True)
-        if dropped
+    differences = [
+        difference
+        for difference in (comparison.first, comparison.worst)
+        if difference is not None
     ]
-    right = "No checked law shows which side is right."
-    if comparison.right:
-        right = f"{comparison.right} is right, by the laws above."
-    parts: list[Part] = [
+    tables = [
         _table(
-            "Tested releases",
-            comparison.tried,
-            "release from_first from_last like",
+            "First and largest difference of one step [m, m/s^2 or rad/s^2]",
+            differences,
+            "segment step quantity where before after",
         ),
-        Paragraph(answer, Tone.ANSWER),
-        _table("Compiled fields", comparison.fields, "field where count before after"),
+        _table("Compiled fields", comparison.fields, "field row count before after"),
         _table(
             "Laws: largest relative error of each side",
             comparison.rulings,
             "law before after states right",
         ),
-        *(Paragraph(text, Tone.WARNING) for text in unknown),
+        _table("Tested releases", comparison.tried, "release like"),
     ]
-    if comparison.verdict is Verdict.DIFFERENT:
-        differences = Bullets(_differences(comparison), "One step from the same state")
-        parts.insert(2, differences)
+    parts: list[Part] = [Paragraph(answer, Tone.ANSWER)]
+    parts += [table for table in tables if table.rows]
+    if differences:
+        right = "No checked law shows which side is right."
+        if comparison.right:
+            right = f"{comparison.right} is right, by the laws above."
         parts.append(Paragraph(right, Tone.ANSWER))
-    shown = [part for part in parts if getattr(part, "rows", True)]
-    return Document(parts=shown, rows=[asdict(comparison)])
-
-
-def _differences(comparison: Comparison) -> list[str]:
-    """Return the first and the largest difference of the sides."""
-    # If the first difference is also the largest, the name `first` replaces `largest`.
-    partings = {comparison.worst: "largest", comparison.first: "first"}
-    return [
-        f"{name}: step {parting.step} of {parting.segment}, a state of {parting.of}; "
-        f"{parting.quantity}: {parting.detail}; "
-        f"{parting.where}: {parting.acceleration_before:.5g} and {parting.acceleration_after:.5g} (m/s^2 or rad/s^2)"
-        for parting, name in reversed(partings.items())
-        if parting
-    ]
+    return Document(parts=parts, rows=[asdict(comparison)])
 
 
 def motions_document(comparison: MotionComparison, scores: ScoreComparison) -> Document:
-    """Return the first difference of two motions, and the scores of both."""
-    from gauge_envs.tools.compare import short_tables
-
+    """Return the first and the largest difference of two motions, and the scores of both."""
     unit = comparison.unit
     answer = (
         f"{comparison.before} and {comparison.after} {DIFFER[comparison.verdict]} in the motion of "
-        f"{comparison.subject}: the largest difference is {quantity_text(comparison.largest)} {unit} (noise: "
-        f"{quantity_text(comparison.noise)} {unit}, from an initial position shifted by 1e-9 m)."
+        f"{comparison.subject}: the largest difference is {quantity_text(comparison.largest)} {unit} after "
+        f"{comparison.largest_s:.3g} s (noise: {quantity_text(comparison.noise)} {unit}, from an initial position "
+        "shifted by 1e-9 m)."
     )
     if comparison.first_s is not None:
         answer += (
-            f" {comparison.coordinate} differs first, after {comparison.first_s:.3g} s by "
-            f"{quantity_text(comparison.difference)} {unit}. {comparison.right or 'Neither side'} is closer to the "
-            "reference beyond its uncertainty."
+            f" The motions differ from {comparison.first_s:.3g} s on. {comparison.right or 'Neither side'} is closer "
+            "to the reference beyond its uncertainty."
         )
     return Document(
         parts=[Paragraph(answer, Tone.ANSWER), *short_tables(scores)],
@@ -102,24 +78,15 @@ def motions_document(comparison: MotionComparison, scores: ScoreComparison) -> D
 
 
 def returns_document(comparison: ReturnComparison) -> Document:
-    """Return the returns and successes of a policy on both sides."""
-    rows = [
-        ("return", *comparison.returns, comparison.change),
-        ("success", *comparison.success, comparison.success_change),
-    ]
-    names = ("name", "before", "after", "change")
-    table = _table(
-        "Means with 95 % intervals; changes are paired by seed",
-        [dict(zip(names, row, strict=True)) for row in rows],
-        "name before after change",
-    )
+    """Return the returns of a policy on both sides."""
+    before, after = map(quantity_text, comparison.returns)
+    change = "{value:.4g} [{low:.4g}, {high:.4g}]".format(**vars(comparison.change))
     answer = (
-        f"{comparison.before} and {comparison.after} {DIFFER[comparison.verdict]} in returns and successes of "
-        f"{comparison.subject} over {counted(comparison.seeds, 'seed')}."
+        f"{comparison.before} and {comparison.after} {DIFFER[comparison.verdict]} in returns of {comparison.subject} "
+        f"over {counted(comparison.seeds, 'seed')}: {before} and {after}. The change is {change} (95 % interval, "
+        "paired by seed)."
     )
-    return Document(
-        parts=[Paragraph(answer, Tone.ANSWER), table], rows=[asdict(comparison)]
-    )
+    return Document(parts=[Paragraph(answer, Tone.ANSWER)], rows=[asdict(comparison)])
 
 
 def _table(title: str, rows: Sequence[Any], names: str) -> Table:
@@ -129,12 +96,9 @@ def _table(title: str, rows: Sequence[Any], names: str) -> Table:
 
 
 def _text(value: Any) -> str:
-    """Return the text of a number, an estimate or a list."""
-    if isinstance(value, Estimate):
-        interval = None if value.low is None else (value.low, value.high or 0.0)
-        return interval_text(value.value, interval, lambda number: f"{number:.4g}")
+    """Return the text of a number or a list."""
     if isinstance(value, float):
         return quantity_text(value)
-    if isinstance(value, list | tuple):
-        return ", ".join(map(_text, value)) or "none"
+    if isinstance(value, list):
+        return ", ".join(map(_text, value))
     return value_text(value)

@@ -1,7 +1,5 @@
 """JSON object of `gauge backend versions --json`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -26,8 +24,6 @@ class Estimate:
 class Verdict(StrEnum):
     """Whether two versions differ on a model."""
 
-    IDENTICAL = "identical"
-    """Bit for bit, in all states."""
     SAME = "same"
     """Within the noise of the model itself."""
     DIFFERENT = "different"
@@ -63,40 +59,23 @@ class Side:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parting:
+class Difference:
     """Difference of two versions from one state.
 
     Attributes:
         segment: Segment of the motion, for example `push`.
         step: Step of the segment.
-        of: Version whose motion visits the state.
         quantity: First differing quantity in the order of computation.
-        detail: Quantity in words, on both sides.
-        where: Body or joint with the largest difference of acceleration.
-        acceleration: Difference of the accelerations, divided by the larger one.
-        limit: Smallest relevant difference: ten times the noise at this state.
-        acceleration_before, acceleration_after: Acceleration of this body or joint [m/s^2 or rad/s^2].
-        contacts_before, contacts_after: Number of contacts.
-        iterations_before, iterations_after: Iterations of the constraint solver.
-        warnings_before, warnings_after: Number of warnings of the engine.
+        where: Pair of geoms, or degree of freedom, with the largest difference of this quantity.
+        before, after: Value of the quantity: number of contacts, depth [m], or acceleration [m/s^2 or rad/s^2].
     """
 
     segment: str
     step: int
-    of: str
     quantity: Quantity
-    detail: str
     where: str
-    acceleration: float
-    limit: float
-    acceleration_before: float
-    acceleration_after: float
-    contacts_before: int
-    contacts_after: int
-    iterations_before: int
-    iterations_after: int
-    warnings_before: int
-    warnings_after: int
+    before: float
+    after: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,13 +84,13 @@ class FieldChange:
 
     Attributes:
         field: Name of the field, for example `geom_solref`.
-        where: Row with the largest difference, for example `geom floor`; empty for a field of the whole model.
+        row: Index of the row with the largest difference, for example of a geom.
         count: Number of differing rows.
-        before, after: Value of this row; None if the version lacks the field.
+        before, after: Value of this row on each side.
     """
 
     field: str
-    where: str
+    row: int
     count: int
     before: Any
     after: Any
@@ -141,25 +120,35 @@ class Release:
 
     Attributes:
         release: Requirement, for example `mujoco==3.4.0`.
-        from_first, from_last: Distance of the accelerations from each end of the range.
-        like: Nearer end: `first` or `last`.
+        like: End of the range with the nearer accelerations: `first` or `last`.
     """
 
     release: str
-    from_first: float
-    from_last: float
     like: str
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
-    """Comparison of two versions on one model.
+class SubjectComparison:
+    """Comparison of two sides on one subject.
 
     Attributes:
-        subject: Model, as given by the user.
-        before, after: Titles of the versions.
-        versions: Version of the engine on each side.
+        subject: Model, experiment or environment, as given by the user.
+        before, after: Titles of the sides.
         verdict: Whether they differ.
+    """
+
+    subject: str
+    before: str
+    after: str
+    verdict: Verdict
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison(SubjectComparison):
+    """Comparison of two versions on one model, by more than ten times the noise.
+
+    Attributes:
+        versions: Version of the engine on each side.
         states: Number of states computed on both sides.
         differing: Number of states with accelerations that differ by more than the limit.
         largest: Largest difference of accelerations, divided by the larger one.
@@ -168,88 +157,60 @@ class Comparison:
         first: First difference; None without one.
         worst: Largest difference; None without one.
         fields: Differing compiled fields.
-        new_fields: Compiled fields and flags of only one side.
-        dropped: Unknown attributes of the model file that each side ignores.
         rulings: Applied laws.
         right: Title of the side that is right; empty if no law decides.
-        tried: Releases tested by a bisection, in their order; empty without a bisection.
+        tried: Releases tested by a bisection; empty without a bisection.
     """
 
-    subject: str
-    before: str
-    after: str
     versions: tuple[str, str]
-    verdict: Verdict
     states: int
     differing: int
     largest: float
     noise: float
-    first: Parting | None
-    worst: Parting | None
+    first: Difference | None
+    worst: Difference | None
     fields: tuple[FieldChange, ...]
-    new_fields: tuple[str, ...]
-    dropped: tuple[tuple[str, ...], tuple[str, ...]]
     rulings: tuple[Ruling, ...]
     right: str
     tried: tuple[Release, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionComparison:
-    """Comparison of two motions of an experiment of the suite.
+class MotionComparison(SubjectComparison):
+    """Comparison of two motions of an experiment of the suite, by more than ten times the noise.
 
     Attributes:
-        subject: Experiment, as given by the user.
-        before, after: Titles of the sides.
-        verdict: Whether they differ by more than ten times the noise.
         unit: Unit of the coordinates.
         first_s: Time of the first difference [s]; None without one.
-        coordinate: Coordinate that differs first, for example `x of the cube`.
-        difference: Difference of this coordinate at this time.
         largest: Largest difference of a coordinate in the whole motion.
-        noise: Change by a shift of the initial position by 1e-9 m until then, on the noisier side.
+        largest_s: Time of the largest difference [s].
+        noise: Change by a shift of the initial position by 1e-9 m until the first difference, on the noisier side.
         right: Title of the side that is closer to the reference beyond its uncertainty; empty without one.
     """
 
-    subject: str
-    before: str
-    after: str
-    verdict: Verdict
     unit: str
-    first_s: float | None = None
-    coordinate: str = ""
-    difference: float = 0.0
+    first_s: float | None
     largest: float
+    largest_s: float
     noise: float
-    right: str = ""
+    right: str
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReturnComparison:
-    """Comparison of a policy in an environment on two sides, from the same seeds.
+class ReturnComparison(SubjectComparison):
+    """Comparison of a policy on two sides, from the same seeds: the interval of a change excludes 0.
 
     Attributes:
-        subject: Environment, as given by the user.
-        before, after: Titles of the sides.
-        verdict: Whether mean returns or successes differ: the interval of the change excludes 0.
         versions: Version of the engine on each side.
         seeds: Number of seeds.
-        returns: Sum of rewards of an episode on each side.
+        returns: Mean sum of rewards of an episode on each side.
         change: Difference of the returns, paired by seed.
-        success: Share of successful episodes on each side; None if the environment does not report success.
-        success_change: Difference of the successes; None if the environment does not report success.
     """
 
-    subject: str
-    before: str
-    after: str
-    verdict: Verdict
     versions: tuple[str, str]
     seeds: int
-    returns: tuple[Estimate, Estimate]
+    returns: tuple[float, float]
     change: Estimate
-    success: tuple[Estimate | None, Estimate | None]
-    success_change: Estimate | None
 
 
 VersionsLine: TypeAlias = Comparison | MotionComparison | ReturnComparison

@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
-from operator import attrgetter
+from collections.abc import Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
 
-import gymnasium
 import mujoco
-import numpy as np
 
 from gauge_envs.cli import arguments
-from gauge_envs.errors import ParameterError, needs_extra
+from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import (
-    beyond_variants,
     find_variant,
-    is_task_path,
-    variants,
 )
-from gauge_envs.registry import SCENE_SUFFIXES, engine_points
+from gauge_envs.registry import engine_points
+from gauge_envs.tools.mjcf import scene_mjcf_text
 from gauge_envs.tools.versions.environments import (
-    Bench,
     released_versions,
     version_key,
 )
 from gauge_envs.tools.versions.schema import Side
+from gauge_envs.tools.versions.worker import made
 
 PACKAGES = {
     "mujoco": "mujoco",
@@ -52,17 +45,6 @@ FORMS = (
 )
 
 MODEL_FILES = (".xml", ".mjcf", ".urdf")
-
-MODEL_ATTRIBUTES = (
-    "model",
-    "sim.model._model",
-    "physics.model._model",
-    "mj_model",
-)
-"""Attributes of an environment that may have its compiled model."""
-
-COMPARED = ("body_mass", "geom_size", "geom_friction", "dof_damping")
-"""Fields that identify the model of an environment."""
 
 
 # --- sides -----------------------------------------------------------------------------------------------------------
@@ -88,17 +70,14 @@ def read_sides(text: str) -> list[Side]:
     if head in engines:
         return [Side(title=text, engine=head, settings=settings)]
     release = RELEASES.fullmatch(head)
-    name, *versions = release.groups() if release else ("",)
-    engine = {PACKAGES[engine_name]: engine_name for engine_name in PACKAGES}.get(
-        name, name
-    )
-    if engine not in PACKAGES:
+    if release is None or release[1] not in PACKAGES:
         raise ParameterError(
             f"unknown version {text!r}: expected {FORMS}; engines: {', '.join(engines)}"
         )
+    engine, *versions = release.groups()
     return [
         Side(
-            title=f"{name}=={version}{text[len(head) :]}",
+            title=f"{engine}=={version}{text[len(head) :]}",
             requirement=f"{PACKAGES[engine]}=={version}",
             engine="" if engine == "mujoco" else engine,
             settings=settings,
@@ -114,10 +93,11 @@ def is_suite_id(subject: str) -> bool:
         TaskFileError: The task file is wrong.
         ParameterError: The task file has several experiments.
     """
-    if is_task_path(subject):
-        return bool(find_variant(subject))
-    known = (*variants(), *beyond_variants())
-    return any(subject in (variant.name, variant.id) for variant in known)
+    try:
+        find_variant(subject)
+    except UnknownNameError:
+        return False
+    return True
 
 
 def compares_motions(subject: str, sides: Sequence[Side]) -> bool:
@@ -142,29 +122,32 @@ def compares_motions(subject: str, sides: Sequence[Side]) -> bool:
         )
     if needs_motion or releases or not is_suite:
         return bool(needs_motion)
-    from gauge_envs.experiments.resolve import load_experiment
-
     scene = load_experiment(subject).scene
     return bool(scene.deformables or scene.drivers)
 
 
 def releases_between(sides: Sequence[Side]) -> list[Side]:
-    """Return the releases of the package index from one version to another, both included.
+    """Return the releases of the package index from one version of MuJoCo to another, both included.
 
     Raises:
         ParameterError: The range has fewer than two releases.
         VersionsError: The index does not answer.
     """
     first, last = sides
-    package, _, lowest = first.requirement.partition("==")
-    highest = last.requirement.partition("==")[2]
+    lowest, highest = (
+        version_key(side.requirement.partition("mujoco==")[2]) for side in sides
+    )
+    if not lowest or not highest:
+        raise ParameterError(
+            "--bisect needs a range of releases, for example mujoco==3.1.0..4.0.0"
+        )
     versions = released_versions(first.requirement)
     settings = first.title[len(first.requirement) :]
     releases = [
         side
         for version in versions
-        for side in read_sides(f"{package}=={version}{settings}")
-        if version_key(lowest) <= version_key(version) <= version_key(highest)
+        if lowest <= version_key(version) <= highest
+        for side in read_sides(f"mujoco=={version}{settings}")
     ]
     if len(releases) < 2:
         raise ParameterError(
@@ -177,125 +160,47 @@ def releases_between(sides: Sequence[Side]) -> list[Side]:
 # --- models ----------------------------------------------------------------------------------------------------------
 
 
-@contextmanager
-def bench(
-    subject: str,
-    states: Path | None = None,
-    *,
-    steps: int = 500,
-    seed: int = 0,
-) -> Iterator[Bench]:
-    """Open a bench for a model; its files are removed at the end.
-
-    Args:
-        subject: The model, as `read_subject` reads it.
-        states: NPZ of saved states that replace the motions, or None.
-        steps: Steps of each motion.
-        seed: Seed of controls and pushes.
-    """
-    saved = "" if states is None else str(states.resolve())
-    with TemporaryDirectory(prefix="gauge-versions-") as folder:
-        model = read_subject(subject, Path(folder)).resolve()
-        job = {"model": str(model), "saved": saved, "steps": steps, "seed": seed}
-        yield Bench(title=subject, job=job)
-
-
 def read_subject(text: str, folder: Path) -> Path:
     """Return the model file of a subject.
 
     Args:
-        text: Model file, USD layer, task file, id of this suite or of Gymnasium, or `module:function` that returns an
-            environment or a model.
+        text: Model file, task file, id of this suite or of Gymnasium, or `module:function` that returns an environment
+            with a model file, or an `MjSpec`.
         folder: Folder of written files.
 
     Raises:
         ParameterError: The text does not name a model.
     """
-    suffix = Path(text).suffix.lower()
-    if suffix in (*MODEL_FILES, *SCENE_SUFFIXES) and not Path(text).is_file():
-        raise ParameterError(f"{text}: no such file")
-    if suffix in MODEL_FILES:
-        return Path(text)
     file = folder / "subject.xml"
-    if suffix in SCENE_SUFFIXES or is_suite_id(text):
-        file.write_text(_scene_text(text))
-        return file
-    return _model_file(text, _made(text), file)
-
-
-def _scene_text(text: str) -> str:
-    """Return a scene as MJCF."""
-    from gauge_envs.experiments.resolve import load_experiment
-    from gauge_envs.tools.mjcf import scene_mjcf_text
-
+    if Path(text).suffix.lower() in MODEL_FILES:
+        if not Path(text).is_file():
+            raise ParameterError(f"{text}: no such file")
+        return Path(text)
     if is_suite_id(text):
         scene = load_experiment(text).scene
-    else:
-        with needs_extra("a USD layer", "usd"):
-            from gauge_envs.tools.usd import read_usd
-
-            # Only prescribed motions have a duration, and they are rejected below.
-            scene = read_usd(text, unstated_duration_s=1.0).scene
-    if scene.deformables or scene.drivers:
-        raise ParameterError(
-            f"{text}: releases of MuJoCo are not compared on deformable or driven bodies; "
-            "give engines or settings of mujoco"
-        )
-    return scene_mjcf_text(scene, text, frame_count=1)
-
-
-def _made(text: str) -> Any:
-    """Return the result of a function, or the environment of an id of Gymnasium."""
-    module, _, function = text.partition(":")
-    sys.path.insert(0, "")
+        if scene.deformables or scene.drivers:
+            raise ParameterError(
+                f"{text}: releases of MuJoCo are not compared on deformable or driven bodies; "
+                "give engines or settings of mujoco"
+            )
+        file.write_text(scene_mjcf_text(scene, text, frame_count=1))
+        return file
     try:
-        # Keep its prints out of the output of the command.
+        # Keep prints of the user's code out of the output of the command.
         with redirect_stdout(sys.stderr):
-            if not function:
-                return gymnasium.make(text)
-            return getattr(importlib.import_module(module), function)()
+            returned = made(text)
     except (Exception, SystemExit) as error:  # The user's code raises any kind.
         raise ParameterError(
             f"{text!r} is not a file, an id of this suite, an environment of Gymnasium, or module:function: "
             f"{type(error).__name__}: {error}"
         ) from error
-
-
-def _model_file(title: str, returned: Any, file: Path) -> Path:
-    """Return the model file of an environment; if it has none, write its model to `file`."""
     if isinstance(returned, mujoco.MjSpec):
-        returned = mujoco.MjModel.from_xml_string(returned.to_xml())
+        file.write_text(returned.to_xml())
+        return file
     env = getattr(returned, "unwrapped", returned)
-    candidates = [env]
-    for attribute in MODEL_ATTRIBUTES:
-        with suppress(AttributeError):
-            candidates.append(attrgetter(attribute)(env))
-    models = [
-        candidate for candidate in candidates if isinstance(candidate, mujoco.MjModel)
-    ]
-    if not models:
+    if not hasattr(env, "fullpath"):
         raise ParameterError(
-            f"{title} is {type(env).__qualname__} without a MuJoCo model: give its model file"
+            f"{text} is {type(env).__qualname__} without a model file: give the file, or a function that "
+            "returns an MjSpec"
         )
-    path = Path(getattr(env, "fullpath", file))
-    if _is_same(path, models[0]):
-        return path
-    # MuJoCo saves only the model that it compiled last.
-    with suppress(mujoco.FatalError):
-        mujoco.mj_saveLastXML(str(file), models[0])
-    if not _is_same(file, models[0]):
-        raise ParameterError(
-            f"{title}: MuJoCo cannot save the model of the environment: give its model file"
-        )
-    return file
-
-
-def _is_same(file: Path, model: mujoco.MjModel) -> bool:
-    """Return whether a file has a model, up to the six digits that MuJoCo saves."""
-    with suppress(ValueError):
-        loaded = mujoco.MjModel.from_xml_path(str(file))
-        pairs = [(getattr(loaded, name), getattr(model, name)) for name in COMPARED]
-        return (loaded.nq, loaded.nu) == (model.nq, model.nu) and all(
-            np.allclose(*pair, rtol=1e-4, atol=1e-9) for pair in pairs
-        )
-    return False
+    return Path(env.fullpath)

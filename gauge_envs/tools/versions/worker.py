@@ -5,20 +5,19 @@ The job is a JSON object. Its `task` is one of:
 
 - `run`: simulate `model` with `settings` from its initial states, and write the visited states.
 - `probe`: compute one step from each state of the file `states`.
+- `simulate`: run the experiment `subject` of this package on `engine`, in the user's Python.
 - `play`: run `episodes` of the environment `subject` with `policy` from `seed`, in the user's Python.
 
-The worker writes arrays to the file `out`; the array `description` is the text of a JSON object.
+The worker writes arrays by name to the file `out`.
 """
 
 import importlib
 import json
-import os
 import re
 import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -55,14 +54,11 @@ PHYSICS = re.compile(
 )
 """Compiled fields with physical values, without addresses and counts."""
 
-UNKNOWN = re.compile(
-    r"(?:: '|Error: )(?P<word>\w+)"
-    r"(?:'\s+Element '(?P<tag>\w+)'| is only available for .*\s+Element name '(?P<name>.*)', id)"
-)
-"""Messages of MuJoCo about an unknown attribute or value of an element."""
-
 PERTURBATION = 1e-10
 """Negligible change of velocities [m/s, rad/s]."""
+
+POSITION_CHANGE_M = 1e-9
+"""Negligible change of the initial position [m]."""
 
 CONTROL_INTERVAL_S = 0.1
 """Time for which random controls are constant [s]."""
@@ -73,54 +69,15 @@ CONTROL_ROWS = 6001
 PUSH_M_PER_S = 0.5
 """Standard deviation of the velocities of a push [m/s or rad/s]."""
 
-MAX_INITIAL_STATES = 4
-"""Maximum number of keyframes or saved states from which the model moves."""
-
 
 # --- the model -------------------------------------------------------------------------------------------------------
 
 
-def load_model(job: Job) -> tuple[Any, list[str]]:
-    """Compile the model of a job with its settings, without attributes that the release does not know.
-
-    Returns:
-        The compiled model, and the removed attributes, for example `option apirate="100"`.
-    """
-    path = Path(job["model"])
-    root = ElementTree.parse(path).getroot()
-    dropped: list[str] = []
-    model = None
-    while model is None:
-        try:
-            if dropped:
-                text = ElementTree.tostring(root, encoding="unicode")
-                model = mujoco.MjModel.from_xml_string(text)
-            else:
-                model = mujoco.MjModel.from_xml_path(str(path))
-        except ValueError as error:
-            unknown = remove_unknown(root, str(error))
-            if not unknown:
-                raise
-            dropped += unknown
-            # Mesh files are relative to the folder of the model.
-            os.chdir(path.parent)
+def load_model(job: Job) -> Any:
+    """Compile the model of a job with its settings."""
+    model = mujoco.MjModel.from_xml_path(job["model"])
     set_options(model, job["settings"])
-    return model, dropped
-
-
-def remove_unknown(root: Any, message: str) -> list[str]:
-    """Remove the attributes that a message of MuJoCo rejects from an XML tree, and return them."""
-    rejected = UNKNOWN.search(message)
-    removed: list[str] = []
-    if rejected is None:
-        return removed
-    for element in root.iter(rejected["tag"]):
-        is_named = rejected["name"] in (None, element.get("name", ""))
-        for name, value in list(element.items()):
-            if is_named and rejected["word"] in (name, value):
-                removed.append(f'{element.tag} {name}="{value}"')
-                del element.attrib[name]
-    return removed
+    return model
 
 
 def set_options(model: Any, settings: Job) -> None:
@@ -128,13 +85,11 @@ def set_options(model: Any, settings: Job) -> None:
     for name, value in settings.items():
         members = getattr(mujoco, ENUMS[name]).__members__ if name in ENUMS else {}
         numbers = {key.partition("_")[2].lower(): int(members[key]) for key in members}
-        expected = " or ".join(numbers) or getattr(model.opt, name, "another option")
         try:
             setattr(model.opt, name, numbers.get(str(value).lower(), value))
-        except (AttributeError, TypeError, ValueError):
+        except TypeError:
+            expected = " or ".join(numbers) or getattr(model.opt, name)
             raise SystemExit(f"{name}={value}: expected {expected}") from None
-    if not model.opt.timestep > 0.0:
-        raise SystemExit(f"timestep={model.opt.timestep}: expected a positive number")
 
 
 def compiled_fields(model: Any) -> Job:
@@ -142,7 +97,7 @@ def compiled_fields(model: Any) -> Job:
     options = [name for name in dir(model.opt) if not name.startswith("_")]
     fields = {f"opt.{name}": [np.ravel(getattr(model.opt, name))] for name in options}
     fields |= {name: getattr(model, name) for name in filter(PHYSICS.match, dir(model))}
-    return {name: np.asarray(fields[name], dtype=float).tolist() for name in fields}
+    return {f"field {name}": np.array(fields[name], dtype=float) for name in fields}
 
 
 def names_of(objects: Callable[[int], Any], kind: str, count: int) -> list[str]:
@@ -150,22 +105,12 @@ def names_of(objects: Callable[[int], Any], kind: str, count: int) -> list[str]:
     return [objects(index).name or f"{kind} {index}" for index in range(count)]
 
 
-def object_names(model: Any) -> dict[str, list[str]]:
-    """Return the names of bodies, geoms and degrees of freedom."""
+def dof_names(model: Any) -> list[str]:
+    """Return the joint and body of each degree of freedom."""
     bodies = names_of(model.body, "body", model.nbody)
-    geoms = names_of(model.geom, "geom", model.ngeom)
     joints = names_of(model.jnt, "joint", model.njnt)
-    for geom, body in enumerate(model.geom_bodyid):
-        if geoms[geom] == f"geom {geom}":
-            geoms[geom] += f" of {bodies[body]}"
-    dofs = []
-    for dof, joint in enumerate(model.dof_jntid):
-        name = joints[joint]
-        if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_FREE):
-            is_rotation = dof - model.jnt_dofadr[joint] > 2
-            name = "rotation" if is_rotation else "translation"
-        dofs.append(f"{name} of {bodies[model.dof_bodyid[dof]]}")
-    return {"body": bodies, "geom": geoms, "dof": dofs}
+    pairs = zip(model.dof_jntid, model.dof_bodyid, strict=True)
+    return [f"{joints[joint]} of {bodies[body]}" for joint, body in pairs]
 
 
 # --- motion ----------------------------------------------------------------------------------------------------------
@@ -186,74 +131,71 @@ def default_segments(model: Any, steps: int, seed: int) -> Iterator[Segment]:
     """Yield motions from the initial state and keyframes, with random controls, and with a push."""
     random = np.random.RandomState(seed)
     data = mujoco.MjData(model)
-    is_limited = np.array(model.actuator_ctrllimited, dtype=bool).ravel()
-    ranges = np.where(is_limited[:, None], model.actuator_ctrlrange, (-1.0, 1.0))
-    low, high = ranges.T
     state = get_state(data)
-    state["ctrl"] = np.clip(np.zeros(model.nu), low, high)
     yield "start", state, None
-    for key in range(min(model.nkey, MAX_INITIAL_STATES)):
+    for key in range(model.nkey):
         mujoco.mj_resetDataKeyframe(model, data, key)
         state = get_state(data)
         yield f"keyframe {model.key(key).name or key}", state, None
     if model.nu:
-        interval = max(1, round(CONTROL_INTERVAL_S / model.opt.timestep))
-        middle, half = (low + high) / 2.0, (high - low) / 2.0
+        is_limited = model.actuator_ctrllimited.astype(bool).reshape(-1, 1)
+        low, high = np.where(is_limited, model.actuator_ctrlrange, (-1.0, 1.0)).T
         rows = random.uniform(-1.0, 1.0, (max(CONTROL_ROWS, steps), model.nu))
-        controls = middle + half * rows
+        controls = (low + high) / 2.0 + (high - low) / 2.0 * rows
+        interval = max(1, round(CONTROL_INTERVAL_S / model.opt.timestep))
         yield "random controls", state, controls[np.arange(steps) // interval]
     velocity = state["qvel"] + random.normal(0.0, PUSH_M_PER_S, model.nv)
     yield "push", {**state, "qvel": velocity}, None
 
 
 def load_states(model: Any, file: str) -> list[Job]:
-    """Return the states of a file."""
+    """Return the states of a file; values that it lacks are those of the initial state."""
     with np.load(file) as arrays:
         rows = {name: arrays[name] for name in STATE if name in arrays}
-    shapes = {name: np.shape(rows[name]) for name in rows}
-    count, size = shapes.get("qpos", (0, 0))
-    if size != model.nq or {shape[0] for shape in shapes.values()} != {count}:
+    shape = np.shape(rows.get("qpos", ()))
+    if shape[1:] != (model.nq,):
         raise SystemExit(
-            f"saved states have the shapes {shapes}; expected qpos with {model.nq} columns and a row for each state, "
-            "and the same number of rows in the other arrays"
+            f"saved states have qpos of shape {shape}; expected {model.nq} columns and a row for each state"
         )
-    return [{name: rows[name][index] for name in rows} for index in range(count)]
+    initial = get_state(mujoco.MjData(model))
+    return [
+        {**initial, **{name: rows[name][index] for name in rows}}
+        for index in range(len(rows["qpos"]))
+    ]
 
 
-def move(model: Any, job: Job, segment: Segment) -> Iterator[Job]:
+def move(model: Any, steps: int, segment: Segment) -> Iterator[Job]:
     """Yield the states before each step of a segment."""
     name, state, controls = segment
     data = mujoco.MjData(model)
     set_state(data, state)
-    for step in range(job["steps"]):
+    for step in range(steps):
         if controls is not None:
             data.ctrl[:] = controls[step]
         yield {**get_state(data), "segment": name, "step": step}
         mujoco.mj_step(model, data)
 
 
-def run(job: Job) -> tuple[Job, Job]:
+def run(job: Job) -> Job:
     """Run the segments of a model; return a description of the model and the visited states."""
-    model, dropped = load_model(job)
-    saved: list[Job] = []
-    segments = default_segments(model, job["steps"], job["seed"])
+    model = load_model(job)
+    steps = job["steps"]
+    segments = default_segments(model, steps, job["seed"])
     if job["saved"]:
         saved = load_states(model, job["saved"])
-        indices = range(0, len(saved), -(-len(saved) // MAX_INITIAL_STATES))
+        steps = -(-steps // len(saved))
         segments = (
-            (f"settle from state {index}", saved[index], None) for index in indices
+            (f"saved state {index}", state, None) for index, state in enumerate(saved)
         )
-    states = [state for segment in segments for state in move(model, job, segment)]
-    blank = {**get_state(mujoco.MjData(model)), "segment": "saved states"}
-    states += [{**blank, **row, "step": step} for step, row in enumerate(saved)]
-    description = {
+    states = [state for segment in segments for state in move(model, steps, segment)]
+    return {
         "version": mujoco.__version__,
         "sizes": f"nq {model.nq}, nv {model.nv}, nu {model.nu}",
-        "fields": compiled_fields(model),
-        "names": object_names(model),
-        "dropped": dropped,
+        "names geom": names_of(model.geom, "geom", model.ngeom),
+        "names dof": dof_names(model),
+        **compiled_fields(model),
+        **stacked(states),
     }
-    return description, stacked(states)
 
 
 def stacked(rows: list[Job]) -> Job:
@@ -264,15 +206,12 @@ def stacked(rows: list[Job]) -> Job:
 # --- one step from a given state -------------------------------------------------------------------------------------
 
 
-def contacts(data: Any) -> dict[str, list[float]]:
-    """Return the sorted distances [m] of the contacts of each pair of rigid geoms, such as `0 3`."""
-    contact = data.contact
-    geoms = np.sort([np.ravel(contact.geom1), np.ravel(contact.geom2)], axis=0)
-    pairs: dict[str, list[float]] = {}
-    for first, second, distance_m in zip(*geoms, np.ravel(contact.dist), strict=True):
-        if first >= 0:
-            pairs.setdefault(f"{first} {second}", []).append(float(distance_m))
-    return {pair: sorted(pairs[pair]) for pair in pairs}
+def contacts(data: Any) -> Any:
+    """Return geoms and distance [m] of each contact of two rigid geoms, in order, shape [contacts, 3]."""
+    geoms = np.sort([data.contact.geom1.ravel(), data.contact.geom2.ravel()], axis=0)
+    rows = np.transpose([*geoms, data.contact.dist.ravel()])
+    rows = rows[np.lexsort(rows.T[::-1])]
+    return rows[rows[:, 0] >= 0.0]
 
 
 def accelerations(model: Any, data: Any, state: Job) -> Any:
@@ -283,60 +222,49 @@ def accelerations(model: Any, data: Any, state: Job) -> Any:
     return np.array(data.qacc)
 
 
-def probe_state(model: Any, data: Any, state: Job, change: Any) -> Job:
-    """Return the results of one step from a state, and the noise of its accelerations.
-
-    Args:
-        model: The model.
-        data: Data of the model; they are overwritten.
-        state: The state, with its saved warm start.
-        change: Change of the velocity, shape [nv].
-    """
-    velocity = state["qvel"]
-    cold = {name: state[name] for name in state if name != "qacc_warmstart"}
-    states = (cold, {**state, "qvel": velocity + change})
-    changed = [accelerations(model, data, changed_state) for changed_state in states]
-    acceleration = accelerations(model, data, state)
-    noise = np.linalg.norm(changed - acceleration, axis=1).max()
-    probed = {
-        "qacc": acceleration,
-        # NaN counts as infinite noise.
-        "noise": np.nan_to_num(noise, nan=np.inf),
-        "smooth": np.array(data.qacc_smooth),
-        "iterations": int(np.max(data.solver_niter, initial=0)),
-        "contacts": data.ncon,
-        "touching": contacts(data),
-        # The solver stops if its cost, a squared acceleration, improves by less than the tolerance.
-        "solver_error": np.sqrt(model.opt.tolerance) if data.nefc else 0.0,
-        "geom_xpos": np.array(data.geom_xpos),
-        "geom_xmat": np.array(data.geom_xmat),
-    }
-    set_state(data, state)
-    mujoco.mj_step(model, data)
-    probed["step_acc"] = (data.qvel - velocity) / model.opt.timestep
-    probed["warnings"] = int(np.sum(data.warning.number))
-    return probed
-
-
-def probe(job: Job) -> tuple[Job, Job]:
-    """Compute one step from each state of a file."""
-    model, _ = load_model(job)
+def probe(job: Job) -> Job:
+    """Compute one step from each state of a file, and the noise of its accelerations."""
+    model = load_model(job)
     data = mujoco.MjData(model)
-    noise = np.random.RandomState(0)
-    probed: list[Job] = []
-    for state in load_states(model, job["states"]):
-        change = PERTURBATION * noise.normal(size=model.nv)
-        probed.append(probe_state(model, data, state, change))
-    return {"touching": [state.pop("touching") for state in probed]}, stacked(probed)
+    random = np.random.RandomState(0)
+    probed, touching = [], [np.empty((0, 4))]
+    for index, state in enumerate(load_states(model, job["states"])):
+        velocity = state["qvel"]
+        change = PERTURBATION * random.normal(size=model.nv)
+        cold = {name: state[name] for name in state if name != "qacc_warmstart"}
+        perturbed = {**state, "qvel": velocity + change}
+        changed = [accelerations(model, data, other) for other in (cold, perturbed)]
+        acceleration = accelerations(model, data, state)
+        noise = np.linalg.norm(changed - acceleration, axis=1).max()
+        touching.append(np.insert(contacts(data), 0, index, axis=1))
+        values = {
+            "qacc": acceleration,
+            # NaN counts as infinite noise.
+            "noise": np.nan_to_num(noise, nan=np.inf),
+            "smooth": np.array(data.qacc_smooth),
+            # The solver stops if its cost, a squared acceleration, improves by less than the tolerance.
+            "solver_error": np.sqrt(model.opt.tolerance) if data.nefc else 0.0,
+            "geom_xpos": np.array(data.geom_xpos),
+            "geom_xmat": np.array(data.geom_xmat),
+        }
+        set_state(data, state)
+        mujoco.mj_step(model, data)
+        values["step_acc"] = (data.qvel - velocity) / model.opt.timestep
+        probed.append(values)
+    return {"contacts": np.concatenate(touching), **stacked(probed)}
 
 
 # --- episodes --------------------------------------------------------------------------------------------------------
 
 
-def call(text: str) -> Any:
-    """Call `module:function` and return its result."""
+def made(text: str) -> Any:
+    """Return what `module:function` returns, or the environment of an id of Gymnasium."""
+    # Modules of the user are in the working folder.
+    sys.path.insert(0, "")
     module, _, function = text.partition(":")
-    return getattr(importlib.import_module(module), function)()
+    if function and "/" not in function:
+        return getattr(importlib.import_module(module), function)()
+    return importlib.import_module("gymnasium").make(text)
 
 
 def make_policy(text: str) -> Callable[[Any, int], Any]:
@@ -344,7 +272,7 @@ def make_policy(text: str) -> Callable[[Any, int], Any]:
     if text.endswith(".npy"):
         rows = np.load(text)
         return lambda observation, step: rows[min(step, len(rows) - 1)]
-    policy = call(text)
+    policy = made(text)
     # Stable-Baselines3 returns a pair of action and state.
     predict = getattr(policy, "predict", policy)
 
@@ -355,41 +283,49 @@ def make_policy(text: str) -> Callable[[Any, int], Any]:
     return act
 
 
-def play(job: Job) -> tuple[Job, Job]:
-    """Return return and success of an episode for each seed; NaN if the environment reports no success."""
-    # Modules of the user are in the working folder.
-    sys.path.insert(0, "")
-    subject, act = job["subject"], make_policy(job["policy"])
-    is_function = ":" in subject and "/" not in subject
-    make = importlib.import_module("gymnasium").make
-    env = call(subject) if is_function else make(subject)
+def play(job: Job) -> Job:
+    """Return the return of an episode for each seed."""
+    env, act = made(job["subject"]), make_policy(job["policy"])
     if job["settings"]:
         set_options(env.unwrapped.model, job["settings"])
-    returns, successes = [], []
+    returns = []
     for seed in range(job["seed"], job["seed"] + job["episodes"]):
         observation, _ = env.reset(seed=seed)
-        total, success, step, is_over = 0.0, float("nan"), 0, False
+        rewards, is_over = list[float](), False
         while not is_over:
-            action = act(observation, step)
-            observation, reward, terminated, truncated, info = env.step(action)
-            total, step = total + float(reward), step + 1
-            reached = info.get("is_success", info.get("success", np.nan))
-            success = float(np.fmax(success, float(reached)))
+            action = act(observation, len(rewards))
+            observation, reward, terminated, truncated, _ = env.step(action)
+            rewards.append(float(reward))
             is_over = terminated or truncated
-        returns.append(total)
-        successes.append(success)
-    arrays = {"returns": np.array(returns), "successes": np.array(successes)}
-    return {"version": mujoco.__version__}, arrays
+        returns.append(sum(rewards))
+    return {"version": mujoco.__version__, "returns": returns}
 
 
-TASKS = {"run": run, "probe": probe, "play": play}
+def simulate(job: Job) -> Job:
+    """Return the result of an experiment, and its result from an initial position 1e-9 m away."""
+    from gauge_envs.runs.episodes import run_episodes
+    from gauge_envs.runs.request import RunRequest
+    from gauge_envs.scene.jitter import Jitter
+
+    request = RunRequest(
+        job["subject"],
+        backend=job["engine"],
+        settings=job["settings"],
+        seed=job["seed"],
+    )
+    jitter = Jitter(position_m=POSITION_CHANGE_M, angle_rad=0.0)
+    results = [
+        run_episodes(run)[0].to_dict()
+        for run in (request, replace(request, jitter=jitter))
+    ]
+    return {"results": [json.dumps(result) for result in results]}
 
 
 def main(text: str) -> None:
     """Run a job."""
     job = json.loads(text)
-    description, arrays = TASKS[job["task"]](job)
-    np.savez(job["out"], description=json.dumps(description), **arrays)
+    tasks = {"run": run, "probe": probe, "simulate": simulate, "play": play}
+    np.savez(job["out"], **tasks[job["task"]](job))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A small scene, and a bench that changes the results of one side."""
+"""A small scene, and workers in this process that change the results of one side."""
 
 import json
 import sys
@@ -6,9 +6,8 @@ import threading
 
 import numpy as np
 
-from gauge_envs.tools.versions import worker
+from gauge_envs.tools.versions import environments, worker
 from gauge_envs.tools.versions.comparison import EXACT
-from gauge_envs.tools.versions.environments import Bench
 from gauge_envs.tools.versions.schema import Side
 
 SCENE = """<mujoco><option timestep="0.004"/><worldbody><geom name="floor" type="plane" size="3 3 1"/>
@@ -24,38 +23,36 @@ def side(title, **settings):
     return Side(title=title, python=sys.executable, settings=settings)
 
 
-class Planted(Bench):
-    """A bench with a worker in this process; it changes the results of the side `new`.
+def is_new(side):
+    return side.title != "old"
+
+
+def plant_workers(
+    monkeypatch, folder, plant=None, new="", *, model=SCENE, where=is_new
+):
+    """Run workers in this process, and return a job of 20 steps.
 
     Args:
-        folder: Folder of all files.
-        plant: Changes the arrays of a probe in place.
-        new: Model of the side `new`.
-        model: Model of the side `old`.
-        steps: Steps of each motion.
-        saved: File of saved states.
+        monkeypatch: The fixture of pytest.
+        folder: Folder of the models.
+        plant: Changes the arrays of a probe in place, on some sides.
+        new: Model of sides with a title that begins with `new`.
+        model: Model of the remaining sides.
+        where: Function of a side: whether the plant changes it.
     """
+    for name, text in (("old", model), ("new", new or model)):
+        (folder / f"{name}.xml").write_text(text)
 
-    def __init__(self, folder, plant=None, new="", *, model=SCENE, steps=20, saved=""):
-        for name, text in (("old", model), ("new", new or model)):
-            (folder / f"{name}.xml").write_text(text)
-        job = {"saved": str(saved), "steps": steps, "seed": 0}
-        super().__init__(title="scene", job=job)
-        self.folder = folder
-        self.plant = plant
-
-    def plant_of(self, side):
-        return None if side.title == "old" else self.plant
-
-    def execute(self, side, job):
-        model = self.folder / f"{side.title[:3]}.xml"
+    def run_worker(side, job):
+        path = folder / f"{side.title[:3]}.xml"
         with LOCK:
-            worker.main(json.dumps({**job, "model": str(model)}))
-        plant = self.plant_of(side)
+            worker.main(json.dumps({**job, "model": str(path)}))
         is_exact = EXACT.items() <= job["settings"].items()
-        if plant and job["task"] == "probe" and not is_exact:
+        if plant and job["task"] == "probe" and where(side) and not is_exact:
             with np.load(job["out"]) as stored:
                 arrays = dict(stored)
-            description = json.loads(str(arrays["description"]))
-            plant(arrays | description)
-            np.savez(job["out"], **arrays | {"description": json.dumps(description)})
+            plant(arrays)
+            np.savez(job["out"], **arrays)
+
+    monkeypatch.setattr(environments, "run_worker", run_worker)
+    return {"title": "scene", "saved": "", "steps": 20, "seed": 0}

@@ -1,14 +1,12 @@
 """Compare episodes on two sides: motions of an experiment, and returns of a policy."""
 
-import sysconfig
-from pathlib import Path
+import json
 
 import numpy as np
 import pytest
 from planted_models import side
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene.jitter import Jitter
 from gauge_envs.tools.versions import environments, episodes
 from gauge_envs.tools.versions.episodes import compare_motions, compare_returns
 from gauge_envs.tools.versions.schema import Verdict
@@ -24,43 +22,52 @@ def test_engines_are_compared_as_motions():
     assert compares_motions("SlopeSlider-2-wood", sides)
     comparison, scores = compare_motions("SlopeSlider-2-wood", *sides, seed=0)
     assert comparison.verdict is Verdict.DIFFERENT
-    assert comparison.difference > 10.0 * comparison.noise
-    assert comparison.first_s < 0.1
+    assert comparison.largest > 10.0 * comparison.noise
+    assert comparison.first_s < 0.1 < comparison.largest_s
     # The scores do not differ: the paths are within 0.3 mm.
     assert (comparison.right, len(scores.configurations)) == ("", 2)
 
 
-def test_a_release_of_an_engine_runs_in_a_process_that_imports_it(
-    tmp_path, monkeypatch
-):
+def test_a_release_of_an_engine_does_not_differ_from_itself(tmp_path, monkeypatch):
     """The environment of the release is empty, so both sides run the installed engine."""
+    (tmp_path / "site-packages").mkdir()
     monkeypatch.setattr(environments, "make_environment", lambda requirement: tmp_path)
     sides = pair("pybullet==3.2.7", "pybullet")
     comparison, _ = compare_motions("BouncingBall-rubber", *sides, seed=0)
-    assert (comparison.verdict, comparison.largest) == (Verdict.IDENTICAL, 0.0)
+    assert (comparison.verdict, comparison.largest) == (Verdict.SAME, 0.0)
     assert comparison.noise > 0.0
 
 
 @pytest.mark.parametrize(
-    ("shift", "verdict"), [(0.01, Verdict.SAME), (1.0, Verdict.DIFFERENT)]
+    ("share", "verdict"), [(5.0, Verdict.SAME), (20.0, Verdict.DIFFERENT)]
 )
-def test_a_shift_as_small_as_the_jitter_is_noise(monkeypatch, shift, verdict):
-    """The shift is in mm, and the jitter is 0.01 mm."""
-    jitter = Jitter(position_m=1e-5, angle_rad=0.0)
-    monkeypatch.setattr(episodes, "JITTER", jitter)
-    run = episodes._run
+def test_a_difference_of_less_than_ten_times_the_noise_is_no_difference(
+    monkeypatch, share, verdict
+):
+    """Both sides shift by 1e-3 mm with the jitter; one side shifts by a multiple of that."""
+    (output,) = environments.work(
+        "simulate",
+        {"title": "", "subject": "BouncingBall-rubber", "seed": 0},
+        read_sides("mujoco"),
+    )
+    result = json.loads(str(output["results"][0]))
 
-    def shifted(subject, side, *options):
-        result = run(subject, side, *options)
-        if side.settings:
-            result.trajectory.samples[:, 0] += shift
-        return result
+    def shifted(shift_mm):
+        samples = np.array(result["trajectory"]["samples"])
+        trajectory = result["trajectory"] | {"samples": (samples + shift_mm).tolist()}
+        return json.dumps(result | {"trajectory": trajectory})
 
-    monkeypatch.setattr(episodes, "_run", shifted)
-    # This setting has its default value and only distinguishes the sides.
-    sides = pair("mujoco", "mujoco:integrator=implicitfast")
-    comparison, _ = compare_motions("BouncingBall-rubber", *sides, seed=0)
+    sides = [
+        {"results": np.array([shifted(shift), shifted(shift + 1e-3)])}
+        for shift in (0.0, 1e-3 * share)
+    ]
+    monkeypatch.setattr(episodes, "work", lambda *arguments: sides)
+    comparison, _ = compare_motions(
+        "BouncingBall-rubber", *pair("mujoco", "mujoco:gravity=1"), seed=0
+    )
     assert comparison.verdict is verdict
+    assert comparison.noise == pytest.approx(1e-3, rel=1e-6)
+    assert comparison.largest == pytest.approx(1e-3 * share, rel=1e-6)
 
 
 POLICY = """
@@ -81,7 +88,7 @@ class Counter(gymnasium.Env):
     def step(self, action):
         self.steps += 1
         reward = float(action[0]) + self.offset - self.model.opt.timestep
-        return action, reward, self.steps == 3, False, {"is_success": action[0] > 1.0}
+        return action, reward, self.steps == 3, False, {}
 
 
 def policy():
@@ -97,36 +104,34 @@ def test_returns_of_a_policy_are_compared_seed_by_seed(tmp_path, monkeypatch, po
     monkeypatch.chdir(tmp_path)
     sides = [side("old"), side("new", timestep=0.003)]
     options = {"policy": policy, "seed": 5}
-    is_scripted = policy == "actions.npy"
     comparison = compare_returns("played:Counter", *sides, seeds=3, **options)
     # The policy adds 2 to an observation of -1, then to its own actions.
-    actions = 0.875 if is_scripted else 1.0 + 3.0 + 5.0
-    assert comparison.returns[0].value == pytest.approx(
-        3 * 6.0 + actions - 0.006, abs=1e-6
-    )
+    actions = 0.875 if policy == "actions.npy" else 1.0 + 3.0 + 5.0
+    expected = 3 * 6.0 + actions - 0.006
+    assert comparison.returns[0] == pytest.approx(expected, abs=1e-6)
     assert comparison.change.value == pytest.approx(-0.003)
     assert comparison.verdict is Verdict.DIFFERENT
-    assert [share.value for share in comparison.success] == [float(not is_scripted)] * 2
-    # Student's t of returns that differ by 3 from seed to seed: 4.303 x 3 / sqrt(3).
-    half_width = comparison.returns[0].value - comparison.returns[0].low
-    assert half_width == pytest.approx(4.3027 * 3.0**0.5, rel=1e-4)
     equal = compare_returns("played:Counter", sides[0], sides[0], seeds=2, **options)
-    assert equal.verdict is Verdict.IDENTICAL
+    assert (equal.verdict, equal.change.value) == (Verdict.SAME, 0.0)
 
 
-def test_a_missing_policy_is_an_error():
-    sides = pair("mujoco", "mujoco")
-    with pytest.raises(ParameterError, match=r"--policy absent.npy: expected"):
-        compare_returns("Hopper-v5", *sides, policy="absent.npy", seeds=1, seed=0)
+def test_the_change_of_a_return_has_students_interval(monkeypatch):
+    """Student's t of changes 1, 2, 3: 4.303 / sqrt(3)."""
+    outputs = [
+        {"version": "", "returns": np.array(returns)}
+        for returns in ([5.0, 0.0, 7.0], [6.0, 2.0, 10.0])
+    ]
+    monkeypatch.setattr(episodes, "work", lambda *arguments: outputs)
+    options = {"policy": "", "seeds": 3, "seed": 0}
+    comparison = compare_returns("Hopper-v5", side("old"), side("new"), **options)
+    assert (comparison.returns, comparison.change.value) == ((4.0, 6.0), 2.0)
+    half_width = comparison.change.value - comparison.change.low
+    assert half_width == pytest.approx(4.3027 / 3.0**0.5, rel=1e-4)
+    assert comparison.verdict is Verdict.SAME
 
 
-def test_packages_of_a_release_precede_packages_of_the_user(tmp_path, monkeypatch):
-    monkeypatch.setattr(environments, "make_environment", lambda requirement: tmp_path)
-    base = {"base": str(tmp_path), "platbase": str(tmp_path)}
-    package = Path(sysconfig.get_path("platlib", "venv", base)) / "mujoco"
-    package.mkdir(parents=True)
-    (package / "__init__.py").write_text("__version__ = '0.0'")
-    (release,) = read_sides("mujoco==3.3.0")
-    code = f"import mujoco, typer; open({str(tmp_path / 'seen')!r}, 'w').write(mujoco.__version__)"
-    environments.run_python(release, ["-c", code], "it")
-    assert (tmp_path / "seen").read_text() == "0.0"
+def test_a_policy_on_another_engine_is_an_error():
+    with pytest.raises(ParameterError, match="compares releases of MuJoCo"):
+        compare_returns(
+            "Hopper-v5", *pair("mujoco", "newton"), policy="a.npy", seeds=1, seed=0
+        )

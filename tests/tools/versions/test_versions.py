@@ -5,7 +5,7 @@ import json
 import mujoco
 import numpy as np
 import pytest
-from planted_models import SCENE, Planted, side
+from planted_models import SCENE, plant_workers, side
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -16,41 +16,47 @@ from gauge_envs.tools.versions.comparison import (
     depth_m,
     find_change,
 )
+from gauge_envs.tools.versions.environments import work
 from gauge_envs.tools.versions.report import comparison_document
 from gauge_envs.tools.versions.schema import Quantity, Verdict
 
 
-def compared(folder, *planted, **options):
-    return compare(Planted(folder, *planted, **options), side("old"), side("new"))
+@pytest.fixture
+def compared(monkeypatch, tmp_path):
+    """Return a function that compares the sides `old` and `new` with a planted change."""
+
+    def run(*planted, model=SCENE, **entries):
+        job = plant_workers(monkeypatch, tmp_path, *planted, model=model)
+        return compare({**job, **entries}, side("old"), side("new"))
+
+    return run
 
 
-def test_a_version_is_identical_to_itself(tmp_path):
-    comparison = compared(tmp_path)
-    assert comparison.verdict is Verdict.IDENTICAL
+def test_a_version_does_not_differ_from_itself(compared):
+    comparison = compared()
     # Each side visits the initial state, random controls and a push.
-    assert (comparison.states, comparison.differing, comparison.first) == (
-        2 * 3 * 20,
-        0,
-        None,
-    )
-    assert comparison.fields == ()
-    assert "bit for bit" in comparison_document(comparison).parts[0].text
+    assert (comparison.verdict, comparison.states) == (Verdict.SAME, 2 * 3 * 20)
+    assert (comparison.differing, comparison.largest, comparison.first) == (0, 0, None)
+    assert comparison.fields == comparison.rulings == ()
 
 
-def test_a_step_without_damping_adds_the_acceleration_to_velocities(tmp_path):
-    bench = Planted(tmp_path)
-    (run,) = bench.work("run", [side("old")])
-    (probe,) = bench.work("probe", [side("old")], run.arrays)
-    assert np.allclose(probe.arrays["step_acc"], probe.arrays["qacc"], atol=1e-8)
+def test_a_step_without_damping_adds_the_acceleration_to_velocities(
+    monkeypatch, tmp_path
+):
+    job = plant_workers(monkeypatch, tmp_path)
+    (run,) = work("run", job, [side("old")])
+    (probe,) = work("probe", job, [side("old")], run)
+    assert np.allclose(probe["step_acc"], probe["qacc"], atol=1e-8)
 
 
 def rounded(arrays):
     arrays["qacc"] *= 1.0 + 1e-12
 
 
-def test_rounding_is_no_difference(tmp_path):
-    comparison = compared(tmp_path, rounded)
-    assert (comparison.verdict, comparison.differing) == (Verdict.SAME, 0)
+def test_rounding_is_no_difference(compared):
+    comparison = compared(rounded)
+    assert comparison.verdict is Verdict.SAME
+    assert 0.0 < comparison.largest < 1e-11
 
 
 def scaled_constraint(arrays):
@@ -58,16 +64,12 @@ def scaled_constraint(arrays):
 
 
 def fewer_contacts(arrays):
-    for pairs in arrays["touching"][5:]:
-        pairs.clear()
+    arrays["contacts"] = arrays["contacts"][arrays["contacts"][:, 0] < 5]
     arrays["qacc"][5:] *= 2.0
 
 
 def deeper(arrays):
-    for pairs in arrays["touching"]:
-        pairs |= {
-            pair: [distance_m - 1e-3 for distance_m in pairs[pair]] for pair in pairs
-        }
+    arrays["contacts"][:, 3] -= 1e-3
     arrays["qacc"] *= 1.1
 
 
@@ -81,44 +83,45 @@ def changed_integration(arrays):
 
 
 @pytest.mark.parametrize(
-    ("plant", "step", "quantity"),
+    ("plant", "step", "quantity", "where"),
     [
-        (scaled_constraint, 7, Quantity.CONSTRAINT),
-        (fewer_contacts, 5, Quantity.CONTACTS),
-        (deeper, 0, Quantity.DEPTH),
-        (changed_smooth, 0, Quantity.SMOOTH),
-        (changed_integration, 3, Quantity.STEP),
+        (scaled_constraint, 7, Quantity.CONSTRAINT, "elbow of arm"),
+        (fewer_contacts, 5, Quantity.CONTACTS, "floor and box"),
+        (deeper, 0, Quantity.DEPTH, "floor and box"),
+        (changed_smooth, 0, Quantity.SMOOTH, "elbow of arm"),
+        (changed_integration, 3, Quantity.STEP, "joint 0 of box"),
     ],
 )
 def test_the_report_names_the_first_step_and_quantity_of_a_planted_change(
-    tmp_path, plant, step, quantity
+    compared, plant, step, quantity, where
 ):
-    comparison = compared(tmp_path, plant)
+    comparison = compared(plant)
     assert comparison.verdict is Verdict.DIFFERENT
     first = comparison.first
-    assert (first.segment, first.step, first.quantity) == ("start", step, quantity)
-    if plant is scaled_constraint:
-        assert first.where == "elbow of arm"
-        assert first.contacts_before == first.contacts_after == 4
-    if plant is fewer_contacts:
-        assert first.detail == "floor and box: 4 and 0 contacts"
+    assert (first.segment, first.step) == ("start", step)
+    assert (first.quantity, first.where) == (quantity, where)
+    change = {
+        fewer_contacts: -4.0,
+        deeper: 1e-3,
+        changed_smooth: 1.0,
+        changed_integration: 1.0,
+        scaled_constraint: 0.5 * first.before,
+    }
+    assert first.after - first.before == pytest.approx(change[plant])
 
 
 def unsolved(arrays):
     arrays["qacc"][:, 2] += 5.0
 
 
-def test_the_side_that_reaches_the_solution_of_its_equations_is_right(tmp_path):
-    comparison = compared(tmp_path, unsolved)
+def test_the_side_that_reaches_the_solution_of_its_equations_is_right(compared):
+    comparison = compared(unsolved)
     assert [ruling.right for ruling in comparison.rulings] == ["old"]
     assert comparison.right == "old"
 
 
 def halved(arrays):
-    for pairs in arrays["touching"]:
-        pairs |= {
-            pair: [distance_m / 2.0 for distance_m in pairs[pair]] for pair in pairs
-        }
+    arrays["contacts"][:, 3] /= 2.0
     arrays["qacc"] *= 1.1
 
 
@@ -126,9 +129,9 @@ BLOCK = '<geom name="block" type="box" size="1 1 0.05" pos="0 0 -0.04"/><body'
 SUNK = SCENE.replace("<body", BLOCK, 1).replace("0.0999", "0.1")
 
 
-def test_the_side_with_the_geometric_depth_of_boxes_is_right(tmp_path):
+def test_the_side_with_the_geometric_depth_of_boxes_is_right(compared):
     """The side `new` halves the depth of a box in a box."""
-    comparison = compared(tmp_path, halved, model=SUNK, steps=5)
+    comparison = compared(halved, model=SUNK, steps=5)
     (ruling,) = [
         ruling for ruling in comparison.rulings if "contact depths" in ruling.law
     ]
@@ -137,53 +140,57 @@ def test_the_side_with_the_geometric_depth_of_boxes_is_right(tmp_path):
     assert ruling.after == pytest.approx(0.5, rel=1e-6)
 
 
-def test_a_changed_default_is_a_changed_field_that_no_law_decides(tmp_path):
+def test_a_changed_default_is_a_changed_field_that_no_law_decides(compared):
     new = SCENE.replace('name="box" type', 'name="box" solref="0.021 1" type').replace(
         "<option", '<option><flag gravity="disable"/></option><option'
     )
-    comparison = compared(tmp_path, None, new, steps=3)
+    comparison = compared(None, new, steps=3)
     changes = {change.field: change for change in comparison.fields}
     assert changes["opt.disableflags"].after == [
         float(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     ]
     change = changes["geom_solref"]
-    assert (change.where, change.count) == ("box", 1)
+    # The box is the second geom.
+    assert (change.row, change.count) == (1, 1)
     assert (change.before, change.after) == ([0.02, 1.0], [0.021, 1.0])
     assert (comparison.verdict, comparison.right) == (Verdict.DIFFERENT, "")
     last = comparison_document(comparison).parts[-1]
     assert "No checked law" in last.text
 
 
-def test_a_saved_state_is_compared_and_moves(tmp_path):
-    """One side lacks the shelf, so the box falls with g."""
+def test_a_model_moves_from_saved_states(compared, tmp_path):
+    """One side lacks the shelf, so its box falls with g. Two states share the 20 steps."""
     shelf = '<geom name="shelf" type="box" size="0.3 0.3 0.01" pos="0 0 0.51"/><body name="box"'
     model = SCENE.replace('<body name="box"', shelf).replace("0.0999", "0.6199")
     gone = model.replace('name="shelf"', 'name="shelf" contype="0" conaffinity="0"')
     saved = tmp_path / "saved.npz"
-    np.savez(saved, qpos=mujoco.MjModel.from_xml_string(model).qpos0[None])
-    comparison = compared(tmp_path, None, gone, model=model, saved=saved)
-    assert comparison.states == 2 * (20 + 1)
+    state = mujoco.MjModel.from_xml_string(model).qpos0
+    np.savez(saved, qpos=np.array([state, state]))
+    comparison = compared(None, gone, model=model, saved=str(saved))
+    assert comparison.states == 2 * 20
     first = comparison.first
-    assert (first.segment, first.step) == ("settle from state 0", 0)
-    assert (first.quantity, first.contacts_after) == (Quantity.CONTACTS, 0)
-    assert comparison.worst.acceleration_after == pytest.approx(-9.81)
+    assert (first.segment, first.step) == ("saved state 0", 0)
+    assert (first.quantity, first.before, first.after) == (Quantity.CONTACTS, 4, 0)
 
 
-class Releases(Planted):
-    """Releases that differ from the fifth release on."""
-
-    def plant_of(self, side):
-        return scaled_constraint if side.title >= "new5" else None
-
-
-def test_a_bisection_names_the_neighbors(tmp_path):
-    releases = [side(f"new{number}") for number in range(8)]
-    bench = Releases(tmp_path)
-    neighbors, tried = find_change(bench, releases)
-    assert [release.title for release in neighbors] == ["new4", "new5"]
-    assert [release.like for release in tried] == sorted(
-        release.like for release in tried
+@pytest.mark.parametrize("count", [8, 2])
+def test_a_bisection_compares_the_neighbors_of_a_change(monkeypatch, tmp_path, count):
+    """The releases differ from the fifth or, of two, from the second on."""
+    changed = min(5, count - 1)
+    releases = [side(f"new{number}") for number in range(count)]
+    job = plant_workers(
+        monkeypatch,
+        tmp_path,
+        scaled_constraint,
+        where=lambda side: int(side.title[3:]) >= changed,
     )
+    comparison = find_change(job, releases)
+    names = (comparison.before, comparison.after)
+    assert names == (f"new{changed - 1}", f"new{changed}")
+    for release in comparison.tried:
+        is_last = int(release.release[3:]) >= changed
+        assert release.like == ("last" if is_last else "first")
+    assert len(comparison.tried) < 4
 
 
 def test_the_command_runs_a_process_for_each_side(tmp_path):
