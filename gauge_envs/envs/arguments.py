@@ -256,6 +256,14 @@ def warn_without_reward(experiment: Experiment, band: Band | None) -> None:
         _warned.add(experiment.id)
 
 
+def warn_without_effect(experiment: Experiment) -> None:
+    """Warn, once for each text, that a restitution of the user has no effect."""
+    text = experiment.unused_restitution
+    if text and text not in _warned:
+        warnings.warn(text, stacklevel=CALLER)
+        _warned.add(text)
+
+
 def _missing_reward(experiment: Experiment, band: Band | None) -> str:
     """Return which rewards and scores are missing, and why; empty if none is."""
     if band is None:

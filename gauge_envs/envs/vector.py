@@ -26,6 +26,7 @@ from gauge_envs.envs.arguments import (
     EnvArguments,
     check_episode_steps,
     checked_action,
+    warn_without_effect,
     warn_without_reward,
 )
 from gauge_envs.envs.initial_states import InitialStates, Scatter
@@ -424,6 +425,7 @@ def scored_vector_env(
 
     Warns:
         NoRewardWarning: Rewards or scores are missing; once for each id.
+        UserWarning: A restitution of the user has no effect; once for each experiment.
     """
     envs = GaugeVectorEnv(**arguments)
     if score_arrays and envs.band is None:
@@ -432,4 +434,5 @@ def scored_vector_env(
         )
     check_episode_steps(max_episode_steps, envs.experiment.frame_count - 1)
     warn_without_reward(envs.experiment, envs.band)
+    warn_without_effect(envs.experiment)
     return ScoreEpisodes(envs, arrays=score_arrays) if score else envs

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from gauge_envs.envs.arguments import warn_without_reward
+from gauge_envs.envs.arguments import warn_without_effect, warn_without_reward
 from gauge_envs.envs.env import GaugeEnv
 
 if TYPE_CHECKING:
@@ -125,9 +125,11 @@ def scored_env(*, score: bool = True, **arguments: Any) -> ScoreEpisode | GaugeE
 
     Warns:
         NoRewardWarning: Rewards or scores are missing; once for each id.
+        UserWarning: A restitution of the user has no effect; once for each experiment.
     """
     env = GaugeEnv(**arguments)
     warn_without_reward(env.experiment, env.band)
+    warn_without_effect(env.experiment)
     return ScoreEpisode(env) if score else env
 
 

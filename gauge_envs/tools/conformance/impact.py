@@ -18,7 +18,7 @@ from gauge_envs.scene import (
     Sphere,
     Vector,
 )
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.bench.drop import (
     RADIUS_M,
     balls_above_ground,
@@ -442,34 +442,61 @@ def oblique_slip(lab: Lab) -> Measurement:
 
 # --- energy ----------------------------------------------------------------------------------------------------------
 
+FALL_M = 0.5
+FLAT = (0.0, 0.0, 0.0)
+LOWER, UPPER = "lower", "upper"
+CUBES: dict[str, tuple[Vector, Vector, str]] = {
+    "off its centre on a post": ((-0.975, 0.025, 0.0), FLAT, "post"),
+    "on a corner": ((0.0, 0.0, 0.0), (44.0, 34.0, 10.0), "ground"),
+    "on an edge": ((1.0, 0.0, 0.0), (44.0, 0.0, 20.0), "ground"),
+    LOWER: ((2.0, 0.0, 0.0), FLAT, "ground"),
+    UPPER: ((2.03, 0.02, 0.11), FLAT, LOWER),
+}
+"""Shift of each cube [m], its turn about x, y and z [deg], and the body that it hits."""
+
 
 @check(
     "drop-energy",
-    title="a body that tumbles gains no energy",
+    title="bodies that tumble gain no energy",
     law="T + V <= initial T + V",
     source="contacts are passive: a restitution of 1 keeps the energy, less loses some",
     unit="%",
     tolerance=Tolerance(
-        "a stiff contact may store 1 %, which is 5 mm of the height of fall",
+        "energies are read once a step, and a step of 1/600 s at the speed of impact is 1 % of the fall",
         absolute=1.0,
     ),
     cause="the engine makes energy: contacts too stiff for the step, few iterations, or restitution point by point",
 )
 def drop_energy(lab: Lab) -> Measurement:
-    """A cube that drops by 0.5 m on a narrow post, 36 mm off its centre; restitution 1, friction 0.2.
+    """Cubes of 0.1 m that drop by 0.5 m; restitution 1, friction 0.2.
 
-    Largest gain of kinetic and potential energy over the energy of the fall within 0.7 s.
+    One lands 35 mm off its centre on a narrow post, one on a corner, one on an edge, and two, 10 mm apart, one on the
+    other.
+
+    Largest gain of kinetic and potential energy over the energy of the fall within 0.7 s, of the worst drop.
     """
-    fall_m = 0.5
-    cube = box("cube", (1.03, 0.02, 1.05 + fall_m), (0.1, 0.1, 0.1))
-    post = fixed_box("post", (1.0, 0.0, 0.5), (0.04, 0.04, 1.0))
-    touch = contact("cube", "post", friction=0.2, restitution=1.0)
-    scene = Scene(bodies=(cube, post), contacts=(touch,), duration_s=0.7)
-    rollout = lab.rollout(scene)
-    turns = rollout.rotation("cube")
-    spin = turns.apply(rollout.angular_velocity("cube"), inverse=True)
-    squares = np.square(rollout.velocity("cube")).sum(axis=1)
+    post = fixed_box("post", (-1.0, 0.0, -0.5), (0.04, 0.04, 1.0))
+    bodies, contacts = [post, ground()], []
+    for name, (shift_m, euler_deg, target) in CUBES.items():
+        rotation = Rotation.from_euler("xyz", euler_deg, degrees=True)
+        lowest_m = 0.05 * np.abs(rotation.as_matrix()[2]).sum()
+        place = np.add(shift_m, (0.0, 0.0, FALL_M + lowest_m))
+        bodies.append(box(name, vector(place), (0.1, 0.1, 0.1), euler_deg=euler_deg))
+        contacts.append(contact(name, target, friction=0.2, restitution=1.0))
+    rollout = lab.rollout(
+        Scene(bodies=tuple(bodies), contacts=tuple(contacts), duration_s=0.7)
+    )
+    gains = {name: _energy_gain_m(rollout, name) for name in CUBES}
+    gains["two cubes"] = 0.5 * (gains.pop(LOWER) + gains.pop(UPPER))
+    percent = {name: 100.0 * float(gain.max() / FALL_M) for name, gain in gains.items()}
+    worst = max(percent, key=lambda name: percent[name])
+    return Measurement(measured=percent[worst], hint=f"the worst drop is {worst}")
+
+
+def _energy_gain_m(rollout: Recording, name: str) -> FloatArray:
+    """Return the energy of a cube over its weight, less that at the start [m], shape [sample_count]."""
+    cube = rollout.scene.body(name)
+    spin = rollout.rotation(name).apply(rollout.angular_velocity(name), inverse=True)
+    squares = np.square(rollout.velocity(name)).sum(axis=1)
     squares += spin**2 @ box_inertia_kg_m2(cube) / cube.mass_kg
-    # Energy per weight, as a height over the start.
-    energy_m = squares / (2.0 * G) + rollout.displacement("cube")[:, 2]
-    return Measurement(measured=100.0 * float(energy_m.max() / fall_m))
+    return squares / (2.0 * G) + rollout.displacement(name)[:, 2]

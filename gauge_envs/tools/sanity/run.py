@@ -6,8 +6,12 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import versions
+from gauge_envs.scene import Scene
+from gauge_envs.tools.bench.parts import ball, contact, ground, thrown
 from gauge_envs.tools.sanity.fix import find_fix
 from gauge_envs.tools.sanity.measure import (
     Measured,
@@ -20,6 +24,7 @@ from gauge_envs.tools.sanity.measure import (
 )
 from gauge_envs.tools.sanity.model import (
     Fix,
+    Need,
     PartOutcome,
     PhenomenonResult,
     Report,
@@ -29,6 +34,7 @@ from gauge_envs.tools.sanity.model import (
 from gauge_envs.tools.sanity.phenomena import GRASP, phenomenon
 from gauge_envs.tools.sanity.robot.joints import unstated
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
+from gauge_envs.tools.sanity.scenario import Scenario, run_scenario
 from gauge_envs.tools.sanity.selection import TARGET_IDS, selection
 from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
 from gauge_envs.tools.sanity.target_checks import target_rows
@@ -97,6 +103,8 @@ def check(
             for group in configuration.contact_groups
             if group.is_point and group.constants["condim"] == 3
         ]
+    if not only and not is_cut_short:
+        notes += _force_notes(measurements, configuration)
     fix, tried, trade = search
     return Report(
         configuration=configuration,
@@ -110,6 +118,51 @@ def check(
         notes=tuple(notes),
         asked=tuple(name for name in chosen if name in only),
     )
+
+
+IMPACT = Scenario(
+    "impact-force",
+    "BouncingBall-rubber",
+    0.1,
+    Scene(
+        bodies=(
+            thrown(ball("ball", (0.0, 0.0, 0.04), mass_kg=1.0), (0.0, 0.0, -1.0)),
+            ground(),
+        ),
+        contacts=(contact("ball", "ground", friction=0.5),),
+        duration_s=0.1,
+        gravity_m_per_s2=0.0,
+    ),
+    interval_s=0.0,
+)
+"""A ball of 1 kg that hits the ground at 1 m/s, sampled at each step."""
+
+MAX_FORCE_RATIO = 2.0
+"""Largest ratio of the peak forces with a tenth of the step and with the step; a rigid impact has 10."""
+
+
+def _force_notes(
+    measurements: Measurements, configuration: TrainingConfiguration
+) -> list[str]:
+    """Return a note where the peak force of an impact depends on the step; no note where it cannot be measured."""
+    settings = next(iter(configuration.contact_sets.values()), {})
+    step_s = settings.get("timestep_s")
+    if step_s is None or Need.CONTACT in configuration.inapplicable:
+        return []
+    peaks_n = []
+    for timestep_s in (step_s, 0.1 * step_s):
+        changed = {**settings, "timestep_s": timestep_s}
+        rollout = measurements.outcome(run_scenario, IMPACT, changed)
+        if isinstance(rollout, Measured):
+            return []
+        accelerations = np.diff(rollout.velocity("ball")[:, 2]) / rollout.interval_s
+        peaks_n.append(float(accelerations.max()))
+    if peaks_n[1] <= MAX_FORCE_RATIO * peaks_n[0]:
+        return []
+    return [
+        f"peak contact forces depend on the step: 1 kg at 1 m/s gives {peaks_n[0]:,.0f} N at {1e3 * step_s:g} ms and "
+        f"{peaks_n[1]:,.0f} N at a tenth of it; average forces over a fixed time"
+    ]
 
 
 NO_TIME = "not measured within the time limit"

@@ -246,22 +246,27 @@ def without_effect(robot: Robot) -> Finding:
 
 
 def _idle_rolling(robot: Robot) -> dict[Place, str]:
-    """Return geoms of round free bodies with a rolling friction that acts in none of their contacts."""
-    model = robot.model
-    bodies, condims = model.geom_bodyid, np.zeros(model.ngeom)
+    """Return geoms of round free bodies that have, or whose pairs have, a rolling friction without effect."""
+    model, condims = robot.model, np.zeros(robot.model.ngeom)
     np.maximum.at(condims, robot.pairs.geoms, robot.pairs.constants[:, :1])
-    is_idle = (model.geom_friction[:, 2] > 2.0 * ROLLING) & np.isin(condims, (1, 3, 4))
-    is_idle &= np.isin(bodies, objects(model))
-    is_idle &= ~np.isin(bodies, bodies[np.isin(model.geom_type, FLAT)])
+    rolls = np.isin(model.geom_bodyid, objects(model))
+    flat = model.geom_bodyid[np.isin(model.geom_type, FLAT)]
+    rolls &= ~np.isin(model.geom_bodyid, flat)
+    text = "{} has rolling friction {:g}, which condim {:g} ignores"
     idle: dict[Place, str] = {}
-    for geom in np.flatnonzero(is_idle).tolist():
-        rolling_m, name = (
-            model.geom_friction[geom, 2],
-            name_of(robot.model, "geom", geom),
-        )
-        idle["geom", geom] = (
-            f"{name} has rolling friction {rolling_m:g}, which condim {condims[geom]:g} ignores"
-        )
+    is_idle = (model.geom_friction[:, 2] > 2.0 * ROLLING) & np.isin(condims, (1, 3, 4))
+    for geom in np.flatnonzero(is_idle & rolls).tolist():
+        rolling_m, name = model.geom_friction[geom, 2], name_of(model, "geom", geom)
+        idle["geom", geom] = text.format(name, rolling_m, condims[geom])
+    rolling = model.pair_friction[:, 3:].max(axis=1, initial=0.0)
+    for pair in np.flatnonzero((rolling > 2.0 * ROLLING) & (model.pair_dim < 6)):
+        geoms = [int(model.pair_geom1[pair]), int(model.pair_geom2[pair])]
+        names = " and ".join(name_of(model, "geom", geom) for geom in geoms)
+        for geom in filter(rolls.__getitem__, geoms):
+            value = text.format(
+                f"the pair of {names}", rolling[pair], model.pair_dim[pair]
+            )
+            idle.setdefault(("geom", geom), value)
     return idle
 
 
