@@ -37,6 +37,12 @@ MIN_MISFIT, MAX_MISFIT = 0.4, 0.2
 MAX_UNSCORED = 0.1
 """Largest unscored motion over the scored motion; simulations of all experiments have at most 0.001."""
 
+MIN_HELD_FRAMES = 3
+"""Smallest number of equal frames at the end of a motion."""
+
+MIN_REST_SHARE = 0.1
+"""Smallest motion of the reference from these frames on, over its whole motion."""
+
 
 def lost_marker(
     experiment: Experiment, times_s: FloatArray, values: FloatArray
@@ -141,7 +147,7 @@ def _misfit(band: Band, projected: FloatArray, rate_hz: float) -> float:
 def unusual_motion(
     experiment: Experiment, band: Band, frames: FloatArray
 ) -> Iterator[str]:
-    """Yield a sentence for motion against the reference and for motion that is not scored.
+    """Yield a sentence for motion against the reference, for motion that is not scored, and for a lost end.
 
     Args:
         experiment: Experiment that was simulated.
@@ -165,6 +171,46 @@ def unusual_motion(
     if across_size[last] > max(MIN_JUMP_MM, MAX_UNSCORED * scored_size.max()):
         name = experiment.coordinates[np.abs(across[last]).argmax()]
         yield f"{_place(last)}: {across_size[last]:.3g} {unit} of motion across is not scored, mainly {name}"
+    yield from _held_to_end(experiment, band, frames)
+
+
+def _held_to_end(
+    experiment: Experiment, band: Band, frames: FloatArray
+) -> Iterator[str]:
+    """Yield a sentence for each body or marker that stops within a frame and stays while the reference moves on.
+
+    A body that friction stops moves in its last frame by at most a third of the frame before.
+
+    Args:
+        experiment: Experiment that was simulated.
+        band: The reference.
+        frames: g(t) at the 30 Hz frames, shape [frame_count, coordinate_count].
+    """
+    reference = _displacements(band) @ np.linalg.pinv(band.projection).T
+    names = experiment.coordinates
+    owners = np.array([name.rpartition(".")[0] or name for name in names])
+    for owner in dict.fromkeys(owners):
+        path = frames[:, owners == owner]
+        moves = np.linalg.norm(np.diff(path, axis=0), axis=1)
+        moving = np.flatnonzero(moves > 1e-9 * (1.0 + np.abs(path).max()))
+        start = int(moving[-1]) + 1 if moving.size else 0
+        is_abrupt = start > 1 and moves[start - 1] > 0.5 * moves[start - 2]
+        if not is_abrupt or band.known[start:].sum() < MIN_HELD_FRAMES:
+            continue
+        real = reference[:, owners == owner]
+        # The reference hits nothing near this frame: its steps change slowly.
+        steps = np.diff(real[start - 2 : start + 3], axis=0)
+        is_smooth = _largest(np.diff(steps, axis=0)) <= 0.5 * _largest(steps)
+        rest = float(np.linalg.norm(np.ptp(real[start:][band.known[start:]], axis=0)))
+        if is_smooth and rest > MIN_REST_SHARE * np.linalg.norm(np.ptp(real, axis=0)):
+            yield (
+                f"{_place(start)} to the end: {owner} keeps its values, and the reference moves on by "
+                f"{rest:.3g} {experiment.score.observable.unit}: the marker was lost"
+            )
+
+
+def _largest(vectors: FloatArray) -> float:
+    return float(np.linalg.norm(vectors, axis=1).max())
 
 
 def _displacements(band: Band) -> FloatArray:

@@ -34,11 +34,12 @@ QUICK = (
     "tether-length",
     "worlds-wrench",
     "torsion",
+    "drop-energy",
     "cloth-start",
     "foam-start",
     "rope-start",
 )
-SLOW_TO_BUILD = {"newton": ("glide-reports",)}
+SLOW_TO_BUILD = {"newton": ("glide-reports", "drop-energy")}
 """Checks of the default run whose scene takes seconds on an engine."""
 
 PUBLISHED = {

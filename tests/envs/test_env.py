@@ -398,12 +398,12 @@ def test_scores_are_sent_to_tensorboard_and_to_functions_like_wandb_log():
 # --- the warning of an environment without a reward ---
 
 
-def warnings_of(*ids, maker=gymnasium.make, **options):
+def warnings_of(*ids, maker=gymnasium.make, category=NoRewardWarning, **options):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for name in ids:
             maker(name, **options)
-    return [warning for warning in caught if warning.category is NoRewardWarning]
+    return [warning for warning in caught if warning.category is category]
 
 
 def test_an_id_without_a_reward_warns_once_at_the_line_of_the_caller(
@@ -426,4 +426,10 @@ def test_an_id_without_a_reward_warns_once_at_the_line_of_the_caller(
     gauge_envs.register_all()
     (users,) = warnings_of("GAUGE/CrateSlide-pine")
     del gymnasium.registry["GAUGE/CrateSlide-pine"]
+    (idle,) = warnings_of(
+        *[f"GAUGE/{SLIDE}"] * 2,
+        category=UserWarning,
+        parameters={"cube.restitution": 0.5},
+    )
+    assert "restitution has no effect" in str(idle.message)
     assert "Put CrateSlide-pine.band.toml and .npz next to" in str(users.message)

@@ -104,7 +104,7 @@ def check(
             if group.is_point and group.constants["condim"] == 3
         ]
     if not only and not is_cut_short:
-        notes += _force_notes(measurements, configuration)
+        notes += force_notes(measurements, configuration)
     fix, tried, trade = search
     return Report(
         configuration=configuration,
@@ -141,7 +141,7 @@ MAX_FORCE_RATIO = 2.0
 """Largest ratio of the peak forces with a tenth of the step and with the step; a rigid impact has 10."""
 
 
-def _force_notes(
+def force_notes(
     measurements: Measurements, configuration: TrainingConfiguration
 ) -> list[str]:
     """Return a note where the peak force of an impact depends on the step; no note where it cannot be measured."""

@@ -8,8 +8,8 @@ import pytest
 from faults import FAULTS, Fault, Faulty, Planted
 
 from gauge_envs.backends import Repeatability, Support, backend
-from gauge_envs.errors import BackendError, ParameterError, UnknownNameError
-from gauge_envs.tools.conformance import Status, Tolerance, check, checks, run_checks
+from gauge_envs.errors import BackendError, UnknownNameError
+from gauge_envs.tools.conformance import Status, checks, run_checks
 from gauge_envs.tools.conformance.results import levels
 
 MUJOCO = backend("mujoco")
@@ -152,25 +152,6 @@ def test_a_panic_is_a_result_and_ctrl_c_ends_the_run(monkeypatch):
 # --- checks and results ----------------------------------------------------------------------------------------------
 
 
-def test_a_check_has_all_its_texts():
-    for entry in checks():
-        texts = (
-            entry.title,
-            entry.scene,
-            entry.measures,
-            entry.law,
-            entry.source,
-            entry.cause,
-        )
-        assert all(texts), entry.id
-        assert entry.tolerance.rationale, entry.id
-    first = checks()[0]
-    texts = {key: getattr(first, key) for key in ("title", "law", "source", "cause")}
-    again = check(first.id, tolerance=first.tolerance, **texts)
-    with pytest.raises(ParameterError, match=f"{first.id!r} exists already"):
-        again(first.measure)
-
-
 def test_a_result_is_json_and_has_its_numbers():
     """Coulomb: a tolerance of 1 %, and a friction that is 20 % low."""
     (result,) = run_checks(planted("friction 20 % low"), only=["slide"])
@@ -179,11 +160,6 @@ def test_a_result_is_json_and_has_its_numbers():
     assert abs(values["measured"] - values["expected"]) > values["width"]
     assert values["versions"] == MUJOCO.versions()
     assert values["settings"]["preset"] == "contact"
-
-
-def test_a_tolerance_has_an_absolute_and_a_relative_part():
-    tolerance = Tolerance("by hand", absolute=1.0, relative=0.1)
-    assert tolerance.width(-20.0) == pytest.approx(3.0)
 
 
 def test_settings_reach_the_engine_and_an_unknown_one_is_a_reason():

@@ -65,6 +65,12 @@ MOTORS = '<actuator><position joint="j1" kp="250" kv="9"/><position joint="j2" k
 
 BALL = FREE.format("ball", "0 0 .1", 'size=".1" friction="1 .005 .01" condim="{}"')
 
+ROLLING_PAIR = mjcf(
+    FLOOR + FREE.format("ball", "0 0 .1", 'size=".1"'),
+    ">",
+    '<contact><pair geom1="floor" geom2="ball" condim="{}" friction="1 1 .005 .01 .01"/></contact>',
+)
+
 
 def result(name, xml):
     robot = configuration(mujoco.MjModel.from_xml_string(xml)).robot
@@ -91,6 +97,7 @@ def result(name, xml):
         ("model-creep", mjcf(FLOOR + STIFF, 'timestep=".025">'), None, "box moves"),
         ("model-stated", mjcf(ARM.format(""), ">", MOTORS), 1.0, "not on fore"),
         ("model-stated", mjcf(FLOOR + BALL.format(3), ">"), 1.0, "rolling"),
+        ("model-stated", ROLLING_PAIR.format(3), 1.0, "pair of floor and ball"),
     ],
 )
 def test_a_fault_is_named_with_its_size(name, xml, value, words):
@@ -110,7 +117,7 @@ def test_a_fault_is_named_with_its_size(name, xml, value, words):
         mjcf(ROD, ">"),
         mjcf(ROD, 'timestep=".02" integrator="RK4">'),
         mjcf(ARM.format('gravcomp="1"'), ">", MOTORS),
-        mjcf(FLOOR + BALL.format(6), ">"),
+        ROLLING_PAIR.format(6),
         mjcf(FLOOR + FREE.format("ball", "0 0 .1", 'size=".1"'), f">{SLEEP}"),
     ],
 )

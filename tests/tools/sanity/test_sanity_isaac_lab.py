@@ -2,6 +2,7 @@
 
 import copy
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import configuration
+from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.model import Need
+from gauge_envs.tools.sanity.run import force_notes
 from gauge_envs.tools.sanity.stacks import dialect
 from gauge_envs.tools.sanity.stacks.documents import yaml_document
 from gauge_envs.tools.sanity.stacks.isaac_lab import isaac_lab_configuration
@@ -71,9 +74,17 @@ def test_impacts_are_advice_where_no_material_has_a_restitution(values, bounces)
     assert (Need.REBOUND in task.inapplicable) != bounces
 
 
+def test_a_rigid_impact_has_a_force_of_momentum_over_the_step():
+    """A ball of 1 kg at 1 m/s stops within a step: m v / dt is 1,000 N at 1 ms."""
+    (note,) = force_notes(Measurements("physx"), read(sim__dt=1e-3))
+    peak_n = float(re.search(r"gives ([\d,]+) N at 1 ms", note)[1].replace(",", ""))
+    assert peak_n == pytest.approx(1000.0, rel=0.02)
+    assert force_notes(Measurements("mujoco"), configuration("HalfCheetah-v5")) == []
+
+
 @pytest.mark.parametrize(
     ("low", "high", "count", "used"),
-    [(1, 255, 8, 8), (10, 255, 8, 10), (1, 4, 8, 4), (1, 255, None, 16)],
+    [(10, 255, 8, 10), (1, 4, 8, 4)],
 )
 def test_iterations_of_the_robot_are_clamped(low, high, count, used):
     values = {
@@ -104,7 +115,6 @@ def test_what_the_engine_cannot_represent_is_noted():
             {"sim__newton_cfg": {"njmax": 65}, "sim__physx": None},
             r"there is no sim\.physx, and there is sim\.newton_cfg instead",
         ),
-        ({"sim__dt": -0.005}, "timestep_s"),
         ({"sim__physx__solver_type": 2}, "sim.physx.solver_type is 2: give 0"),
         (
             {"sim__gravity": [0.0, -9.81]},
@@ -163,11 +173,6 @@ def test_a_sim_config_is_read():
     assert task.origins["timestep_s"] == "sim_config.sim_freq"
 
 
-def test_a_wrong_value_of_a_sim_config_is_named():
-    with pytest.raises(TargetError, match=r"no positive sim_config\.sim_freq"):
-        read_task(sim_freq=None)
-
-
 # --- YAML ------------------------------------------------------------------------------------------------------------
 
 
@@ -175,7 +180,6 @@ def test_a_wrong_value_of_a_sim_config_is_named():
     ("value", "message"),
     [
         ("!!python/object/apply:os.system ['touch RAN']", "line 2: .*is not run"),
-        ("*x", "line 2: it is no YAML: "),
         ("2020-99-99", "it is no YAML: "),
     ],
 )

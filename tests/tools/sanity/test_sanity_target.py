@@ -7,6 +7,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
+from places import ROOT
 from quadruped import quadruped_xml
 
 from gauge_envs import load_experiment
@@ -14,6 +15,7 @@ from gauge_envs.backends import backend
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.bench.model_settings import COLUMNS, contact_pairs
 from gauge_envs.tools.sanity.itself.runs import start_data
+from gauge_envs.tools.sanity.model import Need
 from gauge_envs.tools.sanity.stacks import configuration
 from gauge_envs.tools.sanity.target_checks import control_row, gravity_row
 
@@ -214,6 +216,11 @@ def test_files_backends_and_objects(tmp_path):
     assert configuration(read) is read
     assert configuration("mujoco:out_of_box").settings == {"preset": "out_of_box"}
     assert configuration("mujoco").settings == {}
+    crate = ROOT / "examples" / "own_experiment" / "crate.toml"
+    assert configuration(crate).settings["preset"] == "contact"
+    pendulum = configuration("GAUGE/Pendulum-Limit-metal")
+    assert {Need.CONTACT, Need.REBOUND} <= {*pendulum.inapplicable}
+    assert Need.REBOUND not in configuration("CubeToss-acrylic").inapplicable
 
 
 def test_checks_of_a_model_start_in_the_state_of_its_data():
@@ -304,13 +311,7 @@ def arm(mesh="tetra.obj", geom='size=".1"', more=""):
             "<robot xmlns:xacro='x'><link name='b'><inertial><mass value='${m}'/></inertial></link></robot>",
             r"run xacro a\.urdf > robot\.urdf",
         ),
-        ("a.toml", "backend = 'mujoco'\nsetings = {}", "setings: unknown key; keys:"),
         ("a.toml", 'backend = "mujoco"\n[settings]\ncone = "round"', "given: 'round'"),
-        (
-            "a.json",
-            '{"sim": {"dt": []}, "rigid": {}}',
-            "sim.dt is .., and a number",
-        ),
     ],
 )
 def test_a_file_that_cannot_be_read_names_the_line_and_what_to_do(
@@ -333,6 +334,7 @@ def test_a_file_that_cannot_be_read_names_the_line_and_what_to_do(
     [
         ("Nope-v1", r"'Nope-v1': gymnasium.make fails: .*Nope.*; give a Gymnasium id"),
         ("CartPole-v1", r"CartPole-v1 is .*, which has no MuJoCo model; give"),
+        ("a.usda", "a.usda: .* gauge run ID --asset a.usda"),
         ("nowhere.xml", "nowhere.xml: there is no such file"),
         (".", "has no params/env.yaml: give the file of a model"),
         (3, "int cannot be checked; give a Gymnasium id"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 from gauge_envs.errors import TargetError
@@ -9,8 +10,14 @@ from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.stacks import probe, settings
 from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
+from gauge_envs.tools.sanity.stacks.documents import file_value
 from gauge_envs.tools.sanity.stacks.genesis import GENESIS
-from gauge_envs.tools.sanity.stacks.gymnasium_env import Target, read_id, read_object
+from gauge_envs.tools.sanity.stacks.gymnasium_env import (
+    Target,
+    read_id,
+    read_object,
+    read_task,
+)
 from gauge_envs.tools.sanity.stacks.isaac_lab import (
     ISAAC_LAB,
     ISAAC_LAB_3,
@@ -22,10 +29,27 @@ from gauge_envs.tools.sanity.stacks.mjcf import MJCF, GeomPair, read_model_file
 
 __all__ = ["Dialect", "configuration", "dialect"]
 
+
+def _read_toml(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
+    """Return the configuration of a settings file or a task file."""
+    values = file_value(path, tomllib.loads)
+    if "family" in values:
+        return read_task(path)
+    return settings.read_settings(path, values)
+
+
+def _read_usd(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
+    """Raise an error that names the command for a USD layer."""
+    raise TargetError(
+        f"{path}: a USD layer has no settings of a solver: gauge run ID --asset {path.name} simulates it"
+    )
+
+
 READERS = {
     **dict.fromkeys((".xml", ".mjcf", ".urdf"), read_model_file),
     **dict.fromkeys((".yaml", ".yml"), read_file),
-    ".toml": settings.read_file,
+    **dict.fromkeys((".usd", ".usda", ".usdc"), _read_usd),
+    ".toml": _read_toml,
     ".json": probe.read_file,
 }
 """Function that reads a file, by its suffix."""
@@ -44,6 +68,7 @@ def configuration(
             a Gymnasium id (`HalfCheetah-v5`) whose environment has a `mujoco.MjModel` as `unwrapped.model`;
             an id of this suite, with its own settings;
             a model file that MuJoCo reads;
+            a task file of an experiment;
             a settings file: `backend`, optionally `preset`, and a table `settings`;
             a backend, with or without a preset (`mujoco:out_of_box`, `newton`);
             the `params/env.yaml` of a training run with Isaac Lab, or the folder of the run;

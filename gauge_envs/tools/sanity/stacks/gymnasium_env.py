@@ -11,9 +11,15 @@ import mujoco
 import numpy as np
 
 from gauge_envs.backends import Simulation
-from gauge_envs.errors import MissingExtraError, TargetError
-from gauge_envs.experiments.variants import variants
-from gauge_envs.tools.sanity.model import WARNED, Settings, TrainingConfiguration
+from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.errors import MissingExtraError, NoRewardWarning, TargetError
+from gauge_envs.scene import ContactMode
+from gauge_envs.tools.sanity.model import (
+    WARNED,
+    Need,
+    Settings,
+    TrainingConfiguration,
+)
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.stacks.mjcf import GeomPair, model_name, read_model
@@ -54,10 +60,11 @@ def read_object(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
 
 def read_id(name: str, pair: GeomPair | None) -> TrainingConfiguration:
     """Return the configuration of an environment by its id."""
-    suite_ids = {variant.name: variant.id for variant in variants()}
+    suite_id = f"GAUGE/{name}"
     try:
-        with mujoco_warnings() as warned:
-            env = gymnasium.make(suite_ids.get(name, name))
+        with mujoco_warnings() as warned, warnings.catch_warnings():
+            warnings.simplefilter("ignore", NoRewardWarning)
+            env = gymnasium.make(suite_id if suite_id in gymnasium.registry else name)
     except Exception as error:  # Other environments raise exceptions of any kind.
         if isinstance(error, ImportError) and error.name in UNDECLARED:
             raise MissingExtraError(name, "sanity", error) from error
@@ -73,6 +80,12 @@ def read_id(name: str, pair: GeomPair | None) -> TrainingConfiguration:
     return replace(read, notes=(*notes, *read.notes))
 
 
+def read_task(path: Path) -> TrainingConfiguration:
+    """Return the configuration of an experiment by its task file: the settings of its scene."""
+    with closing(GaugeEnv(str(path))) as env:
+        return _read_env(env, path.name, None)
+
+
 def _read_env(
     env: gymnasium.Env, name: str, pair: GeomPair | None
 ) -> TrainingConfiguration:
@@ -82,12 +95,19 @@ def _read_env(
     if isinstance(simulation, Simulation):
         settings = dict(simulation.settings)
         settings.pop("drive_interval_s", None)
+        contacts = inner.experiment.scene.contacts
+        inapplicable = {}
+        if not contacts:
+            inapplicable[Need.CONTACT] = "nothing touches in its scene"
+        if all(contact.mode is ContactMode.SUSTAINED for contact in contacts):
+            inapplicable[Need.REBOUND] = "nothing rebounds in its scene"
         return TrainingConfiguration(
             name=name,
             source="environment of this suite",
             backend=inner.arguments.backend,
             settings=settings,
             origins=dict.fromkeys(settings, f"settings of {name}"),
+            inapplicable=inapplicable,
         )
     model = getattr(inner, "model", None)
     if not isinstance(model, mujoco.MjModel):

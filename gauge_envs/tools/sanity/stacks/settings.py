@@ -8,7 +8,6 @@ from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.tools.sanity.model import Need, TrainingConfiguration
 from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import SettingOrigins, Table
-from gauge_envs.tools.sanity.stacks.documents import file_value
 
 KEYS = ("backend", "preset", "settings")
 
@@ -51,13 +50,6 @@ def checked_configuration(
         inapplicable=reasons,
         **attributes,
     )
-
-
-def read_file(path: Path, pair: object = None) -> TrainingConfiguration:
-    """Return the configuration of a settings file in TOML."""
-    import tomllib
-
-    return read_settings(path, file_value(path, tomllib.loads))
 
 
 def read_settings(path: Path, values: Any) -> TrainingConfiguration:
