@@ -151,15 +151,18 @@ class Experiment:
     @property
     def unused_restitution(self) -> str:
         """The sentence that a restitution of the user has no effect, because its contact is sustained; else empty."""
-        is_given = any(name.endswith(".restitution") for name in self.overrides)
-        is_users = is_given or self.edited or self.variant in user_variants()
-        if not is_users or self.model_file is not None:
+        if self.model_file is not None:
             return ""
+        changes = self.asset.changes if self.asset else ()
+        is_users = any("restitution" in change for change in changes)
+        is_users |= self.variant in user_variants()
+        given = [v for k, v in self.overrides.items() if k.endswith(".restitution")]
         pairs = [
             f"{contact.first[0]}/{contact.second[-1]} {contact.restitution:g}"
             for contact in self.scene.contacts
             if contact.mode is ContactMode.SUSTAINED
             and contact.restitution
+            and (is_users or contact.restitution in given)
             and contact.first
             and contact.second
         ]

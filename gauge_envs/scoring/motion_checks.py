@@ -194,7 +194,7 @@ def _held_to_end(
         moves = np.linalg.norm(np.diff(path, axis=0), axis=1)
         moving = np.flatnonzero(moves > 1e-9 * (1.0 + np.abs(path).max()))
         start = int(moving[-1]) + 1 if moving.size else 0
-        is_abrupt = start > 1 and moves[start - 1] > 0.5 * moves[start - 2]
+        is_abrupt = start > 1 and moves[start - 1] > 0.6 * moves[start - 2]
         if not is_abrupt or band.known[start:].sum() < MIN_HELD_FRAMES:
             continue
         real = reference[:, owners == owner]

@@ -34,7 +34,7 @@ from gauge_envs.tools.sanity.model import (
 from gauge_envs.tools.sanity.phenomena import GRASP, phenomenon
 from gauge_envs.tools.sanity.robot.joints import unstated
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
-from gauge_envs.tools.sanity.scenario import Scenario, run_scenario
+from gauge_envs.tools.sanity.scenario import Scenario, effective_settings, run_scenario
 from gauge_envs.tools.sanity.selection import TARGET_IDS, selection
 from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
 from gauge_envs.tools.sanity.target_checks import target_rows
@@ -146,10 +146,10 @@ def force_notes(
 ) -> list[str]:
     """Return a note where the peak force of an impact depends on the step; no note where it cannot be measured."""
     settings = next(iter(configuration.contact_sets.values()), {})
-    step_s = settings.get("timestep_s")
-    if step_s is None or Need.CONTACT in configuration.inapplicable:
+    effective = measurements.outcome(effective_settings, IMPACT, settings)
+    if isinstance(effective, Measured) or Need.CONTACT in configuration.inapplicable:
         return []
-    peaks_n = []
+    peaks_n, step_s = [], effective["timestep_s"]
     for timestep_s in (step_s, 0.1 * step_s):
         changed = {**settings, "timestep_s": timestep_s}
         rollout = measurements.outcome(run_scenario, IMPACT, changed)
