@@ -19,6 +19,7 @@ from scripts import (
     build_conformance,
     build_coverage,
     build_environments,
+    build_surface,
     test_matrix,
 )
 from scripts.generated import ROOT, same_text
@@ -27,6 +28,7 @@ PAGES: Mapping[str, Callable[[], Mapping[Path, str]]] = {
     "conformance": build_conformance.contents,
     "coverage": build_coverage.contents,
     "environments": build_environments.contents,
+    "surface": build_surface.contents,
 }
 """Builders that return their files with the text of each, in seconds."""
 

@@ -159,19 +159,47 @@ def test_a_wrong_list_is_rejected_before_anything_runs(broken, tmp_path, text, m
     assert message in joined(result.stderr)
 
 
-def test_checks_are_tests_of_pytest(tmp_path):
+@pytest.fixture
+def failed_tests(tmp_path):
+    """Return a function: messages of the failed tests by name, of pytest with an option of the plug-in."""
+
+    def run(option, file):
+        # The entry point may be that of another installed version.
+        options = "-p no:gauge_pytest -p gauge_envs.pytest_plugin -p no:cacheprovider"
+        options += " --junitxml out.xml --gauge-engine mujoco"
+        command = [sys.executable, "-m", "pytest", *options.split(), option, file]
+        command += ["-k", "start- or time"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)
+        assert done.returncode == 1, done.stdout
+        cases = list(ElementTree.parse(tmp_path / "out.xml").iter("testcase"))
+        assert len(cases) > 2
+        failures = {case.get("name"): case.find("failure") for case in cases}
+        return {
+            name: failure.get("message")
+            for name, failure in failures.items()
+            if failure is not None
+        }
+
+    return run
+
+
+def test_checks_are_tests_of_pytest(failed_tests, tmp_path):
     known = 'time = { measured = 2.0, reason = "late" }\n[unsupported]\n"*" = "any"\n'
     (tmp_path / "known.toml").write_text(known)
-    # The entry point may be that of another installed version.
-    options = "-p no:gauge_pytest -p gauge_envs.pytest_plugin -p no:cacheprovider --junitxml out.xml"
-    options += " --gauge-engine mujoco --gauge-expected known.toml"
-    command = [sys.executable, "-m", "pytest", *options.split(), "-k", "start- or time"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)
-    assert done.returncode == 1, done.stdout
-    cases = ElementTree.parse(tmp_path / "out.xml").iter("testcase")
-    failures = {case.get("name"): case.find("failure") for case in cases}
-    assert failures["start-position"] is None
-    assert "listed as failing (late)" in failures["time"].get("message")
+    failures = failed_tests("--gauge-expected", "known.toml")
+    assert [*failures] == ["time"]
+    assert "listed as failing (late)" in failures["time"]
+
+
+def test_a_value_that_moved_since_the_baseline_fails(failed_tests, tmp_path, column):
+    earlier = replace(column, name="default", results={})
+    list(run_column(earlier, ["start-*", "time"], None))
+    result = earlier.results["time"]
+    earlier.results["time"] = replace(result, measured=result.measured + 2.0)
+    write_columns([earlier], tmp_path / "before.json")
+    failures = failed_tests("--gauge-baseline", "before.json")
+    assert [*failures] == ["time"]
+    assert "moved: pass" in failures["time"]
 
 
 # --- columns ---------------------------------------------------------------------------------------------------------
