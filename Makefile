@@ -10,7 +10,7 @@ PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
 # A slide and a rebound against real trials, a row of balls that engines fail, and two closed forms that they solve.
 DEMO := SlopeSlider-2-wood BouncingBall-rubber NewtonsCradle-metal Pendulum-metal Turntable-1-wood
 
-.PHONY: demo check test slow build bench docs
+.PHONY: demo check test slow build bench docs release
 
 demo: $(VENV)/.runs
 	$(BIN)/gauge run $(DEMO) --out results
@@ -47,6 +47,11 @@ bench: $(VENV)/.installed
 	$(BIN)/pip install --quiet -e ".[bench]"
 	$(BIN)/python benchmarks/table.py
 	$(BIN)/python benchmarks/import_memory.py --trials 100
+
+# Archives, their contents, and the wheel on the lowest and the highest Python.
+release: $(VENV)/.installed
+	$(BIN)/pip install --quiet twine
+	$(BIN)/python -m scripts release
 
 docs: $(VENV)/.runs
 	$(BIN)/pip install --quiet -e ".[docs]"

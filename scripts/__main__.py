@@ -3,6 +3,7 @@
 python -m scripts build               writes the generated pages, after a task or an engine has changed
 python -m scripts build NAME ...      writes those of some builders, as `assets`, `pictures` and `cheat_sheet`
 python -m scripts matrix ENTRY ...    tests the wheel on several versions of Python
+python -m scripts release             rehearses a release
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from scripts import (
     build_coverage,
     build_environments,
     build_surface,
+    release,
     test_matrix,
 )
 from scripts.generated import ROOT, same_text
@@ -72,6 +74,7 @@ def parser() -> argparse.ArgumentParser:
         required=True,
         help="those that pass with the lowest MuJoCo",
     )
+    commands.add_parser("release", help="rehearse a release")
     return result
 
 
@@ -80,6 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     if options.command == "matrix":
         return test_matrix.main(options.entries, options.tests, options.rigid_tests)
+    if options.command == "release":
+        return release.main()
     build(options.names or list(PAGES))
     return 0
 

@@ -69,7 +69,7 @@ def interpreter(version: str) -> str:
 
 def build_wheel(out: Path) -> Path:
     """Build the wheel of this checkout into a folder."""
-    _run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "-o", out, ROOT)
+    run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "-o", out, ROOT)
     return next(out.glob("*.whl"))
 
 
@@ -93,7 +93,7 @@ def make_environment(
     Returns:
         The folder of the environment's commands.
     """
-    _run(python, "-m", "venv", folder)
+    run(python, "-m", "venv", folder)
     chosen = f"{wheel}[{','.join(extras)}]" if extras else str(wheel)
     bounds = folder / "constraints.txt"
     lines = constraints(PYPROJECT, extras) if lowest else []
@@ -104,7 +104,7 @@ def make_environment(
 
 def _pip(commands: Path, *words: str | Path) -> None:
     action, *rest = words
-    _run(commands / "python", "-m", "pip", action, "--quiet", *rest)
+    run(commands / "python", "-m", "pip", action, "--quiet", *rest)
 
 
 def _variables() -> dict[str, str]:
@@ -119,7 +119,12 @@ def _variables() -> dict[str, str]:
     }
 
 
-def _run(*words: str | Path) -> str:
+def run(*words: str | Path) -> str:
+    """Return the output of a command.
+
+    Raises:
+        SystemExit: The command failed.
+    """
     command = [str(word) for word in words]
     done = subprocess.run(
         command, capture_output=True, text=True, check=False, env=_variables()
@@ -132,7 +137,7 @@ def _run(*words: str | Path) -> str:
 def _check(commands: Path) -> None:
     """Run the conformance checks of MuJoCo; end where others than the expected ones fail."""
     program = "from importlib.metadata import version; print(version('mujoco'))"
-    release = _run(commands / "python", "-I", "-c", program)
+    release = run(commands / "python", "-I", "-c", program)
     print(f"MuJoCo {release}", flush=True)
     command = [commands / "gauge", "backend", "check", "mujoco", "--format", "json"]
     done = subprocess.run(

@@ -1,6 +1,6 @@
-"""Control tasks of gauge-envs for LeRobot's EnvHub: `make_env("OWNER/gauge-envs", n_envs=4, trust_remote_code=True)`.
+"""Control tasks of gauge-envs for LeRobot's EnvHub, as `make_env("OWNER/gauge-envs", trust_remote_code=True)`.
 
-Each task has a maximum that follows from a law of physics. See https://arxiv.org/abs/2608.05948 for the measured constants.
+Each task has a maximum that follows from a law of physics and from measured constants.
 """
 
 from __future__ import annotations
@@ -9,9 +9,7 @@ from fnmatch import fnmatchcase
 from functools import partial
 from typing import Any
 
-import gauge_envs
 import gymnasium as gym
-from gauge_envs.tools.control import control_tasks
 from gymnasium.vector import (
     AsyncVectorEnv,
     AutoresetMode,
@@ -19,6 +17,9 @@ from gymnasium.vector import (
     VectorEnv,
 )
 from gymnasium.wrappers import AddRenderObservation
+
+import gauge_envs
+from gauge_envs.tools.control import control_tasks
 
 gym.register_envs(gauge_envs)
 
