@@ -4,9 +4,11 @@ The module of a task reads in the order of dm_control's suite: the numbers of th
 hooks of an episode in the order in which `reset` and `step` call them; and the policy of the law.
 """
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Any, ClassVar
 
 import gymnasium
@@ -17,15 +19,8 @@ from numpy.typing import NDArray
 from gauge_envs.envs.arguments import EnvArguments, checked_action
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.initial_states import SEEDS, InitialStates, Scatter
-from gauge_envs.envs.limits import (
-    DISTANCE_LIMIT_M,
-    SPEED_LIMIT_M_PER_S,
-    SPIN_LIMIT_RAD_PER_S,
-    diverged_bodies,
-    diverged_nodes,
-    spans_m,
-)
-from gauge_envs.envs.pictures import Pictures, Rendered
+from gauge_envs.envs.limits import diverged_bodies, diverged_nodes, spans_m
+from gauge_envs.envs.pictures import Pictures, Rendered, rollout_picture
 from gauge_envs.envs.rollout import intervals
 from gauge_envs.errors import EpisodeError, ParameterError
 from gauge_envs.experiments.resolve import load_experiment
@@ -33,22 +28,82 @@ from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.jitter import Jitter, perturbed_states
 from gauge_envs.scene.states import scene_at
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
-from gauge_envs.tools.control.limit import FAILED, Ending, Limit, LimitReport
+from gauge_envs.tools.control.ids import FAMILIES
 from gauge_envs.tools.control.stage import Stage
-from gauge_envs.tools.control.tasks import FAMILIES
 
-BOUNDS: Mapping[str, float] = {
-    "_m_per_s": 2.0 * SPEED_LIMIT_M_PER_S,
-    "_rad_per_s": SPIN_LIMIT_RAD_PER_S,
-    "_m": 2.0 * DISTANCE_LIMIT_M,
-    "_rad": 100.0,
-    "_s": 10.0,
-    "": 1e4,
-}
-"""Bounds on the absolute values of observations, by the ends of their names. Only diverged episodes reach them."""
+MAX_OBSERVATION = 1e5
+"""Bound on the absolute values of observations [SI units]. Only diverged episodes come near it."""
+
+
+class Ending(StrEnum):
+    """How an episode of a control task ended."""
+
+    HELD = "held"
+    """The last frame is reached and the cube has not slipped."""
+    SLIPPED = "slipped"
+    """The cube moved on its carrier."""
+    REACHED = "reached"
+    """The ball was at its height, or the cube came to rest at its goal."""
+    MISSED = "missed"
+    """The last frame is reached, and the ball or the cube has not reached its goal."""
+    LOST = "lost"
+    """The ball or the cube can no longer reach its goal."""
+    DIVERGED = "diverged"
+    """The simulation diverged."""
+
+
+FAILED = (Ending.MISSED, Ending.LOST, Ending.DIVERGED)
+"""Endings of episodes without a result."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """The best that a law allows.
+
+    Attributes:
+        quantity: The limited quantity, in words.
+        unit: Its unit; `1` for a ratio.
+        law: The law, in words and symbols.
+        sigma_source: Source of the uncertainty.
+        value: The limit, with the constants of the scene.
+        sigma: Its standard uncertainty, from the uncertainty of the measured constants.
+    """
+
+    quantity: str
+    unit: str = "1"
+    law: str
+    sigma_source: str
+    value: float = math.nan
+    sigma: float = math.nan
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitReport:
+    """Result of a policy in an episode, and the limit of the law.
+
+    Attributes:
+        limit: The best that the law allows.
+        reached: Value that the policy reached, in the limit's unit; 0 if the episode failed.
+        ending: How the episode ended.
+        time_s: Time of the ending [s].
+    """
+
+    limit: Limit
+    reached: float
+    ending: Ending
+    time_s: float
+
+    @property
+    def ratio(self) -> float:
+        """Reached over the limit; above 1 the policy exploits an error of the simulator."""
+        return self.reached / self.limit.value
+
+    @property
+    def z(self) -> float:
+        """Reached minus the limit, in standard uncertainties of the limit."""
+        return (self.reached - self.limit.value) / self.limit.sigma
 
 
 class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
@@ -77,13 +132,11 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
 
     Attributes:
         SCENE: Variant whose scene the task uses, without its material, as `Turntable-1`.
-        QUANTITY: The quantity that the law limits, in words.
-        UNIT: Its unit; `1` for a ratio.
-        LAW: The law, in words and symbols.
-        SIGMA_SOURCE: Source of the limit's uncertainty.
+        LIMIT: Quantity, law and source of the uncertainty, without numbers.
         FAMILY: Name of the task without its material, in `FAMILIES`.
         MUJOCO_TIMESTEPS_S: Time steps of the task in MuJoCo [s] by preset, in place of the preset's time step;
             studies/steps has the rule that chose them.
+        PARAMETERS: Constants that the task changes, such as the initial pose of a body.
         CAMERA: Entries of the camera that show the whole workspace of the actions; empty for the scene's camera.
         COMMANDED: Names of the action's entries.
         OBSERVED: Names of the observation's entries, with units.
@@ -93,9 +146,8 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         calibrated: The scene of the experiment with its calibrated constants, before the task changes it.
         gravity_m_per_s2: Gravity of the scene.
         limit: The best that the law allows.
-        simulation: The simulation, of one world.
-        moving: Names of the bodies that move.
-        rest_nodes_m: Nodes of each deformable body at the nominal start [m], shape [node_count, 3], by name.
+        rollout: The episode in one world.
+        simulation: The simulation of this world.
 
     Example:
         >>> import gymnasium as gym, gauge_envs
@@ -113,12 +165,10 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
     metadata = GaugeEnv.metadata
 
     SCENE: ClassVar[str]
-    QUANTITY: ClassVar[str]
-    UNIT: ClassVar[str] = "1"
-    LAW: ClassVar[str]
-    SIGMA_SOURCE: ClassVar[str]
+    LIMIT: ClassVar[Limit]
     FAMILY: ClassVar[str]
     MUJOCO_TIMESTEPS_S: ClassVar[Mapping[str, float]] = {}
+    PARAMETERS: ClassVar[Mapping[str, Any]] = {}
     CAMERA: ClassVar[Mapping[str, Any]] = {}
     COMMANDED: ClassVar[tuple[str, ...]]
     OBSERVED: ClassVar[tuple[str, ...]]
@@ -142,6 +192,9 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         self._pictures = Pictures(render_mode, width=width, height=height, camera=view)
         self._variant = find_variant(f"{self.SCENE}-{material}")
         self.calibrated = load_experiment(self._variant).scene
+        if self.PARAMETERS:
+            overrides = load_experiment(self._variant, parameters).overrides
+            parameters = {**overrides, **self.PARAMETERS}
         settings = settings or {}
         preset = settings.get("preset", "default")
         if backend == "mujoco" and preset in self.MUJOCO_TIMESTEPS_S:
@@ -149,7 +202,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         self.arguments = EnvArguments(
             self._variant,
             backend=backend,
-            parameters=self._start_parameters(parameters),
+            parameters=parameters,
             settings=settings or None,
             # Driven bodies have no motion of their own.
             drivers="action",
@@ -159,17 +212,16 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         self.experiment = replace(experiment, scene=scene, frame_count=self.steps + 1)
         self.gravity_m_per_s2 = scene.gravity_m_per_s2
         self._initial_states = InitialStates(self.experiment, jitter)
-        self.simulation = self.arguments.simulation([self.experiment])
-        self.moving = [
-            body.name for body in scene.bodies if body.motion is not Motion.FIXED
-        ]
-        self.rest_nodes_m = self.nodes_m()
+        self.rollout = self.arguments.rollout([self.experiment], [None])
+        self.simulation = self.rollout.simulation
         self._frame: int | None = None
         self._ending: Ending | None = None
         self._observations: list[FloatArray] = []
         self._start_from(scene)
-        bounds = np.array([_bound(name) for name in self.OBSERVED])
-        self.observation_space = spaces.Box(-bounds, bounds, dtype=np.float64)
+        shape = (len(self.OBSERVED),)
+        self.observation_space = spaces.Box(
+            -MAX_OBSERVATION, MAX_OBSERVATION, shape, np.float64
+        )
         # Learners act in single precision.
         self.action_space = spaces.Box(-1.0, 1.0, (len(self.COMMANDED),), np.float32)
 
@@ -177,10 +229,6 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
 
     _stage: Stage | None = None
     """The body that actions accelerate, or None."""
-
-    def _start_parameters(self, parameters: Parameters) -> Parameters:
-        """Return the parameters, with the initial state of the task if it differs from the experiment."""
-        return parameters
 
     def _scene(self, scene: Scene) -> Scene:
         """Return the scene of the task, from the experiment's scene, in which driven bodies rest without actions."""
@@ -190,12 +238,15 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """Move bodies of the task along with changed initial states, shape [body_count, 13]."""
 
     @abstractmethod
-    def _prepare(self, scene: Scene) -> None:
-        """Compute the constants of all episodes with the same initial state, from the scene with this state."""
+    def _prepare(self, scene: Scene) -> tuple[float, float]:
+        """Compute the constants of all episodes with the same initial state.
 
-    @abstractmethod
-    def _limit(self) -> tuple[float, float]:
-        """Return the largest value that the law allows, and its standard uncertainty."""
+        Args:
+            scene: The scene with this state.
+
+        Returns:
+            The largest value that the law allows, and its standard uncertainty.
+        """
 
     # --- hooks: an episode ---
 
@@ -272,14 +323,14 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
             raise ParameterError(
                 f"reset of {self.FAMILY} has no option 'trial': its episodes are no recorded trials"
             )
-        scene, states = self.experiment.scene, None
-        if isinstance(draw, Jitter):
+        scene, start = self.experiment.scene, None
+        if draw is not None:
             start_seed = int(self.np_random.integers(SEEDS))
-            states = perturbed_states(scene, draw, seed=start_seed)
-            self._follow(states)
-            scene, states = scene_at(scene, states), states[None]
+            start = self._initial_states.sample(draw, start_seed)
+            self._follow(start.states)
+            scene = scene_at(scene, start.states)
         self._start_from(scene)
-        self.simulation.reset(states, seed or 0)
+        self.rollout.reset(start and [start], seed or 0)
         self._frame, self._ending = 0, None
         self._begin()
         self._rewarded = self._total_reward()
@@ -288,16 +339,8 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
 
     def _start_from(self, scene: Scene) -> None:
         """Prepare the task and its limit for the initial state of a scene."""
-        self._prepare(scene)
-        value, sigma = self._limit()
-        self.limit = Limit(
-            quantity=self.QUANTITY,
-            unit=self.UNIT,
-            value=value,
-            sigma=sigma,
-            law=self.LAW,
-            sigma_source=self.SIGMA_SOURCE,
-        )
+        value, sigma = self._prepare(scene)
+        self.limit = replace(self.LIMIT, value=value, sigma=sigma)
 
     def step(self, action: Any) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
         """Simulate one frame, 1/30 s, or less if the episode ends within it.
@@ -351,9 +394,9 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
 
     def _divergence(self) -> str | None:
         """Return why the simulation counts as diverged, the engine's reason first, or None."""
-        states = self.simulation.body_states(self.moving)
-        reasons = diverged_bodies(self.moving, states)
-        for name, rest_m in self.rest_nodes_m.items():
+        moving = [*self.rollout.poses()]
+        reasons = diverged_bodies(moving, self.simulation.body_states(moving))
+        for name, rest_m in self.rollout.rest_nodes_m.items():
             span_m = float(spans_m(rest_m[None])[0])
             reasons |= diverged_nodes(name, self.simulation.nodes(name), span_m)
         return (reasons | dict(self.simulation.diverged())).get(0)
@@ -391,30 +434,74 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """Return the state of a rigid body, shape [13]."""
         return self.simulation.body_states((name,))[0, 0]
 
-    def nodes_m(self) -> dict[str, FloatArray]:
-        """Return the current nodes of each deformable body [m], shape [node_count, 3], by name."""
-        return {
-            body.name: self.simulation.nodes(body.name)[0].copy()
-            for body in self.experiment.scene.deformables
-        }
-
-    def moving_poses(self) -> dict[str, FloatArray]:
-        """Return position [m] and quaternion of each body that moves, shape [7], by name."""
-        states = self.simulation.body_states(self.moving)[0]
-        return dict(zip(self.moving, states[:, :7], strict=True))
-
     def render(self) -> Rendered | None:
         """Return a picture of the scene in the form of the render mode; None without one, and with a window."""
         if self.render_mode is None:
             return None
-        return self._pictures.draw(
-            self.experiment,
-            self.rest_nodes_m,
-            poses=self.moving_poses(),
-            nodes_m=self.nodes_m(),
+        return rollout_picture(self._pictures, self.rollout)
+
+
+# --- episodes of policies ---
+
+Policy = Callable[[FloatArray], NDArray[np.floating]]
+"""Function that returns an action, shape [len(COMMANDED)], for an observation."""
+
+
+def play(env: ControlEnv, policy: Policy, *, seed: int = 0) -> LimitReport:
+    """Run one episode and return its report; see `play_paid`."""
+    return play_paid(env, policy, seed=seed)[1]
+
+
+def play_paid(
+    env: ControlEnv, policy: Policy, *, seed: int = 0
+) -> tuple[float, LimitReport]:
+    """Run one episode and return the sum of its rewards and its report.
+
+    Args:
+        env: The task, without wrappers; it then holds the episode's trajectory.
+        policy: The policy.
+        seed: Seed of the reset, which draws the goal of a task with a goal.
+    """
+    observation, _ = env.reset(seed=seed)
+    paid = 0.0
+    while not env.is_over:
+        observation, reward, *_ = env.step(policy(observation))
+        paid += reward
+    return paid, env.report()
+
+
+def engine_limit(
+    env: ControlEnv,
+    *,
+    bounds: tuple[float, float] = (0.2, 1.5),
+    resolution: float = 0.002,
+) -> float:
+    """Return the largest share of the law's limit that the law's policy can use in the engine, by bisection.
+
+    It is 1 in an engine that obeys the law. Above 1 the engine allows more than reality.
+
+    Args:
+        env: The task, without wrappers.
+        bounds: A share of the limit with which the policy succeeds, and a share with which it fails.
+        resolution: Largest width of the last interval; the result is its middle.
+
+    Raises:
+        ParameterError: The policy fails with the lower bound, or succeeds with the upper bound.
+    """
+    low, high = bounds
+
+    def succeeds(share: float) -> bool:
+        report = play(env, lambda _: env.law_action(share))
+        return report.ending in (Ending.HELD, Ending.REACHED)
+
+    if not succeeds(low) or succeeds(high):
+        raise ParameterError(
+            f"{env.FAMILY}: the law's policy must succeed with {low} of the limit and fail with {high}"
         )
-
-
-def _bound(name: str) -> float:
-    """Return the bound on an entry of an observation."""
-    return next(bound for end, bound in BOUNDS.items() if name.endswith(end))
+    while high - low > resolution:
+        middle = 0.5 * (low + high)
+        if succeeds(middle):
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)

@@ -9,8 +9,7 @@ from gauge_envs.scene import Cloth, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.profiles import CosineProfile
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.control.env import ControlEnv
-from gauge_envs.tools.control.limit import Ending
+from gauge_envs.tools.control.env import ControlEnv, Ending, Limit
 from gauge_envs.tools.control.stage import FRAME_S, Stage
 
 SPEED_SIGMA = 0.05 / 0.67
@@ -49,11 +48,11 @@ class FlingLimit(ControlEnv):
     """
 
     SCENE = "TextileFlinging"
-    QUANTITY = "rise of the centre of mass"
-    UNIT = "m"
-    LAW = "relative to the rod, sqrt(2 E / M) grows by |dv| at most, so g h <= U^2 / 2; U is the sum of all |dv|"
-    SIGMA_SOURCE = (
-        "the rod's largest speed in the recording, half of U: 0.67 +- 0.05 m/s"
+    LIMIT = Limit(
+        quantity="rise of the centre of mass",
+        unit="m",
+        law="relative to the rod, sqrt(2 E / M) grows by |dv| at most, so g h <= U^2 / 2; U is the sum of all |dv|",
+        sigma_source="the rod's largest speed in the recording, half of U: 0.67 +- 0.05 m/s",
     )
     FAMILY = "Fling"
     """Time of an episode; the law's policy takes 2.7 s."""
@@ -71,7 +70,7 @@ class FlingLimit(ControlEnv):
 
     # --- scene and limit ---
 
-    def _prepare(self, scene: Scene) -> None:
+    def _prepare(self, scene: Scene) -> tuple[float, float]:
         (recorded,) = self.calibrated.drivers[0].motions[0].profiles
         (cloth,) = scene.deformables
         assert isinstance(recorded, CosineProfile) and isinstance(cloth, Cloth)
@@ -88,9 +87,7 @@ class FlingLimit(ControlEnv):
             strokes=(self._stroke_m,),
             speed_change=self._speed_m_per_s,
         )
-        self._weights = place_weights(cloth, self.rest_nodes_m[cloth.name])
-
-    def _limit(self) -> tuple[float, float]:
+        self._weights = place_weights(cloth, self.rollout.rest_nodes_m[cloth.name])
         value = 0.5 * self._speed_m_per_s**2 / self.gravity_m_per_s2
         return value, 2.0 * SPEED_SIGMA * value
 
@@ -104,7 +101,7 @@ class FlingLimit(ControlEnv):
 
     def _seen_m(self) -> FloatArray:
         """Return y and z of centre and lines relative to the rod [m], shape [1 + line_count, 2]."""
-        (nodes_m,) = self.nodes_m().values()
+        (nodes_m,) = self.rollout.nodes_m().values()
         return (self._weights @ nodes_m)[:, 1:] - [self._stage.offset[0], 0.0]
 
     def _after_interval(self) -> Ending | None:

@@ -14,8 +14,7 @@ from gauge_envs.scene.geometry import (
     unit_quaternions,
 )
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
-from gauge_envs.tools.control.env import ControlEnv
-from gauge_envs.tools.control.limit import Ending
+from gauge_envs.tools.control.env import ControlEnv, Ending, Limit
 from gauge_envs.tools.control.stage import Stage
 
 CUBE = "cube"
@@ -54,17 +53,13 @@ class CubeLimit(ControlEnv):
     ACCELERATION: ClassVar[float]
     _stage: Stage
 
-    def _prepare(self, scene: Scene) -> None:
+    def _prepare(self, scene: Scene) -> tuple[float, float]:
         self._stage = Stage(scene, self.ACCELERATION)
-
-    def _limit(self) -> tuple[float, float]:
         # The first contact of each scene is the contact of the cube with the face below it. The uncertainty belongs to
         # the calibrated coefficient, also if an override replaces the coefficient.
-        value, calibrated = (
-            scene.contacts[0].friction
-            for scene in (self.experiment.scene, self.calibrated)
-        )
-        return value, friction_std(calibrated, self._variant.material)
+        calibrated = self.calibrated.contacts[0].friction
+        std = friction_std(calibrated, self._variant.material)
+        return scene.contacts[0].friction, std
 
 
 class FrictionLimit(CubeLimit):
@@ -97,7 +92,6 @@ class FrictionLimit(CubeLimit):
         **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
     """
 
-    QUANTITY = "friction used"
     COMMANDED = ("angular_acceleration",)
     OBSERVED = (
         "angle_rad",
@@ -108,12 +102,12 @@ class FrictionLimit(CubeLimit):
     )
     TIME_LIMIT_ENDING = Ending.HELD
 
-    def _prepare(self, scene: Scene) -> None:
-        super()._prepare(scene)
+    def _prepare(self, scene: Scene) -> tuple[float, float]:
         (rotation,) = scene.drivers[0].motions
         self._axis = np.array(rotation.axis)
         self._point_m = np.array(rotation.point_m)
         self._corners_m = scene.body(CUBE).shape.corners_m
+        return super()._prepare(scene)
 
     # --- episode ---
 
@@ -192,10 +186,11 @@ class TurntableLimit(FrictionLimit):
     """
 
     SCENE = "Turntable-1"
-    LAW = "sqrt((omega^2 r)^2 + (alpha r)^2) / g <= mu, so at a steady speed omega^2 r = mu g"
-    SIGMA_SOURCE = (
-        "relative uncertainty of the same cube's friction on the slope, from calibrated coefficients and 19 or 20 "
-        "trials by the same method; no trial shows where cubes slip on the turntable"
+    LIMIT = Limit(
+        quantity="friction used",
+        law="sqrt((omega^2 r)^2 + (alpha r)^2) / g <= mu, so at a steady speed omega^2 r = mu g",
+        sigma_source="relative uncertainty of the same cube's friction on the slope, from calibrated coefficients and 19 "
+        "or 20 trials by the same method; no trial shows where cubes slip on the turntable",
     )
     FAMILY = "Turntable"
     """Time of an episode: 1.2 s to the limit at full acceleration, and three times as long to hold it."""
@@ -222,10 +217,11 @@ class SlopeSliderLimit(FrictionLimit):
     """
 
     SCENE = "SlopeSlider-3"
-    LAW = "tan(theta) <= mu at rest; while the board accelerates, tangential over normal specific force <= mu"
-    SIGMA_SOURCE = (
-        "friction of the same cube on the same board in 19 or 20 real trials at 30 degrees: root mean square distance "
-        "from the calibrated coefficient"
+    LIMIT = Limit(
+        quantity="friction used",
+        law="tan(theta) <= mu at rest; while the board accelerates, tangential over normal specific force <= mu",
+        sigma_source="friction of the same cube on the same board in 19 or 20 real trials at 30 degrees: root mean "
+        "square distance from the calibrated coefficient",
     )
     FAMILY = "SlopeSlider"
     """Time of an episode: 1.0 s to the limit at full acceleration and braking, and 4 s to hold it."""

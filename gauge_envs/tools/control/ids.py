@@ -1,25 +1,73 @@
-"""The Gymnasium ids of the control tasks, for the registry."""
+"""The Gymnasium ids of the control tasks, for the registry. It imports no engine and no task."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import inspect
+from typing import TYPE_CHECKING, NamedTuple
 
+import gymnasium
 from gymnasium.envs import registration
-
-from gauge_envs.tools.control.tasks import control_tasks, find_control_task
 
 if TYPE_CHECKING:
     from gauge_envs.pages.document import Document
+
+CUBES = ("wood", "plastic", "metal")
+
+FAMILIES = {
+    "Turntable": ("friction:TurntableLimit", CUBES, 150),
+    "SlopeSlider": ("friction:SlopeSliderLimit", CUBES, 150),
+    "Pendulum": ("pendulum:PendulumLimit", ("metal",), 180),
+    "Carry": ("least_time:CarryLimit", CUBES, 90),
+    "Push": ("least_time:PushLimit", CUBES, 60),
+    "Throw": ("throw:ThrowLimit", ("rubber",), 90),
+    "Fling": ("fling:FlingLimit", ("satin",), 120),
+}
+"""Module and class of each family, its materials, and the steps of an episode, 30 a second.
+
+Registration reads them without the modules of the tasks.
+"""
+
+
+class ControlTask(NamedTuple):
+    """One registered control task.
+
+    Attributes:
+        family: Name without the material, as `Turntable`.
+        material: Material of the cube, the ball or the cloth.
+    """
+
+    family: str
+    material: str
+
+    @property
+    def name(self) -> str:
+        """Name, as `Turntable-Limit-wood`."""
+        return f"{self.family}-Limit-{self.material}"
+
+    @property
+    def id(self) -> str:
+        """Gymnasium id."""
+        return f"GAUGE/{self.name}"
+
+
+def control_tasks() -> tuple[ControlTask, ...]:
+    """Return all control tasks; `gauge_envs.variants` does not list them."""
+    return tuple(
+        ControlTask(family, material)
+        for family, (_, materials, _) in FAMILIES.items()
+        for material in materials
+    )
 
 
 def register() -> None:
     """Register every control task with Gymnasium; `import gauge_envs` calls this."""
     for task in control_tasks():
+        entry_point, _, episode_steps = FAMILIES[task.family]
         if task.id not in registration.registry:
             registration.register(
                 id=task.id,
-                entry_point=task.entry_point,
-                max_episode_steps=task.episode_steps,
+                entry_point=f"gauge_envs.tools.control.{entry_point}",
+                max_episode_steps=episode_steps,
                 kwargs={"material": task.material},
             )
 
@@ -31,14 +79,46 @@ def names() -> tuple[str, ...]:
 
 def summary() -> str:
     """Return the control tasks in a line."""
-    tasks = control_tasks()
-    families = dict.fromkeys(task.name.rpartition("-")[0] for task in tasks)
-    names = ", ".join(f"{family}-*" for family in families)
-    return f"Control tasks with a theoretical maximum reward: {names}"
+    families = ", ".join(f"{family}-Limit-*" for family in FAMILIES)
+    return f"Control tasks with a theoretical maximum reward: {families}"
 
 
 def document(name: str) -> Document:
-    """Return the page of a control task."""
-    from gauge_envs.tools.control.page import control_document
+    """Return the page of a control task, as text and as a JSON-ready object."""
+    from gauge_envs.files import json_ready
+    from gauge_envs.pages.document import Document, Heading, Paragraph, Tone
+    from gauge_envs.pages.table import Facts
+    from gauge_envs.pages.text import with_unit
+    from gauge_envs.tools.control.env import ControlEnv
 
-    return control_document(find_control_task(name))
+    env = gymnasium.make(f"GAUGE/{name}").unwrapped
+    assert isinstance(env, ControlEnv)
+    limit = env.limit
+    # The docstrings of the task and of the base that it shares with a similar task, without their arguments.
+    bases = [base for base in type(env).mro()[:2] if base is not ControlEnv]
+    texts = [(inspect.getdoc(base) or "").partition("\n\nArgs:")[0] for base in bases]
+    text = "\n\n".join(texts)
+    row = {
+        "id": f"GAUGE/{name}",
+        "scene": env.experiment.id,
+        "duration_s": env.duration_s,
+        "observed": env.OBSERVED,
+        "limit": vars(limit),
+        "task": text,
+    }
+    value = with_unit(f"{limit.value:.4g} +- {limit.sigma:.2g}", limit.unit)
+    facts = {
+        "scene": f"that of {env.experiment.id}, with the action instead of the driver",
+        "episode": f"{env.duration_s:g} s, one step is 1/30 s",
+        "observed": ", ".join(env.OBSERVED),
+        "law": limit.law,
+        "limit": f"{limit.quantity}: {value}",
+        "uncertainty": limit.sigma_source,
+    }
+    title = Paragraph(f"GAUGE/{name}  control task", Tone.ANSWER)
+    # Docstrings are wrapped at the width of the code.
+    paragraphs = (Paragraph(" ".join(part.split())) for part in text.split("\n\n"))
+    return Document(
+        parts=(title, Facts(facts), Heading("Task"), *paragraphs),
+        rows=[json_ready(row)],
+    )

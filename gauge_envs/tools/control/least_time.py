@@ -11,8 +11,8 @@ from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.states import row_of
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.tools.control.env import Ending, Limit
 from gauge_envs.tools.control.friction import CUBE, CubeLimit
-from gauge_envs.tools.control.limit import Ending
 from gauge_envs.tools.control.stage import (
     FRAME_S,
     X_AXIS,
@@ -85,7 +85,6 @@ class LeastTimeLimit(CubeLimit):
     DRIVEN: ClassVar[str]
     DISTANCE_M: ClassVar[float]
     MAX_ANGLE_RAD: ClassVar[float]
-    QUANTITY = "friction that the time needs"
     COMMANDED = ("acceleration_x", "acceleration_y")
     OBSERVED = (
         "to_goal_x_m",
@@ -206,10 +205,11 @@ class CarryLimit(LeastTimeLimit):
 
     SCENE = "Turntable-1"
     DRIVEN = "plate"
-    LAW = "the cube's acceleration is at most mu g, so 4 D / T^2 <= mu g from rest to rest"
-    SIGMA_SOURCE = (
-        "relative uncertainty of the same cube's friction on the slope, from 19 or 20 real trials; no trial shows "
-        "where cubes slip on the plate"
+    LIMIT = Limit(
+        quantity="friction that the time needs",
+        law="the cube's acceleration is at most mu g, so 4 D / T^2 <= mu g from rest to rest",
+        sigma_source="relative uncertainty of the same cube's friction on the slope, from 19 or 20 real trials; no trial "
+        "shows where cubes slip on the plate",
     )
     FAMILY = "Carry"
     """Time of an episode: four times the least time."""
@@ -291,10 +291,11 @@ class PushLimit(LeastTimeLimit):
 
     SCENE = "SlopeSlider-3"
     DRIVEN = PUSHER
-    LAW = "friction alone brakes the cube, so D <= mu g T^2 / 2 to rest"
-    SIGMA_SOURCE = (
-        "friction of the same cube on the same board in 19 or 20 real trials at 30 degrees: root mean square distance "
-        "from the calibrated coefficient"
+    LIMIT = Limit(
+        quantity="friction that the time needs",
+        law="friction alone brakes the cube, so D <= mu g T^2 / 2 to rest",
+        sigma_source="friction of the same cube on the same board in 19 or 20 real trials at 30 degrees: root mean "
+        "square distance from the calibrated coefficient",
     )
     FAMILY = "Push"
     """Time of an episode: five times the least time."""

@@ -5,12 +5,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.scene import Hinge, Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.control.env import ControlEnv
-from gauge_envs.tools.control.limit import Ending
+from gauge_envs.tools.control.env import ControlEnv, Ending, Limit
 from gauge_envs.tools.control.stage import FRAME_S
 
 BALL = "ball"
@@ -49,16 +46,17 @@ class PendulumLimit(ControlEnv):
     """
 
     SCENE = "Pendulum"
-    QUANTITY = "height over work"
-    UNIT = "m/J"
-    LAW = "W >= m g h, so h / W <= 1 / (m g)"
-    SIGMA_SOURCE = (
-        "length from the recorded period, 0.270 +- 0.004 m, "
-        "which gives the height at an angle; mass to 0.1 g"
+    LIMIT = Limit(
+        quantity="height over work",
+        unit="m/J",
+        law="W >= m g h, so h / W <= 1 / (m g)",
+        sigma_source="length from the recorded period, 0.270 +- 0.004 m, which gives the height at an angle; mass to 0.1 g",
     )
     FAMILY = "Pendulum"
     """Time of five full swings; at full torque three are enough."""
     MUJOCO_TIMESTEPS_S: ClassVar = {"default": 1 / 180, "training": 1 / 180}
+    PARAMETERS: ClassVar = {f"{BALL}.euler_deg": (0.0, 0.0, 0.0)}
+    """The ball hangs straight down at the start."""
     CAMERA: ClassVar = {"target_m": (0.37, 0.49, 0.3), "distance_m": 1.97}
     COMMANDED = ("torque",)
     OBSERVED = (
@@ -71,12 +69,7 @@ class PendulumLimit(ControlEnv):
 
     # --- scene and limit ---
 
-    def _start_parameters(self, parameters: Parameters) -> Parameters:
-        """Return the parameters, with the ball hanging straight down."""
-        overrides = load_experiment(self._variant, parameters).overrides
-        return {**overrides, f"{BALL}.euler_deg": (0.0, 0.0, 0.0)}
-
-    def _prepare(self, scene: Scene) -> None:
+    def _prepare(self, scene: Scene) -> tuple[float, float]:
         hinge, ball = scene.joints[0], scene.body(BALL)
         assert isinstance(hinge, Hinge) and isinstance(ball.shape, Sphere)
         length_m = math.dist(ball.pose.position_m, hinge.anchor_m)
@@ -94,11 +87,8 @@ class PendulumLimit(ControlEnv):
         self._max_torque_n_m = TORQUE_SHARE * self._weight_n * length_m
         self._target_m = length_m * (1.0 - math.cos(TARGET_RAD))
         self._least_work_j = self._weight_n * self._target_m
-
-    def _limit(self) -> tuple[float, float]:
         value = 1.0 / self._weight_n
-        mass_kg = self.experiment.scene.body(BALL).mass_kg
-        return value, value * math.hypot(LENGTH_SIGMA, MASS_SIGMA_KG / mass_kg)
+        return value, value * math.hypot(LENGTH_SIGMA, MASS_SIGMA_KG / ball.mass_kg)
 
     # --- episode ---
 

@@ -8,8 +8,7 @@ import numpy as np
 from gauge_envs.references.uncertainties import RESTITUTION_SHARE
 from gauge_envs.scene import Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.control.env import ControlEnv
-from gauge_envs.tools.control.limit import Ending
+from gauge_envs.tools.control.env import ControlEnv, Ending, Limit
 from gauge_envs.tools.control.stage import (
     FRAME_S,
     X_AXIS,
@@ -103,12 +102,12 @@ class ThrowLimit(ControlEnv):
     """
 
     SCENE = "BouncingBall"
-    QUANTITY = "height after three impacts"
-    UNIT = "m"
-    LAW = "an impact gives at most e v + (1 + e) V; z + (e v + (1 + e) V)^2 / (2 g) for the best place z, three times"
-    SIGMA_SOURCE = (
-        "restitution: root mean square distance of 22 real drops from the calibrated coefficient; start height: their "
-        "scatter"
+    LIMIT = Limit(
+        quantity="height after three impacts",
+        unit="m",
+        law="an impact gives at most e v + (1 + e) V; z + (e v + (1 + e) V)^2 / (2 g) for the best place z, three times",
+        sigma_source="restitution: root mean square distance of 22 real drops from the calibrated coefficient; start "
+        "height: their scatter",
     )
     FAMILY = "Throw"
     """Time of an episode; three impacts and the last rise take 1.8 s."""
@@ -140,7 +139,7 @@ class ThrowLimit(ControlEnv):
         driver = stage_driver(PLATE, X_AXIS, Z_AXIS)
         return with_box(scene, PLATE_SIZE_M, place_m, driver)
 
-    def _prepare(self, scene: Scene) -> None:
+    def _prepare(self, scene: Scene) -> tuple[float, float]:
         ball, plate = scene.body(BALL), scene.body(PLATE).pose
         assert isinstance(ball.shape, Sphere)
         self._stage = Stage(
@@ -152,9 +151,6 @@ class ThrowLimit(ControlEnv):
         # The height of the ball's centre in the world when it lies on the plate at the start.
         self._zero_m = plate.position_m[2] + 0.5 * PLATE_SIZE_M[2] + ball.shape.radius_m
         self._drop_m = ball.pose.position_m[2] - self._zero_m
-
-    def _limit(self) -> tuple[float, float]:
-        scene = self.experiment.scene
         restitution = scene.contacts[0].restitution
         gravity = scene.gravity_m_per_s2
         value = highest_m(self._drop_m, restitution, gravity)
