@@ -28,8 +28,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import gauge_envs  # noqa: F401
 from gauge_envs.tools.control import ControlEnv
-from gauge_envs.tools.control.limit import Ending, LimitReport
-from gauge_envs.tools.control.play import Policy, play_paid
+from gauge_envs.tools.control.env import Ending, LimitReport, Policy, play_paid
 
 UNSEEN = 10_000
 """Seed of the first unseen start; trainings have smaller seeds."""

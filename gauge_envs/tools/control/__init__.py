@@ -11,12 +11,12 @@ if TYPE_CHECKING:
         Policy as Policy,
         play_paid as play_paid,
     )
-    from gauge_envs.tools.control.ids import control_tasks as control_tasks
+    from gauge_envs.tools.control.ids import names as names
 else:
     __getattr__, __all__ = lazy_names(
         __name__,
         {
             ".env": ["ControlEnv", "LimitReport", "Policy", "play_paid"],
-            ".ids": ["control_tasks"],
+            ".ids": ["names"],
         },
     )

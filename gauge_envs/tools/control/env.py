@@ -26,7 +26,7 @@ from gauge_envs.errors import EpisodeError, ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
-from gauge_envs.scene import Motion, Scene
+from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.states import scene_at
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
@@ -120,22 +120,20 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         backend: Name of an installed physics engine.
         parameters: `calibrated`, another parameter set of the task file, or overrides such as
             `{"cube.friction": 0.3}`.
-        settings: Numerical settings of the engine that replace the preset and `MUJOCO_TIMESTEPS_S`.
+        settings: Numerical settings of the engine; None for `MUJOCO_SETTINGS` or the preset.
         render_mode: None; `human` for a window that the mouse turns, drawn by `reset` and `step`; `rgb_array`;
             `depth_array`, the distance from the plane of the camera [m], float32; `rgbd_tuple`, both.
-        width: Picture width [pixels]; None is 640.
-        height: Picture height [pixels]; None is 480.
         camera: Entries that replace entries of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
             `elevation_deg`.
         jitter: Initial-state noise of every episode, as for `GaugeEnv`: `real`, or a `Jitter`. The random numbers of
             the environment draw it, then the goal, if any.
+        **size: `width` and `height` of pictures [pixels]; 640 and 480 by default.
 
     Attributes:
         SCENE: Variant whose scene the task uses, without its material, as `Turntable-1`.
         LIMIT: Quantity, law and source of the uncertainty, without numbers.
         FAMILY: Name of the task without its material, in `FAMILIES`.
-        MUJOCO_TIMESTEPS_S: Time steps of the task in MuJoCo [s] by preset, in place of the preset's time step;
-            studies/steps has the rule that chose them.
+        MUJOCO_SETTINGS: Settings of MuJoCo if none are given; studies/steps has the rule that chose them.
         PARAMETERS: Constants that the task changes, such as the initial pose of a body.
         CAMERA: Entries of the camera that show the whole workspace of the actions; empty for the scene's camera.
         COMMANDED: Names of the action's entries.
@@ -167,7 +165,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
     SCENE: ClassVar[str]
     LIMIT: ClassVar[Limit]
     FAMILY: ClassVar[str]
-    MUJOCO_TIMESTEPS_S: ClassVar[Mapping[str, float]] = {}
+    MUJOCO_SETTINGS: ClassVar[Mapping[str, float] | None] = None
     PARAMETERS: ClassVar[Mapping[str, Any]] = {}
     CAMERA: ClassVar[Mapping[str, Any]] = {}
     COMMANDED: ClassVar[tuple[str, ...]]
@@ -182,28 +180,25 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         parameters: Parameters = "calibrated",
         settings: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
-        width: int | None = None,
-        height: int | None = None,
         camera: Mapping[str, Any] | None = None,
         jitter: Scatter = None,
+        **size: Any,
     ) -> None:
         self.render_mode = render_mode
         view = {**self.CAMERA, **(camera or {})}
-        self._pictures = Pictures(render_mode, width=width, height=height, camera=view)
+        self._pictures = Pictures(render_mode, camera=view, **size)
         self._variant = find_variant(f"{self.SCENE}-{material}")
         self.calibrated = load_experiment(self._variant).scene
         if self.PARAMETERS:
             overrides = load_experiment(self._variant, parameters).overrides
             parameters = {**overrides, **self.PARAMETERS}
-        settings = settings or {}
-        preset = settings.get("preset", "default")
-        if backend == "mujoco" and preset in self.MUJOCO_TIMESTEPS_S:
-            settings = {"timestep_s": self.MUJOCO_TIMESTEPS_S[preset], **settings}
+        if backend == "mujoco" and settings is None:
+            settings = self.MUJOCO_SETTINGS
         self.arguments = EnvArguments(
             self._variant,
             backend=backend,
             parameters=parameters,
-            settings=settings or None,
+            settings=settings,
             # Driven bodies have no motion of their own.
             drivers="action",
         )
@@ -266,7 +261,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """Return the sum of all rewards so far, up to a constant; `_ending` is known if the episode ended."""
 
     @abstractmethod
-    def _observation(self) -> FloatArray:
+    def _observation(self) -> list[FloatArray | float]:
         """Return the observation, in the order of `OBSERVED`."""
 
     @abstractmethod
@@ -323,14 +318,15 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
             raise ParameterError(
                 f"reset of {self.FAMILY} has no option 'trial': its episodes are no recorded trials"
             )
-        scene, start = self.experiment.scene, None
+        scene, starts = self.experiment.scene, None
         if draw is not None:
             start_seed = int(self.np_random.integers(SEEDS))
             start = self._initial_states.sample(draw, start_seed)
             self._follow(start.states)
+            starts = [start]
             scene = scene_at(scene, start.states)
         self._start_from(scene)
-        self.rollout.reset(start and [start], seed or 0)
+        self.rollout.reset(starts, seed or 0)
         self._frame, self._ending = 0, None
         self._begin()
         self._rewarded = self._total_reward()
@@ -351,9 +347,16 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """
         if self._frame is None or self.is_over:
             raise EpisodeError(f"{self.FAMILY}: call reset before step")
-        self._ending = self._run_frame(
-            checked_action(action, self.action_space, self.FAMILY)
-        )
+        command = checked_action(action, self.action_space, self.FAMILY)
+        self._before_step(command)
+        stages = [self._stage] if self._stage else []
+        actions = [command[None]] * len(stages)
+        for index in intervals(self.simulation, stages, 0, SAMPLES_PER_FRAME, actions):
+            for stage in stages:
+                stage.sample = index + 1
+            self._ending = self._after_interval()
+            if self._ending is not None:
+                break
         before, self._rewarded = self._rewarded, self._total_reward()
         reward = self._rewarded - before
         self._frame += 1
@@ -369,22 +372,9 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
             info["limit"] = self.report()
         return self._observe(), reward, terminated, truncated, info
 
-    def _run_frame(self, command: FloatArray) -> Ending | None:
-        """Drive and advance the intervals of a frame, until the episode ends."""
-        self._before_step(command)
-        stages = [] if self._stage is None else [self._stage]
-        actions = [command[None]] * len(stages)
-        for index in intervals(self.simulation, stages, 0, SAMPLES_PER_FRAME, actions):
-            for stage in stages:
-                stage.sample = index + 1
-            ending = self._after_interval()
-            if ending is not None:
-                return ending
-        return None
-
     def _observe(self) -> FloatArray:
         """Record and return the observation, and draw it if there is a window."""
-        self._observations.append(self._observation())
+        self._observations.append(np.hstack(self._observation()))
         if self.render_mode == "human":
             self.render()
         return self._observations[-1]
@@ -447,11 +437,6 @@ Policy = Callable[[FloatArray], NDArray[np.floating]]
 """Function that returns an action, shape [len(COMMANDED)], for an observation."""
 
 
-def play(env: ControlEnv, policy: Policy, *, seed: int = 0) -> LimitReport:
-    """Run one episode and return its report; see `play_paid`."""
-    return play_paid(env, policy, seed=seed)[1]
-
-
 def play_paid(
     env: ControlEnv, policy: Policy, *, seed: int = 0
 ) -> tuple[float, LimitReport]:
@@ -468,40 +453,3 @@ def play_paid(
         observation, reward, *_ = env.step(policy(observation))
         paid += reward
     return paid, env.report()
-
-
-def engine_limit(
-    env: ControlEnv,
-    *,
-    bounds: tuple[float, float] = (0.2, 1.5),
-    resolution: float = 0.002,
-) -> float:
-    """Return the largest share of the law's limit that the law's policy can use in the engine, by bisection.
-
-    It is 1 in an engine that obeys the law. Above 1 the engine allows more than reality.
-
-    Args:
-        env: The task, without wrappers.
-        bounds: A share of the limit with which the policy succeeds, and a share with which it fails.
-        resolution: Largest width of the last interval; the result is its middle.
-
-    Raises:
-        ParameterError: The policy fails with the lower bound, or succeeds with the upper bound.
-    """
-    low, high = bounds
-
-    def succeeds(share: float) -> bool:
-        report = play(env, lambda _: env.law_action(share))
-        return report.ending in (Ending.HELD, Ending.REACHED)
-
-    if not succeeds(low) or succeeds(high):
-        raise ParameterError(
-            f"{env.FAMILY}: the law's policy must succeed with {low} of the limit and fail with {high}"
-        )
-    while high - low > resolution:
-        middle = 0.5 * (low + high)
-        if succeeds(middle):
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)

@@ -122,18 +122,16 @@ class FlingLimit(ControlEnv):
     def _total_reward(self) -> float:
         return self._highest_m / self.limit.value
 
-    def _observation(self) -> FloatArray:
-        return np.hstack(
-            [
-                self._places_m.ravel(),
-                self._velocities.ravel(),
-                self._stage.offset,
-                self._stage.rate,
-                self._left_m_per_s,
-                self._highest_m / self.limit.value,
-                self.time_s,
-            ]
-        )
+    def _observation(self) -> list[FloatArray | float]:
+        return [
+            self._places_m.ravel(),
+            self._velocities.ravel(),
+            self._stage.offset,
+            self._stage.rate,
+            self._left_m_per_s,
+            self._highest_m / self.limit.value,
+            self.time_s,
+        ]
 
     def _reached(self) -> float:
         return self._highest_m

@@ -161,10 +161,9 @@ class FrictionLimit(CubeLimit):
         slipped = self._ending is Ending.SLIPPED
         return sum(self._used[:-HOLD_FRAMES] if slipped else self._used)
 
-    def _observation(self) -> FloatArray:
+    def _observation(self) -> list[FloatArray | float]:
         slip = self._slip_m_per_s / SLIP_SPEED_M_PER_S
-        stage = self._stage
-        return np.hstack([stage.offset, stage.rate, self._used_now, slip, self.time_s])
+        return [self._stage.offset, self._stage.rate, self._used_now, slip, self.time_s]
 
     def _reached(self) -> float:
         if len(self._used) < HOLD_FRAMES:
@@ -189,12 +188,11 @@ class TurntableLimit(FrictionLimit):
     LIMIT = Limit(
         quantity="friction used",
         law="sqrt((omega^2 r)^2 + (alpha r)^2) / g <= mu, so at a steady speed omega^2 r = mu g",
-        sigma_source="relative uncertainty of the same cube's friction on the slope, from calibrated coefficients and 19 "
-        "or 20 trials by the same method; no trial shows where cubes slip on the turntable",
+        sigma_source="relative uncertainty of the same cube's friction on the slope, from calibrated coefficients and "
+        "19 or 20 trials by the same method; no trial shows where cubes slip on the turntable",
     )
     FAMILY = "Turntable"
     """Time of an episode: 1.2 s to the limit at full acceleration, and three times as long to hold it."""
-    MUJOCO_TIMESTEPS_S: ClassVar = {"training": 1 / 180}
     ACCELERATION = 6.0
     """This acceleration reaches the limit in 1.2 s. It uses a friction of 0.046, which adds under 1 % to the limit."""
 
@@ -225,7 +223,7 @@ class SlopeSliderLimit(FrictionLimit):
     )
     FAMILY = "SlopeSlider"
     """Time of an episode: 1.0 s to the limit at full acceleration and braking, and 4 s to hold it."""
-    MUJOCO_TIMESTEPS_S: ClassVar = {"default": 1 / 1800, "training": 1 / 180}
+    MUJOCO_SETTINGS: ClassVar = {"timestep_s": 1 / 1800}
     ACCELERATION = 1.0
     """This acceleration reaches the limit in 1.0 s; the real motor takes 1.2 s to 15 degrees."""
 

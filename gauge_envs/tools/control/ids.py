@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import gymnasium
 from gymnasium.envs import registration
@@ -28,53 +28,27 @@ Registration reads them without the modules of the tasks.
 """
 
 
-class ControlTask(NamedTuple):
-    """One registered control task.
-
-    Attributes:
-        family: Name without the material, as `Turntable`.
-        material: Material of the cube, the ball or the cloth.
-    """
-
-    family: str
-    material: str
-
-    @property
-    def name(self) -> str:
-        """Name, as `Turntable-Limit-wood`."""
-        return f"{self.family}-Limit-{self.material}"
-
-    @property
-    def id(self) -> str:
-        """Gymnasium id."""
-        return f"GAUGE/{self.name}"
-
-
-def control_tasks() -> tuple[ControlTask, ...]:
-    """Return all control tasks; `gauge_envs.variants` does not list them."""
-    return tuple(
-        ControlTask(family, material)
-        for family, (_, materials, _) in FAMILIES.items()
-        for material in materials
-    )
-
-
 def register() -> None:
     """Register every control task with Gymnasium; `import gauge_envs` calls this."""
-    for task in control_tasks():
-        entry_point, _, episode_steps = FAMILIES[task.family]
-        if task.id not in registration.registry:
-            registration.register(
-                id=task.id,
-                entry_point=f"gauge_envs.tools.control.{entry_point}",
-                max_episode_steps=episode_steps,
-                kwargs={"material": task.material},
-            )
+    for family, (entry_point, materials, episode_steps) in FAMILIES.items():
+        for material in materials:
+            key = f"GAUGE/{family}-Limit-{material}"
+            if key not in registration.registry:
+                registration.register(
+                    id=key,
+                    entry_point=f"gauge_envs.tools.control.{entry_point}",
+                    max_episode_steps=episode_steps,
+                    kwargs={"material": material},
+                )
 
 
 def names() -> tuple[str, ...]:
     """Return the names of all control tasks, as `Turntable-Limit-wood`."""
-    return tuple(task.name for task in control_tasks())
+    return tuple(
+        f"{family}-Limit-{material}"
+        for family, (_, materials, _) in FAMILIES.items()
+        for material in materials
+    )
 
 
 def summary() -> str:
@@ -108,8 +82,7 @@ def document(name: str) -> Document:
     }
     value = with_unit(f"{limit.value:.4g} +- {limit.sigma:.2g}", limit.unit)
     facts = {
-        "scene": f"that of {env.experiment.id}, with the action instead of the driver",
-        "episode": f"{env.duration_s:g} s, one step is 1/30 s",
+        "scene": f"that of {env.experiment.id}, for {env.duration_s:g} s",
         "observed": ", ".join(env.OBSERVED),
         "law": limit.law,
         "limit": f"{limit.quantity}: {value}",

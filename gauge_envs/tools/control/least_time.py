@@ -124,10 +124,12 @@ class LeastTimeLimit(CubeLimit):
         self.goal_m = self.DISTANCE_M * np.array([math.cos(angle), math.sin(angle)])
         self._start = self._cube = self._state(CUBE)
         self._cube_velocity = np.zeros(2)
-        self._intervals = 0
+        self._intervals, self._time_s = 0, 0.0
 
     def _after_interval(self) -> Ending | None:
         self._intervals += 1
+        # The last frame of an episode may be incomplete.
+        self._time_s = self._intervals * SAMPLE_INTERVAL_S
         before, self._cube = self._cube, self._state(CUBE)
         self._cube_velocity = (self._cube - before)[:2] / SAMPLE_INTERVAL_S
         risen_m = float(self._cube[2] - self._start[2])
@@ -139,11 +141,6 @@ class LeastTimeLimit(CubeLimit):
             and math.hypot(*self._cube_velocity) <= REST_M_PER_S
         )
         return Ending.REACHED if has_arrived else None
-
-    @property
-    def _time_s(self) -> float:
-        """Time since the start of the episode, whose last frame may be incomplete [s]."""
-        return self._intervals * SAMPLE_INTERVAL_S
 
     @property
     def _moved_m(self) -> FloatArray:
@@ -166,17 +163,15 @@ class LeastTimeLimit(CubeLimit):
         """Place of the driven body relative to the cube [m], shape [2]."""
         return (self._stage.state - self._cube)[:2]
 
-    def _observation(self) -> FloatArray:
-        return np.hstack(
-            [
-                self._to_goal_m,
-                self._cube_velocity,
-                self._yaw_rad,
-                self._driven_from_cube_m,
-                self._stage.rate - self._cube_velocity,
-                self._time_s,
-            ]
-        )
+    def _observation(self) -> list[FloatArray | float]:
+        return [
+            self._to_goal_m,
+            self._cube_velocity,
+            self._yaw_rad,
+            self._driven_from_cube_m,
+            self._stage.rate - self._cube_velocity,
+            self._time_s,
+        ]
 
     def _total_reward(self) -> float:
         if self._ending is Ending.REACHED:
@@ -208,12 +203,11 @@ class CarryLimit(LeastTimeLimit):
     LIMIT = Limit(
         quantity="friction that the time needs",
         law="the cube's acceleration is at most mu g, so 4 D / T^2 <= mu g from rest to rest",
-        sigma_source="relative uncertainty of the same cube's friction on the slope, from 19 or 20 real trials; no trial "
-        "shows where cubes slip on the plate",
+        sigma_source="relative uncertainty of the same cube's friction on the slope, from 19 or 20 real trials; no "
+        "trial shows where cubes slip on the plate",
     )
     FAMILY = "Carry"
     """Time of an episode: four times the least time."""
-    MUJOCO_TIMESTEPS_S: ClassVar = {"training": 1 / 180}
     ACCELERATION = 4.5
     """1.2 to 1.4 times the 3.2 to 3.7 m/s^2 that friction holds, so that the actuator does not limit the task."""
     DISTANCE_M = 0.5
@@ -312,15 +306,11 @@ class PushLimit(LeastTimeLimit):
             replace(body, motion=Motion.FIXED) if body.name == "board" else body
             for body in scene.bodies
         )
-        place_m = (x - self._touching_m(scene) - GAP_M, y, z)
+        half_cube_m = float(scene.body(CUBE).shape.corners_m[:, 0].max())
+        self._touching_m = half_cube_m + 0.5 * PUSHER_SIZE_M[0]
+        place_m = (x - self._touching_m - GAP_M, y, z)
         driver = stage_driver(PUSHER, X_AXIS, Y_AXIS)
         return with_box(replace(scene, bodies=bodies), PUSHER_SIZE_M, place_m, driver)
-
-    @staticmethod
-    def _touching_m(scene: Scene) -> float:
-        """Return the distance along x of the centres of cube and pusher that touch [m]."""
-        half_cube_m = float(scene.body(CUBE).shape.corners_m[:, 0].max())
-        return half_cube_m + 0.5 * PUSHER_SIZE_M[0]
 
     def _follow(self, states: FloatArray) -> None:
         """Keep the calibrated distance of the pusher behind the cube."""
@@ -346,7 +336,7 @@ class PushLimit(LeastTimeLimit):
         return max(2.0 * braked_m / time_s**2, 0.0) / self.gravity_m_per_s2
 
     def _is_lost(self, driven_from_cube_m: FloatArray, risen_m: float) -> bool:
-        past_m = float(driven_from_cube_m[0]) + self._touching_m(self.experiment.scene)
+        past_m = float(driven_from_cube_m[0]) + self._touching_m
         return past_m > PAST_M or abs(risen_m) > LIFTED_M
 
     def _law_command(self, fraction: float) -> FloatArray:

@@ -50,11 +50,12 @@ class PendulumLimit(ControlEnv):
         quantity="height over work",
         unit="m/J",
         law="W >= m g h, so h / W <= 1 / (m g)",
-        sigma_source="length from the recorded period, 0.270 +- 0.004 m, which gives the height at an angle; mass to 0.1 g",
+        sigma_source="length from the recorded period, 0.270 +- 0.004 m, which gives the height at an angle; mass to "
+        "0.1 g",
     )
     FAMILY = "Pendulum"
     """Time of five full swings; at full torque three are enough."""
-    MUJOCO_TIMESTEPS_S: ClassVar = {"default": 1 / 180, "training": 1 / 180}
+    MUJOCO_SETTINGS: ClassVar = {"timestep_s": 1 / 180}
     PARAMETERS: ClassVar = {f"{BALL}.euler_deg": (0.0, 0.0, 0.0)}
     """The ball hangs straight down at the start."""
     CAMERA: ClassVar = {"target_m": (0.37, 0.49, 0.3), "distance_m": 1.97}
@@ -120,16 +121,10 @@ class PendulumLimit(ControlEnv):
         spent = self._work_j / self._least_work_j
         return 2.0 * self._highest_m / self._target_m - spent
 
-    def _observation(self) -> FloatArray:
-        return np.hstack(
-            [
-                self._angle,
-                self._rate,
-                self._highest_m / self._target_m,
-                self._work_j / self._least_work_j,
-                self.time_s,
-            ]
-        )
+    def _observation(self) -> list[FloatArray | float]:
+        highest = self._highest_m / self._target_m
+        work = self._work_j / self._least_work_j
+        return [self._angle, self._rate, highest, work, self.time_s]
 
     def _reached(self) -> float:
         return self._target_m / self._work_j

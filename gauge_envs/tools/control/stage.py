@@ -1,6 +1,7 @@
 """A driven body that actions accelerate, and the acceleration that brings it to rest at a place."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -95,7 +96,7 @@ class Stage:
         self._strokes = np.array(strokes)
         self.sample = 0
         self.offsets = self.rates = np.zeros((1, len(driver.motions)))
-        self.speed_changes_left = [speed_change]
+        self.speed_changes_left: Sequence[float] = [speed_change]
         self.states = driver.moved(self._start, self.offsets, self.rates)
 
     @property
@@ -128,7 +129,7 @@ class Stage:
         change = self.acceleration[0] * SAMPLE_INTERVAL_S
         offset, rate = self.offset, self.rate
         left = self.speed_changes_left[self.sample]
-        offsets, rates, lefts = [offset], [rate], [left]
+        samples = [(offset, rate, left)]
         for _ in range(count):
             wanted_rate = rate + np.clip(change, -left, left)
             wanted_rate = np.clip(wanted_rate, -self._max_rate, self._max_rate)
@@ -136,12 +137,10 @@ class Stage:
             wanted = offset + 0.5 * (rate + wanted_rate) * SAMPLE_INTERVAL_S
             offset = np.clip(wanted, -self._strokes, self._strokes)
             rate = np.where(offset == wanted, wanted_rate, 0.0)
-            offsets.append(offset)
-            rates.append(rate)
-            lefts.append(left)
+            samples.append((offset, rate, left))
         self.sample = 0
+        offsets, rates, self.speed_changes_left = zip(*samples, strict=True)
         self.offsets, self.rates = np.array(offsets), np.array(rates)
-        self.speed_changes_left = lefts
         start_states = np.tile(self._start, (count + 1, 1))
         self.states = self._driver.moved(start_states, self.offsets, self.rates)
         return uniformly_accelerated(self.states[:, None], SAMPLE_INTERVAL_S)

@@ -105,13 +105,13 @@ class ThrowLimit(ControlEnv):
     LIMIT = Limit(
         quantity="height after three impacts",
         unit="m",
-        law="an impact gives at most e v + (1 + e) V; z + (e v + (1 + e) V)^2 / (2 g) for the best place z, three times",
+        law="an impact gives at most e v + (1 + e) V; z + (e v + (1 + e) V)^2 / (2 g) for the best place z, three "
+        "times",
         sigma_source="restitution: root mean square distance of 22 real drops from the calibrated coefficient; start "
         "height: their scatter",
     )
     FAMILY = "Throw"
     """Time of an episode; three impacts and the last rise take 1.8 s."""
-    MUJOCO_TIMESTEPS_S: ClassVar = {"training": 1 / 180}
     ACCELERATION = 30.0
     """Full speed after one step."""
     CAMERA: ClassVar = {"target_m": (0.53, 0.44, 0.44), "distance_m": 2.22}
@@ -193,18 +193,16 @@ class ThrowLimit(ControlEnv):
     def _total_reward(self) -> float:
         return self._highest_m / (self.limit.value - self._drop_m)
 
-    def _observation(self) -> FloatArray:
-        return np.hstack(
-            [
-                self._from_plate_m,
-                self._height_m,
-                self._ball_velocity,
-                self._stage.offset[1],
-                self._stage.rate,
-                self._impacts,
-                self.time_s,
-            ]
-        )
+    def _observation(self) -> list[FloatArray | float]:
+        return [
+            self._from_plate_m,
+            self._height_m,
+            self._ball_velocity,
+            self._stage.offset[1],
+            self._stage.rate,
+            self._impacts,
+            self.time_s,
+        ]
 
     def _reached(self) -> float:
         return self._highest_m

@@ -20,7 +20,6 @@ from gauge_envs.tools.video.tasks import (
     video_tasks as video_tasks,
 )
 from gauge_envs.tools.video.track import (
-    Event as Event,
     Track as Track,
     read_track as read_track,
     save_track as save_track,

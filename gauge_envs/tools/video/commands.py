@@ -22,20 +22,16 @@ from gauge_envs.errors import VideoError
 from gauge_envs.pages.document import save_file
 from gauge_envs.pages.table import Table
 from gauge_envs.tools.video import prompts, report
-from gauge_envs.tools.video.frames import FileFrames
-from gauge_envs.tools.video.scoring import VideoScore, score, score_track
+from gauge_envs.tools.video.scoring import VideoScore, score
 from gauge_envs.tools.video.tasks import (
-    REFERENCE_SIZE_PX,
-    VideoTask,
     video_task,
-    video_tasks,
 )
-from gauge_envs.tools.video.track import read_track, save_track
+from gauge_envs.tools.video.track import save_track
 
 
 def list_video_tasks(patterns: Sequence[str]) -> list[Table]:
     """Return the table of the tasks: motion, size of the object, and results of real trials."""
-    table = report.task_table(video_tasks())
+    table = report.task_table()
     return arguments.matching([table], patterns, kind="video task")
 
 
@@ -94,7 +90,7 @@ def video_score(
     ] = None,
     out: Annotated[
         Path | None,
-        arguments.folder("Folder for tracks, and for videos with drawn tracks."),
+        arguments.folder("Folder for tracks, and for pictures of tracks."),
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
@@ -102,16 +98,15 @@ def video_score(
 
     Metrics have 95 % intervals. Exit code 1: a track is not sound.
     """
-    chosen = video_task(task)
     has_failed = False
     for file in files:
-        result = _scored(file, chosen, fps)
-        print_document(report.score_document(result, chosen), form)
+        result = score(file, fps, task)
+        print_document(report.score_document(result, video_task(task)), form)
         if out is not None:
             message(save_track(result.track, out / f"{file.stem}.track.csv"))
         if out is not None and file.suffix.lower() != ".csv":
-            overlay = out / f"{file.stem}.overlay.mp4"
-            message(report.save_overlay(FileFrames(file, fps=fps), result, overlay))
+            picture = report.track_picture(result, file)
+            message(save_file(out / f"{file.stem}.track.jpg", picture))
         has_failed = has_failed or not result.is_sound
     return has_failed
 
@@ -125,13 +120,13 @@ def video_report(
         ),
     ],
     out: Annotated[
-        Path, arguments.folder("Folder for page, results.json and tables.")
+        Path, arguments.folder("Folder for the page and results.json.")
     ] = Path("video_report"),
 ) -> bool:
     """Score the videos of many models, and write a page with a table and pictures.
 
-    The pictures show the followed object; table.csv has the table. Exit code 1: a video cannot be judged or a file has
-    another name; the page shows the remaining videos.
+    The pictures show the followed object. Exit code 1: a video cannot be judged or a file has another name; the page
+    shows the remaining videos.
     """
     videos, misnamed = report.find_videos(folder)
     errors = [
@@ -145,7 +140,7 @@ def video_report(
             track = file.with_suffix(".csv")
             result = None
             try:
-                result = _scored(track if track.exists() else file, video_task(task))
+                result = score(track if track.exists() else file, task=task)
                 result = replace(result, video=str(file.relative_to(folder)))
             except VideoError as error:
                 errors.append(str(error))
@@ -153,22 +148,12 @@ def video_report(
             progress.advance(f"{model}: {task}")
     for text in errors:
         message(text, "left out")
-    table = report.results_table(clips)
+    table = report.model_table(clips)
     page = save_file(out / "index.html", report.video_page(clips, table))
     lines = [
         {"model": model, **result.to_dict()} for model, _, _, result in clips if result
     ]
     save_file(out / "results.json", json_text(lines))
-    save_file(out / "table.csv", report.table_csv(table))
-    print_document(report.summary_table(table), Format.TEXT)
+    print_document(table, Format.TEXT)
     echo(page)
     return bool(errors)
-
-
-def _scored(file: Path, task: VideoTask, fps: float | None = None) -> VideoScore:
-    """Score a video, or a track in pixels of the video with its name or of the known first frame."""
-    if file.suffix.lower() != ".csv":
-        return score(file, fps, task.id)
-    video = report.video_of(file)
-    size_px = FileFrames(video).size_px if video else REFERENCE_SIZE_PX
-    return score_track(read_track(file, fps=fps, size_px=size_px), task, name=str(file))

@@ -7,13 +7,11 @@ import numpy as np
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import Gray, Picture, cv2
 from gauge_envs.tools.video.shape import (
-    COARSE,
     Detection,
     aligned,
     colour_at,
     likeness_of,
     rotation_of,
-    shrunk,
     tint_of,
     turned_square,
 )
@@ -34,22 +32,12 @@ SEARCHED_RAD = (0.0, 0.15, -0.15, 0.3, -0.3, 0.5, -0.5, 0.8, -0.8)
 SMOOTH_PX = 3.0
 """Width of the grain that is smoothed before faces are compared [px]."""
 
-MIN_CONTRAST = 80.0
-"""Smallest distance of the colours of plate and object that shows the area: a wooden plate has veins."""
-
-RIM = 0.95
-"""Radius of the plate without its rim, relative to the radius."""
-
-MIN_TWIN_AREA = 0.4
-"""Smallest area of a second object, relative to the first."""
-
 
 class FaceDetector:
     """Detect the face of a cube on a turntable by a template that rotates with it and is updated in each frame.
 
-    The search starts at the place and angle predicted by the last two frames, then continues around the axis. If the
-    plate has another colour, areas of the cube's colour show second objects. Reflections change the brightness of
-    metal, so only its tint is compared.
+    The search starts at the place and angle predicted by the last two frames, then continues around the axis.
+    Reflections change the brightness of metal, so only its tint is compared.
 
     Args:
         first: The first frame.
@@ -66,18 +54,9 @@ class FaceDetector:
         self._template = turned_square(_grey(first), self._pose, self._half)
         self._face = _normed(self._template)
         self._colour = colour_at(first, self._pose[1:], task.size_px)
-        small = shrunk(first)
-        disk = np.zeros(first.shape[:2], np.uint8)
-        pivot_px = self._pivot_px.astype(int).tolist()
-        cv2.circle(disk, pivot_px, int(RIM * PLATE_RADIUS_PX), 1, -1)
-        self._is_plate = shrunk(disk) > 0.5
-        plate = np.median(small[self._is_plate], axis=0)
-        place = COARSE * self._pose[1:]
-        cube = colour_at(small, place, COARSE * task.size_px)
-        self._middle, self._contrast = 0.5 * (plate + cube), cube - plate
 
     def candidates(self, picture: Picture) -> list[Detection]:
-        """Return the detection of the object in the next frame, then further objects; empty if the object is lost."""
+        """Return the detection of the object in the next frame; empty if the object is lost."""
         grey = _grey(picture)
         guesses = [self._pose + self._step]
         guesses += [self._swung(angle_rad) for angle_rad in SEARCHED_RAD]
@@ -93,20 +72,7 @@ class FaceDetector:
         if not self._is_shiny:
             # The updated template would follow a melting cube, so compare with the first face. Metal has reflections.
             value = max(0.0, float((_normed(face) * self._face).mean())) ** 2
-        return [Detection(pose[1:], min(1.0, value)), *self._areas(picture)]
-
-    def _areas(self, picture: Picture) -> list[Detection]:
-        """Return all areas of the plate with the colour of the cube and the size of a second object."""
-        if self._is_shiny or np.linalg.norm(self._contrast) <= MIN_CONTRAST:
-            return []
-        is_cube = (shrunk(picture) - self._middle) @ self._contrast > 0.0
-        covered = (is_cube & self._is_plate).astype(np.uint8)
-        covered = cv2.morphologyEx(covered, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-        _, _, stats, middles = cv2.connectedComponentsWithStats(covered)
-        min_area_px2 = MIN_TWIN_AREA * (COARSE * self._size_px) ** 2
-        # The first area is the background.
-        is_large = stats[1:, cv2.CC_STAT_AREA] > min_area_px2
-        return [Detection(middle / COARSE, 1.0) for middle in middles[1:][is_large]]
+        return [Detection(pose[1:], min(1.0, value))]
 
     def _matched(
         self, picture: Picture, grey: Gray, guess: FloatArray

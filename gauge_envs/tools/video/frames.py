@@ -231,20 +231,20 @@ def _support(registration: Registration, picture: Picture, outline: BoolArray) -
 
 def _outline(task: VideoTask) -> BoolArray:
     """Return the pixels of the grid on the known outlines of a task, shape [480, 832]."""
-    width, height = REFERENCE_SIZE_PX
-    drawn = np.zeros((height, width), np.uint8)
-    size_px, circles = task.size_px, [(*task.centre_px, 0.5 * task.size_px)]
+    drawn = np.zeros(REFERENCE_SIZE_PX[::-1], np.uint8)
+    size_px = task.size_px
+    if task.motion is Motion.SLIDE:
+        box = (task.centre_px, (size_px, size_px), task.angle_deg)
+        corners = np.rint(cv2.boxPoints(box)).astype(int)
+        cv2.polylines(drawn, [corners], True, 1)
+        return drawn > 0
+    circles = [(*task.centre_px, 0.5 * size_px)]
     if task.motion is Motion.TURN and task.pivot_px is not None:
         circles = [(*task.pivot_px, PLATE_RADIUS_PX)]
     if task.rest_px is not None:
         # The hanging balls of the cradle touch each other.
         x, y = task.rest_px
         circles += [(x - ball * size_px, y, 0.5 * size_px) for ball in range(4)]
-    if task.motion is Motion.SLIDE:
-        box = (task.centre_px, (size_px, size_px), task.angle_deg)
-        corners = np.rint(cv2.boxPoints(box)).astype(int)
-        cv2.polylines(drawn, [corners], True, 1)
-        circles = []
     for x, y, radius in circles:
         cv2.circle(drawn, (round(x), round(y)), round(radius), 1)
     return drawn > 0

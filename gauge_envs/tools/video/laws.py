@@ -12,12 +12,13 @@ Example:
     2.58
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.optimize import brute, least_squares, minimize_scalar
-from scipy.signal import find_peaks
+from scipy.optimize import least_squares, minimize_scalar
+from scipy.signal import find_peaks, lombscargle
 
 from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.tools.video.tasks import Motion, VideoTask
@@ -49,8 +50,6 @@ class OscillationFit(NamedTuple):
     """Rate at which the amplitude decays [1/s]; negative for a growing amplitude."""
     r2: float
     """Coefficient of determination, 1."""
-    residuals_rad: FloatArray
-    """Samples minus the law [rad], shape [sample_count]."""
 
 
 def fit_constant_acceleration(
@@ -122,19 +121,18 @@ def dynamic_error(
 
 
 def fit_damped_oscillation(
-    times_s: FloatArray, angles_rad: FloatArray, start: OscillationFit | None = None
+    times_s: FloatArray, angles_rad: FloatArray
 ) -> OscillationFit:
     """Fit a damped oscillation to an angle over time.
 
     Equations "c7-fit", "c7-r2" and "c7-pd" of the paper's appendix. For each damping and angular frequency, linear
-    least squares give the equilibrium and both amplitudes. The best pair on a grid is the start of a least-squares
-    search. The grid has 16 frequencies for each cycle in the window, from half a cycle to a quarter of the sampling
-    rate. The damping may be negative.
+    least squares give the equilibrium and both amplitudes. The highest peak of the Lomb-Scargle periodogram is the
+    start of a least-squares search. Its grid has 16 frequencies for each cycle in the window, from half a cycle to a
+    quarter of the sampling rate. The damping may be negative.
 
     Args:
         times_s: Times [s], shape [sample_count], increasing, at least eight; gaps are allowed.
         angles_rad: Angles from the vertical [rad], shape [sample_count].
-        start: Fit of a similar swing that replaces the grid.
     """
     window_s = np.ptp(times_s)
     # The unit of damping and angular frequency is 1 / window.
@@ -145,19 +143,16 @@ def fit_damped_oscillation(
         basis = np.column_stack([np.ones_like(clock), waves.real, waves.imag])
         return _residual(basis, angles_rad)
 
-    if start is None:
-        highest = 0.5 * np.pi / np.median(np.diff(clock))
-        grid = (slice(-1.0, 1.25, 0.25), slice(np.pi, highest, np.pi / 8.0))
-        guess = brute(lambda search: _squared(residual(search)), grid, finish=None)
-    else:
-        guess = window_s * np.array([start.damping_per_s, 2.0 * np.pi / start.period_s])
-    damping, frequency = least_squares(residual, guess, xtol=1e-9, ftol=1e-12).x
-    residuals_rad = residual(np.array([damping, frequency]))
+    highest = 0.5 * np.pi / np.median(np.diff(clock))
+    grid = np.arange(np.pi, highest, np.pi / 8.0)
+    swing_rad = angles_rad - angles_rad.mean()
+    guess = grid[lombscargle(clock, swing_rad, grid).argmax()]
+    search = least_squares(residual, [0.0, guess], xtol=1e-9, ftol=1e-12).x
+    damping, frequency = search.tolist()
     return OscillationFit(
-        period_s=float(2.0 * np.pi / frequency * window_s),
-        damping_per_s=float(damping / window_s),
-        r2=1.0 - _squared(residuals_rad) / _squared(angles_rad - angles_rad.mean()),
-        residuals_rad=residuals_rad,
+        period_s=2.0 * math.pi / frequency * window_s,
+        damping_per_s=damping / window_s,
+        r2=1.0 - _squared(residual(search)) / _squared(swing_rad),
     )
 
 
@@ -180,9 +175,6 @@ MOVING_PX, MOVING_DEG = 1.5, 0.8
 
 RELEASED_PX, RELEASED_DEG = 0.6, 0.32
 """Largest displacement and rotation from rest in the frame of the release."""
-
-OFF_LINE = 0.5
-"""Largest distance of an object from its fixed line, in its sizes."""
 
 ESTABLISHED = 0.25
 """Displacement after which a motion is established, in sizes of the object."""
@@ -270,13 +262,6 @@ def _straight(track: Track, task: VideoTask, rows: IntArray) -> tuple[int, int] 
             is_before = along_px[index + 1] - along_px[index] > MOVING_PX
             end = index + int(is_before) - 2
             break
-    if task.motion is Motion.SLIDE and task.direction:
-        right, down = task.direction
-        places_px = track.points_px[rows[start:]]
-        offset_px = (places_px - places_px[0]) @ np.array([-down, right])
-        is_off = np.abs(offset_px) > OFF_LINE * task.size_px
-        if is_off.any():
-            end = min(end, start + int(is_off.argmax()) - 1)
     return (int(rows[start]), int(rows[end])) if end - start >= 3 else None
 
 

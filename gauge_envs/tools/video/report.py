@@ -1,30 +1,22 @@
-"""Report scores of videos: tables with published values, a page, and overlays."""
+"""Report scores of videos: the result of a clip, the table of many models, a page, and pictures of tracks."""
 
-import csv
-import io
 from base64 import b64encode
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-from scipy import stats
 
-from gauge_envs.errors import VideoError, needs_extra
+from gauge_envs.errors import VideoError
 from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part
 from gauge_envs.pages.html import element
 from gauge_envs.pages.page import page
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.video.frames import FileFrames, Picture, cv2
-from gauge_envs.tools.video.scoring import METRICS, VideoScore
-from gauge_envs.tools.video.tasks import (
-    REFERENCE_SIZE_PX,
-    VideoTask,
-    published_results,
-    video_task,
-    video_tasks,
-)
+from gauge_envs.tools.video.scoring import VideoScore
+from gauge_envs.tools.video.tasks import VideoTask, video_tasks
+from gauge_envs.tools.video.track import VIDEO_SUFFIXES, video_of
 
 TITLES = {
     "a": "a [m/s^2]",
@@ -37,8 +29,6 @@ TITLES = {
     "size_mm": "object [mm]",
     "size_px": "object [px]",
     "interval": "95 % interval",
-    "low": "95 % from",
-    "high": "to",
     "real": "real trials",
 }
 """Titles of metrics and columns that differ from their names."""
@@ -50,15 +40,9 @@ VERDICT_NOTE = (
 """Reliability of the verdict of a track."""
 
 VALUES_NOTE = (
-    f"{VERDICT_NOTE} "
-    "Mean over the clips (seeds) with sound tracks, and their share. Interval of 95 %: Student's t for the mean; "
-    "simulated tracks for a single clip. The paper defines a and the metrics in capitals. Published: GAUGE, arXiv "
-    "2608.05948, Table 3. Law: ideal motion with the calibrated constants, Table 3. The paper does not publish the "
-    "frames of its fits."
+    f"{VERDICT_NOTE} Mean over the clips (seeds) with sound tracks, and their number. "
+    "Law: ideal motion with the calibrated constants, Table 3 of the paper."
 )
-
-VIDEO_SUFFIXES = (".mp4", ".webm", ".mkv", ".mov", ".avi")
-"""Suffixes of videos; tracks have `.csv`."""
 
 RETAINED, DROPPED = (80, 200, 80), (150, 150, 150)
 """Colours of retained and of dropped places, in blue, green and red."""
@@ -86,13 +70,13 @@ def _table(rows: Sequence[Row], *notes: str) -> Table:
 def _real_text(task: VideoTask, name: str) -> str | None:
     """Return the mean and the standard deviation of real trials, if any."""
     real = task.real.get(name)
-    return None if real is None else f"{real.mean:.4g} +- {real.std:.2g}"
+    return real and "{:.4g} +- {:.2g}".format(*real)
 
 
-def task_table(tasks: Iterable[VideoTask]) -> Table:
+def task_table() -> Table:
     """Return the tasks with object, scale, and values of the law and of real trials."""
     rows = []
-    for task in tasks:
+    for task in video_tasks():
         law = [f"{TITLES[name]} {value:g}" for name, value in task.law.items()]
         real = [f"{TITLES[name]} {_real_text(task, name)}" for name in task.real]
         row = {
@@ -135,74 +119,37 @@ def score_document(result: VideoScore, task: VideoTask) -> Document:
             rows.append(row)
     scale = f"{1000.0 * result.scale_m_per_px:.3f} mm a pixel"
     notes = [VERDICT_NOTE] if result.is_sound else []
-    parts: list[Part] = [
-        Paragraph(f"{result.video}, {result.task}: {verdict(result)}; {scale}")
-    ]
-    for text in (*notes, *result.reasons, *result.findings):
-        parts.append(Paragraph(f"  {text}"))
-    if rows:
-        parts.append(_table(rows))
-    return Document(parts=parts, rows=[result.to_dict()])
+    title = Paragraph(f"{result.video}, {result.task}: {verdict(result)}; {scale}")
+    remarks = Bullets((*notes, *result.reasons, *result.findings))
+    tables = [_table(rows)] if rows else []
+    return Document(parts=(title, remarks, *tables), rows=[result.to_dict()])
 
 
-def results_table(clips: Clips) -> Table:
-    """Return a row for each model, task and metric: mean over sound clips, interval, published value."""
-    seeds: dict[tuple[str, str], list[VideoScore | None]] = {}
+def model_table(clips: Clips) -> Table:
+    """Return Table 3 of the paper: a row for each task and metric, a column for each model."""
+    results: dict[tuple[str, str], list[VideoScore | None]] = {}
     for model, task, _, result in clips:
-        seeds.setdefault((model, task), []).append(result)
-    rows = []
-    for (model, task), results in seeds.items():
-        published = published_results().get(model.replace("-", "_"), {}).get(task, {})
-        for name in METRICS:
-            row = _metric_row(name, video_task(task), results)
-            if row["mean"] is not None or row["law"] is not None:
-                first = {"model": model, "task": task}
-                rows.append(first | row | {"published": published.get(name)})
+        results.setdefault((model, task), []).append(result)
+    models = dict.fromkeys(model for model, _ in results)
+    scored = {task for _, task in results}
+    rows = [
+        {"task": task.id, "metric": TITLES[name], "law": law}
+        | {model: _mean_text(name, results.get((model, task.id))) for model in models}
+        for task in video_tasks()
+        if task.id in scored
+        for name, law in task.law.items()
+    ]
     return _table(rows, VALUES_NOTE)
 
 
-def _metric_row(name: str, task: VideoTask, seeds: list[VideoScore | None]) -> Row:
-    """Return the mean of a metric over the seeds with sound tracks, and the value of the law."""
-    sound = [seed for seed in seeds if seed is not None and seed.is_sound]
-    values = [value for seed in sound if (value := seed.metrics[name]) is not None]
-    mean = float(np.mean(values)) if values else None
-    low, high = None, None
-    if len(values) > 1:
-        half = stats.t.ppf(0.975, len(values) - 1) * stats.sem(values)
-        low, high = mean - half, mean + half
-    elif values:
-        # The interval of a single clip comes from simulated tracks.
-        low, high = sound[0].uncertainty[name] or (None, None)
-    return {
-        "metric": TITLES.get(name, name),
-        "clips": len(seeds),
-        "sound": len(sound) / len(seeds),
-        "mean": mean,
-        "low": low,
-        "high": high,
-        "law": task.law.get(name),
-    }
-
-
-def summary_table(table: Table) -> Table:
-    """Return Table 3 of the paper: a row for each task and metric, a column for each model."""
-    shown = [row for row in table.rows if row["law"] is not None]
-    models: Row = dict.fromkeys(row["model"] for row in shown)
-    rows: dict[tuple[str, str], Row] = {}
-    for row in shown:
-        key = row["task"], row["metric"]
-        empty = {"task": key[0], "metric": key[1], "law": row["law"], **models}
-        rows.setdefault(key, empty)[row["model"]] = row["mean"]
-    return _table([*rows.values()], VERDICT_NOTE)
-
-
-def table_csv(table: Table) -> str:
-    """Return the table as CSV with all digits; missing values are empty cells."""
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, table.rows[0], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(table.rows)
-    return stream.getvalue()
+def _mean_text(name: str, clips: Sequence[VideoScore | None] | None) -> str | None:
+    """Return the mean of a metric over sound tracks, and their number; None without clips."""
+    if clips is None:
+        return None
+    sound = [clip.metrics[name] for clip in clips if clip and clip.is_sound]
+    values = [value for value in sound if value is not None]
+    mean = f"{np.mean(values):.4g} " if values else ""
+    return f"{mean}({len(values)} of {len(clips)})"
 
 
 # --- page ------------------------------------------------------------------------------------------------------------
@@ -231,12 +178,6 @@ def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
     return sorted(videos, key=lambda video: tasks.index(video[1])), misnamed
 
 
-def video_of(track: Path) -> Path | None:
-    """Return the video with the name of a track, if any."""
-    videos = (track.with_suffix(suffix) for suffix in VIDEO_SUFFIXES)
-    return next(filter(Path.exists, videos), None)
-
-
 def video_page(clips: Clips, table: Table) -> str:
     """Return a self-contained page of many videos: the table, and the followed object in each clip."""
     parts: list[Part] = [table]
@@ -248,52 +189,22 @@ def video_page(clips: Clips, table: Table) -> str:
                 Bullets((*result.reasons, *result.findings)),
             ]
             if file.suffix != ".csv":
-                parts.append(_picture(result, file))
+                data = b64encode(track_picture(result, file)).decode()
+                source = f"data:image/jpeg;base64,{data}"
+                parts.append(element("img", alt="the track", src=source))
     return page("Videos and the laws of motion", parts, look="full")
 
 
-def _picture(result: VideoScore, file: Path) -> Part:
-    """Return the last relevant frame of a video with the drawn track."""
-    last = (result.interval_frames or result.track.frames)[-1]
-    *_, drawn = islice(drawn_frames(FileFrames(file), result), int(last) + 1)
-    jpeg = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, 75])[1]
-    data = f"data:image/jpeg;base64,{b64encode(jpeg.tobytes()).decode()}"
-    return element("img", alt=f"frame {last} with the track", src=data)
-
-
-# --- the track in its video ------------------------------------------------------------------------------------------
-
-
-def save_overlay(source: FileFrames, result: VideoScore, path: Path) -> Path:
-    """Write a video with the drawn track, and return its path.
-
-    Args:
-        source: The scored video.
-        result: Result of the video.
-        path: File to write, MP4.
-    """
-    with needs_extra("a film", "video"):
-        import imageio_ffmpeg
-    writer = imageio_ffmpeg.write_frames(
-        str(path), REFERENCE_SIZE_PX, fps=source.fps, ffmpeg_log_level="error"
-    )
-    writer.send(None)
-    for picture in drawn_frames(source, result):
-        writer.send(np.ascontiguousarray(picture[:, :, ::-1]))
-    writer.close()
-    return path
-
-
-def drawn_frames(source: FileFrames, result: VideoScore) -> Iterator[Picture]:
-    """Yield the frames of a video on the reference grid, with the drawn track and a ring at the object."""
+def track_picture(result: VideoScore, file: Path) -> bytes:
+    """Return the last retained frame of a video on the reference grid, with the track and a ring, as JPEG."""
     track = result.track
-    first, last = result.interval_frames or (1, 0)
-    for number, picture in enumerate(source):
-        drawn = track.registration.applied(picture)
-        # A track may leave frames out.
-        row = max(0, int(np.searchsorted(track.frames, number, side="right")) - 1)
-        for past in np.flatnonzero(track.is_found[: row + 1]):
-            color = RETAINED if first <= track.frames[past] <= last else DROPPED
-            place_px = track.points_px[past].round().astype(int)
-            cv2.circle(drawn, place_px, 12 if past == row else 2, color, 2)
-        yield drawn
+    first, last = result.interval_frames or (0, int(track.frames[-1]))
+    picture: Picture = next(islice(FileFrames(file), last, None))
+    drawn = track.registration.applied(picture)
+    for row in np.flatnonzero(track.is_found & (track.frames <= last)):
+        color = RETAINED if track.frames[row] >= first else DROPPED
+        place_px = track.points_px[row].round().astype(int)
+        radius_px = 12 if track.frames[row] == last else 2
+        cv2.circle(drawn, place_px, radius_px, color, 2)
+    content: bytes = cv2.imencode(".jpg", drawn)[1].tobytes()
+    return content

@@ -10,12 +10,12 @@ import numpy as np
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import json_ready
-from gauge_envs.scene.geometry import FloatArray, IntArray
+from gauge_envs.scene.geometry import IntArray
 from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.frames import FileFrames
 from gauge_envs.tools.video.soundness import faults_of
-from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task
-from gauge_envs.tools.video.track import Track
+from gauge_envs.tools.video.tasks import Motion, VideoTask, task_scene, video_task
+from gauge_envs.tools.video.track import Track, read_track
 from gauge_envs.tools.video.tracker import track_object
 
 Metrics: TypeAlias = dict[str, float]
@@ -31,30 +31,22 @@ acceleration with a fitted release, and the residual of the law relative to the 
 RELEASE_FRAMES = 6.0
 """Search interval for the release, in frames before and after the first retained frame."""
 
-MAX_GRAVITY = 1.2
-"""Largest plausible gravity of a motion, relative to the Earth."""
-
 MIN_DISPLACEMENT = 1.0
 """Smallest displacement of a cube on a turntable for a meaningful dynamic error, in its sizes."""
 
 SAMPLES = 200
-"""Number of simulated tracks for intervals; a pendulum has a fifth of them."""
+"""Number of simulated tracks for intervals."""
 
-SIZE_SIGMA_PX, PIVOT_SIGMA_PX = 0.5, 1.0
-"""Standard uncertainties of the length of the object in the first frame and of each coordinate of a pivot [px].
-
-They were read by eye."""
-
-FRAMING_SIGMA = 0.005
-"""Relative standard uncertainty of the pixel scale by depth and lens, in addition to the measured length.
-
-The four edges of the cubes differ by 1 %."""
+SCALE_SIGMA = 0.0065
+"""Relative standard uncertainty of the scale: 0.5 px of the measured length, and 0.5 % by depth and lens."""
 
 SLOW_NOISE_PX = 0.25
-"""Error of a place that persists for some frames [px]: the post of the pendulum half hides the ball."""
+"""Error of a place that persists for `SLOW_FRAMES` [px]: the post of the pendulum half hides the ball."""
 
 SLOW_FRAMES = 6
-"""Number of frames for which this error persists."""
+
+PIVOT_SIGMA_PX = 1.0
+"""Standard uncertainty of each coordinate of a pivot [px], which was read by eye."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,21 +88,24 @@ class VideoScore:
 
 
 def score(path: Path | str, fps: float | None = None, task: str = "") -> VideoScore:
-    """Track the object of a task through a video, and score its motion.
+    """Track the object of a task through a video, or read its track, and score its motion.
 
     Args:
-        path: The video.
+        path: The video, or the CSV file of a track.
         fps: Frames per second; the rate of the file if None.
         task: Id of a task, such as `SlopeSlider-2-wood`; see `gauge_envs.tools.video.video_tasks`.
 
     Raises:
         UnknownNameError: The task does not exist.
-        VideoError: The video cannot be read or is out of range.
+        VideoError: The file cannot be read or is out of range.
         MissingExtraError: OpenCV is not installed.
     """
-    chosen = video_task(task)
-    frames = FileFrames(Path(path), fps=fps)
-    return score_track(track_object(frames, chosen), chosen, name=str(path))
+    chosen, path = video_task(task), Path(path)
+    if path.suffix.lower() == ".csv":
+        track = read_track(path, fps=fps)
+    else:
+        track = track_object(FileFrames(path, fps=fps), chosen)
+    return score_track(track, chosen, name=str(path))
 
 
 def score_track(track: Track, task: VideoTask, *, name: str = "track") -> VideoScore:
@@ -132,7 +127,11 @@ def score_track(track: Track, task: VideoTask, *, name: str = "track") -> VideoS
         try:
             values = measure(track, task, span)
             intervals = _intervals(track, task, span, values)
-            findings += _findings(task, values)
+            displacement = values.get("displacement_in_sizes", 1.0)
+            if displacement < MIN_DISPLACEMENT:
+                findings.append(
+                    f"the object moves by only {displacement:.2f} of its size: a dynamic error of 0 is not significant"
+                )
         except ParameterError as error:
             findings.append(str(error))
     return VideoScore(
@@ -150,41 +149,16 @@ def score_track(track: Track, task: VideoTask, *, name: str = "track") -> VideoS
     )
 
 
-def _findings(task: VideoTask, values: Metrics) -> list[str]:
-    """Return observations beyond the metrics."""
-    findings = []
-    if task.direction is not None:
-        # The sine of a slope, or 1 of a fall.
-        slope = task.direction[1]
-        gravity = values["acceleration_m_s2"] / slope / laws.GRAVITY_M_PER_S2
-        if gravity > MAX_GRAVITY:
-            findings.append(
-                f"the motion needs {gravity:.1f} times gravity: the frame rate may be wrong; give --fps"
-            )
-    displacement = values.get("displacement_in_sizes", 1.0)
-    if displacement < MIN_DISPLACEMENT:
-        findings.append(
-            f"the object moves by only {displacement:.2f} of its size: a dynamic error of 0 is not significant"
-        )
-    return findings
-
-
 # --- metrics ---------------------------------------------------------------------------------------------------------
 
 
-def measure(
-    track: Track,
-    task: VideoTask,
-    span: tuple[int, int],
-    swing: laws.OscillationFit | None = None,
-) -> Metrics:
+def measure(track: Track, task: VideoTask, span: tuple[int, int]) -> Metrics:
     """Return the metrics of a task, and extra numbers, between two rows.
 
     Args:
         track: The track; metrics of the paper use places in whole pixels.
         task: The task.
         span: First and last retained row.
-        swing: Fit of a similar swing, as start for the fit of a pendulum.
 
     Raises:
         ParameterError: The track has too few frames, or a cradle has no apex.
@@ -200,8 +174,13 @@ def measure(
     places_m = whole.points_px[rows] * task.scale_m_per_px
     if task.motion is Motion.TURN:
         away_m = np.linalg.norm(places_m - places_m[0], axis=1)
+        scene = task_scene(task.id)
         de_n = laws.dynamic_error(
-            times_s, places_m, mass_kg=task.mass_kg, friction=task.friction
+            times_s,
+            places_m,
+            mass_kg=scene.body("cube").mass_kg,
+            # The first contact is that of the cube with the plate.
+            friction=scene.contacts[0].friction,
         )
         return {
             "de": de_n,
@@ -209,7 +188,7 @@ def measure(
         }
     angles_rad = laws.swing_angles_rad(whole, task)[rows]
     if task.rest_px is None:
-        fit = laws.fit_damped_oscillation(times_s, angles_rad, swing)
+        fit = laws.fit_damped_oscillation(times_s, angles_rad)
         return {"r2": fit.r2, "pd": fit.period_s, "damping_per_s": fit.damping_per_s}
     # Equations "c5-event-mte" and "c5-mte" of the paper's appendix: outgoing over incoming momentum of equal balls.
     rises_m = task.rest_px[1] * task.scale_m_per_px - places_m[:, 1]
@@ -255,66 +234,30 @@ def _visible_rows(track: Track, first: int, last: int) -> IntArray:
 
 
 def _intervals(
-    track: Track,
-    task: VideoTask,
-    span: tuple[int, int],
-    nominal: Metrics,
+    track: Track, task: VideoTask, span: tuple[int, int], nominal: Metrics
 ) -> dict[str, tuple[float, float]]:
-    """Return the 95 % interval of each metric, over simulated noise, scales, pivots and choices of the span."""
+    """Return the 95 % interval of each metric over simulated errors of places, scale, pivot and span."""
     rng = np.random.default_rng(0)
-    scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * SIZE_SIGMA_PX / task.size_px)
-    swing, count = None, SAMPLES
-    rows = _visible_rows(track, *span)
-    if task.motion is Motion.PENDULUM:
-        angles_rad = laws.swing_angles_rad(track, task)[rows]
-        swing = laws.fit_damped_oscillation(track.times_s[rows], angles_rad)
-        count = SAMPLES // 5
     noise_px = track.noise_px(span)
+    count = len(track.frames)
     samples = []
-    for _ in range(count):
-        points_px = track.points_px + _errors_px(len(track.frames), noise_px, rng)
-        if task.pivot_px is not None and task.motion is not Motion.TURN:
-            points_px += rng.normal(0.0, PIVOT_SIGMA_PX, 2)
-        if swing is not None:
-            # The residual of the law may occur at any time, with either sign.
-            residual_rad = swing.residuals_rad
-            sign = rng.choice([-1.0, 1.0])
-            rolled_rad = sign * np.roll(residual_rad, rng.integers(len(rows)))
-            offset_px = points_px[rows] - np.array(task.pivot_px)
-            tangent_px = offset_px[:, ::-1] * [1.0, -1.0]
-            points_px[rows] += (rolled_rad - residual_rad)[:, None] * tangent_px
+    for _ in range(SAMPLES):
+        errors_px = rng.normal(0.0, noise_px, (count, 2))
+        slow_px = rng.normal(0.0, SLOW_NOISE_PX, (count // SLOW_FRAMES + 1, 2))
+        errors_px += np.repeat(slow_px, SLOW_FRAMES, axis=0)[:count]
+        if task.motion is not Motion.TURN:
+            errors_px += rng.normal(0.0, PIVOT_SIGMA_PX, 2)
+        size_px = task.size_px * (1.0 + rng.normal(0.0, SCALE_SIGMA))
         first = max(0, span[0] + int(rng.integers(-1, 2)))
         last = max(first + 4, span[1] - int(rng.integers(0, 3)))
-        scaled = replace(
-            task, size_px=task.size_px / (1.0 + rng.normal(0.0, scale_sigma))
-        )
-        sample = replace(track, points_px=points_px)
+        sample = replace(track, points_px=track.points_px + errors_px)
         with suppress(ParameterError):
-            samples.append(measure(sample, scaled, (first, last), swing))
-    if len(samples) < count // 2:
-        return {}
-    return {
-        name: _interval(name, value, [sample[name] for sample in samples])
-        for name, value in nominal.items()
-    }
-
-
-def _errors_px(count: int, sigma_px: float, rng: np.random.Generator) -> FloatArray:
-    """Return simulated errors of places [px], shape [count, 2]: noise in each frame, and persistent errors."""
-    noise_px = rng.normal(0.0, sigma_px, (count, 2))
-    knot_count = count // SLOW_FRAMES + 2
-    knots = np.arange(knot_count) * SLOW_FRAMES - rng.uniform(0.0, SLOW_FRAMES)
-    knots_px = rng.normal(0.0, SLOW_NOISE_PX, (knot_count, 2))
-    slow_px = [np.interp(np.arange(count), knots, axis_px) for axis_px in knots_px.T]
-    return noise_px + np.transpose(slow_px)
-
-
-def _interval(name: str, nominal: float, values: list[float]) -> tuple[float, float]:
-    if name == "pd":
-        # Noise only lengthens a period that is not complete, so the error has either sign.
-        error = float(np.percentile(np.abs(np.subtract(values, nominal)), 95.0))
-        return max(0.0, nominal - error), nominal + error
-    # Noise only increases accelerations, so the true value may be below all simulated ones.
-    low = min(nominal, float(np.percentile(values, 2.5)))
-    high = max(nominal, float(np.percentile(values, 97.5)))
-    return low, high
+            scaled = replace(task, size_px=size_px)
+            samples.append(measure(sample, scaled, (first, last)))
+    intervals = {}
+    for name, value in nominal.items():
+        values = [value, *(sample[name] for sample in samples)]
+        low, high = np.percentile(values, [2.5, 97.5]).tolist()
+        # Noise only increases accelerations, so the true value may be below all simulated ones.
+        intervals[name] = (min(value, low), max(value, high))
+    return intervals

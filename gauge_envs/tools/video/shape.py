@@ -30,13 +30,11 @@ class Detection(NamedTuple):
     Attributes:
         place_px: Horizontal and vertical position [px], shape [2]; NaN if not visible.
         likeness: Likeness of shape and colour to the object in the first frame, from 0 to 1.
-        size_ratio: Apparent size relative to the first frame.
-        misfit: Difference from the shape in the first frame, relative to the area.
+        misfit: Difference from size and shape in the first frame, relative to the area.
     """
 
     place_px: FloatArray
     likeness: float
-    size_ratio: float = math.nan
     misfit: float = 0.0
 
 
@@ -188,9 +186,10 @@ class ShapeDetector:
         background = first if is_cradle else _background(first, last, task)
         self._background = background.astype(np.float32)
         # Black bars and edges of the picture hide parts of the object, and so shift its visible centre.
-        rows, columns = np.nonzero(first.max(axis=2) > BLACK_LEVEL)
-        self._low_px = np.array([columns.min(), rows.min()])
-        self._high_px = np.array([columns.max(), rows.max()])
+        is_bright = first.max(axis=2) > BLACK_LEVEL
+        *low_px, width, height = cv2.boundingRect(is_bright.astype(np.uint8))
+        self._low_px = np.array(low_px)
+        self._high_px = self._low_px + np.array([width, height]) - 1
         contrast = self._background - self._colour.astype(np.float32)
         square = (contrast**2).sum(axis=2)
         self._known = (square > MIN_CONTRAST**2).astype(np.float32)
@@ -261,9 +260,8 @@ class ShapeDetector:
         area_px2 = float(expected_px.sum())
         if area_px2 <= MIN_KNOWN_SHARE * self._size_px**2:
             return Detection(place_px, likeness)
-        size_ratio = math.sqrt(float(seen_px.sum()) / area_px2)
         misfit = float(np.abs(seen_px - expected_px).sum()) / area_px2
-        return Detection(place_px, likeness, size_ratio, misfit)
+        return Detection(place_px, likeness, misfit)
 
     def _covered(self, picture: Picture) -> Gray:
         """Return the share of each pixel that the object covers; 0 if the background has the same colour."""

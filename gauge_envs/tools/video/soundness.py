@@ -1,9 +1,9 @@
 """Find reasons why a track does not always follow the object."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.ndimage import binary_closing
 
 from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.tools.video.tasks import Motion, VideoTask
@@ -12,20 +12,16 @@ from gauge_envs.tools.video.track import Track
 MAX_ODD_SHARE = 0.15
 """Largest share of retained frames with a changed object in a sound track."""
 
-MAX_SIZE_CHANGE = 0.3
-"""Largest relative change of the apparent size of the same object."""
-
 MAX_MISFIT = 0.25
-"""Largest difference from the shape in the first frame, relative to the area.
+"""Largest difference from size and shape in the first frame, relative to the area.
 
 A disk instead of a square differs by 0.21, a square instead of a disk by 0.27, and visible sides add to it."""
 
 MIN_CONFIDENCE = 0.5
 """Smallest likeness of a frame with the object."""
 
-MIN_TWIN_LIKENESS, MIN_CRADLE_TWIN_LIKENESS = 0.65, 0.7
-"""Smallest likeness of a second object. Other places in sound published clips stay below 0.60; neighbours of the ball
-of a cradle stay below 0.7."""
+MIN_TWIN_LIKENESS = 0.7
+"""Smallest likeness of a second object. Other places in sound published clips stay below 0.7."""
 
 MIN_TWIN_FRAMES = 3
 """Smallest number of frames with a second object."""
@@ -36,10 +32,8 @@ MAX_JUMP = 1.0
 WINDOW = 6
 """Number of checked frames after the retained ones: cuts and jumps end a slide or a fall, like rebounds."""
 
-MAX_ROW_DISTANCE, MAX_HIDDEN = 1.25, 3
-"""Largest distance of the first or last detection of a ball from the row of the cradle, and frames behind a post.
-
-The distance is in sizes, without the step of a frame: a ball is not detected next to its neighbours."""
+MAX_HIDDEN = 3
+"""Largest number of frames without the object at the end of a film."""
 
 CLEAR_PATH = 7.0
 """Distance from the first place in which a sliding cube or a falling ball is always visible, in sizes."""
@@ -52,9 +46,6 @@ MAX_MISSING = 8
 
 MIN_BROKEN, MAX_WHOLE = 5.0, 2.0
 """Smallest residual of a broken motion, and largest residual of a whole motion, relative to the scatter."""
-
-MAX_UNEVEN_FRAMES = 0.2
-"""Largest difference of the steps between frames, in frames, without a known gap."""
 
 MIN_SCATTER_PX = 0.2
 """Smallest assumed scatter [px]."""
@@ -70,17 +61,10 @@ def faults_of(track: Track, task: VideoTask, span: tuple[int, int] | None) -> li
     """
     first, last = span or (0, len(track.frames) - 1)
     rows = np.arange(first, last + 1)
-    last_watched = min(last + WINDOW, len(track.frames) - 1)
-    faults = [
-        event.text
-        for event in track.events
-        if event.first_frame <= track.frames[last_watched]
-    ]
+    faults = [*track.events]
     if span is not None:
         faults += _clock_fault(track, task, rows)
-    is_cradle = task.motion is Motion.CRADLE
-    min_likeness = MIN_CRADLE_TWIN_LIKENESS if is_cradle else MIN_TWIN_LIKENESS
-    is_twin = track.other_likeness >= min_likeness
+    is_twin = track.other_likeness >= MIN_TWIN_LIKENESS
     if is_twin.sum() >= MIN_TWIN_FRAMES:
         where = _range_text(track.frames[is_twin])
         faults.append(
@@ -89,18 +73,15 @@ def faults_of(track: Track, task: VideoTask, span: tuple[int, int] | None) -> li
     else:
         # Two equal objects that meet look like one object of another size and shape.
         faults += _changes(track, task, rows)
-    if task.rest_px is not None:
-        # The outgoing ball is detected only during its swing; a post may hide it for some frames.
-        is_swinging = binary_closing(track.is_found, np.ones(MAX_HIDDEN + 1))
-        places_px = np.where(is_swinging[:, None], track.points_px, task.rest_px)
-        return [*faults, *_jump(track, task, places_px, MAX_ROW_DISTANCE)]
+    if task.motion is Motion.CRADLE:
+        # The outgoing ball is detected only during its swing.
+        return faults
     lost = rows[~track.is_found[rows]]
     if len(lost) > MAX_ODD_SHARE * len(rows):
-        share, where = len(lost) / len(rows), _range_text(track.frames[lost])
-        faults.append(f"the object is lost in {share:.0%} of the frames, in {where}")
+        faults.append(f"the object is lost in {_range_text(track.frames[lost])}")
     if track.is_found.any():
-        faults += _ends(track, task, span)
-        faults += _jump(track, task, track.points_px[: last_watched + 1], MAX_JUMP)
+        faults += _ends(track, task, last)
+        faults += _jump(track, task, last + WINDOW)
     return faults
 
 
@@ -110,67 +91,55 @@ def _range_text(frames: IntArray) -> str:
 
 
 def _changes(track: Track, task: VideoTask, rows: IntArray) -> Iterator[str]:
-    """Yield changes of size, shape, colour and look that occur in many frames."""
+    """Yield changes of size, shape and look that occur in many frames."""
     visible = rows[track.is_found[rows]]
-    # The ball of a cradle is visible only during its swing. At its largest speed, blur reduces its likeness.
+    # The ball of a cradle is visible only during its swing.
     count = len(visible if task.motion is Motion.CRADLE else rows)
     # Blur changes the shape for some frames, and few frames may be retained.
     is_reshaped = (track.misfit > MAX_MISFIT).mean() > MAX_ODD_SHARE
-    for text, changes, limit, row_count in (
-        (
-            "changes its size by up to {:+.0%}",
-            track.size_ratio - 1.0,
-            MAX_SIZE_CHANGE,
-            count,
-        ),
-        (
-            "changes its shape by up to {:.0%}",
-            track.misfit * is_reshaped,
-            MAX_MISFIT,
-            count,
-        ),
-        ("has another look", 1.0 - track.confidence, 1.0 - MIN_CONFIDENCE, len(rows)),
+    for text, changes, limit in (
+        ("size or shape", track.misfit * is_reshaped, MAX_MISFIT),
+        ("look", 1.0 - track.confidence, 1.0 - MIN_CONFIDENCE),
     ):
-        odd = visible[np.abs(changes[visible]) > limit]
-        if len(odd) > MAX_ODD_SHARE * row_count:
-            largest = text.format(max(changes[odd], key=abs))
-            yield f"the object {largest} in {_range_text(track.frames[odd])}"
+        odd = visible[changes[visible] > limit]
+        if len(odd) > MAX_ODD_SHARE * count:
+            where = _range_text(track.frames[odd])
+            yield f"the object changes its {text} by up to {changes[odd].max():.0%} in {where}"
 
 
-def _ends(track: Track, task: VideoTask, span: tuple[int, int] | None) -> Iterator[str]:
+def _ends(track: Track, task: VideoTask, last: int) -> Iterator[str]:
     """Yield a wrong first place, and the frame in which an object vanishes during a slide or fall."""
-    rows = np.flatnonzero(track.is_found)
-    away_px = np.linalg.norm(track.points_px[rows] - task.centre_px, axis=1)
-    first_away, last_away = (away_px[[0, -1]] / task.size_px).tolist()
-    if first_away > MAX_JUMP:
-        yield f"the object first appears {first_away:.1f} of its size from its place in the known first frame"
-    if task.direction is None:
-        return
-    is_at_end = len(track.frames) - 1 - rows[-1] <= MAX_HIDDEN
-    is_retained = span is None or rows[-1] <= span[1] + 1
-    if last_away <= CLEAR_PATH and is_retained and not is_at_end:
-        yield f"the object vanishes after frame {track.frames[rows[-1]]}"
+    first_px, size_px = track.points_px[track.is_found][0], task.size_px
+    away = math.dist(first_px, task.centre_px) / size_px
+    if away > MAX_JUMP:
+        yield f"the object first appears {away:.1f} of its size from its place in the known first frame"
+    is_clear = math.dist(track.points_px[last], task.centre_px) < CLEAR_PATH * size_px
+    is_found = track.is_found[last + 1 : last + 1 + WINDOW]
+    if (
+        task.direction
+        and is_clear
+        and len(is_found) > MAX_HIDDEN
+        and not is_found.any()
+    ):
+        yield f"the object vanishes after frame {track.frames[last]}"
 
 
-def _jump(
-    track: Track, task: VideoTask, places_px: FloatArray, max_jump: float
-) -> Iterator[str]:
+def _jump(track: Track, task: VideoTask, last: int) -> Iterator[str]:
     """Yield the largest jump that exceeds the speeds before and after it.
 
     Args:
         track: The track.
         task: The task.
-        places_px: Places by row, shape [row_count, 2]; NaN if the object is lost.
-        max_jump: Largest distance that the speeds do not explain, in sizes.
+        last: Last checked row.
     """
-    rows = np.flatnonzero(np.isfinite(places_px).all(axis=1))
-    steps_px = np.linalg.norm(np.diff(places_px[rows], axis=0), axis=1)
+    rows = np.flatnonzero(track.is_found[: last + 1])
+    steps_px = np.linalg.norm(np.diff(track.points_px[rows], axis=0), axis=1)
     gaps = np.diff(rows)
     # The object rests before its first step and after its last one.
     speeds_px = np.pad(steps_px / gaps, 1)
     fastest_px = np.maximum(speeds_px[:-2], speeds_px[2:])
     excess = (steps_px - gaps * fastest_px) / task.size_px
-    if excess.max(initial=0.0) > max_jump:
+    if excess.max(initial=0.0) > MAX_JUMP:
         worst = int(excess.argmax())
         first, last = track.frames[rows[[worst, worst + 1]]]
         yield f"the object jumps by {excess[worst]:.1f} of its size between frames {first} and {last}"
@@ -193,16 +162,13 @@ def _clock_fault(track: Track, task: VideoTask, rows: IntArray) -> Iterator[str]
     if len(rows) < 2 * side:
         return
     windows = np.lib.stride_tricks.sliding_window_view(rows, 2 * side)
-    # Times of a track already include known gaps.
-    steps_s = np.diff(track.times_s[windows], axis=1)
-    windows = windows[np.ptp(steps_s, axis=1) < MAX_UNEVEN_FRAMES / track.fps]
+    # Known gaps are not cuts.
+    windows = windows[np.ptp(track.frames[windows], axis=1) < 2 * side]
     times = np.arange(2.0 * side) - side
     residuals_px = np.array(
         [
-            _residuals_px(
-                track.points_px[windows], times + missing * (times >= 0), degree
-            )
-            for missing in range(MAX_MISSING + 1)
+            _residuals_px(track.points_px[windows], times + gap * (times >= 0), degree)
+            for gap in range(MAX_MISSING + 1)
         ]
     )
     is_cut = residuals_px[0] > MIN_BROKEN * scatter_px

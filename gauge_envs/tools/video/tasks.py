@@ -4,23 +4,21 @@ All video models have the same first frames. Numbers in pixels were read by eye 
 the origin in the top left corner. `tasks.toml` has the numbers.
 
 The "real baseline" of the published table is not a measurement: its accelerations are g (sin 30 - mu cos 30) with the
-calibrated friction, and g. This package calls it the `law` of a task. `VideoTask.real` has real trials.
+calibrated friction, and g. This package calls it the `law` of a task.
 """
 
 import csv
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cache
 from importlib.resources import files
-from typing import NamedTuple
 
 from pydantic import TypeAdapter
 
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.files import csv_text, toml_document
-from gauge_envs.references.published import published_baselines
 from gauge_envs.references.tables import scoring_folder
 from gauge_envs.scene import Scene
 
@@ -46,13 +44,6 @@ class Motion(StrEnum):
     """A ball on a rod swings, damped."""
 
 
-class Measured(NamedTuple):
-    """Mean and standard deviation of a metric over real trials, in the unit of the metric."""
-
-    mean: float
-    std: float
-
-
 @dataclass(frozen=True, kw_only=True)
 class VideoTask:
     """One task of the world-model track.
@@ -68,6 +59,7 @@ class VideoTask:
         rest_px: Position of the last ball of a cradle at rest [px], shape [2]; None for other motions.
         is_shiny: Whether reflections change the face of a rotating object.
         release_height_m: Release height of the incoming ball of a cradle [m].
+        real: Mean and standard deviation of real trials by metric.
     """
 
     id: str
@@ -80,25 +72,12 @@ class VideoTask:
     rest_px: tuple[float, float] | None = None
     is_shiny: bool = False
     release_height_m: float = 0.0
+    real: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def law(self) -> dict[str, float]:
         """Values of the law by metric: the column "real baseline" of the published table."""
-        return published_results()["real_baseline"][self.id]
-
-    @property
-    def real(self) -> dict[str, Measured]:
-        """Measurements of real trials by metric, without metrics that have no trials."""
-        if self.motion is Motion.SLIDE:
-            material = self.id.rpartition("-")[2]
-            file = scoring_folder("facts") / "slope_slider_30deg_summary.toml"
-            trials = toml_document(file.read_bytes())[material]["acceleration_m_s2"]
-            return {"a": Measured(trials["mean"], trials["std"])}
-        return {
-            metric: Measured(baseline.mean, baseline.std)
-            for metric, baseline in published_baselines(self.id).items()
-            if metric in self.law and baseline.std is not None
-        }
+        return published_law()[self.id]
 
     @property
     def scale_m_per_px(self) -> float:
@@ -117,41 +96,22 @@ class VideoTask:
         assert self.pivot_px is not None
         return math.dist(self.rest_px or self.centre_px, self.pivot_px)
 
-    @property
-    def mass_kg(self) -> float:
-        """Mass of the tracked object [kg]: the last ball of a cradle, or the only dynamic body."""
-        return _scene(self.id).dynamic_bodies[-1].mass_kg
-
-    @property
-    def friction(self) -> float:
-        """Coefficient of friction between the cube and the plate of a turntable, 1."""
-        return next(
-            contact.friction
-            for contact in _scene(self.id).contacts
-            if {"cube", "plate"} == {*contact.first, *contact.second}
-        )
-
 
 @cache
-def _scene(task: str) -> Scene:
+def task_scene(task: str) -> Scene:
+    """Return the calibrated scene of a task by its id."""
     return load_experiment(task).scene
 
 
 @cache
-def published_results() -> dict[str, dict[str, dict[str, float]]]:
-    """Return Table 3 of GAUGE's paper by column, task and metric, without dashes.
-
-    The columns are `real_baseline`, the law, and ten configurations of six models.
-    """
+def published_law() -> dict[str, dict[str, float]]:
+    """Return the column "real baseline" of Table 3 of GAUGE's paper by task and metric."""
     file = scoring_folder("published") / "world_model_results.csv"
-    columns: dict[str, dict[str, dict[str, float]]] = {}
+    laws: dict[str, dict[str, float]] = {}
     for row in csv.DictReader(csv_text(file.read_bytes())):
-        task, metric, _ = (row.pop(key) for key in ("variant", "metric", "unit"))
-        for column, value in row.items():
-            values = columns.setdefault(column, {}).setdefault(task, {})
-            if value:
-                values[metric] = float(value)
-    return columns
+        values = laws.setdefault(row["variant"], {})
+        values[row["metric"]] = float(row["real_baseline"])
+    return laws
 
 
 @cache

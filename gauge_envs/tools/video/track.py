@@ -1,21 +1,26 @@
 """Tracks of objects in videos: the output of trackers, and the input of the fits."""
 
 import csv
+import io
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
 from gauge_envs.errors import VideoError
-from gauge_envs.files import csv_text, os_errors, write_whole
+from gauge_envs.files import csv_text, os_errors
+from gauge_envs.pages.document import save_file
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
-from gauge_envs.tools.video.frames import Registration, laid_out
+from gauge_envs.tools.video.frames import FileFrames, Registration, laid_out
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
 COLUMNS = {"time", "frame", "x", "y", "x_grid", "y_grid"}
 """Known columns of a track file."""
+
+VIDEO_SUFFIXES = (".mp4", ".webm", ".mkv", ".mov", ".avi")
+"""Suffixes of videos; tracks have `.csv`."""
 
 GIVEN = "the track comes from a file: no picture was checked"
 """Note on a track from a file."""
@@ -25,18 +30,6 @@ GRID = laid_out(REFERENCE_SIZE_PX)
 
 MIN_NOISE_PX = 0.1
 """Smallest assumed scatter of a tracker between frames [px]."""
-
-
-class Event(NamedTuple):
-    """Event in a video that makes its track doubtful.
-
-    Attributes:
-        text: Description with numbers.
-        first_frame: First frame of the event.
-    """
-
-    text: str
-    first_frame: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,8 +42,7 @@ class Track:
         fps: Frames per second.
         points_px: Centres [px], shape [frame_count, 2]; NaN if the object is not visible.
         confidence: Likeness to the object in the first frame, 0 to 1, shape [frame_count]; 0 if it is not visible.
-        size_ratio: Apparent size relative to the first frame, shape [frame_count]; NaN if unknown.
-        misfit: Difference from the shape in the first frame, relative to the area, shape [frame_count].
+        misfit: Difference from size and shape in the first frame, relative to the area, shape [frame_count].
         other_likeness: Largest likeness of another place to the object, 0 to 1, shape [frame_count].
         events: Events that make the track doubtful.
         notes: More observations.
@@ -62,10 +54,9 @@ class Track:
     fps: float
     points_px: FloatArray
     confidence: FloatArray
-    size_ratio: FloatArray
     misfit: FloatArray
     other_likeness: FloatArray
-    events: tuple[Event, ...] = ()
+    events: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     registration: Registration = GRID
 
@@ -84,42 +75,43 @@ class Track:
         """Return the scatter between frames in a range of rows [px].
 
         Third differences of a smooth motion vanish; third differences of noise have 20 times its variance. The median
-        deviation of normal noise is 0.6745 of its standard deviation.
+        deviation ignores single frames.
         """
-        points = self.points_px[span[0] : span[1] + 1]
-        points = points[np.isfinite(points).all(axis=1)]
-        if len(points) < 8:
+        rows = np.flatnonzero(self.is_found[: span[1] + 1])
+        third = np.diff(self.points_px[rows[rows >= span[0]]], n=3, axis=0)
+        if len(third) < 5:
             return MIN_NOISE_PX
-        third = np.diff(points, n=3, axis=0)
-        deviation = np.median(np.abs(third - np.median(third, axis=0)))
-        return max(float(deviation) / 0.6745 / math.sqrt(20.0), MIN_NOISE_PX)
+        deviation = median_abs_deviation(third, axis=None, scale="normal")
+        return max(float(deviation) / math.sqrt(20.0), MIN_NOISE_PX)
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
-def read_track(
-    path: Path | str,
-    *,
-    fps: float | None = None,
-    size_px: tuple[int, int] = REFERENCE_SIZE_PX,
-) -> Track:
+def video_of(track: Path) -> Path | None:
+    """Return the video with the name of a track, if any."""
+    videos = (track.with_suffix(suffix) for suffix in VIDEO_SUFFIXES)
+    return next(filter(Path.exists, videos), None)
+
+
+def read_track(path: Path | str, *, fps: float | None = None) -> Track:
     """Return a track from a CSV file of any tracker.
 
-    The file has `time` [s] or `frame`. Pixels of the video, from its top left corner, are in `x` and `y`; pixels of the
-    known first frame are in `x_grid` and `y_grid`. Other columns are ignored. Rows without a position have empty cells
+    The file has `time` [s] or `frame`. Pixels from the top left corner of the video with the same name, else of the
+    known first frame, are in `x` and `y`. Pixels of the known first frame are in `x_grid` and `y_grid`. Other columns
+    are ignored. Rows without a position have empty cells
     or are left out.
 
     Args:
         path: The file.
         fps: Frames per second of the video; required without a column `time`.
-        size_px: Width and height of the video [px].
 
     Raises:
         VideoError: The file cannot be read, a column or the rate is missing, or a cell is not a number or not in the
             video.
     """
-    values = _columns(Path(path))
+    values, video = _columns(Path(path)), video_of(Path(path))
+    size_px = FileFrames(video).size_px if video else REFERENCE_SIZE_PX
     unit = "_grid" if "x_grid" in values else ""
     x, y = values.get(f"x{unit}"), values.get(f"y{unit}")
     if x is None or y is None or not values.keys() & {"time", "frame"}:
@@ -127,7 +119,6 @@ def read_track(
             f"{path}: the first line must have the columns time or frame, and x and y or x_grid and y_grid"
         )
     places = np.column_stack([x, y])
-    places[~np.isfinite(places).all(axis=1)] = np.nan
     registration = GRID if unit else laid_out(size_px)
     if not unit and ((places < 0.0) | (places > size_px)).any():
         width, height = size_px
@@ -153,7 +144,6 @@ def read_track(
         fps=fps or 1.0 / float(np.median(steps_s / frame_steps)),
         points_px=places * registration.scale,
         confidence=1.0 * np.isfinite(places[:, 0]),
-        size_ratio=np.full(count, np.nan),
         misfit=zeros,
         other_likeness=zeros,
         notes=(GIVEN,),
@@ -163,16 +153,17 @@ def read_track(
 
 def save_track(track: Track, path: Path) -> Path:
     """Write a track on the grid as CSV for `read_track`, and return its path."""
-    text = "frame,time,x_grid,y_grid\n"
-    places = zip(track.frames, track.times_s, *track.points_px.T, strict=True)
-    for frame, time_s, x_px, y_px in places:
-        # Cells are empty if the object is not visible.
-        cells = f"{x_px:.4f},{y_px:.4f}".replace("nan", "")
-        text += f"{frame},{time_s:.6f},{cells}\n"
-    with os_errors(lambda cause: VideoError(f"{path}: cannot be written: {cause}")):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, text.encode())
-    return path
+    stream = io.StringIO()
+    np.savetxt(
+        stream,
+        np.column_stack([track.frames, track.times_s, track.points_px]),
+        fmt=["%d", "%.6f", "%.4f", "%.4f"],
+        delimiter=",",
+        header="frame,time,x_grid,y_grid",
+        comments="",
+    )
+    # Cells are empty if the object is not visible.
+    return save_file(path, stream.getvalue().replace("nan", ""))
 
 
 def _columns(path: Path) -> dict[str, FloatArray]:

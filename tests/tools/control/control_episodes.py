@@ -2,8 +2,7 @@
 
 import gymnasium
 
-from gauge_envs.tools.control.env import ControlEnv
-from gauge_envs.tools.control.play import play_paid
+from gauge_envs.tools.control.env import ControlEnv, play_paid
 
 FAST = {"timestep_s": 1 / 1080}
 """The longest step that the default contacts allow, for tests that do not need an accurate engine."""
@@ -20,7 +19,18 @@ def by_law(env, fraction=1.0, *, seed=0):
     return play_paid(env, lambda _: env.law_action(fraction), seed=seed)
 
 
+def play(env, policy, *, seed=0):
+    """Return the report of a policy."""
+    return play_paid(env, policy, seed=seed)[1]
+
+
 def with_limit_of(env, nominal):
     """Plant a fault: the task has the limit of another one, as if its simulation did not follow its constants."""
-    env._limit = nominal._limit
+    start_from = env._start_from
+
+    def start_with_wrong_limit(scene):
+        start_from(scene)
+        env.limit = nominal.limit
+
+    env._start_from = start_with_wrong_limit
     return env

@@ -8,18 +8,18 @@ import pytest
 from control_episodes import by_law, make
 
 from gauge_envs import load_experiment
-from gauge_envs.errors import ActionError, EpisodeError, UnknownNameError
+from gauge_envs.errors import ActionError, EpisodeError
 from gauge_envs.references.uncertainties import friction_std
-from gauge_envs.tools.control import control_tasks, find_control_task
+from gauge_envs.tools.control import names
 
 
-@pytest.mark.parametrize("task", control_tasks(), ids=lambda task: task.name)
-def test_each_id_has_its_limit_and_spaces(task):
-    env = make(task.name)
+@pytest.mark.parametrize("name", names())
+def test_each_id_has_its_limit_and_spaces(name):
+    env = make(name)
     observation, info = env.reset(seed=0)
     assert observation in env.observation_space
     assert env.action_space.shape == (len(env.COMMANDED),)
-    assert gymnasium.spec(task.id).max_episode_steps == env.steps
+    assert gymnasium.spec(f"GAUGE/{name}").max_episode_steps == env.steps
     assert info == {"frame": 0, "time_s": 0.0}
     assert 0.0 < env.limit.sigma < env.limit.value
 
@@ -34,8 +34,6 @@ def test_wrong_calls_are_errors():
     for action in ([0.0, 0.0], [1.1], [math.nan], "fast"):
         with pytest.raises(ActionError):
             env.step(action)
-    with pytest.raises(UnknownNameError, match="Turntable-Limit-wood"):
-        find_control_task("Turntable-Limit-wod")
 
 
 def test_a_page_shows_the_law_and_its_limit(gauge):
@@ -59,12 +57,9 @@ def test_an_override_changes_the_limit_and_not_its_uncertainty():
     assert overridden.sigma == nominal.sigma == friction_std(nominal.value, "plastic")
 
 
-def test_a_task_steps_as_chosen_unless_settings_are_given():
-    for settings, step_s in (
-        ({"preset": "training"}, 1 / 180),
-        ({"preset": "training", "timestep_s": 1 / 360}, 1 / 360),
-    ):
-        env = make("Throw-Limit-rubber", settings=settings)
+def test_a_task_has_its_own_settings_unless_settings_are_given():
+    for settings, step_s in ((None, 1 / 1800), ({"timestep_s": 1 / 360}, 1 / 360)):
+        env = make("SlopeSlider-Limit-wood", settings=settings)
         assert env.simulation.settings["timestep_s"] == step_s
 
 

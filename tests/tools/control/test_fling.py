@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from control_episodes import play
 
 from gauge_envs import load_experiment
 from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.tools.control.env import Ending, play_paid
 from gauge_envs.tools.control.fling import FlingLimit
-from gauge_envs.tools.control.limit import Ending
-from gauge_envs.tools.control.play import play, play_paid
 
 TRAINING = {"preset": "training"}
 SPEED_LEFT, ROD_Y, ROD_SPEED = (

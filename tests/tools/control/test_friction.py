@@ -5,14 +5,12 @@ import math
 import mujoco
 import numpy as np
 import pytest
-from control_episodes import FAST, by_law, make
+from control_episodes import FAST, by_law, make, play
 
-from gauge_envs.errors import ParameterError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import rotation_matrices
+from gauge_envs.tools.control.env import Ending
 from gauge_envs.tools.control.friction import HOLD_S, SLIP_SPEED_M_PER_S
-from gauge_envs.tools.control.limit import Ending
-from gauge_envs.tools.control.play import engine_limit, play
 
 GOOD = (Ending.HELD, Ending.REACHED)
 WOOD = ("Turntable-Limit-wood", "SlopeSlider-Limit-wood")
@@ -25,31 +23,6 @@ def test_law_holds_at_98_percent_and_not_at_102(name):
     assert below.ending in GOOD
     assert below.ratio == pytest.approx(0.98, abs=0.005)
     assert by_law(env, 1.02)[1].ending not in GOOD
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["Turntable-Limit-metal", "SlopeSlider-Limit-metal", "Pendulum-Limit-metal"]
-)
-def test_default_engine_allows_the_law(name):
-    share = engine_limit(make(name), bounds=(0.95, 1.05))
-    assert share == pytest.approx(1.0, abs=0.006)
-
-
-def test_engine_limit_of_soft_contacts():
-    """A cube that is carried round creeps with half the contacts' time constant, 0.02 s, times omega^2 r."""
-    settings = {
-        "timestep_s": 1 / 540,
-        "contact_solref": (0.02, 1.0),
-        "integrator": "Euler",
-        "impratio": 1.0,
-    }
-    env = make("Turntable-Limit-wood", settings=settings)
-    share = engine_limit(env, bounds=(0.2, 1.5), resolution=0.02)
-    creeps = SLIP_SPEED_M_PER_S / (0.5 * 0.02) / (env.limit.value * GRAVITY_M_PER_S2)
-    assert share == pytest.approx(creeps, rel=0.2)
-    with pytest.raises(ParameterError, match=r"must succeed with 0\.9"):
-        engine_limit(env, bounds=(0.9, 1.1))
 
 
 @pytest.mark.parametrize("name", WOOD)

@@ -7,6 +7,7 @@ import pytest
 from control_episodes import FAST, by_law, with_limit_of
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.tools.control.env import Ending, play_paid
 from gauge_envs.tools.control.least_time import (
     REST_M_PER_S,
     TOLERANCE_M,
@@ -14,8 +15,6 @@ from gauge_envs.tools.control.least_time import (
     CarryLimit,
     PushLimit,
 )
-from gauge_envs.tools.control.limit import Ending
-from gauge_envs.tools.control.play import play_paid
 
 SLIDING = {"timestep_s": 1 / 3600}
 """With longer steps a cube that slides fast turns and is braked by less than mu g: 2.58 of 2.68 m/s^2 at 1/1080 s."""

@@ -5,13 +5,12 @@ import math
 
 import numpy as np
 import pytest
-from control_episodes import by_law, make, with_limit_of
+from control_episodes import by_law, make, play, with_limit_of
 from places import ROOT
 from programs import printed
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.tools.control.limit import Ending
-from gauge_envs.tools.control.play import play
+from gauge_envs.tools.control.env import Ending
 from gauge_envs.tools.control.throw import SPEED_M_PER_S, STROKE_M, highest_m
 
 THROW = "Throw-Limit-rubber"

@@ -224,7 +224,6 @@ def track_of(places_px, fps):
         fps=fps,
         points_px=places_px,
         confidence=ones,
-        size_ratio=ones,
         misfit=zeros,
         other_likeness=zeros,
     )

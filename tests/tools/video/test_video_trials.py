@@ -56,6 +56,8 @@ def test_real_slides_have_their_acceleration(material):
         places_px = task.centre_px + np.outer(along_px, task.direction)
         metrics = score_track(track_of(places_px, 30.0), task).metrics
         accelerations.append(metrics["acceleration_m_s2"])
-    expected = facts[material]["acceleration_m_s2"]["median"]
+    facts_of_real = facts[material]["acceleration_m_s2"]
+    assert task.real["a"] == (facts_of_real["mean"], facts_of_real["std"])
+    expected = facts_of_real["median"]
     assert len(accelerations) == facts[material]["trial_count"]
     assert np.median(accelerations) == pytest.approx(expected, rel=0.02)
