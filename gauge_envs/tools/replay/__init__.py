@@ -11,7 +11,7 @@ if TYPE_CHECKING:
         read_log as read_log,
         read_map as read_map,
     )
-    from gauge_envs.tools.replay.replay import Replay as Replay, replay as replay
+    from gauge_envs.tools.replay.report import Replay as Replay, replay as replay
     from gauge_envs.tools.replay.schema import (
         ReplayLine as ReplayLine,
         Verdict as Verdict,
@@ -21,7 +21,7 @@ else:
         __name__,
         {
             ".log": ["Log", "LogMap", "read_log", "read_map"],
-            ".replay": ["Replay", "replay"],
+            ".report": ["Replay", "replay"],
             ".schema": ["ReplayLine", "Verdict"],
         },
     )

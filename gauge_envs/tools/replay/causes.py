@@ -1,30 +1,103 @@
-"""The causes that can make a model and a log part: each is a list of values, their bounds, and a changed setup."""
+"""The causes that can make a model and a log part: a row each, with values, bounds, change, and lines to paste."""
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 
 from gauge_envs.tools.replay.log import FloatArray
-from gauge_envs.tools.replay.model import IntArray, Setup, effort_limits
+from gauge_envs.tools.replay.model import IntArray, Setup
 from gauge_envs.tools.replay.predict import Replayer
 
-Change = Callable[[Setup, FloatArray], Setup]
-Alternative = tuple[str, Callable[[Setup], Setup]]
+Change = Callable[[Setup, FloatArray], None]
+Field = tuple[str, Any, Any]
+
+SNIPPETS = {
+    "kp": {
+        "MJCF": '<position joint="{name}" kp="{value:.4g}"/>',
+        "Isaac Lab": "stiffness={numbers}",
+        "mjlab": "stiffness={numbers}",
+        "Playground": "m.actuator({name!r}).gainprm[0] = {value:.4g}; m.actuator({name!r}).biasprm[1] = -{value:.4g}",
+    },
+    "kd": {
+        "MJCF": '<position joint="{name}" kv="{value:.4g}"/>',
+        "Isaac Lab": "damping={numbers}",
+        "mjlab": "damping={numbers}",
+        "Playground": "m.actuator({name!r}).biasprm[2] = -{value:.4g}",
+    },
+    "effort limit": {
+        "MJCF": '<position joint="{name}" forcerange="-{value:.4g} {value:.4g}"/>',
+        "Isaac Lab": "effort_limit_sim={numbers}",
+        "mjlab": "effort_limit={numbers}",
+        "Playground": "m.actuator({name!r}).forcerange[:] = -{value:.4g}, {value:.4g}",
+    },
+    "armature": {
+        "MJCF": '<joint name="{name}" armature="{value:.4g}"/>',
+        "Isaac Lab": "armature={numbers}",
+        "mjlab": "armature={numbers}",
+        "Playground": "m.joint({name!r}).armature[:] = {value:.4g}",
+    },
+    "dry friction": {
+        "MJCF": '<joint name="{name}" frictionloss="{value:.4g}"/>',
+        "Isaac Lab": "friction={numbers}",
+        "mjlab": "frictionloss={numbers}",
+        "Playground": "m.joint({name!r}).frictionloss[:] = {value:.4g}",
+    },
+    "damping": {
+        "MJCF": '<joint name="{name}" damping="{value:.4g}"/>',
+        "Isaac Lab": "damping={numbers}",
+        "mjlab": "damping={numbers}",
+        "Playground": "m.joint({name!r}).damping[0] = {value:.4g}",
+    },
+    "action scale": {
+        "Isaac Lab": "JointPositionActionCfg: scale={numbers}",
+        "mjlab": "JointPositionActionCfg: scale={numbers}",
+        "Playground": "action_scale of {name} = {value:.4g}",
+    },
+    "action offset": {
+        "Isaac Lab": "JointPositionActionCfg: offset={numbers}",
+        "mjlab": "JointPositionActionCfg: offset={numbers}",
+    },
+    "delay": {
+        "MJCF": '<position delay="{value:.4g}" nsample="{samples}"/>',
+        "Isaac Lab": "DelayedPDActuatorCfg(min_delay={steps}, max_delay={steps})",
+        "mjlab": "BuiltinPositionActuatorCfg(delay_min_lag={steps}, delay_max_lag={steps})",
+    },
+    "gravity or tilt": {
+        "MJCF": '<option gravity="{together}"/>',
+        "Playground": "m.opt.gravity[:] = {together}",
+    },
+    "mass or centre of a link": {"MJCF": "<inertial .../> of {name}: {value:.4g}"},
+    "payload": {
+        "MJCF": '<geom type="sphere" size="0.01" mass="{value:.4g}"/> in the body {name}'
+    },
+    "joint limit": {"MJCF": '<joint range="..."/>: {name} {value:.4g}'},
+    "floor friction": {
+        "MJCF": '<geom friction="..."/>: first number times {value:.4g}'
+    },
+    "contact softness": {
+        "MJCF": '<geom solref="..."/>: first number times {value:.4g}'
+    },
+}
+"""Line to paste for a value of each cause, by stack. In Playground m is `self._mj_model`."""
 
 DELAYS_S = (-0.01, 0.005, 0.01, 0.02, 0.03, 0.045, 0.06, 0.09, 0.13, 0.18)
 """Delays from which the fit starts: the error has several minima over the delay."""
-EFFORTS = (0.3, 0.5, 0.7, 0.9, 1.3)
+EFFORTS = (0.12, 0.2, 0.35, 0.5, 0.7, 0.9, 1.3)
 """Effort limits from which the fit starts, over the torque that the model needs in the log."""
 CONTACTS = (-0.7, -0.4, 0.5, 1.5, 4.0)
 """Changes of friction and of the time constant of contacts, over the present value."""
 CLOCKS = (0.5, 0.8, 0.9, 1.1, 1.25, 2.0)
 STEPS = (0.25, 0.5, 2.0, 2.5, 4.0, 5.0)
+"""Physics steps that are tried, over the present one."""
 REPEATS = (2, 3, 4)
 MAX_TIMESTEP_S = 0.02
 MAX_MOVES = 6
@@ -33,10 +106,8 @@ MIN_DWELL = 0.05
 """Fraction of the samples at an extreme of a joint from which on it may be a stop."""
 MAX_DELAY_S = 0.4
 LOAD_SAMPLES = 300
-UNLIMITED = 1e3
-"""Angle of a stop that is none [rad]."""
-NEVER = 100.0
-"""Effort limit, over the torque that the model needs, that no motion reaches."""
+FAR = 40.0
+"""Bound of a number of the fit, in units of its scale."""
 
 
 @dataclass(frozen=True)
@@ -44,521 +115,465 @@ class Group:
     """Values that change together.
 
     Attributes:
-        label: What changes, as the name of a joint; `all` for a common factor, `each` for a number a joint.
-        directions: Change of each value of the cause per number of the fit, shape [K, p].
+        label: What changes, as the name of a joint; `all` for a common number, `each` for a number a joint.
+        index: Values that change, shape [p].
+        is_shared: Whether one number moves all of them.
+        option: All values, where nothing is fitted, shape [K].
     """
 
     label: str
-    directions: FloatArray
+    index: IntArray
+    is_shared: bool = False
+    option: FloatArray | None = None
+
+    @property
+    def size(self) -> int:
+        """Count of the numbers of the fit."""
+        return 1 if self.is_shared else len(self.index)
 
 
 @dataclass(frozen=True)
 class Cause:
-    """One candidate. Value k of the model is `zero[k] + unit[k] * x[k]`, where the fit moves the numbers x.
+    """One candidate. A value that moves is `origin + scale * x`, where the fit moves the number x.
 
     Attributes:
         name: As `delay`.
-        measure: Unit of the values.
+        unit: Unit of the values.
         parameters: Names of the values, as joints.
-        zero, unit: See above, shape [K].
-        present: Numbers of the model as it is, shape [K].
+        present: Values of the model as it is, shape [K].
+        origin, scale: See above, shape [K].
         lower, upper: Bounds of the numbers, shape [K].
-        apply: Returns a changed copy of a setup for values of shape [K].
+        apply: Changes a setup to values of shape [K].
         groups: What is fitted.
         starts: Numbers from which the fit starts where the error is not smooth at the present value.
-        alternatives: Changes without a number, by label.
     """
 
     name: str
-    measure: str
-    parameters: tuple[str, ...]
-    zero: FloatArray
-    unit: FloatArray
+    unit: str
+    parameters: Sequence[str]
     present: FloatArray
+    origin: FloatArray
+    scale: FloatArray
     lower: FloatArray
     upper: FloatArray
     apply: Change
-    groups: tuple[Group, ...]
-    starts: tuple[float, ...] = ()
-    alternatives: tuple[Alternative, ...] = ()
+    groups: Sequence[Group]
+    starts: Sequence[float] = ()
 
-    def values(self, numbers: FloatArray) -> FloatArray:
-        """Return the values for numbers of shape [K]."""
-        return self.zero + self.unit * numbers
+    def values(self, group: Group, numbers: FloatArray) -> FloatArray:
+        """Return all values for numbers of shape [p]."""
+        if group.option is not None:
+            return group.option
+        values, moved = self.present.copy(), group.index
+        values[moved] = self.origin[moved] + self.scale[moved] * numbers
+        return values
 
-    def numbers(self, directions: FloatArray, moved: FloatArray) -> FloatArray:
-        """Return the numbers of all values, shape [K]; those that a group does not move stay as they are."""
-        is_moved = directions.any(axis=1) & bool(self.starts)
-        return np.where(is_moved, 0.0, self.present) + directions @ moved
-
-    def changed(self, setup: Setup, numbers: FloatArray) -> Setup:
+    def changed(self, setup: Setup, group: Group, numbers: FloatArray) -> Setup:
         """Return a changed copy of a setup."""
-        return self.apply(setup, self.values(numbers))
+        after = copy.deepcopy(setup)
+        self.apply(after, self.values(group, numbers))
+        mujoco.mj_setConst(after.model, mujoco.MjData(after.model))
+        return after
+
+    def bounds(self, group: Group) -> tuple[FloatArray, FloatArray]:
+        """Return the bounds of the numbers of a group."""
+        lower, upper = self.lower[group.index], self.upper[group.index]
+        if group.is_shared:
+            return lower.max(keepdims=True), upper.min(keepdims=True)
+        return lower, upper
 
 
-class Candidates:
-    """The causes that a model and a log allow.
+def _assign(*fields: Field) -> Change:
+    """Return a change of fields of a setup: the entries of each take a factor times the values."""
+
+    def apply(setup: Setup, values: FloatArray) -> None:
+        for path, index, factor in fields:
+            attrgetter(path)(setup)[index] = factor * values
+
+    return apply
+
+
+def _groups(labels: Sequence[str]) -> list[Group]:
+    """Return a group for each value."""
+    return [Group(label, np.array([k])) for k, label in enumerate(labels)]
+
+
+def _row(
+    name: str,
+    unit: str,
+    parameters: Sequence[str],
+    present: ArrayLike,
+    typical: ArrayLike,
+    apply: Change,
+    **others: Any,
+) -> Cause:
+    """Return a row; by default values are free, alone, or share a number, whose zero is the present value.
 
     Args:
-        replayer: Predicts the log.
-        setup: The model as it is.
-
-    Attributes:
-        torque, speed: 95th percentiles of each joint in the log, shape [J].
-        demand: 95th percentile of the torque of each actuator, shape [nu].
-        inertia: Diagonal of the mass matrix of each joint, shape [J].
+        name: Name of the cause.
+        unit: Unit of the values.
+        parameters: Names of the values.
+        present: Values of the model.
+        typical: Change that matters, the unit of the numbers.
+        apply: Changes a setup.
+        others: Further attributes of the cause.
     """
-
-    def __init__(self, replayer: Replayer, setup: Setup) -> None:
-        self.log, self.places, self.has_base = (
-            replayer.log,
-            replayer.places,
-            replayer.has_base,
-        )
-        self.setup, self.model = setup, setup.model
-        samples = np.linspace(0, len(self.log.time_s) - 1, LOAD_SAMPLES).astype(int)
-        conditions, torques = replayer.conditions(setup, samples)
-        self.has_contact = bool((conditions == "contact").any())
-        data = mujoco.MjData(self.model)
-        data.qpos[:] = replayer.qpos[samples[LOAD_SAMPLES // 2]]
-        mujoco.mj_forward(self.model, data)
-        inertia = np.zeros((self.model.nv, self.model.nv))
-        mujoco.mj_fullM(self.model, data, inertia)
-        dofs = self.places.dof
-        is_driven = self.places.actuator >= 0
-        torque = np.abs(data.qfrc_bias[dofs])
-        often = np.percentile(np.abs(torques), 95, axis=0)
-        torque[is_driven] = often[self.places.actuator[is_driven]]
-        self.torque, self.inertia = np.maximum(torque, 1e-4), np.diag(inertia)[dofs]
-        self.demand = np.maximum(often, 1e-6)
-        self.speed = np.maximum(
-            np.percentile(np.abs(self.log.velocity), 95, axis=0), 1e-3
-        )
-
-    def causes(self) -> list[Cause]:
-        """Return the candidates."""
-        found = [
-            *self._joint_causes(),
-            self._gravity(),
-            *self._mass_causes(),
-            self._limits(),
-            self._time(),
-        ]
-        if (self.setup.source >= 0).any():
-            found += self._drive_causes()
-        if self.has_contact:
-            found += self._contact_causes()
-        return [cause for cause in found if cause.groups or cause.alternatives]
-
-    # --- drives and joints -------------------------------------------------------------------------------------------
-
-    def _joint_causes(self) -> list[Cause]:
-        """Return armature, dry friction and damping of the joints."""
-        viscous = 0.3 * self.torque / self.speed
-        fields = {
-            "armature": ("kg m^2", "dof_armature", 0.3 * self.inertia),
-            "dry friction": ("N m", "dof_frictionloss", 0.1 * self.torque),
-            "damping": ("N m s/rad", "dof_damping", viscous),
-        }
-        found = []
-        for name, (measure, field, typical) in fields.items():
-            # In newer versions damping is a polynomial, whose first coefficient is the linear one.
-            is_plain = getattr(self.model, field).ndim == 1
-            index = self.places.dof if is_plain else (self.places.dof, 0)
-            present = getattr(self.model, field)[index]
-            apply = _assign((field, index, 1.0))
-            found.append(
-                _positive(name, measure, self.log.joints, present, typical, apply)
-            )
-        return found
-
-    def _drive_causes(self) -> list[Cause]:
-        """Return gains, effort limit, and scale, offset, order and delay of the commands."""
-        model, setup = self.model, self.setup
-        ids = np.flatnonzero(setup.source >= 0)
-        joints = model.actuator_trnid[ids, 0]
-        names = [model.joint(int(joint)).name for joint in joints]
-        gear, demand = model.actuator_gear[ids, 0], self.demand[ids]
-        is_servo = model.actuator_biasprm[ids, 1].any()
-        limits = _assign(
-            ("actuator_forcerange", (ids, 0), -1.0 / np.abs(gear)),
-            ("actuator_forcerange", (ids, 1), 1.0 / np.abs(gear)),
-            actuator_forcelimited=(ids, 1),
-            jnt_actfrclimited=(joints, 0),
-        )
-        effort = _cause("effort limit", "N m", names, 0.0 * demand, demand, limits)
-        effort = replace(
-            effort,
-            present=np.minimum(effort_limits(model)[ids] / demand, NEVER),
-            lower=np.full(len(ids), 0.02),
-            groups=effort.groups[: len(ids) + 1],
-            starts=EFFORTS,
-        )
-
-        def set_commands(field: str) -> Change:
-            def apply(before: Setup, values: FloatArray) -> Setup:
-                array = getattr(before, field).copy()
-                array[ids] = values
-                return replace(before, **{field: array})
-
-            return apply
-
-        def delayed(before: Setup, values: FloatArray) -> Setup:
-            return replace(before, delay_s=float(values[0]))
-
-        scale, offset = setup.scale[ids], setup.offset[ids]
-        unit = np.full(len(ids), 0.05) if is_servo else 0.1 * demand
-        zero, none = np.zeros(1), np.zeros(0)
-        delay = _cause("delay", "s", ["delay"], zero, zero + 1.0, delayed)
-        earliest_s = zero - 2.0 * self.log.command_interval_s
-        order = _cause("joint order", "", [], none, none, delayed)
-        return [
-            *(self._gains(ids, names) if is_servo else []),
-            effort,
-            _positive(
-                "action scale", "", names, scale, 0.0 * scale, set_commands("scale")
-            ),
-            _cause(
-                "action offset",
-                "rad" if is_servo else "N m",
-                names,
-                offset,
-                unit,
-                set_commands("offset"),
-            ),
-            replace(delay, lower=earliest_s, upper=zero + MAX_DELAY_S, starts=DELAYS_S),
-            replace(order, alternatives=self._orders()),
-        ]
-
-    def _gains(self, ids: IntArray, names: Sequence[str]) -> list[Cause]:
-        """Return stiffness and damping of servos, at the joint."""
-        squared = self.model.actuator_gear[ids, 0] ** 2
-        stiffness, damping = (
-            -self.model.actuator_biasprm[ids, k] * squared for k in (1, 2)
-        )
-        typical = 0.3 * self.demand[ids] / self.speed.max()
-        set_stiffness = _assign(
-            ("actuator_gainprm", (ids, 0), 1.0 / squared),
-            ("actuator_biasprm", (ids, 1), -1.0 / squared),
-        )
-        set_damping = _assign(("actuator_biasprm", (ids, 2), -1.0 / squared))
-        return [
-            _positive(
-                "kp", "N m/rad", names, stiffness, 0.0 * stiffness, set_stiffness
-            ),
-            _positive("kd", "N m s/rad", names, damping, typical, set_damping),
-        ]
-
-    def _orders(self) -> tuple[Alternative, ...]:
-        """Return the orders and signs of the commands that their correlation with the motion suggests."""
-        log, setup = self.log, self.setup
-        driven = [
-            j
-            for j, a in enumerate(self.places.actuator)
-            if a >= 0 and setup.source[a] >= 0
-        ]
-        actuators = self.places.actuator[driven]
-        names = [log.joints[j] for j in driven]
-        count = len(names)
-        columns = log.command.T[setup.source[actuators]]
-        commands = np.array(
-            [np.interp(log.time_s, log.command_time_s, column) for column in columns]
-        )
-        motion = log.position.T[driven]
-        if log.command_kind == "tau":
-            motion = np.gradient(log.velocity.T[driven], log.time_s, axis=1)
-        # A constant has no correlation; the trend avoids a division by zero.
-        trend = 1e-9 * np.arange(len(log.time_s))
-        match = np.corrcoef(motion + trend, commands + trend)[:count, count:]
-        same, plus = np.arange(count), np.ones(count)
-        moves: list[tuple[float, str, IntArray, FloatArray]] = []
-        for i in range(count):
-            moves.append(
-                (
-                    -2.0 * match[i, i],
-                    f"{names[i]} mirrored",
-                    same,
-                    np.where(same == i, -1.0, 1.0),
-                )
-            )
-            for j in range(i):
-                order = same.copy()
-                order[[i, j]] = j, i
-                gain = match[i, j] + match[j, i] - match[i, i] - match[j, j]
-                moves.append((gain, f"{names[j]} and {names[i]} swapped", order, plus))
-        moves = sorted(moves, key=lambda move: -move[0])[:MAX_MOVES]
-        best = linear_sum_assignment(-np.abs(match))[1]
-        signs = np.where(match[same, best] < 0.0, -1.0, 1.0)
-        label = ", ".join(
-            f"{names[i]} follows {names[best[i]]}" for i in same if best[i] != i
-        )
-        if label:
-            moves += [
-                (0.0, label, best, plus),
-                (0.0, f"{label}, with signs", best, signs),
-            ]
-
-        def reordered(order: IntArray, sign: FloatArray) -> Callable[[Setup], Setup]:
-            def apply(before: Setup) -> Setup:
-                source, signs, origin = (
-                    before.source.copy(),
-                    before.sign.copy(),
-                    before.origin.copy(),
-                )
-                source[actuators] = setup.source[actuators[order]]
-                origin[actuators] = setup.origin[actuators[order]]
-                signs[actuators] = sign
-                return replace(before, source=source, sign=signs, origin=origin)
-
-            return apply
-
-        return tuple((label, reordered(order, sign)) for _, label, order, sign in moves)
-
-    # --- bodies, time and the world ----------------------------------------------------------------------------------
-
-    def _gravity(self) -> Cause:
-        """Return size and direction of gravity; a tilt of the base is the same."""
-
-        def apply(before: Setup, values: FloatArray) -> Setup:
-            after = before.with_model()
-            after.model.opt.gravity[:] = values
-            return after
-
-        names = ("gravity x", "gravity y", "gravity z")
-        axes = np.eye(3)
-        cause = _cause(
-            "gravity or tilt",
-            "m/s^2",
-            names,
-            np.array(self.model.opt.gravity),
-            np.ones(3),
-            apply,
-        )
-        groups = (
-            Group("size", axes[:, 2:]),
-            Group("tilt", axes[:, :2]),
-            Group("size and tilt", axes),
-        )
-        return replace(cause, groups=groups)
-
-    def _mass_causes(self) -> list[Cause]:
-        """Return mass and centre of each link, and a load on the base and on each end."""
-        model = self.model
-        moved = set(model.jnt_bodyid[self.places.joint].tolist())
-        if self.has_base:
-            moved.add(int(model.jnt_bodyid[0]))
-        for body in range(1, model.nbody):
-            if int(model.body_parentid[body]) in moved:
-                moved.add(body)
-        bodies = np.array(
-            [body for body in sorted(moved) if model.body_mass[body] > 0.0]
-        )
-        names = [model.body(int(body)).name or f"body {body}" for body in bodies]
-        count = len(bodies)
-        mass, inertia = model.body_mass[bodies], model.body_inertia[bodies]
-        size = np.maximum(np.sqrt(inertia.sum(axis=1) / mass), 0.01)
-
-        def set_links(before: Setup, values: FloatArray) -> Setup:
-            after = before.with_model()
-            after.model.body_inertia[bodies] = (
-                inertia * (values[:count] / mass)[:, None]
-            )
-            after.model.body_ipos[bodies] = values[count:].reshape(-1, 3)
-            return _assign(("body_mass", bodies, 1.0))(after, values[:count])
-
-        axes = np.eye(4 * count)
-        groups = [Group("all masses", axes[:, :count].sum(axis=1, keepdims=True))]
-        for index, name in enumerate(names):
-            first = count + 3 * index
-            groups.append(Group(f"mass of {name}", axes[:, [index]]))
-            groups.append(Group(f"centre of {name}", axes[:, first : first + 3]))
-        links = _cause(
-            "mass or centre of a link",
-            "kg, m",
-            [*names, *(f"{name} {axis}" for name in names for axis in "xyz")],
-            np.concatenate([mass, model.body_ipos[bodies].ravel()]),
-            np.concatenate([mass, np.repeat(size, 3)]),
-            set_links,
-        )
-        lower = np.repeat([-0.95, -3.0], [count, 3 * count])
-        parents = model.body_parentid[bodies].tolist()
-        is_end = np.array(
-            [k == 0 or int(body) not in parents for k, body in enumerate(bodies)]
-        )
-        ends, carried = bodies[is_end], mass[is_end]
-
-        def set_loads(before: Setup, values: FloatArray) -> Setup:
-            return _assign(("body_mass", ends, 1.0))(before, carried + values)
-
-        loaded = [name for name, end in zip(names, is_end, strict=True) if end]
-        loads = _positive(
-            "payload", "kg", loaded, 0.0 * carried, 0.2 * carried, set_loads
-        )
-        return [
-            replace(links, lower=lower, groups=tuple(groups)),
-            replace(loads, groups=loads.groups[: len(loaded)]),
-        ]
-
-    def _time(self) -> Cause:
-        """Return the physics step, the decimation, and the clock of the log."""
-
-        def stepped(step_s: float) -> Callable[[Setup], Setup]:
-            def apply(before: Setup) -> Setup:
-                after = before.with_model()
-                after.model.opt.timestep = step_s
-                return after
-
-            return apply
-
-        def repeated(repeat: int, phase: int) -> Callable[[Setup], Setup]:
-            return lambda before: replace(before, repeat=repeat, phase=phase)
-
-        def clocked(before: Setup, values: FloatArray) -> Setup:
-            return replace(before, clock=float(values[0]))
-
-        steps_s = [factor * self.model.opt.timestep for factor in STEPS]
-        options = [
-            (f"physics step of {1e3 * s:.3g} ms", stepped(s))
-            for s in steps_s
-            if s <= MAX_TIMESTEP_S
-        ]
-        for repeat in REPEATS if self.log.command_kind else ():
-            label = f"only each {repeat}. command is used"
-            options += [(label, repeated(repeat, phase)) for phase in range(repeat)]
-        one = np.ones(1)
-        cause = _cause("step and decimation", "s/s", ["clock"], 0.0 * one, one, clocked)
-        timed = replace(cause, present=one, starts=CLOCKS, alternatives=tuple(options))
-        return replace(timed, lower=0.2 * one, upper=5.0 * one)
-
-    def _limits(self) -> Cause:
-        """Return the stops of joints that dwell at an extreme of their motion, or pass the stop of the model."""
-        log, model = self.log, self.model
-        names, places, extremes, present = [], [], [], []
-        for name, joint, column, noise in zip(
-            log.joints,
-            self.places.joint,
-            log.position[log.valid].T,
-            log.position_noise,
-            strict=True,
-        ):
-            near = 4.0 * noise + 0.01 * np.ptp(column)
-            bounds = (
-                model.jnt_range[joint]
-                if model.jnt_limited[joint]
-                else (-UNLIMITED, UNLIMITED)
-            )
-            for side, sign in enumerate((-1.0, 1.0)):
-                extreme = np.percentile(sign * column, 98.0)
-                dwells = (
-                    np.mean(sign * column > extreme - near) > MIN_DWELL
-                    and np.ptp(column) > 10.0 * noise
-                )
-                if dwells or extreme > sign * bounds[side] + near:
-                    names.append(f"{name} {('lower', 'upper')[side]}")
-                    places.append((joint, side))
-                    extremes.append(sign * extreme)
-                    present.append(bounds[side])
-
-        def apply(before: Setup, values: FloatArray) -> Setup:
-            after = before.with_model()
-            for (joint, side), value in zip(places, values, strict=True):
-                if not after.model.jnt_limited[joint]:
-                    after.model.jnt_limited[joint] = 1
-                    after.model.jnt_range[joint] = -UNLIMITED, UNLIMITED
-                after.model.jnt_range[joint, side] = value
-            return after
-
-        zero, far = np.array(extremes), np.full(len(names), 2.0 * UNLIMITED)
-        cause = _cause("joint limit", "rad", names, zero, np.ones(len(names)), apply)
-        bounds = {"present": np.array(present) - zero, "lower": -far, "upper": far}
-        return replace(
-            cause,
-            groups=cause.groups[: len(names)],
-            starts=(0.0, -0.02, 0.02),
-            **bounds,
-        )
-
-    def _contact_causes(self) -> list[Cause]:
-        """Return friction and softness of all contacts, as factors."""
-        fields = {
-            "floor friction": (
-                ("geom_friction", np.s_[:, 0]),
-                ("pair_friction", np.s_[:, :2]),
-            ),
-            "contact softness": (
-                ("geom_solref", np.s_[:, 0]),
-                ("pair_solref", np.s_[:, 0]),
-            ),
-        }
-        one, found = np.ones(1), []
-        for name, places in fields.items():
-            present = [
-                (field, index, getattr(self.model, field)[index].copy())
-                for field, index in places
-            ]
-            cause = _positive(name, "", ["factor"], one, 0.0 * one, _assign(*present))
-            found.append(replace(cause, starts=CONTACTS))
-        return found
-
-
-def _cause(
-    name: str,
-    measure: str,
-    parameters: Sequence[str],
-    present: FloatArray,
-    unit: FloatArray,
-    apply: Change,
-) -> Cause:
-    """Return a cause whose number 0 is the present value; all values are free, alone, or share a number."""
     count = len(parameters)
-    groups = [Group(each, np.eye(count)[:, [k]]) for k, each in enumerate(parameters)]
+    present, scale = (np.broadcast_to(each, count) * 1.0 for each in (present, typical))
+    groups, every = _groups(parameters), np.arange(count)
     if count > 1:
-        groups += [Group("all", np.ones((count, 1))), Group("each", np.eye(count))]
-    zeros, far = np.zeros(count), np.full(count, 40.0)
+        groups += [Group("all", every, is_shared=True), Group("each", every)]
+    far = np.full(count, FAR)
+    defaults = {"origin": present, "lower": -far, "upper": far, "groups": groups}
     return Cause(
         name,
-        measure,
-        tuple(parameters),
-        present,
         unit,
-        zeros,
-        -far,
-        far,
-        apply,
-        tuple(groups),
+        parameters,
+        present,
+        scale=scale,
+        apply=apply,
+        **{**defaults, **others},
     )
 
 
 def _positive(
+    setup: Setup,
     name: str,
-    measure: str,
+    unit: str,
     parameters: Sequence[str],
-    present: FloatArray,
-    typical: FloatArray,
-    apply: Change,
+    typical: ArrayLike,
+    *fields: Field,
+    **others: Any,
 ) -> Cause:
-    """Return a cause whose values stay positive; its numbers are fractions of the present or of a typical value."""
-    unit = np.where(present > 0.2 * typical, present, typical)
-    return replace(
-        _cause(name, measure, parameters, present, unit, apply), lower=-present / unit
+    """Return a row of fields whose values stay positive; its numbers are fractions of the present or typical value."""
+    path, index, factor = fields[0]
+    present = attrgetter(path)(setup)[index] / factor
+    scale = np.where(present > 0.2 * np.asarray(typical), present, typical)
+    others = {"lower": -present / scale, **others}
+    return _row(name, unit, parameters, present, scale, _assign(*fields), **others)
+
+
+def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
+    """Return the causes that a model and a log allow."""
+    log = replayer.log
+    samples = np.linspace(0, len(log.time_s) - 1, LOAD_SAMPLES).astype(int)
+    conditions, torques = replayer.conditions(setup, samples)
+    load = np.maximum(np.percentile(np.abs(torques), 95, axis=0), 1e-4)
+    rows = [
+        *_joints(replayer, setup, load),
+        *_drives(replayer, setup, load),
+        *_bodies(setup.model),
+        _stops(replayer, setup.model),
+        _time(replayer, setup),
+    ]
+    if (conditions == "contact").any():
+        rows += _contacts(setup)
+    return [row for row in rows if row.groups]
+
+
+def _joints(replayer: Replayer, setup: Setup, load: FloatArray) -> list[Cause]:
+    """Return armature, dry friction and damping of the joints."""
+    log, model, dofs = replayer.log, setup.model, replayer.places.dof
+    speed = np.maximum(np.percentile(np.abs(log.velocity), 95, axis=0), 1e-3)
+    # In newer versions damping is a polynomial, whose first coefficient is the linear one.
+    damping = dofs if model.dof_damping.ndim == 1 else (dofs, 0)
+    table = (
+        ("armature", "kg m^2", 0.3 * model.dof_M0[dofs], "model.dof_armature", dofs),
+        ("dry friction", "N m", 0.1 * load, "model.dof_frictionloss", dofs),
+        ("damping", "N m s/rad", 0.3 * load / speed, "model.dof_damping", damping),
+    )
+    return [
+        _positive(setup, name, unit, log.joints, typical, (path, index, 1.0))
+        for name, unit, typical, path, index in table
+    ]
+
+
+def _drives(replayer: Replayer, setup: Setup, load: FloatArray) -> list[Cause]:
+    """Return gains, effort limit, and scale, offset, order and delay of the commands."""
+    log, model, places = replayer.log, setup.model, replayer.places
+    sources = np.append(setup.source, -1)[places.actuator]
+    driven = np.flatnonzero(sources >= 0)
+    if not len(driven):
+        return []
+    ids = places.actuator[driven]
+    names = [log.joints[joint] for joint in driven]
+    load, gear = load[driven], model.actuator_gear[ids, 0]
+    speed = max(np.percentile(np.abs(log.velocity), 95, axis=0).max(), 1e-3)
+    per_joint = 1.0 / gear**2
+    effort = (
+        ("model.actuator_forcerange", (ids, 1), 1.0 / np.abs(gear)),
+        ("model.actuator_forcerange", (ids, 0), -1.0 / np.abs(gear)),
+    )
+    kp = (
+        ("model.actuator_gainprm", (ids, 0), per_joint),
+        ("model.actuator_biasprm", (ids, 1), -per_joint),
+    )
+    kd = ("model.actuator_biasprm", (ids, 2), -per_joint)
+    is_servo = model.actuator_biasprm[ids, 1].any()
+    unit, offset = ("rad", 0.05) if is_servo else ("N m", 0.1 * load)
+    earliest_s = np.array([-2.0 * log.command_interval_s])
+    rows = [
+        _row(
+            "effort limit",
+            "N m",
+            names,
+            model.actuator_forcerange[ids, 1] * np.abs(gear),
+            load,
+            _assign(*effort),
+            origin=0.0 * load,
+            lower=np.full(len(ids), 0.02),
+            starts=EFFORTS,
+        ),
+        _positive(setup, "action scale", "", names, 0.0, ("scale", ids, 1.0)),
+        _row(
+            "action offset",
+            unit,
+            names,
+            setup.offset[ids],
+            offset,
+            _assign(("offset", ids, 1.0)),
+        ),
+        _row(
+            "delay",
+            "s",
+            ["delay"],
+            0.0,
+            1.0,
+            _assign(("delay_s", [0], 1.0)),
+            lower=earliest_s,
+            upper=MAX_DELAY_S * np.ones(1),
+            starts=DELAYS_S,
+        ),
+        _orders(replayer, setup, driven),
+    ]
+    if is_servo:
+        rows += [
+            _positive(setup, "kp", "N m/rad", names, 0.0, *kp),
+            _positive(setup, "kd", "N m s/rad", names, 0.3 * load / speed, kd),
+        ]
+    return rows
+
+
+def _orders(replayer: Replayer, setup: Setup, driven: IntArray) -> Cause:
+    """Return each joint mirrored, and the order and signs of the commands that correlate best with the motion."""
+    log = replayer.log
+    ids = replayer.places.actuator[driven]
+    names = [log.joints[joint] for joint in driven]
+    count = len(names)
+    commands = [
+        np.interp(log.time_s, log.command_time_s, log.command[:, k])
+        for k in setup.source[ids]
+    ]
+    motion = log.position.T[driven]
+    if log.command_kind == "tau":
+        motion = np.gradient(log.velocity.T[driven], log.time_s, axis=1)
+    # A constant has no correlation; the trend avoids a division by zero.
+    trend = 1e-9 * np.arange(len(log.time_s))
+    match = np.corrcoef(motion + trend, commands + trend)[:count, count:]
+    same = np.arange(count)
+    order = linear_sum_assignment(-np.abs(match))[1]
+    signs = np.sign(match[same, order])
+    options = {
+        f"{name} mirrored": (same, 1.0 - 2.0 * row)
+        for name, row in zip(names, np.eye(count), strict=True)
+    }
+    label = ", ".join(
+        f"{names[i]} follows {names[order[i]]}" for i in same[order != same]
+    )
+    if label:
+        options |= {label: (order, same**0), f"{label}, with signs": (order, signs)}
+
+    def apply(after: Setup, values: FloatArray) -> None:
+        taken = ids[values[:count].astype(int)]
+        after.source[ids], after.origin[ids] = setup.source[taken], setup.origin[taken]
+        after.sign[ids] = values[count:]
+
+    groups = [
+        Group(label, same[:0], option=np.concatenate(each))
+        for label, each in options.items()
+    ]
+    return _row("joint order", "", (), 0.0, 0.0, apply, groups=groups)
+
+
+def _bodies(model: mujoco.MjModel) -> list[Cause]:
+    """Return gravity, mass and centre of each link that moves, and a load on the first one and on each end."""
+    bodies = np.flatnonzero((model.body_weldid > 0) & (model.body_mass > 0.0))
+    names = [model.body(int(body)).name or f"body {body}" for body in bodies]
+    mass, inertia = model.body_mass[bodies], model.body_inertia[bodies]
+    fields = [("model.body_mass", bodies, 1.0)]
+    fields += [
+        ("model.body_inertia", (bodies, axis), inertia[:, axis] / mass)
+        for axis in range(3)
+    ]
+    every = np.arange(len(bodies))
+    masses = [
+        Group("all masses", every, is_shared=True),
+        *_groups([f"mass of {name}" for name in names]),
+    ]
+    centre = (
+        "model.body_ipos",
+        (np.repeat(bodies, 3), np.tile(np.arange(3), len(bodies))),
+        1.0,
+    )
+    centres = [
+        Group(f"centre of {name}", 3 * k + np.arange(3)) for k, name in enumerate(names)
+    ]
+    axes = [f"{name} {axis}" for name in names for axis in "xyz"]
+    size = np.maximum(np.sqrt(inertia.sum(axis=1) / mass), 0.01)
+    is_end = ~np.isin(bodies, model.body_parentid[bodies])
+    is_end[:1] = True
+    ends, carried = bodies[is_end], mass[is_end]
+    loaded = [names[k] for k in np.flatnonzero(is_end)]
+
+    def load(after: Setup, values: FloatArray) -> None:
+        after.model.body_mass[ends] = carried + values
+
+    # A tilt of the base turns gravity.
+    moves = {"size": [2], "tilt": [0, 1], "size and tilt": [0, 1, 2]}
+    turns = [Group(label, np.array(each)) for label, each in moves.items()]
+    gravity = [f"gravity {axis}" for axis in "xyz"]
+    down = _assign(("model.opt.gravity", np.s_[:], 1.0))
+    link = "mass or centre of a link"
+    return [
+        _row(
+            "gravity or tilt",
+            "m/s^2",
+            gravity,
+            model.opt.gravity,
+            1.0,
+            down,
+            groups=turns,
+        ),
+        _row(
+            link,
+            "kg",
+            names,
+            mass,
+            mass,
+            _assign(*fields),
+            lower=-0.95 + 0.0 * mass,
+            groups=masses,
+        ),
+        _row(
+            link,
+            "m",
+            axes,
+            model.body_ipos[bodies].ravel(),
+            np.repeat(size, 3),
+            _assign(centre),
+            lower=np.full(len(axes), -3.0),
+            groups=centres,
+        ),
+        _row(
+            "payload",
+            "kg",
+            loaded,
+            0.0,
+            0.2 * carried,
+            load,
+            lower=0.0 * carried,
+            groups=_groups(loaded),
+        ),
+    ]
+
+
+def _time(replayer: Replayer, setup: Setup) -> Cause:
+    """Return the physics step, the decimation, and the clock of the log."""
+
+    def apply(after: Setup, values: FloatArray) -> None:
+        after.model.opt.timestep, after.clock[0] = values[:2]
+        after.repeat, after.phase = values[2:].astype(int)
+
+    step_s = float(setup.model.opt.timestep)
+    options = {
+        f"physics step of {1e3 * factor * step_s:.3g} ms": (factor * step_s, 1.0, 1, 0)
+        for factor in STEPS
+        if factor * step_s <= MAX_TIMESTEP_S
+    }
+    for repeat in REPEATS if replayer.log.command_kind else ():
+        for phase in range(repeat):
+            label = f"only each {repeat}. command is used, from number {phase + 1} on"
+            options[label] = (step_s, 1.0, repeat, phase)
+    groups = [Group("clock", np.array([1]))]
+    groups += [
+        Group(label, np.zeros(0, int), option=np.array(each))
+        for label, each in options.items()
+    ]
+    parameters = ("step", "clock", "repeat", "phase")
+    present = (step_s, 1.0, 1.0, 0.0)
+    bounds = {"origin": np.zeros(4), "lower": np.full(4, 0.2), "upper": np.full(4, 5.0)}
+    return _row(
+        "step and decimation",
+        "s/s",
+        parameters,
+        present,
+        1.0,
+        apply,
+        groups=groups,
+        starts=CLOCKS,
+        **bounds,
     )
 
 
-def _assign(*fields: tuple[str, Any, Any], **constants: tuple[Any, Any]) -> Change:
-    """Return a change of the model: fields take a factor times the values.
+def _stops(replayer: Replayer, model: mujoco.MjModel) -> Cause:
+    """Return the stops of joints that dwell at an extreme of their motion, or pass the stop of the model."""
+    log, ids = replayer.log, replayer.places.joint
+    position = log.position[log.valid]
+    motion = np.ptp(position, axis=0)
+    near = 4.0 * log.position_noise + 0.01 * motion
+    sign = np.array([[-1.0], [1.0]])
+    # Shape [2, J]: the lower and the upper side.
+    extremes = np.percentile(position, (2.0, 98.0), axis=0)
+    present = model.jnt_range[ids].T
+    is_near = sign[..., None] * (position - extremes[:, None]) > -near
+    dwells = (is_near.mean(axis=1) > MIN_DWELL) & (motion > 10.0 * log.position_noise)
+    chosen = np.nonzero(dwells | (sign * (extremes - present) > near))
+    names = [
+        f"{log.joints[joint]} {('lower', 'upper')[side]}"
+        for side, joint in zip(*chosen, strict=True)
+    ]
+    stop = _assign(("model.jnt_range", (ids[chosen[1]], chosen[0]), 1.0))
+    return _row(
+        "joint limit",
+        "rad",
+        names,
+        present[chosen],
+        1.0,
+        stop,
+        origin=extremes[chosen],
+        groups=_groups(names),
+        starts=(0.0, -0.02, 0.02),
+    )
 
-    Args:
-        fields: Name, index and factor of each field.
-        constants: Index and value of further fields.
-    """
 
-    def apply(before: Setup, values: FloatArray) -> Setup:
-        after = before.with_model()
-        for field, index, factor in fields:
-            getattr(after.model, field)[index] = factor * values
-        for field, (index, value) in constants.items():
-            getattr(after.model, field)[index] = value
-        mujoco.mj_setConst(after.model, mujoco.MjData(after.model))
-        return after
-
-    return apply
+def _contacts(setup: Setup) -> list[Cause]:
+    """Return friction and softness of all contacts, as factors."""
+    table = {
+        "floor friction": (
+            ("model.geom_friction", np.s_[:, 0]),
+            ("model.pair_friction", np.s_[:, :2]),
+        ),
+        "contact softness": (
+            ("model.geom_solref", np.s_[:, 0]),
+            ("model.pair_solref", np.s_[:, 0]),
+        ),
+    }
+    rows = []
+    for name, entries in table.items():
+        fields = [
+            (path, index, attrgetter(path)(setup)[index].copy())
+            for path, index in entries
+        ]
+        rows.append(
+            _row(
+                name,
+                "",
+                ["factor"],
+                1.0,
+                1.0,
+                _assign(*fields),
+                lower=-np.ones(1),
+                starts=CONTACTS,
+            )
+        )
+    return rows

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gauge_envs.pages.figures import OURS, REAL, legend_above, new_figure, tidy_axis
-from gauge_envs.tools.replay.replay import Replay
+from gauge_envs.tools.replay.report import Replay
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,15 +24,15 @@ def replay_figure(replay: Replay) -> Figure:
     Left: the log, and predictions from recorded states, before and after. Right: their errors over the time since the
     recorded state.
     """
-    problem = replay.explanation.problem
+    problem, best = replay.problem, replay.explanation.best
     replayer = problem.replayer
-    log, base = replayer.log, replayer.base_dofs
+    log = replayer.log
     pieces = replayer.pieces(HORIZON_S, PREDICTIONS, outputs=OUTPUTS)
     setups = {"model": problem.setup}
-    if replay.best is not None:
-        setups["after the change"] = replay.best.setup
+    if best is not None:
+        setups["after the change"] = problem.changed(best)
     errors = {
-        name: replayer.predict(setup, pieces)[..., base:]
+        name: replayer.predict(setup, pieces)[..., replayer.is_joint]
         for name, setup in setups.items()
     }
     rows = replay.joints[:MAX_JOINTS]

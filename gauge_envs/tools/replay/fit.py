@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from gauge_envs.tools.replay.causes import Cause, Group
 from gauge_envs.tools.replay.log import FloatArray
 from gauge_envs.tools.replay.model import Setup
 from gauge_envs.tools.replay.predict import Replayer
+from gauge_envs.tools.replay.schema import Verdict
 
 HORIZON_S = 0.25
 PIECES = 28
@@ -29,18 +30,56 @@ WITHIN_NOISE = 1.3
 PARAMETER_COST = 0.0005
 """Share that one more number of a fit must bring."""
 MAX_GROUPS = 2
-"""Number of groups of each cause that the linear model passes on."""
-MAX_CALLS = 25
-MAX_LARGE_CALLS = 6
+"""Number of groups of each cause that are fitted."""
+MAX_CALLS, MAX_LARGE_CALLS = 25, 6
 """Calls of least squares for a few numbers, and for many."""
-ROUNDS = ((10, 5), (4, MAX_CALLS))
-"""Rounds of least squares: number of the best fits, and of their calls; the first keeps Jacobians of many numbers."""
-MAX_BASES, MAX_FURTHER, MAX_POOL = 2, 3, 5
-"""Number of causes on top of which a second one is sought, of the second ones, and of those that are best alone."""
+MAX_ALONE, MAX_FURTHER, MAX_POOL, MAX_BASES = 8, 3, 5, 2
+"""Number of fits that are refined: alone, on top of others, and again those that are best alone; and of such bases."""
 MAX_SEVERAL = 4
 """Number of causes that are named together."""
 PROBE = 0.05
 MAX_WHITE = 1e4
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Causes that are fitted together; none for the model as it is.
+
+    Attributes:
+        terms: Cause and group of each.
+        numbers: All numbers of the fit, shape [p].
+        train: Whitened residuals of the pieces that the fit sees, shape [P, T D].
+        held_out: The same of the other pieces; empty before `Problem.judged`.
+        promised: Mean squared training error that a linear model promises, if that is less.
+        half_width: Half of the 95 % interval of each number, where it was computed.
+    """
+
+    terms: tuple[tuple[Cause, Group], ...]
+    numbers: FloatArray
+    train: FloatArray
+    held_out: FloatArray
+    promised: float = np.inf
+    half_width: FloatArray | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the causes."""
+        return tuple(cause.name for cause, _ in self.terms)
+
+    @property
+    def error(self) -> float:
+        """Mean squared error over that of the noise, of pieces that the fit has not seen."""
+        return float(np.mean(self.held_out**2))
+
+    @property
+    def train_error(self) -> float:
+        """Mean squared error over that of the noise, of pieces that the fit sees, or that the linear model promises."""
+        return min(float(np.mean(self.train**2)), self.promised)
+
+    def parts(self, numbers: FloatArray) -> list[FloatArray]:
+        """Return the numbers of each term."""
+        sizes = [group.size for _, group in self.terms]
+        return np.split(numbers, np.cumsum(sizes)[:-1])
 
 
 class Problem:
@@ -51,269 +90,174 @@ class Problem:
         setup: What the user gave; the noise is propagated by it.
 
     Attributes:
+        before: The model as it is.
         floor: Error over noise of a perfect model: 1, or that of the first of two logs.
     """
 
     def __init__(self, replayer: Replayer, setup: Setup) -> None:
         self.replayer, self.setup = replayer, setup
-        self.pieces = replayer.pieces(HORIZON_S, PIECES)
-        covariance = replayer.covariance(setup, self.pieces)
-        self.whitener = np.linalg.inv(np.linalg.cholesky(covariance))
-        self.is_train = np.arange(len(self.pieces.start)) % 2 == 0
-        self.before = self.residuals(setup)
+        pieces = replayer.pieces(HORIZON_S, PIECES)
+        self._pieces, self._whiteners = [], []
+        for first in (0, 1):
+            half = pieces.every(first, 2)
+            covariance = replayer.covariance(setup, half)
+            self._pieces.append(half)
+            self._whiteners.append(np.linalg.inv(np.linalg.cholesky(covariance)))
         self.floor = 1.0
+        self.before = self.judged(Fit((), np.zeros(0), *2 * [np.zeros((0, 0))]))
 
-    def residuals(self, setup: Setup) -> FloatArray:
-        """Return the whitened residuals of all pieces, shape [P, T D]."""
-        deviation = self.replayer.predict(setup, self.pieces)
-        white = (self.whitener @ deviation.reshape(len(deviation), -1, 1))[..., 0]
+    def changed(self, fit: Fit, numbers: FloatArray | None = None) -> Setup:
+        """Return the setup of a fit, or of its causes with other numbers."""
+        setup = self.setup
+        numbers = fit.numbers if numbers is None else numbers
+        for (cause, group), part in zip(fit.terms, fit.parts(numbers), strict=False):
+            setup = cause.changed(setup, group, part)
+        return setup
+
+    def _residuals(self, setup: Setup, half: int) -> FloatArray:
+        deviation = self.replayer.predict(setup, self._pieces[half])
+        columns = deviation.reshape(len(deviation), -1, 1)
+        white = (self._whiteners[half] @ columns)[..., 0]
         return np.clip(white, -MAX_WHITE, MAX_WHITE)
 
-    def errors(self, residuals: FloatArray) -> FloatArray:
-        """Return the mean squared error of each piece that no fit has seen, over that of the noise."""
-        return np.mean(residuals[~self.is_train] ** 2, axis=1)
+    def trained(self, fit: Fit, numbers: FloatArray) -> Fit:
+        """Return a fit with other numbers and its residuals of the training pieces."""
+        train = self._residuals(self.changed(fit, numbers), 0)
+        return replace(fit, numbers=numbers, train=train, promised=np.inf)
 
-    def error(self, residuals: FloatArray) -> float:
-        """Return the mean of `errors`."""
-        return float(np.mean(self.errors(residuals)))
+    def judged(self, fit: Fit) -> Fit:
+        """Return a fit with all its residuals."""
+        setup = self.changed(fit)
+        train, held_out = (self._residuals(setup, half) for half in (0, 1))
+        return replace(fit, train=train, held_out=held_out, promised=np.inf)
 
     def left(self, fit: Fit) -> float:
         """Return the error beyond the noise that a fit leaves, over that of the noise."""
-        return self.error(fit.residuals) / self.floor - 1.0
+        return fit.error / self.floor - 1.0
 
-    def train_error(self, residuals: FloatArray) -> float:
-        """Return the mean squared error of the other pieces."""
-        return float(np.mean(residuals[self.is_train] ** 2))
+    def share(self, fit: Fit) -> float:
+        """Return the share of the error beyond the noise that a fit explains."""
+        beyond = max(self.before.error - self.floor, 1e-9)
+        return 1.0 - (fit.error - self.floor) / beyond
 
-    def share(self, residuals: FloatArray) -> float:
-        """Return the share of the error beyond the noise that is gone."""
-        beyond = max(self.error(self.before) - self.floor, 1e-9)
-        return 1.0 - (self.error(residuals) - self.floor) / beyond
+    def cost(self, fit: Fit) -> float:
+        """Return the training error of a fit, and what its numbers must bring."""
+        return (
+            fit.train_error
+            + PARAMETER_COST * len(fit.numbers) * self.before.train_error
+        )
+
+    def rank(self, fit: Fit) -> float:
+        """Return the share of a fit less what its numbers must bring."""
+        return self.share(fit) - PARAMETER_COST * len(fit.numbers)
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """A fitted cause.
+def _scanned(problem: Problem, base: Fit, cause: Cause) -> list[Fit]:
+    """Return fits with a further cause that is not smooth: for each group the best of its starts."""
+    fits = []
+    for group in cause.groups:
+        blank = replace(base, terms=(*base.terms, (cause, group)))
+        starts = np.zeros((1, 0))
+        if group.option is None:
+            starts = np.outer(cause.starts, np.ones(group.size)).clip(
+                *cause.bounds(group)
+            )
+        tried = [
+            problem.trained(blank, np.append(base.numbers, start)) for start in starts
+        ]
+        fits.append(min(tried, key=problem.cost))
+    return fits
 
-    Attributes:
-        cause, group: What was fitted.
-        numbers: Result, shape [p]; empty for an alternative.
-        setup: The changed setup.
-        residuals: Of all pieces.
-        share: Share of the error that it explains.
-        potential: Share that the linear model promises before least squares.
-        slopes: Linear model of the training residuals.
-        low, high: 95 % interval of the numbers, where one was computed.
+
+def _linear(problem: Problem, base: Fit, cause: Cause) -> list[Fit]:
+    """Return fits with a further cause: the groups that the linear model of the residuals prefers, at its optimum.
+
+    Where the model is too curved, 0.4 of the step is better.
     """
-
-    cause: Cause
-    group: Group
-    numbers: FloatArray
-    setup: Setup
-    residuals: FloatArray
-    share: float
-    potential: float = -np.inf
-    slopes: FloatArray | None = None
-    low: FloatArray | None = None
-    high: FloatArray | None = None
-
-    @property
-    def score(self) -> float:
-        """Share, or what the linear model promises, less what the numbers cost."""
-        return max(self.share, self.potential) - PARAMETER_COST * len(self.numbers)
-
-    def changed(self, base: Setup, numbers: FloatArray | None = None) -> Setup:
-        """Return another setup with this change."""
-        for label, change in self.cause.alternatives:
-            if label == self.group.label:
-                return change(base)
-        moved = self.numbers if numbers is None else numbers
-        return self.cause.changed(
-            base, self.cause.numbers(self.group.directions, moved)
-        )
-
-    def values(self, numbers: FloatArray) -> FloatArray:
-        """Return the values of the cause for numbers of shape [p]."""
-        return self.cause.values(self.cause.numbers(self.group.directions, numbers))
-
-
-def _fit_at(problem: Problem, fit: Fit, base: Setup, numbers: FloatArray) -> Fit:
-    """Return a fit at given numbers, on top of a setup."""
-    setup = fit.changed(base, numbers)
-    residuals = problem.residuals(setup)
-    share = problem.share(residuals)
-    return replace(
-        fit,
-        numbers=numbers,
-        setup=setup,
-        residuals=residuals,
-        share=share,
-        potential=-np.inf,
+    probes = PROBE * np.eye(len(cause.parameters))
+    every = replace(
+        base, terms=(*base.terms, (cause, Group("", np.arange(len(probes)))))
     )
-
-
-def _bounds(fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """Return bounds of the numbers of a fit: those of the values that each moves."""
-    moved = [column != 0.0 for column in fit.group.directions.T]
-    low = [fit.cause.lower[each].max() for each in moved]
-    high = [fit.cause.upper[each].min() for each in moved]
-    return np.array(low), np.array(high)
-
-
-def _trials(problem: Problem, cause: Cause, base: Setup) -> list[Fit]:
-    """Return fits of a cause before least squares, the most promising ones first."""
-    before = problem.residuals(base)
-    blanks = [
-        Fit(cause, group, np.zeros(0), base, before, 0.0) for group in cause.groups
+    moved = [
+        problem.trained(every, np.append(base.numbers, probe)).train for probe in probes
     ]
+    slopes = np.stack([train - base.train for train in moved], axis=-1) / PROBE
+    fits = []
+    for group in cause.groups:
+        columns = slopes[..., group.index].reshape(-1, len(group.index))
+        if group.is_shared:
+            columns = columns.sum(axis=1, keepdims=True)
+        solution = lsq_linear(columns, -base.train.ravel(), bounds=cause.bounds(group))
+        numbers, promised = solution.x, 2.0 * solution.cost / base.train.size
+        terms = (*base.terms, (cause, group))
+        fits.append(replace(base, terms=terms, numbers=numbers, promised=promised))
+    fits.sort(key=problem.cost)
     trials = []
-    for label, _ in cause.alternatives:
-        group = Group(label, np.zeros((0, 0)))
-        blank = Fit(cause, group, np.zeros(0), base, before, 0.0)
-        trials.append(_fit_at(problem, blank, base, np.zeros(0)))
-    if not cause.starts:
-        return trials + _linear_trials(problem, cause, blanks, base)
-    for blank in blanks:
-        starts = [np.clip([start], *_bounds(blank)) for start in cause.starts]
-        trials.append(_best_of(problem, blank, base, starts))
-    trials.sort(key=lambda fit: -fit.score)
-    return trials[:MAX_GROUPS]
-
-
-def _best_of(
-    problem: Problem, blank: Fit, base: Setup, starts: Sequence[FloatArray]
-) -> Fit:
-    """Return the start with the smallest error of the training pieces."""
-    tried = [_fit_at(problem, blank, base, numbers) for numbers in starts]
-    return min(tried, key=lambda fit: problem.train_error(fit.residuals))
-
-
-def _linear_trials(
-    problem: Problem, cause: Cause, blanks: Sequence[Fit], base: Setup
-) -> list[Fit]:
-    """Return the groups that the linear model of the residuals prefers, after a full or a short step."""
-    if not blanks:
-        return []
-    before = blanks[0].residuals
-    columns = []
-    for numbers in cause.present + PROBE * np.eye(len(cause.parameters)):
-        columns.append(
-            (problem.residuals(cause.changed(base, numbers)) - before) / PROBE
-        )
-    slopes = np.stack(columns, axis=-1)
-    promised = []
-    for blank in blanks:
-        jacobian = slopes @ blank.group.directions
-        train = jacobian[problem.is_train].reshape(-1, jacobian.shape[-1])
-        target = -before[problem.is_train].ravel()
-        numbers = lsq_linear(train, target, bounds=_bounds(blank)).x
-        potential = problem.share(before + jacobian @ numbers)
-        promised.append(
-            replace(blank, numbers=numbers, potential=potential, slopes=train)
-        )
-    promised.sort(key=lambda fit: -fit.score)
-    trials = []
-    for fit in promised[:MAX_GROUPS]:
-        best = _best_of(problem, fit, base, [fit.numbers, 0.4 * fit.numbers])
-        trials.append(replace(best, potential=fit.potential))
+    for fit in fits[:MAX_GROUPS]:
+        steps = [np.append(base.numbers, factor * fit.numbers) for factor in (1.0, 0.4)]
+        best = min((problem.trained(fit, step) for step in steps), key=problem.cost)
+        trials.append(replace(best, promised=fit.promised))
     return trials
 
 
-def _applied(setup: Setup, fits: Iterable[Fit]) -> Setup:
-    """Return a setup with several changes."""
-    for fit in fits:
-        setup = fit.changed(setup)
-    return setup
-
-
-def _refined(
-    problem: Problem, fits: Sequence[Fit], base: Setup, calls: int
-) -> list[Fit]:
-    """Return fits after least squares of all their numbers together; each has setup and share of all.
-
-    A single fit of many numbers keeps the Jacobian of its start until the last round.
-    """
-    ends = np.cumsum([len(fit.numbers) for fit in fits])
-    low, high = (np.concatenate(each) for each in zip(*map(_bounds, fits), strict=True))
-    start = np.concatenate([fit.numbers for fit in fits])
-    inside = np.clip(start, low + 1e-9, high - 1e-9)
-    is_large = len(start) > 3
-
-    def moved(numbers: FloatArray) -> list[Fit]:
-        parts = np.split(numbers, ends[:-1])
-        return [
-            replace(fit, numbers=part) for fit, part in zip(fits, parts, strict=True)
-        ]
-
-    def train(numbers: FloatArray) -> FloatArray:
-        return problem.residuals(_applied(base, moved(numbers)))[
-            problem.is_train
-        ].ravel()
-
-    tried = [start]
-    if len(start):
-        solution = least_squares(
-            train,
-            inside,
-            jac=(lambda _: fits[0].slopes)
-            if is_large and calls < MAX_CALLS
-            else "2-point",
-            bounds=(low, high),
-            diff_step=1e-2,
-            x_scale=np.maximum(np.abs(inside), 0.05),
-            ftol=1e-3,
-            xtol=1e-4,
-            max_nfev=MAX_LARGE_CALLS if is_large else calls,
-        )
-        tried.append(solution.x)
-    best = moved(min(tried, key=lambda numbers: float(np.sum(train(numbers) ** 2))))
-    setup = _applied(base, best)
-    residuals = problem.residuals(setup)
-    share = problem.share(residuals)
-    return [
-        replace(fit, setup=setup, residuals=residuals, share=share, potential=-np.inf)
-        for fit in best
-    ]
+def _refined(problem: Problem, fit: Fit) -> Fit:
+    """Return a fit after least squares of all its numbers together."""
+    if not len(fit.numbers):
+        return problem.judged(fit)
+    bounds = [cause.bounds(group) for cause, group in fit.terms]
+    lower, upper = (np.concatenate(each) for each in zip(*bounds, strict=True))
+    start = np.clip(fit.numbers, lower + 1e-9, upper - 1e-9)
+    solution = least_squares(
+        lambda numbers: problem.trained(fit, numbers).train.ravel(),
+        start,
+        bounds=(lower, upper),
+        diff_step=1e-2,
+        x_scale=np.maximum(np.abs(start), 0.05),
+        ftol=1e-3,
+        xtol=1e-4,
+        max_nfev=MAX_CALLS if len(start) < 4 else MAX_LARGE_CALLS,
+    )
+    return problem.judged(replace(fit, numbers=solution.x))
 
 
 def best_fits(
     problem: Problem,
+    base: Fit,
     causes: Sequence[Cause],
-    base: Setup,
+    count: int,
     advance: Callable[[str], None] = lambda _: None,
 ) -> list[Fit]:
-    """Return the best fit of each cause on top of a setup, the best first."""
-    fits = []
+    """Return the best fit with each further cause, the best first; `count` fits are refined."""
+    trials: list[Fit] = []
     for cause in causes:
-        fits += _trials(problem, cause, base)
         advance(cause.name)
-    for count, calls in ROUNDS:
-        fits.sort(key=lambda fit: -fit.score)
-        fits = [
-            _refined(problem, [fit], base, calls)[0] for fit in fits[:count]
-        ] + fits[count:]
-    fits = [replace(fit, potential=-np.inf) for fit in fits]
+        is_smooth = not cause.starts and cause.parameters
+        options = (_linear if is_smooth else _scanned)(problem, base, cause)
+        trials += sorted(options, key=problem.cost)[:MAX_GROUPS]
+    trials.sort(key=problem.cost)
+    fits = [_refined(problem, fit) for fit in trials[:count]]
+    fits += [problem.judged(fit) for fit in trials[count:]]
     best: dict[str, Fit] = {}
-    for fit in sorted(fits, key=lambda fit: -fit.score):
-        best.setdefault(fit.cause.name, fit)
+    for fit in sorted(fits, key=problem.rank, reverse=True):
+        best.setdefault(fit.names[-1], fit)
     return list(best.values())
 
 
-def _with_intervals(problem: Problem, fits: Sequence[Fit]) -> tuple[Fit, ...]:
-    """Return fits that hold together, with 95 % intervals of their numbers.
+def _with_interval(problem: Problem, fit: Fit) -> Fit:
+    """Return a fit with the 95 % intervals of its numbers.
 
     The sandwich A^-1 B A^-1 sums the gradients by pieces, so that correlated residuals and the spread over the pieces
     both widen it.
     """
-    after = problem.residuals(_applied(problem.setup, fits))
+    if not len(fit.numbers):
+        return fit
+    after = np.concatenate([fit.train, fit.held_out])
     columns = []
-    for place, fit in enumerate(fits):
-        for step in np.diag(1e-2 * np.maximum(np.abs(fit.numbers), 0.05)):
-            moved = replace(fit, numbers=fit.numbers + step)
-            setup = _applied(problem.setup, [*fits[:place], moved, *fits[place + 1 :]])
-            columns.append((problem.residuals(setup) - after) / step.sum())
-    if not columns:
-        return tuple(fits)
+    for step in np.diag(1e-2 * np.maximum(np.abs(fit.numbers), 0.05)):
+        moved = problem.judged(replace(fit, numbers=fit.numbers + step))
+        columns.append(
+            (np.concatenate([moved.train, moved.held_out]) - after) / step.sum()
+        )
     slopes = np.stack(columns, axis=-1)
     inverse = np.linalg.pinv(np.einsum("pri,prj->ij", slopes, slopes))
     gradients = np.einsum("pri,pr->pi", slopes, after)
@@ -321,12 +265,7 @@ def _with_intervals(problem: Problem, fits: Sequence[Fit]) -> tuple[Fit, ...]:
     spread = inverse @ gradients.T @ gradients @ inverse * len(after) / freedom
     # The noise alone gives the narrowest interval.
     variance = np.maximum(np.diag(spread), np.abs(np.diag(inverse)))
-    half = student.ppf(0.975, freedom) * np.sqrt(variance)
-    ends = np.cumsum([len(fit.numbers) for fit in fits])
-    return tuple(
-        replace(fit, low=fit.numbers - part, high=fit.numbers + part)
-        for fit, part in zip(fits, np.split(half, ends[:-1]), strict=True)
-    )
+    return replace(fit, half_width=student.ppf(0.975, freedom) * np.sqrt(variance))
 
 
 @dataclass(frozen=True)
@@ -334,65 +273,103 @@ class Explanation:
     """What explains a log.
 
     Attributes:
-        problem: The residuals.
+        verdict: What explains the difference.
         fits: Best fit of each cause, the best first; none if the model predicts the log within its noise.
-        alike: Fits that the log cannot tell from the first.
-        several: Two to four fits that hold together, the last on top of the others; empty where one is enough.
+        alike: Names of the causes that the log cannot tell from the first.
+        several: Two to four causes that are fitted together; None where one is enough.
     """
 
-    problem: Problem
+    verdict: Verdict = Verdict.NOISE
     fits: tuple[Fit, ...] = ()
-    alike: tuple[Fit, ...] = ()
-    several: tuple[Fit, ...] = ()
+    alike: tuple[str, ...] = ()
+    several: Fit | None = None
 
     @property
-    def has_cause(self) -> bool:
-        """Whether one cause explains the difference: to the noise, or far better than any other one."""
-        if not self.fits or self.fits[0].share < EXPLAINS or self.has_several:
-            return False
-        left = 1.0 - self.fits[0].share
-        leads = all(1.0 - fit.share > LEADS * left for fit in self.fits[1:])
-        return leads or self.problem.left(self.fits[0]) < MAX_LEFT
+    def named(self) -> Fit | None:
+        """The fit whose causes are named."""
+        return {Verdict.CAUSE: self.fits[:1], Verdict.SEVERAL: (self.several,)}.get(
+            self.verdict, (None,)
+        )[0]
 
     @property
-    def has_several(self) -> bool:
-        """Whether several causes explain the difference, and far better than one."""
-        if not self.several or self.several[-1].share < EXPLAINS:
-            return False
-        left = self.problem.left(self.several[-1])
-        return left < min(MAX_LEFT, BETTER * self.problem.left(self.fits[0]))
+    def best(self) -> Fit | None:
+        """The fit that leaves the least error."""
+        fits = [fit for fit in (*self.fits[:1], self.several) if fit]
+        return min(fits, key=lambda fit: fit.error, default=None)
 
 
 def _are_alike(problem: Problem, best: Fit, other: Fit) -> bool:
     """Say whether the pieces that no fit has seen cannot tell two fits apart (signed ranks, 5 %)."""
-    gap = problem.errors(other.residuals) - problem.errors(best.residuals)
-    if other.share < 0.5 * best.share:
+    if problem.share(other) < 0.5 * problem.share(best):
         return False
-    scale = 1e-3 * (problem.error(problem.before) - problem.floor)
-    return bool(
-        np.abs(gap).max() < scale or wilcoxon(gap, alternative="greater").pvalue > 0.05
-    )
+    gap = np.mean(other.held_out**2 - best.held_out**2, axis=1)
+    scale = 1e-3 * (problem.before.error - problem.floor)
+    if np.abs(gap).max() < scale:
+        return True
+    return bool(wilcoxon(gap, alternative="greater").pvalue > 0.05)
 
 
 def _grown(
-    problem: Problem, causes: Sequence[Cause], fits: Sequence[Fit], pool: Sequence[Fit]
-) -> list[Fit]:
-    """Return fits with the best further cause, after all were fitted together.
+    problem: Problem, causes: Sequence[Cause], base: Fit, pool: Sequence[Fit]
+) -> Fit:
+    """Return a fit with the best further cause, after all were fitted together.
 
     A cause that explains little on top of the others may still explain much with them, so the best ones alone, `pool`,
     are tried too.
     """
-    names = {fit.cause.name for fit in fits}
-    others = [cause for cause in causes if cause.name not in names]
-    further = best_fits(problem, others, _applied(problem.setup, fits))[:MAX_FURTHER]
+    others = [cause for cause in causes if cause.name not in base.names]
+    fits = best_fits(problem, base, others, MAX_FURTHER)
     for fit in pool:
-        if fit.cause.name not in names:
-            shorter = fit.numbers if fit.cause.starts else 0.3 * fit.numbers
-            further.append(replace(fit, numbers=shorter))
-    tried = [
-        _refined(problem, [*fits, each], problem.setup, MAX_CALLS) for each in further
-    ]
-    return max(tried, key=lambda each: each[-1].share)
+        if fit.names[0] not in base.names:
+            shorter = fit.numbers if fit.terms[0][0].starts else 0.3 * fit.numbers
+            numbers = np.append(base.numbers, shorter)
+            fits.append(
+                _refined(
+                    problem, replace(fit, terms=base.terms + fit.terms, numbers=numbers)
+                )
+            )
+    return min(fits, key=lambda fit: fit.error)
+
+
+def _several(
+    problem: Problem, causes: Sequence[Cause], bases: Sequence[Fit], pool: Sequence[Fit]
+) -> Fit:
+    """Return two to four causes that explain more together."""
+    pairs = []
+    for base in bases:
+        pairs.append(_grown(problem, causes, base, pool))
+        if problem.left(pairs[-1]) < NEAR:
+            break
+    several = min(pairs, key=lambda fit: fit.error)
+    while (
+        len(several.terms) < MAX_SEVERAL
+        and problem.left(several) > NEAR
+        and problem.share(several) > 0.5
+    ):
+        more = _grown(problem, causes, several, pool)
+        if problem.left(more) > BETTER * problem.left(several):
+            break
+        several = more
+    return several
+
+
+def _verdict(problem: Problem, fits: Sequence[Fit], several: Fit | None) -> Verdict:
+    """Return what explains the difference.
+
+    Several causes are named if they explain it far better than one; one cause if it explains it to the noise, or far
+    better than any other one.
+    """
+    left, share = problem.left(fits[0]), problem.share(fits[0])
+    if (
+        several
+        and problem.share(several) > EXPLAINS
+        and problem.left(several) < min(MAX_LEFT, BETTER * left)
+    ):
+        return Verdict.SEVERAL
+    leads = all(1.0 - problem.share(fit) > LEADS * (1.0 - share) for fit in fits[1:])
+    if share > EXPLAINS and (leads or left < MAX_LEFT):
+        return Verdict.CAUSE
+    return Verdict.NOTHING
 
 
 def explain(
@@ -401,32 +378,18 @@ def explain(
     advance: Callable[[str], None] = lambda _: None,
 ) -> Explanation:
     """Return what explains the deviation of a log from the model: each cause alone, then several."""
-    if problem.error(problem.before) < WITHIN_NOISE * problem.floor:
-        return Explanation(problem)
-    fits = best_fits(problem, causes, problem.setup, advance)
-    fits[:1] = _with_intervals(problem, fits[:1])
-    alike = tuple(fit for fit in fits[1:] if _are_alike(problem, fits[0], fit))
-    result = Explanation(problem, tuple(fits), alike)
-    if problem.left(fits[0]) < NEAR:
-        return result
-    several: list[Fit] = []
-    pool = fits[:MAX_POOL]
-    bases = [fits[0], *(fit for fit in fits[1:] if fit not in alike)]
-    for base in bases[:MAX_BASES]:
-        advance(f"with {base.cause.name}")
-        pair = _grown(problem, causes, [base], pool)
-        several = max(
-            several, pair, key=lambda each: each[-1].share if each else -np.inf
-        )
-        if problem.left(several[-1]) < NEAR:
-            break
-    while (
-        len(several) < MAX_SEVERAL
-        and several[-1].share > 0.5
-        and problem.left(several[-1]) > NEAR
-    ):
-        more = _grown(problem, causes, several, pool)
-        if problem.left(more[-1]) > BETTER * problem.left(several[-1]):
-            break
-        several = more
-    return replace(result, several=_with_intervals(problem, several))
+    if problem.before.error < WITHIN_NOISE * problem.floor:
+        return Explanation()
+    fits = best_fits(problem, problem.before, causes, MAX_ALONE, advance)
+    fits[0] = _with_interval(problem, fits[0])
+    is_alike = [_are_alike(problem, fits[0], fit) for fit in fits[1:]]
+    alike = tuple(
+        fit.names[0] for fit, each in zip(fits[1:], is_alike, strict=True) if each
+    )
+    several = None
+    if problem.left(fits[0]) > NEAR:
+        advance("several together")
+        bases = [fits[0], *(fit for fit in fits[1:] if fit.names[0] not in alike)]
+        several = _several(problem, causes, bases[:MAX_BASES], fits[:MAX_POOL])
+        several = _with_interval(problem, several)
+    return Explanation(_verdict(problem, fits, several), tuple(fits), alike, several)

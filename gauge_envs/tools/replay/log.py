@@ -12,6 +12,8 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
+from scipy.spatial.transform import Rotation
+from scipy.stats import linregress
 
 from gauge_envs.errors import FileError, first_fault, needs_extra
 
@@ -155,19 +157,6 @@ class Log:
         """Median interval between samples."""
         return float(np.median(np.diff(self.time_s)))
 
-    def base_noise(self) -> tuple[FloatArray, FloatArray]:
-        """Return the noise of position and rotation of the base, and of its velocities, shape [6] each."""
-        parts = [
-            noise_of(self.time_s, values, self.valid) for values in self.base.values()
-        ]
-        by_name = dict(zip(self.base, parts, strict=True))
-        turn = np.full(3, 2.0 * by_name["quaternion"].max())
-        noise = np.concatenate([by_name["position"], turn])
-        rates = np.concatenate(
-            [by_name["linear_velocity"], by_name["angular_velocity"]]
-        )
-        return np.maximum(noise, MIN_NOISE), np.maximum(rates, MIN_RATE_NOISE)
-
     @property
     def command_interval_s(self) -> float:
         """Median interval between changes of the command."""
@@ -208,66 +197,49 @@ def read_log(
     """
     mapped = mapped or LogMap()
     columns = _read_columns(file)
-    found = _quantities(columns)
+    quantities = _quantities(columns)
     for key in ("time", "position"):
-        if not found[key]:
+        if not quantities[key]:
             known = ", ".join(list(columns)[:8])
-            raise FileError(
-                file,
-                ALIASES[key][0],
-                f"no column of this name or {' or '.join(ALIASES[key][1:4])}: {known}",
-            )
+            expected = " or ".join(ALIASES[key][1:4])
+            reason = f"no column of this name or {expected}: {known}"
+            raise FileError(file, ALIASES[key][0], reason)
     stored = tuple(map(str, columns.get("joints", ())))
-    joints, position = _joined(found["position"], mapped.order or stored or names)
-    time_s = _joined(found["time"], ())[1][:, 0]
+    joints, position = _joined(quantities["position"], mapped.order or stored or names)
+    _, velocity = _joined(quantities["velocity"], joints)
+    time_s = _joined(quantities["time"], ())[1][:, 0]
+    command_time = quantities["command_time"] or quantities["time"]
     _check_times(file, time_s, len(position))
-    kinds: list[str] = [
-        each for each in (mapped.command, *COMMANDS) if each and found[each]
-    ]
+    kinds = [kind for kind in (mapped.command, *COMMANDS) if kind and quantities[kind]]
     kind = kinds[0] if kinds else ""
-    command_names, command = _joined(found.get(kind, {}), joints)
-    velocity = (
-        _joined(found["velocity"], joints)[1]
-        if found["velocity"]
-        else position * np.nan
-    )
+    command_names, command = _joined(quantities.get(kind, {}), joints)
+    unit = np.deg2rad(1.0) if mapped.unit == "deg" else 1.0
     signs, shifts = mapped.correction(joints)
-    scale = np.deg2rad(1.0) if mapped.unit == "deg" else 1.0
     command_signs, command_shifts = mapped.correction(command_names)
     if kind in ("target", "ctrl"):
-        command = command * scale * command_signs + command_shifts
-    else:
-        command = command * command_signs
-    base = {
-        key.removeprefix("base_"): _joined(values, ())[1]
-        for key, values in found.items()
-        if key.startswith("base_") and values
-    }
+        command = command * unit + command_signs * command_shifts
     log = Log(
         name=file.name,
         joints=mapped.renamed(joints),
         time_s=time_s,
-        position=position * scale * signs + shifts,
-        velocity=velocity * scale * signs,
+        position=position * unit * signs + shifts,
+        velocity=velocity * unit * signs if velocity.size else position * np.nan,
         valid=np.asarray(np.isfinite(position).all(axis=1)),
         position_noise=np.zeros(len(joints)),
         velocity_noise=np.zeros(len(joints)),
-        command=command,
+        command=command * command_signs,
         command_kind=kind if command.size else "",
         command_names=mapped.renamed(command_names),
-        command_time_s=_joined(found["command_time"] or found["time"], ())[1][:, 0],
-        base=base,
+        command_time_s=_joined(command_time, ())[1][:, 0],
+        base={
+            key.removeprefix("base_"): _joined(values, ())[1]
+            for key, values in quantities.items()
+            if key.startswith("base_") and values
+        },
     )
-    for check in (
-        _check_wraps,
-        _check_held,
-        _check_zeros,
-        _check_jitter,
-        _check_velocity,
-        _check_base,
-    ):
+    for check in CHECKS:
         log = check(log)
-    return _check_commands(log)
+    return log
 
 
 def _read_columns(file: Path) -> dict[str, NDArray[Any]]:
@@ -444,92 +416,78 @@ def _check_velocity(log: Log) -> Log:
     noise = noise_of(log.time_s, log.position, log.valid)
     log = replace(log, position_noise=np.maximum(noise, MIN_NOISE))
     if noise.max() > LOUD_RAD:
-        log = _with_finding(
-            log,
-            f"noise of {1e3 * noise.max():.2g} mrad or mm: small causes stay unseen",
-        )
+        text = f"noise of {1e3 * noise.max():.2g} mrad or mm: small causes stay unseen"
+        log = _with_finding(log, text)
     slope = np.gradient(log.position, log.time_s, axis=0)
     if np.isnan(log.velocity).all():
-        log = _with_finding(
-            log, "no velocities: differences of positions are used", velocity=slope
-        )
-        return replace(
-            log, velocity_noise=log.position_noise / (np.sqrt(2.0) * log.interval_s)
-        )
+        rate_noise = log.position_noise / (np.sqrt(2.0) * log.interval_s)
+        text = "no velocities: differences of positions are used"
+        return _with_finding(log, text, velocity=slope, velocity_noise=rate_noise)
     valid = log.valid & np.isfinite(log.velocity).all(axis=1)
     spread = 1.4826 * np.median(np.abs(log.velocity - slope)[valid], axis=0)
-    own = noise_of(log.time_s, log.velocity, valid)
-    log = replace(
-        log,
-        valid=valid,
-        velocity_noise=np.maximum(np.hypot(own, 0.2 * spread), MIN_RATE_NOISE),
-    )
-    ratio, straight = (
-        np.polyfit(slope[valid].ravel(), log.velocity[valid].ravel(), 1)[0],
-        np.corrcoef(slope[valid].ravel(), log.velocity[valid].ravel())[0, 1],
-    )
-    if abs(ratio - 1.0) > 0.07 and straight > 0.95:
-        text = f"velocities are {ratio:.3g} times the slope of the positions: another unit or clock"
+    rate_noise = np.hypot(noise_of(log.time_s, log.velocity, valid), 0.2 * spread)
+    rate_noise = np.maximum(rate_noise, MIN_RATE_NOISE)
+    log = replace(log, valid=valid, velocity_noise=rate_noise)
+    line = linregress(slope[valid].ravel(), log.velocity[valid].ravel())
+    if abs(line.slope - 1.0) > 0.07 and line.rvalue > 0.95:
+        text = f"velocities are {line.slope:.3g} times the slope of the positions: another unit or clock"
         return _with_finding(log, text)
     return log
 
 
 def _check_base(log: Log) -> Log:
-    """Read quaternion and velocities of the base in the order and the frame that fit its motion."""
+    """Read quaternion and velocities of the base in the order and the frames that fit its motion."""
     if not {"position", "quaternion"} <= log.base.keys():
         return log
-    from scipy.spatial.transform import Rotation
-
-    base, texts, steps_s = dict(log.base), [], np.diff(log.time_s)[:, None]
-    orders = {
-        is_first: Rotation.from_quat(base["quaternion"], scalar_first=is_first)
-        for is_first in (True, False)
-    }
-    rates = {
-        key: (turn[:-1].inv() * turn[1:]).as_rotvec() / steps_s
-        for key, turn in orders.items()
-    }
-    given = base.get("angular_velocity", np.vstack([rates[True], rates[True][-1:]]))
-    misfits = {}
-    for key, turn in orders.items():
-        misfits[key, "body"] = np.mean((rates[key] - given[:-1]) ** 2)
-        misfits[key, "world"] = np.mean((turn[:-1].apply(rates[key]) - given[:-1]) ** 2)
-    best = min(misfits, key=lambda key: misfits[key])
-    if misfits[best] > 0.5 * misfits[True, "body"]:
-        best = (True, "body")
-    rotation = orders[best[0]]
-    if not best[0]:
-        texts.append("the quaternion of the base is x y z w: reordered")
-    if best[1] == "world":
-        given = rotation.inv().apply(given)
-        texts.append(
-            "the angular velocity of the base is in the world frame: turned into its own"
-        )
+    base, steps_s = dict(log.base), np.diff(log.time_s)[:, None]
     slope = np.gradient(base["position"], log.time_s, axis=0)
     linear = base.get("linear_velocity", slope)
-    turned = rotation.apply(linear)
+    readings, misfits = [], []
+    for order in ("w x y z", "x y z w"):
+        turn = Rotation.from_quat(base["quaternion"], scalar_first=order[0] == "w")
+        rate = (turn[:-1].inv() * turn[1:]).as_rotvec() / steps_s
+        rate = np.vstack([rate, rate[-1:]])
+        angular = base.get("angular_velocity", rate)
+        for frame, each in (("body", angular), ("world", turn.inv().apply(angular))):
+            readings.append(
+                (
+                    f"quaternion {order}, angular velocity in the {frame} frame",
+                    turn,
+                    each,
+                )
+            )
+            misfits.append(np.mean((rate - each) ** 2))
+    best = int(np.argmin(misfits))
+    # Without a clear winner the documented convention holds.
+    best = best if misfits[best] < 0.5 * misfits[0] else 0
+    text, turn, angular = readings[best]
+    turned = turn.apply(linear)
     if np.mean((turned - slope) ** 2) < 0.5 * np.mean((linear - slope) ** 2):
-        linear = turned
-        texts.append(
-            "the linear velocity of the base is in its own frame: turned into the world"
-        )
-    quaternion = rotation.as_quat(scalar_first=True)
-    base |= {
-        "quaternion": quaternion,
-        "angular_velocity": given,
-        "linear_velocity": linear,
-    }
-    return replace(log, base=base, findings=(*log.findings, *texts))
+        best, linear, text = -1, turned, f"{text}, linear velocity in the body frame"
+    base["quaternion"] = turn.as_quat(scalar_first=True)
+    base |= {"linear_velocity": linear, "angular_velocity": angular}
+    log = replace(log, base=base)
+    return _with_finding(log, f"the base is read as {text}") if best else log
 
 
 def _check_commands(log: Log) -> Log:
     """Say when commands move at every sample, so that what happens between samples is not known."""
     if not log.command_kind:
         return _with_finding(log, "no commands: the mechanism is taken as passive")
-    if (
-        log.command_kind in ("action", "ctrl")
-        or log.command_interval_s > 1.1 * log.interval_s
-    ):
+    is_held = log.command_interval_s > 1.1 * log.interval_s
+    if is_held or log.command_kind in ("action", "ctrl"):
         return log
     text = f"commands change at every sample: a delay below {1e3 * log.interval_s:.3g} ms may be how they are held"
     return _with_finding(log, text)
+
+
+CHECKS = (
+    _check_wraps,
+    _check_held,
+    _check_zeros,
+    _check_jitter,
+    _check_velocity,
+    _check_base,
+    _check_commands,
+)
+"""Checks of a log, in this order; each returns the log with what it found."""

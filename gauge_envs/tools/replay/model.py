@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -16,23 +15,25 @@ from gauge_envs.tools.replay.log import ControlMap, FloatArray, Log
 
 IntArray = NDArray[np.int64]
 FOREVER_S = 1e3
+UNLIMITED = 1e4
+"""Limit of a joint [rad or m] or an actuator [N m or N] that is none."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Setup:
-    """A model and a controller: what predicts the log. A cause is a changed copy of it.
+    """A model and a controller: what predicts the log. A cause is a changed deep copy of it.
 
     The control of actuator a is `(sign * scale * (command[source] - origin) + offset) / divisor`.
 
     Attributes:
-        model: The compiled model.
+        model: The compiled model; each joint and actuator has a limit, which is UNLIMITED where the file has none.
         source: Column of the commands of each actuator, -1 for none, shape [nu].
         sign, scale, origin, offset: See above; the origin of a target is its default pose, which the offset adds
             again, shape [nu].
         divisor: The gear for a torque, one over it for an angle, shape [nu].
-        delay_s: Time from the command to its effect.
+        delay_s: Time from the command to its effect, shape [1].
+        clock: Seconds of physics in a second of the log, shape [1].
         repeat, phase: The controller takes only each n-th change of the command, from this one on.
-        clock: Seconds of physics in a second of the log.
     """
 
     model: mujoco.MjModel
@@ -42,14 +43,10 @@ class Setup:
     origin: FloatArray
     offset: FloatArray
     divisor: FloatArray
-    delay_s: float = 0.0
+    delay_s: FloatArray
+    clock: FloatArray
     repeat: int = 1
     phase: int = 0
-    clock: float = 1.0
-
-    def with_model(self) -> Setup:
-        """Return a copy whose model can be changed in place."""
-        return replace(self, model=copy.copy(self.model))
 
     def controls(self, log: Log, time_s: FloatArray, step_s: float) -> FloatArray:
         """Return the mean control of steps that begin at given times, shape [..., nu].
@@ -65,19 +62,15 @@ class Setup:
             rows = np.flatnonzero(is_new)[self.phase :: self.repeat]
         begins_s = log.command_time_s[rows]
         # The first command also holds before its time.
-        knots_s = np.array(
-            [begins_s[0] - FOREVER_S, *begins_s[1:], begins_s[-1] + FOREVER_S]
-        )
+        first_s, last_s = begins_s[0] - FOREVER_S, begins_s[-1] + FOREVER_S
+        knots_s = np.array([first_s, *begins_s[1:], last_s])
         areas = np.cumsum(log.command[rows] * np.diff(knots_s)[:, None], axis=0)
         areas = np.vstack([0.0 * areas[:1], areas])
         begin_s = time_s - self.delay_s
         for actuator in np.flatnonzero(self.source >= 0):
             area = areas[:, self.source[actuator]]
-            ends = (
-                np.interp(begin_s + step_s, knots_s, area),
-                np.interp(begin_s, knots_s, area),
-            )
-            mean = (ends[0] - ends[1]) / step_s
+            before = np.interp(begin_s, knots_s, area)
+            mean = (np.interp(begin_s + step_s, knots_s, area) - before) / step_s
             gain = self.sign[actuator] * self.scale[actuator]
             value = gain * (mean - self.origin[actuator]) + self.offset[actuator]
             controls[..., actuator] = value / self.divisor[actuator]
@@ -91,14 +84,15 @@ class Places:
     Attributes:
         qpos, dof, joint: Addresses of each joint of the log in `qpos` and `qvel`, and its id, shape [J].
         actuator: Actuator that drives each joint, -1 for none, shape [J].
-        base: Address of the free joint in `qpos`, which is first in `qvel` too; -1 without one.
+        base_qpos, base_dof: Addresses of a free base in `qpos` and `qvel`, shapes [7] and [6]; empty without one.
     """
 
     qpos: IntArray
     dof: IntArray
     joint: IntArray
     actuator: IntArray
-    base: int
+    base_qpos: IntArray
+    base_dof: IntArray
 
 
 def load_model(file: Path) -> mujoco.MjModel:
@@ -133,7 +127,7 @@ def find_places(model: mujoco.MjModel, log: Log) -> Places:
         reason = f"the model has no such joint; it has {first_names(known)}: name it in --map"
         raise FileError(log.name, unknown, reason)
     ids = np.array([model.joint(name).id for name in log.joints])
-    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value)
+    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value)[:1]
     if len(free) and not {"position", "quaternion"} <= log.base.keys():
         reason = (
             "the base of the model is free; log its pose, or fix the base of the model"
@@ -143,9 +137,14 @@ def find_places(model: mujoco.MjModel, log: Log) -> Places:
     driven = {
         int(model.actuator_trnid[a, 0]): int(a) for a in np.flatnonzero(is_at_joint)
     }
-    actuators = np.array([driven.get(int(joint), -1) for joint in ids])
-    base = int(model.jnt_qposadr[free[0]]) if len(free) else -1
-    return Places(model.jnt_qposadr[ids], model.jnt_dofadr[ids], ids, actuators, base)
+    return Places(
+        qpos=model.jnt_qposadr[ids],
+        dof=model.jnt_dofadr[ids],
+        joint=ids,
+        actuator=np.array([driven.get(int(joint), -1) for joint in ids]),
+        base_qpos=(model.jnt_qposadr[free][:, None] + np.arange(7)).ravel(),
+        base_dof=(model.jnt_dofadr[free][:, None] + np.arange(6)).ravel(),
+    )
 
 
 def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
@@ -165,69 +164,58 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         actuator = _driven(model, places, log, name)
         joint = int(model.actuator_trnid[actuator, 0])
         gear = float(model.actuator_gear[actuator, 0])
+
+        def given(field: str, joint: str = model.joint(joint).name) -> float | None:
+            return control.of(field, joint)
+
         source[actuator] = column
-        stiffness = control.of("kp", model.joint(joint).name)
+        is_motor = model.actuator_biasprm[actuator, 1] == 0.0
         if kind == "tau":
             _set_law(model, actuator, 1.0, 0.0, 0.0)
             divisor[actuator] = gear
-        elif (
-            kind in ("target", "action")
-            and model.actuator_biasprm[actuator, 1] == 0.0
-            and stiffness
-        ):
-            damping = control.of("kd", model.joint(joint).name)
-            _set_law(
-                model,
-                actuator,
-                stiffness / gear**2,
-                stiffness / gear**2,
-                damping / gear**2,
+        elif kind in ("target", "action") and is_motor and given("kp"):
+            stiffness, damping = given("kp") / gear**2, given("kd") / gear**2
+            _set_law(model, actuator, stiffness, stiffness, damping)
+        elif kind == "target" and is_motor:
+            reason = (
+                "the log has targets, but the model a motor; add kp and kd to --map"
             )
-        elif kind == "target" and model.actuator_biasprm[actuator, 1] == 0.0:
-            raise ParameterError(
-                f"{name}: the log has targets, but the model a motor; add kp and kd to --map"
-            )
+            raise ParameterError(f"{name}: {reason}")
         if kind in ("target", "action") and model.actuator_biasprm[actuator, 1] != 0.0:
             divisor[actuator] = 1.0 / gear
-            default = control.of("default_rad", model.joint(joint).name)
+            default = given("default_rad")
             offset[actuator] = (
                 home[model.jnt_qposadr[joint]] if default is None else default
             )
         if kind == "action":
-            scale[actuator] = control.of("action_scale", model.joint(joint).name)
+            scale[actuator] = given("action_scale")
     # An action counts from the default pose, a target from zero.
     origin = offset if kind == "target" else np.zeros(count)
-    return Setup(model, source, np.ones(count), scale, origin, offset, divisor)
+    _set_limits(model)
+    delay_s, clock = np.zeros(1), np.ones(1)
+    sign = np.ones(count)
+    return Setup(model, source, sign, scale, origin, offset, divisor, delay_s, clock)
 
 
 def _driven(model: mujoco.MjModel, places: Places, log: Log, name: str) -> int:
-    """Return the actuator of a command, which names a joint or an actuator."""
+    """Return the actuator of a command, which names a joint or an actuator, or is its number."""
     if name in log.joints and places.actuator[log.joints.index(name)] >= 0:
         return int(places.actuator[log.joints.index(name)])
-    is_number = name.isdecimal() and len(log.command_names) == model.nu
-    index = (
-        int(name)
-        if is_number
-        else mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
-    )
+    if name.isdecimal() and len(log.command_names) == model.nu:
+        return int(name)
+    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
     if index < 0:
-        raise FileError(
-            log.name,
-            f"{log.command_kind} {name}",
-            "no actuator of the model drives it; map its name",
-        )
+        reason = "no actuator of the model drives it; map its name"
+        raise FileError(log.name, f"{log.command_kind} {name}", reason)
     return int(index)
 
 
 def _set_law(
-    model: mujoco.MjModel, actuator: int, gain: Any, stiffness: float, damping: float
+    model: mujoco.MjModel, actuator: int, gain: float, stiffness: float, damping: float
 ) -> None:
     """Give an actuator a PD law, whose limit of effort is the range of its control, or with zeros its torque."""
-    if (
-        stiffness
-        and model.actuator_ctrllimited[actuator]
-        and not model.actuator_forcelimited[actuator]
-    ):
+    is_limited = bool(model.actuator_ctrllimited[actuator])
+    if stiffness and is_limited and not model.actuator_forcelimited[actuator]:
         model.actuator_forcerange[actuator] = model.actuator_ctrlrange[actuator]
         model.actuator_forcelimited[actuator] = 1
     model.actuator_ctrllimited[actuator] = 0
@@ -237,12 +225,21 @@ def _set_law(
     model.actuator_biasprm[actuator, :3] = 0.0, -stiffness, -damping
 
 
-def effort_limits(model: mujoco.MjModel) -> FloatArray:
-    """Return the largest torque [N m] of each actuator at its joint; infinite without a limit."""
+def _set_limits(model: mujoco.MjModel) -> None:
+    """Give each joint and actuator a limit, and the limit of effort of a joint to its actuator."""
+    model.jnt_range[model.jnt_limited == 0] = -UNLIMITED, UNLIMITED
+    model.jnt_limited[model.jnt_type >= mujoco.mjtJoint.mjJNT_SLIDE.value] = 1
+    model.actuator_forcerange[model.actuator_forcelimited == 0] = -UNLIMITED, UNLIMITED
+    model.actuator_forcelimited[:] = 1
+    is_at_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value
     joints = model.actuator_trnid[:, 0]
-    gear = np.abs(model.actuator_gear[:, 0])
-    own = np.abs(model.actuator_forcerange).max(axis=1) * gear
-    of_joint = np.abs(model.jnt_actfrcrange[joints]).max(axis=1)
-    own[model.actuator_forcelimited == 0] = np.inf
-    of_joint[model.jnt_actfrclimited[joints] == 0] = np.inf
-    return np.minimum(own, of_joint)
+    for actuator in np.flatnonzero(
+        is_at_joint & (model.jnt_actfrclimited[joints] == 1)
+    ):
+        limit = model.jnt_actfrcrange[joints[actuator]] / abs(
+            model.actuator_gear[actuator, 0]
+        )
+        model.actuator_forcerange[actuator] = np.clip(
+            model.actuator_forcerange[actuator], *limit
+        )
+        model.jnt_actfrclimited[joints[actuator]] = 0

@@ -8,14 +8,18 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import processors
-from gauge_envs.tools.replay.log import FloatArray, Log
-from gauge_envs.tools.replay.model import IntArray, Setup, effort_limits, find_places
+from gauge_envs.tools.replay.log import (
+    MIN_NOISE,
+    MIN_RATE_NOISE,
+    FloatArray,
+    Log,
+    noise_of,
+)
+from gauge_envs.tools.replay.model import IntArray, Setup, find_places
 
-BASE_DOFS = 6
 MAX_GAP = 3.0
 """Interval between two samples, over the median, that a prediction may cross."""
 MAX_DEVIATION = 3.0
@@ -34,6 +38,10 @@ class Pieces:
     start: IntArray
     sample: IntArray
 
+    def every(self, first: int, step: int) -> Pieces:
+        """Return each n-th piece from the first one on."""
+        return Pieces(self.start[first::step], self.sample[first::step])
+
 
 class Replayer:
     """Predict a log from its own states.
@@ -46,40 +54,37 @@ class Replayer:
 
     Attributes:
         qpos, qvel: States of all samples, shapes [N, nq] and [N, nv]; joints that are not logged rest.
-        noise, velocity_noise: Noise of each degree of freedom, shape [D].
+        dofs: Addresses of the degrees of freedom in `qvel`, shape [D].
+        noise: Noise of the degrees of freedom and then of their rates, shape [2 D].
+        is_joint: Whether a degree of freedom is a joint, shape [D].
     """
 
     def __init__(self, log: Log, model: mujoco.MjModel) -> None:
         self.log, self.places = log, find_places(model, log)
-        self.evaluations = 0
         self._datas = [mujoco.MjData(model) for _ in range(processors())]
         self._pool = rollout.Rollout(nthread=len(self._datas))
+        places = self.places
         self.qpos = np.tile(model.qpos0, (len(log.time_s), 1))
         self.qvel = np.zeros((len(log.time_s), model.nv))
-        self.qpos[:, self.places.qpos] = log.position
-        self.qvel[:, self.places.dof] = log.velocity
-        self.noise, self.velocity_noise = log.position_noise, log.velocity_noise
-        if self.has_base:
-            base, at = log.base, self.places.base
-            self.qpos[:, at : at + 7] = np.hstack(
-                [base["position"], base["quaternion"]]
-            )
-            self.qvel[:, :BASE_DOFS] = np.hstack(
-                [base["linear_velocity"], base["angular_velocity"]]
-            )
-            noise, velocity_noise = log.base_noise()
-            self.noise = np.concatenate([noise, self.noise])
-            self.velocity_noise = np.concatenate([velocity_noise, self.velocity_noise])
-
-    @property
-    def has_base(self) -> bool:
-        """Whether the base is free."""
-        return self.places.base >= 0
-
-    @property
-    def base_dofs(self) -> int:
-        """Number of degrees of freedom before the joints."""
-        return BASE_DOFS if self.has_base else 0
+        self.qpos[:, places.qpos] = log.position
+        self.qvel[:, places.dof] = log.velocity
+        self.dofs = np.concatenate([places.base_dof, places.dof])
+        self.is_joint = np.arange(len(self.dofs)) >= len(places.base_dof)
+        noise, rate_noise = [], []
+        if len(places.base_dof):
+            base = log.base
+            pose = np.hstack([base["position"], base["quaternion"]])
+            twist = np.hstack([base["linear_velocity"], base["angular_velocity"]])
+            self.qpos[:, places.base_qpos], self.qvel[:, places.base_dof] = pose, twist
+            pose_noise = noise_of(log.time_s, pose, log.valid)
+            # A rotation is twice the change of the quaternion.
+            turn_noise = np.full(3, 2.0 * pose_noise[3:].max())
+            noise = [np.maximum([*pose_noise[:3], *turn_noise], MIN_NOISE)]
+            twist_noise = noise_of(log.time_s, twist, log.valid)
+            rate_noise = [np.maximum(twist_noise, MIN_RATE_NOISE)]
+        self.noise = np.concatenate(
+            [*noise, log.position_noise, *rate_noise, log.velocity_noise]
+        )
 
     def pieces(self, horizon_s: float, count: int, outputs: int = 8) -> Pieces:
         """Return pieces that are spread over the log.
@@ -95,13 +100,11 @@ class Replayer:
         log = self.log
         length = max(1, round(horizon_s / log.interval_s))
         steps = np.unique(np.linspace(0, length, outputs + 1).round().astype(int))[1:]
-        broken = ~log.valid
-        broken[1:] |= np.diff(log.time_s) > MAX_GAP * log.interval_s
-        before = np.concatenate([[0], np.cumsum(broken)])
-        start = np.arange(len(log.time_s) - length)
-        start = start[
-            (before[start + length + 1] == before[start + 1]) & log.valid[start]
-        ]
+        is_broken = ~log.valid
+        is_broken[1:] |= np.diff(log.time_s) > MAX_GAP * log.interval_s
+        breaks = np.cumsum(is_broken)
+        is_whole = breaks[length:] == breaks[:-length]
+        start = np.flatnonzero(is_whole & log.valid[:-length])
         if not len(start):
             raise ParameterError(f"{log.name}: no {horizon_s:g} s without lost samples")
         chosen = np.unique(np.linspace(0, len(start) - 1, count).round().astype(int))
@@ -115,23 +118,31 @@ class Replayer:
         self,
         setup: Setup,
         pieces: Pieces,
-        initial: tuple[FloatArray, FloatArray] | None = None,
+        dof: int = 0,
+        change: float = 0.0,
+        rate_change: float = 0.0,
     ) -> FloatArray:
         """Return predicted minus recorded degrees of freedom, shape [P, T, D].
 
         Args:
             setup: What predicts.
             pieces: What is predicted.
-            initial: Initial positions [P, nq] and velocities [P, nv] in place of the recorded ones.
+            dof: Address in `qvel` of a degree of freedom whose initial value changes.
+            change: Change of its value.
+            rate_change: Change of its rate.
         """
         model, log = setup.model, self.log
         step_s = model.opt.timestep
-        elapsed_s = self.elapsed_s(pieces) * setup.clock
+        elapsed_s = self.elapsed_s(pieces) * setup.clock[0]
         count = int(np.ceil(elapsed_s.max() / step_s - 1e-9))
-        logged_step_s = step_s / setup.clock
+        logged_step_s = step_s / setup.clock[0]
         times_s = log.time_s[pieces.start][:, None] + np.arange(count) * logged_step_s
         controls = setup.controls(log, times_s, logged_step_s)
-        qpos, qvel = initial or (self.qpos[pieces.start], self.qvel[pieces.start])
+        qpos, qvel = self.qpos[pieces.start], self.qvel[pieces.start]
+        qvel[:, dof] += rate_change
+        if change:
+            for row in qpos:
+                mujoco.mj_integratePos(model, row, change * np.eye(model.nv)[dof], 1.0)
         size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         state = np.zeros((len(qpos), size))
         end = 1 + model.nq + model.nv
@@ -139,103 +150,72 @@ class Replayer:
         is_filtered = model.actuator_actadr >= 0
         state[:, end + model.actuator_actadr[is_filtered]] = controls[:, 0, is_filtered]
         states, _ = self._pool.rollout(model, self._datas, state, controls)
-        self.evaluations += 1
         motion = np.concatenate([qpos[:, None], states[:, :, 1 : 1 + model.nq]], axis=1)
+        # Samples between two steps are interpolated.
         place = np.clip(elapsed_s / step_s, 0.0, count)
         left = np.minimum(place.astype(int), count - 1)
         part = (place - left)[..., None]
         rows = np.arange(len(qpos))[:, None]
         predicted = (1.0 - part) * motion[rows, left] + part * motion[rows, left + 1]
-        return self._difference(predicted, self.qpos[pieces.sample])
-
-    def _difference(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """Return the difference of positions [P, T, nq] in degrees of freedom [P, T, D]."""
-        at = self.places.base
-        joints = first[..., self.places.qpos] - second[..., self.places.qpos]
-        parts = [joints]
-        if self.has_base:
-            before, after = (
-                _rotation(each[..., at + 3 : at + 7]) for each in (second, first)
+        recorded = self.qpos[pieces.sample]
+        difference = np.zeros((*place.shape, model.nv))
+        for index in np.ndindex(place.shape):
+            mujoco.mj_differentiatePos(
+                model, difference[index], 1.0, recorded[index], predicted[index]
             )
-            turned = (before.inv() * after).as_rotvec().reshape(*first.shape[:-1], 3)
-            parts = [first[..., at : at + 3] - second[..., at : at + 3], turned, joints]
-        joined = np.nan_to_num(np.concatenate(parts, axis=-1), nan=MAX_DEVIATION)
-        return np.clip(joined, -MAX_DEVIATION, MAX_DEVIATION)
+        deviation = np.nan_to_num(difference[..., self.dofs], nan=MAX_DEVIATION)
+        return np.clip(deviation, -MAX_DEVIATION, MAX_DEVIATION)
 
     def covariance(self, setup: Setup, pieces: Pieces) -> FloatArray:
         """Return the covariance of the predictions that noise alone gives, shape [P, T D, T D].
 
         The noise of the initial state is propagated by its sensitivities, by finite differences: C = N S0 N^T + S.
         """
-        size = pieces.sample.shape[1] * len(self.noise)
-        plain = self.predict(setup, pieces).reshape(-1, size)
+        count = len(self.dofs)
+        size = pieces.sample.shape[1] * count
+        plain = self.predict(setup, pieces)
         columns = []
-        for index, scale in enumerate(
-            np.concatenate([self.noise, self.velocity_noise])
+        for dof, noise, rate_noise in zip(
+            self.dofs, self.noise[:count], self.noise[count:], strict=True
         ):
-            moved = self.predict(setup, pieces, self._perturbed(pieces, index, scale))
-            columns.append(moved.reshape(-1, size) - plain)
+            for change, rate_change in ((noise, 0.0), (0.0, rate_noise)):
+                moved = self.predict(setup, pieces, dof, change, rate_change)
+                columns.append((moved - plain).reshape(-1, size))
         sensitivity = np.stack(columns, axis=-1)
-        recorded = np.tile(self.noise**2, pieces.sample.shape[1])
+        recorded = np.tile(self.noise[:count] ** 2, pieces.sample.shape[1])
         return sensitivity @ sensitivity.transpose(0, 2, 1) + np.diag(recorded)
-
-    def _perturbed(
-        self, pieces: Pieces, index: int, scale: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return initial states with one position or velocity changed by a number."""
-        places, at = self.places, self.places.base
-        qpos, qvel = self.qpos[pieces.start], self.qvel[pieces.start]
-        dof = index % len(self.noise)
-        joint = dof - self.base_dofs
-        if index >= len(self.noise):
-            qvel[:, places.dof[joint] if joint >= 0 else dof] += scale
-        elif joint >= 0:
-            qpos[:, places.qpos[joint]] += scale
-        elif dof < 3:
-            qpos[:, at + dof] += scale
-        else:
-            turn = Rotation.from_rotvec(scale * np.eye(3)[dof - 3])
-            turned = _rotation(qpos[:, at + 3 : at + 7]) * turn
-            qpos[:, at + 3 : at + 7] = turned.as_quat(scalar_first=True)
-        return qpos, qvel
 
     def conditions(
         self, setup: Setup, samples: IntArray
     ) -> tuple[NDArray[np.str_], FloatArray]:
-        """Return the condition of each joint at samples, shape [S, J], and the torques of the actuators [S, nu]."""
+        """Return the condition of each joint at samples, shape [S, J], and its torque in the model, shape [S, J].
+
+        The torque of a joint without an actuator is that of gravity and inertia.
+        """
         model, places, data, log = setup.model, self.places, self._datas[0], self.log
         controls = setup.controls(log, log.time_s[samples], model.opt.timestep)
-        found = np.full((len(samples), len(places.joint)), "free", dtype="<U10")
-        torques = np.zeros((len(samples), model.nu))
+        conditions = np.full((len(samples), len(places.joint)), "free", dtype="<U10")
+        torques = np.zeros(conditions.shape)
         for place, row in enumerate(samples):
-            data.qpos[:], data.qvel[:], data.ctrl[:] = (
-                self.qpos[row],
-                self.qvel[row],
-                controls[place],
-            )
+            data.qpos[:], data.qvel[:] = self.qpos[row], self.qvel[row]
+            data.ctrl[:] = controls[place]
             mujoco.mj_forward(model, data)
-            torques[place] = data.actuator_force * model.actuator_gear[:, 0]
+            torque = np.where(data.qfrc_actuator, data.qfrc_actuator, data.qfrc_bias)
+            torques[place] = torque[places.dof]
             if data.ncon:
-                found[place] = "contact"
-        ranges, near = model.jnt_range[places.joint], 3.0 * log.position_noise
+                conditions[place] = "contact"
+        lower, upper = model.jnt_range[places.joint].T
+        near = 3.0 * log.position_noise
         angle = log.position[samples]
-        at_limit = (angle < ranges[:, 0] + near) | (angle > ranges[:, 1] - near)
-        found[at_limit & (model.jnt_limited[places.joint] == 1)] = "limit"
-        driven = np.flatnonzero(places.actuator >= 0)
-        ids = places.actuator[driven]
-        saturated = np.zeros(found.shape, bool)
-        saturated[:, driven] = (
-            np.abs(torques[:, ids]) > 0.999 * effort_limits(model)[ids]
-        )
-        found[saturated] = "saturation"
-        return found, torques
+        conditions[(angle < lower + near) | (angle > upper - near)] = "limit"
+        effort = model.actuator_forcerange[:, 1] * np.abs(model.actuator_gear[:, 0])
+        # A joint without an actuator has the place -1: the last entry.
+        limits = np.append(effort, np.inf)[places.actuator]
+        conditions[np.abs(torques) > 0.999 * limits] = "saturation"
+        return conditions, torques
 
     def held_velocity(self, pieces: Pieces) -> FloatArray:
         """Return the error of the baseline that keeps the recorded velocity, shape [P, T, J]."""
         log = self.log
         moved = self.elapsed_s(pieces)[..., None] * log.velocity[pieces.start][:, None]
         return log.position[pieces.start][:, None] + moved - log.position[pieces.sample]
-
-
-def _rotation(quaternion: FloatArray) -> Rotation:
-    return Rotation.from_quat(quaternion.reshape(-1, 4), scalar_first=True)

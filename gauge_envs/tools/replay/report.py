@@ -1,103 +1,267 @@
-"""The report of a replay: the answer, where model and log part, and what explains it."""
+"""A replay and its report: the answer, where model and log part, and what explains it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
+import mujoco
 import numpy as np
 
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Table
-from gauge_envs.tools.replay.causes import UNLIMITED
-from gauge_envs.tools.replay.fit import Fit
-from gauge_envs.tools.replay.replay import Replay
+from gauge_envs.tools.replay.causes import SNIPPETS, candidates
+from gauge_envs.tools.replay.fit import Explanation, Fit, Problem, explain
+from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, read_log
+from gauge_envs.tools.replay.model import (
+    UNLIMITED,
+    build_setup,
+    joint_names,
+    load_model,
+)
+from gauge_envs.tools.replay.predict import Replayer
 from gauge_envs.tools.replay.schema import (
     Explained,
     JointReport,
+    Prediction,
     ReplayLine,
     Value,
     Verdict,
 )
-from gauge_envs.tools.replay.snippets import paste_lines
 
+HORIZONS_S = {0.0: 400, 0.1: 300, 0.5: 120}
+"""Lengths of the predictions of the table, and their number; the first is one interval of the log."""
+NOISE_PIECES = 4
+LEAVES = 4.0
+"""Error over noise at which a prediction has left the noise, twice in a row."""
+MIN_CORRELATION = 0.99
+"""Correlation of the commands from which on a second log is a repeat of the first."""
 MAX_ROWS = 12
 """Joints that the text shows, those with the largest error first."""
 MAX_CAUSES = 4
+STACKS = ("MJCF", "Isaac Lab", "mjlab", "Playground")
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What a log and a model say of each other.
+
+    Attributes:
+        model: Name of the model.
+        logs: The logs; the last one is explained.
+        problem: The residuals.
+        explanation: The fits.
+        joints: A row a joint, the largest error over noise first.
+        conditions: Error over noise of predictions of 0.1 s by condition.
+    """
+
+    model: str
+    logs: tuple[Log, ...]
+    problem: Problem
+    explanation: Explanation
+    joints: tuple[JointReport, ...]
+    conditions: dict[str, float]
+
+    @property
+    def verdict(self) -> Verdict:
+        """What explains the difference."""
+        return self.explanation.verdict
+
+
+def replay(
+    log: Path,
+    model: Path,
+    against: Path | None = None,
+    mapped: LogMap | None = None,
+    advance: Callable[[str], None] = lambda _: None,
+) -> Replay:
+    """Return what explains the difference between a log and a model, or between two logs.
+
+    Args:
+        log: The log; the first of two.
+        model: MJCF or URDF.
+        against: The second log, which is explained.
+        mapped: Names, signs, units and gains.
+        advance: Called with the name of each cause.
+
+    Raises:
+        FileError: A file cannot be used.
+        ParameterError: The log and the model do not go together.
+    """
+    mapped = mapped or LogMap()
+    compiled = load_model(model)
+    names = joint_names(compiled)
+    logs = [read_log(file, names, mapped) for file in (log, against) if file]
+    problems = []
+    # A trial may make the simulation unstable; its error says so.
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        for each in logs:
+            setup = build_setup(compiled, each, mapped.control)
+            problems.append(Problem(Replayer(each, setup.model), setup))
+        problem = problems[-1]
+        if against is not None:
+            problem.floor = max(1.0, problems[0].before.error)
+        causes = candidates(problem.replayer, problem.setup)
+        explanation = explain(problem, causes, advance)
+    finally:
+        mujoco.set_mju_user_warning(None)
+    joints, conditions = _joint_reports(problem, _repeat(logs[0], logs[-1]))
+    return Replay(model.name, tuple(logs), problem, explanation, joints, conditions)
+
+
+def _rms(values: FloatArray) -> FloatArray:
+    return np.sqrt(np.mean(values**2, axis=0))
+
+
+def _joint_reports(
+    problem: Problem, repeat: FloatArray | None
+) -> tuple[tuple[JointReport, ...], dict[str, float]]:
+    """Return predictions over each horizon by joint, and the error over noise by condition."""
+    replayer, setup = problem.replayer, problem.setup
+    log, is_joint = replayer.log, replayer.is_joint
+    predictions: list[list[Prediction]] = [[] for _ in log.joints]
+    for horizon_s, count in HORIZONS_S.items():
+        pieces = replayer.pieces(horizon_s, count, outputs=1)
+        few = replayer.pieces(horizon_s, NOISE_PIECES, outputs=1)
+        variance = np.diagonal(replayer.covariance(setup, few), axis1=1, axis2=2)
+        noise = np.sqrt(np.median(variance, axis=0))[is_joint]
+        error = replayer.predict(setup, pieces)[:, -1, is_joint]
+        held = _rms(replayer.held_velocity(pieces)[:, -1])
+        motion = _rms(log.position[pieces.sample[:, -1]] - log.position[pieces.start])
+        rms = _rms(error)
+        over_motion = rms / np.maximum(motion, 1e-9)
+        length_s = horizon_s or log.interval_s
+        for rows, *numbers in zip(
+            predictions, rms, rms / noise, over_motion, held, strict=True
+        ):
+            rows.append(Prediction(length_s, *map(float, numbers)))
+        if horizon_s == 0.1:
+            ratio, starts = np.abs(error / noise), pieces.start
+    conditions = replayer.conditions(setup, starts)[0]
+    is_far = (ratio[:-1] > LEAVES) & (ratio[1:] > LEAVES)
+    reports = []
+    for joint, name in enumerate(log.joints):
+        first = int(np.argmax(is_far[:, joint]))
+        parts = bool(is_far[first, joint])
+        reports.append(
+            JointReport(
+                joint=name,
+                noise=float(log.position_noise[joint]),
+                parts_s=float(log.time_s[starts[first]]) if parts else None,
+                condition=str(conditions[first, joint]) if parts else "",
+                repeat_rms=None if repeat is None else float(repeat[joint]),
+                predictions=tuple(predictions[joint]),
+            )
+        )
+    reports.sort(key=lambda row: -row.predictions[1].over_noise)
+    by_condition = {
+        str(name): float(_rms(ratio[conditions == name]))
+        for name in np.unique(conditions)
+    }
+    return tuple(reports), by_condition
+
+
+def _repeat(first: Log, second: Log) -> FloatArray | None:
+    """Return the root mean square difference of two logs with the same commands, shape [J]; None otherwise."""
+    if first is second or not first.command_kind or first.joints != second.joints:
+        return None
+    times = second.time_s[second.time_s <= first.time_s[-1]]
+
+    def at(time_s: FloatArray, values: FloatArray) -> FloatArray:
+        return np.column_stack(
+            [np.interp(times, time_s, column) for column in values.T]
+        )
+
+    commands = [at(log.command_time_s, log.command).ravel() for log in (first, second)]
+    if np.corrcoef(commands)[0, 1] < MIN_CORRELATION:
+        return None
+    return _rms(at(first.time_s, first.position) - at(second.time_s, second.position))
 
 
 def replay_line(replay: Replay) -> ReplayLine:
     """Return the report of a replay as it is printed."""
-    explanation, log = replay.explanation, replay.logs[-1]
-    problem = explanation.problem
-    candidates, several, named = (
-        tuple(_explained(fit, log.command_interval_s) for fit in fits)
-        for fits in (explanation.fits, explanation.several, replay.named)
-    )
-    has_two = len(replay.logs) > 1
-    left = problem.error(
-        problem.before if replay.best is None else replay.best.residuals
-    )
+    explanation, problem, logs = replay.explanation, replay.problem, replay.logs
+    first = logs[0].name if len(logs) > 1 else None
+
+    def explained(fit: Fit | None) -> tuple[Explained, ...]:
+        return (
+            _explained(fit, problem.share(fit), logs[-1].command_interval_s)
+            if fit
+            else ()
+        )
+
+    candidates = tuple(explained(fit)[0] for fit in explanation.fits)
+    several = explained(explanation.several)
+    error_after = (explanation.best or problem.before).error
     return ReplayLine(
-        log=log.name,
-        baseline=replay.logs[0].name if has_two else None,
+        log=logs[-1].name,
+        baseline=first,
         model=replay.model,
         verdict=replay.verdict,
-        sentence=_sentence(replay, candidates, several, left),
-        error_over_noise=problem.error(problem.before),
-        error_after=left,
-        baseline_over_noise=problem.floor if has_two else None,
-        findings=tuple(
-            dict.fromkeys(text for each in replay.logs for text in each.findings)
-        ),
+        sentence=_sentence(replay, candidates, several, error_after),
+        error_over_noise=problem.before.error,
+        error_after=error_after,
+        baseline_over_noise=problem.floor if first else None,
+        findings=tuple(dict.fromkeys(text for log in logs for text in log.findings)),
         joints=replay.joints,
         conditions=replay.conditions,
         candidates=candidates,
-        alike=tuple(dict.fromkeys(fit.cause.name for fit in explanation.alike)),
+        alike=explanation.alike,
         several=several,
-        paste=paste_lines(named, problem.setup.model.opt.timestep),
+        paste=paste_lines(
+            explained(explanation.named), problem.setup.model.opt.timestep
+        ),
     )
 
 
-def _explained(fit: Fit, command_interval_s: float) -> Explained:
-    """Return a fitted cause as it is printed."""
-    cause = fit.cause
-    is_moved = fit.group.directions.any(axis=1)
-    moved = np.flatnonzero(is_moved)
-    present = cause.values(cause.present)
-    values = []
-    for k in moved:
-        fitted = float(fit.values(fit.numbers)[k])
-        low, high = (
-            None if numbers is None else float(fit.values(numbers)[k])
-            for numbers in (fit.low, fit.high)
+def _explained(
+    fit: Fit, share: float, command_interval_s: float
+) -> tuple[Explained, ...]:
+    """Return the causes of a fit as they are printed."""
+    rows = []
+    numbers = [fit.parts(fit.numbers)]
+    if fit.half_width is not None:
+        numbers += [
+            fit.parts(fit.numbers + sign * fit.half_width) for sign in (-1.0, 1.0)
+        ]
+    for (cause, group), *parts in zip(fit.terms, *numbers, strict=True):
+        fitted, *interval = (
+            cause.values(group, part)[group.index].tolist() for part in parts
         )
-        changes = low is not None and high is not None and not low <= present[k] <= high
-        now = float(present[k]) if abs(present[k]) < UNLIMITED else None
-        name = cause.parameters[k]
-        values.append(
-            Value(
-                parameter=name,
-                present=now,
-                fitted=fitted,
-                low=low,
-                high=high,
-                changes=changes,
+        low, high = interval or 2 * [[None] * len(fitted)]
+        values = []
+        for place, k in enumerate(group.index):
+            present = float(cause.present[k])
+            ends = low[place], high[place]
+            values.append(
+                Value(
+                    parameter=cause.parameters[k],
+                    present=present if abs(present) < UNLIMITED else None,
+                    fitted=fitted[place],
+                    low=ends[0],
+                    high=ends[1],
+                    changes=bool(interval) and not ends[0] <= present <= ends[1],
+                )
+            )
+        text = _text(cause.name, cause.unit, group.label, values, command_interval_s)
+        rows.append(
+            Explained(
+                cause=cause.name,
+                text=text,
+                share=share,
+                unit=cause.unit,
+                values=tuple(values),
             )
         )
-    text = _text(fit, values, command_interval_s)
-    return Explained(
-        cause=cause.name,
-        text=text,
-        share=fit.share,
-        unit=cause.measure,
-        values=tuple(values),
-    )
+    return tuple(rows)
 
 
-def _text(fit: Fit, values: Sequence[Value], command_interval_s: float) -> str:
+def _text(
+    name: str, unit: str, label: str, values: Sequence[Value], command_interval_s: float
+) -> str:
     """Return a cause with its value, as `delay of 2 steps (40 ms)`."""
-    name, unit, label = fit.cause.name, fit.cause.measure, fit.group.label
     if not values:
         return f"{name}: {label}"
     value = values[0]
@@ -108,14 +272,42 @@ def _text(fit: Fit, values: Sequence[Value], command_interval_s: float) -> str:
         return f"{name} of {value.parameter}: {value.fitted:.3g} {unit} (now {now})".replace(
             "  ", " "
         )
-    if label.startswith("all"):
-        ratios = [each.fitted / each.present for each in values if each.present]
-        if len(ratios) == len(values) and np.ptp(ratios) < 1e-6:
-            return f"{name} x {ratios[0]:.3g} ({label})"
+    ratios = [each.fitted / each.present for each in values if each.present]
+    if label.startswith("all") and len(ratios) == len(values) and np.ptp(ratios) < 1e-6:
+        return f"{name} x {ratios[0]:.3g} ({label})"
     if len(values) <= 3:
         return f"{name}: {', '.join(f'{each.parameter} {each.fitted:.3g}' for each in values)} {unit}"
     numbers = [each.fitted for each in values]
     return f"{name} of {label}: {min(numbers):.2g} to {max(numbers):.2g} {unit}"
+
+
+def paste_lines(causes: Sequence[Explained], step_s: float) -> dict[str, str]:
+    """Return the lines for each stack; values whose interval has the present one are left out.
+
+    Args:
+        causes: What was named.
+        step_s: Physics step of the model, in which Isaac Lab and mjlab count a delay.
+    """
+    pasted: dict[str, list[str]] = {stack: [] for stack in STACKS}
+    for cause in causes:
+        values = [value for value in cause.values if value.changes]
+        for value in values:
+            steps = round(value.fitted / step_s)
+            fields = {
+                "name": value.parameter,
+                "value": value.fitted,
+                "numbers": {each.parameter: round(each.fitted, 6) for each in values},
+                "together": " ".join(f"{each.fitted:.4g}" for each in cause.values),
+                "steps": steps,
+                "samples": steps + 2,
+            }
+            for stack, template in SNIPPETS.get(cause.cause, {}).items():
+                pasted[stack].append(template.format(**fields))
+    return {
+        stack: "\n".join(dict.fromkeys(lines))
+        for stack, lines in pasted.items()
+        if lines
+    }
 
 
 def _sentence(
@@ -125,7 +317,7 @@ def _sentence(
     left: float,
 ) -> str:
     """Return the answer."""
-    log, floor = replay.logs[-1].name, replay.explanation.problem.floor
+    log, floor = replay.logs[-1].name, replay.problem.floor
     remains = (
         f"; what is left is {np.sqrt(left):.0f} times the noise" if left > 4.0 else ""
     )
@@ -133,18 +325,20 @@ def _sentence(
         return f"The model predicts {log} as badly as {replay.logs[0].name}: nothing parts the logs{remains}."
     if replay.verdict is Verdict.NOISE:
         return f"The model predicts {log} within its noise: nothing is left to explain."
-    best = f"{candidates[0].text} explains {_percent(candidates[0].share)} % of the difference"
+    best = candidates[0]
+    alone = f"{best.text}, {_percent(best.share)} %"
     if replay.verdict is Verdict.CAUSE:
-        return f"{best}{remains}."
+        return (
+            f"{best.text} explains {_percent(best.share)} % of the difference{remains}."
+        )
+    together = [each.text for each in several]
     share = f"{_percent(several[-1].share)} %" if several else ""
     if replay.verdict is Verdict.SEVERAL:
-        together = " and ".join(each.text for each in several)
-        alone = f"{candidates[0].cause}, {_percent(candidates[0].share)} %"
-        return f"{together} together explain {share} of the difference (best alone: {alone}){remains}."
-    alone = f"best: {candidates[0].text}, {_percent(candidates[0].share)} %"
-    together = " and ".join(each.cause for each in several)
-    more = f"; together {together}, {share}" if several else ""
-    return f"Nothing in the list explains it ({alone}{more}){remains}."
+        alone = f"best alone: {best.cause}, {_percent(best.share)} %"
+        return f"{' and '.join(together)} together explain {share} of the difference ({alone}){remains}."
+    names = " and ".join(each.cause for each in several)
+    more = f"; together {names}, {share}" if several else ""
+    return f"Nothing in the list explains it (best: {alone}{more}){remains}."
 
 
 def replay_document(line: ReplayLine) -> Document:
@@ -201,13 +395,12 @@ def _joint_table(joints: Sequence[JointReport]) -> Table:
         Column(key, title, form, is_number=True)
         for key, (title, form) in numbers.items()
     ]
+    note = f"{left} more joints with smaller errors: --format json"
     return Table(
         title="Predictions from recorded states [mrad or mm]",
         columns=(Column("joint", "joint"), *columns, Column("condition", "in")),
         rows=joints[:MAX_ROWS],
-        notes=(f"{left} more joints with smaller errors: --format json",)
-        if left > 0
-        else (),
+        notes=(note,) if left > 0 else (),
     )
 
 
@@ -215,9 +408,9 @@ def _cause_table(title: str, causes: Sequence[Explained]) -> Table:
     """Return the table by cause."""
     rows = []
     for cause in causes:
-        value = cause.values[0] if len(cause.values) == 1 else None
         interval = ""
-        if value is not None and value.low is not None and value.high is not None:
+        if len(cause.values) == 1 and cause.values[0].low is not None:
+            value = cause.values[0]
             interval = f"{value.low:.3g} to {value.high:.3g} {cause.unit}"
         rows.append({"text": cause.text, "share": cause.share, "interval": interval})
     return Table(

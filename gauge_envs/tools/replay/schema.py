@@ -17,7 +17,7 @@ class Verdict(StrEnum):
     NOTHING = "nothing in the list"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Prediction:
     """Predictions of a joint from recorded states.
 

@@ -67,9 +67,9 @@ def test_a_planted_cause_is_named_with_its_value(tmp_path, cause):
 def test_the_error_of_the_right_model_is_that_of_the_noise(tmp_path):
     log, model = record(tmp_path)
     result = replay(log, model)
-    problem = result.explanation.problem
+    problem = result.problem
     assert result.verdict is Verdict.NOISE
-    assert np.mean(problem.before**2) == pytest.approx(1.0, abs=0.25)
+    assert problem.before.error == pytest.approx(1.0, abs=0.25)
 
 
 def test_two_causes_are_named_together(tmp_path):
@@ -136,5 +136,5 @@ def test_a_motor_with_targets_takes_its_law_from_the_map(tmp_path):
     errors = []
     for each, law in ((servo, ControlMap()), (model, control)):
         setup = build_setup(each, read, law)
-        errors.append(Problem(Replayer(read, setup.model), setup).before)
+        errors.append(Problem(Replayer(read, setup.model), setup).before.train)
     assert np.allclose(*errors, atol=1e-6)
