@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from operator import attrgetter
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import make_interp_spline
 from scipy.optimize import linear_sum_assignment
 
 from gauge_envs.tools.replay.log import FloatArray
@@ -99,15 +101,16 @@ CLOCKS = (0.5, 0.8, 0.9, 1.1, 1.25, 2.0)
 STEPS = (0.25, 0.5, 2.0, 2.5, 4.0, 5.0)
 """Physics steps that are tried, over the present one."""
 REPEATS = (2, 3, 4)
+MAX_SWAPS = 6
+"""Number of pairs of joints that are swapped."""
 MAX_TIMESTEP_S = 0.02
-MAX_MOVES = 6
-"""Number of swapped and mirrored joints that are tried."""
 MIN_DWELL = 0.05
 """Fraction of the samples at an extreme of a joint from which on it may be a stop."""
-MAX_DELAY_S = 0.4
 LOAD_SAMPLES = 300
 FAR = 40.0
 """Bound of a number of the fit, in units of its scale."""
+MIN_FACTOR = 1e-3
+"""Smallest value, over the present or typical one, of values that stay above zero."""
 
 
 @dataclass(frozen=True)
@@ -142,9 +145,9 @@ class Cause:
         parameters: Names of the values, as joints.
         present: Values of the model as it is, shape [K].
         origin, scale: See above, shape [K].
-        lower, upper: Bounds of the numbers, shape [K].
         apply: Changes a setup to values of shape [K].
         groups: What is fitted.
+        is_positive: Whether values stay above zero.
         starts: Numbers from which the fit starts where the error is not smooth at the present value.
     """
 
@@ -154,10 +157,9 @@ class Cause:
     present: FloatArray
     origin: FloatArray
     scale: FloatArray
-    lower: FloatArray
-    upper: FloatArray
     apply: Change
     groups: Sequence[Group]
+    is_positive: bool = True
     starts: Sequence[float] = ()
 
     def values(self, group: Group, numbers: FloatArray) -> FloatArray:
@@ -175,12 +177,12 @@ class Cause:
         mujoco.mj_setConst(after.model, mujoco.MjData(after.model))
         return after
 
-    def bounds(self, group: Group) -> tuple[FloatArray, FloatArray]:
-        """Return the bounds of the numbers of a group."""
-        lower, upper = self.lower[group.index], self.upper[group.index]
-        if group.is_shared:
-            return lower.max(keepdims=True), upper.min(keepdims=True)
-        return lower, upper
+    def lower(self, group: Group) -> FloatArray:
+        """Return the smallest numbers of a group, shape [p]."""
+        if not self.is_positive:
+            return np.full(group.size, -FAR)
+        lower = MIN_FACTOR - (self.origin / self.scale)[group.index]
+        return lower.max(keepdims=True) if group.is_shared else lower
 
 
 def _assign(*fields: Field) -> Change:
@@ -188,7 +190,7 @@ def _assign(*fields: Field) -> Change:
 
     def apply(setup: Setup, values: FloatArray) -> None:
         for path, index, factor in fields:
-            attrgetter(path)(setup)[index] = factor * values
+            attrgetter(path)(setup)[index] = (np.transpose(factor) * values).T
 
     return apply
 
@@ -199,44 +201,6 @@ def _groups(labels: Sequence[str]) -> list[Group]:
 
 
 def _row(
-    name: str,
-    unit: str,
-    parameters: Sequence[str],
-    present: ArrayLike,
-    typical: ArrayLike,
-    apply: Change,
-    **others: Any,
-) -> Cause:
-    """Return a row; by default values are free, alone, or share a number, whose zero is the present value.
-
-    Args:
-        name: Name of the cause.
-        unit: Unit of the values.
-        parameters: Names of the values.
-        present: Values of the model.
-        typical: Change that matters, the unit of the numbers.
-        apply: Changes a setup.
-        others: Further attributes of the cause.
-    """
-    count = len(parameters)
-    present, scale = (np.broadcast_to(each, count) * 1.0 for each in (present, typical))
-    groups, every = _groups(parameters), np.arange(count)
-    if count > 1:
-        groups += [Group("all", every, is_shared=True), Group("each", every)]
-    far = np.full(count, FAR)
-    defaults = {"origin": present, "lower": -far, "upper": far, "groups": groups}
-    return Cause(
-        name,
-        unit,
-        parameters,
-        present,
-        scale=scale,
-        apply=apply,
-        **{**defaults, **others},
-    )
-
-
-def _positive(
     setup: Setup,
     name: str,
     unit: str,
@@ -245,125 +209,152 @@ def _positive(
     *fields: Field,
     **others: Any,
 ) -> Cause:
-    """Return a row of fields whose values stay positive; its numbers are fractions of the present or typical value."""
-    path, index, factor = fields[0]
-    present = attrgetter(path)(setup)[index] / factor
-    scale = np.where(present > 0.2 * np.asarray(typical), present, typical)
-    others = {"lower": -present / scale, **others}
-    return _row(name, unit, parameters, present, scale, _assign(*fields), **others)
+    """Return a row; by default values are free, alone, or share a number, whose zero is the present value.
+
+    Args:
+        setup: The model.
+        name: Name of the cause.
+        unit: Unit of the values.
+        parameters: Names of the values.
+        typical: Size that matters; the unit of the numbers is this or the present value.
+        fields: Fields of the setup that take the values, the first one of which has the present values.
+        others: Attributes of the cause that differ.
+    """
+    count = len(parameters)
+    groups, every = _groups(parameters), np.arange(count)
+    if count > 1:
+        groups += [Group("all", every, is_shared=True), Group("each", every)]
+    if "present" not in others:
+        path, index, factor = fields[0]
+        others["present"] = attrgetter(path)(setup)[index] / factor
+    present = others["present"]
+    scale = np.maximum(np.broadcast_to(typical, count), 1e-6)
+    if others.get("is_positive", True):
+        scale = np.where(present > 0.2 * scale, present, scale)
+    defaults = {
+        "origin": present,
+        "scale": scale,
+        "apply": _assign(*fields),
+        "groups": groups,
+    }
+    return Cause(name, unit, parameters, **(defaults | others))
 
 
 def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
     """Return the causes that a model and a log allow."""
-    log = replayer.log
+    log, model, places = replayer.log, setup.model, replayer.places
     samples = np.linspace(0, len(log.time_s) - 1, LOAD_SAMPLES).astype(int)
     conditions, torques = replayer.conditions(setup, samples)
+    # Torques and speeds of the joints that the log often has.
     load = np.maximum(np.percentile(np.abs(torques), 95, axis=0), 1e-4)
+    speed = np.maximum(np.percentile(np.abs(log.velocity), 95, axis=0), 1e-3)
+    # In newer versions damping is a polynomial, whose first coefficient is the linear one.
+    dofs = places.dof
+    damping = dofs if model.dof_damping.ndim == 1 else (dofs, 0)
+    armature, viscous = 0.3 * model.dof_M0[dofs], 0.3 * load / speed
     rows = [
-        *_joints(replayer, setup, load),
-        *_drives(replayer, setup, load),
-        *_bodies(setup.model),
-        _stops(replayer, setup.model),
+        _row(
+            setup,
+            "armature",
+            "kg m^2",
+            log.joints,
+            armature,
+            ("model.dof_armature", dofs, 1.0),
+        ),
+        _row(
+            setup,
+            "dry friction",
+            "N m",
+            log.joints,
+            0.1 * load,
+            ("model.dof_frictionloss", dofs, 1.0),
+        ),
+        _row(
+            setup,
+            "damping",
+            "N m s/rad",
+            log.joints,
+            viscous,
+            ("model.dof_damping", damping, 1.0),
+        ),
+        *_bodies(setup),
+        _stops(replayer, setup),
         _time(replayer, setup),
     ]
+    driven = np.flatnonzero(np.append(setup.source, -1)[places.actuator] >= 0)
+    if len(driven):
+        rows += _drives(replayer, setup, driven, load[driven], speed.max())
     if (conditions == "contact").any():
         rows += _contacts(setup)
     return [row for row in rows if row.groups]
 
 
-def _joints(replayer: Replayer, setup: Setup, load: FloatArray) -> list[Cause]:
-    """Return armature, dry friction and damping of the joints."""
-    log, model, dofs = replayer.log, setup.model, replayer.places.dof
-    speed = np.maximum(np.percentile(np.abs(log.velocity), 95, axis=0), 1e-3)
-    # In newer versions damping is a polynomial, whose first coefficient is the linear one.
-    damping = dofs if model.dof_damping.ndim == 1 else (dofs, 0)
-    table = (
-        ("armature", "kg m^2", 0.3 * model.dof_M0[dofs], "model.dof_armature", dofs),
-        ("dry friction", "N m", 0.1 * load, "model.dof_frictionloss", dofs),
-        ("damping", "N m s/rad", 0.3 * load / speed, "model.dof_damping", damping),
-    )
-    return [
-        _positive(setup, name, unit, log.joints, typical, (path, index, 1.0))
-        for name, unit, typical, path, index in table
-    ]
-
-
-def _drives(replayer: Replayer, setup: Setup, load: FloatArray) -> list[Cause]:
-    """Return gains, effort limit, and scale, offset, order and delay of the commands."""
-    log, model, places = replayer.log, setup.model, replayer.places
-    sources = np.append(setup.source, -1)[places.actuator]
-    driven = np.flatnonzero(sources >= 0)
-    if not len(driven):
-        return []
-    ids = places.actuator[driven]
+def _drives(
+    replayer: Replayer, setup: Setup, driven: IntArray, load: FloatArray, speed: float
+) -> list[Cause]:
+    """Return gains, effort limit, and scale, offset, order and delay of the commands of driven joints."""
+    log, model, ids = replayer.log, setup.model, replayer.places.actuator[driven]
     names = [log.joints[joint] for joint in driven]
-    load, gear = load[driven], model.actuator_gear[ids, 0]
-    speed = max(np.percentile(np.abs(log.velocity), 95, axis=0).max(), 1e-3)
-    per_joint = 1.0 / gear**2
-    effort = (
-        ("model.actuator_forcerange", (ids, 1), 1.0 / np.abs(gear)),
-        ("model.actuator_forcerange", (ids, 0), -1.0 / np.abs(gear)),
+    gear = np.abs(model.actuator_gear[ids, 0])
+    limit, gain, law = (
+        "model.actuator_forcerange",
+        "model.actuator_gainprm",
+        "model.actuator_biasprm",
     )
-    kp = (
-        ("model.actuator_gainprm", (ids, 0), per_joint),
-        ("model.actuator_biasprm", (ids, 1), -per_joint),
-    )
-    kd = ("model.actuator_biasprm", (ids, 2), -per_joint)
+    limits = (limit, (ids, 1), 1.0 / gear), (limit, (ids, 0), -1.0 / gear)
+    stiffness = (law, (ids, 1), -1.0 / gear**2), (gain, (ids, 0), 1.0 / gear**2)
+    damping = (law, (ids, 2), -1.0 / gear**2)
+    zero = {"origin": 0.0 * load, "scale": load}
     is_servo = model.actuator_biasprm[ids, 1].any()
     unit, offset = ("rad", 0.05) if is_servo else ("N m", 0.1 * load)
-    earliest_s = np.array([-2.0 * log.command_interval_s])
     rows = [
         _row(
-            "effort limit",
-            "N m",
-            names,
-            model.actuator_forcerange[ids, 1] * np.abs(gear),
-            load,
-            _assign(*effort),
-            origin=0.0 * load,
-            lower=np.full(len(ids), 0.02),
-            starts=EFFORTS,
+            setup, "effort limit", "N m", names, load, *limits, **zero, starts=EFFORTS
         ),
-        _positive(setup, "action scale", "", names, 0.0, ("scale", ids, 1.0)),
+        _row(setup, "action scale", "", names, 0.0, ("scale", ids, 1.0)),
         _row(
+            setup,
             "action offset",
             unit,
             names,
-            setup.offset[ids],
             offset,
-            _assign(("offset", ids, 1.0)),
+            ("offset", ids, 1.0),
+            is_positive=False,
         ),
         _row(
+            setup,
             "delay",
             "s",
             ["delay"],
-            0.0,
             1.0,
-            _assign(("delay_s", [0], 1.0)),
-            lower=earliest_s,
-            upper=MAX_DELAY_S * np.ones(1),
+            ("delay_s", [0], 1.0),
+            is_positive=False,
             starts=DELAYS_S,
         ),
         _orders(replayer, setup, driven),
     ]
     if is_servo:
-        rows += [
-            _positive(setup, "kp", "N m/rad", names, 0.0, *kp),
-            _positive(setup, "kd", "N m s/rad", names, 0.3 * load / speed, kd),
-        ]
+        rows.append(_row(setup, "kp", "N m/rad", names, 0.0, *stiffness))
+        rows.append(_row(setup, "kd", "N m s/rad", names, 0.3 * load / speed, damping))
     return rows
 
 
+def _options(options: Mapping[str, ArrayLike]) -> list[Group]:
+    """Return a group for each label and its values."""
+    return [
+        Group(label, np.zeros(0, int), option=np.ravel(each))
+        for label, each in options.items()
+    ]
+
+
 def _orders(replayer: Replayer, setup: Setup, driven: IntArray) -> Cause:
-    """Return each joint mirrored, and the order and signs of the commands that correlate best with the motion."""
+    """Return joints mirrored, pairs swapped, and the order of the commands that correlates best with the motion."""
     log = replayer.log
     ids = replayer.places.actuator[driven]
     names = [log.joints[joint] for joint in driven]
     count = len(names)
-    commands = [
-        np.interp(log.time_s, log.command_time_s, log.command[:, k])
-        for k in setup.source[ids]
-    ]
+    command = make_interp_spline(log.command_time_s, log.command, k=1)(log.time_s)
+    commands = command.T[setup.source[ids]]
     motion = log.position.T[driven]
     if log.command_kind == "tau":
         motion = np.gradient(log.velocity.T[driven], log.time_s, axis=1)
@@ -372,15 +363,20 @@ def _orders(replayer: Replayer, setup: Setup, driven: IntArray) -> Cause:
     match = np.corrcoef(motion + trend, commands + trend)[:count, count:]
     same = np.arange(count)
     order = linear_sum_assignment(-np.abs(match))[1]
-    signs = np.sign(match[same, order])
     options = {
-        f"{name} mirrored": (same, 1.0 - 2.0 * row)
-        for name, row in zip(names, np.eye(count), strict=True)
+        f"{name} mirrored": (same, 1 - 2 * (same == k)) for k, name in enumerate(names)
     }
+    gain = match + match.T - np.diag(match) - np.diag(match)[:, None]
+    pairs = sorted(combinations(range(count), 2), key=lambda pair: -gain[pair])
+    for i, j in pairs[:MAX_SWAPS]:
+        swapped = same.copy()
+        swapped[[i, j]] = j, i
+        options[f"{names[i]} and {names[j]} swapped"] = (swapped, same**0)
     label = ", ".join(
-        f"{names[i]} follows {names[order[i]]}" for i in same[order != same]
+        f"{names[k]} follows {names[order[k]]}" for k in same[order != same]
     )
     if label:
+        signs = np.sign(match[same, order])
         options |= {label: (order, same**0), f"{label}, with signs": (order, signs)}
 
     def apply(after: Setup, values: FloatArray) -> None:
@@ -388,90 +384,70 @@ def _orders(replayer: Replayer, setup: Setup, driven: IntArray) -> Cause:
         after.source[ids], after.origin[ids] = setup.source[taken], setup.origin[taken]
         after.sign[ids] = values[count:]
 
-    groups = [
-        Group(label, same[:0], option=np.concatenate(each))
-        for label, each in options.items()
-    ]
-    return _row("joint order", "", (), 0.0, 0.0, apply, groups=groups)
+    return _row(
+        setup,
+        "joint order",
+        "",
+        (),
+        0.0,
+        present=same[:0],
+        apply=apply,
+        groups=_options(options),
+    )
 
 
-def _bodies(model: mujoco.MjModel) -> list[Cause]:
+def _bodies(setup: Setup) -> list[Cause]:
     """Return gravity, mass and centre of each link that moves, and a load on the first one and on each end."""
+    model = setup.model
     bodies = np.flatnonzero((model.body_weldid > 0) & (model.body_mass > 0.0))
     names = [model.body(int(body)).name or f"body {body}" for body in bodies]
     mass, inertia = model.body_mass[bodies], model.body_inertia[bodies]
-    fields = [("model.body_mass", bodies, 1.0)]
-    fields += [
-        ("model.body_inertia", (bodies, axis), inertia[:, axis] / mass)
-        for axis in range(3)
-    ]
-    every = np.arange(len(bodies))
-    masses = [
-        Group("all masses", every, is_shared=True),
-        *_groups([f"mass of {name}" for name in names]),
-    ]
-    centre = (
-        "model.body_ipos",
-        (np.repeat(bodies, 3), np.tile(np.arange(3), len(bodies))),
-        1.0,
-    )
-    centres = [
-        Group(f"centre of {name}", 3 * k + np.arange(3)) for k, name in enumerate(names)
-    ]
-    axes = [f"{name} {axis}" for name in names for axis in "xyz"]
     size = np.maximum(np.sqrt(inertia.sum(axis=1) / mass), 0.01)
+    masses = ("model.body_mass", bodies, 1.0)
+    inertias = ("model.body_inertia", bodies, inertia / mass[:, None])
+    axes = np.arange(3 * len(bodies)).reshape(-1, 3)
+    centre = ("model.body_ipos", (np.repeat(bodies, 3), axes.ravel() % 3), 1.0)
+    centres = [
+        Group(f"centre of {name}", each) for name, each in zip(names, axes, strict=True)
+    ]
+    links = [Group("all masses", np.arange(len(bodies)), is_shared=True)]
+    links += _groups([f"mass of {name}" for name in names])
     is_end = ~np.isin(bodies, model.body_parentid[bodies])
     is_end[:1] = True
-    ends, carried = bodies[is_end], mass[is_end]
-    loaded = [names[k] for k in np.flatnonzero(is_end)]
+    loaded = [name for name, each in zip(names, is_end, strict=True) if each]
 
-    def load(after: Setup, values: FloatArray) -> None:
-        after.model.body_mass[ends] = carried + values
+    def carry(after: Setup, values: FloatArray) -> None:
+        after.model.body_mass[bodies[is_end]] = mass[is_end] + values
 
     # A tilt of the base turns gravity.
     moves = {"size": [2], "tilt": [0, 1], "size and tilt": [0, 1, 2]}
     turns = [Group(label, np.array(each)) for label, each in moves.items()]
-    gravity = [f"gravity {axis}" for axis in "xyz"]
-    down = _assign(("model.opt.gravity", np.s_[:], 1.0))
-    link = "mass or centre of a link"
+    down = ("model.opt.gravity", np.s_[:], 1.0)
+    link, free = "mass or centre of a link", {"is_positive": False}
+    places = [f"{name} {axis}" for name in names for axis in "xyz"]
     return [
         _row(
+            setup,
             "gravity or tilt",
             "m/s^2",
-            gravity,
-            model.opt.gravity,
+            [f"gravity {axis}" for axis in "xyz"],
             1.0,
             down,
             groups=turns,
+            **free,
+        ),
+        _row(setup, link, "kg", names, 0.0, masses, inertias, groups=links),
+        _row(
+            setup, link, "m", places, np.repeat(size, 3), centre, groups=centres, **free
         ),
         _row(
-            link,
-            "kg",
-            names,
-            mass,
-            mass,
-            _assign(*fields),
-            lower=-0.95 + 0.0 * mass,
-            groups=masses,
-        ),
-        _row(
-            link,
-            "m",
-            axes,
-            model.body_ipos[bodies].ravel(),
-            np.repeat(size, 3),
-            _assign(centre),
-            lower=np.full(len(axes), -3.0),
-            groups=centres,
-        ),
-        _row(
+            setup,
             "payload",
             "kg",
             loaded,
-            0.0,
-            0.2 * carried,
-            load,
-            lower=0.0 * carried,
+            0.2 * mass[is_end],
+            present=0.0 * mass[is_end],
+            apply=carry,
             groups=_groups(loaded),
         ),
     ]
@@ -481,67 +457,64 @@ def _time(replayer: Replayer, setup: Setup) -> Cause:
     """Return the physics step, the decimation, and the clock of the log."""
 
     def apply(after: Setup, values: FloatArray) -> None:
-        after.model.opt.timestep, after.clock[0] = values[:2]
+        after.clock[0], after.model.opt.timestep = values[:2]
         after.repeat, after.phase = values[2:].astype(int)
 
     step_s = float(setup.model.opt.timestep)
-    options = {
-        f"physics step of {1e3 * factor * step_s:.3g} ms": (factor * step_s, 1.0, 1, 0)
-        for factor in STEPS
-        if factor * step_s <= MAX_TIMESTEP_S
-    }
+    options = {}
+    for trial_s in step_s * np.array(STEPS):
+        if trial_s <= MAX_TIMESTEP_S:
+            options[f"physics step of {1e3 * trial_s:.3g} ms"] = (1.0, trial_s, 1, 0)
     for repeat in REPEATS if replayer.log.command_kind else ():
         for phase in range(repeat):
             label = f"only each {repeat}. command is used, from number {phase + 1} on"
-            options[label] = (step_s, 1.0, repeat, phase)
-    groups = [Group("clock", np.array([1]))]
-    groups += [
-        Group(label, np.zeros(0, int), option=np.array(each))
-        for label, each in options.items()
-    ]
-    parameters = ("step", "clock", "repeat", "phase")
-    present = (step_s, 1.0, 1.0, 0.0)
-    bounds = {"origin": np.zeros(4), "lower": np.full(4, 0.2), "upper": np.full(4, 5.0)}
+            options[label] = (1.0, step_s, repeat, phase)
+    present, origin = np.array([1.0, step_s, 1.0, 0.0]), np.zeros(4)
+    groups = [*_groups(["clock"]), *_options(options)]
+    parameters = ("clock", "step", "repeat", "phase")
     return _row(
+        setup,
         "step and decimation",
         "s/s",
         parameters,
-        present,
         1.0,
-        apply,
+        present=present,
+        origin=origin,
+        apply=apply,
         groups=groups,
         starts=CLOCKS,
-        **bounds,
     )
 
 
-def _stops(replayer: Replayer, model: mujoco.MjModel) -> Cause:
+def _stops(replayer: Replayer, setup: Setup) -> Cause:
     """Return the stops of joints that dwell at an extreme of their motion, or pass the stop of the model."""
     log, ids = replayer.log, replayer.places.joint
     position = log.position[log.valid]
     motion = np.ptp(position, axis=0)
     near = 4.0 * log.position_noise + 0.01 * motion
-    sign = np.array([[-1.0], [1.0]])
     # Shape [2, J]: the lower and the upper side.
+    sign = np.array([[-1.0], [1.0]])
     extremes = np.percentile(position, (2.0, 98.0), axis=0)
-    present = model.jnt_range[ids].T
+    beyond = sign * (extremes - setup.model.jnt_range[ids].T)
     is_near = sign[..., None] * (position - extremes[:, None]) > -near
     dwells = (is_near.mean(axis=1) > MIN_DWELL) & (motion > 10.0 * log.position_noise)
-    chosen = np.nonzero(dwells | (sign * (extremes - present) > near))
+    sides, joints = np.nonzero(dwells | (beyond > near))
     names = [
         f"{log.joints[joint]} {('lower', 'upper')[side]}"
-        for side, joint in zip(*chosen, strict=True)
+        for side, joint in zip(sides, joints, strict=True)
     ]
-    stop = _assign(("model.jnt_range", (ids[chosen[1]], chosen[0]), 1.0))
+    stop = ("model.jnt_range", (ids[joints], sides), 1.0)
+    origin = extremes[sides, joints]
     return _row(
+        setup,
         "joint limit",
         "rad",
         names,
-        present[chosen],
         1.0,
         stop,
-        origin=extremes[chosen],
+        origin=origin,
         groups=_groups(names),
+        is_positive=False,
         starts=(0.0, -0.02, 0.02),
     )
 
@@ -566,13 +539,13 @@ def _contacts(setup: Setup) -> list[Cause]:
         ]
         rows.append(
             _row(
+                setup,
                 name,
                 "",
                 ["factor"],
                 1.0,
-                1.0,
-                _assign(*fields),
-                lower=-np.ones(1),
+                *fields,
+                present=np.ones(1),
                 starts=CONTACTS,
             )
         )

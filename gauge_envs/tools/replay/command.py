@@ -54,17 +54,16 @@ def replay(
     predict the log within its noise.
     """
     from gauge_envs.tools.replay import read_map, replay as run
-    from gauge_envs.tools.replay.report import replay_document, replay_line
+    from gauge_envs.tools.replay.report import replay_document
     from gauge_envs.tools.replay.schema import Verdict
 
     files = arguments.by_suffix(out, ".md", ".json", ".png")
     picture = files.pop(".png", None)
     with Progress("causes", None) as progress:
         result = run(log, model, against, read_map(map_), progress.advance)
-    line = replay_line(result)
-    print_document(replay_document(line), form, files=files)
+    print_document(replay_document(result.line), form, files=files)
     if form is not Format.JSON:
-        for stack, text in line.paste.items():
+        for stack, text in result.line.paste.items():
             # A terminal's width must not wrap what is to be pasted.
             echo(f"\n{stack}\n{text}")
     if picture is not None:

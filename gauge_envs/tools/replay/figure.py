@@ -24,18 +24,18 @@ def replay_figure(replay: Replay) -> Figure:
     Left: the log, and predictions from recorded states, before and after. Right: their errors over the time since the
     recorded state.
     """
-    problem, best = replay.problem, replay.explanation.best
+    problem, change = replay.problem, replay.change
     replayer = problem.replayer
     log = replayer.log
     pieces = replayer.pieces(HORIZON_S, PREDICTIONS, outputs=OUTPUTS)
     setups = {"model": problem.setup}
-    if best is not None:
-        setups["after the change"] = problem.changed(best)
+    if change is not None:
+        setups["after the change"] = problem.changed(change)
     errors = {
         name: replayer.predict(setup, pieces)[..., replayer.is_joint]
         for name, setup in setups.items()
     }
-    rows = replay.joints[:MAX_JOINTS]
+    rows = replay.line.joints[:MAX_JOINTS]
     figure = new_figure(10.0, 2.0 * len(rows) + 0.8)
     axes = figure.subplots(len(rows), 2, squeeze=False, width_ratios=(3, 1))
     elapsed_s = np.median(replayer.elapsed_s(pieces), axis=0)

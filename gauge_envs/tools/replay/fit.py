@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear
 from scipy.stats import t as student, wilcoxon
 
-from gauge_envs.tools.replay.causes import Cause, Group
+from gauge_envs.tools.replay.causes import FAR, Cause, Group
 from gauge_envs.tools.replay.log import FloatArray
 from gauge_envs.tools.replay.model import Setup
 from gauge_envs.tools.replay.predict import Replayer
@@ -49,37 +49,40 @@ class Fit:
         terms: Cause and group of each.
         numbers: All numbers of the fit, shape [p].
         train: Whitened residuals of the pieces that the fit sees, shape [P, T D].
-        held_out: The same of the other pieces; empty before `Problem.judged`.
-        promised: Mean squared training error that a linear model promises, if that is less.
+        held_out: The same of the other pieces; None before `Problem.judged`.
+        promised: Mean squared training error that a linear model promises.
         half_width: Half of the 95 % interval of each number, where it was computed.
     """
 
-    terms: tuple[tuple[Cause, Group], ...]
-    numbers: FloatArray
-    train: FloatArray
-    held_out: FloatArray
+    terms: tuple[tuple[Cause, Group], ...] = ()
+    numbers: FloatArray = field(default_factory=lambda: np.zeros(0))
+    train: FloatArray = field(default_factory=lambda: np.zeros(0))
+    held_out: FloatArray | None = None
     promised: float = np.inf
     half_width: FloatArray | None = None
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def names(self) -> list[str]:
         """Names of the causes."""
-        return tuple(cause.name for cause, _ in self.terms)
+        return [cause.name for cause, _ in self.terms]
 
     @property
     def error(self) -> float:
-        """Mean squared error over that of the noise, of pieces that the fit has not seen."""
-        return float(np.mean(self.held_out**2))
-
-    @property
-    def train_error(self) -> float:
-        """Mean squared error over that of the noise, of pieces that the fit sees, or that the linear model promises."""
-        return min(float(np.mean(self.train**2)), self.promised)
+        """Mean squared error over that of the noise, of pieces that the fit has not seen, or of the others before."""
+        if self.held_out is not None:
+            return float(np.mean(self.held_out**2))
+        trained = float(np.mean(self.train**2)) if self.train.size else np.inf
+        return min(trained, self.promised)
 
     def parts(self, numbers: FloatArray) -> list[FloatArray]:
         """Return the numbers of each term."""
         sizes = [group.size for _, group in self.terms]
         return np.split(numbers, np.cumsum(sizes)[:-1])
+
+    def with_term(self, cause: Cause, group: Group, numbers: FloatArray) -> Fit:
+        """Return a fit with one more cause, without residuals."""
+        terms = (*self.terms, (cause, group))
+        return Fit(terms, np.append(self.numbers, numbers))
 
 
 class Problem:
@@ -104,13 +107,14 @@ class Problem:
             self._pieces.append(half)
             self._whiteners.append(np.linalg.inv(np.linalg.cholesky(covariance)))
         self.floor = 1.0
-        self.before = self.judged(Fit((), np.zeros(0), *2 * [np.zeros((0, 0))]))
+        self.before = self.judged(Fit())
 
-    def changed(self, fit: Fit, numbers: FloatArray | None = None) -> Setup:
-        """Return the setup of a fit, or of its causes with other numbers."""
+    def changed(self, fit: Fit) -> Setup:
+        """Return the setup of a fit."""
         setup = self.setup
-        numbers = fit.numbers if numbers is None else numbers
-        for (cause, group), part in zip(fit.terms, fit.parts(numbers), strict=False):
+        for (cause, group), part in zip(
+            fit.terms, fit.parts(fit.numbers), strict=False
+        ):
             setup = cause.changed(setup, group, part)
         return setup
 
@@ -120,16 +124,15 @@ class Problem:
         white = (self._whiteners[half] @ columns)[..., 0]
         return np.clip(white, -MAX_WHITE, MAX_WHITE)
 
-    def trained(self, fit: Fit, numbers: FloatArray) -> Fit:
-        """Return a fit with other numbers and its residuals of the training pieces."""
-        train = self._residuals(self.changed(fit, numbers), 0)
-        return replace(fit, numbers=numbers, train=train, promised=np.inf)
+    def trained(self, fit: Fit) -> Fit:
+        """Return a fit with its residuals of the training pieces."""
+        return replace(fit, train=self._residuals(self.changed(fit), 0))
 
     def judged(self, fit: Fit) -> Fit:
         """Return a fit with all its residuals."""
         setup = self.changed(fit)
         train, held_out = (self._residuals(setup, half) for half in (0, 1))
-        return replace(fit, train=train, held_out=held_out, promised=np.inf)
+        return replace(fit, train=train, held_out=held_out)
 
     def left(self, fit: Fit) -> float:
         """Return the error beyond the noise that a fit leaves, over that of the noise."""
@@ -141,76 +144,59 @@ class Problem:
         return 1.0 - (fit.error - self.floor) / beyond
 
     def cost(self, fit: Fit) -> float:
-        """Return the training error of a fit, and what its numbers must bring."""
-        return (
-            fit.train_error
-            + PARAMETER_COST * len(fit.numbers) * self.before.train_error
-        )
-
-    def rank(self, fit: Fit) -> float:
-        """Return the share of a fit less what its numbers must bring."""
-        return self.share(fit) - PARAMETER_COST * len(fit.numbers)
+        """Return the error of a fit, and what its numbers must bring."""
+        return fit.error + PARAMETER_COST * len(fit.numbers) * self.before.error
 
 
-def _scanned(problem: Problem, base: Fit, cause: Cause) -> list[Fit]:
-    """Return fits with a further cause that is not smooth: for each group the best of its starts."""
-    fits = []
-    for group in cause.groups:
-        blank = replace(base, terms=(*base.terms, (cause, group)))
-        starts = np.zeros((1, 0))
-        if group.option is None:
-            starts = np.outer(cause.starts, np.ones(group.size)).clip(
-                *cause.bounds(group)
-            )
-        tried = [
-            problem.trained(blank, np.append(base.numbers, start)) for start in starts
-        ]
-        fits.append(min(tried, key=problem.cost))
-    return fits
+def _trials(problem: Problem, base: Fit, cause: Cause) -> list[Fit]:
+    """Return the best fits with a further cause before least squares, one a group.
 
-
-def _linear(problem: Problem, base: Fit, cause: Cause) -> list[Fit]:
-    """Return fits with a further cause: the groups that the linear model of the residuals prefers, at its optimum.
-
-    Where the model is too curved, 0.4 of the step is better.
+    A smooth cause steps to the optimum of the linear model of the residuals, or 0.4 of the way; other causes take the
+    best of several starts.
     """
-    probes = PROBE * np.eye(len(cause.parameters))
-    every = replace(
-        base, terms=(*base.terms, (cause, Group("", np.arange(len(probes)))))
-    )
-    moved = [
-        problem.trained(every, np.append(base.numbers, probe)).train for probe in probes
-    ]
-    slopes = np.stack([train - base.train for train in moved], axis=-1) / PROBE
-    fits = []
-    for group in cause.groups:
-        columns = slopes[..., group.index].reshape(-1, len(group.index))
-        if group.is_shared:
-            columns = columns.sum(axis=1, keepdims=True)
-        solution = lsq_linear(columns, -base.train.ravel(), bounds=cause.bounds(group))
-        numbers, promised = solution.x, 2.0 * solution.cost / base.train.size
-        terms = (*base.terms, (cause, group))
-        fits.append(replace(base, terms=terms, numbers=numbers, promised=promised))
-    fits.sort(key=problem.cost)
+    every = Group("", np.arange(len(cause.parameters)))
+    is_smooth = not cause.starts and len(every.index)
+    if is_smooth:
+        probes = PROBE * np.eye(len(every.index))
+        moved = [
+            problem.trained(base.with_term(cause, every, probe)).train
+            for probe in probes
+        ]
+        slopes = np.stack([train - base.train for train in moved], axis=-1) / PROBE
     trials = []
-    for fit in fits[:MAX_GROUPS]:
-        steps = [np.append(base.numbers, factor * fit.numbers) for factor in (1.0, 0.4)]
-        best = min((problem.trained(fit, step) for step in steps), key=problem.cost)
-        trials.append(replace(best, promised=fit.promised))
-    return trials
+    for group in cause.groups:
+        promised, starts = np.inf, [np.zeros(0)]
+        if is_smooth:
+            columns = slopes[..., group.index].reshape(-1, len(group.index))
+            if group.is_shared:
+                columns = columns.sum(axis=1, keepdims=True)
+            bounds = cause.lower(group), FAR
+            solution = lsq_linear(columns, -base.train.ravel(), bounds=bounds)
+            promised = 2.0 * solution.cost / base.train.size
+            starts = [solution.x, 0.4 * solution.x]
+        elif group.option is None:
+            starts = [np.maximum(start, cause.lower(group)) for start in cause.starts]
+        fits = [base.with_term(cause, group, start) for start in starts]
+        trials.append((replace(fits[0], promised=promised), fits))
+    if is_smooth:
+        trials = sorted(trials, key=lambda trial: problem.cost(trial[0]))[:MAX_GROUPS]
+    best = []
+    for promise, fits in trials:
+        fit = min(map(problem.trained, fits), key=problem.cost)
+        best.append(replace(fit, promised=promise.promised))
+    return sorted(best, key=problem.cost)[:MAX_GROUPS]
 
 
 def _refined(problem: Problem, fit: Fit) -> Fit:
     """Return a fit after least squares of all its numbers together."""
     if not len(fit.numbers):
         return problem.judged(fit)
-    bounds = [cause.bounds(group) for cause, group in fit.terms]
-    lower, upper = (np.concatenate(each) for each in zip(*bounds, strict=True))
-    start = np.clip(fit.numbers, lower + 1e-9, upper - 1e-9)
+    lower = np.concatenate([cause.lower(group) for cause, group in fit.terms])
+    start = np.clip(fit.numbers, lower + 1e-9, FAR - 1e-9)
     solution = least_squares(
-        lambda numbers: problem.trained(fit, numbers).train.ravel(),
+        lambda numbers: problem.trained(replace(fit, numbers=numbers)).train.ravel(),
         start,
-        bounds=(lower, upper),
+        bounds=(lower, FAR),
         diff_step=1e-2,
         x_scale=np.maximum(np.abs(start), 0.05),
         ftol=1e-3,
@@ -231,14 +217,12 @@ def best_fits(
     trials: list[Fit] = []
     for cause in causes:
         advance(cause.name)
-        is_smooth = not cause.starts and cause.parameters
-        options = (_linear if is_smooth else _scanned)(problem, base, cause)
-        trials += sorted(options, key=problem.cost)[:MAX_GROUPS]
+        trials += _trials(problem, base, cause)
     trials.sort(key=problem.cost)
     fits = [_refined(problem, fit) for fit in trials[:count]]
     fits += [problem.judged(fit) for fit in trials[count:]]
     best: dict[str, Fit] = {}
-    for fit in sorted(fits, key=problem.rank, reverse=True):
+    for fit in sorted(fits, key=problem.cost):
         best.setdefault(fit.names[-1], fit)
     return list(best.values())
 
@@ -285,17 +269,11 @@ class Explanation:
     several: Fit | None = None
 
     @property
-    def named(self) -> Fit | None:
-        """The fit whose causes are named."""
-        return {Verdict.CAUSE: self.fits[:1], Verdict.SEVERAL: (self.several,)}.get(
-            self.verdict, (None,)
-        )[0]
-
-    @property
-    def best(self) -> Fit | None:
-        """The fit that leaves the least error."""
-        fits = [fit for fit in (*self.fits[:1], self.several) if fit]
-        return min(fits, key=lambda fit: fit.error, default=None)
+    def change(self) -> Fit | None:
+        """The fit that the verdict is about: one cause, or else several if there are."""
+        if self.several and self.verdict is not Verdict.CAUSE:
+            return self.several
+        return self.fits[0] if self.fits else None
 
 
 def _are_alike(problem: Problem, best: Fit, other: Fit) -> bool:
@@ -303,10 +281,8 @@ def _are_alike(problem: Problem, best: Fit, other: Fit) -> bool:
     if problem.share(other) < 0.5 * problem.share(best):
         return False
     gap = np.mean(other.held_out**2 - best.held_out**2, axis=1)
-    scale = 1e-3 * (problem.before.error - problem.floor)
-    if np.abs(gap).max() < scale:
-        return True
-    return bool(wilcoxon(gap, alternative="greater").pvalue > 0.05)
+    is_equal = np.abs(gap).max() < 1e-3 * (problem.before.error - problem.floor)
+    return bool(is_equal or wilcoxon(gap, alternative="greater").pvalue > 0.05)
 
 
 def _grown(
@@ -321,13 +297,9 @@ def _grown(
     fits = best_fits(problem, base, others, MAX_FURTHER)
     for fit in pool:
         if fit.names[0] not in base.names:
-            shorter = fit.numbers if fit.terms[0][0].starts else 0.3 * fit.numbers
-            numbers = np.append(base.numbers, shorter)
-            fits.append(
-                _refined(
-                    problem, replace(fit, terms=base.terms + fit.terms, numbers=numbers)
-                )
-            )
+            cause, group = fit.terms[0]
+            shorter = fit.numbers if cause.starts else 0.3 * fit.numbers
+            fits.append(_refined(problem, base.with_term(cause, group, shorter)))
     return min(fits, key=lambda fit: fit.error)
 
 
@@ -382,14 +354,13 @@ def explain(
         return Explanation()
     fits = best_fits(problem, problem.before, causes, MAX_ALONE, advance)
     fits[0] = _with_interval(problem, fits[0])
-    is_alike = [_are_alike(problem, fits[0], fit) for fit in fits[1:]]
-    alike = tuple(
-        fit.names[0] for fit, each in zip(fits[1:], is_alike, strict=True) if each
-    )
+    alike = [fit.names[0] for fit in fits[1:] if _are_alike(problem, fits[0], fit)]
     several = None
     if problem.left(fits[0]) > NEAR:
         advance("several together")
-        bases = [fits[0], *(fit for fit in fits[1:] if fit.names[0] not in alike)]
+        bases = [fit for fit in fits if fit.names[0] not in alike]
         several = _several(problem, causes, bases[:MAX_BASES], fits[:MAX_POOL])
         several = _with_interval(problem, several)
-    return Explanation(_verdict(problem, fits, several), tuple(fits), alike, several)
+    return Explanation(
+        _verdict(problem, fits, several), tuple(fits), tuple(alike), several
+    )

@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 from scipy.spatial.transform import Rotation
@@ -59,6 +60,7 @@ MIN_NOISE = 2e-4
 MIN_RATE_NOISE = 2e-3
 """Noise below which a difference has no meaning for a policy; a log of a simulator has none of its own."""
 
+NOISE_WINDOW = 7
 LOUD_RAD = 5e-3
 MIN_JUMP = 0.02
 """Second difference of positions at a lost sample [rad or m]."""
@@ -108,15 +110,17 @@ class LogMap(BaseModel):
         by_log = {entry.log: name for name, entry in self.joints.items()}
         return tuple(by_log.get(name, name) for name in names)
 
-    def correction(self, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-        """Return sign and offset of each joint of the log."""
+    def corrected(
+        self, names: Sequence[str], values: FloatArray, unit: float, offset: float
+    ) -> FloatArray:
+        """Return values [N, J] of joints of the log in units and signs of the model, and with the offset times this."""
         entries = [self.joints.get(name, JointMap()) for name in self.renamed(names)]
-        return np.array([e.sign for e in entries]), np.array(
-            [e.offset_rad for e in entries]
-        )
+        signs = np.array([entry.sign for entry in entries])
+        offsets = np.array([entry.offset_rad for entry in entries])
+        return values * unit * signs + offset * offsets
 
 
-@dataclass(frozen=True)
+@dataclass
 class Log:
     """What a robot or a simulator did.
 
@@ -149,8 +153,8 @@ class Log:
     command_kind: str
     command_names: tuple[str, ...]
     command_time_s: FloatArray
-    base: Mapping[str, FloatArray]
-    findings: tuple[str, ...] = ()
+    base: dict[str, FloatArray]
+    findings: list[str] = field(default_factory=list)
 
     @property
     def interval_s(self) -> float:
@@ -214,20 +218,19 @@ def read_log(
     kind = kinds[0] if kinds else ""
     command_names, command = _joined(quantities.get(kind, {}), joints)
     unit = np.deg2rad(1.0) if mapped.unit == "deg" else 1.0
-    signs, shifts = mapped.correction(joints)
-    command_signs, command_shifts = mapped.correction(command_names)
-    if kind in ("target", "ctrl"):
-        command = command * unit + command_signs * command_shifts
+    is_angle = kind in ("target", "ctrl")
+    command_unit = unit if is_angle else 1.0
+    position = mapped.corrected(joints, position, unit, 1.0)
     log = Log(
         name=file.name,
         joints=mapped.renamed(joints),
         time_s=time_s,
-        position=position * unit * signs + shifts,
-        velocity=velocity * unit * signs if velocity.size else position * np.nan,
+        position=position,
+        velocity=position * np.nan,
         valid=np.asarray(np.isfinite(position).all(axis=1)),
         position_noise=np.zeros(len(joints)),
         velocity_noise=np.zeros(len(joints)),
-        command=command * command_signs,
+        command=mapped.corrected(command_names, command, command_unit, float(is_angle)),
         command_kind=kind if command.size else "",
         command_names=mapped.renamed(command_names),
         command_time_s=_joined(command_time, ())[1][:, 0],
@@ -237,8 +240,10 @@ def read_log(
             if key.startswith("base_") and values
         },
     )
+    if velocity.size:
+        log.velocity = mapped.corrected(joints, velocity, unit, 0.0)
     for check in CHECKS:
-        log = check(log)
+        check(log)
     return log
 
 
@@ -291,194 +296,169 @@ def _joined(
     if "" not in columns:
         return tuple(columns), values
     count = values.shape[1]
-    return tuple(names) if len(names) == count else tuple(
-        map(str, range(count))
-    ), values
+    return tuple(names if len(names) == count else map(str, range(count))), values
 
 
 def _check_times(file: Path, time_s: FloatArray, count: int) -> None:
     """Raise an error for times that are no clock in seconds."""
     steps = np.diff(time_s)
     if len(time_s) != count or count < 20:
-        raise FileError(
-            file,
-            None,
-            f"{len(time_s)} times and {count} positions; a log needs 20 or more of both",
+        reason = (
+            f"{len(time_s)} times and {count} positions; a log needs 20 or more of both"
         )
+        raise FileError(file, None, reason)
     if not (steps > 0.0).all():
         row = int(np.argmin(steps > 0.0)) + 2
         raise FileError(file, row, "the time does not increase; sort the rows")
     if np.median(steps) >= 1.0:
-        raise FileError(
-            file,
-            "t",
-            f"{np.median(steps):g} s between samples; give the time in seconds",
-        )
+        reason = f"{np.median(steps):g} s between samples; give the time in seconds"
+        raise FileError(file, "t", reason)
 
 
-# --- checks ----------------------------------------------------------------------------------------------------------
+# --- checks: each adds what it found to the log ----------------------------------------------------------------------
 
 
-def _with_finding(log: Log, text: str, **changes: Any) -> Log:
-    return replace(log, findings=(*log.findings, text), **changes)
-
-
-def _check_wraps(log: Log) -> Log:
+def _check_wraps(log: Log) -> None:
     """Unwrap angles modulo 2 pi."""
     is_lost = log.position == 0.0
     jumps = np.abs(np.diff(log.position, axis=0)) > np.pi
     wrapped = (jumps & ~is_lost[1:] & ~is_lost[:-1]).any(axis=0)
-    if not wrapped.any():
-        return log
-    names = ", ".join(np.array(log.joints)[wrapped])
-    turns = np.unwrap(log.position, axis=0)
-    turns -= 2.0 * np.pi * np.round(np.median(turns, axis=0) / (2.0 * np.pi))
-    position = np.where(wrapped, turns, log.position)
-    return _with_finding(
-        log, f"angles modulo 2 pi are unwrapped ({names})", position=position
-    )
+    if wrapped.any():
+        turns = np.unwrap(log.position, axis=0)
+        turns -= 2.0 * np.pi * np.round(np.median(turns, axis=0) / (2.0 * np.pi))
+        log.position = np.where(wrapped, turns, log.position)
+        names = ", ".join(np.array(log.joints)[wrapped])
+        log.findings.append(f"angles modulo 2 pi are unwrapped ({names})")
 
 
-def _check_zeros(log: Log) -> Log:
-    """Exclude lost samples that were written as 0."""
-    bend = np.abs(2.0 * log.position[1:-1] - log.position[:-2] - log.position[2:])
-    is_jump = bend > MIN_JUMP + 12.0 * np.median(bend, axis=0)
-    lost = np.zeros(len(log.time_s), bool)
-    lost[1:-1] = ((log.position[1:-1] == 0.0) & is_jump).any(axis=1)
-    if not lost.any():
-        return log
-    text = f"{lost.sum()} lost samples, written as 0, are left out; the first at {log.time_s[np.argmax(lost)]:.3g} s"
-    return _with_finding(log, text, valid=log.valid & ~lost)
-
-
-def _check_held(log: Log) -> Log:
+def _check_held(log: Log) -> None:
     """Keep the first of equal samples where the encoder is slower than the log."""
     fresh = np.flatnonzero((np.diff(log.position, axis=0) != 0.0).any(axis=1)) + 1
     gaps = np.diff(fresh)
     period = int(np.median(gaps)) if len(gaps) else 1
-    if period < 2 or np.mean(np.abs(gaps - period) <= period // 4) < MIN_REGULAR:
-        return log
-    text = f"positions are held for {period} rows: the first of each is used"
-    parts = {
-        key: getattr(log, key)[fresh]
-        for key in ("time_s", "position", "velocity", "valid")
-    }
-    base = {key: values[fresh] for key, values in log.base.items()}
-    return _with_finding(log, text, base=base, **parts)
+    if period > 1 and np.mean(np.abs(gaps - period) <= period // 4) > MIN_REGULAR:
+        for key in ("time_s", "position", "velocity", "valid"):
+            setattr(log, key, getattr(log, key)[fresh])
+        log.base = {key: values[fresh] for key, values in log.base.items()}
+        text = f"positions are held for {period} rows: the first of each is used"
+        log.findings.append(text)
 
 
-def _check_jitter(log: Log) -> Log:
+def _check_zeros(log: Log) -> None:
+    """Exclude lost samples that were written as 0."""
+    bend = np.abs(np.diff(log.position, n=2, axis=0))
+    is_jump = bend > MIN_JUMP + 12.0 * np.median(bend, axis=0)
+    is_lost = ((log.position[1:-1] == 0.0) & is_jump).any(axis=1)
+    lost = np.flatnonzero(is_lost) + 1
+    if len(lost):
+        log.valid[lost] = False
+        first_s = log.time_s[lost[0]]
+        text = f"{len(lost)} lost samples, written as 0, are left out; the first at {first_s:.3g} s"
+        log.findings.append(text)
+
+
+def _check_jitter(log: Log) -> None:
     """Replace stamps that jitter by regular ones where the motion is smoother with them."""
     steps = np.diff(log.time_s)
     jitter_s = float(np.std(steps))
     if jitter_s < MAX_JITTER * log.interval_s or steps.max() > 3.0 * log.interval_s:
-        return log
+        return
     regular_s = np.linspace(log.time_s[0], log.time_s[-1], len(log.time_s))
-    rough, smooth = (
-        noise_of(each, log.position, log.valid).mean()
-        for each in (log.time_s, regular_s)
-    )
-    text = f"stamps jitter by {1e3 * jitter_s:.2g} ms"
-    if smooth < 0.9 * rough:
-        return _with_finding(
-            log,
-            f"{text}, and the motion does not: samples are taken as regular",
-            time_s=regular_s,
-            command_time_s=np.interp(log.command_time_s, log.time_s, regular_s),
-        )
-    return _with_finding(log, f"{text}, as the samples do: they are used as they are")
+    rough = noise_of(log.time_s, log.position, log.valid).mean()
+    result = "as the samples do: they are used as they are"
+    if noise_of(regular_s, log.position, log.valid).mean() < 0.9 * rough:
+        result = "and the motion does not: samples are taken as regular"
+        log.command_time_s = np.interp(log.command_time_s, log.time_s, regular_s)
+        log.time_s = regular_s
+    log.findings.append(f"stamps jitter by {1e3 * jitter_s:.2g} ms, {result}")
 
 
 def noise_of(time_s: FloatArray, values: FloatArray, valid: BoolArray) -> FloatArray:
     """Return the standard deviation of the noise of each column.
 
-    Each sample is compared with the polynomial of degree 5 through its six neighbours, at the true times. The median of
-    the differences ignores contacts and jumps.
+    Seven samples in a row are compared with polynomials of degree 5 at the true times. The median of the differences
+    ignores contacts and jumps.
     """
-    offsets = np.array([-3, -2, -1, 1, 2, 3])
-    rows = np.arange(3, len(values) - 3)
-    rows = rows[valid[rows] & valid[rows[:, None] + offsets].all(axis=1)]
-    if not len(rows):
+    is_whole = sliding_window_view(valid, NOISE_WINDOW).all(axis=1)
+    times = sliding_window_view(time_s, NOISE_WINDOW)[is_whole]
+    windows = sliding_window_view(values, NOISE_WINDOW, axis=0)[is_whole]
+    if not len(times):
         return np.zeros(values.shape[1])
-    times = time_s[rows[:, None] + offsets] - time_s[rows][:, None]
-    gaps = times[:, None, :] - times[:, :, None] + np.eye(6)
-    # Lagrange: the weight of neighbour i at time 0 is the product over the others of t_j / (t_j - t_i).
-    weights = np.prod(times[:, None, :] / gaps, axis=2, where=~np.eye(6, dtype=bool))
-    residual = values[rows] - np.einsum(
-        "ri,rij->rj", weights, values[rows[:, None] + offsets]
-    )
-    gain = np.sqrt(1.0 + np.sum(weights**2, axis=1, keepdims=True))
-    return 1.4826 * np.median(np.abs(residual / gain), axis=0)
+    places = (times - times[:, :1]) / np.ptp(times, axis=1, keepdims=True)
+    # The last left singular vector of the powers 0 to 5 is orthogonal to every such polynomial, and of length 1.
+    powers = places[..., None] ** np.arange(NOISE_WINDOW - 1)
+    weights = np.linalg.svd(powers)[0][..., -1]
+    residual = np.einsum("nw,njw->nj", weights, windows)
+    return 1.4826 * np.median(np.abs(residual), axis=0)
 
 
-def _check_velocity(log: Log) -> Log:
+def _check_velocity(log: Log) -> None:
     """Add noise levels, and velocities where the log has none; compare those that it has with the positions."""
     noise = noise_of(log.time_s, log.position, log.valid)
-    log = replace(log, position_noise=np.maximum(noise, MIN_NOISE))
+    log.position_noise = np.maximum(noise, MIN_NOISE)
     if noise.max() > LOUD_RAD:
         text = f"noise of {1e3 * noise.max():.2g} mrad or mm: small causes stay unseen"
-        log = _with_finding(log, text)
+        log.findings.append(text)
     slope = np.gradient(log.position, log.time_s, axis=0)
     if np.isnan(log.velocity).all():
-        rate_noise = log.position_noise / (np.sqrt(2.0) * log.interval_s)
-        text = "no velocities: differences of positions are used"
-        return _with_finding(log, text, velocity=slope, velocity_noise=rate_noise)
-    valid = log.valid & np.isfinite(log.velocity).all(axis=1)
-    spread = 1.4826 * np.median(np.abs(log.velocity - slope)[valid], axis=0)
-    rate_noise = np.hypot(noise_of(log.time_s, log.velocity, valid), 0.2 * spread)
-    rate_noise = np.maximum(rate_noise, MIN_RATE_NOISE)
-    log = replace(log, valid=valid, velocity_noise=rate_noise)
-    line = linregress(slope[valid].ravel(), log.velocity[valid].ravel())
+        log.velocity = slope
+        log.velocity_noise = log.position_noise / (np.sqrt(2.0) * log.interval_s)
+        log.findings.append("no velocities: differences of positions are used")
+        return
+    log.valid &= np.isfinite(log.velocity).all(axis=1)
+    rates, slopes = log.velocity[log.valid], slope[log.valid]
+    spread = 1.4826 * np.median(np.abs(rates - slopes), axis=0)
+    noise = np.hypot(noise_of(log.time_s, log.velocity, log.valid), 0.2 * spread)
+    log.velocity_noise = np.maximum(noise, MIN_RATE_NOISE)
+    line = linregress(slopes.ravel(), rates.ravel())
     if abs(line.slope - 1.0) > 0.07 and line.rvalue > 0.95:
         text = f"velocities are {line.slope:.3g} times the slope of the positions: another unit or clock"
-        return _with_finding(log, text)
-    return log
+        log.findings.append(text)
 
 
-def _check_base(log: Log) -> Log:
+def _check_base(log: Log) -> None:
     """Read quaternion and velocities of the base in the order and the frames that fit its motion."""
-    if not {"position", "quaternion"} <= log.base.keys():
-        return log
-    base, steps_s = dict(log.base), np.diff(log.time_s)[:, None]
+    base = log.base
+    if not {"position", "quaternion"} <= base.keys():
+        return
     slope = np.gradient(base["position"], log.time_s, axis=0)
     linear = base.get("linear_velocity", slope)
-    readings, misfits = [], []
+    readings = []
     for order in ("w x y z", "x y z w"):
         turn = Rotation.from_quat(base["quaternion"], scalar_first=order[0] == "w")
-        rate = (turn[:-1].inv() * turn[1:]).as_rotvec() / steps_s
-        rate = np.vstack([rate, rate[-1:]])
-        angular = base.get("angular_velocity", rate)
-        for frame, each in (("body", angular), ("world", turn.inv().apply(angular))):
+        # The rate between two samples, in the frame of the body.
+        rate = (turn[:-1].inv() * turn[1:]).as_rotvec() / np.diff(log.time_s)[:, None]
+        given = base.get("angular_velocity", rate[[*range(len(rate)), -1]])
+        for frame, angular in (("body", given), ("world", turn.inv().apply(given))):
+            misfit = np.mean((rate - angular[:-1]) ** 2)
             readings.append(
                 (
+                    misfit,
                     f"quaternion {order}, angular velocity in the {frame} frame",
                     turn,
-                    each,
+                    angular,
                 )
             )
-            misfits.append(np.mean((rate - each) ** 2))
-    best = int(np.argmin(misfits))
-    # Without a clear winner the documented convention holds.
-    best = best if misfits[best] < 0.5 * misfits[0] else 0
-    text, turn, angular = readings[best]
+    # Without a clear winner the documented convention, the first one, holds.
+    best = min(readings, key=lambda reading: reading[0])
+    _, text, turn, angular = best if best[0] < 0.5 * readings[0][0] else readings[0]
     turned = turn.apply(linear)
     if np.mean((turned - slope) ** 2) < 0.5 * np.mean((linear - slope) ** 2):
-        best, linear, text = -1, turned, f"{text}, linear velocity in the body frame"
+        linear, text = turned, f"{text}, linear velocity in the body frame"
+    if text != readings[0][1]:
+        log.findings.append(f"the base is read as {text}")
     base["quaternion"] = turn.as_quat(scalar_first=True)
     base |= {"linear_velocity": linear, "angular_velocity": angular}
-    log = replace(log, base=base)
-    return _with_finding(log, f"the base is read as {text}") if best else log
 
 
-def _check_commands(log: Log) -> Log:
+def _check_commands(log: Log) -> None:
     """Say when commands move at every sample, so that what happens between samples is not known."""
-    if not log.command_kind:
-        return _with_finding(log, "no commands: the mechanism is taken as passive")
     is_held = log.command_interval_s > 1.1 * log.interval_s
-    if is_held or log.command_kind in ("action", "ctrl"):
-        return log
-    text = f"commands change at every sample: a delay below {1e3 * log.interval_s:.3g} ms may be how they are held"
-    return _with_finding(log, text)
+    if not log.command_kind:
+        log.findings.append("no commands: the mechanism is taken as passive")
+    elif not is_held and log.command_kind in ("target", "tau"):
+        text = f"commands change at every sample: a delay below {1e3 * log.interval_s:.3g} ms may be how they are held"
+        log.findings.append(text)
 
 
 CHECKS = (
@@ -490,4 +470,4 @@ CHECKS = (
     _check_base,
     _check_commands,
 )
-"""Checks of a log, in this order; each returns the log with what it found."""
+"""Checks of a log, in this order."""

@@ -9,6 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 
 from gauge_envs.errors import FileError, ParameterError, first_names
 from gauge_envs.tools.replay.log import ControlMap, FloatArray, Log
@@ -53,28 +54,24 @@ class Setup:
 
         Commands hold until the next one. The mean over a step makes the result a continuous function of the delay.
         """
-        controls = np.zeros((*time_s.shape, self.model.nu))
         if not log.command_kind:
-            return controls
+            return np.zeros((*time_s.shape, self.model.nu))
         rows = np.arange(len(log.command))
         if self.repeat > 1:
             is_new = np.diff(log.command, axis=0, prepend=np.nan).any(axis=1)
             rows = np.flatnonzero(is_new)[self.phase :: self.repeat]
-        begins_s = log.command_time_s[rows]
-        # The first command also holds before its time.
-        first_s, last_s = begins_s[0] - FOREVER_S, begins_s[-1] + FOREVER_S
-        knots_s = np.array([first_s, *begins_s[1:], last_s])
+        # The first command also holds before its time, and the last one for ever.
+        knots_s = np.append(
+            log.command_time_s[rows], log.command_time_s[-1] + FOREVER_S
+        )
+        knots_s[0] -= FOREVER_S
         areas = np.cumsum(log.command[rows] * np.diff(knots_s)[:, None], axis=0)
-        areas = np.vstack([0.0 * areas[:1], areas])
+        area = make_interp_spline(knots_s, np.vstack([0.0 * areas[:1], areas]), k=1)
         begin_s = time_s - self.delay_s
-        for actuator in np.flatnonzero(self.source >= 0):
-            area = areas[:, self.source[actuator]]
-            before = np.interp(begin_s, knots_s, area)
-            mean = (np.interp(begin_s + step_s, knots_s, area) - before) / step_s
-            gain = self.sign[actuator] * self.scale[actuator]
-            value = gain * (mean - self.origin[actuator]) + self.offset[actuator]
-            controls[..., actuator] = value / self.divisor[actuator]
-        return controls
+        mean = (area(begin_s + step_s) - area(begin_s)) / step_s
+        deviation = mean[..., self.source] - self.origin
+        controls = (self.sign * self.scale * deviation + self.offset) / self.divisor
+        return np.where(self.source >= 0, controls, 0.0)
 
 
 @dataclass(frozen=True)

@@ -134,7 +134,7 @@ class Replayer:
         model, log = setup.model, self.log
         step_s = model.opt.timestep
         elapsed_s = self.elapsed_s(pieces) * setup.clock[0]
-        count = int(np.ceil(elapsed_s.max() / step_s - 1e-9))
+        count = max(1, int(np.ceil(elapsed_s.max() / step_s - 1e-9)))
         logged_step_s = step_s / setup.clock[0]
         times_s = log.time_s[pieces.start][:, None] + np.arange(count) * logged_step_s
         controls = setup.controls(log, times_s, logged_step_s)

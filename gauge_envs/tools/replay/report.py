@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Table
@@ -48,25 +49,19 @@ class Replay:
     """What a log and a model say of each other.
 
     Attributes:
-        model: Name of the model.
-        logs: The logs; the last one is explained.
-        problem: The residuals.
-        explanation: The fits.
-        joints: A row a joint, the largest error over noise first.
-        conditions: Error over noise of predictions of 0.1 s by condition.
+        line: The report.
+        problem: The residuals of the log that is explained.
+        change: The fit that the report is about; None where the model predicts the log.
     """
 
-    model: str
-    logs: tuple[Log, ...]
+    line: ReplayLine
     problem: Problem
-    explanation: Explanation
-    joints: tuple[JointReport, ...]
-    conditions: dict[str, float]
+    change: Fit | None
 
     @property
     def verdict(self) -> Verdict:
         """What explains the difference."""
-        return self.explanation.verdict
+        return self.line.verdict
 
 
 def replay(
@@ -103,12 +98,48 @@ def replay(
         problem = problems[-1]
         if against is not None:
             problem.floor = max(1.0, problems[0].before.error)
-        causes = candidates(problem.replayer, problem.setup)
-        explanation = explain(problem, causes, advance)
+        explanation = explain(
+            problem, candidates(problem.replayer, problem.setup), advance
+        )
     finally:
         mujoco.set_mju_user_warning(None)
+    return Replay(
+        _line(model.name, logs, problem, explanation), problem, explanation.change
+    )
+
+
+def _line(
+    model: str, logs: Sequence[Log], problem: Problem, explanation: Explanation
+) -> ReplayLine:
+    """Return the report of an explanation."""
+    verdict, change = explanation.verdict, explanation.change
     joints, conditions = _joint_reports(problem, _repeat(logs[0], logs[-1]))
-    return Replay(model.name, tuple(logs), problem, explanation, joints, conditions)
+    interval_s = logs[-1].command_interval_s
+
+    def explained(fit: Fit | None) -> tuple[Explained, ...]:
+        return _explained(fit, problem.share(fit), interval_s) if fit else ()
+
+    alone = tuple(explained(fit)[0] for fit in explanation.fits)
+    several = explained(explanation.several)
+    named = explained(change) if verdict in (Verdict.CAUSE, Verdict.SEVERAL) else ()
+    line = ReplayLine(
+        log=logs[-1].name,
+        baseline=logs[0].name if len(logs) > 1 else None,
+        model=model,
+        verdict=verdict,
+        sentence="",
+        error_over_noise=problem.before.error,
+        error_after=(change or problem.before).error,
+        baseline_over_noise=problem.floor if len(logs) > 1 else None,
+        findings=tuple(dict.fromkeys(text for log in logs for text in log.findings)),
+        joints=joints,
+        conditions=conditions,
+        candidates=alone,
+        alike=explanation.alike,
+        several=several,
+        paste=paste_lines(named, problem.setup.model.opt.timestep),
+    )
+    return replace(line, sentence=_sentence(line))
 
 
 def _rms(values: FloatArray) -> FloatArray:
@@ -121,7 +152,7 @@ def _joint_reports(
     """Return predictions over each horizon by joint, and the error over noise by condition."""
     replayer, setup = problem.replayer, problem.setup
     log, is_joint = replayer.log, replayer.is_joint
-    predictions: list[list[Prediction]] = [[] for _ in log.joints]
+    predictions: dict[float, FloatArray] = {}
     for horizon_s, count in HORIZONS_S.items():
         pieces = replayer.pieces(horizon_s, count, outputs=1)
         few = replayer.pieces(horizon_s, NOISE_PIECES, outputs=1)
@@ -129,14 +160,10 @@ def _joint_reports(
         noise = np.sqrt(np.median(variance, axis=0))[is_joint]
         error = replayer.predict(setup, pieces)[:, -1, is_joint]
         held = _rms(replayer.held_velocity(pieces)[:, -1])
-        motion = _rms(log.position[pieces.sample[:, -1]] - log.position[pieces.start])
-        rms = _rms(error)
-        over_motion = rms / np.maximum(motion, 1e-9)
-        length_s = horizon_s or log.interval_s
-        for rows, *numbers in zip(
-            predictions, rms, rms / noise, over_motion, held, strict=True
-        ):
-            rows.append(Prediction(length_s, *map(float, numbers)))
+        moved = log.position[pieces.sample[:, -1]] - log.position[pieces.start]
+        rms, motion = _rms(error), np.maximum(_rms(moved), 1e-9)
+        numbers = [rms, rms / noise, rms / motion, held]
+        predictions[horizon_s or log.interval_s] = np.column_stack(numbers)
         if horizon_s == 0.1:
             ratio, starts = np.abs(error / noise), pieces.start
     conditions = replayer.conditions(setup, starts)[0]
@@ -152,7 +179,10 @@ def _joint_reports(
                 parts_s=float(log.time_s[starts[first]]) if parts else None,
                 condition=str(conditions[first, joint]) if parts else "",
                 repeat_rms=None if repeat is None else float(repeat[joint]),
-                predictions=tuple(predictions[joint]),
+                predictions=tuple(
+                    Prediction(horizon_s, *rows[joint].tolist())
+                    for horizon_s, rows in predictions.items()
+                ),
             )
         )
     reports.sort(key=lambda row: -row.predictions[1].over_noise)
@@ -170,9 +200,7 @@ def _repeat(first: Log, second: Log) -> FloatArray | None:
     times = second.time_s[second.time_s <= first.time_s[-1]]
 
     def at(time_s: FloatArray, values: FloatArray) -> FloatArray:
-        return np.column_stack(
-            [np.interp(times, time_s, column) for column in values.T]
-        )
+        return make_interp_spline(time_s, values, k=1)(times)
 
     commands = [at(log.command_time_s, log.command).ravel() for log in (first, second)]
     if np.corrcoef(commands)[0, 1] < MIN_CORRELATION:
@@ -180,69 +208,34 @@ def _repeat(first: Log, second: Log) -> FloatArray | None:
     return _rms(at(first.time_s, first.position) - at(second.time_s, second.position))
 
 
-def replay_line(replay: Replay) -> ReplayLine:
-    """Return the report of a replay as it is printed."""
-    explanation, problem, logs = replay.explanation, replay.problem, replay.logs
-    first = logs[0].name if len(logs) > 1 else None
-
-    def explained(fit: Fit | None) -> tuple[Explained, ...]:
-        return (
-            _explained(fit, problem.share(fit), logs[-1].command_interval_s)
-            if fit
-            else ()
-        )
-
-    candidates = tuple(explained(fit)[0] for fit in explanation.fits)
-    several = explained(explanation.several)
-    error_after = (explanation.best or problem.before).error
-    return ReplayLine(
-        log=logs[-1].name,
-        baseline=first,
-        model=replay.model,
-        verdict=replay.verdict,
-        sentence=_sentence(replay, candidates, several, error_after),
-        error_over_noise=problem.before.error,
-        error_after=error_after,
-        baseline_over_noise=problem.floor if first else None,
-        findings=tuple(dict.fromkeys(text for log in logs for text in log.findings)),
-        joints=replay.joints,
-        conditions=replay.conditions,
-        candidates=candidates,
-        alike=explanation.alike,
-        several=several,
-        paste=paste_lines(
-            explained(explanation.named), problem.setup.model.opt.timestep
-        ),
-    )
-
-
 def _explained(
     fit: Fit, share: float, command_interval_s: float
 ) -> tuple[Explained, ...]:
     """Return the causes of a fit as they are printed."""
     rows = []
-    numbers = [fit.parts(fit.numbers)]
-    if fit.half_width is not None:
-        numbers += [
-            fit.parts(fit.numbers + sign * fit.half_width) for sign in (-1.0, 1.0)
+    half_width = fit.numbers * np.nan if fit.half_width is None else fit.half_width
+    ends = [fit.parts(fit.numbers + sign * half_width) for sign in (-1.0, 1.0)]
+    for (cause, group), *parts in zip(
+        fit.terms, fit.parts(fit.numbers), *ends, strict=True
+    ):
+        moved = group.index
+        numbers = [
+            cause.present[moved],
+            *(cause.values(group, part)[moved] for part in parts),
         ]
-    for (cause, group), *parts in zip(fit.terms, *numbers, strict=True):
-        fitted, *interval = (
-            cause.values(group, part)[group.index].tolist() for part in parts
-        )
-        low, high = interval or 2 * [[None] * len(fitted)]
         values = []
-        for place, k in enumerate(group.index):
-            present = float(cause.present[k])
-            ends = low[place], high[place]
+        for k, present, fitted, low, high in zip(
+            moved, *np.array(numbers).tolist(), strict=True
+        ):
+            has_interval = np.isfinite(low)
             values.append(
                 Value(
                     parameter=cause.parameters[k],
                     present=present if abs(present) < UNLIMITED else None,
-                    fitted=fitted[place],
-                    low=ends[0],
-                    high=ends[1],
-                    changes=bool(interval) and not ends[0] <= present <= ends[1],
+                    fitted=fitted,
+                    low=low if has_interval else None,
+                    high=high if has_interval else None,
+                    changes=bool(has_interval and not low <= present <= high),
                 )
             )
         text = _text(cause.name, cause.unit, group.label, values, command_interval_s)
@@ -310,35 +303,27 @@ def paste_lines(causes: Sequence[Explained], step_s: float) -> dict[str, str]:
     }
 
 
-def _sentence(
-    replay: Replay,
-    candidates: Sequence[Explained],
-    several: Sequence[Explained],
-    left: float,
-) -> str:
+def _sentence(line: ReplayLine) -> str:
     """Return the answer."""
-    log, floor = replay.logs[-1].name, replay.problem.floor
-    remains = (
-        f"; what is left is {np.sqrt(left):.0f} times the noise" if left > 4.0 else ""
+    times = np.sqrt(line.error_after)
+    remains = f"; what is left is {times:.0f} times the noise" if times > 2.0 else ""
+    if line.verdict is Verdict.NOISE and (line.baseline_over_noise or 1.0) > 1.5:
+        return f"The model predicts {line.log} as badly as {line.baseline}: nothing parts the logs{remains}."
+    if line.verdict is Verdict.NOISE:
+        return f"The model predicts {line.log} within its noise: nothing is left to explain."
+    best = line.candidates[0]
+    share = f"{_percent(best.share)} %"
+    if line.verdict is Verdict.CAUSE:
+        return f"{best.text} explains {share} of the difference{remains}."
+    together = f"{_percent(line.several[-1].share)} %" if line.several else ""
+    if line.verdict is Verdict.SEVERAL:
+        texts = " and ".join(each.text for each in line.several)
+        return f"{texts} together explain {together} of the difference (best alone: {best.cause}, {share}){remains}."
+    names = " and ".join(each.cause for each in line.several)
+    more = f"; together {names}, {together}" if line.several else ""
+    return (
+        f"Nothing in the list explains it (best: {best.text}, {share}{more}){remains}."
     )
-    if replay.verdict is Verdict.NOISE and floor > 1.5:
-        return f"The model predicts {log} as badly as {replay.logs[0].name}: nothing parts the logs{remains}."
-    if replay.verdict is Verdict.NOISE:
-        return f"The model predicts {log} within its noise: nothing is left to explain."
-    best = candidates[0]
-    alone = f"{best.text}, {_percent(best.share)} %"
-    if replay.verdict is Verdict.CAUSE:
-        return (
-            f"{best.text} explains {_percent(best.share)} % of the difference{remains}."
-        )
-    together = [each.text for each in several]
-    share = f"{_percent(several[-1].share)} %" if several else ""
-    if replay.verdict is Verdict.SEVERAL:
-        alone = f"best alone: {best.cause}, {_percent(best.share)} %"
-        return f"{' and '.join(together)} together explain {share} of the difference ({alone}){remains}."
-    names = " and ".join(each.cause for each in several)
-    more = f"; together {names}, {share}" if several else ""
-    return f"Nothing in the list explains it (best: {alone}{more}){remains}."
 
 
 def replay_document(line: ReplayLine) -> Document:

@@ -9,7 +9,6 @@ from gauge_envs.tools.replay.fit import Problem
 from gauge_envs.tools.replay.log import ControlMap, read_log
 from gauge_envs.tools.replay.model import build_setup, load_model
 from gauge_envs.tools.replay.predict import Replayer
-from gauge_envs.tools.replay.report import replay_line
 
 
 def set_stiffness(model):
@@ -55,7 +54,7 @@ PLANTED = {
 @pytest.mark.parametrize("cause", PLANTED)
 def test_a_planted_cause_is_named_with_its_value(tmp_path, cause):
     planted, value = PLANTED[cause]
-    line = replay_line(replay(*record(tmp_path, **planted)))
+    line = replay(*record(tmp_path, **planted)).line
     best = line.candidates[0]
     assert line.verdict is Verdict.CAUSE
     assert best.cause == cause
@@ -73,15 +72,15 @@ def test_the_error_of_the_right_model_is_that_of_the_noise(tmp_path):
 
 
 def test_two_causes_are_named_together(tmp_path):
-    line = replay_line(replay(*record(tmp_path, change=set_stiffness, delay_s=0.03)))
+    line = replay(*record(tmp_path, change=set_stiffness, delay_s=0.03)).line
     assert line.verdict is Verdict.SEVERAL
     assert {each.cause for each in line.several} == {"kp", "delay"}
 
 
 def test_a_force_that_is_not_in_the_list_is_not_explained(tmp_path):
-    line = replay_line(
-        replay(*record(tmp_path, push=lambda now_s: 6.0 * np.sign(np.sin(7.0 * now_s))))
-    )
+    line = replay(
+        *record(tmp_path, push=lambda now_s: 6.0 * np.sign(np.sin(7.0 * now_s)))
+    ).line
     assert line.verdict is Verdict.NOTHING
     assert line.sentence.startswith("Nothing in the list explains it (best: ")
     assert line.paste == {}
@@ -91,20 +90,20 @@ def test_laws_that_are_one_are_both_named(tmp_path):
     def change(model):
         model.actuator_biasprm[0, 2] -= 2.0
 
-    line = replay_line(replay(*record(tmp_path, change=change)))
+    line = replay(*record(tmp_path, change=change)).line
     assert {line.candidates[0].cause, *line.alike} >= {"kd", "damping"}
 
 
 def test_lines_to_paste_have_the_value_and_leave_out_what_the_log_does_not_show(
     tmp_path,
 ):
-    line = replay_line(replay(*record(tmp_path, change=set_friction)))
+    line = replay(*record(tmp_path, change=set_friction)).line
     paste = line.paste
     assert '<joint name="elbow" frictionloss="0.' in paste["MJCF"]
     assert paste["Isaac Lab"].startswith("friction={'elbow': 0.")
     assert paste["mjlab"].startswith("frictionloss={'elbow': 0.")
     assert "shoulder" not in "".join(paste.values())
-    delayed = replay_line(replay(*record(tmp_path, delay_s=0.03))).paste
+    delayed = replay(*record(tmp_path, delay_s=0.03)).line.paste
     assert "min_delay=15" in delayed["Isaac Lab"]
 
 
@@ -112,7 +111,7 @@ def test_two_logs_compare_with_the_first(tmp_path):
     first, model = record(tmp_path, change=set_armature)
     first = first.rename(tmp_path / "first.npz")
     second, _ = record(tmp_path, change=set_armature)
-    line = replay_line(replay(first, model, second))
+    line = replay(first, model, second).line
     assert line.verdict is Verdict.NOISE
     assert line.baseline_over_noise > 2.0
     assert line.sentence.startswith("The model predicts log.npz as badly as first.npz")
