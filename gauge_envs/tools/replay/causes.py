@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from operator import attrgetter
 from typing import Any
 
@@ -101,11 +100,9 @@ CLOCKS = (0.5, 0.8, 0.9, 1.1, 1.25, 2.0)
 STEPS = (0.25, 0.5, 2.0, 2.5, 4.0, 5.0)
 """Physics steps that are tried, over the present one."""
 REPEATS = (2, 3, 4)
-MAX_SWAPS = 6
-"""Number of pairs of joints that are swapped."""
 MAX_TIMESTEP_S = 0.02
-MIN_DWELL = 0.05
-"""Fraction of the samples at an extreme of a joint from which on it may be a stop."""
+STOPS = (0.0, -0.02, 0.02)
+"""Places of a stop from which the fit starts, beyond the extreme of the motion [rad or m]."""
 LOAD_SAMPLES = 300
 FAR = 40.0
 """Bound of a number of the fit, in units of its scale."""
@@ -348,7 +345,7 @@ def _options(options: Mapping[str, ArrayLike]) -> list[Group]:
 
 
 def _orders(replayer: Replayer, setup: Setup, driven: IntArray) -> Cause:
-    """Return joints mirrored, pairs swapped, and the order of the commands that correlates best with the motion."""
+    """Return each joint mirrored, and the order and signs of the commands that correlate best with the motion."""
     log = replayer.log
     ids = replayer.places.actuator[driven]
     names = [log.joints[joint] for joint in driven]
@@ -366,12 +363,6 @@ def _orders(replayer: Replayer, setup: Setup, driven: IntArray) -> Cause:
     options = {
         f"{name} mirrored": (same, 1 - 2 * (same == k)) for k, name in enumerate(names)
     }
-    gain = match + match.T - np.diag(match) - np.diag(match)[:, None]
-    pairs = sorted(combinations(range(count), 2), key=lambda pair: -gain[pair])
-    for i, j in pairs[:MAX_SWAPS]:
-        swapped = same.copy()
-        swapped[[i, j]] = j, i
-        options[f"{names[i]} and {names[j]} swapped"] = (swapped, same**0)
     label = ", ".join(
         f"{names[k]} follows {names[order[k]]}" for k in same[order != same]
     )
@@ -487,35 +478,14 @@ def _time(replayer: Replayer, setup: Setup) -> Cause:
 
 
 def _stops(replayer: Replayer, setup: Setup) -> Cause:
-    """Return the stops of joints that dwell at an extreme of their motion, or pass the stop of the model."""
+    """Return the stops of the joints, which the fit starts near the extremes of the motion."""
     log, ids = replayer.log, replayer.places.joint
-    position = log.position[log.valid]
-    motion = np.ptp(position, axis=0)
-    near = 4.0 * log.position_noise + 0.01 * motion
-    # Shape [2, J]: the lower and the upper side.
-    sign = np.array([[-1.0], [1.0]])
-    extremes = np.percentile(position, (2.0, 98.0), axis=0)
-    beyond = sign * (extremes - setup.model.jnt_range[ids].T)
-    is_near = sign[..., None] * (position - extremes[:, None]) > -near
-    dwells = (is_near.mean(axis=1) > MIN_DWELL) & (motion > 10.0 * log.position_noise)
-    sides, joints = np.nonzero(dwells | (beyond > near))
-    names = [
-        f"{log.joints[joint]} {('lower', 'upper')[side]}"
-        for side, joint in zip(sides, joints, strict=True)
-    ]
-    stop = ("model.jnt_range", (ids[joints], sides), 1.0)
-    origin = extremes[sides, joints]
+    names = [f"{name} {side}" for side in ("lower", "upper") for name in log.joints]
+    stop = ("model.jnt_range", (np.tile(ids, 2), np.repeat((0, 1), len(ids))), 1.0)
+    extremes = np.percentile(log.position[log.valid], (2.0, 98.0), axis=0)
+    others = {"groups": _groups(names), "is_positive": False, "starts": STOPS}
     return _row(
-        setup,
-        "joint limit",
-        "rad",
-        names,
-        1.0,
-        stop,
-        origin=origin,
-        groups=_groups(names),
-        is_positive=False,
-        starts=(0.0, -0.02, 0.02),
+        setup, "joint limit", "rad", names, 1.0, stop, origin=extremes.ravel(), **others
     )
 
 

@@ -102,7 +102,7 @@ class Problem:
         pieces = replayer.pieces(HORIZON_S, PIECES)
         self._pieces, self._whiteners = [], []
         for first in (0, 1):
-            half = pieces.every(first, 2)
+            half = pieces[first::2]
             covariance = replayer.covariance(setup, half)
             self._pieces.append(half)
             self._whiteners.append(np.linalg.inv(np.linalg.cholesky(covariance)))

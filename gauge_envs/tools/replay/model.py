@@ -130,15 +130,12 @@ def find_places(model: mujoco.MjModel, log: Log) -> Places:
             "the base of the model is free; log its pose, or fix the base of the model"
         )
         raise FileError(log.name, "base_pos, base_quat", reason)
-    is_at_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value
-    driven = {
-        int(model.actuator_trnid[a, 0]): int(a) for a in np.flatnonzero(is_at_joint)
-    }
+    drives = _drives(model)
     return Places(
         qpos=model.jnt_qposadr[ids],
         dof=model.jnt_dofadr[ids],
         joint=ids,
-        actuator=np.array([driven.get(int(joint), -1) for joint in ids]),
+        actuator=np.array([drives.get(name, -1) for name in log.joints]),
         base_qpos=(model.jnt_qposadr[free][:, None] + np.arange(7)).ravel(),
         base_dof=(model.jnt_dofadr[free][:, None] + np.arange(6)).ravel(),
     )
@@ -151,14 +148,17 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         FileError: Commands name no joint or actuator.
         ParameterError: The log has position targets, but neither model nor map has a gain for them.
     """
-    places = find_places(model, log)
-    model = copy.copy(model)
+    find_places(model, log)
+    model, drives = copy.copy(model), _drives(model)
     kind, count = log.command_kind, model.nu
     source = np.full(count, -1)
     scale, offset, divisor = np.ones(count), np.zeros(count), np.ones(count)
     home = model.key_qpos[0] if model.nkey else model.qpos0
     for column, name in enumerate(log.command_names):
-        actuator = _driven(model, places, log, name)
+        if name not in drives:
+            reason = "no actuator of the model drives it; map its name"
+            raise FileError(log.name, f"{kind} {name}", reason)
+        actuator = drives[name]
         joint = int(model.actuator_trnid[actuator, 0])
         gear = float(model.actuator_gear[actuator, 0])
 
@@ -187,24 +187,21 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         if kind == "action":
             scale[actuator] = given("action_scale")
     # An action counts from the default pose, a target from zero.
-    origin = offset if kind == "target" else np.zeros(count)
+    origin = offset.copy() if kind == "target" else np.zeros(count)
     _set_limits(model)
     delay_s, clock = np.zeros(1), np.ones(1)
     sign = np.ones(count)
     return Setup(model, source, sign, scale, origin, offset, divisor, delay_s, clock)
 
 
-def _driven(model: mujoco.MjModel, places: Places, log: Log, name: str) -> int:
-    """Return the actuator of a command, which names a joint or an actuator, or is its number."""
-    if name in log.joints and places.actuator[log.joints.index(name)] >= 0:
-        return int(places.actuator[log.joints.index(name)])
-    if name.isdecimal() and len(log.command_names) == model.nu:
-        return int(name)
-    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
-    if index < 0:
-        reason = "no actuator of the model drives it; map its name"
-        raise FileError(log.name, f"{log.command_kind} {name}", reason)
-    return int(index)
+def _drives(model: mujoco.MjModel) -> dict[str, int]:
+    """Return the actuators by the names that commands have: of joints and actuators, or numbers."""
+    drives = {str(index): index for index in range(model.nu)}
+    drives |= {model.actuator(index).name: index for index in range(model.nu)}
+    is_at_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value
+    for index in np.flatnonzero(is_at_joint).tolist():
+        drives[model.joint(model.actuator_trnid[index, 0]).name] = index
+    return drives
 
 
 def _set_law(

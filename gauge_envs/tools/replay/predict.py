@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 from mujoco import rollout
@@ -24,23 +22,6 @@ MAX_GAP = 3.0
 """Interval between two samples, over the median, that a prediction may cross."""
 MAX_DEVIATION = 3.0
 """Deviation at which a prediction that flies off is cut [rad or m]."""
-
-
-@dataclass(frozen=True)
-class Pieces:
-    """Predictions of the same length, each from a recorded state.
-
-    Attributes:
-        start: Sample at which each begins, shape [P].
-        sample: Samples that it predicts, shape [P, T].
-    """
-
-    start: IntArray
-    sample: IntArray
-
-    def every(self, first: int, step: int) -> Pieces:
-        """Return each n-th piece from the first one on."""
-        return Pieces(self.start[first::step], self.sample[first::step])
 
 
 class Replayer:
@@ -86,8 +67,8 @@ class Replayer:
             [*noise, log.position_noise, *rate_noise, log.velocity_noise]
         )
 
-    def pieces(self, horizon_s: float, count: int, outputs: int = 8) -> Pieces:
-        """Return pieces that are spread over the log.
+    def pieces(self, horizon_s: float, count: int, outputs: int = 8) -> IntArray:
+        """Return samples of pieces that are spread over the log, shape [P, 1 + T]; a prediction begins at the first.
 
         Args:
             horizon_s: Length of each; at least one sample.
@@ -99,7 +80,7 @@ class Replayer:
         """
         log = self.log
         length = max(1, round(horizon_s / log.interval_s))
-        steps = np.unique(np.linspace(0, length, outputs + 1).round().astype(int))[1:]
+        steps = np.unique(np.linspace(0, length, outputs + 1).round().astype(int))
         is_broken = ~log.valid
         is_broken[1:] |= np.diff(log.time_s) > MAX_GAP * log.interval_s
         breaks = np.cumsum(is_broken)
@@ -108,41 +89,35 @@ class Replayer:
         if not len(start):
             raise ParameterError(f"{log.name}: no {horizon_s:g} s without lost samples")
         chosen = np.unique(np.linspace(0, len(start) - 1, count).round().astype(int))
-        return Pieces(start[chosen], start[chosen, None] + steps)
+        return start[chosen, None] + steps
 
-    def elapsed_s(self, pieces: Pieces) -> FloatArray:
+    def elapsed_s(self, pieces: IntArray) -> FloatArray:
         """Return the time from the start of each piece to its samples, shape [P, T]."""
-        return self.log.time_s[pieces.sample] - self.log.time_s[pieces.start][:, None]
+        time_s = self.log.time_s[pieces]
+        return time_s[:, 1:] - time_s[:, :1]
 
     def predict(
-        self,
-        setup: Setup,
-        pieces: Pieces,
-        dof: int = 0,
-        change: float = 0.0,
-        rate_change: float = 0.0,
+        self, setup: Setup, pieces: IntArray, tangent: FloatArray | None = None
     ) -> FloatArray:
         """Return predicted minus recorded degrees of freedom, shape [P, T, D].
 
         Args:
             setup: What predicts.
             pieces: What is predicted.
-            dof: Address in `qvel` of a degree of freedom whose initial value changes.
-            change: Change of its value.
-            rate_change: Change of its rate.
+            tangent: Change of the initial positions and rates, shape [2 nv].
         """
         model, log = setup.model, self.log
         step_s = model.opt.timestep
         elapsed_s = self.elapsed_s(pieces) * setup.clock[0]
         count = max(1, int(np.ceil(elapsed_s.max() / step_s - 1e-9)))
         logged_step_s = step_s / setup.clock[0]
-        times_s = log.time_s[pieces.start][:, None] + np.arange(count) * logged_step_s
+        times_s = log.time_s[pieces[:, :1]] + np.arange(count) * logged_step_s
         controls = setup.controls(log, times_s, logged_step_s)
-        qpos, qvel = self.qpos[pieces.start], self.qvel[pieces.start]
-        qvel[:, dof] += rate_change
-        if change:
+        qpos, qvel = self.qpos[pieces[:, 0]], self.qvel[pieces[:, 0]]
+        if tangent is not None:
+            qvel += tangent[model.nv :]
             for row in qpos:
-                mujoco.mj_integratePos(model, row, change * np.eye(model.nv)[dof], 1.0)
+                mujoco.mj_integratePos(model, row, tangent[: model.nv], 1.0)
         size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         state = np.zeros((len(qpos), size))
         end = 1 + model.nq + model.nv
@@ -157,7 +132,7 @@ class Replayer:
         part = (place - left)[..., None]
         rows = np.arange(len(qpos))[:, None]
         predicted = (1.0 - part) * motion[rows, left] + part * motion[rows, left + 1]
-        recorded = self.qpos[pieces.sample]
+        recorded = self.qpos[pieces[:, 1:]]
         difference = np.zeros((*place.shape, model.nv))
         for index in np.ndindex(place.shape):
             mujoco.mj_differentiatePos(
@@ -166,23 +141,19 @@ class Replayer:
         deviation = np.nan_to_num(difference[..., self.dofs], nan=MAX_DEVIATION)
         return np.clip(deviation, -MAX_DEVIATION, MAX_DEVIATION)
 
-    def covariance(self, setup: Setup, pieces: Pieces) -> FloatArray:
+    def covariance(self, setup: Setup, pieces: IntArray) -> FloatArray:
         """Return the covariance of the predictions that noise alone gives, shape [P, T D, T D].
 
         The noise of the initial state is propagated by its sensitivities, by finite differences: C = N S0 N^T + S.
         """
-        count = len(self.dofs)
-        size = pieces.sample.shape[1] * count
         plain = self.predict(setup, pieces)
+        recorded = np.tile(self.noise[: len(self.dofs)] ** 2, plain.shape[1])
         columns = []
-        for dof, noise, rate_noise in zip(
-            self.dofs, self.noise[:count], self.noise[count:], strict=True
-        ):
-            for change, rate_change in ((noise, 0.0), (0.0, rate_noise)):
-                moved = self.predict(setup, pieces, dof, change, rate_change)
-                columns.append((moved - plain).reshape(-1, size))
+        units = np.eye(2 * setup.model.nv)[[*self.dofs, *setup.model.nv + self.dofs]]
+        for tangent in self.noise[:, None] * units:
+            change = self.predict(setup, pieces, tangent) - plain
+            columns.append(change.reshape(len(pieces), -1))
         sensitivity = np.stack(columns, axis=-1)
-        recorded = np.tile(self.noise[:count] ** 2, pieces.sample.shape[1])
         return sensitivity @ sensitivity.transpose(0, 2, 1) + np.diag(recorded)
 
     def conditions(
@@ -213,9 +184,3 @@ class Replayer:
         limits = np.append(effort, np.inf)[places.actuator]
         conditions[np.abs(torques) > 0.999 * limits] = "saturation"
         return conditions, torques
-
-    def held_velocity(self, pieces: Pieces) -> FloatArray:
-        """Return the error of the baseline that keeps the recorded velocity, shape [P, T, J]."""
-        log = self.log
-        moved = self.elapsed_s(pieces)[..., None] * log.velocity[pieces.start][:, None]
-        return log.position[pieces.start][:, None] + moved - log.position[pieces.sample]

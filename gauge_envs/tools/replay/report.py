@@ -159,14 +159,15 @@ def _joint_reports(
         variance = np.diagonal(replayer.covariance(setup, few), axis1=1, axis2=2)
         noise = np.sqrt(np.median(variance, axis=0))[is_joint]
         error = replayer.predict(setup, pieces)[:, -1, is_joint]
-        held = _rms(replayer.held_velocity(pieces)[:, -1])
-        moved = log.position[pieces.sample[:, -1]] - log.position[pieces.start]
+        starts = pieces[:, 0]
+        moved = log.position[pieces[:, -1]] - log.position[starts]
+        kept = replayer.elapsed_s(pieces) * log.velocity[starts]
         rms, motion = _rms(error), np.maximum(_rms(moved), 1e-9)
-        numbers = [rms, rms / noise, rms / motion, held]
+        numbers = [rms, rms / noise, rms / motion, _rms(kept - moved)]
         predictions[horizon_s or log.interval_s] = np.column_stack(numbers)
         if horizon_s == 0.1:
-            ratio, starts = np.abs(error / noise), pieces.start
-    conditions = replayer.conditions(setup, starts)[0]
+            ratio, times_s = np.abs(error / noise), log.time_s[starts]
+            conditions = replayer.conditions(setup, starts)[0]
     is_far = (ratio[:-1] > LEAVES) & (ratio[1:] > LEAVES)
     reports = []
     for joint, name in enumerate(log.joints):
@@ -176,7 +177,7 @@ def _joint_reports(
             JointReport(
                 joint=name,
                 noise=float(log.position_noise[joint]),
-                parts_s=float(log.time_s[starts[first]]) if parts else None,
+                parts_s=float(times_s[first]) if parts else None,
                 condition=str(conditions[first, joint]) if parts else "",
                 repeat_rms=None if repeat is None else float(repeat[joint]),
                 predictions=tuple(
