@@ -31,8 +31,11 @@ PARAMETER_COST = 0.0005
 """Share that one more number of a fit must bring."""
 MAX_GROUPS = 2
 """Number of groups of each cause that are fitted."""
+MAX_FEW = 13
 MAX_CALLS, MAX_LARGE_CALLS = 25, 6
 """Calls of least squares for a few numbers, and for many."""
+SERVO = ("delay", "kp", "armature", "damping")
+"""Causes that are fitted together where two are not enough: the constants of a servo."""
 MAX_ALONE, MAX_FURTHER, MAX_POOL, MAX_BASES = 8, 3, 5, 2
 """Number of fits that are refined: alone, on top of others, and again those that are best alone; and of such bases."""
 MAX_SEVERAL = 4
@@ -49,7 +52,7 @@ class Fit:
         terms: Cause and group of each.
         numbers: All numbers of the fit, shape [p].
         train: Whitened residuals of the pieces that the fit sees, shape [P, T D].
-        held_out: The same of the other pieces; None before `Problem.judged`.
+        held_out: The same of the other pieces; empty before `Problem.judged`.
         promised: Mean squared training error that a linear model promises.
         half_width: Half of the 95 % interval of each number, where it was computed.
     """
@@ -57,7 +60,7 @@ class Fit:
     terms: tuple[tuple[Cause, Group], ...] = ()
     numbers: FloatArray = field(default_factory=lambda: np.zeros(0))
     train: FloatArray = field(default_factory=lambda: np.zeros(0))
-    held_out: FloatArray | None = None
+    held_out: FloatArray = field(default_factory=lambda: np.zeros(0))
     promised: float = np.inf
     half_width: FloatArray | None = None
 
@@ -69,7 +72,7 @@ class Fit:
     @property
     def error(self) -> float:
         """Mean squared error over that of the noise, of pieces that the fit has not seen, or of the others before."""
-        if self.held_out is not None:
+        if self.held_out.size:
             return float(np.mean(self.held_out**2))
         trained = float(np.mean(self.train**2)) if self.train.size else np.inf
         return min(trained, self.promised)
@@ -201,7 +204,7 @@ def _refined(problem: Problem, fit: Fit) -> Fit:
         x_scale=np.maximum(np.abs(start), 0.05),
         ftol=1e-3,
         xtol=1e-4,
-        max_nfev=MAX_CALLS if len(start) < 4 else MAX_LARGE_CALLS,
+        max_nfev=MAX_CALLS if len(start) < MAX_FEW else MAX_LARGE_CALLS,
     )
     return problem.judged(replace(fit, numbers=solution.x))
 
@@ -303,16 +306,29 @@ def _grown(
     return min(fits, key=lambda fit: fit.error)
 
 
+def _servo(problem: Problem, causes: Sequence[Cause], fits: Sequence[Fit]) -> list[Fit]:
+    """Return the constants of a few servos fitted together; nothing for many servos, or without any."""
+    by_name = {cause.name: cause for cause in causes}
+    if "kp" not in by_name or len(by_name["kp"].parameters) * len(SERVO) > MAX_FEW:
+        return []
+    delay = next(fit for fit in fits if fit.names == ["delay"])
+    for name in SERVO[1:]:
+        group = by_name[name].groups[-1]
+        delay = delay.with_term(by_name[name], group, np.zeros(group.size))
+    return [_refined(problem, delay)]
+
+
 def _several(
-    problem: Problem, causes: Sequence[Cause], bases: Sequence[Fit], pool: Sequence[Fit]
+    problem: Problem, causes: Sequence[Cause], fits: Sequence[Fit], bases: Sequence[Fit]
 ) -> Fit:
     """Return two to four causes that explain more together."""
-    pairs = []
+    pool = fits[:MAX_POOL]
+    tried = []
     for base in bases:
-        pairs.append(_grown(problem, causes, base, pool))
-        if problem.left(pairs[-1]) < NEAR:
-            break
-    several = min(pairs, key=lambda fit: fit.error)
+        tried.append(_grown(problem, causes, base, pool))
+        if problem.left(tried[-1]) < NEAR:
+            return tried[-1]
+    several = min([*tried, *_servo(problem, causes, fits)], key=lambda fit: fit.error)
     while (
         len(several.terms) < MAX_SEVERAL
         and problem.left(several) > NEAR
@@ -359,7 +375,7 @@ def explain(
     if problem.left(fits[0]) > NEAR:
         advance("several together")
         bases = [fit for fit in fits if fit.names[0] not in alike]
-        several = _several(problem, causes, bases[:MAX_BASES], fits[:MAX_POOL])
+        several = _several(problem, causes, fits, bases[:MAX_BASES])
         several = _with_interval(problem, several)
     return Explanation(
         _verdict(problem, fits, several), tuple(fits), tuple(alike), several

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -162,7 +163,7 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         joint = int(model.actuator_trnid[actuator, 0])
         gear = float(model.actuator_gear[actuator, 0])
 
-        def given(field: str, joint: str = model.joint(joint).name) -> float | None:
+        def given(field: str, joint: str = model.joint(joint).name) -> Any:
             return control.of(field, joint)
 
         source[actuator] = column

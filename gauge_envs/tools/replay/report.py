@@ -41,6 +41,8 @@ MIN_CORRELATION = 0.99
 MAX_ROWS = 12
 """Joints that the text shows, those with the largest error first."""
 MAX_CAUSES = 4
+MAX_WIDTH = 0.4
+"""Width of the interval of a gain, over its value, from which on only ratios are sure."""
 STACKS = ("MJCF", "Isaac Lab", "mjlab", "Playground")
 
 
@@ -157,7 +159,7 @@ def _joint_reports(
         pieces = replayer.pieces(horizon_s, count, outputs=1)
         few = replayer.pieces(horizon_s, NOISE_PIECES, outputs=1)
         variance = np.diagonal(replayer.covariance(setup, few), axis1=1, axis2=2)
-        noise = np.sqrt(np.median(variance, axis=0))[is_joint]
+        noise = np.sqrt(np.median(variance[:, is_joint], axis=0))
         error = replayer.predict(setup, pieces)[:, -1, is_joint]
         starts = pieces[:, 0]
         moved = log.position[pieces[:, -1]] - log.position[starts]
@@ -204,7 +206,7 @@ def _repeat(first: Log, second: Log) -> FloatArray | None:
         return make_interp_spline(time_s, values, k=1)(times)
 
     commands = [at(log.command_time_s, log.command).ravel() for log in (first, second)]
-    if np.corrcoef(commands)[0, 1] < MIN_CORRELATION:
+    if np.asarray(np.corrcoef(commands))[0, 1] < MIN_CORRELATION:
         return None
     return _rms(at(first.time_s, first.position) - at(second.time_s, second.position))
 
@@ -319,11 +321,34 @@ def _sentence(line: ReplayLine) -> str:
     together = f"{_percent(line.several[-1].share)} %" if line.several else ""
     if line.verdict is Verdict.SEVERAL:
         texts = " and ".join(each.text for each in line.several)
-        return f"{texts} together explain {together} of the difference (best alone: {best.cause}, {share}){remains}."
+        alone = f"best alone: {best.cause}, {share}"
+        return f"{texts} together explain {together} of the difference ({alone}){_ratios(line)}{remains}."
     names = " and ".join(each.cause for each in line.several)
     more = f"; together {names}, {together}" if line.several else ""
     return (
         f"Nothing in the list explains it (best: {best.text}, {share}{more}){remains}."
+    )
+
+
+def _ratios(line: ReplayLine) -> str:
+    """Return the ratios of a servo whose motion does not show how large its torques are; empty for others.
+
+    Torque and inertia times the same number give the same motion, but for gravity and the inertia of the link.
+    """
+    single = {
+        each.cause: each.values[0] for each in line.several if len(each.values) == 1
+    }
+    if not single.keys() >= {"kp", "armature", "damping"}:
+        return ""
+    stiffness, damping, armature = (
+        single[name].fitted for name in ("kp", "damping", "armature")
+    )
+    low, high = single["kp"].low or 0.0, single["kp"].high or np.inf
+    if high - low < MAX_WIDTH * stiffness:
+        return ""
+    return (
+        f"; only ratios are sure: kp / armature {stiffness / armature:.3g} 1/s^2, "
+        f"damping / armature {damping / armature:.3g} 1/s"
     )
 
 
