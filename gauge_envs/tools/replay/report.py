@@ -263,18 +263,21 @@ def _text(
     value = values[0]
     if name == "delay":
         return f"delay of {value.fitted / command_interval_s:.2g} steps ({1e3 * value.fitted:.3g} ms)"
+    space = unit and " "
     if len(values) == 1:
         now = "no limit" if value.present is None else f"{value.present:.3g}"
-        return f"{name} of {value.parameter}: {value.fitted:.3g} {unit} (now {now})".replace(
-            "  ", " "
+        return (
+            f"{name} of {value.parameter}: {value.fitted:.3g}{space}{unit} (now {now})"
         )
     ratios = [each.fitted / each.present for each in values if each.present]
     if label.startswith("all") and len(ratios) == len(values) and np.ptp(ratios) < 1e-6:
         return f"{name} x {ratios[0]:.3g} ({label})"
-    if len(values) <= 3:
-        return f"{name}: {', '.join(f'{each.parameter} {each.fitted:.3g}' for each in values)} {unit}"
     numbers = [each.fitted for each in values]
-    return f"{name} of {label}: {min(numbers):.2g} to {max(numbers):.2g} {unit}"
+    text = f"{name} of {label}: {min(numbers):.2g} to {max(numbers):.2g}"
+    if len(values) <= 3:
+        texts = ", ".join(f"{each.parameter} {each.fitted:.3g}" for each in values)
+        text = f"{name}: {texts}"
+    return f"{text}{space}{unit}"
 
 
 def paste_lines(causes: Sequence[Explained], step_s: float) -> dict[str, str]:
