@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
+from fractions import Fraction
 from typing import Any
 
 from gauge_envs.backends.registry import backend_class, backend_names, is_bundled
@@ -20,12 +21,7 @@ from gauge_envs.pages.text import (
     short_id,
 )
 from gauge_envs.tools.catalog.description import description
-from gauge_envs.tools.catalog.report import (
-    PLANTED_ERRORS,
-    planted_error_scores,
-    reasons_text,
-    step_text,
-)
+from gauge_envs.tools.catalog.report import PLANTED_ERRORS, planted_error_scores
 from gauge_envs.tools.catalog.spaces import shape_text
 from scripts.generated import NUMBER, ROOT
 
@@ -400,6 +396,19 @@ def _engines(
         yield _fact("Preset and step [s]", label, f"{', '.join(texts)}.")
     for text, titles in unsupported.items():
         yield f"Not on {', '.join(titles)}{text}."
+
+
+def step_text(step_s: float) -> str:
+    """Return a time step as a fraction of a second if it is one, otherwise in seconds."""
+    fraction = Fraction(step_s).limit_denominator(1_000_000)
+    return str(fraction) if fraction.numerator == 1 else f"{step_s:.4g}"
+
+
+def reasons_text(missing: Sequence[str]) -> str:
+    """Return the first reason why an engine cannot build a scene, and the number of the remaining reasons."""
+    if len(missing) < 2:
+        return "".join(missing)
+    return f"{missing[0]} (and {len(missing) - 1} more)"
 
 
 def _engine_row(values: Values, engine: str) -> Values:

@@ -1,13 +1,10 @@
-"""Texts of results: labels of configurations, metrics of scores, and convergence."""
+"""Texts of results: labels of configurations, and metrics of scores."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.pages.text import (
-    quantity_text,
-    value_text,
-)
+from gauge_envs.pages.text import value_text
 from gauge_envs.references.metrics import METRICS, Metric
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.scoring.score import OVER_U, Score
@@ -139,88 +136,3 @@ def normalized_score(score: Score, metric: str) -> float | None:
 def score_interval(score: Score, metric: str) -> tuple[float, float] | None:
     """Return the 95 % interval of the normalized metric; None if it is not the primary one."""
     return score.primary_interval if metric == score.primary else None
-
-
-# --- convergence ---
-
-NAMES = {
-    "timestep_s": "half step",
-    "cell_m": "half cell",
-    "training": "preset training",
-}
-
-
-def convergence_text(
-    rows: Mapping[str, Mapping[str, Any]],
-    *,
-    has_cells: bool,
-    with_unit: bool = False,
-    over_trials: bool = True,
-) -> str:
-    """Return the effect of half the step, half the cell and the preset `training`, in one line.
-
-    Args:
-        rows: Rows of `references.convergence.convergence_rows`.
-        has_cells: Whether the experiment has deformable bodies with cells.
-        with_unit: Whether to add the root mean square and the maximum over frames in the unit of g(t), and the preset
-            `training`.
-        over_trials: Whether a change is a share of the scatter of real trials; else it is the root mean square of g(t).
-
-    Example:
-        >>> row = {"unit": "mm", "rms": 0.062, "max": 0.18, "share": 0.0034}
-        >>> convergence_text({"timestep_s": row}, has_cells=True)
-        'half step moves the trajectory by 0.34 % of the real scatter; half cell: not measured'
-    """
-    parts = []
-    for setting, name in NAMES.items():
-        if setting == "cell_m" and not has_cells:
-            continue
-        row = rows.get(setting)
-        if setting == "training" and (row is None or not with_unit):
-            continue
-        if row is None:
-            parts.append(f"{name}: not measured")
-        elif row["rms"] is None:
-            parts.append(f"{name}: diverged")
-        else:
-            parts.append(
-                f"{name} moves the trajectory by "
-                f"{_amount(row, with_unit=with_unit, over_trials=over_trials)}"
-            )
-            if setting == "training":
-                parts[-1] += (
-                    f", points by {quantity_text(row['points_rms_mm'])} mm rms; {_speeds(row)}"
-                )
-    return "; ".join(parts)
-
-
-def _speeds(row: Mapping[str, Any]) -> str:
-    """Return the steps per second of a row of the preset `training`."""
-    return f"{row['refined']:.0f} env-steps/s, by default {row['default']:.0f}"
-
-
-def _amount(row: Mapping[str, Any], *, with_unit: bool, over_trials: bool) -> str:
-    """Return the share of the published scatter; without one, the distance of the observed points."""
-    rms, largest = quantity_text(row["rms"]), quantity_text(row["max"])
-    ends = f" and {largest} {row['unit']} at most" if with_unit else ""
-    if not over_trials:
-        return f"{rms} {row['unit']} rms{ends}"
-    if row["share"] is None:
-        amount = (
-            f"{quantity_text(row['points_rms_mm'])} mm (rms of the observed points)"
-        )
-    else:
-        amount = f"{percent_text(row['share'])} % of the real scatter"
-    return f"{amount}, g(t) by {rms} {row['unit']} rms{ends}" if with_unit else amount
-
-
-def percent_text(share: float) -> str:
-    """Return a share in percent with two digits, or `less than 0.01`."""
-    percent = 100.0 * share
-    return (
-        "less than 0.01"
-        if percent < 0.01
-        else f"{percent:.0f}"
-        if percent >= 99.5
-        else f"{percent:.2g}"
-    )

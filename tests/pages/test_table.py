@@ -12,7 +12,6 @@ from rich.console import Console
 
 from gauge_envs.pages.document import as_rows
 from gauge_envs.pages.markdown import as_markdown
-from gauge_envs.pages.results import percent_text
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.terminal import Terminal
 from gauge_envs.pages.text import (
@@ -199,17 +198,6 @@ def test_no_line_is_too_long_and_no_word_is_lost(titles, cells, places, width):
                 -1234.5: "-1234",
                 99999.4: "99999",
                 1e5: "1e+05",
-            },
-        ),
-        (
-            percent_text,
-            {
-                0.0000999: "less than 0.01",
-                0.0001: "0.01",
-                0.1234: "12",
-                0.9949: "99",
-                0.995: "100",
-                2.3: "230",
             },
         ),
         (value_text, {1 / 3: "0.3333333333", 7: "7", (): "()"}),

@@ -64,7 +64,6 @@ def list_(
 
 def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bool:
     """Print the experiments that match patterns, and return whether a task file was skipped."""
-    from gauge_envs.experiments.resolve import load_experiment
     from gauge_envs.experiments.variants import (
         matching_variants,
         unreadable_task_files,
@@ -87,19 +86,12 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
         for row in list_rows(variants, notify=note)
         if not scored or row["kind"] != "none"
     ]
-    families = len({row["family"] for row in rows})
-    summary = f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}"
-    table = list_table(rows)
-    lines = [summary]
+    table, lines = list_table(rows), [counted(len(rows), "id")]
     if not patterns and not scored:
-        lines = [f"{summary}; for the ids of a family: gauge list 'SlopeSlider-*'"]
+        lines = [f"{lines[0]}; for the ids of a family: gauge list 'SlopeSlider-*'"]
         lines += _beyond_the_benchmark()
         if form is Format.TEXT:
-            evaluated = {
-                variant.family: load_experiment(variant).spec.evaluates
-                for variant in variants
-            }
-            table = family_table(rows, evaluated)
+            table = family_table(rows)
     print_document(Document(parts=[table, *map(Paragraph, lines)]), form)
     return bool(faults)
 

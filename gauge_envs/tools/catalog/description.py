@@ -181,14 +181,12 @@ def planted_errors(variant: str) -> list[dict[str, Any]]:
 
 def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any]:
     """Return the fields of a body, with its kind and pose, without an inertia that follows from the shape."""
-    values = {
-        field.name: getattr(body, field.name) for field in dataclasses.fields(body)
-    }
+    values = dataclasses.asdict(body)
+    del values["pose"]
+    if shape := getattr(body, "shape", None):
+        values["shape"]["kind"] = type(shape).__name__
     if values.get("inertia_kg_m2", 0.0) is None:
         del values["inertia_kg_m2"]
-    if shape := values.pop("shape", None):
-        values["shape"] = dataclasses.asdict(shape) | {"kind": type(shape).__name__}
-    del values["pose"]
     return {
         "kind": type(body).__name__.lower().replace("rigidbody", "rigid"),
         "recorded": body.name in experiment.recorded,

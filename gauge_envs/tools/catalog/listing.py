@@ -88,26 +88,21 @@ def lacking_features(
         notify: Receives a sentence if the backend does not work.
     """
     try:
-        lacks, fault = call_engine(
-            name, _lacks, name, experiments, time_limit_s=QUERY_LIMIT_S
+        return call_engine(
+            name, _missing_features, name, experiments, time_limit_s=QUERY_LIMIT_S
         )
+    except MissingExtraError as error:
+        reason = str(error)
     except GaugeError as error:
-        fault = f"backend {name!r}: {error}"
-        lacks = [[fault]] * len(experiments)
-    if fault:
-        notify(fault)
-    return lacks
+        reason = f"backend {name!r}: {error}"
+        notify(reason)
+    return [[reason]] * len(experiments)
 
 
-def _lacks(name: str, experiments: Sequence[Experiment]) -> tuple[list[list[str]], str]:
-    """Return the missing features for each experiment, or the error; and the error again unless an extra is missing."""
-    try:
-        backend(name)
-        supports = [
-            support_of(name, experiment.scene, experiment.model_file)
-            for experiment in experiments
-        ]
-    except GaugeError as error:
-        fault = "" if isinstance(error, MissingExtraError) else str(error)
-        return [[str(error)]] * len(experiments), fault
-    return [list(support.missing) for support in supports], ""
+def _missing_features(name: str, experiments: Sequence[Experiment]) -> list[list[str]]:
+    """Return the missing features of a backend for each experiment."""
+    backend(name)
+    return [
+        list(support_of(name, experiment.scene, experiment.model_file).missing)
+        for experiment in experiments
+    ]

@@ -1,6 +1,6 @@
 """Describe the action and observation spaces of an experiment as rows of tables."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gauge_envs.envs.spaces import action_space_of, observation_space_of
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.pages.text import quantity_text, shortened
+from gauge_envs.pages.text import shortened
 from gauge_envs.scene.drivers import DriverMotion
 
 STATE = (
@@ -106,17 +106,6 @@ def _row(
         "unit": unit,
         "meaning": meaning,
     }
-
-
-def range_text(row: Mapping[str, Any]) -> str:
-    """Return the range of a JSON-ready row of a space, for example `-1 to 1`; `any` without bounds."""
-    low, high = row["low"], row["high"]
-    if low is None or high is None:
-        return "any"
-    bounds = [
-        quantity_text(bound) if abs(bound) >= 1e-3 else "0" for bound in (low, high)
-    ]
-    return " to ".join(bounds if low < high else bounds[:1])
 
 
 def shape_text(shape: Sequence[int]) -> str:

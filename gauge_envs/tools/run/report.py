@@ -64,13 +64,6 @@ PHRASES = {
 }
 """Description of a motion, by estimate or event."""
 
-TONES = {
-    Outcome.DIVERGED: Tone.ERROR,
-    Outcome.FAILED: Tone.ERROR,
-    Outcome.DECLINED: Tone.WARNING,
-}
-"""Outcomes with reported reasons, and the tone of each."""
-
 
 def summary_document(results: Sequence[Result], *, details: bool = False) -> Document:
     """Return a row and an explanation for each result, and the reasons for missing results.
@@ -144,12 +137,10 @@ def motion_text(score: Score) -> str | None:
         return None
     name = max(quantities, key=lambda name: _deviation(quantities[name]))
     quantity = quantities[name]
-    if quantity.value is None:
-        text = f"{event_title(name)} does not happen"
-    else:
-        value = _rounded(quantity.value, quantity.real_uncertainty)
+    text = f"{event_title(name)} does not happen"
+    if quantity.value is not None:
         phrase = PHRASES.get(name, f"{event_title(name)} {{}}")
-        text = phrase.format(with_unit(value, quantity.unit))
+        text = phrase.format(with_unit(digits_text(quantity.value), quantity.unit))
     if quantity.real is None:
         return text
     # Estimates and published metrics come from several trials; the remaining events come from one recording.
@@ -159,32 +150,19 @@ def motion_text(score: Score) -> str | None:
 
 
 def _deviation(quantity: Measured) -> float:
-    """Return the deviation from the real value, divided by its standard uncertainty; negative if unknown."""
-    if quantity.real is None:
-        return -2.0
-    if not quantity.real_uncertainty:
-        return -1.0
+    """Return the deviation from the real value, divided by its standard uncertainty; 0 if unknown."""
+    if quantity.real is None or not quantity.real_uncertainty:
+        return 0.0
     if quantity.value is None:
         return math.inf
     return abs(quantity.value - quantity.real) / quantity.real_uncertainty
 
 
-def _rounded(value: float, uncertainty: float | None) -> str:
-    """Return a value rounded to the first digit of its uncertainty, or to the second digit if the first is 1."""
-    if not uncertainty:
-        return score_text(value)
-    exponent = math.floor(math.log10(uncertainty))
-    is_leading_one = uncertainty < 2.0 * 10.0**exponent
-    decimals = max(0, int(is_leading_one) - exponent)
-    return f"{value:.{decimals}f}"
-
-
 def _real_text(quantity: Measured) -> str:
     """Return the real value with its standard uncertainty."""
-    assert quantity.real is not None
-    text = _rounded(quantity.real, quantity.real_uncertainty)
+    text = digits_text(quantity.real)
     if quantity.real_uncertainty:
-        text += f" +- {_rounded(quantity.real_uncertainty, quantity.real_uncertainty)}"
+        text += f" +- {digits_text(quantity.real_uncertainty)}"
     return with_unit(text, quantity.unit)
 
 
@@ -220,13 +198,12 @@ def _details(score: Score) -> dict[str, str]:
 
 def _outcomes(results: Sequence[Result]) -> Iterator[Paragraph]:
     """Yield a line for each reason, with the experiments that it applies to."""
-    for outcome, tone in TONES.items():
-        ids_of: dict[str, list[str]] = {}
-        for result in results:
-            if result.outcome is outcome:
-                name = short_id(result.id)
-                reason = result.error or result.diverged_reason or ""
-                reason = reason.replace(f"{result.id}: ", "").removeprefix(f"{name} ")
-                ids_of.setdefault(reason, []).append(name)
-        for reason, ids in ids_of.items():
-            yield Paragraph(f"{outcome.value}: {shortened(ids)}: {reason}", tone)
+    ids_of: dict[tuple[Outcome, str], list[str]] = {}
+    for result in results:
+        if reason := result.error or result.diverged_reason:
+            name = short_id(result.id)
+            reason = reason.replace(f"{result.id}: ", "").removeprefix(f"{name} ")
+            ids_of.setdefault((result.outcome, reason), []).append(name)
+    for (outcome, reason), ids in ids_of.items():
+        text = f"{outcome.value}: {shortened(ids)}: {reason}"
+        yield Paragraph(text, Tone.WARNING)
