@@ -36,10 +36,13 @@ class TrialError(Exception):
         expected: Expected content.
     """
 
-    def __init__(self, key: str, problem: str, expected: str) -> None:
-        self.key, self.problem, self.expected = map(printable, (key, problem, expected))
-        super().__init__(f"{self.key}: {self.problem}; {self.expected}")
-
     def finding(self, file: str, *, left_out: bool = True) -> ImportFinding:
         """Return the problem with the name of its file."""
-        return ImportFinding(file=printable(file), left_out=left_out, **vars(self))
+        key, problem, expected = map(printable, self.args)
+        return ImportFinding(
+            file=printable(file),
+            key=key,
+            problem=problem,
+            expected=expected,
+            left_out=left_out,
+        )

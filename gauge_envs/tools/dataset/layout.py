@@ -96,10 +96,7 @@ def find_trials(root: Path, *, only: Sequence[str] = ("*",)) -> Layout:
         if variant in selected and variant in paths_of
     }
     if not files:
-        reasons = "".join(f"\n  {finding}" for finding in findings[:5])
-        raise DatasetError(
-            f"{root}: no trial of {', '.join(only)}; expected {LAYOUT}{reasons}"
-        )
+        raise DatasetError(f"{root}: no trial of {', '.join(only)}; expected {LAYOUT}")
     return Layout(root=root, revision=_revision(root), files=files, findings=findings)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -24,18 +23,12 @@ from gauge_envs.tools.dataset.trial import PoseTrack, Trial, check_lengths
 MAX_START_DISTANCE_MM = 300.0
 """Largest distance from the calibrated initial position; a larger one means a wrong frame, unit or body."""
 
-AXES_TOLERANCE_MM = 30.0
-"""Distance from the calibrated initial position above which axes may be exchanged.
-
-Exchanging them back must reduce the distance to a quarter. Real initial positions are within 20 mm."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DriverTrack:
     """Motion of a driven body in one trial, projected on its prescribed motions.
 
     Attributes:
-        body: Name of the body.
         coordinates: Coordinates relative to the first frame of the trial [m or rad], shape [frame_count, motion_count];
             NaN if the body was not captured.
         residual_mm: Distance between the recorded and the projected origin [mm], shape [captured_count].
@@ -44,7 +37,6 @@ class DriverTrack:
         start_offset_mm: Distance of the first position from the calibrated initial position [mm].
     """
 
-    body: str
     coordinates: FloatArray
     residual_mm: FloatArray
     residual_rad: FloatArray
@@ -106,18 +98,12 @@ def _check_start(name: str, track: PoseTrack, start: Pose) -> None:
 
 
 def _check_place(name: str, place_mm: FloatArray, start_mm: FloatArray) -> None:
-    """Raise an error if the first position is far from the calibrated one, or near to it with exchanged axes."""
+    """Raise an error if the first position is far from the calibrated one."""
     distance_mm = length_of(place_mm - start_mm)
-    expected = f"expected at most {MAX_START_DISTANCE_MM:.0f} mm: check the motion-capture frame and the unit"
-    problem = f"it starts {distance_mm:.0f} mm from its calibrated position"
     if distance_mm > MAX_START_DISTANCE_MM:
+        problem = f"it starts {distance_mm:.0f} mm from its calibrated position"
+        expected = f"expected at most {MAX_START_DISTANCE_MM:.0f} mm: check the motion-capture frame, axes and unit"
         raise TrialError(name, problem, expected)
-    for order in itertools.permutations(range(3)):
-        exchanged_mm = length_of(place_mm[list(order)] - start_mm)
-        if exchanged_mm < 0.25 * distance_mm and distance_mm > AXES_TOLERANCE_MM:
-            axes = ", ".join("xyz"[axis] for axis in order)
-            expected = f"exchange its lists: {axes} contain x, y, z of the motion-capture frame"
-            raise TrialError(name, f"{problem}: its axes look exchanged", expected)
 
 
 # --- markers ---------------------------------------------------------------------------------------------------------
@@ -212,7 +198,6 @@ def driver_track(driver: Driver, trial: Trial, experiment: Experiment) -> Driver
     coordinates = np.full((frame_count, len(motions)), np.nan)
     coordinates[known] = values
     return DriverTrack(
-        body=driver.body,
         coordinates=coordinates,
         residual_mm=1e3 * missed_m,
         residual_rad=missed_rad if has_rotation else np.empty(0),

@@ -191,13 +191,11 @@ def sweep(
         )
         counts.update((str(result.backend), result.outcome) for result in results)
     if form is not Format.JSON:
-        print_document(outcome_table(runs, counts), form)
-    message(f"{counted(total, 'episode')}; results in {out}")
+        print_document(outcome_table(counts), form)
+    message(
+        f"{counted(total, 'episode')}; results in {out}; --retry-failed repeats failures"
+    )
     outcomes = {outcome for _, outcome in counts}
-    if Outcome.FAILED in outcomes:
-        message(
-            "the folder failed has the causes of failures; --retry-failed runs these episodes again"
-        )
     named = {short_id(name) for name in spec.variants if not is_glob(name)}
     is_declined = any(run.declined and run.experiment in named for run in runs)
     return is_declined or bool(outcomes & {Outcome.FAILED, Outcome.DIVERGED})

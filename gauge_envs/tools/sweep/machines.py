@@ -4,21 +4,21 @@ import os
 from concurrent.futures import CancelledError
 from typing import Any
 
-from gauge_envs.errors import GaugeError, ParameterError, needs_extra
+from gauge_envs.errors import ParameterError, needs_extra
 from gauge_envs.runs.episodes import results_without_run
 from gauge_envs.runs.pool import Limits, ProcessWorker
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
 
-MAX_LOSSES = 3
-"""Number of lost actors after which a request fails."""
+MAX_RETRIES = 2
+"""Number of times that a request runs again after the loss of its actor."""
 
 
 class RayWorker:
     """A worker in an actor of a Ray cluster; the actor keeps its engine.
 
     The actor runs requests in a `ProcessWorker`: a crash of the engine loses only its episode. If the actor or its
-    machine dies, the request runs again in a new actor on any free machine.
+    machine dies, Ray runs the request again on any free machine.
 
     Args:
         limits: Limits of the process.
@@ -29,26 +29,23 @@ class RayWorker:
 
         self._ray = ray
         self._limits = limits
-        self._class = ray.remote(num_cpus=1, max_restarts=0)(ProcessWorker)
+        self._class = ray.remote(
+            num_cpus=1, max_restarts=-1, max_task_retries=MAX_RETRIES
+        )(ProcessWorker)
         self._actor: Any = None
         self._is_killed = False
 
     def run(self, request: RunRequest) -> list[Result]:
         """Return the results of a request."""
-        cause = ""
-        for _ in range(MAX_LOSSES):
+        if self._actor is None:
+            self._actor = self._class.remote(self._limits)
+        try:
+            return list(self._ray.get(self._actor.run.remote(request)))
+        except self._ray.exceptions.RayError as error:
             if self._is_killed:
-                raise CancelledError
-            if self._actor is None:
-                self._actor = self._class.remote(self._limits)
-            try:
-                return list(self._ray.get(self._actor.run.remote(request)))
-            except self._ray.exceptions.RayTaskError as error:
-                raise GaugeError(f"a Ray actor raised an error: {error}") from error
-            except self._ray.exceptions.RayError as error:
-                self._actor = None
-                cause = str(error).partition("\n")[0]
-        reason = f"the Ray actor of the episode ended: {cause}, {MAX_LOSSES} times"
+                raise CancelledError from error
+            cause = str(error).partition("\n")[0]
+        reason = f"the Ray actor of the episode ended: {cause}"
         return results_without_run(request, Outcome.FAILED, reason)
 
     def kill(self) -> None:
@@ -58,9 +55,8 @@ class RayWorker:
 
     def close(self) -> None:
         """End the actor."""
-        actor, self._actor = self._actor, None
-        if actor is not None:
-            self._ray.kill(actor)
+        if self._actor is not None:
+            self._ray.kill(self._actor)
 
 
 def ray_workers(address: str, count: int | None, limits: Limits) -> list[RayWorker]:

@@ -7,7 +7,7 @@ from operator import attrgetter
 from typing import Any
 
 from gauge_envs.pages.document import Document
-from gauge_envs.pages.table import Column, Table
+from gauge_envs.pages.table import Column, Table, grid
 from gauge_envs.pages.text import digits_text
 from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.sweep.plan import SweepRun, episode_count
@@ -61,16 +61,10 @@ def _rows(
         }
 
 
-def outcome_table(
-    runs: Iterable[SweepRun], counts: Counter[tuple[str, Outcome]]
-) -> Table:
-    """Return the number of episodes of each outcome, with a row for each engine."""
-    columns = [Column(outcome, outcome, is_number=True) for outcome in Outcome]
-    return Table(
-        columns=(Column("backend", "engine"), *columns),
-        rows=[
-            {outcome: counts[backend, outcome] for outcome in Outcome}
-            | {"backend": backend}
-            for backend in dict.fromkeys(run.backend for run in runs)
-        ],
-    )
+def outcome_table(counts: Counter[tuple[str, Outcome]]) -> Table:
+    """Return the number of episodes of each engine and outcome."""
+    rows = [
+        (backend, outcome.value, str(count))
+        for (backend, outcome), count in sorted(counts.items())
+    ]
+    return grid(("engine", "outcome", "episodes"), rows, number_from=2)

@@ -66,7 +66,6 @@ DAMAGES = [
     (SLIDER, lambda content: encoded(content)[:500], r"\(file\): it is not JSON: .*; expected a complete file"),
     (SLIDER, put("FPS"), "FPS: it is missing; .*--rate 30"),
     (SLIDER, cube(lambda values: [value / 1e3 for value in values]), "cube: it starts .* mm from"),
-    (SLIDER, exchanged("cube", "y", "z"), "cube: .*its axes look exchanged; exchange its lists: x, z, y contain"),
     (SLIDER, lambda content: {"box": content.pop("cube")} | content, "cube: .* missing; the file has box"),
     (SLIDER, put("cube.y", 1.0), "cube.y: it is 1.0; expected a list"),
     (SLIDER, put("cube.x.4", float("inf")), r"cube\[4\]: it is more than 100 m away; .*a few metres"),

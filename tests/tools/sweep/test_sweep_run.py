@@ -118,7 +118,7 @@ def test_a_sweep_runs_in_parts_after_a_plan(gauge, tmp_path):
     # Episodes of the slope slider take 0.6 s.
     assert row["simulated_s"] == pytest.approx(2 * 0.6)
     table = gauge(*words).stdout.splitlines()
-    assert table[-1].split()[:2] == ["mujoco", "4"]
+    assert table[-1].split() == ["mujoco", "finished", "4"]
 
 
 def test_ctrl_c_keeps_complete_results(gauge, tmp_path, monkeypatch):
