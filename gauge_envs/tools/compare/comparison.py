@@ -398,8 +398,8 @@ def _mismatches(results: Sequence[Result]) -> Iterator[str]:
         yield from (
             f"{short_id(name)}: {reason}" for reason in sorted(map(str, reasons))
         )
-        kinds = sorted({result.score.kind for result in group})
-        if len(kinds) > 1:
-            yield f"{short_id(name)}: scored against references of kind {' and '.join(kinds)}"
-        if len({tuple(sorted(result.dataset.items())) for result in group}) > 1:
-            yield f"{short_id(name)}: real trials or prescribed motions come from different imports, or bundled"
+        sources = {
+            (result.score.kind, *sorted(result.dataset.items())) for result in group
+        }
+        if len(sources) > 1:
+            yield f"{short_id(name)}: the references or the prescribed motions of its results differ"

@@ -63,7 +63,6 @@ MAX_RANGE = 10.0
 """Largest distance from the reference in a panel, divided by the range of the reference. It cuts diverged curves."""
 
 NARROW, WIDE = "#c4c4c4", "#e3e3e3"
-HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0}
 
 
 @dataclass(frozen=True)
@@ -224,7 +223,7 @@ def _notes(experiment: Experiment, reference: Reference) -> Iterator[str]:
     elif scored is not None:
         yield "Grey: one and two standard deviations of real trials."
     if scored is not None and (~band.measured & band.known).any():
-        yield "Hatched and dotted: extrapolated, not measured."
+        yield "Dotted: extrapolated, not measured."
     yield f"Reference {kind.value}: {KIND_NOTES[kind]}."
     if scored is not None:
         yield f"{scored.source[:1].upper()}{scored.source[1:]}."
@@ -307,9 +306,10 @@ def _scale_distances(axis: Axes, reference: Reference) -> None:
     spread = 0.0
     if reference.scored is not None:
         spread = float(np.nanmax(reference.lengths(reference.spread)))
-    is_wide = 0.0 < MAX_LINEAR_RATIO * spread < largest
     axis.set_ylim(bottom=0.0)
-    if largest and (reference.band.kind.is_solution or is_wide):
+    if largest and (
+        reference.band.kind.is_solution or largest > MAX_LINEAR_RATIO * spread > 0.0
+    ):
         low = float(np.quantile(distances[distances > 0.0], LOW_QUANTILE))
         axis.set_yscale("log")
         axis.set_ylim(bottom=0.5 * min(low, spread or low))
@@ -344,7 +344,7 @@ def _draw_coordinate(
 
 
 def _draw_mean(axis: Axes, reference: Reference, column: int) -> None:
-    """Draw the mean of a coordinate and its spread; extrapolated parts are dotted and hatched."""
+    """Draw the mean of a coordinate and its spread; extrapolated parts are dotted."""
     band, times_s = reference.band, reference.times_s
     mean, spread = band.mean[:, column], reference.spread[:, column]
     # Curves of simulations cover a solution, so its line is wide and below them. A measured mean is above them.
@@ -353,12 +353,10 @@ def _draw_mean(axis: Axes, reference: Reference, column: int) -> None:
     look["zorder"] = 5 if is_real else 2
     # An extrapolated part extends to the neighbouring measured frames.
     extrapolated = np.convolve(~band.measured, [1, 1, 1], "same") > 0
-    for flags, style, hatch in ((band.measured, "-", {}), (extrapolated, ":", HATCH)):
-        for factor, shade in ((reference.spread_factor, WIDE), (1.0, NARROW)):
-            low, high = mean - factor * spread, mean + factor * spread
-            axis.fill_between(
-                times_s, low, high, where=flags, facecolor=shade, zorder=1, **hatch
-            )
+    for factor, shade in ((reference.spread_factor, WIDE), (1.0, NARROW)):
+        low, high = mean - factor * spread, mean + factor * spread
+        axis.fill_between(times_s, low, high, facecolor=shade, zorder=1)
+    for flags, style in ((band.measured, "-"), (extrapolated, ":")):
         axis.plot(times_s, np.where(flags, mean, np.nan), ls=style, **look)
 
 

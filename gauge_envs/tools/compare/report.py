@@ -10,7 +10,6 @@ from gauge_envs.errors import UnknownNameError
 from gauge_envs.files import json_ready
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.results import (
-    PLAIN,
     SCORE_METRICS,
     configuration_parts,
     versions_text,
@@ -22,7 +21,6 @@ from gauge_envs.pages.text import (
     interval_text,
     quantity_text,
     score_text,
-    short_id,
     with_unit,
 )
 from gauge_envs.references.kind import Kind
@@ -40,8 +38,9 @@ NAME = Column("name", "experiment")
 REFERENCE = Column("kind", "reference", place=Place.HEADING)
 
 INTERVAL_NOTE = (
-    "[low, high]: 95 % interval. *: outside the scatter of real trials, or the uncertainty of "
-    "a solution."
+    "[low, high]: 95 % interval. +-: standard deviation of repeats (how many). *: outside the scatter of real trials, "
+    "or the uncertainty of a solution. -: not run, or not published. no score: no reference scores it, or the measured "
+    "event did not happen."
 )
 
 SCALE_NOTE = (
@@ -50,12 +49,10 @@ SCALE_NOTE = (
 )
 
 RANK_NOTE = (
-    "Best to worst rank among configurations with the same constants. Two scores are distinguishable if the 95 % "
-    f"interval of their difference excludes differences up to {NEGLIGIBLE}. Errors of the reference cancel in a "
-    "difference."
+    "All experiments have the same weight. [low, high]: mean of the best and mean of the worst ranks among "
+    "configurations with the same constants. Two scores are distinguishable if the 95 % interval of their difference "
+    f"excludes differences up to {NEGLIGIBLE}. Errors of the reference cancel in a difference."
 )
-
-MEAN_RANK_NOTE = "All experiments have the same weight. [low, high]: mean of the best and mean of the worst ranks."
 
 NO_RANKS = "No ranks: they need two configurations with the same constants and scores of one experiment."
 
@@ -75,15 +72,6 @@ PHYSICS = {
     "corrected": "(corrected by this package)",
 }
 """Note on the physics of an engine, by `RunConfiguration.physics`."""
-
-CELL_NOTES = {
-    "-": "-: not run, or not published",
-    "no score": "no score: no reference scores it, or the measured event did not happen",
-    "diverged": "diverged: the simulation left the physical bounds of the scene",
-    "declined": "declined: the engine cannot build the scene",
-    "failed": "failed: the episode ended in an error",
-    "+-": "+-: standard deviation of repeats (how many)",
-}
 
 
 def check_metrics(names: Iterable[str]) -> tuple[str, ...]:
@@ -113,8 +101,7 @@ def comparison_document(
     Args:
         comparison: The comparison.
         metrics: Metrics to show. Empty means all; a terminal then shows the primary metric of each experiment.
-        is_wide: Whether a terminal shows the same as Markdown: all metrics, published engines, and ranks in each
-            experiment.
+        is_wide: Whether a terminal shows the same as Markdown: all metrics, published engines, and all mean ranks.
         with_rows: Whether the document has JSON rows, which need the distance between each pair of configurations.
     """
     answers = [Paragraph(answer, Tone.ANSWER) for answer in _answers(comparison)]
@@ -123,7 +110,6 @@ def comparison_document(
     full: list[Part] = [
         *answers,
         _score_table(comparison, metrics or ALL_METRICS, is_full=True),
-        *_rank_tables(comparison),
         *_mean_rank_tables(comparison),
         *distances,
     ]
@@ -324,7 +310,6 @@ def _score_table(
             Column(f"published.{engine}", f"{title}, paper", score_text, is_number=True)
             for engine, title in PUBLISHED_ENGINES.items()
         ]
-    used = {column.text(row) for column in columns for row in rows}
     cells = [REFERENCE, NAME]
     if is_full or not all(row["is_primary"] for row in rows):
         cells.append(Column("metric", "metric"))
@@ -332,7 +317,7 @@ def _score_table(
         title="Scores, with 95 % intervals",
         columns=(*cells, *columns),
         rows=rows,
-        notes=tuple(_score_notes(comparison, used)),
+        notes=tuple(_score_notes(comparison)),
     )
 
 
@@ -379,27 +364,15 @@ def _score_text(
 def _label_columns(comparison: Comparison, key: str) -> list[Column]:
     """Return a column for each configuration; each row has a list of texts under `key`."""
     return [
-        Column(
-            f"{key}.{index}",
-            label,
-            is_number=True,
-            style=lambda text: "red" if "diverged" in text else "",
-        )
+        Column(f"{key}.{index}", label, is_number=True)
         for index, label in enumerate(comparison.labels)
     ]
 
 
-def _score_notes(comparison: Comparison, used: Iterable[str]) -> Iterator[str]:
-    """Yield the notes of the table of scores, for the texts that occur in it."""
+def _score_notes(comparison: Comparison) -> Iterator[str]:
+    """Yield the notes of the table of scores."""
     yield SCALE_NOTE
     yield INTERVAL_NOTE
-    meanings = [
-        meaning
-        for word, meaning in CELL_NOTES.items()
-        if any(text == "-" if word == "-" else word in text for text in used)
-    ]
-    if meanings:
-        yield f"{'; '.join(meanings)}."
     yield from _configuration_notes(comparison.configurations)
     yield from (f"Note: {note}." for note in comparison.notes)
 
@@ -420,8 +393,6 @@ def _configuration_notes(configurations: Sequence[RunConfiguration]) -> Iterator
         ]
         if shared:
             yield f"All configurations: {', '.join(shared)}."
-        if PLAIN[1] not in shared:
-            yield "Parameters are calibrated unless given."
     engines = dict.fromkeys(
         f"{versions_text(item) or item.backend or 'file'} {PHYSICS[item.physics]}".strip()
         for item in configurations
@@ -430,29 +401,6 @@ def _configuration_notes(configurations: Sequence[RunConfiguration]) -> Iterator
 
 
 # --- ranks and distances ----------------------------------------------------------------------------------------------
-
-
-def _rank_tables(comparison: Comparison) -> list[Table]:
-    """Return the table of ranks in each experiment; empty without ranks."""
-    rows = [
-        {
-            "kind": kind.name,
-            "name": short_id(name),
-            "ranks": [
-                rank_text(ranks.get(index)) for index in range(len(comparison.labels))
-            ],
-        }
-        for kind in comparison.kinds
-        for name, ranks in kind.ranks.items()
-        if len(ranks) > 1
-    ]
-    columns = _label_columns(comparison, "ranks")
-    return _unless_empty(
-        title="Ranks in each experiment",
-        columns=(REFERENCE, NAME, *columns),
-        rows=rows,
-        notes=(RANK_NOTE,),
-    )
 
 
 def _mean_rank_tables(
@@ -475,21 +423,13 @@ def _mean_rank_tables(
         title="Mean rank within each kind of reference",
         columns=(REFERENCE, Column("label", "configuration"), rank),
         rows=rows,
-        notes=(MEAN_RANK_NOTE,),
+        notes=(RANK_NOTE,),
     )
 
 
 def _unless_empty(**content: Any) -> list[Table]:
     """Return a table of this content; empty without rows."""
     return [Table(**content)] if content["rows"] else []
-
-
-def rank_text(rank: Mean | None) -> str:
-    """Return the best and the worst rank of a configuration in an experiment, for example `2-3`."""
-    if rank is None:
-        return "-"
-    low, high = (round(end) for end in rank.interval_95)
-    return f"{low}" if low == high else f"{low}-{high}"
 
 
 def mean_rank_text(mean: Mean) -> str:

@@ -1,29 +1,23 @@
-"""Write the page of one experiment: picture, scores, replay, estimates, and the commands of its results."""
+"""Write the page of one experiment: picture, scores, replay, estimates, and the inputs of its runs."""
 
-import json
-import math
-import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.figures import embedded
 from gauge_envs.pages.html import Html, below, element, folded, join, listed
-from gauge_envs.pages.results import SCORE_METRICS
+from gauge_envs.pages.results import SCORE_METRICS, configuration_parts
 from gauge_envs.pages.table import grid
 from gauge_envs.pages.text import (
     KIND_NOTES,
     digits_text,
     event_title,
+    pairs_text,
     score_text,
-    short_id,
     with_unit,
 )
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import PUBLISHED_ENGINES
-from gauge_envs.references.user_data import DataSource
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scoring.estimates import Measured
@@ -50,10 +44,7 @@ SCORES_NOTE = (
     "In brackets: 95 % interval."
 )
 
-REPRODUCE_NOTE = (
-    "A command gives the same numbers, bit for bit, with the same versions on the same type of processor. Wall times "
-    "differ."
-)
+REPRODUCE_NOTE = "A run with the same inputs and versions gives the same bits on the same type of processor."
 
 
 def experiment_page(
@@ -73,7 +64,7 @@ def experiment_page(
         *_unfinished(site, experiment),
         Heading("How to reproduce"),
         Paragraph(REPRODUCE_NOTE, Tone.NOTE),
-        *_commands(site, experiment),
+        *_runs(site, experiment),
     ]
     scripts = REPLAY_SCRIPTS if replays else ()
     return site_page(experiment.name, parts, scripts=scripts)
@@ -167,75 +158,21 @@ def _unfinished(site: Site, experiment: ExperimentComparison) -> list[Part]:
 # --- how to reproduce ---
 
 
-def _commands(site: Site, experiment: ExperimentComparison) -> Iterator[Part]:
-    """Yield the command of each configuration, its result files, versions and settings."""
+def _runs(site: Site, experiment: ExperimentComparison) -> Iterator[Part]:
+    """Yield the inputs of the runs of each configuration, and its result files, versions and settings."""
+    configurations = site.comparison.configurations
     for index, cell in enumerate(experiment.cells):
         if cell is None:
             continue
         first = cell.results[0]
+        inputs = [text for _, text in configuration_parts(configurations[index])]
+        seeds = ", ".join(str(result.seed) for result in cell.results)
+        versions = pairs_text(first.versions)
         yield element("p", site.swatch(index), site.labels[index])
-        yield element("pre", element("code", run_command(cell.results)))
-        versions = ", ".join(f"{name} {text}" for name, text in first.versions.items())
-        yield Paragraph(f"Versions: {versions}.", Tone.NOTE)
-        settings = element("code", "\n".join(_assignments(first.settings)))
+        yield Paragraph(f"{', '.join(inputs)}; seed {seeds}; {versions}.", Tone.NOTE)
+        settings = [f"{name} = {value}" for name, value in first.settings.items()]
         origins = (
             f"{site.files[id(result)].name}, created {result.created}"
             for result in cell.results
         )
-        yield folded("files, settings", listed(origins), element("pre", settings))
-
-
-def run_command(results: Sequence[Result]) -> str:
-    """Return the `gauge run` command for the repeats of one configuration in one experiment."""
-    first = results[0]
-    if first.backend is None:
-        return "scored from a trajectory file: gauge score FILE"
-    words = ["gauge", "run", short_id(first.id), "--backend", first.backend]
-    if not isinstance(first.parameters, str):
-        words += ["--parameter", ",".join(_assignments(first.parameters))]
-    elif first.parameters != "calibrated":
-        words += ["--parameter", first.parameters]
-    for assignment in _assignments(first.settings_given):
-        words += ["--set", assignment]
-    if first.marker_proxy != MarkerProxy.MATERIAL:
-        words += ["--marker-proxy", str(first.marker_proxy)]
-    used = [
-        f"imported-{key}"
-        for key in ("drivers", "reference")
-        if first.dataset.get(key) == DataSource.IMPORTED
-    ]
-    if used:
-        words += ["--use", ",".join(used)]
-    if first.asset:
-        words += ["--asset", first.asset["file"]]
-    return shlex.join([*words, *_initial_state_words(results)])
-
-
-def _assignments(values: Mapping[str, Any]) -> list[str]:
-    return [
-        f"{name}={value if isinstance(value, str) else json.dumps(value, separators=(',', ':'))}"
-        for name, value in values.items()
-    ]
-
-
-def _initial_state_words(results: Sequence[Result]) -> list[str]:
-    """Return the options for seed, repeats and jitter."""
-    seeds = [result.seed or 0 for result in results]
-    first, last = min(seeds), max(seeds)
-    words = ["--seed", str(first)] if first else []
-    # Repeats have consecutive seeds; the range also includes missing repeats.
-    if last > first:
-        words += ["--repeats", str(last - first + 1)]
-    jitter = results[0].jitter
-    if "position_m" in jitter:
-        millimetres = _exact(jitter["position_m"], 1e-3)
-        degrees = _exact(jitter["angle_rad"], math.radians(1.0))
-        words += ["--jitter", f"{millimetres}mm,{degrees}deg"]
-    return words
-
-
-def _exact(value: float, unit: float) -> str:
-    """Return the shortest number of units that the command parses to exactly this value."""
-    texts = [f"{value / unit:.{digits}g}" for digits in range(1, 18)]
-    exact = (text for text in texts if unit * float(text) == value)
-    return next(exact, texts[-1])
+        yield folded("files, settings", listed(origins), listed(settings))

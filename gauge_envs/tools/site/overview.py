@@ -80,7 +80,7 @@ def overview_page(site: Site) -> str:
         element("pre", element("code", site.command)),
         element(
             "p",
-            "The page of an experiment has the command of each result. The 3D replays are drawn by three.js, MIT ",
+            "The page of an experiment has the inputs of each result. The 3D replays are drawn by three.js, MIT ",
             element("a", "licence", href="assets/three.LICENSE.txt"),
             ". Real data: GAUGE, arXiv 2608.05948.",
         ),
