@@ -83,7 +83,7 @@ def scene_files(suffix: str) -> Any:
             f"cannot read scene files {suffix!r}; known: {', '.join(SCENE_SUFFIXES)}"
         )
     with needs_extra(f"a file {suffix}", "usd"):
-        return import_module("gauge_envs.tools.usd.files")
+        return import_module("gauge_envs.tools.usd")
 
 
 def model_files() -> Any:

@@ -208,19 +208,13 @@ BUNDLED = (
     Command(
         "data scenes",
         "assets.commands:data_scenes",
-        "Write every scene as USD and MJCF, and every solid as OBJ.",
+        "Write every scene as USD and MJCF.",
         extra="usd",
     ),
     Command(
         "data isaac-sim",
         "assets.commands:data_isaac_sim",
         "Write experiments as USD layers that Isaac Sim simulates.",
-        extra="usd",
-    ),
-    Command(
-        "list scenes",
-        "assets.commands:list_scenes",
-        line="assets.commands:SceneLine",
         extra="usd",
     ),
     Command(

@@ -77,7 +77,7 @@ def _digest(path: Path) -> bytes:
 def _scene_of_file(experiment: Experiment, path: Path) -> Any:
     """Return the content of a USD layer; raise an error if it belongs to another variant."""
     duration_s = experiment.scene.duration_s
-    layer = scene_files(path.suffix).read_scene(path, duration_s=duration_s)
+    layer = scene_files(path.suffix).read_usd(path, duration_s=duration_s)
     name = experiment.name
     origin = layer.metadata.get("variant", name)
     if origin != name:

@@ -225,7 +225,7 @@ def _asset_record(experiment: Experiment) -> dict[str, Any]:
     if asset.kind is AssetKind.USD and asset.edited:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "scene.usda"
-            scene_files(RECORDED_SUFFIX).write_scene(experiment.scene, path)
+            scene_files(RECORDED_SUFFIX).to_usd(experiment.scene, path)
             record["scene"] = path.read_text(encoding="utf-8")
     return record
 
@@ -252,7 +252,7 @@ def recorded_experiment(result: Result) -> Experiment:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "scene.usda"
         path.write_text(record["scene"], encoding="utf-8")
-        scene = scene_files(RECORDED_SUFFIX).read_scene(path).scene
+        scene = scene_files(RECORDED_SUFFIX).read_usd(path).scene
     asset = Asset(
         path=Path(record["file"]),
         kind=AssetKind(record["kind"]),

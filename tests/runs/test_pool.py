@@ -2,6 +2,7 @@
 
 import sys
 import threading
+from concurrent.futures import CancelledError
 from contextlib import closing
 from types import ModuleType, SimpleNamespace
 
@@ -12,6 +13,7 @@ from gauge_envs.runs import pool
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.pool import Limits, run_tasks
 from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.sweep.machines import RayWorker
 
 WOOD = "SlopeSlider-2-wood"
@@ -86,30 +88,24 @@ def test_repeats_that_fail_together_run_again_alone():
 
 
 class RayError(Exception):
-    """Error of a Ray call after the loss of its actor."""
+    """Error of a Ray call after the last loss of its actor."""
 
 
-@pytest.mark.parametrize(("losses", "outcome"), [(2, "finished"), (3, "failed")])
-def test_a_request_fails_only_after_three_lost_actors(losses, outcome, monkeypatch):
-    left = [losses]
-
+def test_a_request_fails_with_its_lost_actor_unless_the_run_ends(monkeypatch):
     def get(request):
-        if left[0]:
-            left[0] -= 1
-            raise RayError("the machine is gone\nand more")
-        return HereWorker().run(request)
+        raise RayError("the machine is gone\nand more")
 
-    def actor(limits):
-        run = SimpleNamespace(remote=lambda request: request)
-        return SimpleNamespace(run=run)
-
+    run = SimpleNamespace(remote=lambda request: request)
+    actor = SimpleNamespace(remote=lambda limits: SimpleNamespace(run=run))
     ray = ModuleType("ray")
-    ray.remote = lambda **options: lambda kind: SimpleNamespace(remote=actor)
+    ray.remote = lambda **options: lambda kind: actor
     ray.get, ray.kill = get, lambda actor: None
-    task_error = type("RayTaskError", (RayError,), {})
-    ray.exceptions = SimpleNamespace(RayError=RayError, RayTaskError=task_error)
+    ray.exceptions = SimpleNamespace(RayError=RayError)
     monkeypatch.setitem(sys.modules, "ray", ray)
-    (result,) = RayWorker(Limits()).run(RunRequest(WOOD))
-    assert result.outcome.value == outcome
-    if outcome == "failed":
-        assert result.error.endswith("ended: the machine is gone, 3 times")
+    worker = RayWorker(Limits())
+    (result,) = worker.run(RunRequest(WOOD))
+    assert result.outcome is Outcome.FAILED
+    assert result.error.endswith("ended: the machine is gone")
+    worker.kill()
+    with pytest.raises(CancelledError):
+        worker.run(RunRequest(WOOD))

@@ -1,33 +1,14 @@
-"""`gauge data scenes`, `gauge list scenes` and `gauge data isaac-sim`."""
+"""`gauge data scenes` and `gauge data isaac-sim`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypedDict
+from typing import Annotated
 
 import typer
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Progress, echo, message
-from gauge_envs.errors import first_names
-
-if TYPE_CHECKING:
-    from gauge_envs.pages.document import Part
-
-
-class SceneLine(TypedDict):
-    """A built file of a scene, as `gauge list scenes --json` prints it.
-
-    Attributes:
-        file: Its folder and name.
-        bytes: Its size.
-        of: Id of the experiment, or the names of the bodies, that it shows.
-    """
-
-    file: str
-    bytes: int
-    of: str
 
 
 def data_scenes(
@@ -44,7 +25,7 @@ def data_scenes(
         ),
     ] = False,
 ) -> bool:
-    """Write every scene as USD and MJCF, and every solid as OBJ."""
+    """Write every scene as USD and MJCF."""
     from gauge_envs.pages.text import counted
     from gauge_envs.tools.assets import build
 
@@ -63,38 +44,6 @@ def data_scenes(
     else:
         echo(f"{folder} is current")
     return stale is not None
-
-
-def list_scenes(patterns: Sequence[str]) -> list[Part]:
-    """Return the table of the built files and the experiments that they show.
-
-    Without patterns, a terminal shows the number and size of the files of each family instead.
-    """
-    from gauge_envs.pages.document import Paragraph
-    from gauge_envs.pages.table import Column, Facts, Table
-    from gauge_envs.pages.text import counted
-    from gauge_envs.tools.assets.build import asset_rows, assets_folder
-
-    columns = (
-        Column("file", "file"),
-        Column("bytes", "KiB", lambda size: f"{size / 1024:.1f}", is_number=True),
-        Column("of", "of", lambda names: first_names(names.split(", "), 1)),
-    )
-    folder = assets_folder()
-    table = Table(columns=columns, rows=asset_rows(folder), wide_only=not patterns)
-    if patterns:
-        return [*arguments.matching([table], patterns, kind="scene")]
-    sizes: dict[str, list[int]] = {}
-    for row in table.rows:
-        kind, _, name = row["file"].partition("/")
-        family = "obj" if kind == "obj" else name.partition("-")[0]
-        sizes.setdefault(family, []).append(row["bytes"])
-    totals = {
-        family: f"{len(files):3} files {sum(files) / 1024:8.1f} KiB"
-        for family, files in sizes.items()
-    }
-    note = f"{counted(len(table.rows), 'file')} in {folder}; a pattern as 'usd/Funnel*' lists them"
-    return [Facts(totals), Paragraph(note), table]
 
 
 def data_isaac_sim(

@@ -7,7 +7,6 @@ stays unset, and Isaac Sim's default applies, as in the paper.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -139,25 +138,10 @@ def _write_deformable(prims: Prims, scene: Scene, body: Deformable) -> None:
 
 
 def _write_body_constants(stage: Usd.Stage, scene: Scene, prims: Prims) -> None:
-    """Write constants of bodies whose averages are the constants of the pairs, unless the layer has them already.
+    """Write constants of bodies whose averages are the constants of the pairs.
 
     A layer binds each body to the material of its first contact. PhysX averages the materials of two bodies.
     """
-    first = {
-        name: contact
-        for contact in reversed(scene.contacts)
-        for name in (*contact.first, *contact.second)
-    }
-    if all(
-        math.isclose(
-            sum(getattr(first[body], name) for body in pair),
-            2.0 * getattr(contact, name),
-        )
-        for contact in scene.contacts
-        for pair in scene.colliding_pairs(contact)
-        for name in ("friction", "restitution")
-    ):
-        return
     friction_of = body_values(pair_values(scene, "friction"), Combination.MEAN)
     restitution_of = body_values(pair_values(scene, "restitution"), Combination.MEAN)
     deformables = [body.name for body in scene.deformables]

@@ -31,7 +31,7 @@ FIELDS: Mapping[str, str] = {
 }
 """Arrays that a file defines, by the prefix of their names. Changes are reported with the name of the object."""
 
-TABLES = "mesh_vert flex_vert flex_stiffness flex_bending dof_damping dof_armature dof_frictionloss"
+TABLES = "mesh_vert flex_vert flex_stiffness flex_bending dof_damping dof_armature dof_frictionloss key_qvel"
 """Arrays whose changes are reported as a whole."""
 
 WITHOUT_EFFECT = "names name_ numeric text tex_ mat_ cam_ light_ sensor skin_ key_"
@@ -56,7 +56,6 @@ def model_changes(model: mujoco.MjModel, built: mujoco.MjModel) -> list[str]:
     changes = [*_option_changes(model, built)]
     for kind in FIELDS:
         changes += _object_changes(model, built, kind)
-    changes += _unused_frictions(model, built)
     changes += _array_changes(model, built, TABLES.split())
     # Other arrays follow from these, so they are reported only if nothing else differs.
     return changes or [*_array_changes(model, built, _physical_arrays(built))]
@@ -68,20 +67,6 @@ def _option_changes(model: mujoco.MjModel, built: mujoco.MjModel) -> Iterator[st
             value, expected = getattr(model.opt, name), getattr(built.opt, name)
             if not is_same(value, expected):
                 yield f"option: {name} {format_value(expected)} -> {format_value(value)}"
-
-
-def _unused_frictions(model: mujoco.MjModel, built: mujoco.MjModel) -> Iterator[str]:
-    """Yield the contact pairs with a changed friction that their `condim` ignores."""
-    built_rows = rows_by_name(built, "pair")
-    for name, row in rows_by_name(model, "pair").items():
-        dimension = int(model.pair_dim[row])
-        # A contact has a force along the normal, and a friction in each further dimension.
-        ignored = slice(dimension - 1, None)
-        if name in built_rows and not is_same(
-            model.pair_friction[row, ignored],
-            built.pair_friction[built_rows[name], ignored],
-        ):
-            yield f"{name}: condim {dimension} ignores torsional or rolling friction"
 
 
 def _object_changes(

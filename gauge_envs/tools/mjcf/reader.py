@@ -16,7 +16,7 @@ The `qvel` of a keyframe `start` holds the start velocities of dynamic bodies. O
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,6 @@ from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.bench.model_settings import option_settings
 from gauge_envs.tools.mjcf.diff import (
-    format_value,
     is_same,
     model_changes,
     rows_by_name,
@@ -132,8 +131,7 @@ def read_model(path: Path, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
     for motion in prescribed_motions(placed, placed.duration_s):
         rows = driver_rows(simulation, motion, intervals)
         _check_rows(path, model, f"{DRIVER_PREFIX}{motion.body}", rows)
-    changes = model_changes(model, simulation.model)
-    return placed, (*changes, *_velocity_changes(scene, placed))
+    return placed, tuple(model_changes(model, simulation.model))
 
 
 # --- compiled model --------------------------------------------------------------------------------------------------
@@ -368,12 +366,3 @@ def _initial_state(
     )
     pose = np.concatenate([body.xpos, body.xquat])
     return float(model.body_mass[body.id]), pose, velocity
-
-
-def _velocity_changes(scene: Scene, placed: Scene) -> Iterator[str]:
-    """Yield one line for each start velocity that differs."""
-    for before, after in zip(scene.bodies, placed.bodies, strict=True):
-        for name in ("linear_velocity_m_per_s", "angular_velocity_rad_per_s"):
-            old, new = getattr(before, name), getattr(after, name)
-            if old != new:
-                yield f"{before.name}: {name} {format_value(old)} -> {format_value(new)}"

@@ -25,8 +25,8 @@ from gauge_envs.scene import (
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, length_of, pose_distance, vector
 from gauge_envs.tools.usd.driven import read_driven
-from gauge_envs.tools.usd.layer import VELOCITIES, WRITTEN, body_velocities
-from gauge_envs.tools.usd.source import Source, StoredValue, single
+from gauge_envs.tools.usd.layer import VELOCITIES, WRITTEN
+from gauge_envs.tools.usd.source import Source, StoredValue, is_written
 
 SAME_FRAME = 1e-9
 """Largest distance [m] and angle [rad] at which a collider's frame counts as the frame of its body."""
@@ -41,18 +41,18 @@ relative to the radius of gyration."""
 DEFAULT_DENSITY_KG_PER_M3 = 1000.0
 """Density of a collider without mass and density in UsdPhysics."""
 
-UNSUPPORTED = {
-    "physics:startsAsleep": "engines start it awake",
-    "physxRigidBody:disableGravity": "gravity acts on it",
-    "physxRigidBody:linearDamping": "scenes have no damping",
-    "physxRigidBody:angularDamping": "scenes have no damping",
-    "physxCollision:torsionalPatchRadius": "its contacts have no torsional friction",
-    "newton:torsionalFriction": "its contacts have no torsional friction",
-    "newton:rollingFriction": "its contacts have no rolling friction",
-    "mjc:torsionalfriction": "its contacts have no torsional friction",
-    "mjc:rollingfriction": "its contacts have no rolling friction",
-}
-"""What happens instead of each attribute of a dynamic body, its colliders or their materials that a scene lacks."""
+UNSUPPORTED = (
+    "physics:startsAsleep",
+    "physxRigidBody:disableGravity",
+    "physxRigidBody:linearDamping",
+    "physxRigidBody:angularDamping",
+    "physxCollision:torsionalPatchRadius",
+    "newton:torsionalFriction",
+    "newton:rollingFriction",
+    "mjc:torsionalfriction",
+    "mjc:rollingfriction",
+)
+"""Attributes of a dynamic body, its colliders or their materials that a scene lacks."""
 
 SCHEMA_DEFAULTS = {"physxRigidBody:angularDamping": float(np.float32(0.05))}
 """Values that PhysX has without the attribute too; scenes without it are read."""
@@ -135,12 +135,12 @@ def _check_effects(
     """Check that no attribute in `UNSUPPORTED` has an effect in other tools."""
     materials = filter(None, map(source.material, colliders))
     for prim in (body, *colliders, *materials):
-        for name, consequence in UNSUPPORTED.items():
+        for name in UNSUPPORTED:
             attribute = prim.GetAttribute(name)
             value = attribute.Get()
             if value and value != SCHEMA_DEFAULTS.get(name):
                 raise source.fault(
-                    attribute, f"is {value:g}, but {consequence}: remove it"
+                    attribute, f"is {value:g}, which scenes lack: remove it"
                 )
 
 
@@ -175,8 +175,6 @@ def _velocities(
     Returns:
         Velocity of the body origin [m/s] and angular velocity [rad/s] in the world frame, shape [2, 3].
 
-    Raises:
-        AssetError: Doubles and standard attributes were both edited, and differ.
     """
     api = UsdPhysics.RigidBodyAPI(prim)
     attributes = [api.GetVelocityAttr(), api.GetAngularVelocityAttr()]
@@ -191,10 +189,8 @@ def _velocities(
     if written is None:
         return world
     exact = np.array([source.numbers(double, (3,)) for double in doubles])
-    as_standard = single(body_velocities(pose, shape, exact))
-    values = [StoredValue(as_standard, exact), StoredValue(standard, world)]
-    changed = source.changed(prim, values, written)
-    return exact if changed is None else changed.value
+    # Edited standard attributes replace the doubles.
+    return exact if is_written(standard, written) else world
 
 
 # --- shapes ----------------------------------------------------------------------------------------------------------
@@ -345,29 +341,27 @@ def _mass_kg(
 
 
 def _colliders_kg(source: Source, body: Usd.Prim, solids: Sequence[Solid]) -> float:
-    """Return the mass of colliders [kg] from densities in the precedence of UsdPhysics.
+    """Return the mass of colliders [kg] from their density.
 
-    The mass of a collider counts first; then the densities of the collider, its body and its material; then 1000 kg/m^3
-    (UsdPhysics, rigid body properties).
+    The density of a collider counts first; then those of its body and its material; then 1000 kg/m^3 (UsdPhysics, rigid
+    body properties).
     """
     unit = source.kilograms / source.metres**3
     densities = []
     for solid in solids:
-        volume_m3 = solid.shape.volume_m3
-        if not volume_m3:
-            raise source.fault(solid.prim, "encloses no volume: give it a size")
-        mass_unit = source.kilograms / volume_m3
         collider, material = UsdPhysics.MassAPI(solid.prim), source.material(solid.prim)
-        given = [_authored(source, collider.GetMassAttr(), mass_unit)]
+        if _authored(source, collider.GetMassAttr(), 1.0) or not solid.shape.volume_m3:
+            raise source.fault(
+                solid.prim,
+                "has a mass, or encloses no volume: give a size, and the mass to the body",
+            )
         schemas = [collider, UsdPhysics.MassAPI(body)]
         if material is not None:
             schemas.append(UsdPhysics.MaterialAPI(material))
-        given += [
-            _authored(source, schema.GetDensityAttr(), unit) for schema in schemas
-        ]
+        given = (_authored(source, schema.GetDensityAttr(), unit) for schema in schemas)
         values = [float(density.value) for density in given if density is not None]
         densities.append(values[0] if values else DEFAULT_DENSITY_KG_PER_M3)
-    if np.ptp(densities) > 1e-6 * np.abs(densities).max():
+    if len(set(densities)) > 1:
         raise source.fault(
             body,
             f"has colliders of densities {densities} kg/m^3: give all the same physics:density",
@@ -406,18 +400,14 @@ def _check_mass_distribution(
     unit = source.kilograms * source.metres**2
     given = np.sort(api.GetDiagonalInertiaAttr().Get()) * unit
     # Minus infinity and zeros, the fallbacks of the schema, stand for the values of the colliders.
-    is_central = (
-        not np.isfinite(given_m).all()
-        or length_of(given_m - centre_m) <= UNIFORM_RELATIVE * gyration_radius_m
-    )
-    largest_error = np.abs(given - moments).max()
-    is_uniform = not given.any() or largest_error <= UNIFORM_RELATIVE * moments.max()
-    if not (is_central and is_uniform):
-        origin = (
-            "uniform density" if body.inertia_kg_m2 is None else "gauge:inertia_kg_m2"
-        )
+    if not np.isfinite(given_m).all():
+        given_m = centre_m
+    if not given.any():
+        given = moments
+    is_central = length_of(given_m - centre_m) <= UNIFORM_RELATIVE * gyration_radius_m
+    if not (is_central and np.allclose(given, moments, UNIFORM_RELATIVE, atol=0.0)):
         raise source.fault(
             prim,
-            f"its centre of mass {given_m} m or its moments {given} kg m^2 contradict {origin}, with {centre_m} m and "
-            f"{moments.round(6)} kg m^2: remove or correct them",
+            f"its centre of mass {given_m} m or its moments {given} kg m^2 contradict those of its shape and mass, "
+            f"{centre_m} m and {moments.round(6)} kg m^2: remove or correct them",
         )

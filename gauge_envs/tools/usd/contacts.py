@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import combinations, combinations_with_replacement, product
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from pxr import Sdf, Usd, UsdPhysics
 
@@ -16,7 +15,6 @@ from gauge_envs.tools.usd.layer import ARMS
 from gauge_envs.tools.usd.source import Source
 
 Pair = frozenset[str]
-FrictionKind = Literal["dynamic", "static"]
 Coefficient = tuple[float, str]
 """Friction or restitution of a material, and its combine mode."""
 
@@ -59,14 +57,12 @@ class Collider(NamedTuple):
 def read_contacts(
     source: Source,
     bodies: Sequence[Collider],
-    friction: FrictionKind | None,
 ) -> tuple[Contact, ...]:
     """Return the contacts of a stage.
 
     Args:
         source: The stage.
         bodies: All bodies.
-        friction: The coefficient to use if static and dynamic friction of a material differ.
 
     `gauge:first` and `gauge:second` define the pairs of the bodies of this package's layers. UsdPhysics defines all
     other pairs: all enabled colliders except filtered pairs.
@@ -90,7 +86,7 @@ def read_contacts(
                     "gauge:first and gauge:second",
                 )
     known = {pair for contact in contacts for pair in _pairs(contact)}
-    added = _material_contacts(source, bodies, colliding - known, friction)
+    added = _material_contacts(source, bodies, colliding - known)
     return (*contacts, *added)
 
 
@@ -212,25 +208,22 @@ def _material_contacts(
     source: Source,
     bodies: Sequence[Collider],
     pairs: set[Pair],
-    friction_kind: FrictionKind | None,
 ) -> Iterator[Contact]:
-    """Yield contacts for the pairs that only UsdPhysics defines; pairs with equal constants share a contact."""
-    moving = {body.name for body in bodies if body.moves}
+    """Yield a contact for each pair that only UsdPhysics defines."""
     touching = {name for pair in pairs for name in pair}
     constants = {
-        body.name: _body_constants(source, body, friction_kind)
+        body.name: _body_constants(source, body)
         for body in bodies
         if body.name in touching
     }
-    kinds: dict[Contact, set[Pair]] = {}
-    for pair in sorted(pairs, key=sorted):
-        first, second = (constants[name] for name in pair)
-        friction, restitution = map(_combined, first, second)
-        kind = Contact(first=(), second=(), friction=friction, restitution=restitution)
-        kinds.setdefault(kind, set()).add(pair)
-    for kind, alike in kinds.items():
-        for group in _groups([body.name for body in bodies], alike, moving):
-            yield replace(kind, first=group, second=group)
+    for first, second in sorted(map(sorted, pairs)):
+        friction, restitution = map(_combined, constants[first], constants[second])
+        yield Contact(
+            first=(first,),
+            second=(second,),
+            friction=friction,
+            restitution=restitution,
+        )
 
 
 def _combined(first: Coefficient, second: Coefficient) -> float:
@@ -239,23 +232,7 @@ def _combined(first: Coefficient, second: Coefficient) -> float:
     return COMBINE_MODES[mode](first[0], second[0])
 
 
-def _groups(
-    names: Sequence[str], pairs: set[Pair], moving: set[str]
-) -> list[tuple[str, ...]]:
-    """Return one group of all bodies if the pairs are all its pairs with a moving body, else a group for each pair.
-
-    A contact of many bodies means that impacts travel through them.
-    """
-    group = [name for name in names if any(name in pair for pair in pairs)]
-    listed = list(combinations(group, 2))
-    if all({*pair} in pairs or not moving.intersection(pair) for pair in listed):
-        return [tuple(group)]
-    return [pair for pair in listed if {*pair} in pairs]
-
-
-def _body_constants(
-    source: Source, body: Collider, friction_kind: FrictionKind | None
-) -> list[Coefficient]:
+def _body_constants(source: Source, body: Collider) -> list[Coefficient]:
     """Return friction and restitution of a body."""
     materials = {*map(source.material, body.shapes)} - {None}
     if len(materials) != 1:
@@ -276,14 +253,12 @@ def _body_constants(
             material,
             "has neither physics:dynamicFriction nor physics:staticFriction: set one",
         )
-    if len({*values.values()}) == 2 and friction_kind is None:
+    if len({*values.values()}) == 2:
         raise source.fault(
             material,
-            f"has different frictions, {values}, but a scene has one coefficient: make them equal, or choose "
-            'friction="dynamic" or "static"',
+            f"has different frictions, {values}, but a scene has one coefficient: make them equal",
         )
-    kind = f"{friction_kind or 'dynamic'}Friction"
-    friction = values.get(kind, max(values.values()))
+    friction = max(values.values())
     coefficients = []
     for name, value in (("friction", friction), ("restitution", restitution)):
         attribute = material.GetAttribute(f"physxMaterial:{name}CombineMode")

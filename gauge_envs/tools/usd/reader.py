@@ -24,7 +24,6 @@ from gauge_envs.scene.geometry import length_of
 from gauge_envs.tools.usd.bodies import read_body
 from gauge_envs.tools.usd.contacts import (
     Collider,
-    FrictionKind,
     is_enabled,
     read_contacts,
 )
@@ -74,8 +73,6 @@ def read_usd(
     path: str | Path,
     *,
     duration_s: float | None = None,
-    friction: FrictionKind | None = None,
-    unstated_duration_s: float | None = None,
 ) -> UsdScene:
     """Read the whole content of a USD file, written by `to_usd` or as plain UsdPhysics.
 
@@ -87,20 +84,13 @@ def read_usd(
         path: File of any format that USD reads.
         duration_s: Duration of the experiment [s], for files without `gauge:duration_s`. It replaces the start and end
             time codes of the file.
-        friction: The coefficient to use if static and dynamic friction of a material differ.
-        unstated_duration_s: Duration of a file without one [s].
 
     Raises:
         AssetError: The file cannot be read, or has a part that scenes lack; the message names the prim.
     """
     source = Source(Path(path))
     with source.errors_at(""):
-        names, scene = _read_scene(
-            source,
-            friction,
-            duration_s=duration_s,
-            unstated_duration_s=unstated_duration_s,
-        )
+        names, scene = _read_scene(source, duration_s)
         notes = source.stage.GetRootLayer().customLayerData.get("gauge", {})
         return UsdScene(
             scene=scene,
@@ -132,12 +122,12 @@ def _physics(source: Source) -> UsdPhysics.Scene:
 
 
 def _read_scene(
-    source: Source, friction: FrictionKind | None, **durations_s: float | None
+    source: Source, duration_s: float | None
 ) -> tuple[dict[Sdf.Path, str], Scene]:
     """Return the names of all bodies by path, and the scene."""
     physics = _physics(source)
     with source.errors_at(physics.GetPrim()):
-        duration_s = _duration_s(source, physics, **durations_s)
+        duration_s = _duration_s(source, physics, duration_s)
         gravity_m_per_s2 = _gravity_m_per_s2(source, physics)
         air = read_air(physics.GetPrim())
     source.read_each(source.prims(), source.check_derived)
@@ -180,7 +170,7 @@ def _read_scene(
         ),
         joints=tuple(joints),
         attachments=tuple(attachment for attachment in attachments if attachment),
-        contacts=read_contacts(source, colliders, friction),
+        contacts=read_contacts(source, colliders),
         drivers=tuple(driver for _, driver, _ in results if driver),
         markers=read_markers(source, names),
         duration_s=duration_s,
@@ -223,9 +213,8 @@ def _duration_s(
     source: Source,
     physics: UsdPhysics.Scene,
     duration_s: float | None,
-    unstated_duration_s: float | None,
 ) -> float:
-    """Return `gauge:duration_s`, else the given duration, else the duration of the time codes, else the default."""
+    """Return `gauge:duration_s`, else the given duration, else the duration of the time codes."""
     double = physics.GetPrim().GetAttribute("gauge:duration_s")
     exact_s = source.number(double)
     stated_s = None
@@ -233,7 +222,7 @@ def _duration_s(
         stated_s = source.seconds(source.stage.GetEndTimeCode())
         if stated_s != (double.GetCustomDataByKey(WRITTEN) or stated_s):
             exact_s = stated_s
-    choices = (exact_s, duration_s, stated_s, unstated_duration_s)
+    choices = (exact_s, duration_s, stated_s)
     chosen_s = next((choice for choice in choices if choice is not None), None)
     if chosen_s is None or not 0.0 < chosen_s <= MAX_DURATION_S:
         raise source.fault(

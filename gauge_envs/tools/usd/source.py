@@ -366,8 +366,4 @@ def _reason(error: Exception) -> str:
         return " ".join(first_fault(error)).strip()
     if not isinstance(error, Tf.ErrorException):
         return str(error)
-    try:
-        return f"USD cannot read it: {error.args[0].commentary.strip()}"
-    except UnicodeDecodeError:
-        # The message quotes the file.
-        return "it holds bytes that are not UTF-8 text"
+    return f"USD cannot read it: {error.args[0].commentary.strip()}"

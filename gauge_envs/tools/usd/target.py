@@ -5,7 +5,6 @@ from typing import Any
 
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 
-from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Contact, Pose, Scene
 from gauge_envs.tools.usd.layer import WRITTEN
 
@@ -21,21 +20,12 @@ class Target:
         scene: The scene.
         paths: Path of the prim of each body, by name.
         collides: Names of the bodies that may touch another one.
-
-    Raises:
-        ParameterError: Two bodies have the same name, or a body has two drivers.
     """
 
     def __init__(self, stage: Usd.Stage, scene: Scene) -> None:
         self.stage = stage
         self.scene = scene
         names = [body.name for body in (*scene.bodies, *scene.deformables)]
-        driven = [driver.body for driver in scene.drivers]
-        for listed in (names, driven):
-            if repeated := [name for name in listed if listed.count(name) > 1]:
-                raise ParameterError(
-                    f"body {repeated[0]!r} has more than one name or driver"
-                )
         self.paths = _paths(names)
         self.collides = {
             name

@@ -18,6 +18,7 @@ import numpy as np
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.registry import SCENE_SUFFIXES
 from gauge_envs.scene import (
     Box,
     Compound,
@@ -58,8 +59,6 @@ from gauge_envs.tools.usd.layer import (
 )
 from gauge_envs.tools.usd.target import Target, write, write_extent, write_friction
 
-SUFFIXES = (".usda", ".usdc", ".usd")
-
 PLANE_EXTENT_M = 2.0
 """Edge length of the visible square of a plane [m]; the collider is infinite."""
 
@@ -75,7 +74,7 @@ def to_usd(scene: Scene, path: str | Path) -> None:
         path: File to write; its suffix determines the format, text (`.usda`) or binary (`.usdc`, `.usd`).
 
     Raises:
-        ParameterError: The suffix is unknown, a name or a driver is not unique, or a body is a compound.
+        ParameterError: The suffix is unknown, or a body is a compound.
         ResultFileError: The file cannot be written.
     """
     export_stage(scene_stage(scene), Path(path))
@@ -83,8 +82,8 @@ def to_usd(scene: Scene, path: str | Path) -> None:
 
 def export_stage(stage: Usd.Stage, path: Path) -> None:
     """Write the root layer of a stage to a file; errors as in `to_usd`."""
-    if path.suffix not in SUFFIXES:
-        raise ParameterError(f"{path}: a USD layer ends in {', '.join(SUFFIXES)}")
+    if path.suffix not in SCENE_SUFFIXES:
+        raise ParameterError(f"{path}: a USD layer ends in {', '.join(SCENE_SUFFIXES)}")
     try:
         stage.GetRootLayer().Export(str(path))
     except Tf.ErrorException as error:

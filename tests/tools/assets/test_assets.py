@@ -1,7 +1,5 @@
 """The checked-in assets are current, equal the scenes, and open in other tools."""
 
-import json
-import re
 import shutil
 import textwrap
 from dataclasses import replace
@@ -9,7 +7,6 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-import trimesh
 from places import RIGID, first_of_each_kind
 from pxr import Usd, UsdPhysics
 
@@ -22,7 +19,7 @@ from gauge_envs.scene.geometry import pose_distance
 from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets import build as assets
-from gauge_envs.tools.assets.build import assets_folder, solid_shapes
+from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.assets.export import mjcf_text
 from gauge_envs.tools.mjcf import NUMBER
 from gauge_envs.tools.usd import from_usd
@@ -44,10 +41,9 @@ SAMPLE = (
 
 
 def test_a_sample_of_the_checked_in_assets_is_current(tmp_path, monkeypatch):
-    solid_shapes()
     monkeypatch.setattr(assets, "variants", lambda: SAMPLE)
-    for name in ("obj/*", *(f"*/{name}.*" for name in SAMPLE)):
-        for file in assets_folder().glob(name):
+    for name in SAMPLE:
+        for file in assets_folder().glob(f"*/{name}.*"):
             (tmp_path / file.parent.name).mkdir(exist_ok=True)
             shutil.copy(file, tmp_path / file.parent.name)
     assert assets.stale_asset(tmp_path) is None
@@ -58,26 +54,21 @@ def test_checked_in_assets_are_current():
     assert assets.stale_asset(assets_folder()) is None
 
 
-TABLE = '<numeric name="t/a/kinds" size="9" data="{}" />\n<numeric name="t/a/kind" size="9" data="{}" />\n'
-
-
 @pytest.mark.parametrize(
     ("name", "text", "is_stale"),
     [
-        # Last digits may differ between machines, and with them which rows of a table are equal.
-        ("obj/a.obj", "v 0.1234567892 1\n", False),
-        ("obj/a.obj", "v 0.1234568891 1\n", True),
+        # Last digits may differ between machines.
+        ("usd/a.usda", "v 0.1234567892 1\n", False),
+        ("usd/a.usda", "v 0.1234568891 1\n", True),
         ("usd/c.usda", "left over", True),
-        ("mjcf/a.xml", TABLE.format("1 2 3 4 1 2.0000000001", "0 1 2"), False),
-        ("mjcf/a.xml", TABLE.format("1 2 3 4", "0 1 1"), True),
     ],
 )
 def test_a_changed_file_is_stale_until_it_is_built_again(
     name, text, is_stale, gauge, tmp_path, monkeypatch
 ):
     texts = {
-        "mjcf/a.xml": TABLE.format("1 2 3 4", "0 1 0"),
-        "obj/a.obj": "v 0.1234567891 1\n",
+        "mjcf/a.xml": "<mujoco/>\n",
+        "usd/a.usda": "v 0.1234567891 1\n",
     }
     monkeypatch.setattr(assets, "asset_texts", lambda *_: iter(texts.items()))
     command = ("data", "scenes", "--out", tmp_path / "out")
@@ -90,18 +81,7 @@ def test_a_changed_file_is_stale_until_it_is_built_again(
     assert gauge(*command).exit_code == 0
     assert gauge(*command, "--check").exit_code == 0
     with pytest.raises(ResultFileError, match="cannot be written"):
-        assets.build_assets(tmp_path / "out" / "obj" / "a.obj")
-
-
-def test_command_lists_what_each_file_shows(gauge):
-    lines = gauge("list", "scenes", "--json").stdout.splitlines()
-    shown = {row["file"]: row["of"] for row in map(json.loads, lines)}
-    assert shown["usd/Funnel-satin.usda"] == "GAUGE/Funnel-satin"
-    assert "WallBreaking/brick" in shown["obj/box-20x40x15mm.obj"].split(", ")
-    families = gauge("list", "scenes").stdout
-    assert families.count("\n") <= 25
-    assert re.search(r"Funnel +12 files", families)
-    assert "usd/Funnel-satin.usda" in gauge("list", "scenes", "usd/Funnel-s*").stdout
+        assets.build_assets(tmp_path / "out" / "usd" / "a.usda")
 
 
 # --- USD -------------------------------------------------------------------------------------------------------------
@@ -236,20 +216,3 @@ def test_mjcf_replays_the_trajectory_without_this_project(name):
     np.testing.assert_array_equal(file.qpos, backend.qpos)
     np.testing.assert_array_equal(file.qvel, backend.qvel)
     assert np.abs(file.qpos - file.model.qpos0).max() > 1e-3
-
-
-# --- OBJ -------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", solid_shapes())
-def test_obj_is_closed_and_has_the_solids_volume(name):
-    shape, _ = solid_shapes()[name]
-    file = assets_folder() / "obj" / f"{name}.obj"
-    mesh = trimesh.load(file, process=False, group_material=False, force="mesh")
-    pieces = mesh.split()
-    assert len(pieces) == len(getattr(shape, "pieces_m", [shape]))
-    assert all(piece.is_watertight and piece.is_convex for piece in pieces)
-    assert mesh.volume == pytest.approx(shape.volume_m3, rel=1e-9)
-    corners_m = shape.corners_m
-    bounds_m = [corners_m.min(axis=0), corners_m.max(axis=0)]
-    np.testing.assert_allclose(mesh.bounds, bounds_m, rtol=0.005)

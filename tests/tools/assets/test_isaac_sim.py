@@ -186,11 +186,6 @@ def test_the_average_of_two_materials_is_the_constant_of_the_pair(name):
             assert np.mean(values, axis=0) == pytest.approx(expected, abs=1e-7)
 
 
-def test_a_material_whose_averages_are_right_stays_that_of_the_contact():
-    stage = layer_of("SlopeSlider-3-wood")
-    assert material_of(stage, "cube").GetName() == "contact_0"
-
-
 def test_an_edit_of_a_derived_constant_is_an_error(tmp_path):
     stage = layer_of("TableclothPulling-wood")
     material = stage.GetPrimAtPath("/World/Materials/isaac_0")
