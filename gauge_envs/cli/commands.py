@@ -80,11 +80,6 @@ BUNDLED = (
         version=7,
     ),
     Command(
-        "list schemas",
-        "catalog.command:list_schemas",
-        line="catalog.schema:SchemaLine",
-    ),
-    Command(
         "run",
         "run.command:run",
         "Run experiments, score each against its reference, and write a result file for each.",

@@ -128,9 +128,12 @@ def experiment_document(values: Mapping[str, Any]) -> Document:
         ),
         "engines": _engines_text(values["engines"]),
         "published wrongly": reference["impossible"],
-        **_asset_facts(values["asset"], values["gravity_m_per_s2"]),
-        **{body: _constants(table) for body, table in values["constants"].items()},
     }
+    if asset := values["asset"]:
+        facts["asset"] = f"{asset['file']}, sha256 {asset['sha256'][:8]}"
+        facts["gravity"] = f"{values['gravity_m_per_s2']:g} m/s^2"
+        facts["edited"] = "; ".join(asset["changes"]) or "no: the calibrated scene"
+    facts |= {body: _constants(table) for body, table in values["constants"].items()}
     limits = [counted(len(values["limits"]), "known limit")] if values["limits"] else []
     hidden = ", ".join([*limits, "sources, scene, spaces, decisions: --format wide"])
     return Document(
@@ -220,18 +223,6 @@ def _engines_text(engines: Sequence[Mapping[str, Any]]) -> str:
     return "; ".join(
         f"{title}: {', '.join(names)}" for title, names in groups.items() if names
     )
-
-
-def _asset_facts(
-    asset: Mapping[str, Any] | None, gravity_m_per_s2: float
-) -> dict[str, str]:
-    if asset is None:
-        return {}
-    return {
-        "asset": f"{asset['file']}, sha256 {asset['sha256'][:8]}",
-        "gravity": f"{gravity_m_per_s2:g} m/s^2",
-        "edited": "; ".join(asset["changes"]) or "no: the calibrated scene",
-    }
 
 
 def _constants(table: Mapping[str, Mapping[str, Any]]) -> str:
