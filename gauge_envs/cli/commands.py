@@ -145,7 +145,7 @@ BUNDLED = (
         "recipes.recipe_command:recipe",
         "Find contact settings of an engine for a measured behaviour, and measure what they reach.",
         line="recipes.schema:RecipeLine",
-        version=2,
+        version=3,
     ),
     Command(
         "recipe fabrics",
@@ -157,7 +157,7 @@ BUNDLED = (
         "list materials",
         "recipes.recipe_command:list_materials",
         line="recipes.schema:MaterialLine",
-        version=2,
+        version=3,
     ),
     Command(
         "backend check",

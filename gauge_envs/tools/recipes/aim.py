@@ -114,11 +114,11 @@ class Aim:
     @property
     def targets(self) -> dict[str, float | None]:
         """Target of each measured value, by name; None for a value that does not matter."""
-        turning = {"torsion_m": self.torsion_m, "rolling_m": self.rolling_m}
         return {
             "friction": self.friction,
             "restitution": self.rebound,
             "penetration_m": self.depth_m(),
             "creep_m_s": self.creep_m_s,
-            **{name: value for name, value in turning.items() if value is not None},
+            "torsion_m": self.torsion_m,
+            "rolling_m": self.rolling_m,
         }

@@ -72,24 +72,21 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
     if name not in places:
         raise UnknownNameError("material", name, [*places, *also])
     material, place = name.partition("-")[0], places[name]
-    family, body = place["family"], place["body"]
-    spec = task_spec(family)
+    spec, body = task_spec(place["family"]), place["body"]
     constants = spec.constants_of(body, material, None)
-    friction, restitution = constants["friction"], constants["restitution"]
-    mass_kg = constants["mass_kg"]
+    friction = constants["friction"] if place["friction"] else None
+    restitution, mass_kg = constants["restitution"], constants["mass_kg"]
     assert restitution is not None and mass_kg is not None, "task files have both"
     source = spec.provenance_of(f"constants.{body}.{material}")
+    if set_name := place["restitution_set"]:
+        restitution = spec.parameters[set_name].values[f"{body}.restitution"]
+        source += f"; restitution: {spec.provenance_of(f'parameters.{set_name}')}"
     friction_std = restitution_std = None
     sources = []
-    if family == "NewtonsCradle":
-        friction = None
-    elif friction is not None and family != "CubeToss":
+    if friction is not None and place["friction_std"]:
         friction_std = uncertainties.friction_std(friction, material)
         sources.append(f"friction: {uncertainties.FRICTION_SOURCE}")
-    if name.endswith("-recorded"):
-        restitution = spec.parameters["effective"].values[f"{body}.restitution"]
-        source += f"; restitution: {spec.provenance_of('parameters.effective')}"
-    elif family == "BouncingBall":
+    if place["restitution_std"]:
         # Only the published restitution of the ball is compared with trials.
         restitution_std = uncertainties.RESTITUTION_SHARE * restitution
         sources.append(f"restitution: {uncertainties.RESTITUTION_SOURCE}")

@@ -1,13 +1,12 @@
-"""Measure a contact on any engine in scenes: drop, slide, hop, creep, rest and turning.
+"""Measure a contact on any engine in scenes: drop, slide, creep, rest and turning.
 
-A plate of 120 mm rests, creeps and slides, and balls of 30 mm radius drop, all of the requested mass. One plate slides
-without turning; the remaining plates may tip, hop and spin. The scenes use only the contract of backends.
+A plate of 120 mm rests, creeps and slides without turning, and balls of 30 mm radius drop, all of the requested mass.
+The scenes use only the contract of backends.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,8 +18,7 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
 )
-from gauge_envs.scene.geometry import FloatArray, vector
-from gauge_envs.scoring.estimators import steady_speed_m_per_s
+from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.bench.drop import RADIUS_M, balls_above_ground, bounce_of, fall_s
 from gauge_envs.tools.bench.parts import ball, body, contact, ground, thrown
 from gauge_envs.tools.bench.recording import Recording, record
@@ -41,8 +39,8 @@ DROP_M = 0.2
 BALL_COUNT = 8
 """Number of balls. Their heights differ slightly, so that impacts have different phases within a step."""
 
-BALL_DISTANCE_M, PLATE_DISTANCE_M = 0.2, 0.3
-"""Distance of neighbouring balls and plates [m]."""
+BALL_DISTANCE_M = 0.2
+"""Distance of neighbouring balls [m]."""
 
 SLIDE_BEYOND_DEG = 10.0
 """Slope of the slide minus the friction angle [degrees]."""
@@ -55,12 +53,6 @@ TURN_DEG = 30.0
 
 One corner then carries most of the load, and no axis of the world, a tangent of contacts in some engines, is along the
 slope."""
-
-HOP_TURNS_DEG = (0.0, 15.0, 30.0, 45.0)
-"""Rotations of the edges of plates that can hop [degrees]."""
-
-HOP_TIPS_RAD = np.outer((-1e-3, 1e-3), (1.0, 2.0, 0.0)) / math.sqrt(5.0)
-"""Initial tips of these plates, as rotation vectors [rad]. On level plates, rounding errors would decide on hops."""
 
 GYRATION_M = 100.0
 """Radius of gyration of a plate that cannot turn [m]: a friction of 2 turns it by 0.0002 degrees in a slide."""
@@ -76,7 +68,6 @@ SAMPLE_S = 1e-3
 
 NAMES = (
     "friction",
-    "friction_hopping",
     "restitution",
     "penetration_m",
     "creep_m_s",
@@ -89,24 +80,9 @@ TURNING = {"torsion_m": SPIN, "rolling_m": ROLL}
 LEVEL = Rotation.identity()
 
 
-def drop_heights_m(timestep_s: float) -> FloatArray:
-    """Return the height of each drop [m]; each ball falls for a different part of its last step."""
-    step_m = G * fall_s(DROP_M, G) * timestep_s
-    return DROP_M + step_m * np.arange(BALL_COUNT) / BALL_COUNT
-
-
 def _lean(slope_rad: float, turn_deg: float = 0.0) -> Rotation:
     """Return the rotation of a plane that descends along x, with its axes rotated about its normal."""
     return Rotation.from_euler("zy", [math.radians(turn_deg), slope_rad])
-
-
-def _spread(name: str, values: Sequence[float]) -> dict[str, float]:
-    """Return mean, minimum and maximum of a quantity over different initial states."""
-    return {
-        name: float(np.mean(values)),
-        f"{name}_low": min(values),
-        f"{name}_high": max(values),
-    }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,37 +97,20 @@ class Probe:
     settings: ContactSettings
     mass_kg: float
 
-    def _slide_lean(self, turn_deg: float = 0.0) -> Rotation:
-        """Return the rotation of a plane steeper than the friction angle."""
+    def slide(self) -> dict[str, float]:
+        """Return the friction of plates that cannot turn, on planes steeper than the friction angle."""
         friction_angle_rad = math.atan(self.settings.sliding_friction)
         slope_rad = friction_angle_rad + math.radians(SLIDE_BEYOND_DEG)
-        return _lean(slope_rad, turn_deg)
-
-    def slide(self) -> dict[str, float]:
-        """Return the friction of plates that cannot turn, equal to the friction of their contacts."""
         frictions = []
         for turn_deg in (0.0, TURN_DEG):
-            lean = self._slide_lean(turn_deg)
+            lean = _lean(slope_rad, turn_deg)
             inertia_kg_m2 = self.mass_kg * GYRATION_M**2
             plate = replace(self._plate(lean), inertia_kg_m2=inertia_kg_m2)
-            frictions += self._frictions([plate], lean)
-        return _spread("friction", frictions)
-
-    def hop(self) -> dict[str, float]:
-        """Return the friction of plates that can tip, hop and spin.
-
-        Their contacts slide in different directions, and parts of the friction cancel.
-        """
-        lean = self._slide_lean()
-        rotations = [
-            Rotation.from_rotvec(tip) * Rotation.from_euler("z", turn_rad)
-            for turn_rad, tip in product(np.radians(HOP_TURNS_DEG), HOP_TIPS_RAD)
-        ]
-        plates = [
-            self._plate(lean, place, rotation)
-            for place, rotation in enumerate(rotations, start=-4)
-        ]
-        return _spread("friction_hopping", self._frictions(plates, lean))
+            rollout = self._rollout([plate], lean, SLIDE_S)
+            frictions.append(
+                friction_of_slide(rollout, plate.name, "ground", start_s=SLIDE_FROM_S)
+            )
+        return {"friction": float(np.mean(frictions))}
 
     def creep(self) -> dict[str, float]:
         """Return the speed [m/s] of a plate on a slope below the friction angle."""
@@ -162,20 +121,18 @@ class Probe:
         return {"creep_m_s": speed}
 
     def rest(self) -> dict[str, float]:
-        """Return depth [m] and its drift [m/s] of a plate released at the surface of the ground."""
+        """Return the depth [m] of a plate released at the surface of the ground."""
         plate = self._plate(LEVEL)
         rollout = self._rollout([plate], LEVEL, REST_S)
         settled = rollout.between(REST_FROM_S, math.inf)
-        times_s = rollout.times_s[settled]
         depth_m = 0.5 * PLATE_M[2] - rollout.position(plate.name)[settled, 2]
-        return {
-            "penetration_m": float(depth_m.mean()),
-            "drift_m_s": steady_speed_m_per_s(times_s, depth_m),
-        }
+        return {"penetration_m": float(depth_m.mean())}
 
     def drop(self) -> dict[str, float]:
         """Return the restitution of balls that drop."""
-        heights_m = drop_heights_m(self.settings.timestep_s)
+        # Each ball falls for a different part of its last step.
+        step_m = G * fall_s(DROP_M, G) * self.settings.timestep_s
+        heights_m = DROP_M + step_m * np.arange(BALL_COUNT) / BALL_COUNT
         balls = balls_above_ground(
             {f"ball{index}": height_m for index, height_m in enumerate(heights_m)},
             spacing_m=BALL_DISTANCE_M,
@@ -186,7 +143,7 @@ class Probe:
         restitutions = [
             bounce.restitution if bounce else math.nan for bounce in bounces
         ]
-        return _spread("restitution", restitutions)
+        return {"restitution": float(np.mean(restitutions))}
 
     def turning(self) -> dict[str, float]:
         """Return torsional and rolling friction [m] from the spin loss of a ball, if the settings have them.
@@ -208,22 +165,11 @@ class Probe:
             values[name] = turning_arm_m(rollout, axis, start_s=SLIDE_FROM_S)
         return values
 
-    def _frictions(self, plates: Sequence[RigidBody], lean: Rotation) -> list[float]:
-        """Return the friction of each plate that slides down a plane."""
-        rollout = self._rollout(plates, lean, SLIDE_S)
-        return [
-            friction_of_slide(rollout, plate.name, "ground", start_s=SLIDE_FROM_S)
-            for plate in plates
-        ]
-
-    def _plate(
-        self, lean: Rotation, place: int = 0, rotation: Rotation = LEVEL
-    ) -> RigidBody:
-        """Return a rotated plate that touches an inclined plane, at a place across the slope."""
-        height_m = 0.5 * float(np.abs(rotation.as_matrix()[2]) @ PLATE_M)
-        position_m = lean.apply([0.0, place * PLATE_DISTANCE_M, height_m])
-        pose = Pose.from_rotation(vector(position_m), lean * rotation)
-        return body(f"plate{place:+d}", Box(size_m=PLATE_M), pose, mass_kg=self.mass_kg)
+    def _plate(self, lean: Rotation) -> RigidBody:
+        """Return a plate that touches an inclined plane."""
+        position_m = lean.apply([0.0, 0.0, 0.5 * PLATE_M[2]])
+        pose = Pose.from_rotation(vector(position_m), lean)
+        return body("plate", Box(size_m=PLATE_M), pose, mass_kg=self.mass_kg)
 
     def _rollout(
         self, bodies: Sequence[RigidBody], lean: Rotation, seconds: float
@@ -276,7 +222,6 @@ def measured(settings: ContactSettings, mass_kg: float) -> dict[str, float]:
     probe = Probe(settings=settings, mass_kg=mass_kg)
     return {
         **probe.slide(),
-        **probe.hop(),
         **probe.drop(),
         **probe.rest(),
         **probe.creep(),

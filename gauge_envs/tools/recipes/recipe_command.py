@@ -43,7 +43,7 @@ def recipe(
         typer.Argument(
             metavar="MATERIAL",
             show_default=False,
-            help="Pair or fabric, as satin; see gauge list materials.",
+            help="Pair of gauge list materials, or fabric of gauge recipe fabrics, as satin.",
         ),
     ] = None,
     friction: Annotated[
@@ -120,16 +120,25 @@ def recipe(
         "mass_kg": mass_kg,
         **_timestep(changes),
     }
+    from gauge_envs.tools.recipes.engines import engine_settings
+    from gauge_envs.tools.recipes.fabrics import fabric_recipe
+    from gauge_envs.tools.recipes.report import recipe_document
+    from gauge_envs.tools.recipes.search import explain as explained
+
     given = {name: value for name, value in wanted.items() if value is not None}
     pair: MaterialPair | str | None = None
     with Progress("simulates", None):
         if explain is not None:
-            result = _explained(engine, explain, material, given)
+            _check_alone("--explain", [*given, *filter(None, [material])], BODY)
+            _check_body(given)
+            contact = engine_settings(engine).parsed(explain, given["timestep_s"])
+            result = explained(contact, given["mass_kg"])
         elif material in known_fabrics():
-            pair, result = material, _fabric(engine, str(material), given)
+            _check_alone("a fabric", given, {"timestep_s": TIMESTEP})
+            fabric = known_fabrics()[str(material)]
+            pair, result = material, fabric_recipe(fabric, engine, **given)
         else:
             pair, result = _contact(engine, material, given)
-    from gauge_envs.tools.recipes.report import recipe_document
 
     print_document(recipe_document(result, pair), form)
     if form is not Format.JSON:
@@ -190,27 +199,6 @@ def _contact(
     return pair, find_recipe(settings, Aim(**given))
 
 
-def _explained(
-    engine: str, text: str, material: str | None, given: Mapping[str, float]
-) -> Recipe:
-    """Return the behaviour of settings."""
-    from gauge_envs.tools.recipes import engine_settings
-    from gauge_envs.tools.recipes.search import explain
-
-    _check_alone("--explain", [*given, *filter(None, [material])], BODY)
-    _check_body(given)
-    contact = engine_settings(engine).parsed(text, given["timestep_s"])
-    return explain(contact, given["mass_kg"])
-
-
-def _fabric(engine: str, name: str, given: Mapping[str, float]) -> Recipe:
-    """Return a fabric in the constants of an engine."""
-    from gauge_envs.tools.recipes.fabrics import fabric_recipe
-
-    _check_alone("a fabric", given, {"timestep_s": TIMESTEP})
-    return fabric_recipe(name, known_fabrics()[name], engine, given.get("timestep_s"))
-
-
 def recipe_fabrics(form: arguments.Form = Format.TEXT) -> None:
     """Show the six fabrics in the constants of every engine."""
     from gauge_envs.tools.recipes.report import constants_document
@@ -219,9 +207,9 @@ def recipe_fabrics(form: arguments.Form = Format.TEXT) -> None:
 
 
 def list_materials(patterns: Sequence[str]) -> list[Table]:
-    """Return the tables of the measured pairs and fabrics."""
+    """Return the table of the measured pairs."""
     from gauge_envs.tools.recipes.materials import material_pairs
-    from gauge_envs.tools.recipes.report import fabric_table, material_table
+    from gauge_envs.tools.recipes.report import material_table
 
-    tables = [material_table(material_pairs()), fabric_table(known_fabrics())]
+    tables = [material_table(material_pairs())]
     return arguments.matching(tables, patterns, kind="material")

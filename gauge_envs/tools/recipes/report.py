@@ -4,13 +4,12 @@ from collections.abc import Mapping, Sequence
 
 from gauge_envs.pages.document import Document, Part
 from gauge_envs.pages.table import Column, Place, Table
-from gauge_envs.scene.fabrics import Fabric, bending_length_m
+from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.tools.recipes.fabrics import fabric_constants
 from gauge_envs.tools.recipes.materials import MaterialPair
 from gauge_envs.tools.recipes.search import Recipe
 
 TITLES = {
-    "friction_hopping": "friction, hopping",
     "penetration_m": "penetration [m]",
     "creep_m_s": "creep [m/s]",
     "torsion_m": "torsion [m]",
@@ -24,20 +23,12 @@ TITLES = {
 
 
 def _number(key: str, title: str, *, unit: str = "") -> Column:
-    return Column(key, title, _digits, unit=unit, is_number=True)
-
-
-def _digits(value: float) -> str:
-    return f"{value:.4g}"
+    return Column(key, title, "{:.4g}".format, unit=unit, is_number=True)
 
 
 def _error_text(error: float) -> str:
     """Return the text of an error; errors below 1e-12 are rounding."""
-    return f"{error:+.2g}" if abs(error) > 1e-12 else "0"
-
-
-COLUMNS = {"asked": _digits, "reached": _digits, "error": _error_text}
-"""Columns of a recipe, and the function that formats their values."""
+    return f"{round(error, 12) + 0.0:+.2g}"
 
 
 def recipe_document(
@@ -62,14 +53,12 @@ def recipe_document(
         if value is not None and error is not None:
             # A stiffness determines a depth, and a damping determines a rebound.
             target = value - error
-        rows.append({"name": name, "asked": target, "reached": value, "error": error})
-    columns = [Column("name", title, lambda name: TITLES.get(name, name))]
-    columns += [
-        Column(name, name, text, is_number=True)
-        for name, text in COLUMNS.items()
-        if any(row[name] is not None for row in rows)
-    ]
-    notes = ("", recipe.explanation)
+        rows.append([TITLES.get(name, name), target, value, error])
+    columns = [Column("0", title), _number("2", "reached")]
+    if any(target is not None for _, target, _, _ in rows):
+        columns.insert(1, _number("1", "asked"))
+        columns.append(Column("3", "error", _error_text, is_number=True))
+    notes = ("", recipe.explanation) if recipe.explanation else ()
     parts.append(Table(columns=tuple(columns), rows=rows, notes=notes))
     return Document(parts=parts, rows=[row])
 
@@ -98,31 +87,6 @@ def material_table(pairs: Sequence[MaterialPair]) -> Table:
 # --- fabrics ---------------------------------------------------------------------------------------------------------
 
 
-def fabric_table(known: Mapping[str, Fabric]) -> Table:
-    """Return the measured fabrics with their constants."""
-    return Table(
-        columns=(
-            Column("name", "fabric"),
-            _number("stretch", "stretch", unit="N/m"),
-            _number("shear", "shear", unit="N/m"),
-            _number("bend", "bend", unit="N m/rad"),
-            _number("density", "areal density", unit="kg/m^2"),
-            _number("length", "bending length", unit="m"),
-        ),
-        rows=[
-            {
-                "name": name,
-                "stretch": fabric.stretch_stiffness_n_per_m,
-                "shear": fabric.shear_stiffness_n_per_m,
-                "bend": fabric.bend_stiffness_n_m_per_rad,
-                "density": fabric.areal_density_kg_per_m2,
-                "length": bending_length_m(fabric),
-            }
-            for name, fabric in known.items()
-        ],
-    )
-
-
 def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
     """Return the constants of every fabric for every engine.
 
@@ -135,8 +99,7 @@ def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
             row = {"engine": engine, "constant": constant, "unit": unit}
             for name, by_engine in known.items():
                 mapped = by_engine[engine]
-                mark = "*" if constant in mapped.replaced else ""
-                row[name] = f"{mapped.constants[constant]:.3g}{mark}"
+                row[name] = f"{mapped.constants[constant]:.3g}"
             rows.append(row)
     table = Table(
         columns=(
@@ -148,8 +111,8 @@ def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
         rows=rows,
         notes=(
             "",
-            "* A fall-back sets this constant; gauge recipe FABRIC -b ENGINE gives the reason. All mappings have the "
-            "measured stretch stiffness. --format wide shows the units.",
+            "All mappings have the measured stretch stiffness. gauge recipe FABRIC -b ENGINE names losses. "
+            "--format wide shows the units.",
         ),
     )
     constants = {

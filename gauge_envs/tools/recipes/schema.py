@@ -25,25 +25,5 @@ FabricsLine = Mapping[str, Mapping[str, Mapping[str, float]]]
 """Constants by fabric, engine and name."""
 
 
-class FabricFacts(TypedDict):
-    """A measured fabric.
-
-    Attributes:
-        name: Name of the fabric.
-        stretch: Stretch stiffness [N/m].
-        shear: Shear stiffness [N/m].
-        bend: Bending stiffness [N m/rad].
-        density: Areal density [kg/m^2].
-        length: Bending length [m].
-    """
-
-    name: str
-    stretch: float
-    shear: float
-    bend: float
-    density: float
-    length: float
-
-
-MaterialLine = MaterialPair | FabricFacts
-"""A measured pair, or a fabric."""
+MaterialLine = MaterialPair
+"""A measured pair."""

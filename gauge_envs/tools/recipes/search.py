@@ -3,7 +3,6 @@
 A closed form of the engine proposes settings, and a search corrects them by simulations.
 """
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -14,7 +13,6 @@ from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings, rounded
 from gauge_envs.tools.recipes.probes import (
     NAMES,
-    TURNING,
     Probe,
     measured,
 )
@@ -39,15 +37,6 @@ MAX_TRIALS = 8
 MAX_STIFFENING = 3.0
 """Largest change of a stiffness between two trials, as a factor."""
 
-SIMULATED = ("friction", "stretch_n_per_m", "bend_n_m")
-"""Values that every simulation of a contact or a fabric has, unless it diverges."""
-
-MEASURED_IN = (
-    "Balls drop from 0.2 m onto one contact. A plate of 0.12 m rests on four contacts, and creeps on a slope of half "
-    "the friction. It slides 10 degrees above the friction angle, without turning and free to hop."
-)
-"""Description of the scenes."""
-
 Numbers = Mapping[str, float | None]
 """Values by name; None if not requested, not applicable or not measured."""
 
@@ -64,8 +53,6 @@ class Recipe:
         reached: Simulated values by name.
         error: Reached minus requested values.
         misses: Names of the requested values that are not reached.
-        detail: Extra simulated values.
-        wall_s: Wall time of the simulations [s].
         explanation: Why values are not reached.
         versions: Versions of the engine's packages.
     """
@@ -77,16 +64,13 @@ class Recipe:
     reached: Numbers
     error: Numbers
     misses: Sequence[str]
-    detail: Mapping[str, Any]
-    wall_s: float
     explanation: str
     versions: Mapping[str, str]
 
     @property
     def diverges(self) -> bool:
-        """Whether a simulation diverges: it then lacks friction or stiffness."""
-        simulated = [self.reached.get(name, 0.0) for name in SIMULATED]
-        return bool(self.versions) and None in simulated
+        """Whether a simulation diverges: it then lacks values."""
+        return bool(self.versions) and None in self.reached.values()
 
 
 def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
@@ -104,12 +88,11 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
         ParameterError: The scenes cannot measure the behaviour.
     """
     aim.check()
-    start_s = time.perf_counter()
     try:
         settings = _searched(engine, aim)
     except DivergedError:
         settings = engine.aimed(aim)
-    return _simulated(settings, aim, start_s)
+    return _simulated(settings, aim)
 
 
 def explain(settings: ContactSettings, mass_kg: float) -> Recipe:
@@ -125,11 +108,11 @@ def explain(settings: ContactSettings, mass_kg: float) -> Recipe:
     """
     aim = Aim(mass_kg=mass_kg, timestep_s=settings.timestep_s)
     replace(aim, friction=settings.sliding_friction).check()
-    return _simulated(settings, aim, time.perf_counter())
+    return _simulated(settings, aim)
 
 
-def _simulated(settings: ContactSettings, aim: Aim, start_s: float) -> Recipe:
-    """Return the recipe of settings for an aim; `start_s` is the clock time at which the search starts [s]."""
+def _simulated(settings: ContactSettings, aim: Aim) -> Recipe:
+    """Return the recipe of settings for an aim."""
     versions = settings.backend().versions()
     values, misses = dict[str, float](), list[str]()
     try:
@@ -138,20 +121,17 @@ def _simulated(settings: ContactSettings, aim: Aim, start_s: float) -> Recipe:
         explanation = _explanation(settings, aim, misses)
     except DivergedError as error:
         explanation = f"The simulation diverges: {error}. Choose a shorter time step or a softer contact."
-    names = [*NAMES, *(name for name in TURNING if name in values)]
     return Recipe(
         engine=settings.engine,
         asked=asdict(aim),
         settings=settings.model_dump(mode="json"),
         snippet=settings.snippet(),
-        reached={name: values.get(name) for name in names},
+        reached={**dict.fromkeys(NAMES), **values},
         error={
             name: difference(values.get(name), target)
             for name, target in aim.targets.items()
         },
         misses=misses,
-        detail={name: value for name, value in values.items() if name not in names},
-        wall_s=time.perf_counter() - start_s,
         explanation=explanation,
         versions=versions,
     )
@@ -176,21 +156,18 @@ def _misses(aim: Aim, values: Mapping[str, float]) -> list[str]:
             continue
         error = values[name] - target
         tolerance = SHARES.get(name, 0.0) * target or RESTITUTION_TOLERANCE
-        is_reached = error <= 0.0 if name in limits else abs(error) <= tolerance
-        if not is_reached:
+        if error > 0.0 if name in limits else abs(error) > tolerance:
             misses.append(name)
     return misses
 
 
 def _explanation(settings: ContactSettings, aim: Aim, misses: Sequence[str]) -> str:
-    """Return why values are missed; without a request, how values are measured."""
-    if misses:
-        limits = settings.limits
-        return " ".join(
-            f"{name}: {limits.get(name, 'not reached')}." for name in misses
-        )
-    is_asked = any(target is not None for target in aim.targets.values())
-    return "All requested values are reached." if is_asked else MEASURED_IN
+    """Return why values are missed; empty without a request."""
+    if not any(aim.targets.values()):
+        return ""
+    limits = settings.limits
+    reasons = [f"{name}: {limits.get(name, 'not reached')}." for name in misses]
+    return " ".join(reasons) or "All requested values are reached."
 
 
 # --- search ----------------------------------------------------------------------------------------------------------
@@ -207,16 +184,12 @@ def _searched(engine: type[ContactSettings], aim: Aim) -> ContactSettings:
     settings = engine.aimed(_rebounding(engine, _stiffened(engine, aim)))
     impratio = getattr(settings, "impratio", None)
     if impratio and aim.creep_m_s:
-        creep_m_s = _creep_m_s(settings, aim)
-        factor = CREEP_MARGIN * creep_m_s / aim.creep_m_s
-        scaled = settings.model_copy(update={"impratio": rounded(impratio * factor)})
-        if creep_m_s > aim.creep_m_s and _creep_m_s(scaled, aim) < creep_m_s:
-            settings = scaled
+        probe = Probe(settings=settings, mass_kg=aim.mass_kg)
+        ratio = probe.creep()["creep_m_s"] / aim.creep_m_s
+        if ratio > 1.0:
+            scaled = rounded(CREEP_MARGIN * ratio * impratio)
+            settings = settings.model_copy(update={"impratio": scaled})
     return settings
-
-
-def _creep_m_s(settings: ContactSettings, aim: Aim) -> float:
-    return Probe(settings=settings, mass_kg=aim.mass_kg).creep()["creep_m_s"]
 
 
 def _stiffened(engine: type[ContactSettings], aim: Aim) -> Aim:

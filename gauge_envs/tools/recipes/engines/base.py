@@ -12,8 +12,8 @@ from gauge_envs.backends.registry import backend
 from gauge_envs.errors import ParameterError, first_fault
 from gauge_envs.tools.recipes.aim import Aim
 
-NAME = re.compile(r"(\w+)\s*=")
-"""Name before an equals sign."""
+PAIR = re.compile(r"\s*(\w+)\s*=((?:(?!\w+\s*=).)*)", re.DOTALL)
+"""Name before an equals sign, and the text until the next name."""
 
 VALUE = re.compile(r"[^\s,\"'()\[\]]+")
 """Value between blanks, commas, quotes and brackets."""
@@ -87,15 +87,13 @@ class ContactSettings(BaseModel, ABC):
         Raises:
             ParameterError: The text has a wrong form, or a setting does not exist.
         """
-        start, *parts = NAME.split(text)
         values: dict[str, Any] = {}
-        for name, part in zip(parts[::2], parts[1::2], strict=True):
+        for name, part in PAIR.findall(text):
             matches = VALUE.findall(part)
             values[name] = tuple(matches) if len(matches) > 1 else "".join(matches)
-        is_repeated = 2 * len(values) < len(parts)
-        if not parts or start.strip() or is_repeated:
+        if not PAIR.match(text):
             raise ParameterError(
-                f"{cls.engine} contact {text!r}: expected names=values, each name once, for example 'friction=0.5'"
+                f"{cls.engine} contact {text!r}: expected names=values, for example 'friction=0.5'"
             )
         try:
             return cls.model_validate({**values, "timestep_s": timestep_s})
