@@ -97,7 +97,7 @@ def compare(job: Job, before: Side, after: Side) -> Comparison:
         indices = (min(gap.worst), gap.worst[0])
         differences = [_difference(gap, index, states, first) for index in indices]
         rulings = list(_rulings(job, sides, gap, states, first))
-    rights = {ruling.right for ruling in rulings if ruling.right}
+    rights = {ruling.right for ruling in rulings} - {""}
     return Comparison(
         subject=job["title"],
         before=before.title,

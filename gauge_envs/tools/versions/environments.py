@@ -33,7 +33,7 @@ NUMPY_2_SINCE = (3, 2)
 """First release of MuJoCo built for NumPy 2. Older releases crash with NumPy 2."""
 
 # -I excludes the paths of the user's environment.
-PIP = ("-I", "-m", "pip", "--no-input", "--disable-pip-version-check", "--retries", "2")
+PIP = ("-I", "-m", "pip", "--no-input", "--disable-pip-version-check")
 
 WORKER = Path(__file__).with_name("worker.py")
 

@@ -119,7 +119,7 @@ def compare_returns(
         seed: Seed of the first episode.
 
     Raises:
-        ParameterError: A side is another engine.
+        ParameterError: A side is another engine, or the policy is invalid.
         VersionsError: A side cannot run the episodes.
     """
     for side in (before, after):
@@ -127,6 +127,10 @@ def compare_returns(
             raise ParameterError(
                 f"{side.title}: --policy compares releases of MuJoCo and its options"
             )
+    if ":" not in policy and not policy.endswith(".npy"):
+        raise ParameterError(
+            f"--policy {policy}: expected module:function that returns a policy, or a file .npy of actions"
+        )
     is_suite = is_suite_id(subject)
     job = {
         "title": subject,

@@ -28,11 +28,7 @@ def comparison_document(comparison: Comparison) -> Document:
         f"{comparison.differing} of {counted(comparison.states, 'state')} one step from the same state gives "
         f"different accelerations, by up to {100.0 * comparison.largest:.3g} %."
     )
-    differences = [
-        difference
-        for difference in (comparison.first, comparison.worst)
-        if difference is not None
-    ]
+    differences = [*filter(None, (comparison.first, comparison.worst))]
     tables = [
         _table(
             "First and largest difference of one step [m, m/s^2 or rad/s^2]",

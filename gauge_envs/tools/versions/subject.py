@@ -172,10 +172,11 @@ def read_subject(text: str, folder: Path) -> Path:
         ParameterError: The text does not name a model.
     """
     file = folder / "subject.xml"
-    if Path(text).suffix.lower() in MODEL_FILES:
-        if not Path(text).is_file():
+    path = Path(text)
+    if path.suffix.lower() in MODEL_FILES:
+        if not path.is_file():
             raise ParameterError(f"{text}: no such file")
-        return Path(text)
+        return path
     if is_suite_id(text):
         scene = load_experiment(text).scene
         if scene.deformables or scene.drivers:

@@ -57,9 +57,6 @@ PHYSICS = re.compile(
 PERTURBATION = 1e-10
 """Negligible change of velocities [m/s, rad/s]."""
 
-POSITION_CHANGE_M = 1e-9
-"""Negligible change of the initial position [m]."""
-
 CONTROL_INTERVAL_S = 0.1
 """Time for which random controls are constant [s]."""
 
@@ -313,7 +310,7 @@ def simulate(job: Job) -> Job:
         settings=job["settings"],
         seed=job["seed"],
     )
-    jitter = Jitter(position_m=POSITION_CHANGE_M, angle_rad=0.0)
+    jitter = Jitter(position_m=1e-9, angle_rad=0.0)
     results = [
         run_episodes(run)[0].to_dict()
         for run in (request, replace(request, jitter=jitter))

@@ -5,26 +5,12 @@ import math
 import pytest
 
 from gauge_envs.backends.drake.contacts import rebound
-from gauge_envs.backends.shared.spring_damper import (
-    damping_ratio_of,
-    spring_damper_restitution,
-)
+from gauge_envs.backends.shared.spring_damper import spring_damper_restitution
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.recipes import Aim, engine_settings, search
 from gauge_envs.tools.recipes.search import explain
 
 MUJOCO = engine_settings("mujoco")
-
-
-@pytest.mark.parametrize("ratio", [0.05, 0.9, 1.0, 2.0])
-def test_the_restitution_of_a_spring_and_damper_agrees_with_its_motion(ratio):
-    """Integrate x'' = -x - 2 z x' until the force is zero."""
-    position, speed, step = 0.0, 1.0, 1e-4
-    while (force := position + 2.0 * ratio * speed) > 0.0:
-        speed -= step * force
-        position += step * speed
-    assert -speed == pytest.approx(spring_damper_restitution(ratio), abs=1e-3)
-    assert damping_ratio_of(-speed) == pytest.approx(ratio, rel=0.01)
 
 
 @pytest.mark.parametrize(

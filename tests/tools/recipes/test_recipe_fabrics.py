@@ -46,7 +46,6 @@ def test_the_recipe_of_a_fabric_names_the_loss_of_its_mapping():
     pytest.importorskip("newton")
     recipe = fabric_recipe(SATIN, "newton")
     shear = recipe.settings["tri_ke"]
-    assert recipe.reached["stretch_n_per_m"] == pytest.approx(STRETCH, rel=0.02)
     words = f"shear: {shear:.4g} N/m instead of {SATIN.shear_stiffness_n_per_m:.4g}"
     assert words in recipe.explanation
     assert f"tri_ke={shear:.6g}" in recipe.snippet

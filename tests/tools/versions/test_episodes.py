@@ -122,7 +122,7 @@ def test_the_change_of_a_return_has_students_interval(monkeypatch):
         for returns in ([5.0, 0.0, 7.0], [6.0, 2.0, 10.0])
     ]
     monkeypatch.setattr(episodes, "work", lambda *arguments: outputs)
-    options = {"policy": "", "seeds": 3, "seed": 0}
+    options = {"policy": "a.npy", "seeds": 3, "seed": 0}
     comparison = compare_returns("Hopper-v5", side("old"), side("new"), **options)
     assert (comparison.returns, comparison.change.value) == ((4.0, 6.0), 2.0)
     half_width = comparison.change.value - comparison.change.low
@@ -130,8 +130,14 @@ def test_the_change_of_a_return_has_students_interval(monkeypatch):
     assert comparison.verdict is Verdict.SAME
 
 
-def test_a_policy_on_another_engine_is_an_error():
-    with pytest.raises(ParameterError, match="compares releases of MuJoCo"):
-        compare_returns(
-            "Hopper-v5", *pair("mujoco", "newton"), policy="a.npy", seeds=1, seed=0
-        )
+@pytest.mark.parametrize(
+    ("engine", "policy", "message"),
+    [
+        ("newton", "a.npy", "compares releases of MuJoCo"),
+        ("mujoco", "word", "--policy word: expected"),
+    ],
+)
+def test_a_wrong_policy_is_an_error(engine, policy, message):
+    options = {"policy": policy, "seeds": 1, "seed": 0}
+    with pytest.raises(ParameterError, match=message):
+        compare_returns("Hopper-v5", *pair("mujoco", engine), **options)
