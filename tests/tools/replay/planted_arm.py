@@ -1,4 +1,4 @@
-"""An arm of two joints, simulated by a loop of its own, whose log has one planted difference to the model."""
+"""Small robots, simulated by a loop of its own, whose log has one planted difference to the model."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -26,42 +26,73 @@ ARM = """
   </actuator>
 </mujoco>
 """
+CART_POLE = """
+<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.002"/>
+  <worldbody>
+    <body>
+      <joint name="cart" type="slide" axis="1 0 0" damping="0.5"/>
+      <geom type="box" size="0.1 0.1 0.05" mass="1"/>
+      <body name="pole">
+        <joint name="pole" axis="0 1 0" damping="0.002"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.6" size="0.02" mass="0.1"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><position joint="cart" kp="60" kv="8"/></actuator>
+</mujoco>
+"""
+"""A toy: a servo drives the cart, and the pole hangs free."""
+SERVO = """
+<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.002"/>
+  <worldbody>
+    <body>
+      <joint name="joint" axis="0 1 0" armature="0.01" damping="0.3"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.01" mass="0.1"/>
+    </body>
+  </worldbody>
+  <actuator><position joint="joint" kp="8"/></actuator>
+</mujoco>
+"""
 INTERVAL_S = 0.02
 
 
 def record(
     folder: Path,
     *,
+    robot: str = ARM,
     change: Callable[[mujoco.MjModel], None] = lambda _: None,
     delay_s: float = 0.0,
-    columns: tuple[int, int] = (0, 1),
+    columns: tuple[int, ...] = (0, 1),
     push: Callable[[float], float] = lambda _: 0.0,
     duration_s: float = 8.0,
 ) -> tuple[Path, Path]:
-    """Return a log of a changed arm, and the model without the change."""
-    model = mujoco.MjModel.from_xml_string(ARM)
+    """Return a log of a changed robot, and the model without the change."""
+    model = mujoco.MjModel.from_xml_string(robot)
     change(model)
     mujoco.mj_setConst(model, mujoco.MjData(model))
     data = mujoco.MjData(model)
     times_s = np.arange(0.0, duration_s, INTERVAL_S)
-    rates = np.array([[1.9, 5.3, 9.1], [2.7, 6.1, 10.3]])
+    rates = np.array([[1.9, 5.3, 9.1], [2.7, 6.1, 10.3]])[: model.nu]
     targets = 0.25 * np.sin(rates[..., None] * times_s).sum(axis=1).T
     states, steps = [], round(INTERVAL_S / model.opt.timestep)
-    for row, time_s in enumerate(times_s):
+    for time_s in times_s:
         states.append(np.concatenate([data.qpos, data.qvel]))
         for step in range(steps):
             now_s = time_s + step * model.opt.timestep - delay_s
-            data.ctrl = targets[max(0, int(now_s / INTERVAL_S + 1e-9))][list(columns)]
-            data.xfrc_applied[2, 0] = push(now_s)
+            row = targets[max(0, int(now_s / INTERVAL_S + 1e-9))]
+            data.ctrl = row[list(columns[: model.nu])]
+            data.xfrc_applied[-1, 0] = push(now_s)
             mujoco.mj_step(model, data)
-        assert row < len(targets)
     rng = np.random.default_rng(0)
-    noise = rng.normal(size=(len(times_s), 4)) * [5e-4, 5e-4, 1e-2, 1e-2]
-    noisy = np.array(states) + noise
-    log, file = folder / "log.npz", folder / "arm.xml"
-    names = np.array(["shoulder", "elbow"])
-    np.savez(
-        log, t=times_s, q=noisy[:, :2], dq=noisy[:, 2:], target=targets, joints=names
-    )
-    file.write_text(ARM)
+    noise = np.repeat([5e-4, 1e-2], model.nq)
+    noisy = np.array(states) + noise * rng.normal(size=(len(times_s), 2 * model.nq))
+    position, velocity = np.hsplit(noisy, 2)
+    names = np.array([model.joint(joint).name for joint in range(model.njnt)])
+    log, file = folder / "log.npz", folder / "robot.xml"
+    np.savez(log, t=times_s, q=position, dq=velocity, target=targets, joints=names)
+    file.write_text(robot)
     return log, file

@@ -1,8 +1,10 @@
 """Planted causes are named with their value; what is not in the list is not."""
 
+import re
+
 import numpy as np
 import pytest
-from planted_arm import record
+from planted_arm import CART_POLE, SERVO, record
 
 from gauge_envs.tools.replay import Verdict, replay
 from gauge_envs.tools.replay.fit import Problem
@@ -38,22 +40,34 @@ def set_stop(model):
     model.jnt_range[1] = -3.0, 0.3
 
 
-PLANTED = {
-    "delay": ({"delay_s": 0.03}, 0.03),
-    "joint order": ({"columns": (1, 0)}, None),
-    "kp": ({"change": set_stiffness}, 28.0),
-    "dry friction": ({"change": set_friction}, 0.3),
-    "armature": ({"change": set_armature}, 0.03),
-    "gravity or tilt": ({"change": set_gravity}, -7.0),
-    "effort limit": ({"change": set_effort}, 3.0),
-    "joint limit": ({"change": set_stop}, 0.3),
-}
+def set_pole(model):
+    model.dof_frictionloss[0] = 2.0
+
+
+def set_servo(model):
+    model.actuator_gainprm[0, 0] = 12.0
+    model.actuator_biasprm[0, 1] = -12.0
+    model.dof_armature[0] = 0.024
+    model.dof_damping[:] *= 2.0
+
+
+PLANTED = [
+    ("delay", {"delay_s": 0.03}, 0.03),
+    ("joint order", {"columns": (1, 0)}, None),
+    ("kp", {"change": set_stiffness}, 28.0),
+    ("dry friction", {"change": set_friction}, 0.3),
+    ("armature", {"change": set_armature}, 0.03),
+    ("gravity or tilt", {"change": set_gravity}, -7.0),
+    ("effort limit", {"change": set_effort}, 3.0),
+    ("joint limit", {"change": set_stop}, 0.3),
+    ("dry friction", {"robot": CART_POLE, "change": set_pole}, 2.0),
+    ("delay", {"robot": CART_POLE, "delay_s": 0.03}, 0.03),
+]
 """What is planted, and the value of the first number of the answer."""
 
 
-@pytest.mark.parametrize("cause", PLANTED)
-def test_a_planted_cause_is_named_with_its_value(tmp_path, cause):
-    planted, value = PLANTED[cause]
+@pytest.mark.parametrize(("cause", "planted", "value"), PLANTED)
+def test_a_planted_cause_is_named_with_its_value(tmp_path, cause, planted, value):
     line = replay(*record(tmp_path, **planted)).line
     best = line.candidates[0]
     assert line.verdict is Verdict.CAUSE
@@ -61,6 +75,27 @@ def test_a_planted_cause_is_named_with_its_value(tmp_path, cause):
     assert best.share > 0.97
     if value is not None:
         assert best.values[0].fitted == pytest.approx(value, rel=0.05)
+
+
+def test_the_constants_of_a_servo_are_fitted_together(tmp_path):
+    log, model = record(tmp_path, robot=SERVO, change=set_servo, delay_s=0.01)
+    line = replay(log, model).line
+    values = {each.cause: each.values[0] for each in line.several}
+    assert line.verdict is Verdict.SEVERAL
+    assert values["delay"].fitted == pytest.approx(0.01, abs=0.001)
+    armature = values["armature"].fitted
+    assert values["kp"].fitted / armature == pytest.approx(500.0, rel=0.05)
+    assert values["damping"].fitted / armature == pytest.approx(25.0, rel=0.05)
+    assert values["kp"].low < 12.0 < values["kp"].high
+    assert "only ratios" not in line.sentence
+
+
+def test_a_servo_without_a_load_shows_only_ratios(tmp_path):
+    weightless = SERVO.replace("<option ", '<option gravity="0 0 0" ')
+    log, model = record(tmp_path, robot=weightless, change=set_servo, delay_s=0.01)
+    sentence = replay(log, model).line.sentence
+    ratios = [float(text) for text in re.findall(r"/ armature ([\d.]+)", sentence)]
+    assert ratios == pytest.approx([500.0, 25.0], rel=0.1)
 
 
 def test_the_error_of_the_right_model_is_that_of_the_noise(tmp_path):

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from texts import fenced
 
 from gauge_envs.errors import GaugeError
-from gauge_envs.tools.replay import LogMap, Verdict, read_log, read_map, replay
+from gauge_envs.tools.replay import Verdict, read_log, read_map, replay
 
 EXAMPLE = ROOT / "examples" / "replay"
 
@@ -106,6 +106,50 @@ def test_frames_and_order_of_the_base_are_recognised(tmp_path):
     assert np.allclose(log.base["linear_velocity"], velocity, atol=1e-9)
 
 
+URDF = """
+<robot name="pendulum">
+  <link name="world"/>
+  <link name="rod">
+    <inertial>
+      <origin xyz="0 0 -0.2"/><mass value="0.5"/>
+      <inertia ixx="0.01" iyy="0.01" izz="0.001" ixy="0" ixz="0" iyz="0"/>
+    </inertial>
+  </link>
+  <joint name="pivot" type="continuous">
+    <parent link="world"/><child link="rod"/><axis xyz="0 1 0"/>
+  </joint>
+</robot>
+"""
+
+
+def test_a_urdf_model_predicts_a_swing_of_the_closed_form(tmp_path):
+    # Small swings: angle a cos(w t) with w^2 = m g c / (I + m c^2).
+    rate = np.sqrt(0.5 * 9.81 * 0.2 / (0.01 + 0.5 * 0.2**2))
+    time_s = np.arange(0.0, 5.0, 0.01)
+    model, log = tmp_path / "pendulum.urdf", tmp_path / "log.npz"
+    model.write_text(URDF)
+    angle = 0.02 * np.cos(rate * time_s)
+    speed = -0.02 * rate * np.sin(rate * time_s)
+    np.savez(log, t=time_s, q_pivot=angle, dq_pivot=speed)
+    line = replay(log, model).line
+    assert line.verdict is Verdict.NOISE
+    assert "no commands" in line.findings[0]
+
+
+def test_a_log_in_parquet_is_read(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    log, _ = record(tmp_path)
+    columns = dict(np.load(log))
+    names = columns.pop("joints")
+    table = {key: values.tolist() for key, values in columns.items()}
+    parquet.write_table(pyarrow.table(table), tmp_path / "log.parquet")
+    read = read_log(tmp_path / "log.parquet", tuple(names))
+    assert read.joints == ("shoulder", "elbow")
+    assert np.allclose(read.position, columns["q"])
+
+
 def test_the_recorder_of_the_page_writes_a_log_of_gymnasium(tmp_path):
     import gymnasium as gym
 
@@ -178,7 +222,3 @@ def test_the_real_pendulum_needs_armature_and_losses(gauge, tmp_path):
     assert rows["elbow"]["repeat_rms"] == pytest.approx(0.040, abs=0.002)
     assert rows["elbow"]["predictions"][2]["rms"] < 0.06
     assert picture.read_bytes().startswith(b"\x89PNG")
-
-
-def test_the_default_map_changes_nothing():
-    assert read_map(None) == LogMap()
