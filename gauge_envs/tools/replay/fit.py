@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear
@@ -68,6 +69,13 @@ class Fit:
     def names(self) -> list[str]:
         """Names of the causes."""
         return [cause.name for cause, _ in self.terms]
+
+    @property
+    def residuals(self) -> FloatArray:
+        """Residuals of all pieces that were predicted, shape [P, T D]."""
+        if self.held_out.size:
+            return np.concatenate([self.train, self.held_out])
+        return self.train
 
     @property
     def error(self) -> float:
@@ -151,21 +159,33 @@ class Problem:
         return fit.error + PARAMETER_COST * len(fit.numbers) * self.before.error
 
 
+def _slopes(evaluate: Callable[[Fit], Fit], fit: Fit, steps: FloatArray) -> FloatArray:
+    """Return the change of the residuals of a fit per number, shape [P, T D, p], by finite differences."""
+    columns = []
+    for step in steps:
+        moved = evaluate(replace(fit, numbers=fit.numbers + step))
+        columns.append((moved.residuals - fit.residuals) / step.sum())
+    return np.stack(columns, axis=-1)
+
+
+def _steps(numbers: FloatArray) -> FloatArray:
+    """Return a small step of each number, shape [p, p]."""
+    return np.diag(1e-2 * np.maximum(np.abs(numbers), 0.05))
+
+
 def _trials(problem: Problem, base: Fit, cause: Cause) -> list[Fit]:
     """Return the best fits with a further cause before least squares, one a group.
 
     A smooth cause steps to the optimum of the linear model of the residuals, or 0.4 of the way; other causes take the
     best of several starts.
     """
-    every = Group("", np.arange(len(cause.parameters)))
-    is_smooth = not cause.starts and len(every.index)
+    count = len(cause.parameters)
+    is_smooth = not cause.starts and count
     if is_smooth:
-        probes = PROBE * np.eye(len(every.index))
-        moved = [
-            problem.trained(base.with_term(cause, every, probe)).train
-            for probe in probes
-        ]
-        slopes = np.stack([train - base.train for train in moved], axis=-1) / PROBE
+        every = base.with_term(cause, Group("", np.arange(count)), np.zeros(count))
+        every = replace(every, train=base.train)
+        steps = PROBE * np.eye(len(every.numbers))[-count:]
+        slopes = _slopes(problem.trained, every, steps)
     trials = []
     for group in cause.groups:
         promised, starts = np.inf, [np.zeros(0)]
@@ -190,23 +210,36 @@ def _trials(problem: Problem, base: Fit, cause: Cause) -> list[Fit]:
     return sorted(best, key=problem.cost)[:MAX_GROUPS]
 
 
-def _refined(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit after least squares of all its numbers together."""
-    if not len(fit.numbers):
-        return problem.judged(fit)
+def _solved(problem: Problem, fit: Fit) -> Fit:
+    """Return a fit after least squares of all its numbers together; many numbers keep the slopes of the start."""
     lower = np.concatenate([cause.lower(group) for cause, group in fit.terms])
     start = np.clip(fit.numbers, lower + 1e-9, FAR - 1e-9)
+    jacobian: Any = "2-point"
+    calls = MAX_CALLS
+    if len(start) >= MAX_FEW:
+        trained = problem.trained(replace(fit, numbers=start))
+        slopes = _slopes(problem.trained, trained, _steps(start))
+        jacobian, calls = lambda _: slopes.reshape(-1, len(start)), MAX_LARGE_CALLS
     solution = least_squares(
         lambda numbers: problem.trained(replace(fit, numbers=numbers)).train.ravel(),
         start,
+        jac=jacobian,
         bounds=(lower, FAR),
         diff_step=1e-2,
         x_scale=np.maximum(np.abs(start), 0.05),
         ftol=1e-3,
         xtol=1e-4,
-        max_nfev=MAX_CALLS if len(start) < MAX_FEW else MAX_LARGE_CALLS,
+        max_nfev=calls,
     )
-    return problem.judged(replace(fit, numbers=solution.x))
+    return replace(fit, numbers=solution.x)
+
+
+def _refined(problem: Problem, fit: Fit) -> Fit:
+    """Return a fit after least squares; that of many numbers is repeated with new slopes."""
+    count = len(fit.numbers)
+    for _ in range((count > 0) + (count >= MAX_FEW)):
+        fit = _solved(problem, fit)
+    return problem.judged(fit)
 
 
 def best_fits(
@@ -238,17 +271,11 @@ def _with_interval(problem: Problem, fit: Fit) -> Fit:
     """
     if not len(fit.numbers):
         return fit
-    after = np.concatenate([fit.train, fit.held_out])
-    columns = []
-    for step in np.diag(1e-2 * np.maximum(np.abs(fit.numbers), 0.05)):
-        moved = problem.judged(replace(fit, numbers=fit.numbers + step))
-        columns.append(
-            (np.concatenate([moved.train, moved.held_out]) - after) / step.sum()
-        )
-    slopes = np.stack(columns, axis=-1)
+    after = fit.residuals
+    slopes = _slopes(problem.judged, fit, _steps(fit.numbers))
     inverse = np.linalg.pinv(np.einsum("pri,prj->ij", slopes, slopes))
     gradients = np.einsum("pri,pr->pi", slopes, after)
-    freedom = max(len(after) - len(columns), 1)
+    freedom = max(len(after) - len(fit.numbers), 1)
     spread = inverse @ gradients.T @ gradients @ inverse * len(after) / freedom
     # The noise alone gives the narrowest interval.
     variance = np.maximum(np.diag(spread), np.abs(np.diag(inverse)))
