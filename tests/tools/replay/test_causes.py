@@ -1,6 +1,7 @@
 """Planted causes are named with their value; what is not in the list is not."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -104,6 +105,9 @@ def test_the_error_of_the_right_model_is_that_of_the_noise(tmp_path):
     problem = result.problem
     assert result.verdict is Verdict.NOISE
     assert problem.before.error == pytest.approx(1.0, abs=0.25)
+    # The pieces that a fit sees have no part in its error.
+    seen = replace(problem.before, train=0.0 * problem.before.train)
+    assert seen.error == problem.before.error
 
 
 def test_two_causes_are_named_together(tmp_path):

@@ -27,8 +27,8 @@ def flawed(columns, flaw):
     """Columns with a flaw, and the words that name it."""
     time_s, position, rng = columns["t"], columns["q"].copy(), np.random.default_rng(1)
     if flaw == "zeros":
-        position[[50, 120]] = 0.0
-        return {"q": position}, "2 lost samples, written as 0"
+        position[40::40] = 0.0
+        return {"q": position}, "9 lost samples, written as 0"
     if flaw == "wraps":
         return {"q": np.mod(position, 2.0 * np.pi)}, "angles modulo 2 pi"
     if flaw == "jitter":
