@@ -95,10 +95,16 @@ def _read_env(
     if isinstance(simulation, Simulation):
         settings = dict(simulation.settings)
         settings.pop("drive_interval_s", None)
-        contacts = inner.experiment.scene.contacts
+        scene = inner.experiment.scene
+        rigid = {body.name for body in scene.bodies}
+        contacts = [
+            contact
+            for contact in scene.contacts
+            if rigid.intersection(contact.first) and rigid.intersection(contact.second)
+        ]
         inapplicable = {}
         if not contacts:
-            inapplicable[Need.CONTACT] = "nothing touches in its scene"
+            inapplicable[Need.CONTACT] = "no rigid bodies touch in its scene"
         if all(contact.mode is ContactMode.SUSTAINED for contact in contacts):
             inapplicable[Need.REBOUND] = "nothing rebounds in its scene"
         return TrainingConfiguration(
