@@ -123,15 +123,22 @@ class LeastTimeLimit(CubeLimit):
         angle = self.np_random.uniform(-self.MAX_ANGLE_RAD, self.MAX_ANGLE_RAD)
         self.goal_m = self.DISTANCE_M * np.array([math.cos(angle), math.sin(angle)])
         self._start = self._cube = self._state(CUBE)
-        self._cube_velocity = np.zeros(2)
-        self._intervals, self._time_s = 0, 0.0
+        self._intervals = 0
+        self._read(self._start)
+
+    def _read(self, before: FloatArray) -> None:
+        """Compute time, place and velocity of the cube from its state and its state before, shape [13]."""
+        # The last frame of an episode may be incomplete.
+        self._time_s = self._intervals * SAMPLE_INTERVAL_S
+        self._cube_velocity = (self._cube - before)[:2] / SAMPLE_INTERVAL_S
+        # Horizontal displacements since the start, and to the goal [m], shape [2].
+        self._moved_m = (self._cube - self._start)[:2]
+        self._to_goal_m = self.goal_m - self._moved_m
 
     def _after_interval(self) -> Ending | None:
         self._intervals += 1
-        # The last frame of an episode may be incomplete.
-        self._time_s = self._intervals * SAMPLE_INTERVAL_S
         before, self._cube = self._cube, self._state(CUBE)
-        self._cube_velocity = (self._cube - before)[:2] / SAMPLE_INTERVAL_S
+        self._read(before)
         risen_m = float(self._cube[2] - self._start[2])
         if self._is_lost(self._driven_from_cube_m, risen_m):
             return Ending.LOST
@@ -141,16 +148,6 @@ class LeastTimeLimit(CubeLimit):
             and math.hypot(*self._cube_velocity) <= REST_M_PER_S
         )
         return Ending.REACHED if has_arrived else None
-
-    @property
-    def _moved_m(self) -> FloatArray:
-        """Horizontal displacement of the cube since the start [m], shape [2]."""
-        return (self._cube - self._start)[:2]
-
-    @property
-    def _to_goal_m(self) -> FloatArray:
-        """Horizontal displacement from the cube to the goal [m], shape [2]."""
-        return self.goal_m - self._moved_m
 
     @property
     def _yaw_rad(self) -> float:
