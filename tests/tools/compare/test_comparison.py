@@ -122,6 +122,9 @@ def test_results_that_do_not_belong_together_are_reported():
     assert f"the task file differs from the installed one: {SLIDER}" in notes
     assert "different versions of gauge-envs: 0.0.1, " in notes
     assert compare([made(), made(PLASTIC)]).notes == ()
+    imported = made(seed=1, dataset={"drivers": "imported", "reference": "imported"})
+    (note,) = compare([made(), imported]).notes
+    assert note.startswith(f"{SLIDER}: the references or the prescribed motions")
 
 
 # --- kinds ---

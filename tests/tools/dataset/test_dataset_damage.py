@@ -135,6 +135,8 @@ def test_the_command_imports_the_rest_and_exits_with_1(tmp_path, gauge):
     assert f"left out: {trial_folder(SLIDER)}/trial-98.json: (file)" in left_out[0]
     assert "usable trials: 1; at least 2" in left_out[1]
     assert "8 trials of 2 experiments imported" in result.stderr
+    assert result.stdout.count("RMSE") == 3
+    assert "4 of 6 baselines differ" in result.stdout
     lines = gauge("data", "import", tmp_path, "--json").stdout.splitlines()
     rows = [json.loads(line) for line in lines]
     slider, plate, table = (

@@ -75,7 +75,7 @@ def test_the_summary_shows_events_of_recordings_and_missing_events():
     score = replace(NONE, events={"swing_frequency_hz": swing})
     assert motion_text(score) == "swings at 2.5 Hz; the recording 1.68 +- 0.08 Hz"
     absent = Measured(value=None, unit="mm", real=9.8, real_uncertainty=3.9)
-    score = replace(NONE, events={"cube_lag_mm": absent})
+    score = replace(NONE, events={**SWING.events, "cube_lag_mm": absent})
     assert motion_text(score) == "cube lag does not happen; the recording 9.8 +- 3.9 mm"
     droop = Measured(value=15.084, unit="mm", real=16.158, real_uncertainty=0.009)
     score = replace(NONE, estimates={"droop": droop})

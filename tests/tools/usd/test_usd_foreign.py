@@ -404,6 +404,19 @@ REFUSED = [
         ).replace("float physics:mass = 2\n", ""),
         r"/thing/c: has a mass",
     ),
+    (
+        body(
+            "thing",
+            "Xform",
+            collider(
+                "a", "Cube", "float physics:density = 5\n", HULL + ', "PhysicsMassAPI"'
+            )
+            + collider("b", "Cube", moved(3, 0, 0)),
+            apis=XFORM,
+            mass="",
+        ),
+        r"/thing: has colliders of densities .5.0, 1000.0.",
+    ),
     (body(text="float physics:density = -5\n", mass=""), r"/box: its mass is -"),
     (body(mass="-1"), r"/box: its mass is -1.0 kg"),
     (
