@@ -32,6 +32,8 @@ class Reward:
         terms = reward_terms(band, is_bounded=is_bounded)
         assert terms is not None
         self._projection, self._mean, self._weight = terms
+        width = len(self._projection)
+        self._is_projected = not np.array_equal(self._projection, np.eye(width))
 
     def of(self, frame: int, g: FloatArray, markers_m: FloatArray) -> FloatArray:
         """Return minus the mean of |z| over the band's coordinates at a frame, shape [N]; 0 at unknown frames.
@@ -45,7 +47,9 @@ class Reward:
         """
         if self._has_points:
             g = 1e3 * markers_m.reshape(len(g), -1)
-        deviation = g @ self._projection.T - self._mean[frame]
+        if self._is_projected:
+            g = g @ self._projection.T
+        deviation = g - self._mean[frame]
         distance = np.abs(deviation) @ self._weight[frame]
         if self._is_bounded:
             return np.asarray(1.0 / (1.0 + distance) - 1.0)

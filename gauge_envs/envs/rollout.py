@@ -161,6 +161,7 @@ class Rollout:
         world_count: Number of worlds N.
         frame: Number of the current frame; None before `reset`.
         last_frames: Last frame of each world so far, shape [N].
+        terminated: Which worlds have diverged, shape [N].
         diverged: Reason of each diverged world, by its number.
         initial_states: Initial state of each world; empty for the nominal ones.
         bands: Reference of each world; if it replays a trial, of this trial.
@@ -189,6 +190,7 @@ class Rollout:
         self._experiments = experiments
         self._nominal_bands = bands
         self._set_bands(bands)
+        self.terminated = np.zeros(count, dtype=np.bool_)
         self.rest_nodes_m = {
             body.name: simulation.nodes(body.name)[0].copy()
             for body in scene.deformables
@@ -218,6 +220,8 @@ class Rollout:
                 scene, observable, simulation, marker_proxy
             )
         sample_count = round(seconds * FRAME_RATE_HZ) * SAMPLES_PER_FRAME + 1
+        points_shape = self._observer.read(simulation).shape
+        self._points_m = np.empty((SAMPLES_PER_FRAME, *points_shape))
         self._samples = np.full((sample_count, count, self._observer.width), np.nan)
         self._bodies = np.full((frame_count, count, len(self._recorded), 13), np.nan)
         marker_shape = (frame_count, count, self._observer.marker_count, 3)
@@ -240,13 +244,6 @@ class Rollout:
     def is_over(self) -> BoolArray:
         """Which worlds have ended, shape [N]."""
         return self.terminated | self.is_complete
-
-    @property
-    def terminated(self) -> BoolArray:
-        """Which worlds have diverged, shape [N]."""
-        terminated = np.zeros(self.world_count, dtype=np.bool_)
-        terminated[[*self.diverged]] = True
-        return terminated
 
     # --- frames ---
 
@@ -276,11 +273,12 @@ class Rollout:
             self._set_bands([self._band_of(world) for world in range(self.world_count)])
         self.frame = 0
         self.diverged = {}
+        self.terminated[:] = False
         self.last_frames[:] = 0
         self._later_counts: IntArray | None = None
         self._last_view: dict[str, FloatArray] | None = None
-        g, self._current_markers_m = self._observer.observe(self.simulation)
-        self._samples[0] = g
+        points_m = self._observer.read(self.simulation)[None]
+        self._samples[:1], self._markers_m[:1] = self._observer.observe(points_m)
         self._record()
 
     def step(self, actions: FloatArray) -> None:
@@ -297,10 +295,12 @@ class Rollout:
         assert self.frame is not None, "call reset first"
         yield from self._simulated(self.frame, actions)
         self.frame += 1
+        self._markers_m[self.frame] = self._sampled(self.frame)
         self.last_frames[~self.terminated] = self.frame
         states = self._record()
         for world, reason in self._divergences(states).items():
             self.diverged.setdefault(world, reason)
+            self.terminated[world] = True
 
     def play(self) -> None:
         """Simulate all episodes to their end without actions."""
@@ -309,7 +309,7 @@ class Rollout:
                 pass
 
     def _simulated(self, frame: int, actions: FloatArray | None) -> Iterator[int]:
-        """Drive, advance and observe all worlds in the six intervals after a frame, and yield after each."""
+        """Drive, advance and read all worlds in the six intervals after a frame, and yield after each."""
         if actions is None:
             actions = np.zeros((self.world_count, self.motion_count))
         motion_actions = []
@@ -321,16 +321,21 @@ class Rollout:
         for index in intervals(
             self.simulation, self._motions, first, SAMPLES_PER_FRAME, motion_actions
         ):
-            g, self._current_markers_m = self._observer.observe(self.simulation)
-            self._samples[first + index + 1] = g
+            self._points_m[index] = self._observer.read(self.simulation)
             yield index
+
+    def _sampled(self, frame: int) -> FloatArray:
+        """Record g(t) in the six intervals before a frame, and return the markers of the frame [m]."""
+        g, markers_m = self._observer.observe(self._points_m)
+        last = frame * SAMPLES_PER_FRAME
+        self._samples[last + 1 - SAMPLES_PER_FRAME : last + 1] = g
+        return markers_m[-1]
 
     def _record(self) -> FloatArray:
         """Record the current frame, and return the states of the dynamic bodies, shape [N, body_count, 13]."""
         frame = self.frame or 0
         states = self.simulation.body_states(self._dynamic)
         self._bodies[frame] = states[:, self._recorded]
-        self._markers_m[frame] = self._current_markers_m
         if self._driven:
             self._driver_states[frame] = self.simulation.body_states(self._driven)
         return states
@@ -362,6 +367,7 @@ class Rollout:
         for later in range(self._later_frames):
             for _ in self._simulated(last + later, None):
                 pass
+            self._sampled(last + later + 1)
             first = (last + later) * SAMPLES_PER_FRAME + 1
             rows = self._samples[first : first + SAMPLES_PER_FRAME]
             is_running &= np.isfinite(rows).all(axis=(0, 2))
@@ -374,18 +380,23 @@ class Rollout:
 
     def observation(self) -> Observation:
         """Return the observations of all worlds in new arrays; a world that has ended keeps its last observation."""
-        worlds, frames = np.arange(self.world_count), self.last_frames
         observation = {
-            "observable": self._samples[frames * SAMPLES_PER_FRAME, worlds],
-            "time": (frames / FRAME_RATE_HZ)[:, None],
+            "observable": self._last(self._samples[::SAMPLES_PER_FRAME]),
+            "time": self.last_frames[:, None] / FRAME_RATE_HZ,
         }
         if self.experiment.recorded:
-            observation["bodies"] = self._bodies[frames, worlds]
+            observation["bodies"] = self._last(self._bodies)
         else:
-            observation["markers"] = self._markers_m[frames, worlds]
+            observation["markers"] = self._last(self._markers_m)
         if self._driven:
-            observation["driver"] = self._driver_states[frames, worlds]
+            observation["driver"] = self._last(self._driver_states)
         return observation
+
+    def _last(self, rows: FloatArray) -> FloatArray:
+        """Return the last frame of each world in a new array, from rows of shape [frame_count, N, ...]."""
+        if not self.diverged:
+            return rows[self.frame].copy()
+        return np.asarray(rows[self.last_frames, np.arange(self.world_count)])
 
     def rewards(self) -> FloatArray:
         """Return the reward of each world in the current frame, shape [N].
@@ -393,12 +404,11 @@ class Rollout:
         It is 0 if the world ended before this frame, or if a number of the frame is not finite.
         """
         frame = self.frame or 0
+        g, markers_m = self._samples[frame * SAMPLES_PER_FRAME], self._markers_m[frame]
         rewards = np.zeros(self.world_count)
-        for reward, has_band in self._rewards:
-            worlds = np.flatnonzero(has_band & (self.last_frames == frame))
-            g = self._samples[frame * SAMPLES_PER_FRAME, worlds]
-            values = reward.of(frame, g, self._markers_m[frame, worlds])
-            rewards[worlds] = np.where(np.isfinite(values), values, 0.0)
+        for reward, worlds in self._rewards:
+            rewards[worlds] = reward.of(frame, g[worlds], markers_m[worlds])
+        rewards[(self.last_frames < frame) | ~np.isfinite(rewards)] = 0.0
         return rewards
 
     def info(self, world: int) -> dict[str, Any]:
@@ -532,10 +542,9 @@ class Rollout:
         self.bands = bands
         is_bounded = is_reward_bounded(self.experiment)
         distinct = {id(band): band for band in bands if band is not None}
-        self._rewards = [
-            (
-                Reward(band, is_bounded),
-                np.array([world_band is band for world_band in bands]),
-            )
-            for band in distinct.values()
-        ]
+        self._rewards: list[tuple[Reward, slice | BoolArray]] = []
+        for band in distinct.values():
+            worlds = np.array([world_band is band for world_band in bands])
+            reward = Reward(band, is_bounded)
+            # A slice of all worlds needs no copy.
+            self._rewards.append((reward, slice(None) if worlds.all() else worlds))

@@ -219,7 +219,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
             return observations, np.zeros(self.num_envs), none, none.copy(), infos
         running = np.flatnonzero(~rollout.is_over).tolist()
         rollout.step(self._checked(actions, running))
-        terminated = rollout.terminated
+        terminated = rollout.terminated.copy()
         truncated = rollout.is_over & ~terminated
         infos = self._infos(running)
         return rollout.observation(), rollout.rewards(), terminated, truncated, infos

@@ -7,7 +7,7 @@ the default mesh, so its scores depend on the mesh.
 
 from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Protocol
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from gauge_envs.backends.simulation import Simulation
 from gauge_envs.errors import ShapeError
 from gauge_envs.observables.functions import (
-    angle_deficit_curvature,
+    AngleDeficits,
     assign_markers,
     face_areas_mm2,
     line_turning_angle,
@@ -40,6 +40,8 @@ class MarkerProxy(StrEnum):
 class Observer(Protocol):
     """Observer of one kind of generalized trajectory in N worlds.
 
+    It reads points of the simulation at each sample, and computes the samples of a frame from them in one pass.
+
     Attributes:
         width: Number of coordinates of g(t).
         marker_count: Number of markers; 0 for rigid bodies.
@@ -48,8 +50,15 @@ class Observer(Protocol):
     width: int
     marker_count: int
 
-    def observe(self, simulation: Simulation) -> tuple[FloatArray, FloatArray]:
-        """Return g(t) now, shape [N, width], and the markers [m], shape [N, marker_count, 3]."""
+    def read(self, simulation: Simulation) -> FloatArray:
+        """Return the points now [m], shape [N, point_count, 3]; the next interval may overwrite them."""
+
+    def observe(self, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return g(t), shape [S, N, width], and the markers [m], shape [S, N, marker_count, 3].
+
+        Args:
+            points_m: Points at S samples [m], shape [S, N, point_count, 3].
+        """
 
 
 class ObserverPositions:
@@ -61,11 +70,14 @@ class ObserverPositions:
         self._names = tuple(names)
         self.width = 3 * len(self._names)
 
-    def observe(self, simulation: Simulation) -> tuple[FloatArray, FloatArray]:
-        """Return the positions now, shape [N, width], and no markers."""
-        positions_m = simulation.body_states(self._names)[:, :, :3]
-        count = len(positions_m)
-        return 1e3 * positions_m.reshape(count, self.width), np.empty((count, 0, 3))
+    def read(self, simulation: Simulation) -> FloatArray:
+        """Return the positions of the bodies now [m]."""
+        return simulation.body_states(self._names)[:, :, :3]
+
+    def observe(self, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the positions, shape [S, N, width], and no markers."""
+        shape = points_m.shape[:2]
+        return 1e3 * points_m.reshape(*shape, self.width), np.empty((*shape, 0, 3))
 
 
 class ObserverMarkers:
@@ -94,11 +106,11 @@ class ObserverMarkers:
             raise ShapeError(
                 f"observable {observable.value!r} needs markers, but the scene has none"
             )
-        self._markers, self._observable = scene.markers, observable
         self._bodies = scene.markers.bodies
         targets_m = np.asarray(scene.markers.positions_m)
         self.marker_count = len(targets_m)
-        self._read: Callable[[], FloatArray] | None = None
+        self._formula = formula_of(scene.markers, observable)
+        self._track: Callable[[], FloatArray] | None = None
         rest = {name: simulation.nodes(name)[0] for name in self._bodies}
         if proxy is MarkerProxy.NODE:
             nodes = np.concatenate(list(rest.values()))
@@ -107,32 +119,40 @@ class ObserverMarkers:
             )
             self.indices, self.weights = nearest[:, None], np.ones((len(nearest), 1))
         else:
-            self._read = _tracker(simulation, self._bodies, targets_m)
-        if proxy is MarkerProxy.MATERIAL and self._read is None:
+            self._track = _tracker(simulation, self._bodies, targets_m)
+        if proxy is MarkerProxy.MATERIAL and self._track is None:
             deformables = {body.name: body for body in scene.deformables}
             self.indices, self.weights = material_points(targets_m, rest, deformables)
-        offsets_m = self.markers(simulation)[0] - targets_m
+        g, markers_m = self.observe(self.read(simulation)[None])
+        self.width = g.shape[2]
+        offsets_m = markers_m[0, 0] - targets_m
         self.largest_distance_m = float(np.linalg.norm(offsets_m, axis=1).max())
-        self.width = self.observe(simulation)[0].shape[1]
-
-    def observe(self, simulation: Simulation) -> tuple[FloatArray, FloatArray]:
-        """Return g(t) now, shape [N, width], and the markers [m], shape [N, marker_count, 3]."""
-        markers_m = self.markers(simulation)
-        g = observe_markers(
-            markers_m, markers=self._markers, observable=self._observable
-        )
-        return g, markers_m
 
     def markers(self, simulation: Simulation) -> FloatArray:
         """Return the markers now [m], shape [N, marker_count, 3]."""
-        if self._read is not None:
-            return self._read()
+        return self.observe(self.read(simulation)[None])[1][0]
+
+    def read(self, simulation: Simulation) -> FloatArray:
+        """Return the tracked markers, or the nodes of all bodies with markers, now [m]."""
+        if self._track is not None:
+            return self._track()
         parts = [simulation.nodes(name) for name in self._bodies]
-        nodes_m = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-        # Add the weighted nodes of each marker.
-        markers_m = np.zeros((len(nodes_m), self.marker_count, 3))
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+
+    def observe(self, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return g(t), shape [S, N, width], and the markers [m], shape [S, N, marker_count, 3]."""
+        markers_m = points_m if self._track else self._interpolated(points_m)
+        shape = markers_m.shape[:2]
+        g = self._formula(markers_m.reshape(-1, self.marker_count, 3))
+        return g.reshape(*shape, -1), markers_m
+
+    def _interpolated(self, nodes_m: FloatArray) -> FloatArray:
+        """Return the weighted nodes of each marker [m], shape [S, N, marker_count, 3]."""
+        markers_m = np.zeros((*nodes_m.shape[:2], self.marker_count, 3))
         for indices, weights in zip(self.indices.T, self.weights.T, strict=True):
-            markers_m += weights[:, None] * nodes_m[:, indices]
+            # Cloth has three nodes for each marker, and a fourth without weight.
+            if weights.any():
+                markers_m += weights[:, None] * nodes_m.take(indices, axis=2)
         return markers_m
 
 
@@ -162,15 +182,23 @@ def observe_markers(
     Returns:
         g(t) in the observable's unit, shape [sample_count, coordinate_count]; NaN where a marker is missing.
     """
+    return formula_of(markers, observable)(np.asarray(markers_m))
+
+
+def formula_of(
+    markers: Markers, observable: Observable
+) -> Callable[[FloatArray], FloatArray]:
+    """Return the function that computes g(t) from marker positions [m], see `observe_markers`."""
     if observable is Observable.CURVATURE:
-        return angle_deficit_curvature(
-            markers_m, markers.faces, corner=markers.corner, edge=markers.edge
+        marker_count = len(markers.positions_m)
+        return AngleDeficits(
+            markers.faces, marker_count, corner=markers.corner, edge=markers.edge
         )
     if observable is Observable.LINE_CURVATURE:
-        return line_turning_angle(markers_m, markers.lines)
+        return partial(line_turning_angle, lines=markers.lines)
     if observable is Observable.FACE_AREA:
-        return face_areas_mm2(markers_m, markers.faces)
-    return 1e3 * np.asarray(markers_m).reshape(len(markers_m), -1)
+        return partial(face_areas_mm2, faces=markers.faces)
+    return lambda markers_m: 1e3 * markers_m.reshape(len(markers_m), -1)
 
 
 def material_points(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -16,9 +17,7 @@ from gauge_envs.scene.geometry import (
     Vector,
     length_of,
     quaternion_products,
-    rotation_matrices,
     unit_quaternions,
-    vector_quaternions,
 )
 from gauge_envs.scene.profiles import Profile
 
@@ -52,6 +51,26 @@ class DriverMotion:
     def rate(self, time_s: float) -> float:
         """Return the rate at a time [m/s or rad/s]."""
         return sum(profile.rate(time_s) for profile in self.profiles)
+
+    @cached_property
+    def cross_product(self) -> FloatArray:
+        """Matrix M of the cross product with the axis: v M is axis x v."""
+        return np.cross(self.axis, np.eye(3))
+
+    @cached_property
+    def quaternion_product(self) -> FloatArray:
+        """Matrix M of the product with half a turn about the axis: q M is the rotation q, then half a turn."""
+        half_turn = np.tile([0.0, *self.axis], (4, 1))
+        return quaternion_products(half_turn, np.eye(4))
+
+    def rotated(self, vectors: FloatArray, angles_rad: FloatArray) -> FloatArray:
+        """Return vectors, shape [count, 3], after rotations about the axis by angles [rad], shape [count, 1]."""
+        # Rodrigues' rotation formula.
+        across = vectors @ self.cross_product
+        inward = across @ self.cross_product
+        return np.asarray(
+            vectors + np.sin(angles_rad) * across + (1.0 - np.cos(angles_rad)) * inward
+        )
 
     @property
     def largest_rate(self) -> float:
@@ -106,28 +125,24 @@ class Driver:
             world frame, shape [count, 13].
         """
         position, quaternions = start_poses[:, :3], start_poses[:, 3:]
-        linear = angular = np.zeros((1, 3))
+        linear = angular = np.zeros_like(position)
         for index, motion in enumerate(self.motions):
             value, rate = coordinates[:, index, None], rates[:, index, None]
-            axis = np.asarray(motion.axis)
+            change = rate * motion.axis
             if motion.kind == "translate":
-                position = position + value * axis
-                linear = linear + rate * axis
-            else:
-                rotations = vector_quaternions(value * axis)
-                matrices = rotation_matrices(rotations)
-                arm = np.matmul(matrices, (position - motion.point_m)[:, :, None])[
-                    :, :, 0
-                ]
-                position = arm + motion.point_m
-                quaternions = quaternion_products(rotations, quaternions)
-                # This is `numpy.cross` in half the time.
-                (x, y, z), (u, v, w) = (rate * axis).T, arm.T
-                swept = np.array([y * w - z * v, z * u - x * w, x * v - y * u]).T
-                linear = np.matmul(matrices, linear[:, :, None])[:, :, 0] + swept
-                angular = (
-                    np.matmul(matrices, angular[:, :, None])[:, :, 0] + rate * axis
-                )
+                position = position + value * motion.axis
+                linear = linear + change
+                continue
+            rotated = motion.rotated
+            arm = rotated(position - motion.point_m, value)
+            position = arm + motion.point_m
+            if index:
+                linear, angular = rotated(linear, value), rotated(angular, value)
+            linear = linear + rate * (arm @ motion.cross_product)
+            angular = angular + change
+            half = 0.5 * value
+            products = quaternions @ motion.quaternion_product
+            quaternions = np.cos(half) * quaternions + np.sin(half) * products
         states = np.empty((len(coordinates), 13))
         states[:, :3] = position
         states[:, 3:7] = unit_quaternions(quaternions)

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from gauge_envs.scene.drivers import Driver, recorded_coordinates
+from gauge_envs.scene.drivers import Driver, DriverMotion, recorded_coordinates
 from gauge_envs.scene.geometry import (
     FloatArray,
     quaternion_products,
@@ -49,6 +49,9 @@ class PrescribedMotion:
         self._interval_s = interval_s
         self._count = count
         self._scale = np.array([motion.residual_rate for motion in driver.motions])
+        self._axes: FloatArray | None = None
+        if all(motion.kind == "translate" for motion in driver.motions):
+            self._axes = np.array([motion.axis for motion in driver.motions])
         self._nominal = [driver] * world_count, np.tile(start, (world_count, 1))
         self.reset()
 
@@ -73,6 +76,12 @@ class PrescribedMotion:
         # If all worlds have the same motion, they share it, and the axis of worlds has length 1.
         is_shared = all(driver is self._drivers[0] for driver in self._drivers)
         is_shared = is_shared and (self._start == self._start[0]).all()
+        self._rotation = None
+        motions = self._drivers[0].motions
+        if is_shared and [motion.kind for motion in motions] == ["rotate"]:
+            self._rotation = _rotation(
+                motions[0], self._start[0].tobytes(), self._interval_s
+            )
         worlds = range(1 if is_shared else len(self._drivers))
         recorded = [
             _recorded(
@@ -99,20 +108,84 @@ class PrescribedMotion:
             Shape [count, N, 19].
         """
         rates = actions * self._scale
+        part = slice(first, first + count + 1)
         if not (self._offsets.any() or rates.any()):
+            recorded = self._targets[first : first + count]
             shape = (count, len(rates), 19)
-            return np.broadcast_to(self._targets[first : first + count], shape)
+            return recorded if len(rates) == 1 else np.broadcast_to(recorded, shape)
         steps = self._interval_s * np.arange(count + 1, dtype=np.float64)
         offsets = self._offsets + steps[:, None, None] * rates
         self._offsets = offsets[-1]
-        part = slice(first, first + count + 1)
-        states = _states(
-            self._drivers,
-            self._start,
-            self._values[part] + offsets,
-            self._rates[part] + rates,
-        )
+        if self._axes is not None:
+            # A constant velocity adds to translations.
+            targets = self._targets[first : first + count] + np.zeros((len(rates), 1))
+            targets[:, :, :3] += offsets[:-1] @ self._axes
+            targets[:, :, 7:10] += rates @ self._axes
+            return targets
+        values, part_rates = self._values[part] + offsets, self._rates[part] + rates
+        if self._rotation is not None:
+            return self._rotation.targets(values[..., 0], part_rates[..., 0])
+        states = _states(self._drivers, self._start, values, part_rates)
         return uniformly_accelerated(states, self._interval_s)
+
+
+class AxisRotation:
+    """Targets of a body that only rotates about one axis: products of few functions of the angle with a matrix.
+
+    The arm a leads from the axis to the body, and b = axis x a. At the angle t and the rate w, the position is
+    centre + a cos t + b sin t, the velocity is w (b cos t - a sin t), and the quaternion is q cos(t / 2) + p sin(t / 2)
+    with p = (0, axis) q.
+
+    Args:
+        motion: The rotation.
+        start: Pose before anything moves, position [m] and unit quaternion w x y z, shape [7].
+        interval_s: Length of an interval [s].
+    """
+
+    def __init__(
+        self, motion: DriverMotion, start: FloatArray, interval_s: float
+    ) -> None:
+        across = (start[:3] - motion.point_m) @ motion.cross_product
+        arm = -across @ motion.cross_product
+        self._constant = np.zeros(19)
+        self._constant[:3] = start[:3] - arm
+        # A row for each function in `targets`: of its values at the starts of intervals, then of its gains.
+        values, gains = np.zeros((2, 8, 19))
+        values[0, :3], values[1, :3] = arm, across
+        values[2, 3:7], values[3, 3:7] = (
+            start[3:],
+            start[3:] @ motion.quaternion_product,
+        )
+        means, accelerations = gains[:, 7:13], gains[:, 13:]
+        means[0, :3], means[1, :3] = arm / interval_s, across / interval_s
+        means[7, 3:] = np.array(motion.axis) / interval_s
+        accelerations[4, :3], accelerations[5, :3] = means[0, :3], means[1, :3]
+        accelerations[6, 3:] = means[7, 3:]
+        # The mean velocity of the interval minus half of its gain is the velocity at its start.
+        means -= 0.5 * interval_s * accelerations
+        self._matrix = np.concatenate([values, gains])
+
+    def targets(
+        self, angles_rad: FloatArray, rates_rad_per_s: FloatArray
+    ) -> FloatArray:
+        """Return the targets of intervals, shape [count, N, 19], from ends of intervals, shape [count + 1, N]."""
+        cosines, sines = np.cos(angles_rad), np.sin(angles_rad)
+        functions = np.empty((*angles_rad.shape, 8))
+        functions[..., 0], functions[..., 1] = cosines, sines
+        functions[..., 2] = np.cos(0.5 * angles_rad)
+        functions[..., 3] = np.sin(0.5 * angles_rad)
+        functions[..., 4] = -rates_rad_per_s * sines
+        functions[..., 5] = rates_rad_per_s * cosines
+        functions[..., 6], functions[..., 7] = rates_rad_per_s, angles_rad
+        before, after = functions[:-1], functions[1:]
+        features = np.concatenate([before, after - before], axis=-1)
+        return np.asarray(features @ self._matrix + self._constant)
+
+
+@lru_cache(maxsize=64)
+def _rotation(motion: DriverMotion, start: bytes, interval_s: float) -> AxisRotation:
+    """Return the rotation from a pose, which all episodes share."""
+    return AxisRotation(motion, np.frombuffer(start), interval_s)
 
 
 def prescribed_motions(
@@ -197,15 +270,20 @@ def uniformly_accelerated(states: FloatArray, interval_s: float) -> FloatArray:
     Returns:
         Pose, velocity and acceleration of each interval, shape [count, N, 19].
     """
-    shape = (len(states) - 1, states.shape[1])
-    before = states[:-1].reshape(-1, 13)
-    after = states[1:].reshape(-1, 13)
-    back = before[:, 3:7] * [1.0, -1.0, -1.0, -1.0]
-    turns = unit_quaternions(quaternion_products(after[:, 3:7], back))
-    linear = (after[:, :3] - before[:, :3]) / interval_s
-    angular = quaternion_vectors(turns) / interval_s
-    mean = np.concatenate([linear, angular], axis=1)
-    velocity = before[:, 7:] + mean - 0.5 * (before[:, 7:] + after[:, 7:])
-    acceleration = (after[:, 7:] - before[:, 7:]) / interval_s
-    rows = np.concatenate([before[:, :7], velocity, acceleration], axis=1)
-    return rows.reshape(*shape, 19)
+    before, after = states[:-1], states[1:]
+    gains = after[..., 7:] - before[..., 7:]
+    rows = np.empty((*before.shape[:2], 19))
+    rows[..., :7] = before[..., :7]
+    rows[..., 7:10] = (after[..., :3] - before[..., :3]) / interval_s
+    rows[..., 10:13] = _turns(before[..., 3:7], after[..., 3:7]) / interval_s
+    # The mean velocity of the interval minus half of its gain is the velocity at its start.
+    rows[..., 7:13] -= 0.5 * gains
+    rows[..., 13:] = gains / interval_s
+    return rows
+
+
+def _turns(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return the rotation vectors [rad] between unit quaternions, shape [count, N, 3], of at most half a turn."""
+    back = before.reshape(-1, 4) * [1.0, -1.0, -1.0, -1.0]
+    turns = quaternion_products(after.reshape(-1, 4), back)
+    return quaternion_vectors(turns).reshape(*before.shape[:-1], 3)

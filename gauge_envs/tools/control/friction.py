@@ -105,6 +105,7 @@ class FrictionLimit(CubeLimit):
     def _prepare(self, scene: Scene) -> tuple[float, float]:
         (rotation,) = scene.drivers[0].motions
         self._axis = np.array(rotation.axis)
+        self._across_axis = rotation.cross_product
         self._point_m = np.array(rotation.point_m)
         self._corners_m = scene.body(CUBE).shape.corners_m
         return super()._prepare(scene)
@@ -139,16 +140,15 @@ class FrictionLimit(CubeLimit):
             Values at the ends of the intervals of the frame, shape [interval_count].
         """
         stage = self._stage
-        across_axis = np.cross(self._axis, np.eye(3))
-        around_m = (np.array(self._cube_m) - self._point_m) @ across_axis
-        inward_m = around_m @ across_axis
+        around_m = (np.array(self._cube_m) - self._point_m) @ self._across_axis
+        inward_m = around_m @ self._across_axis
         # Force per mass [m/s^2]: the acceleration of the carrier, alpha x r + omega^2 r inward, minus gravity.
         forces = stage.acceleration[0] * around_m + stage.rates[1:] ** 2 * inward_m
         forces[:, 2] += self.gravity_m_per_s2
         normals = rotation_matrices(stage.states[1:, 3:7])[:, :, 2]
         normal = (forces * normals).sum(axis=1)
         tangential = forces - normal[:, None] * normals
-        return np.asarray(np.linalg.norm(tangential, axis=1) / normal)
+        return np.asarray(np.sqrt((tangential * tangential).sum(axis=1)) / normal)
 
     def _corners(self) -> FloatArray:
         """Return the corners of the cube in the frame of the carrier [m], shape [8, 3]."""
