@@ -232,6 +232,10 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
                 f"{self.experiment.id}: actions {actions!r}: expected one action for each of {self.num_envs} worlds"
             )
         checked = np.zeros((self.num_envs, self.rollout.motion_count))
+        if isinstance(actions, np.ndarray) and actions in self.action_space:
+            if checked.size:
+                checked[running] = actions[running]
+            return checked
         for world in running:
             checked[world] = checked_action(
                 actions[world], self.single_action_space, self.experiment.id
@@ -241,8 +245,16 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
     def _infos(self, worlds: Sequence[int]) -> dict[str, Any]:
         """Return the infos of some worlds."""
         infos: dict[str, Any] = {}
+        # Nearly all worlds have the same entries.
+        same: dict[tuple[tuple[str, Any], ...], list[int]] = {}
         for world in worlds:
-            infos = self._add_info(infos, self.rollout.info(world), world)
+            entries = tuple(self.rollout.info(world).items())
+            same.setdefault(entries, []).append(world)
+        for entries, members in same.items():
+            infos = self._add_info(infos, dict(entries), members[0])
+            for key, value in entries:
+                infos[key][members] = value
+                infos[f"_{key}"][members] = True
         return infos
 
     def scores(self) -> tuple[Score | None, ...]:

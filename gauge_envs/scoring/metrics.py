@@ -104,17 +104,15 @@ def _optimal_path(local: FloatArray) -> IntArray:
     for diagonal in range(row_count + column_count - 1):
         row = max(0, diagonal - column_count + 1)
         count = min(diagonal + 1, row_count) - row
-        begin, corner = (
-            diagonal + row * (column_count - 1),
-            diagonal + row * column_count,
-        )
+        begin = diagonal + row * (column_count - 1)
         stride = max(column_count - 1, 1)
         cost = costs[begin : begin + count * stride : stride]
-        cells, above, left, before = (
+        corner = diagonal + row * column_count
+        below, above, left, before = (
             sums[start : start + count * column_count : column_count]
             for start in (corner + width + 1, corner + 1, corner + width, corner)
         )
-        cells[:] = cost + np.minimum(np.minimum(above, left), before)
+        below[:] = cost + np.minimum(np.minimum(above, left), before)
     row, column = row_count - 1, column_count - 1
     cells = [(row, column)]
     while row or column:

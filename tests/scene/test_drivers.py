@@ -126,12 +126,14 @@ def ends_of(targets):
     return np.concatenate([places, turned.as_quat(scalar_first=True)], axis=1)
 
 
+@pytest.mark.parametrize("kept", [slice(0, 2), slice(0, 1), slice(1, 2)])
 @pytest.mark.parametrize("action", [0.0, 0.7])
-def test_each_interval_ends_where_the_next_one_begins(action):
+def test_each_interval_ends_where_the_next_one_begins(action, kept):
     """An action of 0.7 adds a displacement at 0.7 times the rate of the driver."""
     driver = two_motions()
+    driver = replace(driver, motions=driver.motions[kept])
     motion = PrescribedMotion(driver, START, 60)
-    actions = np.full((1, 2), action)
+    actions = np.full((1, motion.motion_count), action)
     rows = [motion.targets(6 * frame, actions, 6)[:, 0] for frame in range(10)]
     targets = np.concatenate(rows)
     assert ends_of(targets[:-1]) == pytest.approx(targets[1:, :7], abs=1e-12)
