@@ -1,42 +1,59 @@
-"""All costs that users wait for, each as a ratio in one run, with its limit. Exits 1 if a ratio exceeds its limit.
+"""All costs that users wait for, each as a ratio of times in one run, with its limit. Takes about two minutes.
 
-    python benchmarks/table.py [--only TEXT]
+    python benchmarks/table.py [--only PART ...]
 
-Times are processor times, so that other programs matter little. Times of threads and jobs are wall times, which need an
-idle machine; they are left out on a busy machine. Limits with a reason:
+It exits with 1 and names the rows whose ratio is beyond its limit. Times are processor times, so that other programs
+matter little. Times of threads are wall times and need an idle machine; a busy machine leaves them out.
 
-- engines: none, as their times are compared and not judged;
+Limits with a reason:
+
+- Turntable-Limit: MuJoCo takes 11 us for an interval of 1/180 s, less than the calls that drive and read it.
 - dynamic time warping: tslearn compiles its loop with Numba, which with scikit-learn adds 280 MB to an installation.
-  Here it is NumPy. Of light libraries, dtw-python takes twice as long with the same local costs.
+  Here it is NumPy.
 """
 
 from __future__ import annotations
 
 import argparse
-import math
+import json
 import os
+import resource
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import dtw
 import gymnasium
 import numpy as np
-import step
-import worlds
+import replay
 
-from gauge_envs.backends.registry import backend_names
-from gauge_envs.errors import GaugeError, MissingExtraError
+from gauge_envs.errors import MissingExtraError
 from gauge_envs.files import processors
-from gauge_envs.runs.episodes import run_episode
-from gauge_envs.runs.request import RunRequest
+from gauge_envs.scoring.metrics import trajectory_dtw
 
 BUSY = 0.3
 """Load of the machine above which wall times are not measured."""
+
+TRAINED = {
+    "SlopeSlider-3-wood": 1.45,
+    "Turntable-Limit-wood": 4.0,
+    "TextileStretching-satin": 1.45,
+    "TextileFlinging-satin": 1.3,
+    "FoamShearing-soft": 1.3,
+}
+"""Limits of an episode over the bare engine with the preset `training`."""
+
+DEFAULT_LIMIT = 1.1
+"""Limit of an episode over the bare engine with the default preset."""
+
+RESULT_COUNT = 1_000
+"""Number of results that `gauge compare` reads."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +63,7 @@ class Row:
     Attributes:
         what: Description of the ratio.
         ratio: The ratio; None if it was not measured.
-        limit: Its limit; infinite without a limit.
+        limit: Its limit.
         is_least: Whether the limit is the smallest ratio instead of the largest.
     """
 
@@ -62,95 +79,118 @@ class Row:
             self.ratio < self.limit if self.is_least else self.ratio > self.limit
         )
 
+    def __str__(self) -> str:
+        """Return the row of the table."""
+        ratio = "not measured" if self.ratio is None else f"{self.ratio:.2f}"
+        bound = f"{'at least' if self.is_least else 'at most'} {self.limit:g}"
+        return f"{self.what:54} {ratio:>13} {bound:>14}{'  BEYOND' if self.is_beyond else ''}"
 
-def child_s(code: str) -> float:
-    """Return the processor time of a fresh interpreter that runs a program, the minimum of five [s]."""
+
+def child_s(*command: str) -> float:
+    """Return the processor time of a fresh process, the minimum of five [s]."""
     times = []
     for _ in range(5):
-        before = os.times()
-        subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
-        after = os.times()
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, *command], check=True, capture_output=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
         times.append(
-            after.children_user
-            + after.children_system
-            - before.children_user
-            - before.children_system
+            after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         )
     return min(times)
 
 
-def startup() -> Iterator[Row]:
-    """Yield the costs of an import and of commands, over an import of Gymnasium."""
-    gymnasium_s = child_s("import gymnasium")
-    yield Row(
-        "import gauge_envs / import gymnasium",
-        child_s("import gauge_envs") / gymnasium_s,
-        1.3,
+def memory_kb(code: str) -> float:
+    """Return the peak resident memory of a fresh process [kB]."""
+    report = (
+        "import resource; print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
     )
-    command = "import sys; sys.argv = ['gauge', 'list']; from gauge_envs.__main__ import main; main()"
-    yield Row("gauge list / import gymnasium", child_s(command) / gymnasium_s, 3.5)
-    makes = [
+    command = [sys.executable, "-c", f"{code}; {report}"]
+    child = subprocess.run(command, check=True, capture_output=True, text=True)
+    return float(child.stdout)
+
+
+def startup() -> Iterator[Row]:
+    """Yield the costs of an import, of a first environment, and of commands."""
+    gymnasium_s = child_s("-c", "import gymnasium")
+    import_s = child_s("-c", "import gauge_envs")
+    yield Row("import gauge_envs / import gymnasium", import_s / gymnasium_s, 1.3)
+    list_s = child_s("-m", "gauge_envs", "list")
+    yield Row("gauge list / import gymnasium", list_s / gymnasium_s, 3.5)
+    cheetah, slide = (
         f"import gymnasium, gauge_envs; gymnasium.make({name!r})"
         for name in ("HalfCheetah-v5", "GAUGE/SlopeSlider-2-wood")
-    ]
-    cheetah_s, slide_s = map(child_s, makes)
-    yield Row("make SlopeSlider-2-wood / HalfCheetah-v5", slide_s / cheetah_s, 2.0)
+    )
+    cheetah_s = child_s("-c", cheetah)
+    what = "SlopeSlider-2-wood / HalfCheetah-v5"
+    yield Row(f"first make, {what}", child_s("-c", slide) / cheetah_s, 2.2)
+    memory = memory_kb(slide) / memory_kb(cheetah)
+    yield Row(f"memory, {what}", memory, 1.5)
+    with tempfile.TemporaryDirectory() as folder:
+        run = ("-m", "gauge_envs", "run", "SlopeSlider-2-wood", "--out", folder)
+        run_s = child_s(*run)
+        yield Row("gauge run SlopeSlider-2-wood / HalfCheetah-v5", run_s / cheetah_s, 3)
+        (file,) = Path(folder).rglob("*.json")
+        yield _comparing(json.loads(file.read_text(encoding="utf-8")))
 
 
-def steps() -> Iterator[Row]:
-    """Yield the cost of a step over the cost of a bare MuJoCo step."""
-    for name in ("SlopeSlider-2-wood", "BouncingBall-rubber", "Pendulum-metal"):
-        yield Row(f"env.step / mj_step, {name}", step.measured(name)[2], step.LIMIT)
+def _comparing(result: dict[str, object]) -> Row:
+    """Return the cost of a comparison of many results, over reading them as JSON."""
+    with tempfile.TemporaryDirectory() as folder:
+        files = [Path(folder) / f"{seed}.json" for seed in range(RESULT_COUNT)]
+        for seed, file in enumerate(files):
+            file.write_text(json.dumps(result | {"seed": seed}), encoding="utf-8")
+        read_s = replay.process_s(lambda: [json.loads(f.read_bytes()) for f in files])
+        compare_s = child_s("-m", "gauge_envs", "compare", folder)
+    return Row(f"gauge compare, {RESULT_COUNT} results / json", compare_s / read_s, 10)
+
+
+def training() -> Iterator[Row]:
+    """Yield the cost of an episode over the bare engine in training."""
+    for name, limit in TRAINED.items():
+        ratio = replay.episode_ratio(name, "training", budget_s=3.0)
+        yield Row(f"episode / engine, training, {name}", ratio, limit)
+
+
+def default() -> Iterator[Row]:
+    """Yield the cost of an episode over the bare engine with the default preset."""
+    for name in TRAINED:
+        ratio = replay.episode_ratio(name, "default", budget_s=2.0)
+        yield Row(f"episode / engine, {name}", ratio, DEFAULT_LIMIT)
+
+
+def many_worlds() -> Iterator[Row]:
+    """Yield the Python of a step of one of many worlds, over that of a single environment."""
+    for name in ("SlopeSlider-3-wood", "Turntable-1-wood"):
+        single_s = replay.python_s(name, 0, 40, budget_s=2.0)
+        for count, steps in ((64, 10), (1024, 2)):
+            ratio = replay.python_s(name, count, steps, budget_s=1.0) / single_s
+            yield Row(f"Python, {count} worlds / one, {name}", ratio, 0.5)
 
 
 def warping() -> Iterator[Row]:
     """Yield the cost of dynamic time warping over the cost of other libraries."""
     first, second = dtw.inputs()["one motion, warped and noisy"]
-    calls = {"ours": lambda: dtw.dtw_path(first, second)} | dtw.competitors(
-        first, second
-    )
-    medians = dtw.cpu_medians_ms(calls, 31)
+    calls = {"ours": lambda: trajectory_dtw(first, second)}
+    medians = dtw.cpu_medians_ms(calls | dtw.competitors(first, second), 11)
     ours = medians.pop("ours")
     for name, theirs in medians.items():
-        yield Row(
-            f"dtw_path / {name}", ours / theirs, 1.3 if "from_metric" in name else 0.6
-        )
-
-
-def many_worlds() -> Iterator[Row]:
-    """Yield the time of an environment step outside MuJoCo, over its limit."""
-    for name, limits_us in (
-        ("SlopeSlider-2-wood", {64: 5.0, 1024: 1.0}),
-        ("Turntable-1-wood", {64: 5.0, 1024: 1.0}),
-    ):
-        for count, limit_us in limits_us.items():
-            row = worlds.measured(
-                name, "mujoco", count, {}, repeats=2, clock=time.process_time
-            )
-            yield Row(
-                f"{name}, {count} worlds, host us / {limit_us:g} us",
-                row.host_us / limit_us,
-                1.0,
-            )
+        limit = 1.3 if "from_metric" in name else 0.6
+        yield Row(f"trajectory_dtw / {name}", ours / theirs, limit)
 
 
 def threads() -> Iterator[Row]:
     """Yield the speed of make_vec in threads over the speed in one thread."""
     count = processors()
     is_busy = os.getloadavg()[0] > BUSY * count or count < 2
-    for name, number, minimum in (
+    for name, number, share in (
         ("SlopeSlider-2-wood", 16, 0.9),
         ("TextileBending-satin", 2, 0.8),
     ):
         ratio = None
         if not is_busy:
             ratio = _step_s(name, number, "1") / _step_s(name, number, str(count))
-        yield Row(
-            f"make_vec, {name}, {count} threads / one",
-            ratio,
-            minimum * min(count, number),
-            is_least=True,
-        )
+        what = f"make_vec, {count} threads / one, {name}"
+        yield Row(what, ratio, share * min(count, number), is_least=True)
 
 
 def _step_s(name: str, world_count: int, thread_count: str) -> float:
@@ -169,35 +209,13 @@ def _step_s(name: str, world_count: int, thread_count: str) -> float:
     return statistics.median(times_s)
 
 
-def engines() -> Iterator[Row]:
-    """Yield the processor time of an episode on each installed engine, over that on MuJoCo."""
-    names = ["mujoco", *(name for name in backend_names() if name != "mujoco")]
-    for experiment in ("SlopeSlider-2-wood", "BouncingBall-rubber", "Pendulum-metal"):
-        times_s: dict[str, float] = {}
-        for name in names:
-            try:
-                times_s[name] = _episode_s(experiment, name)
-            except GaugeError:
-                continue
-            if name != "mujoco":
-                ratio = times_s[name] / times_s["mujoco"]
-                yield Row(f"{name} / mujoco, {experiment}", ratio, math.inf)
-
-
-def _episode_s(experiment: str, engine: str) -> float:
-    """Return the processor time of reset and steps of an episode, the minimum of three [s]."""
-    request = RunRequest(experiment, backend=engine)
-    times_s = [run_episode(request).cpu_s for _ in range(3)]
-    return min(time_s for time_s in times_s if time_s is not None)
-
-
 PARTS: dict[str, Callable[[], Iterator[Row]]] = {
     "startup": startup,
-    "threads": threads,
-    "steps": steps,
-    "warping": warping,
+    "training": training,
+    "default": default,
     "worlds": many_worlds,
-    "engines": engines,
+    "threads": threads,
+    "warping": warping,
 }
 
 
@@ -208,23 +226,18 @@ def main() -> int:
     )
     parser.add_argument("--only", nargs="+", choices=PARTS, default=[*PARTS])
     warnings.simplefilter("ignore")
-    has_failed = False
+    beyond = []
     for part in parser.parse_args().only:
         try:
             for row in PARTS[part]():
-                ratio = "not measured" if row.ratio is None else f"{row.ratio:.2f}"
-                bound = f"{'at least' if row.is_least else 'at most'} {row.limit:g}"
-                if math.isinf(row.limit):
-                    bound = "-"
-                print(
-                    f"{row.what:62} {ratio:>13} {bound:>14}{'  BEYOND' if row.is_beyond else ''}",
-                    flush=True,
-                )
-                has_failed |= row.is_beyond
+                print(row, flush=True)
+                beyond += [row.what] if row.is_beyond else []
         except MissingExtraError as error:
             print(f"{part}: {error}", file=sys.stderr)
-            has_failed = True
-    return int(has_failed)
+            beyond.append(part)
+    if beyond:
+        print(f"beyond the limit, or not measured: {'; '.join(beyond)}")
+    return int(bool(beyond))
 
 
 if __name__ == "__main__":

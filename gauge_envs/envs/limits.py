@@ -72,10 +72,14 @@ def diverged_nodes(name: str, nodes_m: FloatArray, rest_m: float) -> dict[int, s
         nodes_m: Its nodes [m], shape [N, node_count, 3].
         rest_m: Its span at the start [m].
     """
-    reasons = {}
-    spans = spans_m(nodes_m)
-    is_near = np.all(np.abs(nodes_m) <= DISTANCE_LIMIT_M, axis=(1, 2))
+    low_m, high_m = nodes_m.min(axis=1), nodes_m.max(axis=1)
+    sizes_m = high_m - low_m
+    spans = np.sqrt((sizes_m * sizes_m).sum(axis=1))
+    is_near = (np.maximum(-low_m, high_m) <= DISTANCE_LIMIT_M).all(axis=1)
     is_within = is_near & (spans <= STRETCH_LIMIT * rest_m)
+    if is_within.all():
+        return {}
+    reasons = {}
     for world in np.flatnonzero(~is_within).tolist():
         if not np.isfinite(nodes_m[world]).all():
             reasons[world] = f"a node of {name} is not finite"

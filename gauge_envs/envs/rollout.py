@@ -408,7 +408,8 @@ class Rollout:
         rewards = np.zeros(self.world_count)
         for reward, worlds in self._rewards:
             rewards[worlds] = reward.of(frame, g[worlds], markers_m[worlds])
-        rewards[(self.last_frames < frame) | ~np.isfinite(rewards)] = 0.0
+        if self.diverged or not np.isfinite(rewards).all():
+            rewards[(self.last_frames < frame) | ~np.isfinite(rewards)] = 0.0
         return rewards
 
     def info(self, world: int) -> dict[str, Any]:

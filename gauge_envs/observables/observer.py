@@ -123,6 +123,8 @@ class ObserverMarkers:
         if proxy is MarkerProxy.MATERIAL and self._track is None:
             deformables = {body.name: body for body in scene.deformables}
             self.indices, self.weights = material_points(targets_m, rest, deformables)
+        if self._track is None:
+            self._columns = np.flatnonzero(self.weights.any(axis=0)).tolist()
         g, markers_m = self.observe(self.read(simulation)[None])
         self.width = g.shape[2]
         offsets_m = markers_m[0, 0] - targets_m
@@ -149,10 +151,10 @@ class ObserverMarkers:
     def _interpolated(self, nodes_m: FloatArray) -> FloatArray:
         """Return the weighted nodes of each marker [m], shape [S, N, marker_count, 3]."""
         markers_m = np.zeros((*nodes_m.shape[:2], self.marker_count, 3))
-        for indices, weights in zip(self.indices.T, self.weights.T, strict=True):
-            # Cloth has three nodes for each marker, and a fourth without weight.
-            if weights.any():
-                markers_m += weights[:, None] * nodes_m.take(indices, axis=2)
+        # Cloth has three nodes for each marker, and a fourth without weight.
+        for column in self._columns:
+            weights = self.weights[:, column, None]
+            markers_m += weights * nodes_m.take(self.indices[:, column], axis=2)
         return markers_m
 
 
