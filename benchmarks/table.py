@@ -7,8 +7,8 @@ matter little. Times of threads are wall times and need an idle machine; a busy 
 
 Limits with a reason:
 
-- episodes in training: a step of MuJoCo takes 50 to 900 us for a frame there, as little as 60 calls of NumPy. The aim is
-  1.3, and 1.05 by default.
+- episodes in training: MuJoCo takes 50 to 900 us for a frame there, as long as 60 calls of NumPy. The aim is 1.3, and
+  1.05 by default.
 - dynamic time warping: tslearn compiles its loop with Numba, which with scikit-learn adds 280 MB to an installation.
   Here it is NumPy.
 """
