@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear
@@ -32,7 +31,7 @@ PARAMETER_COST = 0.0005
 """Share that one more number of a fit must bring."""
 MAX_GROUPS = 2
 """Number of groups of each cause that are fitted."""
-MAX_FEW = 13
+MAX_FEW = 12
 MAX_CALLS, MAX_LARGE_CALLS = 25, 6
 """Calls of least squares for a few numbers, and for many."""
 SERVO = ("delay", "kp", "armature", "damping")
@@ -137,7 +136,8 @@ class Problem:
 
     def trained(self, fit: Fit) -> Fit:
         """Return a fit with its residuals of the training pieces."""
-        return replace(fit, train=self._residuals(self.changed(fit), 0))
+        train = self._residuals(self.changed(fit), 0)
+        return replace(fit, train=train, held_out=np.zeros(0))
 
     def judged(self, fit: Fit) -> Fit:
         """Return a fit with all its residuals."""
@@ -166,11 +166,6 @@ def _slopes(evaluate: Callable[[Fit], Fit], fit: Fit, steps: FloatArray) -> Floa
         moved = evaluate(replace(fit, numbers=fit.numbers + step))
         columns.append((moved.residuals - fit.residuals) / step.sum())
     return np.stack(columns, axis=-1)
-
-
-def _steps(numbers: FloatArray) -> FloatArray:
-    """Return a small step of each number, shape [p, p]."""
-    return np.diag(1e-2 * np.maximum(np.abs(numbers), 0.05))
 
 
 def _trials(problem: Problem, base: Fit, cause: Cause) -> list[Fit]:
@@ -210,36 +205,23 @@ def _trials(problem: Problem, base: Fit, cause: Cause) -> list[Fit]:
     return sorted(best, key=problem.cost)[:MAX_GROUPS]
 
 
-def _solved(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit after least squares of all its numbers together; many numbers keep the slopes of the start."""
+def _refined(problem: Problem, fit: Fit) -> Fit:
+    """Return a fit after least squares of all its numbers together, with all its residuals."""
+    if not len(fit.numbers):
+        return problem.judged(fit)
     lower = np.concatenate([cause.lower(group) for cause, group in fit.terms])
     start = np.clip(fit.numbers, lower + 1e-9, FAR - 1e-9)
-    jacobian: Any = "2-point"
-    calls = MAX_CALLS
-    if len(start) >= MAX_FEW:
-        trained = problem.trained(replace(fit, numbers=start))
-        slopes = _slopes(problem.trained, trained, _steps(start))
-        jacobian, calls = lambda _: slopes.reshape(-1, len(start)), MAX_LARGE_CALLS
     solution = least_squares(
         lambda numbers: problem.trained(replace(fit, numbers=numbers)).train.ravel(),
         start,
-        jac=jacobian,
         bounds=(lower, FAR),
         diff_step=1e-2,
         x_scale=np.maximum(np.abs(start), 0.05),
         ftol=1e-3,
         xtol=1e-4,
-        max_nfev=calls,
+        max_nfev=MAX_CALLS if len(start) < MAX_FEW else MAX_LARGE_CALLS,
     )
-    return replace(fit, numbers=solution.x)
-
-
-def _refined(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit after least squares; that of many numbers is repeated with new slopes."""
-    count = len(fit.numbers)
-    for _ in range((count > 0) + (count >= MAX_FEW)):
-        fit = _solved(problem, fit)
-    return problem.judged(fit)
+    return problem.judged(replace(fit, numbers=solution.x))
 
 
 def best_fits(
@@ -272,7 +254,8 @@ def _with_interval(problem: Problem, fit: Fit) -> Fit:
     if not len(fit.numbers):
         return fit
     after = fit.residuals
-    slopes = _slopes(problem.judged, fit, _steps(fit.numbers))
+    steps = np.diag(1e-2 * np.maximum(np.abs(fit.numbers), 0.05))
+    slopes = _slopes(problem.judged, fit, steps)
     inverse = np.linalg.pinv(np.einsum("pri,prj->ij", slopes, slopes))
     gradients = np.einsum("pri,pr->pi", slopes, after)
     freedom = max(len(after) - len(fit.numbers), 1)
