@@ -111,7 +111,7 @@ def test_an_environment_is_installed_once(cache, monkeypatch, capsys):
 
 def test_a_range_has_the_releases_of_the_index_between_its_ends(cache, monkeypatch):
     pip(monkeypatch, "mujoco (4.0.0)\nAvailable versions: 3.10.0, 3.9.0, 3.3.0\n")
-    releases = releases_between(read_sides("mujoco==3.9..3.10.0"))
+    releases = releases_between(read_sides("mujoco==3.9.0..3.10.0"))
     assert [release.title for release in releases] == [
         "mujoco==3.9.0",
         "mujoco==3.10.0",
