@@ -34,8 +34,8 @@ TITLES = {
 """Titles of metrics and columns that differ from their names."""
 
 VERDICT_NOTE = (
-    "On unknown renderers, about one in ten sound tracks of version 0.3.0 was wrong (77 of 665). Check which object "
-    "was followed."
+    "On films of unknown renderers, half of them with planted changes, 9 of 39 sound tracks were wrong, all by a "
+    "change. Check which object was followed."
 )
 """Reliability of the verdict of a track."""
 
