@@ -80,6 +80,11 @@ BUNDLED = (
         version=7,
     ),
     Command(
+        "list schemas",
+        "catalog.command:list_schemas",
+        line="catalog.schema:SchemaLine",
+    ),
+    Command(
         "run",
         "run.command:run",
         "Run experiments, score each against its reference, and write a result file for each.",
@@ -203,13 +208,19 @@ BUNDLED = (
     Command(
         "data scenes",
         "assets.commands:data_scenes",
-        "Write every scene as USD and MJCF.",
+        "Write every scene as USD and MJCF, and every solid as OBJ.",
         extra="usd",
     ),
     Command(
         "data isaac-sim",
         "assets.commands:data_isaac_sim",
         "Write experiments as USD layers that Isaac Sim simulates.",
+        extra="usd",
+    ),
+    Command(
+        "list scenes",
+        "assets.commands:list_scenes",
+        line="assets.commands:SceneLine",
         extra="usd",
     ),
     Command(

@@ -1,20 +1,44 @@
-"""Build and check the generated assets: every variant as USD and MJCF.
+"""Build and check the generated assets: every variant as USD and MJCF, every solid as OBJ.
 
 The files in `assets/` are built from the task files and checked in. Other tools open them without gauge-envs. An edited
 copy of a USD layer or of an MJCF file can be the scene of an experiment (`experiments.scene_source`).
 """
 
-from collections.abc import Callable, Iterable, Iterator
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import trimesh
 
+from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import data_folder
 from gauge_envs.pages.document import save_file
+from gauge_envs.scene import (
+    Box,
+    Cloth,
+    ConvexUnion,
+    Cylinder,
+    Deformable,
+    Plane,
+    RigidBody,
+    Rod,
+    Rope,
+    Shape,
+    Sphere,
+)
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.meshes import PRISM_SIDES, hull_faces, prism
 from gauge_envs.tools.assets.export import mjcf_text, usd_layer_text
-from gauge_envs.tools.mjcf import NUMBER
+from gauge_envs.tools.mjcf import NUMBER, expanded
+
+SPHERE_SUBDIVISIONS = 3
+"""Subdivisions of the icosahedron that approximates a sphere in an OBJ file: 642 vertices."""
 
 RELATIVE_TOLERANCE = 3e-7
 """Relative difference up to which numbers are equal in a check. Sines differ in their last digit between machines, and
@@ -36,13 +60,16 @@ def asset_texts(
     """Yield the path below the assets folder and the text of every generated file.
 
     Args:
-        advance: Function that is called with the name of each experiment after its files.
+        advance: Function that is called with the name of each experiment and solid after its files.
     """
     for variant in variants():
         experiment = load_experiment(variant)
         yield f"mjcf/{experiment.name}.xml", mjcf_text(experiment)
         yield f"usd/{experiment.name}.usda", usd_layer_text(experiment)
         advance(experiment.name)
+    for name, (shape, _) in solid_shapes().items():
+        yield f"obj/{name}.obj", shape_to_obj(shape, name)
+        advance(name)
 
 
 def build_assets(
@@ -84,10 +111,26 @@ def stale_asset(
     return min(left_over, default=None)
 
 
+def asset_rows(folder: Path) -> list[dict[str, Any]]:
+    """Return one row per file: `file`, `bytes`, and `of`, the variant or the bodies that it shows."""
+    solids = solid_shapes()
+    rows = []
+    for path in _generated(folder):
+        _, bodies = solids.get(path.stem, (None, [f"GAUGE/{path.stem}"]))
+        rows.append(
+            {
+                "file": f"{path.parent.name}/{path.name}",
+                "bytes": path.stat().st_size,
+                "of": ", ".join(bodies),
+            }
+        )
+    return rows
+
+
 def _generated(folder: Path) -> list[Path]:
     return sorted(
         path
-        for name in ("mjcf", "usd")
+        for name in ("mjcf", "obj", "usd")
         for path in (folder / name).glob("*")
         if path.is_file()
     )
@@ -97,6 +140,7 @@ def _is_same(text: str, expected: str) -> bool:
     """Return whether texts are equal, up to the last digits of their numbers."""
     if text == expected:
         return True
+    text, expected = expanded(text), expanded(expected)
     if NUMBER.split(text) != NUMBER.split(expected):
         return False
     numbers, expected_numbers = (
@@ -105,3 +149,100 @@ def _is_same(text: str, expected: str) -> bool:
     return np.allclose(
         numbers, expected_numbers, rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE
     )
+
+
+# --- OBJ -------------------------------------------------------------------------------------------------------------
+
+
+@cache
+def solid_shapes() -> dict[str, tuple[Shape, list[str]]]:
+    """Return every distinct solid of the scenes and its bodies, as `SlopeSlider/cube`.
+
+    Primitives are named by their dimensions, polyhedra by their body.
+    """
+    bodies_of: dict[Shape, list[str]] = {}
+    for variant in variants():
+        experiment = load_experiment(variant)
+        scene = experiment.scene
+        for body in (*scene.bodies, *scene.deformables):
+            if (shape := _solid(body)) is not None:
+                # Counted bodies share one entry of the task file.
+                is_counted = body.name not in experiment.spec.names
+                label = body.name.rpartition("-")[0] if is_counted else body.name
+                bodies_of.setdefault(shape, []).append(f"{variant.family}/{label}")
+    solids = {
+        _shape_name(shape) or bodies[0].partition("/")[2]: (
+            shape,
+            [*dict.fromkeys(bodies)],
+        )
+        for shape, bodies in bodies_of.items()
+    }
+    return dict(sorted(solids.items()))
+
+
+def _solid(body: RigidBody | Deformable) -> Shape | None:
+    """Return the shape of a solid, ropes and rods as cylinders; None for a plane and for cloth."""
+    if isinstance(body, Rope | Rod):
+        return Cylinder(radius_m=body.radius_m, length_m=body.length_m)
+    if isinstance(body, Cloth) or isinstance(body.shape, Plane):
+        return None
+    return body.shape
+
+
+def _shape_name(shape: Shape) -> str:
+    """Return the name of a primitive, as `box-20x40x15mm`; empty for a polyhedron."""
+    lengths_m: tuple[float, ...]
+    match shape:
+        case Box():
+            kind, lengths_m = "box", shape.size_m
+        case Sphere():
+            kind, lengths_m = "sphere", (2.0 * shape.radius_m,)
+        case Cylinder():
+            kind, lengths_m = "cylinder", (2.0 * shape.radius_m, shape.length_m)
+        case _:
+            return ""
+    return f"{kind}-{'x'.join(f'{1e3 * length_m:g}' for length_m in lengths_m)}mm"
+
+
+def shape_to_obj(shape: Shape, name: str) -> str:
+    """Return a solid as Wavefront OBJ, in metres, in the body frame, with one watertight group per convex piece.
+
+    Spheres and cylinders become polyhedra of the exact volume: faces are inside the true surface, vertices outside.
+
+    Raises:
+        ParameterError: The shape is a plane or a compound.
+    """
+    lines = [f"# {name}: volume {shape.volume_m3!r} m^3", f"o {name}"]
+    first = 1
+    for index, (points_m, faces) in enumerate(_pieces(shape)):
+        lines.append(f"g piece_{index}")
+        # Adding zero removes the sign of negative zeros.
+        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in (points_m + 0.0).tolist()]
+        for face in faces:
+            lines.append(f"f {' '.join(str(first + vertex) for vertex in face)}")
+        first += len(points_m)
+    return "\n".join(lines) + "\n"
+
+
+def _pieces(shape: Shape) -> list[tuple[FloatArray, Sequence[Sequence[int]]]]:
+    """Return vertices [m], shape [vertex_count, 3], and faces of each convex piece of a solid."""
+    match shape:
+        case ConvexUnion():
+            pieces_m = [np.array(piece) for piece in shape.pieces_m]
+        case Box():
+            pieces_m = [shape.corners_m]
+        case Sphere():
+            sphere = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS)
+            radius_m = (shape.volume_m3 / sphere.volume) ** (1.0 / 3.0)
+            return [(np.asarray(sphere.vertices) * radius_m, sphere.faces.tolist())]
+        case Cylinder():
+            # A regular n-gon has the area (n / 2) r^2 sin(2 pi / n).
+            angle = 2.0 * math.pi / PRISM_SIDES
+            radius_m = shape.radius_m * math.sqrt(angle / math.sin(angle))
+            return _pieces(prism(replace(shape, radius_m=radius_m)))
+        case _:
+            kind = type(shape).__name__.lower()
+            raise ParameterError(
+                f"a {kind} is not one closed solid and has no OBJ file"
+            )
+    return [(piece_m, hull_faces(piece_m)) for piece_m in pieces_m]

@@ -1,14 +1,33 @@
-"""`gauge data scenes` and `gauge data isaac-sim`."""
+"""`gauge data scenes`, `gauge list scenes` and `gauge data isaac-sim`."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, TypedDict
 
 import typer
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Progress, echo, message
+from gauge_envs.errors import first_names
+
+if TYPE_CHECKING:
+    from gauge_envs.pages.table import Table
+
+
+class SceneLine(TypedDict):
+    """A built file of a scene, as `gauge list scenes --json` prints it.
+
+    Attributes:
+        file: Its folder and name.
+        bytes: Its size.
+        of: Id of the experiment, or the names of the bodies, that it shows.
+    """
+
+    file: str
+    bytes: int
+    of: str
 
 
 def data_scenes(
@@ -25,7 +44,7 @@ def data_scenes(
         ),
     ] = False,
 ) -> bool:
-    """Write every scene as USD and MJCF."""
+    """Write every scene as USD and MJCF, and every solid as OBJ."""
     from gauge_envs.pages.text import counted
     from gauge_envs.tools.assets import build
 
@@ -44,6 +63,20 @@ def data_scenes(
     else:
         echo(f"{folder} is current")
     return stale is not None
+
+
+def list_scenes(patterns: Sequence[str]) -> list[Table]:
+    """Return the table of the built files and what they show."""
+    from gauge_envs.pages.table import Column, Table
+    from gauge_envs.tools.assets.build import asset_rows, assets_folder
+
+    columns = (
+        Column("file", "file"),
+        Column("bytes", "bytes", is_number=True),
+        Column("of", "of", lambda names: first_names(names.split(", "), 1)),
+    )
+    table = Table(columns=columns, rows=asset_rows(assets_folder()))
+    return arguments.matching([table], patterns, kind="scene")
 
 
 def data_isaac_sim(

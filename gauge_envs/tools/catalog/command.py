@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,6 +12,9 @@ from gauge_envs.cli import arguments
 from gauge_envs.cli.commands import listings
 from gauge_envs.cli.output import Format, echo, message, note, print_document
 from gauge_envs.registry import id_modules
+
+if TYPE_CHECKING:
+    from gauge_envs.pages.table import Table
 
 KINDS = listings()
 """Lists of `gauge list` besides experiments, by kind."""
@@ -106,6 +109,20 @@ def _beyond_the_benchmark() -> list[str]:
     if users:
         lines.append(f"Of GAUGE_TASKS: {', '.join(variant.name for variant in users)}")
     return lines
+
+
+def list_schemas(patterns: Sequence[str]) -> list[Table]:
+    """Return the table of the JSON Schemas and their versions."""
+    from gauge_envs.cli.schemas import schema_names
+    from gauge_envs.pages.table import Column, Table
+
+    rows = [
+        {"name": name, "version": version} for name, version in schema_names().items()
+    ]
+    columns = (Column("name", "schema"), Column("version", "version"))
+    return arguments.matching(
+        [Table(columns=columns, rows=rows)], patterns, kind="schema"
+    )
 
 
 def show(

@@ -36,6 +36,13 @@ class ListLine(TypedDict):
     backends: Mapping[str, Sequence[str]]
 
 
+class SchemaLine(TypedDict):
+    """A JSON Schema; `gauge show NAME --schema` prints it."""
+
+    name: str
+    version: int
+
+
 class ObservableFacts(TypedDict):
     """Quantity g(t), its unit, and the names of its coordinates."""
 

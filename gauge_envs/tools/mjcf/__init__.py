@@ -4,7 +4,8 @@ from gauge_envs.tools.mjcf.writer import (
     DRIVER_COLUMNS,
     DRIVER_PREFIX,
     NUMBER,
+    expanded,
     scene_mjcf_text,
 )
 
-__all__ = ["DRIVER_COLUMNS", "DRIVER_PREFIX", "NUMBER", "scene_mjcf_text"]
+__all__ = ["DRIVER_COLUMNS", "DRIVER_PREFIX", "NUMBER", "expanded", "scene_mjcf_text"]

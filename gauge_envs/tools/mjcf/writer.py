@@ -34,6 +34,11 @@ NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 TABLE_TOLERANCE = 1e-9
 """Relative difference below which a compiled table equals the backend's: sums in another order differ by rounding."""
 
+KINDS = re.compile(
+    r'<numeric name="(?P<name>[^"]+)/kinds" size="\d+" data="(?P<kinds>[^"]*)" />\s*'
+    r'<numeric name="(?P=name)/kind" size="\d+" data="(?P<kind>[^"]*)" />'
+)
+
 
 def scene_mjcf_text(
     scene: Scene, name: str, frame_count: int, notes: Iterable[str] = ()
@@ -76,6 +81,17 @@ def scene_mjcf_text(
     element.tail = "\n\n  "
     root.insert(0, element)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def expanded(text: str) -> str:
+    """Return a file's text with all table rows written out, since bitwise equality of rows depends on the machine."""
+
+    def rows(match: re.Match[str]) -> str:
+        kind = np.array(match["kind"].split(), dtype=int)
+        kinds = np.array(match["kinds"].split()).reshape(kind.max() + 1, -1)
+        return "\n".join(map(" ".join, kinds[kind]))
+
+    return KINDS.sub(rows, text)
 
 
 def _add_numeric(

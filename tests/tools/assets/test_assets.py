@@ -1,5 +1,6 @@
 """The checked-in assets are current, equal the scenes, and open in other tools."""
 
+import json
 import shutil
 import textwrap
 from dataclasses import replace
@@ -7,6 +8,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 from places import RIGID, first_of_each_kind
 from pxr import Usd, UsdPhysics
 
@@ -19,7 +21,7 @@ from gauge_envs.scene.geometry import pose_distance
 from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets import build as assets
-from gauge_envs.tools.assets.build import assets_folder
+from gauge_envs.tools.assets.build import assets_folder, solid_shapes
 from gauge_envs.tools.assets.export import mjcf_text
 from gauge_envs.tools.mjcf import NUMBER
 from gauge_envs.tools.usd import from_usd
@@ -41,9 +43,10 @@ SAMPLE = (
 
 
 def test_a_sample_of_the_checked_in_assets_is_current(tmp_path, monkeypatch):
+    solid_shapes()
     monkeypatch.setattr(assets, "variants", lambda: SAMPLE)
-    for name in SAMPLE:
-        for file in assets_folder().glob(f"*/{name}.*"):
+    for name in ("obj/*", *(f"*/{name}.*" for name in SAMPLE)):
+        for file in assets_folder().glob(name):
             (tmp_path / file.parent.name).mkdir(exist_ok=True)
             shutil.copy(file, tmp_path / file.parent.name)
     assert assets.stale_asset(tmp_path) is None
@@ -54,21 +57,26 @@ def test_checked_in_assets_are_current():
     assert assets.stale_asset(assets_folder()) is None
 
 
+TABLE = '<numeric name="t/a/kinds" size="9" data="{}" />\n<numeric name="t/a/kind" size="9" data="{}" />\n'
+
+
 @pytest.mark.parametrize(
     ("name", "text", "is_stale"),
     [
-        # Last digits may differ between machines.
-        ("usd/a.usda", "v 0.1234567892 1\n", False),
-        ("usd/a.usda", "v 0.1234568891 1\n", True),
+        # Last digits may differ between machines, and with them which rows of a table are equal.
+        ("obj/a.obj", "v 0.1234567892 1\n", False),
+        ("obj/a.obj", "v 0.1234568891 1\n", True),
         ("usd/c.usda", "left over", True),
+        ("mjcf/a.xml", TABLE.format("1 2 3 4 1 2.0000000001", "0 1 2"), False),
+        ("mjcf/a.xml", TABLE.format("1 2 3 4", "0 1 1"), True),
     ],
 )
 def test_a_changed_file_is_stale_until_it_is_built_again(
     name, text, is_stale, gauge, tmp_path, monkeypatch
 ):
     texts = {
-        "mjcf/a.xml": "<mujoco/>\n",
-        "usd/a.usda": "v 0.1234567891 1\n",
+        "mjcf/a.xml": TABLE.format("1 2 3 4", "0 1 0"),
+        "obj/a.obj": "v 0.1234567891 1\n",
     }
     monkeypatch.setattr(assets, "asset_texts", lambda *_: iter(texts.items()))
     command = ("data", "scenes", "--out", tmp_path / "out")
@@ -81,7 +89,15 @@ def test_a_changed_file_is_stale_until_it_is_built_again(
     assert gauge(*command).exit_code == 0
     assert gauge(*command, "--check").exit_code == 0
     with pytest.raises(ResultFileError, match="cannot be written"):
-        assets.build_assets(tmp_path / "out" / "usd" / "a.usda")
+        assets.build_assets(tmp_path / "out" / "obj" / "a.obj")
+
+
+def test_command_lists_what_each_file_shows(gauge):
+    lines = gauge("list", "scenes", "--json").stdout.splitlines()
+    shown = {row["file"]: row["of"] for row in map(json.loads, lines)}
+    assert shown["usd/Funnel-satin.usda"] == "GAUGE/Funnel-satin"
+    assert "WallBreaking/brick" in shown["obj/box-20x40x15mm.obj"].split(", ")
+    assert "usd/Funnel-satin.usda" in gauge("list", "scenes", "usd/Funnel-s*").stdout
 
 
 # --- USD -------------------------------------------------------------------------------------------------------------
@@ -216,3 +232,20 @@ def test_mjcf_replays_the_trajectory_without_this_project(name):
     np.testing.assert_array_equal(file.qpos, backend.qpos)
     np.testing.assert_array_equal(file.qvel, backend.qvel)
     assert np.abs(file.qpos - file.model.qpos0).max() > 1e-3
+
+
+# --- OBJ -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", solid_shapes())
+def test_obj_is_closed_and_has_the_solids_volume(name):
+    shape, _ = solid_shapes()[name]
+    file = assets_folder() / "obj" / f"{name}.obj"
+    mesh = trimesh.load(file, process=False, group_material=False, force="mesh")
+    pieces = mesh.split()
+    assert len(pieces) == len(getattr(shape, "pieces_m", [shape]))
+    assert all(piece.is_watertight and piece.is_convex for piece in pieces)
+    assert mesh.volume == pytest.approx(shape.volume_m3, rel=1e-9)
+    corners_m = shape.corners_m
+    bounds_m = [corners_m.min(axis=0), corners_m.max(axis=0)]
+    np.testing.assert_allclose(mesh.bounds, bounds_m, rtol=0.005)
