@@ -19,7 +19,7 @@ from gymnasium.vector import (
 from gymnasium.wrappers import AddRenderObservation
 
 import gauge_envs
-from gauge_envs.tools.control import control_tasks
+from gauge_envs.tools.control import names
 
 gym.register_envs(gauge_envs)
 
@@ -85,7 +85,8 @@ def make_env(
         ValueError: No task matches the pattern.
     """
     pattern = getattr(cfg, "task", None) or "*"
-    ids = [task.id for task in control_tasks() if fnmatchcase(task.id, pattern)]
+    ids = [f"GAUGE/{name}" for name in names()]
+    ids = [env_id for env_id in ids if fnmatchcase(env_id, pattern)]
     if not ids:
         raise ValueError(
             f"no control task matches {pattern!r}, try 'GAUGE/Push-Limit-*'"

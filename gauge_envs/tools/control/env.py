@@ -120,20 +120,22 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         backend: Name of an installed physics engine.
         parameters: `calibrated`, another parameter set of the task file, or overrides such as
             `{"cube.friction": 0.3}`.
-        settings: Numerical settings of the engine; None for `MUJOCO_SETTINGS` or the preset.
+        settings: Numerical settings of the engine that replace the preset and `MUJOCO_TIMESTEPS_S`.
         render_mode: None; `human` for a window that the mouse turns, drawn by `reset` and `step`; `rgb_array`;
             `depth_array`, the distance from the plane of the camera [m], float32; `rgbd_tuple`, both.
+        width: Picture width [pixels]; None is 640.
+        height: Picture height [pixels]; None is 480.
         camera: Entries that replace entries of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
             `elevation_deg`.
         jitter: Initial-state noise of every episode, as for `GaugeEnv`: `real`, or a `Jitter`. The random numbers of
             the environment draw it, then the goal, if any.
-        **size: `width` and `height` of pictures [pixels]; 640 and 480 by default.
 
     Attributes:
         SCENE: Variant whose scene the task uses, without its material, as `Turntable-1`.
         LIMIT: Quantity, law and source of the uncertainty, without numbers.
         FAMILY: Name of the task without its material, in `FAMILIES`.
-        MUJOCO_SETTINGS: Settings of MuJoCo if none are given; studies/steps has the rule that chose them.
+        MUJOCO_TIMESTEPS_S: Time steps of the task in MuJoCo [s] by preset, in place of the preset's time step;
+            studies/steps has the rule that chose them.
         PARAMETERS: Constants that the task changes, such as the initial pose of a body.
         CAMERA: Entries of the camera that show the whole workspace of the actions; empty for the scene's camera.
         COMMANDED: Names of the action's entries.
@@ -165,7 +167,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
     SCENE: ClassVar[str]
     LIMIT: ClassVar[Limit]
     FAMILY: ClassVar[str]
-    MUJOCO_SETTINGS: ClassVar[Mapping[str, float] | None] = None
+    MUJOCO_TIMESTEPS_S: ClassVar[Mapping[str, float]] = {}
     PARAMETERS: ClassVar[Mapping[str, Any]] = {}
     CAMERA: ClassVar[Mapping[str, Any]] = {}
     COMMANDED: ClassVar[tuple[str, ...]]
@@ -180,25 +182,28 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         parameters: Parameters = "calibrated",
         settings: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
+        width: int | None = None,
+        height: int | None = None,
         camera: Mapping[str, Any] | None = None,
         jitter: Scatter = None,
-        **size: Any,
     ) -> None:
         self.render_mode = render_mode
         view = {**self.CAMERA, **(camera or {})}
-        self._pictures = Pictures(render_mode, camera=view, **size)
+        self._pictures = Pictures(render_mode, width=width, height=height, camera=view)
         self._variant = find_variant(f"{self.SCENE}-{material}")
         self.calibrated = load_experiment(self._variant).scene
         if self.PARAMETERS:
             overrides = load_experiment(self._variant, parameters).overrides
             parameters = {**overrides, **self.PARAMETERS}
-        if backend == "mujoco" and settings is None:
-            settings = self.MUJOCO_SETTINGS
+        settings = settings or {}
+        preset = settings.get("preset", "default")
+        if backend == "mujoco" and preset in self.MUJOCO_TIMESTEPS_S:
+            settings = {"timestep_s": self.MUJOCO_TIMESTEPS_S[preset], **settings}
         self.arguments = EnvArguments(
             self._variant,
             backend=backend,
             parameters=parameters,
-            settings=settings,
+            settings=settings or None,
             # Driven bodies have no motion of their own.
             drivers="action",
         )

@@ -193,6 +193,7 @@ class TurntableLimit(FrictionLimit):
     )
     FAMILY = "Turntable"
     """Time of an episode: 1.2 s to the limit at full acceleration, and three times as long to hold it."""
+    MUJOCO_TIMESTEPS_S: ClassVar = {"training": 1 / 180}
     ACCELERATION = 6.0
     """This acceleration reaches the limit in 1.2 s. It uses a friction of 0.046, which adds under 1 % to the limit."""
 
@@ -223,7 +224,7 @@ class SlopeSliderLimit(FrictionLimit):
     )
     FAMILY = "SlopeSlider"
     """Time of an episode: 1.0 s to the limit at full acceleration and braking, and 4 s to hold it."""
-    MUJOCO_SETTINGS: ClassVar = {"timestep_s": 1 / 1800}
+    MUJOCO_TIMESTEPS_S: ClassVar = {"default": 1 / 1800, "training": 1 / 180}
     ACCELERATION = 1.0
     """This acceleration reaches the limit in 1.0 s; the real motor takes 1.2 s to 15 degrees."""
 

@@ -205,6 +205,7 @@ class CarryLimit(LeastTimeLimit):
     )
     FAMILY = "Carry"
     """Time of an episode: four times the least time."""
+    MUJOCO_TIMESTEPS_S: ClassVar = {"training": 1 / 180}
     ACCELERATION = 4.5
     """1.2 to 1.4 times the 3.2 to 3.7 m/s^2 that friction holds, so that the actuator does not limit the task."""
     DISTANCE_M = 0.5

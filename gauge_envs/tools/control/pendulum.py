@@ -55,7 +55,7 @@ class PendulumLimit(ControlEnv):
     )
     FAMILY = "Pendulum"
     """Time of five full swings; at full torque three are enough."""
-    MUJOCO_SETTINGS: ClassVar = {"timestep_s": 1 / 180}
+    MUJOCO_TIMESTEPS_S: ClassVar = {"default": 1 / 180, "training": 1 / 180}
     PARAMETERS: ClassVar = {f"{BALL}.euler_deg": (0.0, 0.0, 0.0)}
     """The ball hangs straight down at the start."""
     CAMERA: ClassVar = {"target_m": (0.37, 0.49, 0.3), "distance_m": 1.97}

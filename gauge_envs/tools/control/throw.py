@@ -112,6 +112,7 @@ class ThrowLimit(ControlEnv):
     )
     FAMILY = "Throw"
     """Time of an episode; three impacts and the last rise take 1.8 s."""
+    MUJOCO_TIMESTEPS_S: ClassVar = {"training": 1 / 180}
     ACCELERATION = 30.0
     """Full speed after one step."""
     CAMERA: ClassVar = {"target_m": (0.53, 0.44, 0.44), "distance_m": 2.22}

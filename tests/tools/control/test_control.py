@@ -57,8 +57,12 @@ def test_an_override_changes_the_limit_and_not_its_uncertainty():
     assert overridden.sigma == nominal.sigma == friction_std(nominal.value, "plastic")
 
 
-def test_a_task_has_its_own_settings_unless_settings_are_given():
-    for settings, step_s in ((None, 1 / 1800), ({"timestep_s": 1 / 360}, 1 / 360)):
+def test_a_task_steps_as_chosen_unless_a_step_is_given():
+    for settings, step_s in (
+        (None, 1 / 1800),
+        ({"preset": "training"}, 1 / 180),
+        ({"preset": "training", "timestep_s": 1 / 360}, 1 / 360),
+    ):
         env = make("SlopeSlider-Limit-wood", settings=settings)
         assert env.simulation.settings["timestep_s"] == step_s
 
