@@ -5,16 +5,15 @@ copy of a USD layer or of an MJCF file can be the scene of an experiment (`exper
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
+from trimesh.exchange.obj import export_obj
 
-from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import data_folder
@@ -32,13 +31,15 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
 )
-from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.meshes import PRISM_SIDES, hull_faces, prism
+from gauge_envs.scene.meshes import PRISM_SIDES, hull_triangles
 from gauge_envs.tools.assets.export import mjcf_text, usd_layer_text
 from gauge_envs.tools.mjcf import NUMBER, expanded
 
 SPHERE_SUBDIVISIONS = 3
 """Subdivisions of the icosahedron that approximates a sphere in an OBJ file: 642 vertices."""
+
+OBJ_DECIMALS = 12
+"""Number of decimals of a coordinate in an OBJ file [m]."""
 
 RELATIVE_TOLERANCE = 3e-7
 """Relative difference up to which numbers are equal in a check. Sines differ in their last digit between machines, and
@@ -205,44 +206,29 @@ def _shape_name(shape: Shape) -> str:
 
 
 def shape_to_obj(shape: Shape, name: str) -> str:
-    """Return a solid as Wavefront OBJ, in metres, in the body frame, with one watertight group per convex piece.
+    """Return a solid as Wavefront OBJ, in metres, in the body frame, with one watertight object per convex piece.
 
     Spheres and cylinders become polyhedra of the exact volume: faces are inside the true surface, vertices outside.
-
-    Raises:
-        ParameterError: The shape is a plane or a compound.
     """
-    lines = [f"# {name}: volume {shape.volume_m3!r} m^3", f"o {name}"]
-    first = 1
-    for index, (points_m, faces) in enumerate(_pieces(shape)):
-        lines.append(f"g piece_{index}")
-        # Adding zero removes the sign of negative zeros.
-        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in (points_m + 0.0).tolist()]
-        for face in faces:
-            lines.append(f"f {' '.join(str(first + vertex) for vertex in face)}")
-        first += len(points_m)
-    return "\n".join(lines) + "\n"
+    pieces = {f"{name}_{index}": mesh for index, mesh in enumerate(_pieces(shape))}
+    header = f"{name}: volume {shape.volume_m3!r} m^3"
+    return export_obj(trimesh.Scene(pieces), digits=OBJ_DECIMALS, header=header)
 
 
-def _pieces(shape: Shape) -> list[tuple[FloatArray, Sequence[Sequence[int]]]]:
-    """Return vertices [m], shape [vertex_count, 3], and faces of each convex piece of a solid."""
-    match shape:
-        case ConvexUnion():
-            pieces_m = [np.array(piece) for piece in shape.pieces_m]
-        case Box():
-            pieces_m = [shape.corners_m]
-        case Sphere():
-            sphere = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS)
-            radius_m = (shape.volume_m3 / sphere.volume) ** (1.0 / 3.0)
-            return [(np.asarray(sphere.vertices) * radius_m, sphere.faces.tolist())]
-        case Cylinder():
-            # A regular n-gon has the area (n / 2) r^2 sin(2 pi / n).
-            angle = 2.0 * math.pi / PRISM_SIDES
-            radius_m = shape.radius_m * math.sqrt(angle / math.sin(angle))
-            return _pieces(prism(replace(shape, radius_m=radius_m)))
-        case _:
-            kind = type(shape).__name__.lower()
-            raise ParameterError(
-                f"a {kind} is not one closed solid and has no OBJ file"
-            )
-    return [(piece_m, hull_faces(piece_m)) for piece_m in pieces_m]
+def _pieces(shape: Shape) -> list[trimesh.Trimesh]:
+    """Return each convex piece of a solid [m]."""
+    if isinstance(shape, Sphere):
+        sphere = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS)
+        sphere.apply_scale((shape.volume_m3 / sphere.volume) ** (1.0 / 3.0))
+        return [sphere]
+    if isinstance(shape, Cylinder):
+        cylinder = trimesh.creation.cylinder(1.0, shape.length_m, PRISM_SIDES)
+        scale = math.sqrt(shape.volume_m3 / cylinder.volume)
+        cylinder.apply_scale([scale, scale, 1.0])
+        return [cylinder]
+    is_union = isinstance(shape, ConvexUnion)
+    pieces_m = shape.pieces_m if is_union else [shape.corners_m]
+    triangles = [hull_triangles(np.array(piece_m)) for piece_m in pieces_m]
+    return [
+        trimesh.Trimesh(**trimesh.triangles.to_kwargs(corners)) for corners in triangles
+    ]
