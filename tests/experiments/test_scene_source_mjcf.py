@@ -20,7 +20,7 @@ from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.tools.assets.build import assets_folder
-from gauge_envs.tools.assets.export import write_mjcf
+from gauge_envs.tools.assets.export import mjcf_text
 from gauge_envs.tools.mjcf.diff import model_changes
 
 SLIDE, TILTED, SWING = "SlopeSlider-2-wood", "SlopeSlider-3-wood", "Pendulum-metal"
@@ -55,7 +55,7 @@ def test_the_shipped_file_is_the_scene_of_the_task_file(name):
 )
 def test_a_written_file_gives_the_same_trajectory_and_settings(name, tmp_path, rollout):
     """The last digits of tables of stiffness in the shipped file depend on the processor, so it is written here."""
-    write_mjcf(load_experiment(name), tmp_path / f"{name}.xml")
+    (tmp_path / f"{name}.xml").write_text(mjcf_text(load_experiment(name)))
     task, expected, _ = rollout(name, frames=3)
     env, mjcf, _ = rollout(name, frames=3, asset=tmp_path / f"{name}.xml")
     np.testing.assert_array_equal(mjcf.samples, expected.samples)
@@ -145,7 +145,7 @@ def test_a_start_velocity_replays_in_plain_mujoco(tmp_path):
     """Plain MuJoCo resets to the keyframe, as the comment of the file says."""
     path = tmp_path / "thrown.xml"
     experiment = load_experiment(SLIDE, THROWN)
-    write_mjcf(experiment, path)
+    path.write_text(mjcf_text(experiment))
     model = mujoco.MjModel.from_xml_path(str(path))
     plain = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, plain, model.key("start").id)
@@ -164,7 +164,7 @@ def test_a_start_velocity_replays_in_plain_mujoco(tmp_path):
 )
 def test_a_start_velocity_of_a_file_is_read_into_the_scene(name, body, start, tmp_path):
     thrown = load_experiment(name, start)
-    write_mjcf(thrown, tmp_path / "thrown.xml")
+    (tmp_path / "thrown.xml").write_text(mjcf_text(thrown))
     file = load_experiment_from_asset(name, tmp_path / "thrown.xml")
     rates = [
         [*thrown_body.linear_velocity_m_per_s, *thrown_body.angular_velocity_rad_per_s]

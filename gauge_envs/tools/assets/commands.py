@@ -94,18 +94,19 @@ def data_isaac_sim(
     from gauge_envs.errors import ParameterError
     from gauge_envs.experiments.resolve import load_experiment
     from gauge_envs.experiments.variants import matching_variants
-    from gauge_envs.tools.assets.isaac_sim import write_isaac_sim_layer
+    from gauge_envs.pages.document import save_file
+    from gauge_envs.tools.assets.isaac_sim import isaac_sim_stage
 
     unsupported = []
     variants = matching_variants(pattern)
     for variant in variants:
         path = out / f"{variant.name}.usda"
         try:
-            write_isaac_sim_layer(load_experiment(variant), path)
+            stage = isaac_sim_stage(load_experiment(variant))
         except ParameterError as error:
             unsupported.append(error)
         else:
-            echo(path)
+            echo(save_file(path, stage.GetRootLayer().ExportToString()))
     if len(unsupported) == len(variants):
         raise unsupported[0]
     for reason in unsupported:

@@ -1,14 +1,12 @@
 """Write variants as USD layers and MJCF files, with parameters and sources in the header."""
 
 import json
-from pathlib import Path
 
 from pxr import Usd
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import task_path
-from gauge_envs.pages.document import save_file
 from gauge_envs.tools.mjcf import scene_mjcf_text
 from gauge_envs.tools.usd import scene_stage
 
@@ -55,18 +53,13 @@ def experiment_stage(
     return stage
 
 
-def write_mjcf(experiment: Experiment, path: Path) -> None:
-    """Write the MuJoCo model of a variant as a self-contained file in full precision.
+def mjcf_text(experiment: Experiment) -> str:
+    """Return the MuJoCo model of a variant as the text of a self-contained file in full precision.
 
     Custom numbers `driver/<body>` hold the motion of driven bodies, and `grip/<body>` the nodes that move with them.
     Custom numbers `<table>/<body>/...` hold the compiled tables of deformable bodies that MuJoCo cannot derive from
     XML. A comment at the top explains their use.
     """
-    save_file(path, mjcf_text(experiment))
-
-
-def mjcf_text(experiment: Experiment) -> str:
-    """Return the text that `write_mjcf` writes."""
     notes = [
         f"{experiment.spec.title}: {experiment.id}, parameters: {experiment.parameters}.",
         f"Task file: tasks/{task_path(experiment.variant.family).name}, sha256 {experiment.file_sha256}.",

@@ -8,7 +8,6 @@ stays unset, and Isaac Sim's default applies, as in the paper.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 from pxr import Sdf, Usd, UsdPhysics, UsdShade, Vt
@@ -22,7 +21,6 @@ from gauge_envs.envs.rollout import LATER_FRAMES
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.observer import material_points
-from gauge_envs.pages.document import save_file
 from gauge_envs.scene import Cloth, Deformable, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets.export import experiment_stage
@@ -37,37 +35,22 @@ def steps_per_second(scene: Scene) -> int:
     return 900 if scene.has(SoftBody) else 180
 
 
-def write_isaac_sim_layer(experiment: Experiment, path: Path) -> None:
-    """Write a variant as a self-contained layer for Isaac Sim.
-
-    Args:
-        experiment: Variant with its parameters.
-        path: File to write, in USD's text format. Its folder is created.
-
-    Raises:
-        ParameterError: Isaac Sim cannot simulate the scene.
-        ResultFileError: The file cannot be written.
-    """
-    # A layer exists as long as its stage.
-    stage = isaac_sim_stage(experiment)
-    save_file(path, stage.GetRootLayer().ExportToString())
-
-
 def isaac_sim_stage(experiment: Experiment) -> Usd.Stage:
-    """Return a variant as a stage for Isaac Sim, in memory.
+    """Return a variant with its parameters as a stage for Isaac Sim, in memory.
 
     Raises:
         ParameterError: Isaac Sim cannot simulate the scene.
     """
     scene = experiment.scene
     if scene.air is not None:
-        reason = "it has air, which Isaac Sim does not apply to cloth"
-        raise ParameterError(f"{experiment.id}: {reason}: choose another engine")
+        raise ParameterError(
+            f"{experiment.id}: it has air, which Isaac Sim does not apply to cloth: choose another engine"
+        )
     for body in scene.deformables:
         if isinstance(body, Rope | Rod):
-            kind = type(body).__name__.lower()
-            reason = f"body {body.name!r} is a {kind}, and PhysX does not simulate deformable curves"
-            raise ParameterError(f"{experiment.id}: {reason}: choose another engine")
+            raise ParameterError(
+                f"{experiment.id}: PhysX does not simulate the deformable curve {body.name!r}: choose another engine"
+            )
     rate_hz = steps_per_second(scene)
     stage = experiment_stage(
         experiment,

@@ -27,7 +27,7 @@ from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.task_format import Group
 from gauge_envs.experiments.variants import Variant, matching_variants, variants
 from gauge_envs.files import json_document, printable
-from gauge_envs.tools.dataset.findings import ImportFinding
+from gauge_envs.tools.dataset.findings import ImportFinding, TrialError
 
 LAYOUT = "data/<group>/<task>/json/<material>/[task-N/]<trial>.json"
 """The published layout in messages."""
@@ -76,20 +76,17 @@ def find_trials(root: Path, *, only: Sequence[str] = ("*",)) -> Layout:
     paths_of: dict[Variant, list[Path]] = {}
     findings = []
     for folder, paths in _json_files(root).items():
-        variant = _variant(root, folder)
+        below = folder.relative_to(root)
+        names = frozenset(map(plain_name, below.parts))
+        variant = _folder_names().get(names - NEUTRAL)
         if variant is not None:
             paths_of.setdefault(variant, []).extend(paths)
             continue
-        below = folder.relative_to(root)
-        finding = ImportFinding(
-            file=printable(below.as_posix()),
-            key="(folder)",
-            problem="unknown task, material or subtask",
-            expected=f"expected {LAYOUT}",
-            # Files outside of a folder `json` are not trials.
-            left_out="json" in below.parts,
-        )
-        findings.append(finding)
+        problem = "unknown task, material or subtask"
+        error = TrialError("(folder)", problem, f"expected {LAYOUT}")
+        # Files outside of a folder `json` are not trials.
+        is_trial = "json" in below.parts
+        findings.append(error.finding(below.as_posix(), left_out=is_trial))
     files = {
         variant: sorted(paths_of[variant], key=_numeric_order)
         for variant in variants()
@@ -124,12 +121,6 @@ def _json_files(root: Path) -> dict[Path, list[Path]]:
         if not is_hidden and path.name != REVISION_FILE:
             folders.setdefault(path.parent, []).append(path)
     return folders
-
-
-def _variant(root: Path, folder: Path) -> Variant | None:
-    """Return the variant of the trials in a folder, if known."""
-    names = {plain_name(part) for part in folder.relative_to(root).parts}
-    return _folder_names().get(frozenset(names - NEUTRAL))
 
 
 @cache

@@ -1,6 +1,7 @@
 """Report imports and the state of the dataset."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from gauge_envs.experiments.resolve import load_experiment
@@ -32,9 +33,6 @@ STATUS_NOTE = "Baselines: mean (standard deviation) of the real trials, imported
 MAX_LINES = 20
 """Maximum number of baselines that an import shows in full."""
 
-EXPERIMENT = Column("id", "experiment", short_id, place=Place.HEADING)
-
-
 def import_document(imports: Sequence[ImportedTrials]) -> Document:
     """Return the imported and the published baselines, a row for each metric; of many, only the flagged ones."""
     lines = [(trials, line) for trials in imports for line in trials.baselines]
@@ -53,43 +51,32 @@ def import_document(imports: Sequence[ImportedTrials]) -> Document:
         f"{100 * FLAGGED_DIFFERENCE:.0f} %. All baselines: gauge list references"
     )
     tone = Tone.WARNING if flagged else Tone.NOTE
-    tables = [_baselines_table(rows)] if rows else []
+    tables = [Table(columns=BASELINE_COLUMNS, rows=rows)] if rows else []
     return Document(parts=[*tables, Paragraph(""), Paragraph(note, tone)])
-
-
-def _baselines_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    return Table(
-        columns=(
-            EXPERIMENT,
-            Column("trials", "", place=Place.HEADING),
-            Column("line.metric", "metric", METRIC_TITLES.__getitem__),
-            Column("line", "imported", _imported_text, is_number=True),
-            Column("line", "published", _published_text, is_number=True),
-            Column("line.difference", "difference", _percent, is_number=True),
-        ),
-        rows=rows,
-    )
 
 
 def _percent(share: float) -> str:
     return f"{100 * share:+.1f} %"
 
 
-def _imported_text(line: BaselineLine) -> str:
-    return _spread(line, "own")
-
-
-def _published_text(line: BaselineLine) -> str:
-    return _spread(line, "published")
-
-
-def _spread(line: Mapping[str, Any], source: str) -> str:
+def _spread(source: str, line: Mapping[str, Any]) -> str:
     """Return mean and standard deviation of a source of a baseline."""
     mean, std = line[f"{source}_mean"], line[f"{source}_std"]
     if mean is None:
         return "-"
     text = f"{mean:.4g}" if std is None else f"{mean:.4g} ({std:.3g})"
     return with_unit(text, line["unit"])
+
+
+BASELINE_COLUMNS = (
+    Column("id", "experiment", short_id, place=Place.HEADING),
+    Column("trials", "", place=Place.HEADING),
+    Column("line.metric", "metric", METRIC_TITLES.__getitem__),
+    Column("line", "imported", partial(_spread, "own"), is_number=True),
+    Column("line", "published", partial(_spread, "published"), is_number=True),
+    Column("line.difference", "difference", _percent, is_number=True),
+)
+"""Columns of the baselines of an import."""
 
 
 def status_table(rows: Sequence[dict[str, Any]]) -> Table:
@@ -103,7 +90,7 @@ def status_table(rows: Sequence[dict[str, Any]]) -> Table:
 
     def baselines(lines: Sequence[BaselineLine]) -> str:
         return "; ".join(
-            f"{METRIC_TITLES[line['metric']]} imported {_imported_text(line)}, published {_published_text(line)}"
+            f"{METRIC_TITLES[line['metric']]} imported {_spread('own', line)}, published {_spread('published', line)}"
             for line in lines
         )
 

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     )
     from gauge_envs.tools.usd.target import write as write
     from gauge_envs.tools.usd.writer import (
-        export_stage as export_stage,
         scene_stage as scene_stage,
         to_usd as to_usd,
     )
@@ -26,7 +25,7 @@ else:
             ".layer": ["record_follower"],
             ".reader": ["UsdScene", "from_usd", "read_usd"],
             ".target": ["write"],
-            ".writer": ["export_stage", "scene_stage", "to_usd"],
+            ".writer": ["scene_stage", "to_usd"],
         },
         extra="usd",
     )

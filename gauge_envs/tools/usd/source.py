@@ -211,25 +211,20 @@ class Source:
         values = [value for value in stored if value is not None]
         if double is not None:
             values.insert(0, StoredValue(single(double), double))
-        first = self.changed(exact, values, exact.GetCustomDataByKey(WRITTEN))
-        if first is None:
+        written = exact.GetCustomDataByKey(WRITTEN)
+        edited = [value for value in values if not is_written(value.raw, written)]
+        if not edited:
             return double
+        first = edited[0]
+        for value in edited[1:]:
+            if not is_written(first.raw, value.raw):
+                raise self.fault(
+                    exact,
+                    f"was edited to {first.value}, and to {value.value} in a standard attribute: make them agree",
+                )
         if double is None or first.raw.shape != double.shape:
             return first.value
         return np.where(single(double) == first.raw, double, first.value)
-
-    def changed(
-        self, place: Usd.Object, values: Iterable[StoredValue], written: Any
-    ) -> StoredValue | None:
-        """Return the first value that was edited, or None; edited values must agree."""
-        edited = [value for value in values if not is_written(value.raw, written)]
-        for value in edited[1:]:
-            if not is_written(edited[0].raw, value.raw):
-                raise self.fault(
-                    place,
-                    f"was edited to {edited[0].value}, and to {value.value} in a standard attribute: make them agree",
-                )
-        return edited[0] if edited else None
 
     def check_derived(self, prim: Usd.Prim) -> None:
         """Check that no derived attribute of a prim was edited."""

@@ -77,13 +77,9 @@ def to_usd(scene: Scene, path: str | Path) -> None:
         ParameterError: The suffix is unknown, or a body is a compound.
         ResultFileError: The file cannot be written.
     """
-    export_stage(scene_stage(scene), Path(path))
-
-
-def export_stage(stage: Usd.Stage, path: Path) -> None:
-    """Write the root layer of a stage to a file; errors as in `to_usd`."""
-    if path.suffix not in SCENE_SUFFIXES:
+    if Path(path).suffix not in SCENE_SUFFIXES:
         raise ParameterError(f"{path}: a USD layer ends in {', '.join(SCENE_SUFFIXES)}")
+    stage = scene_stage(scene)
     try:
         stage.GetRootLayer().Export(str(path))
     except Tf.ErrorException as error:

@@ -23,7 +23,7 @@ from gauge_envs.experiments.variants import variants
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import MAX_MARKER_DISTANCE_M, observe_markers
 from gauge_envs.runs.score_file import score_file
-from gauge_envs.tools.assets.isaac_sim import isaac_sim_stage, write_isaac_sim_layer
+from gauge_envs.tools.assets.isaac_sim import isaac_sim_stage
 
 SCHEMAS = tomllib.loads(
     (Path(__file__).parent / "omni_physics_schemas.toml").read_text()
@@ -101,8 +101,8 @@ def schema_faults(prim):
 @pytest.mark.parametrize("name", EACH)
 def test_layers_follow_the_published_schemas_and_read_back_as_the_scene(name, tmp_path):
     experiment = load_experiment(name)
-    write_isaac_sim_layer(experiment, tmp_path / "layer.usda")
-    stage = Usd.Stage.Open(str(tmp_path / "layer.usda"))
+    stage = isaac_sim_stage(experiment)
+    stage.GetRootLayer().Export(str(tmp_path / "layer.usda"))
     assert [fault for prim in stage.Traverse() for fault in schema_faults(prim)] == []
     read = load_experiment_from_asset(name, tmp_path / "layer.usda")
     assert read.scene == experiment.scene
