@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from trimesh.exchange.obj import export_obj
 
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
@@ -212,7 +211,8 @@ def shape_to_obj(shape: Shape, name: str) -> str:
     """
     pieces = {f"{name}_{index}": mesh for index, mesh in enumerate(_pieces(shape))}
     header = f"{name}: volume {shape.volume_m3!r} m^3"
-    return export_obj(trimesh.Scene(pieces), digits=OBJ_DECIMALS, header=header)
+    scene = trimesh.Scene(pieces)
+    return str(scene.export(file_type="obj", digits=OBJ_DECIMALS, header=header))
 
 
 def _pieces(shape: Shape) -> list[trimesh.Trimesh]:
@@ -226,9 +226,10 @@ def _pieces(shape: Shape) -> list[trimesh.Trimesh]:
         scale = math.sqrt(shape.volume_m3 / cylinder.volume)
         cylinder.apply_scale([scale, scale, 1.0])
         return [cylinder]
-    is_union = isinstance(shape, ConvexUnion)
-    pieces_m = shape.pieces_m if is_union else [shape.corners_m]
-    triangles = [hull_triangles(np.array(piece_m)) for piece_m in pieces_m]
+    pieces_m = [shape.corners_m]
+    if isinstance(shape, ConvexUnion):
+        pieces_m = [np.array(piece_m) for piece_m in shape.pieces_m]
     return [
-        trimesh.Trimesh(**trimesh.triangles.to_kwargs(corners)) for corners in triangles
+        trimesh.Trimesh(**trimesh.triangles.to_kwargs(hull_triangles(piece_m)))
+        for piece_m in pieces_m
     ]

@@ -35,15 +35,6 @@ def all_limits() -> list[dict[str, Any]]:
     return limits
 
 
-def known_limits(variant: str) -> list[dict[str, Any]]:
-    """Return the known limits of a variant such as `SlopeSlider-2-wood`."""
-    return [
-        {"text": limit["text"], "study": limit.get("study")}
-        for limit in all_limits()
-        if any(fnmatchcase(variant, pattern) for pattern in limit["variants"])
-    ]
-
-
 def description(experiment: Experiment) -> dict[str, Any]:
     """Return the complete description of an experiment, JSON-ready, with the source of each number."""
     spec, variant, scene = experiment.spec, experiment.variant, experiment.scene
@@ -109,7 +100,14 @@ def description(experiment: Experiment) -> dict[str, Any]:
                 row | {"convergence": convergence_rows(row["engine"], experiment.name)}
                 for row in engine_rows(experiment)
             ],
-            "limits": known_limits(experiment.name),
+            "limits": [
+                {"text": limit["text"], "study": limit.get("study")}
+                for limit in all_limits()
+                if any(
+                    fnmatchcase(experiment.name, pattern)
+                    for pattern in limit["variants"]
+                )
+            ],
         }
     )
 

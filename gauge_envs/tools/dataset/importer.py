@@ -97,11 +97,11 @@ def baseline_lines(
         line = BaselineLine(
             metric=metric,
             unit=own.unit if own else published[metric].unit,
-            own_mean=own and own.mean,
-            own_std=own and own.std,
+            own_mean=own.mean if own else None,
+            own_std=own.std if own else None,
             own_trial_count=own.trial_count if own else 0,
-            published_mean=paper and paper.mean,
-            published_std=paper and paper.std,
+            published_mean=paper.mean if paper else None,
+            published_std=paper.std if paper else None,
             difference=difference,
             flagged=abs(difference or 0.0) > FLAGGED_DIFFERENCE,
         )
@@ -333,9 +333,7 @@ def _driver_record(
     is_length = np.array([motion.kind == "translate" for motion in driver.motions])
     lengths_mm, angles_deg = 1e3 * scatter[is_length], np.degrees(scatter[~is_length])
     residual_mm = np.concatenate([track.residual_mm for track in tracks])
-    residual_deg = np.degrees(
-        np.concatenate([track.residual_rad for track in tracks])
-    )
+    residual_deg = np.degrees(np.concatenate([track.residual_rad for track in tracks]))
     return DriverRecord(
         body=driver.body,
         trial_count=len(tracks),

@@ -33,6 +33,7 @@ STATUS_NOTE = "Baselines: mean (standard deviation) of the real trials, imported
 MAX_LINES = 20
 """Maximum number of baselines that an import shows in full."""
 
+
 def import_document(imports: Sequence[ImportedTrials]) -> Document:
     """Return the imported and the published baselines, a row for each metric; of many, only the flagged ones."""
     lines = [(trials, line) for trials in imports for line in trials.baselines]
@@ -118,8 +119,8 @@ def status_row(variant: Variant) -> dict[str, Any]:
     source = DataSource.IMPORTED if imported else DataSource.BUNDLED
     band = load_band(variant.name, source)
     scene = load_experiment(variant, drivers=source).scene
-    records = facts.model_dump()["drivers"] if facts else []
-    recorded = {record["body"]: record for record in records}
+    records = facts.drivers if facts else ()
+    recorded = {record.body: record.model_dump() for record in records}
     drivers = [
         {
             "body": driver.body,

@@ -31,6 +31,7 @@ from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import AssetError, ParameterError, first_names
+from gauge_envs.files import os_errors
 from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.prescribed_motion import prescribed_motions
@@ -139,13 +140,10 @@ def read_model(path: Path, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
 
 def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     """Return the editable and the compiled model of a file."""
+    with os_errors(lambda cause: AssetError(path, "", f"cannot be read: {cause}")):
+        content = path.read_bytes()
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise AssetError(path, "", f"cannot be read: {reason}") from error
-    try:
-        spec = mujoco.MjSpec.from_string(text)
+        spec = mujoco.MjSpec.from_string(content.decode())
         model = spec.compile()
     except ValueError as error:
         reason = " ".join(str(error).split())

@@ -1,13 +1,13 @@
 """Reader of rigid bodies of a USD stage: motion, shape, mass and start."""
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
+from trimesh.geometry import triangulate_quads
 
 from gauge_envs.scene import (
     Box,
@@ -310,12 +310,9 @@ def _volume_m3(mesh: UsdGeom.Mesh, points_m: FloatArray) -> float:
     """Return the volume inside the faces of a mesh [m^3], by the tetrahedra of the triangles with the origin."""
     counts = mesh.GetFaceVertexCountsAttr().Get()
     indices = mesh.GetFaceVertexIndicesAttr().Get()
-    triangles = [
-        (face[0], *edge)
-        for face in np.split(indices, np.cumsum(counts)[:-1])
-        for edge in pairwise(face[1:])
-    ]
-    return abs(float(np.linalg.det(points_m[np.array(triangles)]).sum())) / 6.0
+    faces = np.split(indices, np.cumsum(counts)[:-1])
+    triangles = points_m[triangulate_quads(faces)]
+    return abs(float(np.linalg.det(triangles).sum())) / 6.0
 
 
 # --- mass ------------------------------------------------------------------------------------------------------------

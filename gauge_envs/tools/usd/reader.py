@@ -58,13 +58,11 @@ class UsdScene:
 
     Attributes:
         scene: The scene.
-        paths: Prim path of each rigid and deformable body, by its name in the scene.
         metadata: Notes of the writer on the variant and its source; empty in files of other tools.
         used_files: Other files of the stage, sorted by their path relative to the main file.
     """
 
     scene: Scene
-    paths: Mapping[str, str]
     metadata: Mapping[str, str]
     used_files: tuple[Path, ...]
 
@@ -90,11 +88,9 @@ def read_usd(
     """
     source = Source(Path(path))
     with source.errors_at(""):
-        names, scene = _read_scene(source, duration_s)
         notes = source.stage.GetRootLayer().customLayerData.get("gauge", {})
         return UsdScene(
-            scene=scene,
-            paths={name: str(path) for path, name in names.items()},
+            scene=_read_scene(source, duration_s),
             metadata={key: str(value) for key, value in notes.items()},
             used_files=source.used_files(),
         )
@@ -121,10 +117,8 @@ def _physics(source: Source) -> UsdPhysics.Scene:
     return UsdPhysics.Scene(scenes[0])
 
 
-def _read_scene(
-    source: Source, duration_s: float | None
-) -> tuple[dict[Sdf.Path, str], Scene]:
-    """Return the names of all bodies by path, and the scene."""
+def _read_scene(source: Source, duration_s: float | None) -> Scene:
+    """Return the scene of a stage."""
     physics = _physics(source)
     with source.errors_at(physics.GetPrim()):
         duration_s = _duration_s(source, physics, duration_s)
@@ -161,7 +155,7 @@ def _read_scene(
     attachments = source.read_each(
         source.prims(), lambda prim: read_attachment(source, prim, names)
     )
-    scene = Scene(
+    return Scene(
         bodies=tuple(bodies.values()),
         deformables=tuple(
             source.read_each(
@@ -177,7 +171,6 @@ def _read_scene(
         gravity_m_per_s2=gravity_m_per_s2,
         air=air,
     )
-    return names, scene
 
 
 def _gravity_m_per_s2(source: Source, physics: UsdPhysics.Scene) -> float:
