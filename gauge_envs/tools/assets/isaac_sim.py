@@ -49,8 +49,8 @@ def isaac_sim_stage(experiment: Experiment) -> Usd.Stage:
     for body in scene.deformables:
         if isinstance(body, Rope | Rod):
             raise ParameterError(
-                f"{experiment.id}: body {body.name!r} is a rope or a rod, and PhysX does not simulate deformable curves: "
-                "choose another engine"
+                f"{experiment.id}: body {body.name!r} is a rope or a rod, and PhysX does not simulate deformable "
+                "curves: choose another engine"
             )
     rate_hz = steps_per_second(scene)
     stage = experiment_stage(

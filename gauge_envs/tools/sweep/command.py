@@ -195,10 +195,11 @@ def sweep(
     message(
         f"{counted(total, 'episode')}; results in {out}; --retry-failed repeats failures"
     )
-    outcomes = {outcome for _, outcome in counts}
     named = {short_id(name) for name in spec.variants if not is_glob(name)}
     is_declined = any(run.declined and run.experiment in named for run in runs)
-    return is_declined or bool(outcomes & {Outcome.FAILED, Outcome.DIVERGED})
+    return is_declined or any(
+        outcome in (Outcome.FAILED, Outcome.DIVERGED) for _, outcome in counts
+    )
 
 
 def _spec(

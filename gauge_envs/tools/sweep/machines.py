@@ -25,23 +25,22 @@ class RayWorker:
     """
 
     def __init__(self, limits: Limits) -> None:
-        import ray
-
-        self._ray = ray
         self._limits = limits
-        self._class = ray.remote(
-            num_cpus=1, max_restarts=-1, max_task_retries=MAX_RETRIES
-        )(ProcessWorker)
         self._actor: Any = None
         self._is_killed = False
 
     def run(self, request: RunRequest) -> list[Result]:
         """Return the results of a request."""
+        import ray
+
         if self._actor is None:
-            self._actor = self._class.remote(self._limits)
+            remote = ray.remote(
+                num_cpus=1, max_restarts=-1, max_task_retries=MAX_RETRIES
+            )
+            self._actor = remote(ProcessWorker).remote(self._limits)
         try:
-            return list(self._ray.get(self._actor.run.remote(request)))
-        except self._ray.exceptions.RayError as error:
+            return list(ray.get(self._actor.run.remote(request)))
+        except ray.exceptions.RayError as error:
             if self._is_killed:
                 raise CancelledError from error
             cause = str(error).partition("\n")[0]
@@ -55,8 +54,10 @@ class RayWorker:
 
     def close(self) -> None:
         """End the actor."""
+        import ray
+
         if self._actor is not None:
-            self._ray.kill(self._actor)
+            ray.kill(self._actor)
 
 
 def ray_workers(address: str, count: int | None, limits: Limits) -> list[RayWorker]:
