@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
@@ -96,7 +96,6 @@ EFFORTS = (0.12, 0.2, 0.35, 0.5, 0.7, 0.9, 1.3)
 """Effort limits from which the fit starts, over the torque that the model needs in the log."""
 CONTACTS = (-0.7, -0.4, 0.5, 1.5, 4.0)
 """Changes of friction and of the time constant of contacts, over the present value."""
-CLOCKS = (0.5, 0.8, 0.9, 1.1, 1.25, 2.0)
 STEPS = (0.25, 0.5, 2.0, 2.5, 4.0, 5.0)
 """Physics steps that are tried, over the present one."""
 REPEATS = (2, 3, 4)
@@ -112,36 +111,29 @@ MIN_FACTOR = 1e-3
 
 @dataclass(frozen=True)
 class Group:
-    """Values that change together.
+    """Values of a cause that change together: `base + scale * (selection @ numbers)`.
 
     Attributes:
-        label: What changes, as the name of a joint; `all` for a common number, `each` for a number a joint.
-        index: Values that change, shape [p].
-        is_shared: Whether one number moves all of them.
-        option: All values, where nothing is fitted, shape [K].
+        label: `all` for a common number, `each` for a number a value, the text of an option without numbers.
+        selection: Which number moves each value, shape [K, p].
+        base: Values where all numbers are zero, shape [K].
     """
 
     label: str
-    index: IntArray
-    is_shared: bool = False
-    option: FloatArray | None = None
-
-    @property
-    def size(self) -> int:
-        """Count of the numbers of the fit."""
-        return 1 if self.is_shared else len(self.index)
+    selection: FloatArray
+    base: FloatArray
 
 
 @dataclass(frozen=True)
 class Cause:
-    """One candidate. A value that moves is `origin + scale * x`, where the fit moves the number x.
+    """One candidate.
 
     Attributes:
         name: As `delay`.
         unit: Unit of the values.
         parameters: Names of the values, as joints.
         present: Values of the model as it is, shape [K].
-        origin, scale: See above, shape [K].
+        scale: Change of each value for a number of 1, shape [K].
         apply: Changes a setup to values of shape [K].
         groups: What is fitted.
         is_positive: Whether values stay above zero.
@@ -152,7 +144,6 @@ class Cause:
     unit: str
     parameters: Sequence[str]
     present: FloatArray
-    origin: FloatArray
     scale: FloatArray
     apply: Change
     groups: Sequence[Group]
@@ -161,11 +152,7 @@ class Cause:
 
     def values(self, group: Group, numbers: FloatArray) -> FloatArray:
         """Return all values for numbers of shape [p]."""
-        if group.option is not None:
-            return group.option
-        values, moved = self.present.copy(), group.index
-        values[moved] = self.origin[moved] + self.scale[moved] * numbers
-        return values
+        return group.base + self.scale * (group.selection @ numbers)
 
     def changed(self, setup: Setup, group: Group, numbers: FloatArray) -> Setup:
         """Return a changed copy of a setup."""
@@ -176,25 +163,10 @@ class Cause:
 
     def lower(self, group: Group) -> FloatArray:
         """Return the smallest numbers of a group, shape [p]."""
-        if not self.is_positive:
-            return np.full(group.size, -FAR)
-        lower = MIN_FACTOR - (self.origin / self.scale)[group.index]
-        return lower.max(keepdims=True) if group.is_shared else lower
-
-
-def _assign(*fields: Field) -> Change:
-    """Return a change of fields of a setup: the entries of each take a factor times the values."""
-
-    def apply(setup: Setup, values: FloatArray) -> None:
-        for path, index, factor in fields:
-            attrgetter(path)(setup)[index] = (np.transpose(factor) * values).T
-
-    return apply
-
-
-def _groups(labels: Sequence[str]) -> list[Group]:
-    """Return a group for each value."""
-    return [Group(label, np.array([k])) for k, label in enumerate(labels)]
+        smallest = MIN_FACTOR - group.base / self.scale if self.is_positive else -FAR
+        return (group.selection * np.c_[smallest]).max(
+            axis=0, initial=-FAR, where=group.selection > 0.0
+        )
 
 
 def _row(
@@ -206,7 +178,7 @@ def _row(
     *fields: Field,
     **others: Any,
 ) -> Cause:
-    """Return a row; by default values are free, alone, or share a number, whose zero is the present value.
+    """Return a cause.
 
     Args:
         setup: The model.
@@ -214,71 +186,58 @@ def _row(
         unit: Unit of the values.
         parameters: Names of the values.
         typical: Size that matters; the unit of the numbers is this or the present value.
-        fields: Fields of the setup that take the values, the first one of which has the present values.
-        others: Attributes of the cause that differ.
+        fields: Path, index and factor of the arrays of the setup that take the values.
+        others: `origin`, values where the numbers are zero, which are the present ones by default; `indices`, the
+            values of each group, which is each value alone by default; `together`, the further groups; attributes of
+            the cause that differ.
     """
+
+    def assign(after: Setup, values: FloatArray) -> None:
+        for path, index, factor in fields:
+            attrgetter(path)(after)[index] = (np.transpose(factor) * values).T
+
     count = len(parameters)
-    groups, every = _groups(parameters), np.arange(count)
-    if count > 1:
-        groups += [Group("all", every, is_shared=True), Group("each", every)]
     if "present" not in others:
         path, index, factor = fields[0]
         others["present"] = attrgetter(path)(setup)[index] / factor
     present = others["present"]
     scale = np.maximum(np.broadcast_to(typical, count), 1e-6)
-    if others.get("is_positive", True):
+    if others.get("is_positive", True) and "origin" not in others:
         scale = np.where(present > 0.2 * scale, present, scale)
-    defaults = {
-        "origin": present,
-        "scale": scale,
-        "apply": _assign(*fields),
-        "groups": groups,
-    }
+    origin, eye = others.pop("origin", present), np.eye(count)
+    selections = [("", eye[:, index]) for index in others.pop("indices", np.c_[:count])]
+    together = others.pop("together", ("all", "each"))
+    if count > 1:
+        every = {"all": eye.sum(axis=1, keepdims=True), "each": eye}
+        selections += [(label, every[label]) for label in together]
+    groups = [
+        Group(label, selection, np.where(selection.any(axis=1), origin, present))
+        for label, selection in selections
+    ]
+    defaults = {"scale": scale, "apply": assign, "groups": groups}
     return Cause(name, unit, parameters, **(defaults | others))
 
 
 def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
     """Return the causes that a model and a log allow."""
-    log, model, places = replayer.log, setup.model, replayer.places
+    log, model, dofs = replayer.log, setup.model, replayer.places.dof
     samples = np.linspace(0, len(log.time_s) - 1, LOAD_SAMPLES).astype(int)
     conditions, torques = replayer.conditions(setup, samples)
     # Torques and speeds of the joints that the log often has.
     load = np.maximum(np.percentile(np.abs(torques), 95, axis=0), 1e-4)
     speed = np.maximum(np.percentile(np.abs(log.velocity), 95, axis=0), 1e-3)
     # In newer versions damping is a polynomial, whose first coefficient is the linear one.
-    dofs = places.dof
     damping = dofs if model.dof_damping.ndim == 1 else (dofs, 0)
-    armature, viscous = 0.3 * model.dof_M0[dofs], 0.3 * load / speed
     rows = [
-        _row(
-            setup,
-            "armature",
-            "kg m^2",
-            log.joints,
-            armature,
-            ("model.dof_armature", dofs, 1.0),
-        ),
-        _row(
-            setup,
-            "dry friction",
-            "N m",
-            log.joints,
-            0.1 * load,
-            ("model.dof_frictionloss", dofs, 1.0),
-        ),
-        _row(
-            setup,
-            "damping",
-            "N m s/rad",
-            log.joints,
-            viscous,
-            ("model.dof_damping", damping, 1.0),
-        ),
-        *_bodies(setup),
-        _stops(replayer, setup),
-        _time(replayer, setup),
+        _row(setup, name, unit, log.joints, typical, (f"model.dof_{field}", index, 1.0))
+        for name, unit, typical, field, index in (
+            ("armature", "kg m^2", 0.3 * model.dof_M0[dofs], "armature", dofs),
+            ("dry friction", "N m", 0.1 * load, "frictionloss", dofs),
+            ("damping", "N m s/rad", 0.3 * load / speed, "damping", damping),
+        )
     ]
-    driven = np.flatnonzero(np.append(setup.source, -1)[places.actuator] >= 0)
+    rows += [*_bodies(setup), _stops(replayer, setup), _time(replayer, setup)]
+    driven = np.flatnonzero(np.append(setup.source, -1)[replayer.places.actuator] >= 0)
     if len(driven):
         rows += _drives(replayer, setup, driven, load[driven], speed.max())
     if (conditions == "contact").any():
@@ -290,100 +249,84 @@ def _drives(
     replayer: Replayer, setup: Setup, driven: IntArray, load: FloatArray, speed: float
 ) -> list[Cause]:
     """Return gains, effort limit, and scale, offset, order and delay of the commands of driven joints."""
-    log, model, ids = replayer.log, setup.model, replayer.places.actuator[driven]
-    names = [log.joints[joint] for joint in driven]
+    model, ids = setup.model, replayer.places.actuator[driven]
+    names = [replayer.log.joints[joint] for joint in driven]
     gear = np.abs(model.actuator_gear[ids, 0])
-    limit, gain, law = (
-        "model.actuator_forcerange",
-        "model.actuator_gainprm",
-        "model.actuator_biasprm",
-    )
+    limit, law = "model.actuator_forcerange", "model.actuator_biasprm"
     limits = (limit, (ids, 1), 1.0 / gear), (limit, (ids, 0), -1.0 / gear)
-    stiffness = (law, (ids, 1), -1.0 / gear**2), (gain, (ids, 0), 1.0 / gear**2)
-    damping = (law, (ids, 2), -1.0 / gear**2)
-    zero = {"origin": 0.0 * load, "scale": load}
+    gain = ("model.actuator_gainprm", (ids, 0), 1.0 / gear**2)
+    stiffness, damping = (
+        (law, (ids, 1), -1.0 / gear**2),
+        (law, (ids, 2), -1.0 / gear**2),
+    )
     is_servo = model.actuator_biasprm[ids, 1].any()
     unit, offset = ("rad", 0.05) if is_servo else ("N m", 0.1 * load)
+    scales, offsets, delay = (
+        ("scale", ids, 1.0),
+        ("offset", ids, 1.0),
+        ("delay_s", [0], 1.0),
+    )
     rows = [
         _row(
-            setup, "effort limit", "N m", names, load, *limits, **zero, starts=EFFORTS
-        ),
-        _row(setup, "action scale", "", names, 0.0, ("scale", ids, 1.0)),
-        _row(
             setup,
-            "action offset",
-            unit,
+            "effort limit",
+            "N m",
             names,
-            offset,
-            ("offset", ids, 1.0),
-            is_positive=False,
+            load,
+            *limits,
+            origin=0.0 * load,
+            starts=EFFORTS,
         ),
+        _row(setup, "action scale", "", names, 0.0, scales),
+        _row(setup, "action offset", unit, names, offset, offsets, is_positive=False),
         _row(
             setup,
             "delay",
             "s",
             ["delay"],
             1.0,
-            ("delay_s", [0], 1.0),
+            delay,
             is_positive=False,
             starts=DELAYS_S,
         ),
         _orders(replayer, setup, driven),
     ]
     if is_servo:
-        rows.append(_row(setup, "kp", "N m/rad", names, 0.0, *stiffness))
+        rows.append(_row(setup, "kp", "N m/rad", names, 0.0, stiffness, gain))
         rows.append(_row(setup, "kd", "N m s/rad", names, 0.3 * load / speed, damping))
     return rows
 
 
-def _options(options: Mapping[str, ArrayLike]) -> list[Group]:
-    """Return a group for each label and its values."""
-    return [
-        Group(label, np.zeros(0, int), option=np.ravel(each))
-        for label, each in options.items()
-    ]
-
-
 def _orders(replayer: Replayer, setup: Setup, driven: IntArray) -> Cause:
-    """Return each joint mirrored, and the order and signs of the commands that correlate best with the motion."""
-    log = replayer.log
-    ids = replayer.places.actuator[driven]
+    """Return the order and signs of the commands that correlate best with the motion."""
+    log, ids = replayer.log, replayer.places.actuator[driven]
     names = [log.joints[joint] for joint in driven]
-    count = len(names)
+    same = np.arange(len(names))
     command = make_interp_spline(log.command_time_s, log.command, k=1)(log.time_s)
-    commands = command.T[setup.source[ids]]
     motion = log.position.T[driven]
     if log.command_kind == "tau":
         motion = np.gradient(log.velocity.T[driven], log.time_s, axis=1)
     # A constant has no correlation; the trend avoids a division by zero.
-    trend = 1e-9 * np.arange(len(log.time_s))
-    match = np.corrcoef(motion + trend, commands + trend)[:count, count:]
-    same = np.arange(count)
+    series = np.vstack([motion, command.T[setup.source[ids]]])
+    match = np.corrcoef(series + 1e-9 * np.arange(len(log.time_s)))[
+        : len(ids), len(ids) :
+    ]
     order = linear_sum_assignment(-np.abs(match))[1]
-    options = {
-        f"{name} mirrored": (same, 1 - 2 * (same == k)) for k, name in enumerate(names)
-    }
+    signs = np.sign(match[same, order])
     label = ", ".join(
-        f"{names[k]} follows {names[order[k]]}" for k in same[order != same]
+        f"{names[k]} follows {'' if signs[k] > 0.0 else 'minus '}{names[order[k]]}"
+        for k in same[(order != same) | (signs < 0.0)]
     )
-    if label:
-        signs = np.sign(match[same, order])
-        options |= {label: (order, same**0), f"{label}, with signs": (order, signs)}
 
     def apply(after: Setup, values: FloatArray) -> None:
-        taken = ids[values[:count].astype(int)]
-        after.source[ids], after.origin[ids] = setup.source[taken], setup.origin[taken]
-        after.sign[ids] = values[count:]
+        taken, after.sign[ids] = np.split(values, 2)
+        after.source[ids] = setup.source[ids][taken.astype(int)]
+        after.origin[ids] = setup.origin[ids][taken.astype(int)]
 
-    return _row(
-        setup,
-        "joint order",
-        "",
-        (),
-        0.0,
-        present=same[:0],
-        apply=apply,
-        groups=_options(options),
+    options = [Group(label, np.zeros((2 * len(ids), 0)), np.append(order, signs))]
+    present = np.append(same, same**0).astype(float)
+    return Cause(
+        "joint order", "", (), present, present**0, apply, options if label else []
     )
 
 
@@ -398,83 +341,71 @@ def _bodies(setup: Setup) -> list[Cause]:
     inertias = ("model.body_inertia", bodies, inertia / mass[:, None])
     axes = np.arange(3 * len(bodies)).reshape(-1, 3)
     centre = ("model.body_ipos", (np.repeat(bodies, 3), axes.ravel() % 3), 1.0)
-    centres = [
-        Group(f"centre of {name}", each) for name, each in zip(names, axes, strict=True)
-    ]
-    links = [Group("all masses", np.arange(len(bodies)), is_shared=True)]
-    links += _groups([f"mass of {name}" for name in names])
     is_end = ~np.isin(bodies, model.body_parentid[bodies])
     is_end[:1] = True
-    loaded = [name for name, each in zip(names, is_end, strict=True) if each]
+    ends = [name for name, each in zip(names, is_end, strict=True) if each]
 
     def carry(after: Setup, values: FloatArray) -> None:
         after.model.body_mass[bodies[is_end]] = mass[is_end] + values
 
-    # A tilt of the base turns gravity.
-    moves = {"size": [2], "tilt": [0, 1], "size and tilt": [0, 1, 2]}
-    turns = [Group(label, np.array(each)) for label, each in moves.items()]
     down = ("model.opt.gravity", np.s_[:], 1.0)
-    link, free = "mass or centre of a link", {"is_positive": False}
+    directions = [f"gravity {axis}" for axis in "xyz"]
+    link, free = "mass or centre of a link", {"together": (), "is_positive": False}
     places = [f"{name} {axis}" for name in names for axis in "xyz"]
+    # A tilt of the base turns gravity.
+    tilts = [2], [0, 1], [0, 1, 2]
+    load, zero = 0.2 * mass[is_end], 0.0 * mass[is_end]
     return [
         _row(
             setup,
             "gravity or tilt",
             "m/s^2",
-            [f"gravity {axis}" for axis in "xyz"],
+            directions,
             1.0,
             down,
-            groups=turns,
+            indices=tilts,
             **free,
         ),
-        _row(setup, link, "kg", names, 0.0, masses, inertias, groups=links),
-        _row(
-            setup, link, "m", places, np.repeat(size, 3), centre, groups=centres, **free
-        ),
+        _row(setup, link, "kg", names, 0.0, masses, inertias, together=["all"]),
         _row(
             setup,
-            "payload",
-            "kg",
-            loaded,
-            0.2 * mass[is_end],
-            present=0.0 * mass[is_end],
-            apply=carry,
-            groups=_groups(loaded),
+            link,
+            "m",
+            places,
+            np.repeat(size, 3),
+            centre,
+            indices=[*axes],
+            **free,
+        ),
+        _row(
+            setup, "payload", "kg", ends, load, present=zero, apply=carry, together=()
         ),
     ]
 
 
 def _time(replayer: Replayer, setup: Setup) -> Cause:
-    """Return the physics step, the decimation, and the clock of the log."""
+    """Return the physics step and the decimation."""
 
     def apply(after: Setup, values: FloatArray) -> None:
-        after.clock[0], after.model.opt.timestep = values[:2]
-        after.repeat, after.phase = values[2:].astype(int)
+        after.model.opt.timestep = values[0]
+        after.repeat, after.phase = values[1:].astype(int)
 
     step_s = float(setup.model.opt.timestep)
-    options = {}
-    for trial_s in step_s * np.array(STEPS):
-        if trial_s <= MAX_TIMESTEP_S:
-            options[f"physics step of {1e3 * trial_s:.3g} ms"] = (1.0, trial_s, 1, 0)
+    options = {
+        f"physics step of {1e3 * factor * step_s:.3g} ms": (factor * step_s, 1, 0)
+        for factor in STEPS
+        if factor * step_s <= MAX_TIMESTEP_S
+    }
     for repeat in REPEATS if replayer.log.command_kind else ():
         for phase in range(repeat):
             label = f"only each {repeat}. command is used, from number {phase + 1} on"
-            options[label] = (1.0, step_s, repeat, phase)
-    present, origin = np.array([1.0, step_s, 1.0, 0.0]), np.zeros(4)
-    groups = [*_groups(["clock"]), *_options(options)]
-    parameters = ("clock", "step", "repeat", "phase")
-    return _row(
-        setup,
-        "step and decimation",
-        "s/s",
-        parameters,
-        1.0,
-        present=present,
-        origin=origin,
-        apply=apply,
-        groups=groups,
-        starts=CLOCKS,
-    )
+            options[label] = (step_s, repeat, phase)
+    groups = [
+        Group(label, np.zeros((3, 0)), np.array(values))
+        for label, values in options.items()
+    ]
+    present = np.array([step_s, 1.0, 0.0])
+    return Cause("step and decimation", "", (), present, present**0, apply, groups)
 
 
 def _stops(replayer: Replayer, setup: Setup) -> Cause:
@@ -482,41 +413,30 @@ def _stops(replayer: Replayer, setup: Setup) -> Cause:
     log, ids = replayer.log, replayer.places.joint
     names = [f"{name} {side}" for side in ("lower", "upper") for name in log.joints]
     stop = ("model.jnt_range", (np.tile(ids, 2), np.repeat((0, 1), len(ids))), 1.0)
-    extremes = np.percentile(log.position[log.valid], (2.0, 98.0), axis=0)
-    others = {"groups": _groups(names), "is_positive": False, "starts": STOPS}
+    extremes = np.percentile(log.position[log.valid], (2.0, 98.0), axis=0).ravel()
     return _row(
-        setup, "joint limit", "rad", names, 1.0, stop, origin=extremes.ravel(), **others
+        setup,
+        "joint limit",
+        "rad",
+        names,
+        1.0,
+        stop,
+        origin=extremes,
+        together=(),
+        is_positive=False,
+        starts=STOPS,
     )
 
 
 def _contacts(setup: Setup) -> list[Cause]:
     """Return friction and softness of all contacts, as factors."""
-    table = {
-        "floor friction": (
-            ("model.geom_friction", np.s_[:, 0]),
-            ("model.pair_friction", np.s_[:, :2]),
-        ),
-        "contact softness": (
-            ("model.geom_solref", np.s_[:, 0]),
-            ("model.pair_solref", np.s_[:, 0]),
-        ),
-    }
-    rows = []
-    for name, entries in table.items():
-        fields = [
-            (path, index, attrgetter(path)(setup)[index].copy())
-            for path, index in entries
-        ]
-        rows.append(
-            _row(
-                setup,
-                name,
-                "",
-                ["factor"],
-                1.0,
-                *fields,
-                present=np.ones(1),
-                starts=CONTACTS,
-            )
-        )
-    return rows
+
+    def row(name: str, *places: tuple[str, Any]) -> Cause:
+        fields = [(path, at, attrgetter(path)(setup)[at].copy()) for path, at in places]
+        factor = {"present": np.ones(1), "starts": CONTACTS}
+        return _row(setup, name, "", ["factor"], 1.0, *fields, **factor)
+
+    first, sliding = np.s_[:, 0], np.s_[:, :2]
+    friction = ("model.geom_friction", first), ("model.pair_friction", sliding)
+    softness = ("model.geom_solref", first), ("model.pair_solref", first)
+    return [row("floor friction", *friction), row("contact softness", *softness)]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear
@@ -34,13 +34,12 @@ MAX_GROUPS = 2
 MAX_FEW = 12
 MAX_CALLS, MAX_LARGE_CALLS = 25, 6
 """Calls of least squares for a few numbers, and for many."""
-SERVO = ("delay", "kp", "armature", "damping")
-"""Causes that are fitted together where two are not enough: the constants of a servo."""
 MAX_ALONE, MAX_FURTHER, MAX_POOL, MAX_BASES = 8, 3, 5, 2
 """Number of fits that are refined: alone, on top of others, and again those that are best alone; and of such bases."""
-MAX_SEVERAL = 4
-"""Number of causes that are named together."""
+SERVO = ("delay", "kp", "armature", "damping")
+"""Causes that are fitted together where two are not enough: the constants of a servo."""
 PROBE = 0.05
+EMPTY = np.zeros(0)
 MAX_WHITE = 1e4
 
 
@@ -57,10 +56,10 @@ class Fit:
         half_width: Half of the 95 % interval of each number, where it was computed.
     """
 
-    terms: tuple[tuple[Cause, Group], ...] = ()
-    numbers: FloatArray = field(default_factory=lambda: np.zeros(0))
-    train: FloatArray = field(default_factory=lambda: np.zeros(0))
-    held_out: FloatArray = field(default_factory=lambda: np.zeros(0))
+    terms: tuple[tuple[Cause, Group], ...]
+    numbers: FloatArray
+    train: FloatArray
+    held_out: FloatArray
     promised: float = np.inf
     half_width: FloatArray | None = None
 
@@ -70,29 +69,25 @@ class Fit:
         return [cause.name for cause, _ in self.terms]
 
     @property
-    def residuals(self) -> FloatArray:
-        """Residuals of all pieces that were predicted, shape [P, T D]."""
-        if self.held_out.size:
-            return np.concatenate([self.train, self.held_out])
-        return self.train
-
-    @property
     def error(self) -> float:
         """Mean squared error over that of the noise, of pieces that the fit has not seen, or of the others before."""
         if self.held_out.size:
             return float(np.mean(self.held_out**2))
-        trained = float(np.mean(self.train**2)) if self.train.size else np.inf
-        return min(trained, self.promised)
+        return min(float(np.mean(self.train**2)), self.promised)
 
-    def parts(self, numbers: FloatArray) -> list[FloatArray]:
-        """Return the numbers of each term."""
-        sizes = [group.size for _, group in self.terms]
-        return np.split(numbers, np.cumsum(sizes)[:-1])
+    def parts(
+        self, numbers: FloatArray
+    ) -> Iterator[tuple[tuple[Cause, Group], FloatArray]]:
+        """Return each term with its numbers."""
+        sizes = [group.selection.shape[1] for _, group in self.terms]
+        parts = np.split(numbers, np.cumsum(sizes)[:-1])
+        return zip(self.terms, parts, strict=False)
 
     def with_term(self, cause: Cause, group: Group, numbers: FloatArray) -> Fit:
-        """Return a fit with one more cause, without residuals."""
+        """Return a fit with one more cause, whose residuals are still those of this one."""
         terms = (*self.terms, (cause, group))
-        return Fit(terms, np.append(self.numbers, numbers))
+        after = np.append(self.numbers, numbers)
+        return Fit(terms, after, self.train, self.train[:0])
 
 
 class Problem:
@@ -110,26 +105,24 @@ class Problem:
     def __init__(self, replayer: Replayer, setup: Setup) -> None:
         self.replayer, self.setup = replayer, setup
         pieces = replayer.pieces(HORIZON_S, PIECES)
-        self._pieces, self._whiteners = [], []
-        for first in (0, 1):
-            half = pieces[first::2]
-            covariance = replayer.covariance(setup, half)
-            self._pieces.append(half)
-            self._whiteners.append(np.linalg.inv(np.linalg.cholesky(covariance)))
+        self._halves = pieces[::2], pieces[1::2]
+        self._whiteners = [
+            np.linalg.inv(np.linalg.cholesky(replayer.covariance(setup, half)))
+            for half in self._halves
+        ]
         self.floor = 1.0
-        self.before = self.judged(Fit())
+        train, held_out = (self._residuals(setup, half) for half in (0, 1))
+        self.before = Fit((), np.zeros(0), train, held_out)
 
     def changed(self, fit: Fit) -> Setup:
         """Return the setup of a fit."""
         setup = self.setup
-        for (cause, group), part in zip(
-            fit.terms, fit.parts(fit.numbers), strict=False
-        ):
-            setup = cause.changed(setup, group, part)
+        for (cause, group), numbers in fit.parts(fit.numbers):
+            setup = cause.changed(setup, group, numbers)
         return setup
 
     def _residuals(self, setup: Setup, half: int) -> FloatArray:
-        deviation = self.replayer.predict(setup, self._pieces[half])
+        deviation = self.replayer.predict(setup, self._halves[half])
         columns = deviation.reshape(len(deviation), -1, 1)
         white = (self._whiteners[half] @ columns)[..., 0]
         return np.clip(white, -MAX_WHITE, MAX_WHITE)
@@ -137,13 +130,12 @@ class Problem:
     def trained(self, fit: Fit) -> Fit:
         """Return a fit with its residuals of the training pieces."""
         train = self._residuals(self.changed(fit), 0)
-        return replace(fit, train=train, held_out=np.zeros(0))
+        return replace(fit, train=train, held_out=train[:0])
 
     def judged(self, fit: Fit) -> Fit:
         """Return a fit with all its residuals."""
-        setup = self.changed(fit)
-        train, held_out = (self._residuals(setup, half) for half in (0, 1))
-        return replace(fit, train=train, held_out=held_out)
+        held_out = self._residuals(self.changed(fit), 1)
+        return replace(self.trained(fit), held_out=held_out)
 
     def left(self, fit: Fit) -> float:
         """Return the error beyond the noise that a fit leaves, over that of the noise."""
@@ -159,13 +151,15 @@ class Problem:
         return fit.error + PARAMETER_COST * len(fit.numbers) * self.before.error
 
 
-def _slopes(evaluate: Callable[[Fit], Fit], fit: Fit, steps: FloatArray) -> FloatArray:
-    """Return the change of the residuals of a fit per number, shape [P, T D, p], by finite differences."""
-    columns = []
-    for step in steps:
-        moved = evaluate(replace(fit, numbers=fit.numbers + step))
-        columns.append((moved.residuals - fit.residuals) / step.sum())
-    return np.stack(columns, axis=-1)
+def _slopes(problem: Problem, base: Fit, cause: Cause) -> FloatArray:
+    """Return the change of the training residuals per number of a further cause, shape [P, T D, K]."""
+    count = len(cause.parameters)
+    every = Group("each", np.eye(count), cause.present)
+    moved = [
+        problem.trained(base.with_term(cause, every, probe)).train
+        for probe in PROBE * np.eye(count)
+    ]
+    return (np.stack(moved, axis=-1) - base.train[..., None]) / PROBE
 
 
 def _trials(problem: Problem, base: Fit, cause: Cause) -> list[Fit]:
@@ -174,34 +168,26 @@ def _trials(problem: Problem, base: Fit, cause: Cause) -> list[Fit]:
     A smooth cause steps to the optimum of the linear model of the residuals, or 0.4 of the way; other causes take the
     best of several starts.
     """
-    count = len(cause.parameters)
-    is_smooth = not cause.starts and count
-    if is_smooth:
-        every = base.with_term(cause, Group("", np.arange(count)), np.zeros(count))
-        every = replace(every, train=base.train)
-        steps = PROBE * np.eye(len(every.numbers))[-count:]
-        slopes = _slopes(problem.trained, every, steps)
+    is_smooth = len(cause.parameters) > 0 and not cause.starts
+    slopes = _slopes(problem, base, cause) if is_smooth else EMPTY
     trials = []
     for group in cause.groups:
-        promised, starts = np.inf, [np.zeros(0)]
+        lower = cause.lower(group)
+        starts = [np.maximum(start, lower) for start in cause.starts] or [lower]
+        promised = np.inf
         if is_smooth:
-            columns = slopes[..., group.index].reshape(-1, len(group.index))
-            if group.is_shared:
-                columns = columns.sum(axis=1, keepdims=True)
-            bounds = cause.lower(group), FAR
-            solution = lsq_linear(columns, -base.train.ravel(), bounds=bounds)
-            promised = 2.0 * solution.cost / base.train.size
+            columns = (slopes @ group.selection).reshape(-1, len(lower))
+            solution = lsq_linear(columns, -base.train.ravel(), bounds=(lower, FAR))
             starts = [solution.x, 0.4 * solution.x]
-        elif group.option is None:
-            starts = [np.maximum(start, cause.lower(group)) for start in cause.starts]
+            promised = 2.0 * solution.cost / base.train.size
         fits = [base.with_term(cause, group, start) for start in starts]
-        trials.append((replace(fits[0], promised=promised), fits))
+        trials.append([replace(fit, promised=promised) for fit in fits])
     if is_smooth:
-        trials = sorted(trials, key=lambda trial: problem.cost(trial[0]))[:MAX_GROUPS]
-    best = []
-    for promise, fits in trials:
-        fit = min(map(problem.trained, fits), key=problem.cost)
-        best.append(replace(fit, promised=promise.promised))
+        trials = sorted(trials, key=lambda fits: problem.cost(fits[0]))[:MAX_GROUPS]
+    best = [
+        min(map(problem.trained, fits), key=lambda fit: float(np.mean(fit.train**2)))
+        for fits in trials
+    ]
     return sorted(best, key=problem.cost)[:MAX_GROUPS]
 
 
@@ -221,7 +207,29 @@ def _refined(problem: Problem, fit: Fit) -> Fit:
         xtol=1e-4,
         max_nfev=MAX_CALLS if len(start) < MAX_FEW else MAX_LARGE_CALLS,
     )
-    return problem.judged(replace(fit, numbers=solution.x))
+    after = problem.judged(replace(fit, numbers=solution.x))
+    slopes = solution.jac.reshape(*after.train.shape, -1)
+    return replace(after, half_width=_half_width(slopes, after.train))
+
+
+def _half_width(slopes: FloatArray, residuals: FloatArray) -> FloatArray:
+    """Return half of the 95 % interval of each number, shape [p].
+
+    The sandwich A^-1 B A^-1 sums the gradients by pieces, so that correlated residuals and the spread over the pieces
+    both widen it.
+
+    Args:
+        slopes: Change of the residuals per number, shape [P, T D, p].
+        residuals: Training residuals, shape [P, T D].
+    """
+    inverse = np.linalg.pinv(np.einsum("pri,prj->ij", slopes, slopes))
+    gradients = np.einsum("pri,pr->pi", slopes, residuals)
+    pieces, count = gradients.shape
+    freedom = max(pieces - count, 1)
+    spread = inverse @ gradients.T @ gradients @ inverse * pieces / freedom
+    # The noise alone gives the narrowest interval.
+    variance = np.maximum(np.diag(spread), np.abs(np.diag(inverse)))
+    return student.ppf(0.975, freedom) * np.sqrt(variance)
 
 
 def best_fits(
@@ -245,26 +253,6 @@ def best_fits(
     return list(best.values())
 
 
-def _with_interval(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit with the 95 % intervals of its numbers.
-
-    The sandwich A^-1 B A^-1 sums the gradients by pieces, so that correlated residuals and the spread over the pieces
-    both widen it.
-    """
-    if not len(fit.numbers):
-        return fit
-    after = fit.residuals
-    steps = np.diag(1e-2 * np.maximum(np.abs(fit.numbers), 0.05))
-    slopes = _slopes(problem.judged, fit, steps)
-    inverse = np.linalg.pinv(np.einsum("pri,prj->ij", slopes, slopes))
-    gradients = np.einsum("pri,pr->pi", slopes, after)
-    freedom = max(len(after) - len(fit.numbers), 1)
-    spread = inverse @ gradients.T @ gradients @ inverse * len(after) / freedom
-    # The noise alone gives the narrowest interval.
-    variance = np.maximum(np.diag(spread), np.abs(np.diag(inverse)))
-    return replace(fit, half_width=student.ppf(0.975, freedom) * np.sqrt(variance))
-
-
 @dataclass(frozen=True)
 class Explanation:
     """What explains a log.
@@ -274,19 +262,14 @@ class Explanation:
         fits: Best fit of each cause, the best first; none if the model predicts the log within its noise.
         alike: Names of the causes that the log cannot tell from the first.
         several: Two to four causes that are fitted together; None where one is enough.
+        change: The fit that the verdict is about: one cause, or else several if there are.
     """
 
     verdict: Verdict = Verdict.NOISE
-    fits: tuple[Fit, ...] = ()
-    alike: tuple[str, ...] = ()
+    fits: Sequence[Fit] = ()
+    alike: Sequence[str] = ()
     several: Fit | None = None
-
-    @property
-    def change(self) -> Fit | None:
-        """The fit that the verdict is about: one cause, or else several if there are."""
-        if self.several and self.verdict is not Verdict.CAUSE:
-            return self.several
-        return self.fits[0] if self.fits else None
+    change: Fit | None = None
 
 
 def _are_alike(problem: Problem, best: Fit, other: Fit) -> bool:
@@ -298,57 +281,41 @@ def _are_alike(problem: Problem, best: Fit, other: Fit) -> bool:
     return bool(is_equal or wilcoxon(gap, alternative="greater").pvalue > 0.05)
 
 
-def _grown(
-    problem: Problem, causes: Sequence[Cause], base: Fit, pool: Sequence[Fit]
-) -> Fit:
-    """Return a fit with the best further cause, after all were fitted together.
-
-    A cause that explains little on top of the others may still explain much with them, so the best ones alone, `pool`,
-    are tried too.
-    """
-    others = [cause for cause in causes if cause.name not in base.names]
-    fits = best_fits(problem, base, others, MAX_FURTHER)
-    for fit in pool:
-        if fit.names[0] not in base.names:
-            cause, group = fit.terms[0]
-            shorter = fit.numbers if cause.starts else 0.3 * fit.numbers
-            fits.append(_refined(problem, base.with_term(cause, group, shorter)))
-    return min(fits, key=lambda fit: fit.error)
-
-
 def _servo(problem: Problem, causes: Sequence[Cause], fits: Sequence[Fit]) -> list[Fit]:
     """Return the constants of a few servos fitted together; nothing for many servos, or without any."""
     by_name = {cause.name: cause for cause in causes}
     if "kp" not in by_name or len(by_name["kp"].parameters) * len(SERVO) > MAX_FEW:
         return []
-    delay = next(fit for fit in fits if fit.names == ["delay"])
+    fit = next(fit for fit in fits if fit.names == ["delay"])
     for name in SERVO[1:]:
         group = by_name[name].groups[-1]
-        delay = delay.with_term(by_name[name], group, np.zeros(group.size))
-    return [_refined(problem, delay)]
+        fit = fit.with_term(by_name[name], group, 0.0 * by_name[name].lower(group))
+    return [_refined(problem, fit)]
 
 
 def _several(
     problem: Problem, causes: Sequence[Cause], fits: Sequence[Fit], bases: Sequence[Fit]
 ) -> Fit:
-    """Return two to four causes that explain more together."""
-    pool = fits[:MAX_POOL]
-    tried = []
+    """Return the pair of causes, or the constants of a servo, that explain most.
+
+    A cause that explains little on top of another one may still explain much with it, so the best ones alone are tried
+    too.
+    """
+    together: list[Fit] = []
     for base in bases:
-        tried.append(_grown(problem, causes, base, pool))
-        if problem.left(tried[-1]) < NEAR:
-            return tried[-1]
-    several = min([*tried, *_servo(problem, causes, fits)], key=lambda fit: fit.error)
-    while (
-        len(several.terms) < MAX_SEVERAL
-        and problem.left(several) > NEAR
-        and problem.share(several) > 0.5
-    ):
-        more = _grown(problem, causes, several, pool)
-        if problem.left(more) > BETTER * problem.left(several):
-            break
-        several = more
-    return several
+        others = [cause for cause in causes if cause.name not in base.names]
+        together += best_fits(problem, base, others, MAX_FURTHER)
+        for fit in fits[:MAX_POOL]:
+            if fit.names != base.names:
+                cause, group = fit.terms[0]
+                shorter = fit.numbers if cause.starts else 0.3 * fit.numbers
+                pair = base.with_term(cause, group, shorter)
+                together.append(_refined(problem, pair))
+        best = min(together, key=lambda fit: fit.error)
+        if problem.left(best) < NEAR:
+            return best
+    together += _servo(problem, causes, fits)
+    return min(together, key=lambda fit: fit.error)
 
 
 def _verdict(problem: Problem, fits: Sequence[Fit], several: Fit | None) -> Verdict:
@@ -371,22 +338,18 @@ def _verdict(problem: Problem, fits: Sequence[Fit], several: Fit | None) -> Verd
 
 
 def explain(
-    problem: Problem,
-    causes: Sequence[Cause],
-    advance: Callable[[str], None] = lambda _: None,
+    problem: Problem, causes: Sequence[Cause], advance: Callable[[str], None]
 ) -> Explanation:
     """Return what explains the deviation of a log from the model: each cause alone, then several."""
     if problem.before.error < WITHIN_NOISE * problem.floor:
         return Explanation()
     fits = best_fits(problem, problem.before, causes, MAX_ALONE, advance)
-    fits[0] = _with_interval(problem, fits[0])
     alike = [fit.names[0] for fit in fits[1:] if _are_alike(problem, fits[0], fit)]
     several = None
     if problem.left(fits[0]) > NEAR:
         advance("several together")
-        bases = [fit for fit in fits if fit.names[0] not in alike]
-        several = _several(problem, causes, fits, bases[:MAX_BASES])
-        several = _with_interval(problem, several)
-    return Explanation(
-        _verdict(problem, fits, several), tuple(fits), tuple(alike), several
-    )
+        bases = [fit for fit in fits if fit.names[0] not in alike][:MAX_BASES]
+        several = _several(problem, causes, fits, bases)
+    verdict = _verdict(problem, fits, several)
+    change = fits[0] if several is None or verdict is Verdict.CAUSE else several
+    return Explanation(verdict, fits, alike, several, change)

@@ -34,7 +34,6 @@ class Setup:
             again, shape [nu].
         divisor: The gear for a torque, one over it for an angle, shape [nu].
         delay_s: Time from the command to its effect, shape [1].
-        clock: Seconds of physics in a second of the log, shape [1].
         repeat, phase: The controller takes only each n-th change of the command, from this one on.
     """
 
@@ -46,7 +45,6 @@ class Setup:
     offset: FloatArray
     divisor: FloatArray
     delay_s: FloatArray
-    clock: FloatArray
     repeat: int = 1
     phase: int = 0
 
@@ -126,7 +124,7 @@ def find_places(model: mujoco.MjModel, log: Log) -> Places:
         raise FileError(log.name, unknown, reason)
     ids = np.array([model.joint(name).id for name in log.joints])
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value)[:1]
-    if len(free) and not {"position", "quaternion"} <= log.base.keys():
+    if len(free) and log.base_pose.shape[1] != 7:
         reason = (
             "the base of the model is free; log its pose, or fix the base of the model"
         )
@@ -190,9 +188,8 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
     # An action counts from the default pose, a target from zero.
     origin = offset.copy() if kind == "target" else np.zeros(count)
     _set_limits(model)
-    delay_s, clock = np.zeros(1), np.ones(1)
-    sign = np.ones(count)
-    return Setup(model, source, sign, scale, origin, offset, divisor, delay_s, clock)
+    sign, delay_s = np.ones(count), np.zeros(1)
+    return Setup(model, source, sign, scale, origin, offset, divisor, delay_s)
 
 
 def _drives(model: mujoco.MjModel) -> dict[str, int]:
@@ -226,15 +223,10 @@ def _set_limits(model: mujoco.MjModel) -> None:
     model.jnt_limited[model.jnt_type >= mujoco.mjtJoint.mjJNT_SLIDE.value] = 1
     model.actuator_forcerange[model.actuator_forcelimited == 0] = -UNLIMITED, UNLIMITED
     model.actuator_forcelimited[:] = 1
+    joints, gear = model.actuator_trnid[:, 0], np.abs(model.actuator_gear[:, :1])
     is_at_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value
-    joints = model.actuator_trnid[:, 0]
-    for actuator in np.flatnonzero(
-        is_at_joint & (model.jnt_actfrclimited[joints] == 1)
-    ):
-        limit = model.jnt_actfrcrange[joints[actuator]] / abs(
-            model.actuator_gear[actuator, 0]
-        )
-        model.actuator_forcerange[actuator] = np.clip(
-            model.actuator_forcerange[actuator], *limit
-        )
-        model.jnt_actfrclimited[joints[actuator]] = 0
+    limited = np.flatnonzero(is_at_joint & (model.jnt_actfrclimited[joints] == 1))
+    lower, upper = (model.jnt_actfrcrange[joints] / gear)[limited].T[..., None]
+    limits = np.clip(model.actuator_forcerange[limited], lower, upper)
+    model.actuator_forcerange[limited] = limits
+    model.jnt_actfrclimited[joints[limited]] = 0

@@ -51,20 +51,21 @@ class Replayer:
         self.qvel[:, places.dof] = log.velocity
         self.dofs = np.concatenate([places.base_dof, places.dof])
         self.is_joint = np.arange(len(self.dofs)) >= len(places.base_dof)
-        noise, rate_noise = [], []
+        pose_noise, twist_noise = np.zeros((2, 0))
         if len(places.base_dof):
-            base = log.base
-            pose = np.hstack([base["position"], base["quaternion"]])
-            twist = np.hstack([base["linear_velocity"], base["angular_velocity"]])
-            self.qpos[:, places.base_qpos], self.qvel[:, places.base_dof] = pose, twist
-            pose_noise = noise_of(log.time_s, pose, log.valid)
+            self.qpos[:, places.base_qpos] = log.base_pose
+            self.qvel[:, places.base_dof] = log.base_twist
+            pose_noise = noise_of(log.time_s, log.base_pose, log.valid)
             # A rotation is twice the change of the quaternion.
-            turn_noise = np.full(3, 2.0 * pose_noise[3:].max())
-            noise = [np.maximum([*pose_noise[:3], *turn_noise], MIN_NOISE)]
-            twist_noise = noise_of(log.time_s, twist, log.valid)
-            rate_noise = [np.maximum(twist_noise, MIN_RATE_NOISE)]
+            pose_noise = np.append(pose_noise[:3], [2.0 * pose_noise[3:].max()] * 3)
+            twist_noise = noise_of(log.time_s, log.base_twist, log.valid)
         self.noise = np.concatenate(
-            [*noise, log.position_noise, *rate_noise, log.velocity_noise]
+            [
+                np.maximum(pose_noise, MIN_NOISE),
+                log.position_noise,
+                np.maximum(twist_noise, MIN_RATE_NOISE),
+                log.velocity_noise,
+            ]
         )
 
     def pieces(self, horizon_s: float, count: int, outputs: int = 8) -> IntArray:
@@ -108,11 +109,10 @@ class Replayer:
         """
         model, log = setup.model, self.log
         step_s = model.opt.timestep
-        elapsed_s = self.elapsed_s(pieces) * setup.clock[0]
+        elapsed_s = self.elapsed_s(pieces)
         count = max(1, int(np.ceil(elapsed_s.max() / step_s - 1e-9)))
-        logged_step_s = step_s / setup.clock[0]
-        times_s = log.time_s[pieces[:, :1]] + np.arange(count) * logged_step_s
-        controls = setup.controls(log, times_s, logged_step_s)
+        times_s = log.time_s[pieces[:, :1]] + step_s * np.arange(count)
+        controls = setup.controls(log, times_s, step_s)
         qpos, qvel = self.qpos[pieces[:, 0]], self.qvel[pieces[:, 0]]
         if tangent is not None:
             qvel += tangent[model.nv :]

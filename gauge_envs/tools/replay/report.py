@@ -12,7 +12,7 @@ from scipy.interpolate import make_interp_spline
 
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Table
-from gauge_envs.tools.replay.causes import SNIPPETS, candidates
+from gauge_envs.tools.replay.causes import SNIPPETS, Cause, candidates
 from gauge_envs.tools.replay.fit import Explanation, Fit, Problem, explain
 from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, read_log
 from gauge_envs.tools.replay.model import (
@@ -41,9 +41,6 @@ MIN_CORRELATION = 0.99
 MAX_ROWS = 12
 """Joints that the text shows, those with the largest error first."""
 MAX_CAUSES = 4
-MAX_WIDTH = 0.4
-"""Width of the interval of a gain, over its value, from which on only ratios are sure."""
-STACKS = ("MJCF", "Isaac Lab", "mjlab", "Playground")
 
 
 @dataclass(frozen=True)
@@ -114,16 +111,12 @@ def _line(
     model: str, logs: Sequence[Log], problem: Problem, explanation: Explanation
 ) -> ReplayLine:
     """Return the report of an explanation."""
-    verdict, change = explanation.verdict, explanation.change
+    verdict, several = explanation.verdict, explanation.several
     joints, conditions = _joint_reports(problem, _repeat(logs[0], logs[-1]))
     interval_s = logs[-1].command_interval_s
-
-    def explained(fit: Fit | None) -> tuple[Explained, ...]:
-        return _explained(fit, problem.share(fit), interval_s) if fit else ()
-
-    alone = tuple(explained(fit)[0] for fit in explanation.fits)
-    several = explained(explanation.several)
-    named = explained(change) if verdict in (Verdict.CAUSE, Verdict.SEVERAL) else ()
+    alone = [_explained(problem, fit, interval_s)[0] for fit in explanation.fits]
+    together = _explained(problem, several, interval_s) if several else []
+    named = {Verdict.CAUSE: alone[:1], Verdict.SEVERAL: together}.get(verdict, [])
     line = ReplayLine(
         log=logs[-1].name,
         baseline=logs[0].name if len(logs) > 1 else None,
@@ -131,14 +124,14 @@ def _line(
         verdict=verdict,
         sentence="",
         error_over_noise=problem.before.error,
-        error_after=(change or problem.before).error,
+        error_after=(explanation.change or problem.before).error,
         baseline_over_noise=problem.floor if len(logs) > 1 else None,
         findings=tuple(dict.fromkeys(text for log in logs for text in log.findings)),
         joints=joints,
         conditions=conditions,
-        candidates=alone,
-        alike=explanation.alike,
-        several=several,
+        candidates=tuple(alone),
+        alike=tuple(explanation.alike),
+        several=tuple(together),
         paste=paste_lines(named, problem.setup.model.opt.timestep),
     )
     return replace(line, sentence=_sentence(line))
@@ -212,72 +205,69 @@ def _repeat(first: Log, second: Log) -> FloatArray | None:
 
 
 def _explained(
-    fit: Fit, share: float, command_interval_s: float
-) -> tuple[Explained, ...]:
+    problem: Problem, fit: Fit, command_interval_s: float
+) -> list[Explained]:
     """Return the causes of a fit as they are printed."""
     rows = []
     half_width = fit.numbers * np.nan if fit.half_width is None else fit.half_width
-    ends = [fit.parts(fit.numbers + sign * half_width) for sign in (-1.0, 1.0)]
-    for (cause, group), *parts in zip(
-        fit.terms, fit.parts(fit.numbers), *ends, strict=True
+    for ((cause, group), numbers), (_, half) in zip(
+        fit.parts(fit.numbers), fit.parts(half_width), strict=True
     ):
-        moved = group.index
-        numbers = [
-            cause.present[moved],
-            *(cause.values(group, part)[moved] for part in parts),
+        ends = [numbers, numbers - half, numbers + half]
+        table = np.transpose(
+            [cause.present, *(cause.values(group, end) for end in ends)]
+        ).tolist()
+        values = [
+            _value(cause.parameters[k], *table[k])
+            for k in np.flatnonzero(group.selection.any(axis=1)).tolist()
         ]
-        values = []
-        for k, present, fitted, low, high in zip(
-            moved, *np.array(numbers).tolist(), strict=True
-        ):
-            has_interval = np.isfinite(low)
-            values.append(
-                Value(
-                    parameter=cause.parameters[k],
-                    present=present if abs(present) < UNLIMITED else None,
-                    fitted=fitted,
-                    low=low if has_interval else None,
-                    high=high if has_interval else None,
-                    changes=bool(has_interval and not low <= present <= high),
-                )
-            )
-        text = _text(cause.name, cause.unit, group.label, values, command_interval_s)
         rows.append(
             Explained(
                 cause=cause.name,
-                text=text,
-                share=share,
+                text=_text(cause, group.label, values, command_interval_s),
+                share=problem.share(fit),
                 unit=cause.unit,
                 values=tuple(values),
             )
         )
-    return tuple(rows)
+    return rows
+
+
+def _value(
+    parameter: str, present: float, fitted: float, low: float, high: float
+) -> Value:
+    """Return a value; NaN ends are no interval."""
+    has_interval = bool(np.isfinite(low))
+    return Value(
+        parameter=parameter,
+        present=present if abs(present) < UNLIMITED else None,
+        fitted=fitted,
+        low=low if has_interval else None,
+        high=high if has_interval else None,
+        changes=has_interval and not low <= present <= high,
+    )
 
 
 def _text(
-    name: str, unit: str, label: str, values: Sequence[Value], command_interval_s: float
+    cause: Cause, label: str, values: Sequence[Value], command_interval_s: float
 ) -> str:
     """Return a cause with its value, as `delay of 2 steps (40 ms)`."""
+    name = cause.name
     if not values:
         return f"{name}: {label}"
     value = values[0]
     if name == "delay":
         return f"delay of {value.fitted / command_interval_s:.2g} steps ({1e3 * value.fitted:.3g} ms)"
-    space = unit and " "
+    unit = f" {cause.unit}" if cause.unit else ""
     if len(values) == 1:
         now = "no limit" if value.present is None else f"{value.present:.3g}"
-        return (
-            f"{name} of {value.parameter}: {value.fitted:.3g}{space}{unit} (now {now})"
-        )
-    ratios = [each.fitted / each.present for each in values if each.present]
-    if label.startswith("all") and len(ratios) == len(values) and np.ptp(ratios) < 1e-6:
-        return f"{name} x {ratios[0]:.3g} ({label})"
+        return f"{name} of {value.parameter}: {value.fitted:.3g}{unit} (now {now})"
     numbers = [each.fitted for each in values]
     text = f"{name} of {label}: {min(numbers):.2g} to {max(numbers):.2g}"
     if len(values) <= 3:
         texts = ", ".join(f"{each.parameter} {each.fitted:.3g}" for each in values)
         text = f"{name}: {texts}"
-    return f"{text}{space}{unit}"
+    return f"{text}{unit}"
 
 
 def paste_lines(causes: Sequence[Explained], step_s: float) -> dict[str, str]:
@@ -287,26 +277,22 @@ def paste_lines(causes: Sequence[Explained], step_s: float) -> dict[str, str]:
         causes: What was named.
         step_s: Physics step of the model, in which Isaac Lab and mjlab count a delay.
     """
-    pasted: dict[str, list[str]] = {stack: [] for stack in STACKS}
+    pasted: dict[str, list[str]] = {}
     for cause in causes:
         values = [value for value in cause.values if value.changes]
+        numbers = {value.parameter: round(value.fitted, 6) for value in values}
+        together = " ".join(f"{value.fitted:.4g}" for value in cause.values)
         for value in values:
             steps = round(value.fitted / step_s)
             fields = {
                 "name": value.parameter,
                 "value": value.fitted,
-                "numbers": {each.parameter: round(each.fitted, 6) for each in values},
-                "together": " ".join(f"{each.fitted:.4g}" for each in cause.values),
-                "steps": steps,
-                "samples": steps + 2,
+                "numbers": numbers,
             }
+            fields |= {"together": together, "steps": steps, "samples": steps + 2}
             for stack, template in SNIPPETS.get(cause.cause, {}).items():
-                pasted[stack].append(template.format(**fields))
-    return {
-        stack: "\n".join(dict.fromkeys(lines))
-        for stack, lines in pasted.items()
-        if lines
-    }
+                pasted.setdefault(stack, []).append(template.format(**fields))
+    return {stack: "\n".join(dict.fromkeys(lines)) for stack, lines in pasted.items()}
 
 
 def _sentence(line: ReplayLine) -> str:
@@ -325,33 +311,13 @@ def _sentence(line: ReplayLine) -> str:
     if line.verdict is Verdict.SEVERAL:
         texts = " and ".join(each.text for each in line.several)
         alone = f"best alone: {best.cause}, {share}"
-        return f"{texts} together explain {together} of the difference ({alone}){_ratios(line)}{remains}."
+        return (
+            f"{texts} together explain {together} of the difference ({alone}){remains}."
+        )
     names = " and ".join(each.cause for each in line.several)
     more = f"; together {names}, {together}" if line.several else ""
     return (
         f"Nothing in the list explains it (best: {best.text}, {share}{more}){remains}."
-    )
-
-
-def _ratios(line: ReplayLine) -> str:
-    """Return the ratios of a servo whose motion does not show how large its torques are; empty for others.
-
-    Torque and inertia times the same number give the same motion, but for gravity and the inertia of the link.
-    """
-    single = {
-        each.cause: each.values[0] for each in line.several if len(each.values) == 1
-    }
-    if not single.keys() >= {"kp", "armature", "damping"}:
-        return ""
-    stiffness, damping, armature = (
-        single[name].fitted for name in ("kp", "damping", "armature")
-    )
-    low, high = single["kp"].low or 0.0, single["kp"].high or np.inf
-    if high - low < MAX_WIDTH * stiffness:
-        return ""
-    return (
-        f"; only ratios are sure: kp / armature {stiffness / armature:.3g} 1/s^2, "
-        f"damping / armature {damping / armature:.3g} 1/s"
     )
 
 
@@ -378,20 +344,22 @@ def _milli(value: float) -> str:
 
 
 def _ratio(value: float) -> str:
-    return f"{value:.2g}" if value < 10.0 else f"{value:.0f}"
+    return f"{value:.3g}"
 
 
 def _percent(share: float) -> str:
-    return (
-        f"{100.0 * max(share, 0.0):.0f}"
-        if share < 0.995
-        else f"{100.0 * min(share, 1.0):.4g}"
-    )
+    return f"{100.0 * min(max(share, 0.0), 1.0):.3g}"
+
+
+def _interval(values: Sequence[Value]) -> str:
+    """Return the 95 % interval of a cause with a single value."""
+    if len(values) != 1 or values[0].low is None:
+        return ""
+    return f"{values[0].low:.3g} to {values[0].high:.3g}"
 
 
 def _joint_table(joints: Sequence[JointReport]) -> Table:
     """Return the table by joint."""
-    left = len(joints) - MAX_ROWS
     numbers = {
         "noise": ("noise", _milli),
         "predictions.0.over_noise": ("1 step /noise", _ratio),
@@ -409,30 +377,21 @@ def _joint_table(joints: Sequence[JointReport]) -> Table:
         Column(key, title, form, is_number=True)
         for key, (title, form) in numbers.items()
     ]
-    note = f"{left} more joints with smaller errors: --format json"
     return Table(
-        title="Predictions from recorded states [mrad or mm]",
+        title=f"Predictions from recorded states, the largest {MAX_ROWS} [mrad or mm]",
         columns=(Column("joint", "joint"), *columns, Column("condition", "in")),
         rows=joints[:MAX_ROWS],
-        notes=(note,) if left > 0 else (),
     )
 
 
 def _cause_table(title: str, causes: Sequence[Explained]) -> Table:
     """Return the table by cause."""
-    rows = []
-    for cause in causes:
-        interval = ""
-        if len(cause.values) == 1 and cause.values[0].low is not None:
-            value = cause.values[0]
-            interval = f"{value.low:.3g} to {value.high:.3g} {cause.unit}"
-        rows.append({"text": cause.text, "share": cause.share, "interval": interval})
     return Table(
         title=f"{title}: share of the error on pieces that no fit has seen",
         columns=(
             Column("text", "cause"),
             Column("share", "%", _percent, is_number=True),
-            Column("interval", "95 %"),
+            Column("values", "95 %", _interval),
         ),
-        rows=rows,
+        rows=causes,
     )
