@@ -378,7 +378,7 @@ def _joint_table(joints: Sequence[JointReport]) -> Table:
         for key, (title, form) in numbers.items()
     ]
     return Table(
-        title=f"Predictions from recorded states, the largest {MAX_ROWS} [mrad or mm]",
+        title=f"Predictions from recorded states [mrad or mm], worst of {len(joints)} joints first",
         columns=(Column("joint", "joint"), *columns, Column("condition", "in")),
         rows=joints[:MAX_ROWS],
     )
