@@ -114,7 +114,7 @@ def test_installed_wheel_makes_an_environment_outside_the_checkout(wheel, tmp_pa
             env=variables,
         )
 
-    assert "75 ids in 22 families" in gauge("list").stdout
+    assert "\n75 ids" in gauge("list").stdout
     (tmp_path / "slide.mp4").write_bytes(b"\0\0\0\x18ftypmp42")
     for words, extra in NEEDS_EXTRA:
         refused = gauge(*words)

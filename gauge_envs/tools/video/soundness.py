@@ -97,12 +97,13 @@ def _changes(track: Track, task: VideoTask, rows: IntArray) -> Iterator[str]:
     count = len(visible if task.motion is Motion.CRADLE else rows)
     # Blur changes the shape for some frames, and few frames may be retained.
     is_reshaped = (track.misfit > MAX_MISFIT).mean() > MAX_ODD_SHARE
-    for text, changes, limit in (
-        ("size or shape", track.misfit * is_reshaped, MAX_MISFIT),
-        ("look", 1.0 - track.confidence, 1.0 - MIN_CONFIDENCE),
+    for text, changes, limit, row_count in (
+        ("size or shape", track.misfit * is_reshaped, MAX_MISFIT, count),
+        # At its largest speed, blur reduces the likeness of the ball of a cradle.
+        ("look", 1.0 - track.confidence, 1.0 - MIN_CONFIDENCE, len(rows)),
     ):
         odd = visible[changes[visible] > limit]
-        if len(odd) > MAX_ODD_SHARE * count:
+        if len(odd) > MAX_ODD_SHARE * row_count:
             where = _range_text(track.frames[odd])
             yield f"the object changes its {text} by up to {changes[odd].max():.0%} in {where}"
 
