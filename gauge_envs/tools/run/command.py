@@ -20,7 +20,7 @@ from gauge_envs.cli.output import (
     print_document,
 )
 from gauge_envs.cli.results import reported
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.files import processors
 
 if TYPE_CHECKING:
@@ -132,7 +132,13 @@ def run(
     )
     total = sum(request.repeats for request in requests)
     interrupted = f"{out}; --resume continues from there"
-    results = list(reported(episodes, form, total, interrupted=interrupted))
+    results: list[Result] = []
+    try:
+        for result in reported(episodes, form, total, interrupted=interrupted):
+            results.append(result)
+    except ResultFileError:
+        message(f"stopped: {_totals(results, out)}; --resume continues from there")
+        raise
     if form is not Format.JSON:
         is_detailed = details or form is Format.WIDE
         print_document(summary_document(results, details=is_detailed), form)
