@@ -237,7 +237,7 @@ def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
         )
     ]
     rows += [*_bodies(setup), _stops(replayer, setup), _time(replayer, setup)]
-    driven = np.flatnonzero(np.append(setup.source, -1)[replayer.places.actuator] >= 0)
+    driven = np.flatnonzero(np.append(setup.is_driven, False)[replayer.places.actuator])
     if len(driven):
         rows += _drives(replayer, setup, driven, load[driven], speed.max())
     if (conditions == "contact").any():
@@ -301,33 +301,29 @@ def _orders(replayer: Replayer, setup: Setup, driven: IntArray) -> Cause:
     """Return the order and signs of the commands that correlate best with the motion."""
     log, ids = replayer.log, replayer.places.actuator[driven]
     names = [log.joints[joint] for joint in driven]
-    same = np.arange(len(names))
-    command = make_interp_spline(log.command_time_s, log.command, k=1)(log.time_s)
+    count = len(names)
+    command = make_interp_spline(setup.command_time_s, setup.command, k=1)(log.time_s)
     motion = log.position.T[driven]
     if log.command_kind == "tau":
         motion = np.gradient(log.velocity.T[driven], log.time_s, axis=1)
     # A constant has no correlation; the trend avoids a division by zero.
-    series = np.vstack([motion, command.T[setup.source[ids]]])
-    match = np.corrcoef(series + 1e-9 * np.arange(len(log.time_s)))[
-        : len(ids), len(ids) :
-    ]
+    series = np.vstack([motion, command.T[ids]]) + 1e-9 * np.arange(len(log.time_s))
+    match = np.corrcoef(series)[:count, count:]
     order = linear_sum_assignment(-np.abs(match))[1]
-    signs = np.sign(match[same, order])
+    signs = np.sign(match[range(count), order])
+    mixing = np.eye(count)[:, order] * signs
     label = ", ".join(
         f"{names[k]} follows {'' if signs[k] > 0.0 else 'minus '}{names[order[k]]}"
-        for k in same[(order != same) | (signs < 0.0)]
+        for k in np.flatnonzero(np.diag(mixing) != 1.0)
     )
 
     def apply(after: Setup, values: FloatArray) -> None:
-        taken, after.sign[ids] = np.split(values, 2)
-        after.source[ids] = setup.source[ids][taken.astype(int)]
-        after.origin[ids] = setup.origin[ids][taken.astype(int)]
+        after.command[:, ids] = setup.command[:, ids] @ values.reshape(count, count)
 
-    options = [Group(label, np.zeros((2 * len(ids), 0)), np.append(order, signs))]
-    present = np.append(same, same**0).astype(float)
-    return Cause(
-        "joint order", "", (), present, present**0, apply, options if label else []
-    )
+    present = np.eye(count).ravel()
+    option = Group(label, np.zeros((count**2, 0)), mixing.ravel())
+    groups = [option] if label else []
+    return Cause("joint order", "", (), present, present**0, apply, groups)
 
 
 def _bodies(setup: Setup) -> list[Cause]:

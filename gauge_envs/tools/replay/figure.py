@@ -24,27 +24,26 @@ def replay_figure(replay: Replay) -> Figure:
     problem, change = replay.problem, replay.change
     replayer, log = problem.replayer, problem.replayer.log
     pieces = replayer.pieces(HORIZON_S, PREDICTIONS, outputs=OUTPUTS)
-    setups = {"model": problem.setup}
-    if change is not None:
-        setups["after the change"] = problem.changed(change)
     times_s, recorded = log.time_s[pieces[:, 1:]], log.position[pieces[:, 1:]]
+    curves = {"model": problem.setup}
+    if change is not None:
+        curves["after the change"] = problem.changed(change)
+    errors = [replayer.predict(setup, pieces) for setup in curves.values()]
     rows = replay.line.joints[:MAX_JOINTS]
     figure = new_figure(10.0, 2.0 * len(rows) + 0.8)
     axes = figure.subplots(len(rows), squeeze=False, sharex=True)[:, 0]
-    joints = [log.joints.index(row.joint) for row in rows]
-    for axis, joint in zip(axes, joints, strict=True):
-        log_style = {"color": REAL, "lw": 2.4, "alpha": 0.4, "label": "log"}
-        axis.plot(log.time_s, log.position[:, joint], **log_style)
-        axis.set_ylabel(f"{log.joints[joint]} [rad or m]", fontsize=8)
-        tidy_axis(axis)
-    for color, (name, setup) in zip(OURS, setups.items(), strict=False):
-        predicted = recorded + replayer.predict(setup, pieces)[..., replayer.is_joint]
-        for axis, joint in zip(axes, joints, strict=True):
-            lines = axis.plot(times_s.T, predicted[..., joint].T, color=color, lw=1.2)
-            lines[0].set_label(name)
     for axis, row in zip(axes, rows, strict=True):
+        joint = log.joints.index(row.joint)
+        angle = log.position[:, joint]
+        axis.plot(log.time_s, angle, color=REAL, lw=2.4, alpha=0.4, label="log")
+        for color, name, error in zip(OURS, curves, errors, strict=False):
+            predicted = recorded[..., joint] + error[..., replayer.is_joint][..., joint]
+            lines = axis.plot(times_s.T, predicted.T, color=color, lw=1.2)
+            lines[0].set_label(name)
         if row.parts_s is not None:
             axis.axvline(row.parts_s, color=REAL, lw=0.8, ls=":")
+        axis.set_ylabel(f"{row.joint} [rad or m]", fontsize=8)
+        tidy_axis(axis)
     legend_above(axes[0])
     axes[-1].set_xlabel("time [s]")
     return figure

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from gauge_envs.errors import FileError, ParameterError, first_names
-from gauge_envs.tools.replay.log import ControlMap, FloatArray, Log
+from gauge_envs.tools.replay.log import BoolArray, ControlMap, FloatArray, Log
 
 IntArray = NDArray[np.int64]
 FOREVER_S = 1e3
@@ -25,52 +25,48 @@ UNLIMITED = 1e4
 class Setup:
     """A model and a controller: what predicts the log. A cause is a changed deep copy of it.
 
-    The control of actuator a is `(sign * scale * (command[source] - origin) + offset) / divisor`.
+    The control of an actuator is `(scale * command + offset) / divisor`.
 
     Attributes:
         model: The compiled model; each joint and actuator has a limit, which is UNLIMITED where the file has none.
-        source: Column of the commands of each actuator, -1 for none, shape [nu].
-        sign, scale, origin, offset: See above; the origin of a target is its default pose, which the offset adds
-            again, shape [nu].
+        command_time_s: From when on each command holds, shape [M].
+        command: Commands; angles count from the default pose, which is the offset, shape [M, nu].
+        is_driven: Whether an actuator has commands, shape [nu].
+        scale, offset: See above, shape [nu].
         divisor: The gear for a torque, one over it for an angle, shape [nu].
         delay_s: Time from the command to its effect, shape [1].
         repeat, phase: The controller takes only each n-th change of the command, from this one on.
     """
 
     model: mujoco.MjModel
-    source: IntArray
-    sign: FloatArray
+    command_time_s: FloatArray
+    command: FloatArray
+    is_driven: BoolArray
     scale: FloatArray
-    origin: FloatArray
     offset: FloatArray
     divisor: FloatArray
     delay_s: FloatArray
     repeat: int = 1
     phase: int = 0
 
-    def controls(self, log: Log, time_s: FloatArray, step_s: float) -> FloatArray:
+    def controls(self, time_s: FloatArray, step_s: float) -> FloatArray:
         """Return the mean control of steps that begin at given times, shape [..., nu].
 
         Commands hold until the next one. The mean over a step makes the result a continuous function of the delay.
         """
-        if not log.command_kind:
-            return np.zeros((*time_s.shape, self.model.nu))
-        rows = np.arange(len(log.command))
+        rows = np.arange(len(self.command))
         if self.repeat > 1:
-            is_new = np.diff(log.command, axis=0, prepend=np.nan).any(axis=1)
+            is_new = np.diff(self.command, axis=0, prepend=np.nan).any(axis=1)
             rows = np.flatnonzero(is_new)[self.phase :: self.repeat]
         # The first command also holds before its time, and the last one for ever.
-        knots_s = np.append(
-            log.command_time_s[rows], log.command_time_s[-1] + FOREVER_S
-        )
+        starts_s = self.command_time_s[rows]
+        knots_s = np.append(starts_s, starts_s[-1] + FOREVER_S)
         knots_s[0] -= FOREVER_S
-        areas = np.cumsum(log.command[rows] * np.diff(knots_s)[:, None], axis=0)
+        areas = np.cumsum(self.command[rows] * np.diff(knots_s)[:, None], axis=0)
         area = make_interp_spline(knots_s, np.vstack([0.0 * areas[:1], areas]), k=1)
         begin_s = time_s - self.delay_s
         mean = (area(begin_s + step_s) - area(begin_s)) / step_s
-        deviation = mean[..., self.source] - self.origin
-        controls = (self.sign * self.scale * deviation + self.offset) / self.divisor
-        return np.where(self.source >= 0, controls, 0.0)
+        return (self.scale * mean + self.offset) / self.divisor
 
 
 @dataclass(frozen=True)
@@ -147,10 +143,9 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         FileError: Commands name no joint or actuator.
         ParameterError: The log has position targets, but neither model nor map has a gain for them.
     """
-    find_places(model, log)
     model, drives = copy.copy(model), _drives(model)
     kind, count = log.command_kind, model.nu
-    source = np.full(count, -1)
+    command, is_driven = np.zeros((len(log.command), count)), np.zeros(count, bool)
     scale, offset, divisor = np.ones(count), np.zeros(count), np.ones(count)
     home = model.key_qpos[0] if model.nkey else model.qpos0
     for column, name in enumerate(log.command_names):
@@ -164,7 +159,7 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         def given(field: str, joint: str = model.joint(joint).name) -> Any:
             return control.of(field, joint)
 
-        source[actuator] = column
+        command[:, actuator], is_driven[actuator] = log.command[:, column], True
         is_motor = model.actuator_biasprm[actuator, 1] == 0.0
         if kind == "tau":
             _set_law(model, actuator, 1.0, 0.0, 0.0)
@@ -180,16 +175,23 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         if kind in ("target", "action") and model.actuator_biasprm[actuator, 1] != 0.0:
             divisor[actuator] = 1.0 / gear
             default = given("default_rad")
-            offset[actuator] = (
-                home[model.jnt_qposadr[joint]] if default is None else default
-            )
+            pose = home[model.jnt_qposadr[joint]] if default is None else default
+            offset[actuator] = pose
+            # An action counts from the default pose, a target from zero.
+            command[:, actuator] -= pose * (kind == "target")
         if kind == "action":
             scale[actuator] = given("action_scale")
-    # An action counts from the default pose, a target from zero.
-    origin = offset.copy() if kind == "target" else np.zeros(count)
     _set_limits(model)
-    sign, delay_s = np.ones(count), np.zeros(1)
-    return Setup(model, source, sign, scale, origin, offset, divisor, delay_s)
+    return Setup(
+        model,
+        log.command_time_s,
+        command,
+        is_driven,
+        scale,
+        offset,
+        divisor,
+        delay_s=np.zeros(1),
+    )
 
 
 def _drives(model: mujoco.MjModel) -> dict[str, int]:

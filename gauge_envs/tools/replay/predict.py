@@ -112,7 +112,7 @@ class Replayer:
         elapsed_s = self.elapsed_s(pieces)
         count = max(1, int(np.ceil(elapsed_s.max() / step_s - 1e-9)))
         times_s = log.time_s[pieces[:, :1]] + step_s * np.arange(count)
-        controls = setup.controls(log, times_s, step_s)
+        controls = setup.controls(times_s, step_s)
         qpos, qvel = self.qpos[pieces[:, 0]], self.qvel[pieces[:, 0]]
         if tangent is not None:
             qvel += tangent[model.nv :]
@@ -164,7 +164,7 @@ class Replayer:
         The torque of a joint without an actuator is that of gravity and inertia.
         """
         model, places, data, log = setup.model, self.places, self._datas[0], self.log
-        controls = setup.controls(log, log.time_s[samples], model.opt.timestep)
+        controls = setup.controls(log.time_s[samples], model.opt.timestep)
         conditions = np.full((len(samples), len(places.joint)), "free", dtype="<U10")
         torques = np.zeros(conditions.shape)
         for place, row in enumerate(samples):

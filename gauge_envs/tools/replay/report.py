@@ -92,8 +92,9 @@ def replay(
     mujoco.set_mju_user_warning(lambda _: None)
     try:
         for each in logs:
+            replayer = Replayer(each, compiled)
             setup = build_setup(compiled, each, mapped.control)
-            problems.append(Problem(Replayer(each, setup.model), setup))
+            problems.append(Problem(replayer, setup))
         problem = problems[-1]
         if against is not None:
             problem.floor = max(1.0, problems[0].before.error)
@@ -193,15 +194,16 @@ def _repeat(first: Log, second: Log) -> FloatArray | None:
     """Return the root mean square difference of two logs with the same commands, shape [J]; None otherwise."""
     if first is second or not first.command_kind or first.joints != second.joints:
         return None
-    times = second.time_s[second.time_s <= first.time_s[-1]]
-
-    def at(time_s: FloatArray, values: FloatArray) -> FloatArray:
-        return make_interp_spline(time_s, values, k=1)(times)
-
-    commands = [at(log.command_time_s, log.command).ravel() for log in (first, second)]
+    common = second.time_s <= first.time_s[-1]
+    time_s = second.time_s[common]
+    commands = [
+        make_interp_spline(log.command_time_s, log.command, k=1)(time_s).ravel()
+        for log in (first, second)
+    ]
     if np.asarray(np.corrcoef(commands))[0, 1] < MIN_CORRELATION:
         return None
-    return _rms(at(first.time_s, first.position) - at(second.time_s, second.position))
+    repeated = make_interp_spline(first.time_s, first.position, k=1)(time_s)
+    return _rms(repeated - second.position[common])
 
 
 def _explained(
