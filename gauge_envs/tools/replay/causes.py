@@ -15,8 +15,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.optimize import linear_sum_assignment
 
 from gauge_envs.tools.replay.log import FloatArray
-from gauge_envs.tools.replay.model import IntArray, Setup
-from gauge_envs.tools.replay.predict import Replayer
+from gauge_envs.tools.replay.model import IntArray, Replayer, Setup
 
 Change = Callable[[Setup, FloatArray], None]
 Field = tuple[str, Any, Any]
@@ -220,7 +219,7 @@ def _row(
 
 def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
     """Return the causes that a model and a log allow."""
-    log, model, dofs = replayer.log, setup.model, replayer.places.dof
+    log, model, dofs = replayer.log, setup.model, replayer.dof
     samples = np.linspace(0, len(log.time_s) - 1, LOAD_SAMPLES).astype(int)
     conditions, torques = replayer.conditions(setup, samples)
     # Torques and speeds of the joints that the log often has.
@@ -237,7 +236,7 @@ def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
         )
     ]
     rows += [*_bodies(setup), _stops(replayer, setup), _time(replayer, setup)]
-    driven = np.flatnonzero(np.append(setup.is_driven, False)[replayer.places.actuator])
+    driven = np.flatnonzero(np.append(setup.is_driven, False)[replayer.actuator])
     if len(driven):
         rows += _drives(replayer, setup, driven, load[driven], speed.max())
     if (conditions == "contact").any():
@@ -249,7 +248,7 @@ def _drives(
     replayer: Replayer, setup: Setup, driven: IntArray, load: FloatArray, speed: float
 ) -> list[Cause]:
     """Return gains, effort limit, and scale, offset, order and delay of the commands of driven joints."""
-    model, ids = setup.model, replayer.places.actuator[driven]
+    model, ids = setup.model, replayer.actuator[driven]
     names = [replayer.log.joints[joint] for joint in driven]
     gear = np.abs(model.actuator_gear[ids, 0])
     limit, law = "model.actuator_forcerange", "model.actuator_biasprm"
@@ -299,7 +298,7 @@ def _drives(
 
 def _orders(replayer: Replayer, setup: Setup, driven: IntArray) -> Cause:
     """Return the order and signs of the commands that correlate best with the motion."""
-    log, ids = replayer.log, replayer.places.actuator[driven]
+    log, ids = replayer.log, replayer.actuator[driven]
     names = [log.joints[joint] for joint in driven]
     count = len(names)
     command = make_interp_spline(setup.command_time_s, setup.command, k=1)(log.time_s)
@@ -339,7 +338,7 @@ def _bodies(setup: Setup) -> list[Cause]:
     centre = ("model.body_ipos", (np.repeat(bodies, 3), axes.ravel() % 3), 1.0)
     is_end = ~np.isin(bodies, model.body_parentid[bodies])
     is_end[:1] = True
-    ends = [name for name, each in zip(names, is_end, strict=True) if each]
+    ends = np.array(names)[is_end].tolist()
 
     def carry(after: Setup, values: FloatArray) -> None:
         after.model.body_mass[bodies[is_end]] = mass[is_end] + values
@@ -387,26 +386,24 @@ def _time(replayer: Replayer, setup: Setup) -> Cause:
         after.repeat, after.phase = values[1:].astype(int)
 
     step_s = float(setup.model.opt.timestep)
-    options = {
-        f"physics step of {1e3 * factor * step_s:.3g} ms": (factor * step_s, 1, 0)
+    options = [
+        (f"physics step of {1e3 * factor * step_s:.3g} ms", (factor * step_s, 1, 0))
         for factor in STEPS
         if factor * step_s <= MAX_TIMESTEP_S
-    }
-    for repeat in REPEATS if replayer.log.command_kind else ():
-        for phase in range(repeat):
-            label = f"only each {repeat}. command is used, from number {phase + 1} on"
-            options[label] = (step_s, repeat, phase)
-    groups = [
-        Group(label, np.zeros((3, 0)), np.array(values))
-        for label, values in options.items()
     ]
+    options += [
+        (f"only each {n}. command is used, from number {k + 1} on", (step_s, n, k))
+        for n in (REPEATS if replayer.log.command_kind else ())
+        for k in range(n)
+    ]
+    groups = [Group(label, np.zeros((3, 0)), np.array(each)) for label, each in options]
     present = np.array([step_s, 1.0, 0.0])
     return Cause("step and decimation", "", (), present, present**0, apply, groups)
 
 
 def _stops(replayer: Replayer, setup: Setup) -> Cause:
     """Return the stops of the joints, which the fit starts near the extremes of the motion."""
-    log, ids = replayer.log, replayer.places.joint
+    log, ids = replayer.log, replayer.joint
     names = [f"{name} {side}" for side in ("lower", "upper") for name in log.joints]
     stop = ("model.jnt_range", (np.tile(ids, 2), np.repeat((0, 1), len(ids))), 1.0)
     extremes = np.percentile(log.position[log.valid], (2.0, 98.0), axis=0).ravel()

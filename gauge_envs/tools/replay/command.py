@@ -54,7 +54,7 @@ def replay(
     predict the log within its noise.
     """
     from gauge_envs.tools.replay import read_map, replay as run
-    from gauge_envs.tools.replay.report import replay_document
+    from gauge_envs.tools.replay.report import replay_document, replay_figure
     from gauge_envs.tools.replay.schema import Verdict
 
     files = arguments.by_suffix(out, ".md", ".json", ".png")
@@ -68,7 +68,6 @@ def replay(
             echo(f"\n{stack}\n{text}")
     if picture is not None:
         from gauge_envs.pages.figures import save_png
-        from gauge_envs.tools.replay.figure import replay_figure
 
         message(save_png(replay_figure(result), picture))
     return result.verdict is not Verdict.NOISE

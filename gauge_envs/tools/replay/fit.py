@@ -11,8 +11,7 @@ from scipy.stats import t as student, wilcoxon
 
 from gauge_envs.tools.replay.causes import FAR, Cause, Group
 from gauge_envs.tools.replay.log import FloatArray
-from gauge_envs.tools.replay.model import Setup
-from gauge_envs.tools.replay.predict import Replayer
+from gauge_envs.tools.replay.model import Replayer, Setup
 from gauge_envs.tools.replay.schema import Verdict
 
 HORIZON_S = 0.25

@@ -84,10 +84,12 @@ class ControlMap(BaseModel):
     action_scale: float | dict[str, float] = 1.0
     default_rad: float | dict[str, float] | None = None
 
-    def of(self, field: str, joint: str) -> Any:
-        """Return the value of a field for a joint."""
-        given = getattr(self, field)
-        return given.get(joint) if isinstance(given, dict) else given
+    def of(self, joint: str) -> dict[str, Any]:
+        """Return the values for a joint by field."""
+        return {
+            field: value.get(joint) if isinstance(value, dict) else value
+            for field, value in self
+        }
 
 
 class LogMap(BaseModel):
@@ -263,7 +265,7 @@ def _quantities(
     keys = {alias: key for key, text in ALIASES.items() for alias in text.split()}
     longest_first = "|".join(sorted(keys, key=len, reverse=True))
     pattern = re.compile(rf"({longest_first})(?:[._/:\[](.*?)\]?)?")
-    by_joint: dict[str, dict[str, NDArray[Any]]] = {key: {} for key in ALIASES}
+    by_joint: dict[str, dict[str, Any]] = {key: {} for key in ALIASES}
     for name, array in columns.items():
         if match := pattern.fullmatch(name):
             by_joint[keys[match[1]]][match[2] or ""] = array
@@ -287,9 +289,7 @@ def _check_times(file: Path, time_s: FloatArray, count: int) -> None:
     steps = np.diff(time_s)
     if steps.min() <= 0.0 or np.median(steps) >= 1.0:
         row = int(np.argmin(steps)) + 2
-        reason = (
-            f"the time does not increase in seconds; near this line by {steps.min():g}"
-        )
+        reason = "the time does not increase, or not in seconds; sort the rows"
         raise FileError(file, row, reason)
 
 
@@ -402,8 +402,8 @@ def _check_base(log: Log) -> None:
     rate = rotation[[*range(len(rotation)), -1]] / np.gradient(log.time_s)[:, None]
     slope = np.hstack([np.gradient(position, log.time_s, axis=0), rate])
     if log.base_twist.shape == slope.shape:
-        halves = np.split(log.base_twist - slope, 2, axis=1), np.split(slope, 2, axis=1)
-        misfit, size = np.mean(np.square(halves), axis=(2, 3))
+        changes = np.array([log.base_twist - slope, slope]).reshape(2, -1, 2, 3)
+        misfit, size = np.mean(changes**2, axis=(1, 3))
         if (misfit <= MAX_MISFIT * size).all():
             return
         log.findings.append(

@@ -1,24 +1,37 @@
-"""The user's robot in MuJoCo, and how the commands of a log become its controls."""
+"""The user's robot in MuJoCo: its controls from the commands of a log, and its predictions from recorded states."""
 
 from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
+from mujoco import rollout
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from gauge_envs.errors import FileError, ParameterError, first_names
-from gauge_envs.tools.replay.log import BoolArray, ControlMap, FloatArray, Log
+from gauge_envs.files import processors
+from gauge_envs.tools.replay.log import (
+    MIN_NOISE,
+    MIN_RATE_NOISE,
+    BoolArray,
+    ControlMap,
+    FloatArray,
+    Log,
+    noise_of,
+)
 
 IntArray = NDArray[np.int64]
 FOREVER_S = 1e3
 UNLIMITED = 1e4
 """Limit of a joint [rad or m] or an actuator [N m or N] that is none."""
+MAX_GAP = 3.0
+"""Interval between two samples, over the median, that a prediction may cross."""
+MAX_DEVIATION = 3.0
+"""Deviation at which a prediction that flies off is cut [rad or m]."""
 
 
 @dataclass
@@ -69,24 +82,6 @@ class Setup:
         return (self.scale * mean + self.offset) / self.divisor
 
 
-@dataclass(frozen=True)
-class Places:
-    """Where the joints of a log are in the state of a model.
-
-    Attributes:
-        qpos, dof, joint: Addresses of each joint of the log in `qpos` and `qvel`, and its id, shape [J].
-        actuator: Actuator that drives each joint, -1 for none, shape [J].
-        base_qpos, base_dof: Addresses of a free base in `qpos` and `qvel`, shapes [7] and [6]; empty without one.
-    """
-
-    qpos: IntArray
-    dof: IntArray
-    joint: IntArray
-    actuator: IntArray
-    base_qpos: IntArray
-    base_dof: IntArray
-
-
 def load_model(file: Path) -> mujoco.MjModel:
     """Return a compiled model without the meshes that nothing touches.
 
@@ -107,33 +102,19 @@ def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
     return tuple(model.joint(int(index)).name for index in np.flatnonzero(is_single))
 
 
-def find_places(model: mujoco.MjModel, log: Log) -> Places:
-    """Return where the joints of a log are in a model.
-
-    Raises:
-        FileError: The log names a joint that the model lacks, or has no pose of a free base.
-    """
+def _check_joints(model: mujoco.MjModel, log: Log) -> None:
+    """Raise an error for a joint that the model lacks, and for a free base without a pose."""
     known = joint_names(model)
-    unknown = next((name for name in log.joints if name not in known), None)
-    if unknown is not None:
+    unknown = [name for name in log.joints if name not in known]
+    if unknown:
         reason = f"the model has no such joint; it has {first_names(known)}: name it in --map"
-        raise FileError(log.name, unknown, reason)
-    ids = np.array([model.joint(name).id for name in log.joints])
-    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value)[:1]
-    if len(free) and log.base_pose.shape[1] != 7:
+        raise FileError(log.name, unknown[0], reason)
+    is_free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value
+    if is_free.any() and log.base_pose.shape[1] != 7:
         reason = (
             "the base of the model is free; log its pose, or fix the base of the model"
         )
         raise FileError(log.name, "base_pos, base_quat", reason)
-    drives = _drives(model)
-    return Places(
-        qpos=model.jnt_qposadr[ids],
-        dof=model.jnt_dofadr[ids],
-        joint=ids,
-        actuator=np.array([drives.get(name, -1) for name in log.joints]),
-        base_qpos=(model.jnt_qposadr[free][:, None] + np.arange(7)).ravel(),
-        base_dof=(model.jnt_dofadr[free][:, None] + np.arange(6)).ravel(),
-    )
 
 
 def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
@@ -153,19 +134,19 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
             reason = "no actuator of the model drives it; map its name"
             raise FileError(log.name, f"{kind} {name}", reason)
         actuator = drives[name]
-        joint = int(model.actuator_trnid[actuator, 0])
+        joint = model.joint(model.actuator_trnid[actuator, 0])
         gear = float(model.actuator_gear[actuator, 0])
-
-        def given(field: str, joint: str = model.joint(joint).name) -> Any:
-            return control.of(field, joint)
-
+        given = control.of(joint.name)
         command[:, actuator], is_driven[actuator] = log.command[:, column], True
         is_motor = model.actuator_biasprm[actuator, 1] == 0.0
         if kind == "tau":
             _set_law(model, actuator, 1.0, 0.0, 0.0)
             divisor[actuator] = gear
-        elif kind in ("target", "action") and is_motor and given("kp"):
-            stiffness, damping = given("kp") / gear**2, given("kd") / gear**2
+        elif kind in ("target", "action") and is_motor and given["kp"]:
+            stiffness, damping = (
+                given["kp"] / gear**2,
+                given["kd"] / gear**2,
+            )
             _set_law(model, actuator, stiffness, stiffness, damping)
         elif kind == "target" and is_motor:
             reason = (
@@ -174,13 +155,13 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
             raise ParameterError(f"{name}: {reason}")
         if kind in ("target", "action") and model.actuator_biasprm[actuator, 1] != 0.0:
             divisor[actuator] = 1.0 / gear
-            default = given("default_rad")
-            pose = home[model.jnt_qposadr[joint]] if default is None else default
+            pose = given["default_rad"]
+            pose = home[joint.qposadr[0]] if pose is None else pose
             offset[actuator] = pose
             # An action counts from the default pose, a target from zero.
             command[:, actuator] -= pose * (kind == "target")
         if kind == "action":
-            scale[actuator] = given("action_scale")
+            scale[actuator] = given["action_scale"]
     _set_limits(model)
     return Setup(
         model,
@@ -213,7 +194,6 @@ def _set_law(
         model.actuator_forcerange[actuator] = model.actuator_ctrlrange[actuator]
         model.actuator_forcelimited[actuator] = 1
     model.actuator_ctrllimited[actuator] = 0
-    model.actuator_gaintype[actuator] = mujoco.mjtGain.mjGAIN_FIXED.value
     model.actuator_biastype[actuator] = mujoco.mjtBias.mjBIAS_AFFINE.value
     model.actuator_gainprm[actuator, :3] = gain, 0.0, 0.0
     model.actuator_biasprm[actuator, :3] = 0.0, -stiffness, -damping
@@ -232,3 +212,173 @@ def _set_limits(model: mujoco.MjModel) -> None:
     limits = np.clip(model.actuator_forcerange[limited], lower, upper)
     model.actuator_forcerange[limited] = limits
     model.jnt_actfrclimited[joints[limited]] = 0
+
+
+class Replayer:
+    """Predict a log from its own states.
+
+    Degrees of freedom D are the joints of the log; position [m] and rotation vector [rad] of a free base stand first.
+
+    Args:
+        log: The log.
+        model: The model that the log belongs to.
+
+    Attributes:
+        qpos, qvel: States of all samples, shapes [N, nq] and [N, nv]; joints that are not logged rest.
+        joint, dof: Id of each joint of the log, and its address in `qvel`, shape [J].
+        actuator: Actuator that drives each joint, -1 for none, shape [J].
+        dofs: Addresses of the degrees of freedom in `qvel`, shape [D].
+        noise: Noise of the degrees of freedom and then of their rates, shape [2 D].
+        is_joint: Whether a degree of freedom is a joint, shape [D].
+    """
+
+    def __init__(self, log: Log, model: mujoco.MjModel) -> None:
+        _check_joints(model, log)
+        self.log, drives = log, _drives(model)
+        self._datas = [mujoco.MjData(model) for _ in range(processors())]
+        self._pool = rollout.Rollout(nthread=len(self._datas))
+        self.joint = np.array([model.joint(name).id for name in log.joints])
+        self.dof = model.jnt_dofadr[self.joint]
+        self.actuator = np.array([drives.get(name, -1) for name in log.joints])
+        self.qpos = np.tile(model.qpos0, (len(log.time_s), 1))
+        self.qvel = np.zeros((len(log.time_s), model.nv))
+        self.qpos[:, model.jnt_qposadr[self.joint]] = log.position
+        self.qvel[:, self.dof] = log.velocity
+        base_dof, (pose_noise, twist_noise) = self.joint[:0], np.zeros((2, 0))
+        for free in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value)[
+            :1
+        ]:
+            base_dof = model.jnt_dofadr[free] + np.arange(6)
+            self.qpos[:, model.jnt_qposadr[free] + np.arange(7)] = log.base_pose
+            self.qvel[:, base_dof] = log.base_twist
+            pose_noise = noise_of(log.time_s, log.base_pose, log.valid)
+            # A rotation is twice the change of the quaternion.
+            pose_noise = np.append(pose_noise[:3], [2.0 * pose_noise[3:].max()] * 3)
+            twist_noise = noise_of(log.time_s, log.base_twist, log.valid)
+        self.dofs = np.concatenate([base_dof, self.dof])
+        self.is_joint = np.arange(len(self.dofs)) >= len(base_dof)
+        self.noise = np.concatenate(
+            [
+                np.maximum(pose_noise, MIN_NOISE),
+                log.position_noise,
+                np.maximum(twist_noise, MIN_RATE_NOISE),
+                log.velocity_noise,
+            ]
+        )
+
+    def pieces(self, horizon_s: float, count: int, outputs: int = 8) -> IntArray:
+        """Return samples of pieces that are spread over the log, shape [P, 1 + T]; a prediction begins at the first.
+
+        Args:
+            horizon_s: Length of each; at least one sample.
+            count: Number of pieces at most.
+            outputs: Number of samples of each that are compared.
+
+        Raises:
+            ParameterError: The log has no run of good samples of this length.
+        """
+        log = self.log
+        length = max(1, round(horizon_s / log.interval_s))
+        steps = np.unique(np.linspace(0, length, outputs + 1).round().astype(int))
+        is_broken = ~log.valid
+        is_broken[1:] |= np.diff(log.time_s) > MAX_GAP * log.interval_s
+        breaks = np.cumsum(is_broken)
+        is_whole = breaks[length:] == breaks[:-length]
+        start = np.flatnonzero(is_whole & log.valid[:-length])
+        if not len(start):
+            raise ParameterError(f"{log.name}: no {horizon_s:g} s without lost samples")
+        chosen = np.unique(np.linspace(0, len(start) - 1, count).round().astype(int))
+        return start[chosen, None] + steps
+
+    def elapsed_s(self, pieces: IntArray) -> FloatArray:
+        """Return the time from the start of each piece to its samples, shape [P, T]."""
+        time_s = self.log.time_s[pieces]
+        return time_s[:, 1:] - time_s[:, :1]
+
+    def predict(
+        self, setup: Setup, pieces: IntArray, tangent: FloatArray | None = None
+    ) -> FloatArray:
+        """Return predicted minus recorded degrees of freedom, shape [P, T, D].
+
+        Args:
+            setup: What predicts.
+            pieces: What is predicted.
+            tangent: Change of the initial positions and rates, shape [2 nv].
+        """
+        model, log = setup.model, self.log
+        step_s = model.opt.timestep
+        elapsed_s = self.elapsed_s(pieces)
+        count = max(1, int(np.ceil(elapsed_s.max() / step_s - 1e-9)))
+        times_s = log.time_s[pieces[:, :1]] + step_s * np.arange(count)
+        controls = setup.controls(times_s, step_s)
+        qpos, qvel = self.qpos[pieces[:, 0]], self.qvel[pieces[:, 0]]
+        if tangent is not None:
+            qvel += tangent[model.nv :]
+            for row in qpos:
+                mujoco.mj_integratePos(model, row, tangent[: model.nv], 1.0)
+        size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        state = np.zeros((len(qpos), size))
+        end = 1 + model.nq + model.nv
+        state[:, 1:end] = np.hstack([qpos, qvel])
+        is_filtered = model.actuator_actadr >= 0
+        state[:, end + model.actuator_actadr[is_filtered]] = controls[:, 0, is_filtered]
+        states, _ = self._pool.rollout(model, self._datas, state, controls)
+        motion = np.concatenate([qpos[:, None], states[:, :, 1 : 1 + model.nq]], axis=1)
+        # Samples between two steps are interpolated.
+        place = np.clip(elapsed_s / step_s, 0.0, count)
+        left = np.minimum(place.astype(int), count - 1)
+        part = (place - left)[..., None]
+        rows = np.arange(len(qpos))[:, None]
+        predicted = (1.0 - part) * motion[rows, left] + part * motion[rows, left + 1]
+        recorded = self.qpos[pieces[:, 1:]]
+        difference = np.zeros((*place.shape, model.nv))
+        for index in np.ndindex(place.shape):
+            mujoco.mj_differentiatePos(
+                model, difference[index], 1.0, recorded[index], predicted[index]
+            )
+        deviation = np.nan_to_num(difference[..., self.dofs], nan=MAX_DEVIATION)
+        return np.clip(deviation, -MAX_DEVIATION, MAX_DEVIATION)
+
+    def covariance(self, setup: Setup, pieces: IntArray) -> FloatArray:
+        """Return the covariance of the predictions that noise alone gives, shape [P, T D, T D].
+
+        The noise of the initial state is propagated by its sensitivities, by finite differences: C = N S0 N^T + S.
+        """
+        plain = self.predict(setup, pieces)
+        recorded = np.tile(self.noise[: len(self.dofs)] ** 2, plain.shape[1])
+        columns = []
+        units = np.eye(2 * setup.model.nv)[[*self.dofs, *setup.model.nv + self.dofs]]
+        for tangent in self.noise[:, None] * units:
+            change = self.predict(setup, pieces, tangent) - plain
+            columns.append(change.reshape(len(pieces), -1))
+        sensitivity = np.stack(columns, axis=-1)
+        return sensitivity @ sensitivity.transpose(0, 2, 1) + np.diag(recorded)
+
+    def conditions(
+        self, setup: Setup, samples: IntArray
+    ) -> tuple[NDArray[np.str_], FloatArray]:
+        """Return the condition of each joint at samples, shape [S, J], and its torque in the model, shape [S, J].
+
+        The torque of a joint without an actuator is that of gravity and inertia.
+        """
+        model, data, log = setup.model, self._datas[0], self.log
+        controls = setup.controls(log.time_s[samples], model.opt.timestep)
+        conditions = np.full((len(samples), len(self.joint)), "free", dtype="<U10")
+        torques = np.zeros(conditions.shape)
+        for place, row in enumerate(samples):
+            data.qpos[:], data.qvel[:] = self.qpos[row], self.qvel[row]
+            data.ctrl[:] = controls[place]
+            mujoco.mj_forward(model, data)
+            torque = np.where(data.qfrc_actuator, data.qfrc_actuator, data.qfrc_bias)
+            torques[place] = torque[self.dof]
+            if data.ncon:
+                conditions[place] = "contact"
+        lower, upper = model.jnt_range[self.joint].T
+        near = 3.0 * log.position_noise
+        angle = log.position[samples]
+        conditions[(angle < lower + near) | (angle > upper - near)] = "limit"
+        effort = model.actuator_forcerange[:, 1] * np.abs(model.actuator_gear[:, 0])
+        # A joint without an actuator has the place -1: the last entry.
+        limits = np.append(effort, np.inf)[self.actuator]
+        conditions[np.abs(torques) > 0.999 * limits] = "saturation"
+        return conditions, torques

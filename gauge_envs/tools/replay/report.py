@@ -5,23 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
+from gauge_envs.pages.figures import OURS, REAL, legend_above, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import SNIPPETS, Cause, candidates
 from gauge_envs.tools.replay.fit import Explanation, Fit, Problem, explain
 from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, read_log
 from gauge_envs.tools.replay.model import (
     UNLIMITED,
+    Replayer,
     build_setup,
     joint_names,
     load_model,
 )
-from gauge_envs.tools.replay.predict import Replayer
 from gauge_envs.tools.replay.schema import (
     Explained,
     JointReport,
@@ -30,6 +32,9 @@ from gauge_envs.tools.replay.schema import (
     Value,
     Verdict,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 HORIZONS_S = {0.0: 400, 0.1: 300, 0.5: 120}
 """Lengths of the predictions of the table, and their number; the first is one interval of the log."""
@@ -41,6 +46,10 @@ MIN_CORRELATION = 0.99
 MAX_ROWS = 12
 """Joints that the text shows, those with the largest error first."""
 MAX_CAUSES = 4
+MAX_FIGURE_ROWS = 4
+FIGURE_PREDICTIONS = 40
+FIGURE_OUTPUTS = 12
+FIGURE_HORIZON_S = 0.25
 
 
 @dataclass(frozen=True)
@@ -215,14 +224,16 @@ def _explained(
     for ((cause, group), numbers), (_, half) in zip(
         fit.parts(fit.numbers), fit.parts(half_width), strict=True
     ):
-        ends = [numbers, numbers - half, numbers + half]
-        table = np.transpose(
-            [cause.present, *(cause.values(group, end) for end in ends)]
-        ).tolist()
-        values = [
-            _value(cause.parameters[k], *table[k])
-            for k in np.flatnonzero(group.selection.any(axis=1)).tolist()
-        ]
+        trials = [numbers, numbers - half, numbers + half]
+        table = [cause.present, *(cause.values(group, trial) for trial in trials)]
+        values = []
+        for k in np.flatnonzero(group.selection.any(axis=1)).tolist():
+            present, fitted, low, high = (float(column[k]) for column in table)
+            changes = bool(low > present or high < present)
+            now = present if abs(present) < UNLIMITED else None
+            ends = (None, None) if np.isnan(low) else (low, high)
+            name = cause.parameters[k]
+            values.append(Value(name, now, fitted, ends[0], ends[1], changes))
         rows.append(
             Explained(
                 cause=cause.name,
@@ -233,21 +244,6 @@ def _explained(
             )
         )
     return rows
-
-
-def _value(
-    parameter: str, present: float, fitted: float, low: float, high: float
-) -> Value:
-    """Return a value; NaN ends are no interval."""
-    has_interval = bool(np.isfinite(low))
-    return Value(
-        parameter=parameter,
-        present=present if abs(present) < UNLIMITED else None,
-        fitted=fitted,
-        low=low if has_interval else None,
-        high=high if has_interval else None,
-        changes=has_interval and not low <= present <= high,
-    )
 
 
 def _text(
@@ -341,16 +337,15 @@ def replay_document(line: ReplayLine) -> Document:
     return Document(parts=parts, rows=[asdict(line)])
 
 
+_ratio = "{:.3g}".format
+
+
 def _milli(value: float) -> str:
-    return f"{1e3 * value:.3g}"
-
-
-def _ratio(value: float) -> str:
-    return f"{value:.3g}"
+    return _ratio(1e3 * value)
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * min(max(share, 0.0), 1.0):.3g}"
+    return _ratio(100.0 * min(max(share, 0.0), 1.0))
 
 
 def _interval(values: Sequence[Value]) -> str:
@@ -397,3 +392,38 @@ def _cause_table(title: str, causes: Sequence[Explained]) -> Table:
         ),
         rows=causes,
     )
+
+
+def replay_figure(replay: Replay) -> Figure:
+    """Return a figure with a row for each of the joints that differ most.
+
+    A row has the log, predictions from recorded states before and after the change, and the time at which they part.
+    """
+    problem, change = replay.problem, replay.change
+    replayer, log = problem.replayer, problem.replayer.log
+    pieces = replayer.pieces(
+        FIGURE_HORIZON_S, FIGURE_PREDICTIONS, outputs=FIGURE_OUTPUTS
+    )
+    times_s, recorded = log.time_s[pieces[:, 1:]], log.position[pieces[:, 1:]]
+    curves = {"model": problem.setup}
+    if change is not None:
+        curves["after the change"] = problem.changed(change)
+    errors = [replayer.predict(setup, pieces) for setup in curves.values()]
+    rows = replay.line.joints[:MAX_FIGURE_ROWS]
+    figure = new_figure(10.0, 2.0 * len(rows) + 0.8)
+    axes = figure.subplots(len(rows), squeeze=False, sharex=True)[:, 0]
+    for axis, row in zip(axes, rows, strict=True):
+        joint = log.joints.index(row.joint)
+        angle = log.position[:, joint]
+        axis.plot(log.time_s, angle, color=REAL, lw=2.4, alpha=0.4, label="log")
+        for color, name, error in zip(OURS, curves, errors, strict=False):
+            predicted = recorded[..., joint] + error[..., replayer.is_joint][..., joint]
+            lines = axis.plot(times_s.T, predicted.T, color=color, lw=1.2)
+            lines[0].set_label(name)
+        if row.parts_s is not None:
+            axis.axvline(row.parts_s, color=REAL, lw=0.8, ls=":")
+        axis.set_ylabel(f"{row.joint} [rad or m]", fontsize=8)
+        tidy_axis(axis)
+    legend_above(axes[0])
+    axes[-1].set_xlabel("time [s]")
+    return figure

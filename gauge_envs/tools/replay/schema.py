@@ -57,7 +57,7 @@ class JointReport:
     predictions: tuple[Prediction, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Value:
     """A number of a cause.
 

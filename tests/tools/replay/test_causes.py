@@ -9,8 +9,7 @@ from planted_arm import CART_POLE, SERVO, record
 from gauge_envs.tools.replay import Verdict, replay
 from gauge_envs.tools.replay.fit import Problem
 from gauge_envs.tools.replay.log import ControlMap, read_log
-from gauge_envs.tools.replay.model import build_setup, load_model
-from gauge_envs.tools.replay.predict import Replayer
+from gauge_envs.tools.replay.model import Replayer, build_setup, load_model
 
 
 def set_stiffness(model):
