@@ -260,7 +260,7 @@ class Explanation:
         verdict: What explains the difference.
         fits: Best fit of each cause, the best first; none if the model predicts the log within its noise.
         alike: Names of the causes that the log cannot tell from the first.
-        several: Two to four causes that are fitted together; None where one is enough.
+        several: Causes that are fitted together; None where one is enough.
         change: The fit that the verdict is about: one cause, or else several if there are.
     """
 

@@ -123,9 +123,8 @@ def _line(
     """Return the report of an explanation."""
     verdict, several = explanation.verdict, explanation.several
     joints, conditions = _joint_reports(problem, _repeat(logs[0], logs[-1]))
-    interval_s = logs[-1].command_interval_s
-    alone = [_explained(problem, fit, interval_s)[0] for fit in explanation.fits]
-    together = _explained(problem, several, interval_s) if several else []
+    alone = [_explained(problem, fit)[0] for fit in explanation.fits]
+    together = _explained(problem, several) if several else []
     named = {Verdict.CAUSE: alone[:1], Verdict.SEVERAL: together}.get(verdict, [])
     line = ReplayLine(
         log=logs[-1].name,
@@ -176,14 +175,14 @@ def _joint_reports(
     is_far = (ratio[:-1] > LEAVES) & (ratio[1:] > LEAVES)
     reports = []
     for joint, name in enumerate(log.joints):
-        first = int(np.argmax(is_far[:, joint]))
-        parts = bool(is_far[first, joint])
+        far = np.flatnonzero(is_far[:, joint])
+        first = far[0] if len(far) else None
         reports.append(
             JointReport(
                 joint=name,
                 noise=float(log.position_noise[joint]),
-                parts_s=float(times_s[first]) if parts else None,
-                condition=str(conditions[first, joint]) if parts else "",
+                parts_s=None if first is None else float(times_s[first]),
+                condition="" if first is None else str(conditions[first, joint]),
                 repeat_rms=None if repeat is None else float(repeat[joint]),
                 predictions=tuple(
                     Prediction(horizon_s, *rows[joint].tolist())
@@ -215,11 +214,9 @@ def _repeat(first: Log, second: Log) -> FloatArray | None:
     return _rms(repeated - second.position[common])
 
 
-def _explained(
-    problem: Problem, fit: Fit, command_interval_s: float
-) -> list[Explained]:
+def _explained(problem: Problem, fit: Fit) -> list[Explained]:
     """Return the causes of a fit as they are printed."""
-    rows = []
+    rows, step_s = [], problem.replayer.log.command_interval_s
     half_width = fit.numbers * np.nan if fit.half_width is None else fit.half_width
     for ((cause, group), numbers), (_, half) in zip(
         fit.parts(fit.numbers), fit.parts(half_width), strict=True
@@ -237,7 +234,7 @@ def _explained(
         rows.append(
             Explained(
                 cause=cause.name,
-                text=_text(cause, group.label, values, command_interval_s),
+                text=_text(cause, group.label, values, step_s),
                 share=problem.share(fit),
                 unit=cause.unit,
                 values=tuple(values),
@@ -246,16 +243,16 @@ def _explained(
     return rows
 
 
-def _text(
-    cause: Cause, label: str, values: Sequence[Value], command_interval_s: float
-) -> str:
+def _text(cause: Cause, label: str, values: Sequence[Value], step_s: float) -> str:
     """Return a cause with its value, as `delay of 2 steps (40 ms)`."""
     name = cause.name
     if not values:
         return f"{name}: {label}"
     value = values[0]
     if name == "delay":
-        return f"delay of {value.fitted / command_interval_s:.2g} steps ({1e3 * value.fitted:.3g} ms)"
+        return (
+            f"delay of {value.fitted / step_s:.2g} steps ({1e3 * value.fitted:.3g} ms)"
+        )
     unit = f" {cause.unit}" if cause.unit else ""
     if len(values) == 1:
         now = "no limit" if value.present is None else f"{value.present:.3g}"
@@ -282,14 +279,16 @@ def paste_lines(causes: Sequence[Explained], step_s: float) -> dict[str, str]:
         together = " ".join(f"{value.fitted:.4g}" for value in cause.values)
         for value in values:
             steps = round(value.fitted / step_s)
-            fields = {
-                "name": value.parameter,
-                "value": value.fitted,
-                "numbers": numbers,
-            }
-            fields |= {"together": together, "steps": steps, "samples": steps + 2}
             for stack, template in SNIPPETS.get(cause.cause, {}).items():
-                pasted.setdefault(stack, []).append(template.format(**fields))
+                text = template.format(
+                    name=value.parameter,
+                    value=value.fitted,
+                    numbers=numbers,
+                    together=together,
+                    steps=steps,
+                    samples=steps + 2,
+                )
+                pasted.setdefault(stack, []).append(text)
     return {stack: "\n".join(dict.fromkeys(lines)) for stack, lines in pasted.items()}
 
 
