@@ -46,6 +46,8 @@ MIN_CORRELATION = 0.99
 MAX_ROWS = 12
 """Joints that the text shows, those with the largest error first."""
 MAX_CAUSES = 4
+MAX_WIDTH = 0.4
+"""Width of the interval of a gain, over its value, from which on only ratios are sure."""
 MAX_FIGURE_ROWS = 4
 FIGURE_PREDICTIONS = 40
 FIGURE_OUTPUTS = 12
@@ -318,11 +320,33 @@ def _sentence(line: ReplayLine) -> str:
     )
 
 
+def _ratios(line: ReplayLine) -> str:
+    """Return the ratios of a servo whose motion does not show how large its torques are; empty for others.
+
+    Torque and inertia times the same number give the same motion, but for gravity and the inertia of the link.
+    """
+    values = {each.cause: each.values[0] for each in line.several}
+    if not values.keys() >= {"kp", "armature", "damping"}:
+        return ""
+    stiffness, damping, armature = (
+        values[name].fitted for name in ("kp", "damping", "armature")
+    )
+    low, high = values["kp"].low or 0.0, values["kp"].high or np.inf
+    if high - low < MAX_WIDTH * stiffness:
+        return ""
+    return (
+        f"Only ratios are sure: kp / armature {stiffness / armature:.3g} 1/s^2, "
+        f"damping / armature {damping / armature:.3g} 1/s."
+    )
+
+
 def replay_document(line: ReplayLine) -> Document:
     """Return the answer, a table by joint, a table by cause, and the lines to paste."""
     parts: list[Part] = [Paragraph(line.sentence, Tone.ANSWER)]
     if line.alike:
         text = f"The log cannot tell {line.candidates[0].cause} from: {', '.join(line.alike)}."
+        parts.append(Paragraph(text, Tone.WARNING))
+    if text := _ratios(line):
         parts.append(Paragraph(text, Tone.WARNING))
     parts += [Paragraph(f"Log: {text}.", Tone.WARNING) for text in line.findings]
     parts.append(_joint_table(line.joints))
