@@ -1,23 +1,17 @@
-"""Time `trajectory_dtw` against tslearn and dtaidistance on two trajectories of the longest textile task, 562 x 63.
+"""Dynamic time warping of other libraries, on two trajectories of the longest textile task, 562 x 63.
 
-Prints the ratio of medians (ours over theirs, below 1 is faster) of interleaved runs. The exit code is 1 if another
-library is faster. All run on one thread and are timed by its CPU clock, so the load of the machine does not matter.
-
-    python benchmarks/dtw.py [--repeats 101]
+All run on one thread and are timed by its CPU clock, so the load of the machine does not matter.
 """
 
 from __future__ import annotations
 
-import argparse
 import statistics
-import sys
 import time
 from collections.abc import Callable
 
 import numpy as np
 
 from gauge_envs.errors import MissingExtraError
-from gauge_envs.scoring.metrics import trajectory_dtw
 
 FRAME_COUNT, MARKER_COUNT = 562, 63
 
@@ -59,50 +53,16 @@ def cpu_medians_ms(
     return {name: statistics.median(values) for name, values in times_ms.items()}
 
 
-def inputs() -> dict[str, list[np.ndarray]]:
-    """Return pairs of trajectories by description."""
+def inputs() -> tuple[np.ndarray, np.ndarray]:
+    """Return one motion at two rates with noise, each of shape [FRAME_COUNT, MARKER_COUNT]."""
     rng = np.random.default_rng(0)
-    return {
-        "random walks": [
-            rng.normal(size=(FRAME_COUNT, MARKER_COUNT)).cumsum(axis=0)
-            for _ in range(2)
-        ],
-        "one motion, warped and noisy": [
-            np.sin(
-                np.linspace(0.0, 12.0, FRAME_COUNT)[:, None] ** power
-                + np.arange(MARKER_COUNT)
-            )
-            + rng.normal(scale=0.02, size=(FRAME_COUNT, MARKER_COUNT))
-            for power in (1.0, 1.05)
-        ],
-    }
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=101)
-    repeats = parser.parse_args().repeats
-    slower = False
-    for title, (first, second) in inputs().items():
-        try:
-            competitor_calls = competitors(first, second)
-            from threadpoolctl import threadpool_limits  # comes with tslearn
-        except MissingExtraError as error:
-            print(error, file=sys.stderr)
-            return 2
-        calls = {
-            "gauge_envs.trajectory_dtw": lambda a=first, b=second: trajectory_dtw(a, b)
-        } | competitor_calls
-        with threadpool_limits(1):
-            medians = cpu_medians_ms(calls, repeats)
-        ours = medians.pop("gauge_envs.trajectory_dtw")
-        print(f"{title}: gauge_envs.trajectory_dtw {ours:.2f} ms")
-        for name, theirs in medians.items():
-            verdict = "  SLOWER" if ours >= theirs else ""
-            print(f"  {ours / theirs:5.2f} of {name} ({theirs:.2f} ms){verdict}")
-            slower |= ours >= theirs
-    return int(slower)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    times, phases = (
+        np.linspace(0.0, 12.0, FRAME_COUNT)[:, None],
+        np.arange(MARKER_COUNT),
+    )
+    size = (FRAME_COUNT, MARKER_COUNT)
+    first, second = (
+        np.sin(times**power + phases) + rng.normal(scale=0.02, size=size)
+        for power in (1.0, 1.05)
+    )
+    return first, second

@@ -166,7 +166,7 @@ def many_worlds() -> Iterator[Row]:
 
 def warping() -> Iterator[Row]:
     """Yield the cost of dynamic time warping over the cost of other libraries."""
-    first, second = dtw.inputs()["one motion, warped and noisy"]
+    first, second = dtw.inputs()
     calls = {"ours": lambda: trajectory_dtw(first, second)}
     medians = dtw.cpu_medians_ms(calls | dtw.competitors(first, second), 11)
     ours = medians.pop("ours")
