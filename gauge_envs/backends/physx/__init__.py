@@ -5,7 +5,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from gauge_envs.backends.features import Feature
 from gauge_envs.backends.physx.contacts import unsupported_contacts
@@ -88,6 +87,9 @@ def _unsupported_shape(body: RigidBody) -> Iterator[str]:
     for number, piece in enumerate(pieces):
         count = len(piece)
         if count > HULL_LIMIT:
+            # Lists of engines do without this import, which takes as long as that of Gymnasium.
+            from scipy.spatial import ConvexHull
+
             count = len(ConvexHull(np.asarray(piece)).vertices)
         if count > HULL_LIMIT:
             yield (
