@@ -325,7 +325,7 @@ def _ratios(line: ReplayLine) -> str:
 
     Torque and inertia times the same number give the same motion, but for gravity and the inertia of the link.
     """
-    values = {each.cause: each.values[0] for each in line.several}
+    values = {each.cause: each.values[0] for each in line.several if each.values}
     if not values.keys() >= {"kp", "armature", "damping"}:
         return ""
     stiffness, damping, armature = (

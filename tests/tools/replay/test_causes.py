@@ -11,6 +11,7 @@ from gauge_envs.tools.replay import Verdict, replay
 from gauge_envs.tools.replay.fit import Problem
 from gauge_envs.tools.replay.log import ControlMap, read_log
 from gauge_envs.tools.replay.model import Replayer, build_setup, load_model
+from gauge_envs.tools.replay.report import replay_document
 
 
 def set_stiffness(model):
@@ -114,6 +115,10 @@ def test_two_causes_are_named_together(tmp_path):
     line = replay(*record(tmp_path, change=set_stiffness, delay_s=0.03)).line
     assert line.verdict is Verdict.SEVERAL
     assert {each.cause for each in line.several} == {"kp", "delay"}
+    # A cause with a value for each of many joints lists none.
+    several = tuple(replace(each, values=()) for each in line.several)
+    document = replay_document(replace(line, several=several))
+    assert document.parts[0].text == line.sentence
 
 
 def test_a_force_that_is_not_in_the_list_is_not_explained(tmp_path):
