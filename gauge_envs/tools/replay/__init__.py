@@ -1,4 +1,4 @@
-"""Replay of a log by a model: where they part, which cause explains it, and the line to paste."""
+"""Replay of a log by a model: where they differ, which cause explains it, and the line to paste."""
 
 from typing import TYPE_CHECKING
 

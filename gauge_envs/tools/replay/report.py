@@ -297,9 +297,11 @@ def paste_lines(causes: Sequence[Explained], step_s: float) -> dict[str, str]:
 def _sentence(line: ReplayLine) -> str:
     """Return the answer."""
     times = np.sqrt(line.error_after)
-    remains = f"; what is left is {times:.0f} times the noise" if times > 2.0 else ""
+    remains = (
+        f"; the remaining error is {times:.0f} times the noise" if times > 2.0 else ""
+    )
     if line.verdict is Verdict.NOISE and (line.baseline_over_noise or 1.0) > 1.5:
-        return f"The model predicts {line.log} as badly as {line.baseline}: nothing parts the logs{remains}."
+        return f"The model predicts {line.log} as badly as {line.baseline}: the logs do not differ{remains}."
     if line.verdict is Verdict.NOISE:
         return f"The model predicts {line.log} within its noise: nothing is left to explain."
     best = line.candidates[0]
@@ -386,10 +388,10 @@ def _joint_table(joints: Sequence[JointReport]) -> Table:
         "predictions.1.rms": ("0.1 s", _milli),
         "predictions.1.over_noise": ("/noise", _ratio),
         "predictions.1.over_motion": ("/motion %", _percent),
-        "predictions.1.held_velocity_rms": ("held vel.", _milli),
+        "predictions.1.held_velocity_rms": ("const. vel.", _milli),
         "predictions.2.rms": ("0.5 s", _milli),
         "repeat_rms": ("repeat", _milli),
-        "parts_s": ("parts at s", _ratio),
+        "parts_s": ("differs at s", _ratio),
     }
     if joints[0].repeat_rms is None:
         del numbers["repeat_rms"]
