@@ -7,16 +7,22 @@ from __future__ import annotations
 
 import inspect
 import json
+import re
 from collections.abc import Iterator, Mapping
 from importlib import import_module
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
+from gauge_envs import beyond_variants, variants
+from gauge_envs.cli import output
 from gauge_envs.cli.app import load_command
-from gauge_envs.cli.commands import commands
+from gauge_envs.cli.commands import PLUGINS_GROUP, commands
 from gauge_envs.cli.schemas import output_schema, schema_names
 from gauge_envs.experiments.task_format import TaskSpec
-from gauge_envs.references.band import BandFile
+from gauge_envs.references.band import ARRAYS, MARKER_ARRAYS, BandFile
+from gauge_envs.registry import ENGINES_GROUP
+from gauge_envs.tools import control
 from scripts.generated import ROOT
 
 FILE = ROOT / "tests" / "public_surface.json"
@@ -27,14 +33,22 @@ MODULES = (
     "gauge_envs.backends",
     "gauge_envs.errors",
     "gauge_envs.tools.conformance",
-    "gauge_envs.tools.sanity",
+    "gauge_envs.tools.control",
     "gauge_envs.tools.recipes",
+    "gauge_envs.tools.replay",
+    "gauge_envs.tools.sanity",
     "gauge_envs.tools.video",
 )
 """Modules of the API reference."""
 
-CONTRACT = ("Backend", "Simulation")
-"""Classes that the package of an engine derives from."""
+MAKERS = {
+    "gymnasium.make": "gauge_envs.envs.arguments:EnvArguments.__init__",
+    "gymnasium.make_vec": "gauge_envs.envs.vector:GaugeVectorEnv.__init__",
+    "scored_vector_env": "gauge_envs.envs.vector:scored_vector_env",
+    "ScoreEpisodes": "gauge_envs.envs.vector:ScoreEpisodes.__init__",
+    "dm_env": "gauge_envs.envs.dm_env:load",
+}
+"""Functions that make environments; `gauge_envs.GaugeEnv` has the other options of `gymnasium.make`."""
 
 
 def contents() -> Mapping[Path, str]:
@@ -43,10 +57,19 @@ def contents() -> Mapping[Path, str]:
 
 
 def surface() -> dict[str, Any]:
-    """Return the public names: Python, commands, JSON keys, keys of files, and the contract of engines."""
+    """Return the public names: environments, Python, commands, exit codes, JSON, files, and groups of plug-ins."""
+    ids = [variant.id for variant in (*variants(), *beyond_variants())]
     return {
+        "environments": ids + [f"GAUGE/{name}" for name in control.names()],
+        "make": {
+            name: _signature(EntryPoint(name, place, "").load())
+            for name, place in MAKERS.items()
+        },
         "python": {name: _public_names(name) for name in MODULES},
         "commands": {name: _options(name) for name in sorted(commands())},
+        "exit codes": {
+            name: code for name, code in vars(output).items() if name.startswith("EXIT")
+        },
         "json": {
             name: {
                 "version": version,
@@ -56,28 +79,50 @@ def surface() -> dict[str, Any]:
         },
         "task file": sorted(set(_keys(TaskSpec.model_json_schema()))),
         "band file": sorted(set(_keys(BandFile.model_json_schema()))),
-        "engine": {name: _signatures(name) for name in CONTRACT},
+        "band arrays": [*ARRAYS, *MARKER_ARRAYS],
+        "entry points": [ENGINES_GROUP, PLUGINS_GROUP],
     }
 
 
-def _public_names(module_name: str) -> dict[str, list[str]]:
-    """Return the public names of a module, each with its public members if it is a class."""
+def _public_names(module_name: str) -> dict[str, Any]:
+    """Return the public names of a module with their descriptions."""
     module = import_module(module_name)
-    classes = [name for name, value in vars(module).items() if inspect.isclass(value)]
     # The module of errors exports its classes.
+    classes = [
+        name
+        for name, value in vars(module).items()
+        if inspect.isclass(value) and value.__module__ == module_name
+    ]
     names = getattr(module, "__all__", classes)
-    return {name: _members(getattr(module, name)) for name in sorted(names)}
+    return {name: _described(getattr(module, name)) for name in sorted(names)}
 
 
-def _members(value: Any) -> list[str]:
-    """Return the public members of a class that this package defines; none of another value."""
+def _described(value: Any) -> Any:
+    """Return the signature of a function, the public members of a class with theirs, or `value`."""
     if not inspect.isclass(value):
-        return []
-    members = set()
+        return _signature(value)
+    names = set()
     for base in value.__mro__:
         if base.__module__.startswith("gauge_envs"):
-            members |= {*vars(base), *getattr(base, "__annotations__", ())}
-    return sorted(name for name in members if not name.startswith(("_", "model_")))
+            names |= {*vars(base), *inspect.get_annotations(base)}
+    return {
+        name: _signature(getattr(value, name, None))
+        for name in sorted(names)
+        if name == "__init__" or not name.startswith(("_", "model_"))
+    }
+
+
+def _signature(value: Any) -> str:
+    """Return the parameters of a function without types; `value` for anything else."""
+    if not (callable(value) and inspect.isroutine(inspect.unwrap(value))):
+        return "value"
+    parameters = inspect.signature(value).parameters.values()
+    plain = [
+        parameter.replace(annotation=inspect.Parameter.empty)
+        for parameter in parameters
+    ]
+    # A default value without a name has an address of the memory.
+    return re.sub(r" at 0x\w+", "", str(inspect.Signature(plain)))
 
 
 def _options(command_name: str) -> list[str]:
@@ -91,7 +136,7 @@ def _options(command_name: str) -> list[str]:
 
 
 def _keys(schema: Any, prefix: str = "") -> Iterator[str]:
-    """Yield the keys of a JSON Schema, those of nested objects as `outer.inner`; lists add no level."""
+    """Yield the keys of a JSON Schema, those of nested objects as `outer.inner`, and listed values as `key = value`."""
     definitions = schema.get("$defs", {})
 
     def below(part: Any, prefix: str, parents: tuple[str, ...]) -> Iterator[str]:
@@ -103,6 +148,8 @@ def _keys(schema: Any, prefix: str = "") -> Iterator[str]:
         for name, inner in part.get("properties", {}).items():
             yield prefix + name
             yield from below(inner, f"{prefix}{name}.", parents)
+        for value in part.get("enum", ()):
+            yield f"{prefix.removesuffix('.')} = {value}"
         yield from below(part.get("items"), prefix, parents)
         yield from below(part.get("additionalProperties"), f"{prefix}*.", parents)
         for union in ("anyOf", "oneOf", "allOf", "prefixItems"):
@@ -110,22 +157,3 @@ def _keys(schema: Any, prefix: str = "") -> Iterator[str]:
                 yield from below(alternative, prefix, parents)
 
     yield from below(schema, prefix, ())
-
-
-def _signatures(class_name: str) -> dict[str, str]:
-    """Return the signature of each public method of a class, without types."""
-    cls = getattr(import_module("gauge_envs.backends"), class_name)
-    signatures = {}
-    for name, member in inspect.getmembers(cls):
-        if name.startswith("_"):
-            continue
-        if not callable(member):
-            signatures[name] = "attribute"
-            continue
-        parameters = inspect.signature(member).parameters.values()
-        plain = [
-            parameter.replace(annotation=inspect.Parameter.empty)
-            for parameter in parameters
-        ]
-        signatures[name] = str(inspect.Signature(plain))
-    return signatures

@@ -267,15 +267,20 @@ def test_values_of_options_and_baselines_before_1_0_are_read(monkeypatch, tmp_pa
     assert outcome.exit_code == 0 and "before 1.0" in outcome.stderr
 
 
-def test_names_of_python_before_1_0_are_read():
-    with pytest.warns(DeprecationWarning, match="`WRONG` is now `failed`"):
-        assert Verdict.WRONG is Verdict.FAILED
-    with pytest.warns(DeprecationWarning, match="`visible` is now `warning`"):
-        assert Verdict("visible") is Verdict.WARNING
-    with pytest.warns(DeprecationWarning, match="`cure` is now `fix`"):
-        assert report(fix=FIX).cure is FIX
-    with pytest.warns(DeprecationWarning, match="`Cure` is now `Fix`"):
-        assert sanity.Cure is type(FIX)
+@pytest.mark.parametrize(
+    ("old", "new", "read"),
+    [
+        ("WRONG", "failed", lambda: Verdict.WRONG is Verdict.FAILED),
+        ("visible", "warning", lambda: Verdict("visible") is Verdict.WARNING),
+        ("cure", "fix", lambda: report(fix=FIX).cure is FIX),
+        ("Cure", "Fix", lambda: sanity.Cure is type(FIX)),
+    ],
+)
+def test_a_name_before_1_0_warns_at_the_line_that_uses_it(old, new, read):
+    message = f"`{old}` is now `{new}`; the old name is read until 1.2"
+    with pytest.warns(DeprecationWarning, match=message) as record:
+        assert read()
+    assert [warning.filename for warning in record] == [__file__]
 
 
 # --- in training -----------------------------------------------------------------------------------------------------
