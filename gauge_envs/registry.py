@@ -64,7 +64,7 @@ def is_installed(module: str) -> bool:
 def id_modules() -> tuple[Any, ...]:
     """Return the modules of further Gymnasium ids; each has `register`, `names`, `summary` and `document`.
 
-    Other packages register their ids through Gymnasium's entry points, `gymnasium.envs`.
+    Other packages register their ids when Gymnasium imports them, as `my_package:Id`.
     """
     if not (PACKAGE / "tools" / "control").is_dir():
         return ()

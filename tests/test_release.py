@@ -50,6 +50,17 @@ def test_the_version_is_the_same_everywhere():
     assert versions == []
 
 
+def test_the_conda_recipe_has_the_requirements_of_the_project():
+    recipe = yaml.safe_load((ROOT / "conda" / "recipe.yaml").read_text())
+    project = PROJECT["project"]
+    assert project["version"].startswith(recipe["context"]["version"])
+    assert project["requires-python"] == f">={recipe['context']['python_min']}"
+    run = recipe["requirements"]["run"][1:]
+    assert [
+        line.replace("mujoco-python", "mujoco").replace(" ", "") for line in run
+    ] == project["dependencies"]
+
+
 def test_a_workflow_may_write_only_to_publish():
     for file in WORKFLOWS:
         content = workflow(file)
