@@ -118,7 +118,7 @@ def run(env: Any, actions: Sequence[Any]) -> None:
     env.reset(seed=0)
     for action in actions:
         _, _, terminated, truncated, _ = env.step(action)
-        if np.any(terminated) or np.any(truncated):
+        if np.count_nonzero(terminated | truncated):
             return
 
 

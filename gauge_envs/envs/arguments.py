@@ -193,7 +193,7 @@ def checked_action(action: Any, space: spaces.Space[Any], name: str) -> FloatArr
             f"{name}: action has shape {numbers.shape}, expected {shape}, as {np.zeros(shape).tolist()}"
         )
     # A comparison with NaN is false.
-    if not (np.abs(numbers) <= 1.0).all():
+    if not np.abs(numbers).max() <= 1.0:
         raise ActionError(
             f"{name}: action {numbers.tolist()} is out of range: give numbers from -1 to 1"
         )

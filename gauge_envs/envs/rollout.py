@@ -298,7 +298,7 @@ class Rollout:
         self._markers_m[self.frame] = self._sampled(self.frame)
         self.last_frames[~self.terminated] = self.frame
         states = self._record()
-        for world, reason in self._divergences(states).items():
+        for world, reason in self.divergences(states).items():
             self.diverged.setdefault(world, reason)
             self.terminated[world] = True
 
@@ -340,8 +340,14 @@ class Rollout:
             self._driver_states[frame] = self.simulation.body_states(self._driven)
         return states
 
-    def _divergences(self, states: FloatArray) -> dict[int, str]:
-        """Return the reason of each world that has diverged in this frame."""
+    def divergences(self, states: FloatArray | None = None) -> dict[int, str]:
+        """Return the reason of each world that has diverged by now, the engine's reason first.
+
+        Args:
+            states: Current states of the dynamic bodies, shape [N, body_count, 13]; None reads them.
+        """
+        if states is None:
+            states = self.simulation.body_states(self._dynamic)
         reasons = dict(self.simulation.diverged())
         for name, rest_m in self._rest_spans_m.items():
             reasons = (
@@ -371,8 +377,7 @@ class Rollout:
             first = (last + later) * SAMPLES_PER_FRAME + 1
             rows = self._samples[first : first + SAMPLES_PER_FRAME]
             is_running &= np.isfinite(rows).all(axis=(0, 2))
-            states = self.simulation.body_states(self._dynamic)
-            is_running[[*self._divergences(states)]] = False
+            is_running[[*self.divergences()]] = False
             counts[is_running] = later + 1
         self._later_counts = counts
 

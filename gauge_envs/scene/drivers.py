@@ -106,9 +106,8 @@ class Driver:
     def path(self, start: Pose, times_s: FloatArray) -> FloatArray:
         """Return poses and velocities at times, without actions, shape [time_count, 13]; see `moved`."""
         coordinates, rates = recorded_coordinates(self.motions, times_s)
-        pose = [*start.position_m, *start.quaternion]
-        start_poses = np.tile(pose, (len(times_s), 1))
-        return self.moved(start_poses, coordinates, rates)
+        pose = np.array([[*start.position_m, *start.quaternion]])
+        return self.moved(pose, coordinates, rates)
 
     def moved(
         self, start_poses: FloatArray, coordinates: FloatArray, rates: FloatArray
@@ -116,7 +115,7 @@ class Driver:
         """Return poses and velocities of the body.
 
         Args:
-            start_poses: Poses before anything moves, position [m] and quaternion w x y z, shape [count, 7].
+            start_poses: Poses before anything moves, position [m] and quaternion w x y z, shape [count, 7] or [1, 7].
             coordinates: Coordinate of each motion [m or rad], shape [count, motion_count].
             rates: Rate of each motion [m/s or rad/s], shape [count, motion_count].
 

@@ -252,9 +252,7 @@ def _states(
         )
         return states.reshape(sample_count, world_count, 13)
     each = [
-        driver.moved(
-            np.tile(pose, (sample_count, 1)), values[:, world], rates[:, world]
-        )
+        driver.moved(pose[None], values[:, world], rates[:, world])
         for world, (driver, pose) in enumerate(zip(drivers, start_poses, strict=True))
     ]
     return np.stack(each, axis=1)

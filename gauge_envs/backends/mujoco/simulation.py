@@ -105,6 +105,7 @@ class SimulationMuJoCo(PlacedSimulation):
             if body.motion is not Motion.FIXED
         }
         # Views: fetching an array of MuJoCo costs more than reading from it.
+        self._options = model.opt
         self._warnings = [data.warning.number for data in self.datas]
         self._driven: dict[str, list[DrivenBody]] = {}
         self._thread_count = min(processors(), world_count)
@@ -172,14 +173,14 @@ class SimulationMuJoCo(PlacedSimulation):
     def advance(self, seconds: float) -> None:
         """Step the model in all worlds."""
         count = round(seconds / self.timestep_s)
-        flags = self.model.opt.disableflags
+        flags = self._options.disableflags
         if self._folds is not None and self._folds.stays_apart(count * self.timestep_s):
             no_contact = mujoco.mjtDisableBit.mjDSBL_CONTACT
-            self.model.opt.disableflags = flags | no_contact
+            self._options.disableflags = flags | no_contact
         apply = map if self._threads is None else self._threads.map
         # One call per thread. Reading the results of the map raises the errors of its calls.
         list(apply(self._step_worlds, range(self._thread_count), repeat(count)))
-        self.model.opt.disableflags = flags
+        self._options.disableflags = flags
 
     def _step_worlds(self, thread: int, count: int) -> None:
         """Step the worlds of a thread."""
@@ -217,8 +218,8 @@ class SimulationMuJoCo(PlacedSimulation):
         """Return the states of dynamic and driven bodies, shape [N, len(names), 13]."""
         states = np.empty((self.world_count, len(names), 13))
         for row, name in enumerate(names):
-            for body, state in zip(self._moving[name], states[:, row], strict=True):
-                body.read(state)
+            for world, body in enumerate(self._moving[name]):
+                body.read(states[world, row])
         return states
 
     def nodes(self, name: str) -> FloatArray:
@@ -297,22 +298,24 @@ class _FreeBody:
     """Views of MuJoCo's arrays with the state of a body on a free joint in one world."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str) -> None:
-        self._pose, self._velocity = free_joint_views(model, data, name)
+        self._pose, velocity = free_joint_views(model, data, name)
+        self._quaternion = self._pose[3:]
+        self._linear, self._angular = velocity[:3], velocity[3:]
 
     def write(self, state: FloatArray) -> None:
         """Write an initial state, shape [13]."""
         self._pose[:3] = state[:3]
-        self._pose[3:] = unit_quaternions(state[3:7])
-        self._velocity[:3] = state[7:10]
+        self._quaternion[:] = unit_quaternions(state[3:7])
+        self._linear[:] = state[7:10]
         # MuJoCo keeps a free joint's angular velocity in the body frame.
-        back = CONJUGATE * self._pose[3:]
-        mujoco.mju_rotVecQuat(self._velocity[3:], state[10:], back)
+        back = CONJUGATE * self._quaternion
+        mujoco.mju_rotVecQuat(self._angular, state[10:], back)
 
     def read(self, state: FloatArray) -> None:
         """Write the state of the body to an array, shape [13]."""
         state[:7] = self._pose
-        state[7:10] = self._velocity[:3]
-        mujoco.mju_rotVecQuat(state[10:], self._velocity[3:], self._pose[3:])
+        state[7:10] = self._linear
+        mujoco.mju_rotVecQuat(state[10:], self._angular, self._quaternion)
 
 
 class _HingedBody:

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from gauge_envs.envs.arguments import EnvArguments, checked_action
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.initial_states import SEEDS, InitialStates, Scatter
-from gauge_envs.envs.limits import diverged_bodies, diverged_nodes, spans_m
 from gauge_envs.envs.pictures import Pictures, Rendered, rollout_picture
 from gauge_envs.envs.rollout import intervals
 from gauge_envs.errors import EpisodeError, ParameterError
@@ -266,7 +265,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """Return the sum of all rewards so far, up to a constant; `_ending` is known if the episode ended."""
 
     @abstractmethod
-    def _observation(self) -> list[FloatArray | float]:
+    def _observation(self) -> list[float]:
         """Return the observation, in the order of `OBSERVED`."""
 
     @abstractmethod
@@ -366,7 +365,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         reward = self._rewarded - before
         self._frame += 1
         info = self._info()
-        reason = self._divergence()
+        reason = self.rollout.divergences().get(0)
         if reason is not None:
             info["diverged"], self._ending, reward = reason, Ending.DIVERGED, 0.0
         terminated = self.is_over
@@ -379,22 +378,13 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
 
     def _observe(self) -> FloatArray:
         """Record and return the observation, and draw it if there is a window."""
-        self._observations.append(np.hstack(self._observation()))
+        self._observations.append(np.array(self._observation()))
         if self.render_mode == "human":
             self.render()
         return self._observations[-1]
 
     def _info(self) -> dict[str, Any]:
         return {"frame": self._frame, "time_s": self.time_s}
-
-    def _divergence(self) -> str | None:
-        """Return why the simulation counts as diverged, the engine's reason first, or None."""
-        moving = [*self.rollout.poses()]
-        reasons = diverged_bodies(moving, self.simulation.body_states(moving))
-        for name, rest_m in self.rollout.rest_nodes_m.items():
-            span_m = float(spans_m(rest_m[None])[0])
-            reasons |= diverged_nodes(name, self.simulation.nodes(name), span_m)
-        return (reasons | dict(self.simulation.diverged())).get(0)
 
     def trajectory(self) -> FloatArray:
         """Return the observations of the episode so far, from the start on, shape [frame + 1, len(OBSERVED)]."""

@@ -122,12 +122,12 @@ class FlingLimit(ControlEnv):
     def _total_reward(self) -> float:
         return self._highest_m / self.limit.value
 
-    def _observation(self) -> list[FloatArray | float]:
+    def _observation(self) -> list[float]:
         return [
-            self._places_m.ravel(),
-            self._velocities.ravel(),
-            self._stage.offset,
-            self._stage.rate,
+            *self._places_m.ravel(),
+            *self._velocities.ravel(),
+            *self._stage.offset,
+            *self._stage.rate,
             self._left_m_per_s,
             self._highest_m / self.limit.value,
             self.time_s,

@@ -115,18 +115,20 @@ class FrictionLimit(CubeLimit):
     def _begin(self) -> None:
         self._used: list[float] = []
         self._used_now = self._slip_m_per_s = 0.0
-        self._cube_m: list[FloatArray] = []
-        self._corners_on_carrier = self._corners()
+        self._cube_m = np.empty((SAMPLES_PER_FRAME, 3))
+        self._corners_on_carrier = self._corners(self._state(CUBE))
 
     def _after_interval(self) -> Ending | None:
-        self._cube_m.append(self._state(CUBE)[:3])
-        if len(self._cube_m) < SAMPLES_PER_FRAME:
+        state, sample = self._state(CUBE), self._stage.sample
+        self._cube_m[sample - 1] = state[:3]
+        if sample < SAMPLES_PER_FRAME:
             return None
-        self._used_now = float(self._friction_used().mean())
-        self._cube_m = []
-        before, self._corners_on_carrier = self._corners_on_carrier, self._corners()
-        moved_m = np.linalg.norm(self._corners_on_carrier - before, axis=1).max()
-        self._slip_m_per_s = float(moved_m) * FRAME_RATE_HZ
+        self._used_now = float(self._friction_used().sum()) / SAMPLES_PER_FRAME
+        corners_m = self._corners(state)
+        moved_m = corners_m - self._corners_on_carrier
+        self._corners_on_carrier = corners_m
+        fastest_m = math.sqrt((moved_m * moved_m).sum(axis=1).max())
+        self._slip_m_per_s = fastest_m * FRAME_RATE_HZ
         # A comparison with NaN is false.
         if not self._slip_m_per_s < SLIP_SPEED_M_PER_S:
             return Ending.SLIPPED
@@ -140,30 +142,36 @@ class FrictionLimit(CubeLimit):
             Values at the ends of the intervals of the frame, shape [interval_count].
         """
         stage = self._stage
-        around_m = (np.array(self._cube_m) - self._point_m) @ self._across_axis
+        around_m = (self._cube_m - self._point_m) @ self._across_axis
         inward_m = around_m @ self._across_axis
         # Force per mass [m/s^2]: the acceleration of the carrier, alpha x r + omega^2 r inward, minus gravity.
         forces = stage.acceleration[0] * around_m + stage.rates[1:] ** 2 * inward_m
         forces[:, 2] += self.gravity_m_per_s2
-        normals = rotation_matrices(stage.states[1:, 3:7])[:, :, 2]
+        normals = rotation_matrices(stage.poses[1:, 3:])[:, :, 2]
         normal = (forces * normals).sum(axis=1)
         tangential = forces - normal[:, None] * normals
         return np.asarray(np.sqrt((tangential * tangential).sum(axis=1)) / normal)
 
-    def _corners(self) -> FloatArray:
-        """Return the corners of the cube in the frame of the carrier [m], shape [8, 3]."""
-        state, carrier = self._state(CUBE), self._stage.state
+    def _corners(self, state: FloatArray) -> FloatArray:
+        """Return the corners of the cube in the frame of the carrier [m], shape [8, 3], from the state of the cube."""
+        carrier = self._stage.pose
         rotation = rotation_matrices(unit_quaternions(state[3:7]))
         corners_m = self._corners_m @ rotation.T + state[:3] - carrier[:3]
-        return corners_m @ rotation_matrices(carrier[3:7])
+        return corners_m @ rotation_matrices(carrier[3:])
 
     def _total_reward(self) -> float:
         slipped = self._ending is Ending.SLIPPED
         return sum(self._used[:-HOLD_FRAMES] if slipped else self._used)
 
-    def _observation(self) -> list[FloatArray | float]:
+    def _observation(self) -> list[float]:
         slip = self._slip_m_per_s / SLIP_SPEED_M_PER_S
-        return [self._stage.offset, self._stage.rate, self._used_now, slip, self.time_s]
+        return [
+            *self._stage.offset,
+            *self._stage.rate,
+            self._used_now,
+            slip,
+            self.time_s,
+        ]
 
     def _reached(self) -> float:
         if len(self._used) < HOLD_FRAMES:

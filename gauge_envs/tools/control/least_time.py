@@ -158,15 +158,15 @@ class LeastTimeLimit(CubeLimit):
     @property
     def _driven_from_cube_m(self) -> FloatArray:
         """Place of the driven body relative to the cube [m], shape [2]."""
-        return (self._stage.state - self._cube)[:2]
+        return self._stage.pose[:2] - self._cube[:2]
 
-    def _observation(self) -> list[FloatArray | float]:
+    def _observation(self) -> list[float]:
         return [
-            self._to_goal_m,
-            self._cube_velocity,
+            *self._to_goal_m,
+            *self._cube_velocity,
             self._yaw_rad,
-            self._driven_from_cube_m,
-            self._stage.rate - self._cube_velocity,
+            *self._driven_from_cube_m,
+            *(self._stage.rate - self._cube_velocity),
             self._time_s,
         ]
 

@@ -121,7 +121,7 @@ class PendulumLimit(ControlEnv):
         spent = self._work_j / self._least_work_j
         return 2.0 * self._highest_m / self._target_m - spent
 
-    def _observation(self) -> list[FloatArray | float]:
+    def _observation(self) -> list[float]:
         highest = self._highest_m / self._target_m
         work = self._work_j / self._least_work_j
         return [self._angle, self._rate, highest, work, self.time_s]

@@ -1,7 +1,6 @@
 """A driven body that actions accelerate, and the acceleration that brings it to rest at a place."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -74,7 +73,7 @@ class Stage:
         offsets: Coordinates at the samples of the frame, shape [sample_count, motion_count].
         rates: Their rates, of the same shape.
         speed_changes_left: Rest of `speed_change` at the samples.
-        states: States of the body at the samples, shape [sample_count, 13].
+        poses: Poses of the body at the samples, shape [sample_count, 7].
     """
 
     def __init__(
@@ -100,8 +99,8 @@ class Stage:
         self._strokes = strokes * (len(driver.motions) // len(strokes))
         self.sample = 0
         self.offsets = self.rates = np.zeros((1, len(driver.motions)))
-        self.speed_changes_left: Sequence[float] = [speed_change]
-        self.states = driver.moved(self._start, self.offsets, self.rates)
+        self.speed_changes_left = [speed_change]
+        self.poses = self._start
 
     @property
     def offset(self) -> FloatArray:
@@ -114,9 +113,9 @@ class Stage:
         return self.rates[self.sample]
 
     @property
-    def state(self) -> FloatArray:
-        """Current state of the body, shape [13]."""
-        return self.states[self.sample]
+    def pose(self) -> FloatArray:
+        """Current pose of the body, position [m] and unit quaternion w x y z, shape [7]."""
+        return self.poses[self.sample]
 
     def targets(self, first: int, actions: FloatArray, count: int = 1) -> FloatArray:
         """Return the targets of `Simulation.drive` in the next intervals of uniform acceleration.
@@ -133,33 +132,33 @@ class Stage:
         changes = (self.acceleration[0] * SAMPLE_INTERVAL_S).tolist()
         offset, rate = self.offset.tolist(), self.rate.tolist()
         left = self.speed_changes_left[self.sample]
-        samples = [(offset, rate, left)]
+        offsets, rates, self.speed_changes_left = [offset], [rate], [left]
         # Floats are several times as fast here as arrays of one to three numbers.
         for _ in range(count):
-            wanted_rate = [
-                _clipped(before + _clipped(change, left), self._max_rate)
-                for before, change in zip(rate, changes, strict=True)
-            ]
-            gains = zip(wanted_rate, rate, strict=True)
-            left = max(left - sum(abs(after - before) for after, before in gains), 0.0)
-            wanted = [
-                place + 0.5 * (before + after) * SAMPLE_INTERVAL_S
-                for place, before, after in zip(offset, rate, wanted_rate, strict=True)
-            ]
-            offset = list(map(_clipped, wanted, self._strokes))
-            rate = [
-                after if place == free else 0.0
-                for after, place, free in zip(wanted_rate, offset, wanted, strict=True)
-            ]
-            samples.append((offset, rate, left))
+            coordinates = zip(offset, rate, changes, self._strokes, strict=True)
+            offset, rate, speed_change = [], [], 0.0
+            for place, before, change, stroke in coordinates:
+                after = _clipped(before + _clipped(change, left), self._max_rate)
+                speed_change += abs(after - before)
+                wanted = place + 0.5 * (before + after) * SAMPLE_INTERVAL_S
+                reached = _clipped(wanted, stroke)
+                offset.append(reached)
+                rate.append(after if reached == wanted else 0.0)
+            left = max(left - speed_change, 0.0)
+            offsets.append(offset)
+            rates.append(rate)
+            self.speed_changes_left.append(left)
         self.sample = 0
-        offsets, rates, self.speed_changes_left = zip(*samples, strict=True)
-        self.offsets, self.rates = np.array(offsets), np.array(rates)
-        start_states = np.tile(self._start, (count + 1, 1))
-        self.states = self._driver.moved(start_states, self.offsets, self.rates)
+        # One more interval, whose start has the pose at the last sample.
+        ends, end_rates = np.array([*offsets, offset]), np.array([*rates, rate])
+        self.offsets, self.rates = ends[:-1], end_rates[:-1]
         if self._rotation is not None:
-            return self._rotation.targets(self.offsets, self.rates)
-        return uniformly_accelerated(self.states[:, None], SAMPLE_INTERVAL_S)
+            targets = self._rotation.targets(ends, end_rates)
+        else:
+            states = self._driver.moved(self._start, ends, end_rates)
+            targets = uniformly_accelerated(states[:, None], SAMPLE_INTERVAL_S)
+        self.poses = targets[:, 0, :7]
+        return targets[:-1]
 
 
 def _clipped(value: float, limit: float) -> float:

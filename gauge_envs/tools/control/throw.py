@@ -171,7 +171,7 @@ class ThrowLimit(ControlEnv):
     def _read(self) -> None:
         """Read the ball's place, along x relative to the plate's centre, and its velocity."""
         state = self._state(BALL)
-        self._from_plate_m = float(state[0] - self._stage.state[0])
+        self._from_plate_m = float(state[0] - self._stage.pose[0])
         self._height_m = float(state[2]) - self._zero_m
         self._ball_velocity = state[[7, 9]]
         # Whether the ball is above the plate's top, and not near its edges.
@@ -194,13 +194,13 @@ class ThrowLimit(ControlEnv):
     def _total_reward(self) -> float:
         return self._highest_m / (self.limit.value - self._drop_m)
 
-    def _observation(self) -> list[FloatArray | float]:
+    def _observation(self) -> list[float]:
         return [
             self._from_plate_m,
             self._height_m,
-            self._ball_velocity,
+            *self._ball_velocity,
             self._stage.offset[1],
-            self._stage.rate,
+            *self._stage.rate,
             self._impacts,
             self.time_s,
         ]

@@ -40,7 +40,7 @@ def test_friction_used_is_that_of_the_contact_forces(name):
         for index, contact in enumerate(data.contact):
             mujoco.mj_contactForce(model, data, index, wrench)
             total += contact.frame.reshape(3, 3).T @ wrench[:3]
-        normal = rotation_matrices(env._stage.state[3:7])[:, 2]
+        normal = rotation_matrices(env._stage.pose[3:])[:, 2]
         used = np.linalg.norm(total - normal * (total @ normal)) / abs(total @ normal)
         if step % 20 > 5:
             # The observation is the mean over the frame, the forces are those at its end.
