@@ -93,22 +93,30 @@ class Expected:
     def surprise(self, result: CheckResult) -> str:
         """Return how a result differs from the expected result, in words; empty if it does not."""
         known = self.failures.get(result.check)
-        if result.status is Status.UNSUPPORTED:
+        is_unsupported = result.status is Status.UNSUPPORTED
+        if known is not None and not result.is_bad:
+            outcome = "is unsupported" if is_unsupported else "passes"
+            return (
+                f"{outcome}, but is listed as failing ({known.reason}): delete its line"
+            )
+        if is_unsupported:
             if any(fnmatchcase(result.check, pattern) for pattern in self.unsupported):
                 return ""
             reasons = "; ".join(result.missing)
             return f'is unsupported ({reasons}); if that is right, add "{result.check}" to [unsupported]'
-        if result.is_bad and known is None:
+        if not result.is_bad:
+            return ""
+        if known is None:
             return f"{_failed_text(result)}; if that is known, add {_line(result)}"
-        if result.is_bad and not self._is_same(result):
-            return f"{_failed_text(result)}; the list has {_value_text(known)}"
-        if known is not None and not result.is_bad:
-            return f"passes, but is listed as failing ({known.reason}): delete its line"
-        return ""
+        if self._is_same(known, result):
+            return ""
+        listed = "an error" if known.measured is None else f"{known.measured:.4g}"
+        return f"{_failed_text(result)}; the list has {listed}"
 
-    def _is_same(self, result: CheckResult) -> bool:
+    @staticmethod
+    def _is_same(known: KnownFailure, result: CheckResult) -> bool:
         """Return whether a failure has the listed value, within the tolerance of its check."""
-        listed = self.failures[result.check].measured
+        listed = known.measured
         if listed is None or result.measured is None:
             return listed is result.measured
         if math.isnan(listed) or math.isnan(result.measured):
@@ -165,14 +173,6 @@ def _failed_text(result: CheckResult) -> str:
     if result.measured is None:
         return f"raises an error: {result.diagnosis}"
     return f"fails, {result.measured:.4g} instead of {result.expected:.4g}: {result.diagnosis}"
-
-
-def _value_text(known: KnownFailure | None) -> str:
-    return (
-        "an error"
-        if known is None or known.measured is None
-        else f"{known.measured:.4g}"
-    )
 
 
 def _line(result: CheckResult) -> str:

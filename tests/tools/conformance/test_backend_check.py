@@ -121,6 +121,11 @@ CLOTH = '[unsupported]\n"cloth-*" = "no cloth"\n'
         ),
         ("9SLIDE" + CLOTH, 1, "the list has 9"),
         (
+            'cloth-stretch = { measured = 1.0, reason = "soft" }\nSLIDE' + CLOTH,
+            1,
+            "cloth-stretch is unsupported, but is listed as failing (soft)",
+        ),
+        (
             'free-fall = { measured = 1.0, reason = "late" }\nSLIDE'
             + CLOTH.replace("unsupported", "declined"),
             1,
