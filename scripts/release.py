@@ -2,16 +2,19 @@
 
     make release
 
-It ends with the first fault. Nothing is published: the workflow `release.yml` does that for a tag.
+It ends with the first fault, or with a list of what a release still needs. Nothing is published: the workflow
+`release.yml` does that for a tag.
 """
 
 from __future__ import annotations
 
+import hashlib
 import re
 import sys
 import tempfile
 import tomllib
 import zipfile
+from collections.abc import Iterable
 from pathlib import Path
 
 from scripts.test_matrix import interpreter, make_environment, run
@@ -24,15 +27,16 @@ PYTHONS = ("3.11", "3.13")
 DEMO = "SlopeSlider-2-wood,BouncingBall-rubber,NewtonsCradle-metal,Pendulum-metal,Turntable-1-wood"
 """Experiments of `make demo`."""
 
+DATE = re.compile(r"\d{4}-\d\d-\d\d")
+
 ADDRESSES = ("Homepage", "Repository", "Documentation", "Changelog", "Issues")
 
 
 def main() -> int:
-    """Run all steps and print each; return 0."""
+    """Run all steps and print each, then what is left to do; return 1 if anything is."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
         "project"
     ]
-    check_versions(project["version"])
     with tempfile.TemporaryDirectory() as folder:
         archives = Path(folder) / "dist"
         run(sys.executable, "-m", "build", "--no-isolation", "-o", archives, ROOT)
@@ -41,30 +45,42 @@ def main() -> int:
         check_contents(wheel)
         for version in PYTHONS:
             use_wheel(wheel, version, Path(folder) / version)
-    missing = [name for name in ADDRESSES if name not in project["urls"]]
-    if missing:
-        print(f"left to do: add {', '.join(missing)} to [project.urls]")
-    return 0
+    left = left_to_do(ROOT, project["version"], project["urls"])
+    for text in left:
+        print(f"left to do: {text}")
+    return int(bool(left))
 
 
-def check_versions(version: str) -> None:
-    """Check that the changelog and the citation have the version; a development version is in neither.
+def left_to_do(root: Path, version: str, urls: Iterable[str]) -> list[str]:
+    """Return what a release still needs, each with its file.
 
-    Raises:
-        SystemExit: One of them has another version.
+    The changelog states the date, and the hash of the data that scores depend on: no commit can state its own hash.
+
+    Args:
+        root: Folder of the repository.
+        version: Version of the project.
+        urls: Names of its addresses.
     """
-    if "dev" in version:
-        print(f"version {version}: not compared with CHANGELOG.md and CITATION.cff")
-        return
-    patterns = {
-        "CHANGELOG.md": rf"^## \[{re.escape(version)}\] - \d{{4}}-\d\d-\d\d$",
-        "CITATION.cff": rf"^version: {re.escape(version)}$",
+    release = version.partition(".dev")[0]
+    changelog = (root / "CHANGELOG.md").read_text(encoding="utf-8")
+    _, heading, section = re.split(r"^## (.*)$", changelog, flags=re.MULTILINE)[:3]
+    date = heading.removeprefix(f"[{release}] - ")
+    provenance = (root / "scoring" / "PROVENANCE.md").read_bytes()
+    digest = hashlib.sha256(provenance).hexdigest()
+    citation = (root / "CITATION.cff").read_text(encoding="utf-8").splitlines()
+    missing = ", ".join(name for name in ADDRESSES if name not in urls)
+    is_done = {
+        f"pyproject.toml: the version is {version}": version == release,
+        f"CHANGELOG.md: [{release}] - DATE in place of {heading}": DATE.fullmatch(date),
+        f"CHANGELOG.md: the SHA-256 of scoring/PROVENANCE.md, {digest}": digest
+        in section,
+        f"CITATION.cff: version: {release}": f"version: {release}" in citation,
+        "CITATION.cff: date-released, as in CHANGELOG.md": f"date-released: {date}"
+        in citation,
+        f"pyproject.toml: [project.urls] lacks {missing}; README.md, docs/getting_started.md, hub/ and the badges of "
+        "notebooks need the same address": not missing,
     }
-    for name, pattern in patterns.items():
-        text = (ROOT / name).read_text(encoding="utf-8")
-        if not re.search(pattern, text, re.MULTILINE):
-            raise SystemExit(f"{name}: has no line for version {version}")
-    print(f"version {version} in pyproject.toml, CHANGELOG.md and CITATION.cff")
+    return [text for text, is_right in is_done.items() if not is_right]
 
 
 def check_contents(wheel: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import shlex
 import tomllib
@@ -12,6 +13,7 @@ from places import ROOT
 
 from gauge_envs.cli.app import load_command
 from gauge_envs.cli.commands import help_lines
+from scripts.release import ADDRESSES, left_to_do
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
@@ -48,6 +50,23 @@ def test_the_version_is_the_same_everywhere():
         if f'"{version}"' in file.read_text()
     ]
     assert versions == []
+
+
+def test_a_release_names_what_is_left_to_do(tmp_path):
+    (tmp_path / "scoring").mkdir()
+    (tmp_path / "scoring" / "PROVENANCE.md").write_text("")
+    changelog, citation = tmp_path / "CHANGELOG.md", tmp_path / "CITATION.cff"
+    changelog.write_text("# Changelog\n\n## [Unreleased]\n\n## [0.3.0] - 2026-11-28\n")
+    citation.write_text("version: 0.3.0\ndate-released: 2026-11-28\n")
+    left = left_to_do(tmp_path, "1.0.0.dev0", ["Homepage"])
+    assert len(left) == 6
+    assert "[1.0.0] - DATE in place of [Unreleased]" in left[1]
+    assert "lacks Repository, Documentation, Changelog, Issues" in left[-1]
+    changelog.write_text(
+        f"## [1.0.0] - 2026-11-30\n\n{hashlib.sha256().hexdigest()}\n\n## [0.3.0]\n"
+    )
+    citation.write_text("version: 1.0.0\ndate-released: 2026-11-30\n")
+    assert left_to_do(tmp_path, "1.0.0", ADDRESSES) == []
 
 
 def test_the_conda_recipe_has_the_requirements_of_the_project():
