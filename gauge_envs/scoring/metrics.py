@@ -22,6 +22,9 @@ FRAME_TOLERANCE_S = 1e-4
 OFFSET_STEP_S = 1 / 360
 """Step of the grid of time shifts [s]; the best one is refined."""
 
+OFFSET_REFINEMENT = 16
+"""Ratio of the steps of successive grids; the import of SciPy's minimizers takes 0.1 s."""
+
 OFFSET_TOLERANCE_S = 1e-7
 """Largest error of a refined time shift [s]."""
 
@@ -175,22 +178,17 @@ def time_offset(
     grid_s = grid_s[np.lexsort((grid_s, np.abs(grid_s)))]
     grid_rmse = shifted_rmse(grid_s)
     best = int(grid_rmse.argmin())
-    coarse_s, coarse = float(grid_s[best]), float(grid_rmse[best])
-
-    from scipy.optimize import minimize_scalar
-
-    refined = minimize_scalar(
-        lambda offset_s: shifted_rmse(np.array([offset_s]))[0],
-        bounds=(
-            max(coarse_s - OFFSET_STEP_S, min_s),
-            min(coarse_s + OFFSET_STEP_S, MAX_TIME_OFFSET_S),
-        ),
-        method="bounded",
-        options={"xatol": OFFSET_TOLERANCE_S},
-    )
-    if refined.fun < coarse:
-        return float(refined.x), float(refined.fun)
-    return coarse_s, coarse
+    offset_s, rmse = float(grid_s[best]), float(grid_rmse[best])
+    width_s = OFFSET_STEP_S
+    while width_s > OFFSET_TOLERANCE_S:
+        near_s = offset_s + width_s * np.linspace(-1.0, 1.0, 2 * OFFSET_REFINEMENT + 1)
+        near_s = np.clip(near_s, min_s, MAX_TIME_OFFSET_S)
+        near_rmse = shifted_rmse(near_s)
+        best = int(near_rmse.argmin())
+        if near_rmse[best] < rmse:
+            offset_s, rmse = float(near_s[best]), float(near_rmse[best])
+        width_s /= OFFSET_REFINEMENT
+    return offset_s, rmse
 
 
 def z_scores(

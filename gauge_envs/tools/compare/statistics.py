@@ -19,6 +19,7 @@ import numpy as np
 
 from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray, length_of
+from gauge_envs.scoring.interval import student_t
 from gauge_envs.scoring.score import COVERAGE_FACTOR, Interval
 
 SMALLEST = 1e-300
@@ -123,7 +124,7 @@ class Deviations:
         lag = min(max(lag, 0.0), 1.0 - 1.0 / count)
         std_of_mean = math.sqrt(variance * (1.0 + lag) / (1.0 - lag))
         shared = length_of(self.shared @ direction)
-        return _student_t(count) * math.hypot(std_of_mean, shared)
+        return student_t(count - 1) * math.hypot(std_of_mean, shared)
 
 
 def _errors_of_mean(trials: FloatArray) -> FloatArray:
@@ -135,20 +136,12 @@ def _errors_of_mean(trials: FloatArray) -> FloatArray:
     return np.where(known, errors, 0.0)
 
 
-def _student_t(count: int) -> float:
-    """Return half the 95 % interval of a mean of values, divided by its standard error."""
-    # The import of SciPy is slow; comparisons without repeats or trials do not need it.
-    from scipy.special import stdtrit
-
-    return float(stdtrit(count - 1, 0.975))
-
-
 def mean_half_width(values: Sequence[float] | FloatArray) -> float:
     """Return half the 95 % interval of a mean over repeats; 0 for a single repeat."""
     count = len(values)
     if count < 2:
         return 0.0
-    return _student_t(count) * float(np.std(values, ddof=1)) / math.sqrt(count)
+    return student_t(count - 1) * float(np.std(values, ddof=1)) / math.sqrt(count)
 
 
 def repeats_interval(

@@ -8,10 +8,9 @@ from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from enum import EnumType, StrEnum
 from typing import Any, TypeAlias
 
-from scipy.special import stdtrit
-
 from gauge_envs.files import json_ready
 from gauge_envs.scene import Vector
+from gauge_envs.scoring.interval import student_t
 from gauge_envs.tools.sanity.robot.foot import FootGeometry
 
 Settings: TypeAlias = Mapping[str, Any]
@@ -249,7 +248,7 @@ class Reality:
                 "two standard uncertainties of one recording",
             )
         else:
-            quantile = float(stdtrit(trial_count - 1, 0.5 + 0.5 * COVERAGE))
+            quantile = student_t(trial_count - 1, COVERAGE)
             factor = quantile * (1.0 + 1.0 / trial_count) ** 0.5
             rationale = f"covers {COVERAGE:.0%} of further trials, from the scatter of {trial_count} trials"
         return cls(
