@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from fnmatch import fnmatchcase
+from fnmatch import filter as matching
 from fractions import Fraction
 from typing import Any
 
@@ -31,6 +31,9 @@ Values = Mapping[str, Any]
 Families = Mapping[str, Sequence[Values]]
 """Descriptions of the variants of each family."""
 
+Place = tuple[str, str]
+"""Name of a body and key of one of its constants."""
+
 MAX_WORDS = 22
 """Longest text that stays one sentence; a title may precede it."""
 
@@ -42,12 +45,6 @@ READING = "reading.md"
 
 SHORT_ERRORS = {"no motion": "rest", "40 ms late": "late"}
 """Short names of planted errors."""
-
-ERROR_PAIRS = {
-    "friction": ("friction 20 % lower", "friction 20 % higher"),
-    "stiffness": ("stiffness 20 % lower", "stiffness 20 % higher"),
-}
-"""Planted errors in both directions, by the changed quantity."""
 
 REWARDED = re.compile(r"the mean over (?P<names>.*) of \|deviation")
 """Compared coordinates in the text of a reward."""
@@ -71,11 +68,18 @@ SCENE_KEYS = ("mass_kg", "friction", "restitution")
 
 def described_families() -> Families:
     """Return the descriptions of all variants by family."""
-    families: dict[str, list[Values]] = {}
-    for variant in (*variants(), *beyond_variants()):
-        values = description(load_experiment(variant))
-        families.setdefault(variant.family, []).append(values)
-    return families
+    return grouped(
+        (variant.family, description(load_experiment(variant)))
+        for variant in (*variants(), *beyond_variants())
+    )
+
+
+def grouped(pairs: Iterable[tuple[Any, Any]]) -> dict[Any, list[Any]]:
+    """Return the values of each key, in the order of their first appearance."""
+    groups: dict[Any, list[Any]] = {}
+    for key, value in pairs:
+        groups.setdefault(key, []).append(value)
+    return groups
 
 
 # --- page of a family -------------------------------------------------------------------------------------------------
@@ -92,11 +96,10 @@ def family_document(
         picture: Its picture, relative to the page.
         caption: Caption of the picture.
     """
-    members = families[family]
-    first = members[0]
-    names = _Names(family, [short_id(values["id"]) for values in members])
-    title = first["title"].partition(",")[0] if first["subtask"] else first["title"]
-    facts = [*_spaces(names, members), *_rewards(names, members)]
+    members = _Members(family, families[family])
+    first = families[family][0]
+    ids = [f"`{short_id(values['id'])}`" for values in members.values()]
+    title = first["title"].partition(",")[0]
     return Document(
         parts=(
             Heading(title, 1),
@@ -105,87 +108,70 @@ def family_document(
             Paragraph(
                 f"{_sentences(first['summary'])} It evaluates {', '.join(first['evaluates'])}."
             ),
-            *_ids(names, members),
+            Paragraph(Markdown(f"Ids: {', '.join(ids)}.")),
+            _references(members),
             Paragraph(Markdown(f"[Terms of this page]({READING})")),
-            Bullets([*facts, *_sources(names, members), *_events(names, members)]),
+            Bullets(
+                [
+                    *members.facts("Action", _action),
+                    *members.facts("Observation", _observation),
+                    *members.facts("Observable", _observable),
+                    *members.facts("Reward", _reward),
+                    *_sources(members),
+                    *members.facts("Real events", _events),
+                ]
+            ),
             Heading("Engines"),
-            Bullets(list(_engines(names, members, _shared_reasons(families)))),
-            *_constants(names, members, families),
-            *_limits(names, members, _shared_limits(families)),
+            Bullets([*_engines(members, _shared(families, _reasons))]),
+            *_constants(members, families),
+            *_limits(members, _shared(families, _limit_texts)),
         )
     )
 
 
-class _Names:
-    """Names of variants in a few words: a material, a subtask, a pattern.
+class _Members(dict[str, Values]):
+    """Descriptions of the variants of a family, by name without that of the family.
 
     Args:
         family: Name of the family.
-        names: All its variants.
+        members: All its variants.
     """
 
-    def __init__(self, family: str, names: Sequence[str]) -> None:
-        self._all = tuple(names)
-        self._family = family
-        parts = [name.removeprefix(f"{family}-").split("-", 1) for name in names]
-        patterns = [f"{part[0]}-*" for part in parts if len(part) > 1] + [
-            f"*-{part[1]}" for part in parts if len(part) > 1
-        ]
-        self._patterns = tuple(dict.fromkeys(patterns))
+    def __init__(self, family: str, members: Iterable[Values]) -> None:
+        for values in members:
+            self[short_id(values["id"]).removeprefix(f"{family}-")] = values
+        parts = [name.partition("-") for name in self if "-" in name]
+        self._patterns = dict.fromkeys(
+            [f"{subtask}-*" for subtask, _, _ in parts]
+            + [f"*-{material}" for _, _, material in parts]
+        )
 
-    def short(self, chosen: Iterable[str]) -> str:
-        """Return the variants in words; `all ids` for all of them."""
-        left = set(chosen)
-        if left == set(self._all):
+    def short(self, names: Iterable[str]) -> str:
+        """Return names by materials, subtasks and patterns; `all ids` for all of them."""
+        left = set(names)
+        if left == self.keys():
             return "all ids"
         texts = []
         for pattern in self._patterns:
-            matching = {
-                name
-                for name in self._all
-                if fnmatchcase(name, f"{self._family}-{pattern}")
-            }
-            if matching <= left:
+            same = {*matching(self, pattern)}
+            if same <= left:
                 texts.append(pattern)
-                left -= matching
-        texts += [
-            name.removeprefix(f"{self._family}-") for name in self._all if name in left
-        ]
-        return ", ".join(texts)
+                left -= same
+        return ", ".join([*texts, *(name for name in self if name in left)])
 
-    def grouped(
-        self, members: Iterable[Values], value: Callable[[Values], Any]
-    ) -> list[tuple[str, Any]]:
-        """Return each different value of members with the names that have it; empty values are left out."""
-        groups: list[tuple[Any, list[str]]] = []
-        for values in members:
-            result = value(values)
-            name = short_id(values["id"])
-            for known, same in groups:
-                if known == result:
-                    same.append(name)
-                    break
-            else:
-                groups.append((result, [name]))
-        return [(self.short(same), result) for result, same in groups if result]
+    def label(self, form: str, names: Iterable[str]) -> str:
+        """Return a form, such as `({})`, with the short names; nothing for all of them."""
+        short = self.short(names)
+        return "" if short == "all ids" else form.format(f"`{short}`")
 
-    def facts(
-        self, title: str, members: Iterable[Values], text: Callable[[Values], str]
-    ) -> list[str]:
-        """Return each different text after its title and the variants that it describes."""
+    def facts(self, title: str, text: Callable[[Values], str]) -> list[str]:
+        """Return each different text after its title and the variants that it describes; empty ones are left out."""
+        texts = grouped((text(values), name) for name, values in self.items())
         return [
-            _fact(title, label, result) for label, result in self.grouped(members, text)
+            f"**{title}**{self.label(', {}', names)}: {text}"
+            for text, names in texts.items()
+            if text
         ]
-
-
-def _fact(title: str, label: str, text: str) -> str:
-    """Return a text after its title and the ids that it describes."""
-    ids = "" if label == "all ids" else f", `{label}`"
-    return f"**{title}**{ids}: {text}"
-
-
-def _labelled(label: str, text: str) -> str:
-    return text if label == "all ids" else f"`{label}`: {text}"
 
 
 def _sentences(text: str) -> str:
@@ -202,24 +188,23 @@ def _capitalized(text: str) -> str:
     return text if re.match(r"\w\b", text) else text[:1].upper() + text[1:]
 
 
-def _ids(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
-    """Yield the ids, and a table of their references and of what their scores detect; similar ids share a row."""
-    listed = ", ".join(f"`{short_id(values['id'])}`" for values in members)
-    yield Paragraph(Markdown(f"Ids: {listed}."))
-    groups: dict[tuple[str, ...], list[Values]] = {}
-    for values in members:
-        reference = values["reference"]
-        is_partial = (reference["known_frames"] or values["frames"]) < values["frames"]
-        key = (reference["kind"], str(is_partial), *_detected(reference))
-        groups.setdefault(key, []).append(values)
+def _references(members: _Members) -> Part:
+    """Return a table of the references and of what their scores detect; similar ids share a row."""
+
+    def key(values: Values) -> tuple[Any, ...]:
+        reference, frames = values["reference"], values["frames"]
+        is_partial = (reference["known_frames"] or frames) < frames
+        return reference["kind"], is_partial, *_detected(reference)
+
     rows = []
-    for (kind, _, *errors), same in groups.items():
-        references = [values["reference"] for values in same]
-        frames = _range([values["frames"] for values in same], str)
+    groups = grouped((key(values), name) for name, values in members.items())
+    for (kind, _, *errors), names in groups.items():
+        references = [members[name]["reference"] for name in names]
+        frames = _range([members[name]["frames"] for name in names], str)
         known = _range([reference["known_frames"] for reference in references], str)
         rows.append(
             (
-                names.short(short_id(values["id"]) for values in same),
+                members.short(names),
                 frames if known in ("-", frames) else f"{known} of {frames}",
                 kind,
                 _distance(references, "standard_uncertainty"),
@@ -227,7 +212,7 @@ def _ids(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
                 *errors,
             )
         )
-    yield grid(("ids", "frames", "reference", "u", "rest", "detects", "misses"), rows)
+    return grid(("ids", "frames", "reference", "u", "rest", "detects", "misses"), rows)
 
 
 def _distance(references: Sequence[Values], key: str) -> str:
@@ -243,86 +228,67 @@ def _range(values: Sequence[Any], text: Callable[[Any], str]) -> str:
     return " to ".join(dict.fromkeys((text(min(values)), text(max(values)))))
 
 
-def _detected(reference: Values) -> list[str]:
-    """Return the planted errors that change a score or an event, and those that do not."""
+def _detected(reference: Values) -> tuple[str, str]:
+    """Return the planted errors that change a score or an event, and those that do not.
+
+    The errors of a quantity in both directions are one if both or neither are detected.
+    """
     scores = [row for _, row in planted_error_scores(reference)]
-    seen = {
+    changed = {
         title: any(row.get(title) for row in scores)
         for title in PLANTED_ERRORS.values()
         if any(title in row for row in scores)
     }
-    merged: dict[str, bool] = {}
-    for title, is_seen in seen.items():
+    detected, missed = {}, {}
+    for title, is_changed in changed.items():
         quantity, _, direction = title.partition(" 20 % ")
-        if not direction:
-            merged[SHORT_ERRORS[title]] = is_seen
-        elif len({seen[other] for other in ERROR_PAIRS[quantity]}) == 1:
-            merged[quantity] = is_seen
-        else:
-            merged[f"{direction} {quantity}"] = is_seen
-    return [
-        ", ".join(title for title, is_seen in merged.items() if is_seen is chosen)
-        for chosen in (True, False)
+        both = {changed.get(f"{quantity} 20 % {side}") for side in ("lower", "higher")}
+        name = quantity if len(both) == 1 else f"{direction} {quantity}"
+        (detected if is_changed else missed)[SHORT_ERRORS.get(title, name)] = title
+    return ", ".join(detected), ", ".join(missed)
+
+
+def _action(values: Values) -> str:
+    rows = values["action"]
+    if rows[0]["unit"] == "1":
+        return "0."
+    return _sentences("; ".join(f"{row['meaning']}, {row['unit']}" for row in rows))
+
+
+def _observation(values: Values) -> str:
+    """Return the entries of the observation with their shapes; rows of an entry add up in the last axis."""
+    shapes = grouped((row["entry"], row["shape"]) for row in values["observation"])
+    entries = [
+        f"{name} {shape_text([*same[0][:-1], sum(shape[-1] for shape in same)])}"
+        for name, same in shapes.items()
     ]
+    return f"{', '.join(entries)}."
 
 
-def _spaces(names: _Names, members: Sequence[Values]) -> Iterator[str]:
-    """Yield the actions, the observations and the observable, one sentence for each different space."""
-
-    def action(values: Values) -> str:
-        rows = [f"{row['meaning']}, {row['unit']}" for row in values["action"]]
-        if values["action"][0]["unit"] == "1":
-            return "0."
-        return _sentences("; ".join(rows))
-
-    def observation(values: Values) -> str:
-        sizes: dict[str, list[int]] = {}
-        for row in values["observation"]:
-            shape = sizes.setdefault(row["entry"], [*row["shape"][:-1], 0])
-            shape[-1] += row["shape"][-1]
-        entries = [f"{name} {shape_text(shape)}" for name, shape in sizes.items()]
-        return f"{', '.join(entries)}."
-
-    def observable(values: Values) -> str:
-        kind = values["observable"]["kind"].replace("_", " ")
-        return f"{kind} [{values['observable']['unit']}]."
-
-    yield from names.facts("Action", members, action)
-    yield from names.facts("Observation", members, observation)
-    yield from names.facts("Observable", members, observable)
+def _observable(values: Values) -> str:
+    observable = values["observable"]
+    return f"{observable['kind'].replace('_', ' ')} [{observable['unit']}]."
 
 
-def _rewards(names: _Names, members: Sequence[Values]) -> list[str]:
-    """Return the rewards in terms of z, which `READING` defines."""
-
-    def reward(values: Values) -> str:
-        text = values["reference"]["reward"]
-        match = REWARDED.search(text)
-        if match is None:
-            return "0."
-        form = "-z / (1 + z)" if text.startswith("-z") else "-z"
-        return f"{form}, z over {match['names']}."
-
-    return names.facts("Reward", members, reward)
+def _reward(values: Values) -> str:
+    """Return the reward in terms of z, which `READING` defines."""
+    text = values["reference"]["reward"]
+    match = REWARDED.search(text)
+    if match is None:
+        return "0."
+    form = "-z / (1 + z)" if text.startswith("-z") else "-z"
+    return f"{form}, z over {match['names']}."
 
 
-def _sources(names: _Names, members: Sequence[Values]) -> Iterator[str]:
+def _sources(members: _Members) -> Iterator[str]:
     """Yield the sources of the references; texts that differ in numbers share a sentence."""
-    forms: dict[str, dict[str, list[str]]] = {}
-    for values in members:
-        text = _source(values)
-        form = NUMBER.sub("#", text)
-        forms.setdefault(form, {}).setdefault(text, []).append(short_id(values["id"]))
-    for form, texts in forms.items():
-        numbers = zip(*map(NUMBER.findall, texts), strict=True)
-        between = form.split("#")
-        filled = between[0] + "".join(
-            " / ".join(dict.fromkeys(column)) + text
-            for column, text in zip(numbers, between[1:], strict=True)
-        )
-        label = names.short(name for same in texts.values() for name in same)
-        title, _, text = filled.partition(": ")
-        yield _fact(title, label, _sentences(text))
+    names = grouped((_source(values), name) for name, values in members.items())
+    for texts in grouped((NUMBER.sub("#", text), text) for text in names).values():
+        parts = zip(*map(NUMBER.split, texts), strict=True)
+        joined = "".join(" / ".join(dict.fromkeys(part)) for part in parts)
+        title, _, text = joined.partition(": ")
+        same = [name for text in texts for name in names[text]]
+        yield f"**{title}**{members.label(', {}', same)}: {_sentences(text)}"
 
 
 def _source(values: Values) -> str:
@@ -336,65 +302,63 @@ def _source(values: Values) -> str:
     return f"{kind}: {text}"
 
 
-def _events(names: _Names, members: Sequence[Values]) -> list[str]:
-    """Return the recorded events with their real values."""
+def _events(values: Values) -> str:
+    """Return the recorded events with their real values; empty without one."""
+    texts = [
+        f"{event_title(event['name'])} "
+        + plus_minus_text(event["value"], event["standard_uncertainty"], event["unit"])
+        for event in values["reference"]["events"]
+    ]
+    return f"{', '.join(texts)}." if texts else ""
 
-    def events(values: Values) -> str:
-        texts = [
-            f"{event_title(event['name'])} "
-            + plus_minus_text(
-                event["value"], event["standard_uncertainty"], event["unit"]
-            )
-            for event in values["reference"]["events"]
-        ]
-        return f"{', '.join(texts)}." if texts else ""
 
-    return names.facts("Real events", members, events)
+def _shared(
+    families: Families, texts: Callable[[Values], Iterable[str]]
+) -> dict[str, list[str]]:
+    """Return the texts that several families have, each with their names."""
+    users = grouped(
+        (text, family)
+        for family, members in families.items()
+        for values in members
+        for text in texts(values)
+    )
+    names = {text: [*dict.fromkeys(same)] for text, same in users.items()}
+    return {text: same for text, same in names.items() if len(same) > 1}
 
 
 # --- engines ----------------------------------------------------------------------------------------------------------
 
 
-def _engines(
-    names: _Names, members: Sequence[Values], shared: Sequence[str]
-) -> Iterator[str]:
+def _engines(members: _Members, shared: Iterable[str]) -> Iterator[str]:
     """Yield the engines with their presets and steps, and those that do not build the scene.
 
     Args:
-        names: Names of the variants.
         members: The variants.
         shared: Reasons of other families too, which are not repeated.
     """
-    running: dict[str, list[str]] = {}
-    unsupported: dict[str, list[str]] = {}
+    running, unsupported = [], []
     for engine in filter(is_bundled, backend_names()):
         title = f"[{backend_class(engine).title}](../engines/{engine}.md)"
         rows = {
-            short_id(values["id"]): _engine_row(values, engine) for values in members
+            name: next(row for row in values["engines"] if row["engine"] == engine)
+            for name, values in members.items()
         }
-        runs = {name: row for name, row in rows.items() if not row["missing"]}
+        runs = [name for name, row in rows.items() if not row["missing"]]
         if runs:
-            presets = ", ".join(
-                dict.fromkeys(f"`{row['preset']}`" for row in runs.values())
-            )
-            steps_s = sorted({row["timestep_s"] for row in runs.values()})
-            ends = dict.fromkeys((steps_s[0], steps_s[-1]))
-            steps = " to ".join(map(step_text, ends))
-            running.setdefault(names.short(runs), []).append(
-                f"{title} {presets} {steps}"
-            )
-        missing: dict[str, list[str]] = {}
-        for name in rows.keys() - runs.keys():
-            reason = reasons_text(rows[name]["missing"])
-            text = "" if _general(reason) in shared else f": {reason}"
-            missing.setdefault(text, []).append(name)
-        for text, same in missing.items():
-            label = names.short(same)
-            listed = "" if label == "all ids" else f", `{label}`"
-            unsupported.setdefault(listed + text, []).append(title)
-    for label, texts in running.items():
-        yield _fact("Preset and step [s]", label, f"{', '.join(texts)}.")
-    for text, titles in unsupported.items():
+            presets = dict.fromkeys(f"`{rows[name]['preset']}`" for name in runs)
+            steps = _range([rows[name]["timestep_s"] for name in runs], step_text)
+            text = f"{title} {', '.join(presets)} {steps}"
+            running.append((members.label(", {}", runs), text))
+        reasons = grouped(
+            (_new_reason(row, shared), name)
+            for name, row in rows.items()
+            if row["missing"]
+        )
+        for reason, names in reasons.items():
+            unsupported.append((members.label(", {}", names) + reason, title))
+    for label, texts in grouped(running).items():
+        yield f"**Preset and step [s]**{label}: {', '.join(texts)}."
+    for text, titles in grouped(unsupported).items():
         yield f"Not on {', '.join(titles)}{text}."
 
 
@@ -404,16 +368,16 @@ def step_text(step_s: float) -> str:
     return str(fraction) if fraction.numerator == 1 else f"{step_s:.4g}"
 
 
-def reasons_text(missing: Sequence[str]) -> str:
+def _reason(row: Values) -> str:
     """Return the first reason why an engine cannot build a scene, and the number of the remaining reasons."""
-    if len(missing) < 2:
-        return "".join(missing)
-    return f"{missing[0]} (and {len(missing) - 1} more)"
+    first, *others = row["missing"]
+    return f"{first} (and {len(others)} more)" if others else first
 
 
-def _engine_row(values: Values, engine: str) -> Values:
-    row: Values = next(row for row in values["engines"] if row["engine"] == engine)
-    return row
+def _new_reason(row: Values, shared: Iterable[str]) -> str:
+    """Return the reason after a colon; nothing for a reason of other families too."""
+    reason = _reason(row)
+    return "" if _general(reason) in shared else f": {reason}"
 
 
 def _general(reason: str) -> str:
@@ -421,77 +385,67 @@ def _general(reason: str) -> str:
     return QUOTED.sub("the body", reason)
 
 
-def _shared_reasons(families: Families) -> list[str]:
-    """Return the reasons that several families have, without the names of bodies."""
-    seen: dict[str, set[str]] = {}
-    for family, members in families.items():
-        for values in members:
-            for row in values["engines"]:
-                if row["missing"] and is_bundled(row["engine"]):
-                    reason = _general(reasons_text(row["missing"]))
-                    seen.setdefault(reason, set()).add(family)
-    return [reason for reason, users in seen.items() if len(users) > 1]
+def _reasons(values: Values) -> Iterator[str]:
+    """Yield the reasons of the engines that do not build a scene, without the names of bodies."""
+    for row in values["engines"]:
+        if row["missing"] and is_bundled(row["engine"]):
+            yield _general(_reason(row))
 
 
 # --- constants --------------------------------------------------------------------------------------------------------
 
 
-def _constants(
-    names: _Names, members: Sequence[Values], families: Families
-) -> Iterator[Part]:
+def _constants(members: _Members, families: Families) -> Iterator[Part]:
     """Yield the constants in use, a column for each group of ids with the same constants."""
-    materials = {
-        key: value
-        for family, body in MATERIALS.values()
-        for key, value in _material_constants(families[family], body).items()
-    }
-    used = [(short_id(values["id"]), _used_constants(values)) for values in members]
+    used = {name: _used_constants(values) for name, values in members.items()}
+    materials = _material_titles(families)
+    rows: dict[Place, dict[str, Values]] = {}
     shared: set[str] = set()
-    rows = {}
-    for place in dict.fromkeys(place for _, table in used for place in table):
-        cells = {name: table.get(place) for name, table in used}
-        known = [
-            materials.get((place[1], name.rpartition("-")[2], cell["value"]))
-            for name, cell in cells.items()
-            if cell
-        ]
-        if all(known):
-            shared.update(filter(None, known))
+    for place in dict.fromkeys(place for table in used.values() for place in table):
+        row = {name: table[place] for name, table in used.items() if place in table}
+        titles = {
+            materials.get((place[1], name.rpartition("-")[2], cell["value"]), "")
+            for name, cell in row.items()
+        }
+        if "" in titles:
+            rows[place] = row
         else:
-            rows[place] = cells
-    columns: dict[tuple[str, ...], list[str]] = {}
-    for name, _ in used:
-        texts = tuple(_constant_text(cells[name]) for cells in rows.values())
-        columns.setdefault(texts, []).append(name)
+            shared |= titles
+    columns = grouped(
+        (tuple(_constant_text(row.get(name)) for row in rows.values()), name)
+        for name in members
+    )
     yield Heading("Constants")
-    labels = [names.short(same) for same in columns.values()]
-    body_rows = [
-        (Markdown(f"{body} `{key}`"), *(column[index] for column in columns))
-        for index, (body, key) in enumerate(rows)
-    ]
-    yield grid(("constant", *labels), body_rows)
+    yield grid(
+        ("constant", *map(members.short, columns.values())),
+        [
+            (Markdown(f"{body} `{key}`"), *texts)
+            for (body, key), *texts in zip(rows, *columns, strict=True)
+        ],
+    )
     notes = [
         f"{title} have [more constants]({READING}#{title.lower()})."
         for title in sorted(shared)
     ]
-    sources: dict[str, list[tuple[str, str]]] = {}
-    for place, cells in rows.items():
-        for source in dict.fromkeys(cell["source"] for cell in cells.values() if cell):
-            sources.setdefault(source, []).append(place)
-    for source, places in sources.items():
-        if source != "metadata":
-            notes.append(f"Source{_places_text(places, rows)}: {source}.")
+    sources = grouped(
+        (source, place)
+        for place, row in rows.items()
+        for source in dict.fromkeys(cell["source"] for cell in row.values())
+    )
+    notes += [
+        f"Source{_places_text(places, rows)}: {source}."
+        for source, places in sources.items()
+        if source != "metadata"
+    ]
     if notes:
         yield Paragraph(Markdown(" ".join(notes)))
 
 
-def _places_text(
-    places: Sequence[tuple[str, str]], rows: Iterable[tuple[str, str]]
-) -> str:
+def _places_text(places: Sequence[Place], rows: Iterable[Place]) -> str:
     """Return ` of` and the names of constants: bodies where all their constants are meant, nothing for all rows."""
-    if set(places) == set(rows):
-        return ""
     others = {body for body, key in rows if (body, key) not in places}
+    if not others:
+        return ""
     names = [body if body not in others else f"{body} `{key}`" for body, key in places]
     return f" of {', '.join(dict.fromkeys(names))}"
 
@@ -504,14 +458,14 @@ def _constant_text(cell: Values | None) -> str:
     return f"{value:.0f}" if value >= 1e4 else f"{value:.4g}"
 
 
-def _used_constants(values: Values) -> dict[tuple[str, str], Values]:
-    """Return the constants that change the motion, by body and key.
+def _used_constants(values: Values) -> dict[Place, Values]:
+    """Return the constants that change the motion.
 
     Masses of fixed and driven bodies have no effect. A contact has the friction and the restitution of one of its
     bodies; restitution counts in impacts alone.
     """
     moving = {
-        body["name"]
+        _constants_name(values["constants"], body["name"])
         for body in values["bodies"]
         if body["kind"] != "rigid" or body["motion"] == "dynamic"
     }
@@ -521,44 +475,51 @@ def _used_constants(values: Values) -> dict[tuple[str, str], Values]:
         for key in ("friction", "restitution")
         if key == "friction" or contact["mode"] == "impact"
     }
-    used = {}
-    for name, table in values["constants"].items():
-        is_moving = any(_is_body(name, body) for body in moving)
-        for key, cell in table.items():
-            if key in ("friction", "restitution"):
-                is_used = (name, key) in in_contact
-            else:
-                is_used = is_moving and key != "density_kg_per_m3"
-            if is_used:
-                used[name, key] = cell
-    return used
+
+    def is_used(name: str, key: str) -> bool:
+        if key in ("friction", "restitution"):
+            return (name, key) in in_contact
+        return name in moving and key != "density_kg_per_m3"
+
+    return {
+        (name, key): cell
+        for name, table in values["constants"].items()
+        for key, cell in table.items()
+        if is_used(name, key)
+    }
 
 
 def _owner(constants: Mapping[str, Values], contact: Values, key: str) -> str:
     """Return the first body of a contact whose constant the contact has; empty for none."""
     for body in (*contact["first"], *contact["second"]):
-        for name, table in constants.items():
-            cell = table.get(key)
-            if _is_body(name, body) and cell and cell["value"] == contact[key]:
-                return name
+        name = _constants_name(constants, body)
+        cell = constants.get(name, {}).get(key)
+        if cell and cell["value"] == contact[key]:
+            return name
     return ""
 
 
-def _is_body(constants_name: str, body: str) -> bool:
-    """Return whether constants are of a body: `ball` has those of `ball-1` and `ball-2`."""
-    return body == constants_name or re.sub(r"-\d+$", "", body) == constants_name
+def _constants_name(constants: Mapping[str, Values], body: str) -> str:
+    """Return the name of the constants of a body: `ball-1`, or `ball` of all balls."""
+    return body if body in constants else re.sub(r"-\d+$", "", body)
 
 
-def _material_constants(
-    members: Sequence[Values], body: str
-) -> dict[tuple[str, str, float], str]:
-    """Return the title of each constant of a material, by key, name of the material and value."""
-    title = next(title for title, (_, shown) in MATERIALS.items() if shown == body)
+def _of_material(values: Values, body: str) -> dict[str, Values]:
+    """Return the constants of the material of a body, by key."""
     return {
-        (key, values["id"].rpartition("-")[2], cell["value"]): title
-        for values in members
+        key: cell
         for (name, key), cell in _used_constants(values).items()
         if name == body and key not in SCENE_KEYS
+    }
+
+
+def _material_titles(families: Families) -> dict[tuple[str, str, float], str]:
+    """Return the title in `MATERIALS` of each constant, by its key, the name of its material and its value."""
+    return {
+        (key, values["id"].rpartition("-")[2], cell["value"]): title
+        for title, (family, body) in MATERIALS.items()
+        for values in families[family]
+        for key, cell in _of_material(values, body).items()
     }
 
 
@@ -572,51 +533,42 @@ def note_of(study: str) -> str:
     return f"README.md#{study}"
 
 
-def _limit_text(limit: Values) -> str:
-    link = f"../../studies/{note_of(limit['study'])}" if limit["study"] else ""
-    return limit["text"] + (f" ([study]({link}))" if link else "")
+def _limit_texts(values: Values) -> Iterator[str]:
+    """Yield the known limits of a variant, with links to studies."""
+    for limit in values["limits"]:
+        link = f"../../studies/{note_of(limit['study'])}" if limit["study"] else ""
+        yield limit["text"] + (f" ([study]({link}))" if link else "")
 
 
-def _shared_limits(families: Families) -> dict[str, list[str]]:
-    """Return the limits of several families, each with their names."""
-    seen: dict[str, list[str]] = {}
-    for family, members in families.items():
-        for values in members:
-            for limit in values["limits"]:
-                users = seen.setdefault(_limit_text(limit), [])
-                if family not in users:
-                    users.append(family)
-    return {text: users for text, users in seen.items() if len(users) > 1}
-
-
-def _limits(
-    names: _Names, members: Sequence[Values], shared: Mapping[str, Sequence[str]]
-) -> Iterator[Part]:
+def _limits(members: _Members, shared: Iterable[str]) -> Iterator[Part]:
     """Yield the known limits of this family alone, and the sources of the prescribed motions."""
-    limits: dict[str, list[str]] = {}
-    motions: dict[str, dict[str, list[str]]] = {}
-    has_shared = False
-    for values in members:
-        name = short_id(values["id"])
-        for limit in values["limits"]:
-            text = _limit_text(limit)
-            if text in shared:
-                has_shared = True
-            else:
-                limits.setdefault(text, []).append(name)
-        for driver in values["drivers"]:
-            text = f"{driver['body']}: {_sentences(driver['note'])}"
-            users = motions.setdefault(text, {}).setdefault(driver["provenance"], [])
-            users.append(name)
-    entries = [_labelled(names.short(same), text) for text, same in limits.items()]
-    for text, sources in motions.items():
+    limits = grouped(
+        (text, name)
+        for name, values in members.items()
+        for text in _limit_texts(values)
+    )
+    motions = grouped(
+        (
+            f"{driver['body']}: {_sentences(driver['note'])}",
+            (driver["provenance"], name),
+        )
+        for name, values in members.items()
+        for driver in values["drivers"]
+    )
+    entries = [
+        members.label("{}: ", names) + text
+        for text, names in limits.items()
+        if text not in shared
+    ]
+    for text, uses in motions.items():
+        sources = grouped(uses)
         kinds = [
-            source if len(sources) == 1 else f"{source} for `{names.short(same)}`"
-            for source, same in sources.items()
+            source if len(sources) == 1 else f"{source} for `{members.short(names)}`"
+            for source, names in sources.items()
         ]
-        label = names.short(name for same in sources.values() for name in same)
-        entries.append(_labelled(label, f"Motion ({', '.join(kinds)}) of {text}"))
-    if has_shared:
+        label = members.label("{}: ", (name for _, name in uses))
+        entries.append(f"{label}Motion ({', '.join(kinds)}) of {text}")
+    if limits.keys() & shared:
         entries.append(f"[Limits of several families]({READING}#limits) apply.")
     if entries:
         yield Heading("Known limits")
@@ -666,21 +618,16 @@ def reading_document(families: Families) -> Document:
     """Return the page of what families share: columns, reward, materials and limits."""
     tables: list[Part] = []
     for title, (family, body) in MATERIALS.items():
-        members = families[family]
-        used = [_used_constants(values) for values in members]
-        keys = [key for name, key in used[0] if name == body and key not in SCENE_KEYS]
+        columns = [_of_material(values, body) for values in families[family]]
         rows = [
-            (
-                Markdown(f"`{key}`"),
-                *(_constant_text(table[body, key]) for table in used),
-            )
-            for key in keys
+            (Markdown(f"`{key}`"), *(_constant_text(column[key]) for column in columns))
+            for key in columns[0]
         ]
-        labels = [values["id"].rpartition("-")[2] for values in members]
+        labels = [values["id"].rpartition("-")[2] for values in families[family]]
         tables += [Heading(title, 3), grid(("constant", *labels), rows)]
     limits = [
         f"{', '.join(users)}: {text}"
-        for text, users in _shared_limits(families).items()
+        for text, users in _shared(families, _limit_texts).items()
     ]
     return Document(
         parts=(
