@@ -184,8 +184,8 @@ def _sentences(text: str) -> str:
 
 
 def _capitalized(text: str) -> str:
-    """Return a text with a capital; symbols of one letter stay."""
-    return text if re.match(r"\w\b", text) else text[:1].upper() + text[1:]
+    """Return a text with a capital; symbols of one letter, as `z`, stay."""
+    return text if re.match(r"(?!a\b)\w\b", text) else text[:1].upper() + text[1:]
 
 
 def _references(members: _Members) -> Part:
