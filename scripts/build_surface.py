@@ -27,20 +27,6 @@ from scripts.generated import ROOT
 
 FILE = ROOT / "tests" / "public_surface.json"
 
-MODULES = (
-    "gauge_envs",
-    "gauge_envs.scene",
-    "gauge_envs.backends",
-    "gauge_envs.errors",
-    "gauge_envs.tools.conformance",
-    "gauge_envs.tools.control",
-    "gauge_envs.tools.recipes",
-    "gauge_envs.tools.replay",
-    "gauge_envs.tools.sanity",
-    "gauge_envs.tools.video",
-)
-"""Modules of the API reference."""
-
 MAKERS = {
     "gymnasium.make": "gauge_envs.envs.arguments:EnvArguments.__init__",
     "gymnasium.make_vec": "gauge_envs.envs.vector:GaugeVectorEnv.__init__",
@@ -65,7 +51,7 @@ def surface() -> dict[str, Any]:
             name: _signature(EntryPoint(name, place, "").load())
             for name, place in MAKERS.items()
         },
-        "python": {name: _public_names(name) for name in MODULES},
+        "python": {name: _public_names(name) for name in _modules()},
         "commands": {name: _options(name) for name in sorted(commands())},
         "exit codes": {
             name: code for name, code in vars(output).items() if name.startswith("EXIT")
@@ -82,6 +68,13 @@ def surface() -> dict[str, Any]:
         "band arrays": [*ARRAYS, *MARKER_ARRAYS],
         "entry points": [ENGINES_GROUP, PLUGINS_GROUP],
     }
+
+
+def _modules() -> list[str]:
+    """Return the modules of the API reference, without those of task files, whose keys are stored."""
+    pages = (ROOT / "docs" / "api").glob("*.md")
+    texts = [page.read_text("utf-8") for page in pages if page.stem != "task_format"]
+    return sorted(re.findall(r"automodule:: (\S+)", "".join(texts)))
 
 
 def _public_names(module_name: str) -> dict[str, Any]:
