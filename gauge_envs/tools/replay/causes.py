@@ -406,7 +406,7 @@ def _stops(replayer: Replayer, setup: Setup) -> Cause:
     log, ids = replayer.log, replayer.joint
     names = [f"{name} {side}" for side in ("lower", "upper") for name in log.joints]
     stop = ("model.jnt_range", (np.tile(ids, 2), np.repeat((0, 1), len(ids))), 1.0)
-    extremes = np.percentile(log.position[log.valid], (2.0, 98.0), axis=0).ravel()
+    extremes = np.percentile(log.position, (2.0, 98.0), axis=0).ravel()
     return _row(
         setup,
         "joint limit",

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
+import csv
 import re
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 from scipy.spatial.transform import Rotation
-from scipy.stats import linregress
 
 from gauge_envs.errors import FileError, first_fault, first_names, needs_extra
+from gauge_envs.files import csv_text, toml_document
 
 FloatArray: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]
-Columns: TypeAlias = Mapping[str, NDArray[Any]]
-Quantity: TypeAlias = tuple[tuple[str, ...], FloatArray]
-"""Names of the joints, and values of shape [N, J]; neither where the log has none."""
 
 ALIASES = {
     "time": "t time time_s timestamp",
@@ -43,13 +42,28 @@ ALIASES = {
 ANGLES = {"position": 1.0, "target": 1.0, "ctrl": 1.0, "velocity": 0.0}
 """Quantities with the unit of the map, and the factor of the offset of a joint that they contain."""
 
-SAMPLED = ("time_s", "position", "velocity", "valid", "base_pose", "base_twist")
+KEYS = {alias: key for key, text in ALIASES.items() for alias in text.split()}
+LONGEST_FIRST = "|".join(sorted(KEYS, key=len, reverse=True))
+COLUMN = re.compile(rf"({LONGEST_FIRST})(?:[._/:\[](.*?)\]?)?")
+
+UNNAMED = ALIASES["position"].split()
+BASE = tuple(key for key in ALIASES if key.startswith("base_"))
+
+KEYS = {alias: key for key, text in ALIASES.items() for alias in text.split()}
+LONGEST_FIRST = "|".join(sorted(KEYS, key=len, reverse=True))
+COLUMN = re.compile(rf"({LONGEST_FIRST})(?:[._/:\[](.*?)\]?)?")
+
+UNNAMED = ALIASES["position"].split()
+BASE = tuple(key for key in ALIASES if key.startswith("base_"))
+
+SAMPLED = ("time_s", "position", "velocity", "base_pose", "base_twist")
 """Attributes of a log with a row a sample."""
 
 COMMANDS = ("action", "ctrl", "target", "tau")
 """Kinds of command, the one that is used first where a log has several."""
 
 MIN_SAMPLES = 20
+MAX_INTERVAL_S = 1.0
 MIN_NOISE = 2e-4
 MIN_RATE_NOISE = 2e-3
 """Noise below which a difference has no meaning for a policy; a log of a simulator has none of its own."""
@@ -59,6 +73,10 @@ MIN_JUMP = 0.02
 """Second difference of positions at a lost sample [rad or m]."""
 MAX_MISFIT = 0.3
 """Difference of the velocities of the base to the slope of its pose, over that slope, both squared."""
+TURN_S = 0.3
+"""Time over which turns of the base are compared with its angular velocity."""
+SURE = 4.0
+"""Difference of two mean squared errors that is no noise, over the error, for one time of TURN_S."""
 MIN_REGULAR = 0.7
 """Fraction of equal runs of samples from which on the encoder is slower than the log."""
 
@@ -85,11 +103,13 @@ class ControlMap(BaseModel):
     default_rad: float | dict[str, float] | None = None
 
     def of(self, joint: str) -> dict[str, Any]:
-        """Return the values for a joint by field."""
-        return {
-            field: value.get(joint) if isinstance(value, dict) else value
-            for field, value in self
-        }
+        """Return the values for a joint by field; the default of a field whose table lacks the joint."""
+        values = {}
+        for name, value in self:
+            if isinstance(value, dict):
+                value = value.get(joint, getattr(ControlMap(), name))
+            values[name] = value
+        return values
 
 
 class LogMap(BaseModel):
@@ -98,26 +118,37 @@ class LogMap(BaseModel):
     model_config = ConfigDict(extra="forbid")
     unit: Literal["rad", "deg"] = "rad"
     command: Literal["action", "ctrl", "target", "tau"] | None = None
+    quaternion: Literal["wxyz", "xyzw"] | None = None
     order: list[str] = []
     joints: dict[str, JointMap] = {}
     control: ControlMap = ControlMap()
 
-    def converted(self, key: str, names: Sequence[str], values: FloatArray) -> Quantity:
-        """Return a quantity in the terms of the model.
+    def converted(
+        self, key: str, joint: str, values: FloatArray
+    ) -> tuple[str, FloatArray]:
+        """Return the name and the values of a column in the terms of the model.
 
         Args:
-            key: Its key in ALIASES.
-            names: Names of the joints in the log.
-            values: Values of the log, shape [N, J].
+            key: Its quantity, a key of ALIASES.
+            joint: Name of the joint in the log.
+            values: Values of the log, shape [N].
         """
-        by_log = {entry.log: name for name, entry in self.joints.items()}
-        renamed = tuple(by_log.get(name, name) for name in names)
-        entries = [self.joints.get(name, JointMap()) for name in renamed]
-        values = values * np.array([entry.sign for entry in entries])
+        names = {entry.log: name for name, entry in self.joints.items()}
+        name = names.get(joint, joint)
+        entry = self.joints.get(name, JointMap())
         if key in ANGLES and self.unit == "deg":
             values = np.deg2rad(values)
-        offsets = np.array([entry.offset_rad for entry in entries])
-        return renamed, values + ANGLES.get(key, 0.0) * offsets
+        offset = ANGLES.get(key, 0.0) * entry.offset_rad
+        return name, entry.sign * values + offset
+
+    def check_joints(self, known: Sequence[str]) -> None:
+        """Raise an error for a joint of the map that a log lacks."""
+        tables = [self.joints, *(value for _, value in self.control)]
+        for table in tables:
+            for name in table if isinstance(table, dict) else ():
+                if name not in known:
+                    reason = f"the log has no such joint; it has {first_names(known)}"
+                    raise FileError("--map", name, reason)
 
 
 @dataclass
@@ -130,7 +161,6 @@ class Log:
         time_s: Times of the samples, shape [N].
         position: Angles [rad] or lengths [m], shape [N, J].
         velocity: Rates, shape [N, J]; differences of the positions where the log has none.
-        valid: Whether a sample can be used, shape [N].
         position_noise, velocity_noise: Standard deviation of the noise of each joint, shape [J].
         command: Commands, shape [M, C]; no column for a passive mechanism.
         command_kind: Quantity of the commands; empty without any.
@@ -138,6 +168,7 @@ class Log:
         command_time_s: From when on each command holds, shape [M].
         base_pose: Position [m] and quaternion w x y z of the base, shape [N, 7]; no column without a base.
         base_twist: Its linear velocity in the world and angular velocity in the body frame, shape [N, 6].
+        quaternion: Order of the numbers of a quaternion in the file, as the map gives it.
         findings: What is wrong in the log, and what was done about it.
     """
 
@@ -146,13 +177,13 @@ class Log:
     time_s: FloatArray
     position: FloatArray
     velocity: FloatArray
-    valid: BoolArray
     command: FloatArray
     command_kind: str
     command_names: tuple[str, ...]
     command_time_s: FloatArray
     base_pose: FloatArray
     base_twist: FloatArray
+    quaternion: str | None = None
     position_noise: FloatArray = field(init=False)
     velocity_noise: FloatArray = field(init=False)
     findings: list[str] = field(default_factory=list)
@@ -170,6 +201,11 @@ class Log:
             return self.interval_s
         return float(np.median(np.diff(self.command_time_s[changed + 1])))
 
+    def keep(self, samples: NDArray[Any]) -> None:
+        """Leave out all but some samples; the commands stay."""
+        for name in SAMPLED:
+            setattr(self, name, getattr(self, name)[samples])
+
 
 def read_map(file: Path | None) -> LogMap:
     """Return the content of a map file; the default without one.
@@ -180,7 +216,7 @@ def read_map(file: Path | None) -> LogMap:
     if file is None:
         return LogMap()
     try:
-        return LogMap.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
+        return LogMap.model_validate(toml_document(file.read_bytes()))
     except ValidationError as error:
         raise FileError(file, *first_fault(error)) from error
     except (OSError, ValueError) as error:
@@ -198,114 +234,145 @@ def read_log(
         mapped: Names, signs and units that differ.
 
     Raises:
-        FileError: The file has no time or no positions, or its columns do not fit each other.
+        FileError: The file has no time or no positions, its columns do not fit each other, or the map does not fit it.
     """
     mapped = mapped or LogMap()
     try:
         columns = _read_columns(file)
-        stored = [str(name) for name in columns.get("joints", names)]
-        quantities = _quantities(columns, mapped.order or stored, mapped)
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, EOFError, BadZipFile) as error:
         reason = f"cannot be read as CSV, NPZ or Parquet: {error}"
         raise FileError(file, None, reason) from error
-    for key in ("time", "position"):
-        if not quantities[key][0]:
-            expected = ALIASES[key].replace(" ", " or ")
-            reason = f"no column {expected}; the file has {first_names(list(columns))}"
-            raise FileError(file, None, reason)
-    time_s = quantities["time"][1][:, 0]
-    joints, position = quantities["position"]
-    _check_times(file, time_s, len(position))
-    kinds = [
-        kind for kind in (mapped.command, *COMMANDS) if kind and quantities[kind][0]
-    ]
+    given = mapped.order or [str(name) for name in dict(columns).get("joints", ())]
+    found = _by_joint(file, columns, given or names, mapped)
+    joints, rates = tuple(found["position"]), found["velocity"]
+    kinds = [key for key in (mapped.command, *COMMANDS) if key and found[key]]
     kind = kinds[0] if kinds else ""
-    command_names, command = quantities[kind or "action"]
-    command_times = quantities["command_time"][1]
-    base = [quantities[key][1] for key in ALIASES if key.startswith("base_")]
+    commands = found[kind] if kind else {}
+    mapped.check_joints(list(found["position"] | commands))
+    time_s = next(iter(found["time"].values()))
+    command_time_s = next(iter(found["command_time"].values()), time_s)
+
+    def stacked(name: str, columns: Iterable[FloatArray]) -> FloatArray:
+        times_s = command_time_s if name == "command" else time_s
+        for column in columns:
+            if len(column) != len(times_s):
+                reason = f"{len(column)} rows, but {len(times_s)} times"
+                raise FileError(file, name, reason)
+        return np.column_stack([np.zeros((len(times_s), 0)), *columns])
+
+    # Titles that end on x, y, z and w tell the order.
+    base = [[found[key][axis] for axis in sorted(found[key])] for key in BASE]
+    has_rates = rates.keys() >= {*joints}
     log = Log(
         name=file.name,
         joints=joints,
         time_s=time_s,
-        position=position,
-        velocity=quantities["velocity"][1],
-        valid=np.asarray(np.isfinite(position).all(axis=1)),
-        command=command,
+        position=stacked("position", found["position"].values()),
+        velocity=stacked("velocity", [rates[name] for name in joints if has_rates]),
+        command=stacked("command", commands.values()),
         command_kind=kind,
-        command_names=command_names,
-        command_time_s=command_times[:, 0] if command_times.size else time_s,
-        base_pose=np.hstack(base[:2]),
-        base_twist=np.hstack(base[2:]),
+        command_names=tuple(commands),
+        command_time_s=command_time_s,
+        base_pose=stacked("base pose", base[0] + base[1]),
+        base_twist=stacked("base twist", base[2] + base[3]),
+        quaternion=mapped.quaternion,
     )
+    if not given and any(title in UNNAMED for title, _ in columns):
+        text = "columns without names are taken in the order of the model"
+        log.findings.append(text)
     for check in CHECKS:
         check(log)
     return log
 
 
-def _read_columns(file: Path) -> Columns:
-    """Return the columns of a file by name."""
+def _read_columns(file: Path) -> list[tuple[str, Any]]:
+    """Return the titles and values of the columns of a file."""
     if file.suffix == ".npz":
         with np.load(file, allow_pickle=False) as archive:
-            return dict(archive)
+            return list(archive.items())
     if file.suffix == ".parquet":
         with needs_extra("reading Parquet", "parquet"):
             from pyarrow import parquet
-        table = parquet.read_table(file).to_pydict()
-        return {name: np.array(values) for name, values in table.items()}
-    rows = np.genfromtxt(
-        file, delimiter=",", names=True, deletechars="", encoding="utf-8-sig"
-    )
-    return {name: rows[name] for name in rows.dtype.names or ()}
+        return list(parquet.read_table(file).to_pydict().items())
+    lines = csv_text(file.read_bytes()).read().lstrip("# ").splitlines()
+    rows = csv.reader(line for line in lines if line and not line.startswith("#"))
+    return [
+        (title.strip(), [cell.strip() or "nan" for cell in cells])
+        for title, *cells in zip_longest(*rows, fillvalue="")
+    ]
 
 
-def _quantities(
-    columns: Columns, names: Sequence[str], mapped: LogMap
-) -> dict[str, Quantity]:
-    """Return the quantities in columns; `names` are the joints of a column that has all of them."""
-    keys = {alias: key for key, text in ALIASES.items() for alias in text.split()}
-    longest_first = "|".join(sorted(keys, key=len, reverse=True))
-    pattern = re.compile(rf"({longest_first})(?:[._/:\[](.*?)\]?)?")
-    by_joint: dict[str, dict[str, Any]] = {key: {} for key in ALIASES}
-    for name, array in columns.items():
-        if match := pattern.fullmatch(name):
-            by_joint[keys[match[1]]][match[2] or ""] = array
-    rows = len(next(iter(by_joint["time"].values()), ()))
-    quantities = {}
-    for key, arrays in by_joint.items():
-        values = np.column_stack([*arrays.values()] or [np.zeros((rows, 0))])
-        joints = list(arrays)
-        if "" in arrays:
-            numbers = list(map(str, range(values.shape[1])))
-            joints = list(names) if len(names) == len(numbers) else numbers
-        quantities[key] = mapped.converted(key, joints, values.astype(float))
-    return quantities
-
-
-def _check_times(file: Path, time_s: FloatArray, count: int) -> None:
-    """Raise an error for times that are no clock in seconds."""
-    if len(time_s) != count or count < MIN_SAMPLES:
-        reason = f"{len(time_s)} times and {count} positions; a log needs {MIN_SAMPLES} or more of both"
-        raise FileError(file, None, reason)
-    steps = np.diff(time_s)
-    if steps.min() <= 0.0 or np.median(steps) >= 1.0:
-        row = int(np.argmin(steps)) + 2
-        reason = "the time does not increase, or not in seconds; sort the rows"
-        raise FileError(file, row, reason)
+def _by_joint(
+    file: Path,
+    columns: Sequence[tuple[str, Any]],
+    names: Sequence[str],
+    mapped: LogMap,
+) -> dict[str, dict[str, FloatArray]]:
+    """Return the columns of each quantity by joint; `names` are the joints of an array that has all of them."""
+    found: dict[str, dict[str, FloatArray]] = {key: {} for key in ALIASES}
+    for title, cells in columns:
+        match = COLUMN.fullmatch(title)
+        if match is None:
+            continue
+        key, joint = KEYS[match[1]], match[2]
+        try:
+            values = np.atleast_2d(np.array(cells, dtype=float).T)
+        except (TypeError, ValueError) as error:
+            raise FileError(file, title, f"expected numbers: {error}") from error
+        is_named = len(names) == len(values) and key not in BASE
+        for index, column in enumerate(values):
+            name = joint or (names[index] if is_named else str(index))
+            name, column = mapped.converted(key, name, column)
+            if name in found[key]:
+                reason = f"a second column of {name}; rename one"
+                raise FileError(file, title, reason)
+            found[key][name] = column
+    if mapped.command and not found[mapped.command]:
+        # The map says what the column `action` is.
+        found[mapped.command], found["action"] = found["action"], {}
+    for key in filter(None, ("time", "position", mapped.command)):
+        if not found[key]:
+            expected = ALIASES[key].replace(" ", " or ")
+            titles = first_names([title for title, _ in columns])
+            reason = f"no column {expected}; the file has {titles}"
+            raise FileError(file, None, reason)
+    return found
 
 
 # --- checks: each adds its findings to the log -----------------------------------------------------------------------
 
 
-def _check_wraps(log: Log) -> None:
-    """Unwrap angles modulo 2 pi."""
-    is_usable = log.valid[1:] & log.valid[:-1]
-    jumps = np.abs(np.diff(log.position, axis=0)) > np.pi
-    wrapped = jumps[is_usable].any(axis=0)
-    if wrapped.any():
-        turns = np.unwrap(log.position, axis=0)
-        turns -= 2.0 * np.pi * np.round(np.median(turns, axis=0) / (2.0 * np.pi))
-        log.position = np.where(wrapped, turns, log.position)
-        log.findings.append("angles modulo 2 pi are unwrapped")
+def _check_numbers(log: Log) -> None:
+    """Leave out samples without numbers, and raise an error if few are left."""
+    # A lost sample may have a quaternion of zeros.
+    if log.base_pose.shape[1] == 7:
+        log.base_pose[~log.base_pose[:, 3:].any(axis=1)] = np.nan
+    commands = np.column_stack([log.command_time_s, log.command])
+    log.command_time_s, *columns = commands[np.isfinite(commands).all(axis=1)].T
+    log.command = np.reshape(columns, (-1, len(log.command_time_s))).T
+    for name in SAMPLED:
+        values = getattr(log, name)
+        is_whole = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        if not is_whole.all():
+            log.keep(is_whole)
+            count = len(values) - len(log.time_s)
+            text = f"rows without a number of {name} are left out: {count}"
+            log.findings.append(text)
+        if len(log.time_s) < MIN_SAMPLES:
+            reason = f"{len(log.time_s)} rows with numbers; a log needs {MIN_SAMPLES} or more"
+            raise FileError(log.name, name, reason)
+
+
+def _check_times(log: Log) -> None:
+    """Raise an error for times that are no clock in seconds."""
+    steps = np.diff(log.time_s)
+    if steps.min() <= 0.0:
+        place = f"{log.time_s[np.argmin(steps)]:g} s"
+        reason = "the time does not increase after it; sort the rows"
+        raise FileError(log.name, place, reason)
+    if log.interval_s >= MAX_INTERVAL_S:
+        reason = f"samples are {log.interval_s:g} apart; give the time in seconds"
+        raise FileError(log.name, "time", reason)
 
 
 def _check_held(log: Log) -> None:
@@ -314,22 +381,30 @@ def _check_held(log: Log) -> None:
     gaps = np.diff(fresh)
     period = int(np.median(gaps)) if len(gaps) else 1
     if period > 1 and np.mean(np.abs(gaps - period) <= period // 4) > MIN_REGULAR:
-        for key in SAMPLED:
-            setattr(log, key, getattr(log, key)[fresh])
+        log.keep(fresh)
         text = f"positions are held for {period} rows: the first of each is used"
         log.findings.append(text)
 
 
 def _check_zeros(log: Log) -> None:
-    """Exclude lost samples that were written as 0."""
+    """Leave out lost samples that were written as 0."""
     bend = np.abs(np.diff(log.position, n=2, axis=0))
     is_jump = bend > MIN_JUMP + 12.0 * np.median(bend, axis=0)
     is_lost = ((log.position[1:-1] == 0.0) & is_jump).any(axis=1)
-    lost = np.flatnonzero(is_lost) + 1
-    if len(lost):
-        log.valid[lost] = False
-        text = f"{len(lost)} lost samples, written as 0, are left out"
+    if is_lost.any():
+        log.keep(np.concatenate([[True], ~is_lost, [True]]))
+        text = f"{is_lost.sum()} lost samples, written as 0, are left out"
         log.findings.append(text)
+
+
+def _check_wraps(log: Log) -> None:
+    """Unwrap angles modulo 2 pi."""
+    turns = np.unwrap(log.position, axis=0)
+    is_wrapped = (turns != log.position).any(axis=0)
+    if is_wrapped.any():
+        turns -= 2.0 * np.pi * np.round(np.median(turns, axis=0) / (2.0 * np.pi))
+        log.position = np.where(is_wrapped, turns, log.position)
+        log.findings.append("angles modulo 2 pi are unwrapped")
 
 
 def _check_jitter(log: Log) -> None:
@@ -340,8 +415,7 @@ def _check_jitter(log: Log) -> None:
         return
     regular_s = np.linspace(log.time_s[0], log.time_s[-1], len(log.time_s))
     stamped, regular = (
-        noise_of(time_s, log.position, log.valid).mean()
-        for time_s in (log.time_s, regular_s)
+        noise_of(time_s, log.position).mean() for time_s in (log.time_s, regular_s)
     )
     if regular < 0.9 * stamped:
         log.command_time_s = np.interp(log.command_time_s, log.time_s, regular_s)
@@ -350,17 +424,14 @@ def _check_jitter(log: Log) -> None:
         log.findings.append(text)
 
 
-def noise_of(time_s: FloatArray, values: FloatArray, valid: BoolArray) -> FloatArray:
+def noise_of(time_s: FloatArray, values: FloatArray) -> FloatArray:
     """Return the standard deviation of the noise of each column.
 
     Seven samples in a row are compared with polynomials of degree 5 at the true times. The median of the differences
     ignores contacts and jumps.
     """
-    is_whole = sliding_window_view(valid, NOISE_WINDOW).all(axis=1)
-    times = sliding_window_view(time_s, NOISE_WINDOW)[is_whole]
-    windows = sliding_window_view(values, NOISE_WINDOW, axis=0)[is_whole]
-    if not len(times):
-        return np.zeros(values.shape[1])
+    times = sliding_window_view(time_s, NOISE_WINDOW)
+    windows = sliding_window_view(values, NOISE_WINDOW, axis=0)
     places = (times - times[:, :1]) / np.ptp(times, axis=1, keepdims=True)
     # The last left singular vector of the powers 0 to 5 is orthogonal to every such polynomial, and of length 1.
     powers = places[..., None] ** np.arange(NOISE_WINDOW - 1)
@@ -371,44 +442,109 @@ def noise_of(time_s: FloatArray, values: FloatArray, valid: BoolArray) -> FloatA
 
 def _check_velocity(log: Log) -> None:
     """Add noise levels, and velocities where the log has none; compare those that it has with the positions."""
-    noise = noise_of(log.time_s, log.position, log.valid)
+    noise = noise_of(log.time_s, log.position)
     log.position_noise = np.maximum(noise, MIN_NOISE)
     slope = np.gradient(log.position, log.time_s, axis=0)
     if not log.velocity.size:
         log.velocity = slope
         log.velocity_noise = log.position_noise / (np.sqrt(2.0) * log.interval_s)
-        log.findings.append("no velocities: differences of positions are used")
+        text = "no velocities of all joints: differences of positions are used"
+        log.findings.append(text)
         return
-    log.valid &= np.isfinite(log.velocity).all(axis=1)
-    rates, slopes = log.velocity[log.valid], slope[log.valid]
-    spread = 1.4826 * np.median(np.abs(rates - slopes), axis=0)
-    noise = np.hypot(noise_of(log.time_s, log.velocity, log.valid), 0.2 * spread)
+    spread = 1.4826 * np.median(np.abs(log.velocity - slope), axis=0)
+    noise = np.hypot(noise_of(log.time_s, log.velocity), 0.2 * spread)
     log.velocity_noise = np.maximum(noise, MIN_RATE_NOISE)
-    line = linregress(slopes.ravel(), rates.ravel())
-    if abs(line.slope - 1.0) > 0.07 and line.rvalue > 0.95:
-        text = f"velocities are {line.slope:.3g} times the slope of the positions: another unit or clock"
+    (variance, product), (_, other) = np.cov(slope.ravel(), log.velocity.ravel())
+    is_line = product**2 > 0.9 * variance * other
+    if is_line and abs(product - variance) > 0.07 * variance:
+        text = f"velocities are {product / variance:.3g} times the slope of the positions: another unit or clock"
         log.findings.append(text)
 
 
+def _turn_misfit(log: Log, turn: Rotation, rate: FloatArray) -> float:
+    """Return the mean squared angle between the turns of the base in TURN_S and its angular velocity over this time.
+
+    Args:
+        log: The log.
+        turn: Attitudes.
+        rate: Angular velocities in the frame of the base [rad/s], shape [N, 3].
+    """
+    small = Rotation.from_rotvec(rate[:-1] * np.diff(log.time_s)[:, None])
+    length = min(max(1, round(TURN_S / log.interval_s)), len(small) // 2)
+    count = len(small) - length
+    total = small[:count]
+    for step in range(1, length):
+        total = total * small[step : step + count]
+    change = turn[:count].inv() * turn[length : length + count]
+    return float(np.mean((total.inv() * change).magnitude() ** 2))
+
+
+def _base_convention(log: Log, turns: Mapping[str, Rotation]) -> tuple[str, str] | None:
+    """Return the order of quaternions and the frame of angular velocities that fit each other; None if several do.
+
+    Args:
+        log: The log.
+        turns: Attitudes of the base by order.
+    """
+    rate = log.base_twist[:, 3:]
+    misfits = {
+        (order, frame): _turn_misfit(log, turn, in_body)
+        for order, turn in turns.items()
+        for frame, in_body in (("body", rate), ("world", turn.inv().apply(rate)))
+    }
+    best = min(misfits, key=misfits.__getitem__)
+    others = [misfit for key, misfit in misfits.items() if key[0] != best[0]]
+    turned = _turn_misfit(log, turns[best[0]], 0.0 * rate)
+    # Three angles of a turn have the noise of two quaternions, whose change is half of the angle.
+    noise = 24.0 * noise_of(log.time_s, log.base_pose[:, 3:]).max() ** 2
+    periods = np.ptp(log.time_s) / TURN_S
+    limit = (1.0 + SURE / periods) * misfits[best]
+    if limit > min(turned, *others) or misfits[best] > MAX_MISFIT * turned + noise:
+        return None
+    in_body = best[0], "body"
+    return in_body if limit > misfits[in_body] else best
+
+
 def _check_base(log: Log) -> None:
-    """Replace velocities of the base that its pose contradicts, as those in another frame or unit."""
+    """Bring the base to quaternions w x y z and angular velocities in its own frame.
+
+    Velocities that the pose contradicts are replaced by its differences.
+    """
     if log.base_pose.shape[1] != 7:
         return
     position, quaternion = np.split(log.base_pose, [3], axis=1)
-    turn = Rotation.from_quat(quaternion, scalar_first=True)
+    turns = {
+        order: Rotation.from_quat(quaternion, scalar_first=order == "wxyz")
+        for order in ([log.quaternion] if log.quaternion else ["wxyz", "xyzw"])
+    }
+    has_twist = log.base_twist.shape[1] == 6
+    convention = _base_convention(log, turns) if has_twist else None
+    order, frame = convention or (next(iter(turns)), "body")
+    turn = turns[order]
+    if order == "xyzw":
+        log.findings.append("base_quat is x y z w: it is turned to w x y z")
+        log.base_pose = np.hstack([position, turn.as_quat(scalar_first=True)])
+    elif convention is None and not log.quaternion:
+        log.findings.append(
+            "base_angvel does not show the order of base_quat: it is taken as w x y z; "
+            'if it is x y z w, add quaternion = "xyzw" to --map'
+        )
+    if frame == "world":
+        log.findings.append("base_angvel is in the world frame: it is turned")
+        log.base_twist[:, 3:] = turn.inv().apply(log.base_twist[:, 3:])
     rotation = (turn[:-1].inv() * turn[1:]).as_rotvec()
     rate = rotation[[*range(len(rotation)), -1]] / np.gradient(log.time_s)[:, None]
     slope = np.hstack([np.gradient(position, log.time_s, axis=0), rate])
-    if log.base_twist.shape == slope.shape:
+    if has_twist:
         changes = np.array([log.base_twist - slope, slope]).reshape(2, -1, 2, 3)
         misfit, size = np.mean(changes**2, axis=(1, 3))
         # Noise of the pose makes its slope noisy.
-        noise = noise_of(log.time_s, log.base_pose, log.valid).max()
+        noise = noise_of(log.time_s, log.base_pose).max()
         limit = np.maximum(MAX_MISFIT * size, (4.0 * noise / log.interval_s) ** 2)
         if (misfit <= limit).all():
             return
         log.findings.append(
-            "base velocities do not fit the pose (w x y z; linear in the world, angular in the body frame): "
+            "base velocities do not fit the pose (linear in the world, angular in the body frame): "
             "its differences are used"
         )
     log.base_twist = slope
@@ -425,6 +561,8 @@ def _check_commands(log: Log) -> None:
 
 
 CHECKS = (
+    _check_numbers,
+    _check_times,
     _check_held,
     _check_zeros,
     _check_wraps,

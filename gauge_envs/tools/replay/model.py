@@ -93,7 +93,8 @@ def load_model(file: Path) -> mujoco.MjModel:
         spec.compiler.discardvisual = True
         return spec.compile()
     except (ValueError, OSError) as error:
-        raise FileError(file, None, f"MuJoCo cannot read the model: {error}") from error
+        reason = " ".join(f"MuJoCo cannot read the model: {error}".split())
+        raise FileError(file, None, reason) from error
 
 
 def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
@@ -107,13 +108,12 @@ def _check_joints(model: mujoco.MjModel, log: Log) -> None:
     known = joint_names(model)
     unknown = [name for name in log.joints if name not in known]
     if unknown:
-        reason = f"the model has no such joint; it has {first_names(known)}: name it in --map"
+        names = first_names(known)
+        reason = f"the model has no such joint; it has {names}: name it, or each column by `order`, in --map"
         raise FileError(log.name, unknown[0], reason)
     is_free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value
     if is_free.any() and log.base_pose.shape[1] != 7:
-        reason = (
-            "the base of the model is free; log its pose, or fix the base of the model"
-        )
+        reason = "the base of the model is free; log its position and quaternion, or fix the base of the model"
         raise FileError(log.name, "base_pos, base_quat", reason)
 
 
@@ -131,7 +131,8 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
     home = model.key_qpos[0] if model.nkey else model.qpos0
     for column, name in enumerate(log.command_names):
         if name not in drives:
-            reason = "no actuator of the model drives it; map its name"
+            known = first_names([*drives])
+            reason = f"no actuator of the model drives it; it has {known}: name it in --map, or add actuators"
             raise FileError(log.name, f"{kind} {name}", reason)
         actuator = drives[name]
         joint = model.joint(model.actuator_trnid[actuator, 0])
@@ -251,10 +252,10 @@ class Replayer:
             base_dof = model.jnt_dofadr[free] + np.arange(6)
             self.qpos[:, model.jnt_qposadr[free] + np.arange(7)] = log.base_pose
             self.qvel[:, base_dof] = log.base_twist
-            pose_noise = noise_of(log.time_s, log.base_pose, log.valid)
+            pose_noise = noise_of(log.time_s, log.base_pose)
             # A rotation is twice the change of the quaternion.
             pose_noise = np.append(pose_noise[:3], [2.0 * pose_noise[3:].max()] * 3)
-            twist_noise = noise_of(log.time_s, log.base_twist, log.valid)
+            twist_noise = noise_of(log.time_s, log.base_twist)
         self.dofs = np.concatenate([base_dof, self.dof])
         self.is_joint = np.arange(len(self.dofs)) >= len(base_dof)
         self.noise = np.concatenate(
@@ -280,13 +281,12 @@ class Replayer:
         log = self.log
         length = max(1, round(horizon_s / log.interval_s))
         steps = np.unique(np.linspace(0, length, outputs + 1).round().astype(int))
-        is_broken = ~log.valid
-        is_broken[1:] |= np.diff(log.time_s) > MAX_GAP * log.interval_s
-        breaks = np.cumsum(is_broken)
-        is_whole = breaks[length:] == breaks[:-length]
-        start = np.flatnonzero(is_whole & log.valid[:-length])
+        gaps_s = np.diff(log.time_s, prepend=log.time_s[0])
+        breaks = np.cumsum(gaps_s > MAX_GAP * log.interval_s)
+        start = np.flatnonzero(breaks[length:] == breaks[:-length])
         if not len(start):
-            raise ParameterError(f"{log.name}: no {horizon_s:g} s without lost samples")
+            reason = f"no {horizon_s:g} s without lost samples; record longer runs"
+            raise ParameterError(f"{log.name}: {reason}")
         chosen = np.unique(np.linspace(0, len(start) - 1, count).round().astype(int))
         return start[chosen, None] + steps
 

@@ -80,23 +80,31 @@ def test_names_signs_zeros_and_units_come_from_the_map(tmp_path):
     assert replay(file, model, mapped=read_map(map_file)).verdict is Verdict.NOISE
 
 
-def test_velocities_of_the_base_in_another_frame_are_named_and_replaced(tmp_path):
+def test_conventions_of_the_base_are_decided_by_its_motion(tmp_path):
     time_s = np.arange(0.0, 4.0, 0.01)
     angles = np.sin(np.outer(time_s, (1.0, 1.7, 2.3)))
     velocity = np.gradient(angles, time_s, axis=0)
     turn = Rotation.from_euler("xyz", angles)
     body_rate = (turn[:-1].inv() * turn[1:]).as_rotvec() / 0.01
     body_rate = np.vstack([body_rate, body_rate[-1:]])
-    base = {"base_pos": angles, "base_quat": turn.as_quat(scalar_first=True)}
-    for linear, angular, is_named in (
-        (velocity, body_rate, False),
-        (velocity, turn.apply(body_rate), True),
-        (turn.inv().apply(velocity), body_rate, True),
+    quaternion = turn.as_quat(scalar_first=True)
+    last = np.roll(quaternion, -1, axis=1)
+    in_world, in_body = turn.apply(body_rate), turn.inv().apply(velocity)
+    for pose, linear, angular, texts in (
+        (quaternion, velocity, body_rate, []),
+        (quaternion, velocity, in_world, ["is in the world frame"]),
+        (quaternion, in_body, body_rate, ["do not fit the pose"]),
+        (last, velocity, body_rate, ["is x y z w"]),
+        (last, velocity, in_world, ["is x y z w", "is in the world frame"]),
+        (quaternion, velocity, 0.0 * angles, ["not show", "do not fit the pose"]),
     ):
-        twist = {"base_linvel": linear, "base_angvel": angular}
-        np.savez(tmp_path / "base.npz", t=time_s, q=angles, **base, **twist)
+        base = {"base_pos": angles, "base_quat": pose}
+        base |= {"base_linvel": linear, "base_angvel": angular}
+        np.savez(tmp_path / "base.npz", t=time_s, q=angles, **base)
         log = read_log(tmp_path / "base.npz")
-        assert any("do not fit the pose" in text for text in log.findings) is is_named
+        found = [text for text in log.findings if "base" in text]
+        assert all(words in text for words, text in zip(texts, found, strict=True))
+        assert np.allclose(log.base_pose[:, 3:], quaternion)
         assert np.allclose(log.base_twist, np.hstack([velocity, body_rate]), atol=1e-6)
 
 
@@ -159,30 +167,43 @@ def test_the_recorder_of_the_page_writes_a_log_of_gymnasium(tmp_path):
     assert replay(tmp_path / "log.npz", Path(env.fullpath)).verdict is Verdict.NOISE
 
 
+FREE = '<worldbody><body><freejoint/><geom size="0.1"/></body>'
+DRIVE = '<position joint="elbow" kp="20" kv="0.8"/>'
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        (
-            {"joints": np.array(["shoulder", "wrist"])},
-            "wrist: the model has no such joint; it has shoulder, elbow",
-        ),
+        ({"joints": ["shoulder", "wrist"]}, "wrist: the model has no such joint"),
+        ({"joints": ["elbow", "elbow"]}, "q: a second column of elbow"),
         ({"t": np.zeros(400)}, "the time does not increase"),
-        ({"q": np.zeros((399, 2))}, "400 times and 399 positions"),
+        ({"t": 20.0 * np.arange(400)}, "give the time in seconds"),
+        ({"q": np.zeros((399, 2))}, "position: 399 rows, but 400 times"),
+        ({"q": np.full((400, 2), np.nan)}, "position: 0 rows with numbers"),
+        ({"q": np.full((400, 2), "x")}, "q: expected numbers: .*'x'"),
+        ({"map": "[joints.wrist]"}, "--map: wrist: the log has no such joint"),
+        ({"map": "control.kp.wrist = 1"}, "--map: wrist: the log has no such joint"),
+        ({"map": 'command = "tau"'}, "no column tau"),
+        ({"model": ("<worldbody>", FREE)}, "the base of the model is free"),
+        ({"model": (DRIVE, "")}, "target elbow: no actuator of the model drives it"),
     ],
 )
-def test_a_log_that_cannot_be_used_says_why(tmp_path, changes, words):
+def test_what_cannot_be_used_is_named_with_its_place(tmp_path, changes, words):
     log, model = record(tmp_path)
+    map_file = tmp_path / "map.toml"
+    map_file.write_text(changes.pop("map", ""))
+    model.write_text(model.read_text().replace(*changes.pop("model", ("", ""))))
     with pytest.raises(GaugeError, match=words):
-        replay(saved(tmp_path, log, **changes), model)
+        replay(saved(tmp_path, log, **changes), model, mapped=read_map(map_file))
 
 
-def test_a_free_base_without_a_pose_is_an_error(tmp_path):
+def test_rows_without_numbers_are_left_out(tmp_path):
     log, model = record(tmp_path)
-    free = '<worldbody><body><freejoint/><geom size="0.1"/>'
-    text = model.read_text().replace("<worldbody>", free)
-    model.write_text(text.replace("</worldbody>", "</body></worldbody>"))
-    with pytest.raises(GaugeError, match="the base of the model is free"):
-        replay(log, model)
+    position = np.load(log)["q"]
+    position[1::2] = np.nan
+    line = replay(saved(tmp_path, log, q=position), model).line
+    assert line.verdict is Verdict.NOISE
+    assert "rows without a number of position are left out: 200" in line.findings
 
 
 def test_the_real_pendulum_needs_armature_and_losses(gauge, tmp_path):
