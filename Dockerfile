@@ -8,7 +8,7 @@ RUN apt-get update \
 ENV MUJOCO_GL=egl
 COPY . /src
 RUN pip install --no-cache-dir "/src[plot,sanity]" && rm -rf /src
-RUN useradd --create-home gauge
+RUN useradd --create-home --uid 1000 gauge
 USER gauge
 WORKDIR /home/gauge
 CMD ["gauge", "--help"]
