@@ -27,14 +27,15 @@ from scripts.generated import ROOT
 
 FILE = ROOT / "tests" / "public_surface.json"
 
-MAKERS = {
+GUIDES = {
     "gymnasium.make": "gauge_envs.envs.arguments:EnvArguments.__init__",
     "gymnasium.make_vec": "gauge_envs.envs.vector:GaugeVectorEnv.__init__",
     "scored_vector_env": "gauge_envs.envs.vector:scored_vector_env",
     "ScoreEpisodes": "gauge_envs.envs.vector:ScoreEpisodes.__init__",
     "dm_env": "gauge_envs.envs.dm_env:load",
+    "read_log": "gauge_envs.tools.replay:read_log",
 }
-"""Functions that make environments; `gauge_envs.GaugeEnv` has the other options of `gymnasium.make`."""
+"""Functions of the guides that are not on an API page; `GaugeEnv` there has the other options of `gymnasium.make`."""
 
 
 def contents() -> Mapping[Path, str]:
@@ -47,9 +48,9 @@ def surface() -> dict[str, Any]:
     ids = [variant.id for variant in (*variants(), *beyond_variants())]
     return {
         "environments": ids + [f"GAUGE/{name}" for name in control.names()],
-        "make": {
+        "guides": {
             name: _signature(EntryPoint(name, place, "").load())
-            for name, place in MAKERS.items()
+            for name, place in GUIDES.items()
         },
         "python": {name: _public_names(name) for name in _modules()},
         "commands": {name: _options(name) for name in sorted(commands())},
