@@ -93,7 +93,7 @@ DELAYS_S = (-0.01, 0.005, 0.01, 0.02, 0.03, 0.045, 0.06, 0.09, 0.13, 0.18)
 """Delays from which the fit starts: the error has several minima over the delay."""
 EFFORTS = (0.12, 0.2, 0.35, 0.5, 0.7, 0.9, 1.3)
 """Effort limits from which the fit starts, over the torque that the model needs in the log."""
-CONTACTS = (-0.7, -0.4, 0.5, 1.5, 4.0)
+CONTACTS = (-0.85, -0.7, -0.55, -0.4, -0.2, 0.5, 1.5, 4.0)
 """Changes of friction and of the time constant of contacts, over the present value."""
 STEPS = (0.25, 0.5, 2.0, 2.5, 4.0, 5.0)
 """Physics steps that are tried, over the present one."""

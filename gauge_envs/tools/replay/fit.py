@@ -18,7 +18,7 @@ HORIZON_S = 0.25
 PIECES = 28
 EXPLAINS = 0.9
 """Share of the error from which on a cause is named."""
-NEAR, MAX_LEFT = 1.5, 8.0
+NEAR, MAX_LEFT = 0.5, 8.0
 """Error beyond the noise, over that of the noise: of a fit that needs no second cause, and of one that is a result."""
 LEADS = 5.0
 """How many times the others must leave of the error, where a fit leaves more than that."""
@@ -26,18 +26,20 @@ BETTER = 0.75
 """Error that several causes may leave, over that of one less."""
 WITHIN_NOISE = 1.3
 """Mean squared error over that of the noise, below which nothing is left to explain."""
-PARAMETER_COST = 0.0005
-"""Share that one more number of a fit must bring."""
+PARAMETER_COST = 0.01
+"""Part of the error that one more number of a fit must remove."""
 MAX_GROUPS = 2
 """Number of groups of each cause that are fitted."""
 MAX_FEW = 12
-MAX_CALLS, MAX_LARGE_CALLS = 25, 6
+MAX_CALLS, MAX_LARGE_CALLS = 25, 8
 """Calls of least squares for a few numbers, and for many."""
 MAX_ALONE, MAX_FURTHER, MAX_POOL, MAX_BASES = 8, 3, 5, 2
 """Number of fits that are refined: alone, on top of others, and again those that are best alone; and of such bases."""
+MAX_ROUNDS, MAX_LEADING = 2, 2
+"""Number of times that the noise is propagated by the best fit, and of causes that are then fitted anew."""
 SERVO = ("delay", "kp", "armature", "damping")
 """Causes that are fitted together where two are not enough: the constants of a servo."""
-PROBE = 0.05
+PROBE, MIN_PROBED = 0.05, 0.2
 EMPTY = np.zeros(0)
 MAX_WHITE = 1e4
 
@@ -105,12 +107,16 @@ class Problem:
         self.replayer, self.setup = replayer, setup
         pieces = replayer.pieces(HORIZON_S, PIECES)
         self._halves = pieces[::2], pieces[1::2]
+        self.floor = 1.0
+        self.whiten(setup)
+
+    def whiten(self, setup: Setup) -> None:
+        """Compute the covariance of the noise by a setup, which propagates the noise of the initial states."""
         self._whiteners = [
-            np.linalg.inv(np.linalg.cholesky(replayer.covariance(setup, half)))
+            np.linalg.inv(np.linalg.cholesky(self.replayer.covariance(setup, half)))
             for half in self._halves
         ]
-        self.floor = 1.0
-        train, held_out = (self._residuals(setup, half) for half in (0, 1))
+        train, held_out = (self._residuals(self.setup, half) for half in (0, 1))
         self.before = Fit((), np.zeros(0), train, held_out)
 
     def changed(self, fit: Fit) -> Setup:
@@ -147,7 +153,7 @@ class Problem:
 
     def cost(self, fit: Fit) -> float:
         """Return the error of a fit, and what its numbers must bring."""
-        return fit.error + PARAMETER_COST * len(fit.numbers) * self.before.error
+        return fit.error * (1.0 + PARAMETER_COST * len(fit.numbers))
 
 
 def _slopes(problem: Problem, base: Fit, cause: Cause) -> FloatArray:
@@ -196,11 +202,22 @@ def _refined(problem: Problem, fit: Fit) -> Fit:
         return problem.judged(fit)
     lower = np.concatenate([cause.lower(group) for cause, group in fit.terms])
     start = np.clip(fit.numbers, lower + 1e-9, FAR - 1e-9)
+
+    def residuals(numbers: FloatArray) -> FloatArray:
+        return problem.trained(replace(fit, numbers=numbers)).train.ravel()
+
+    def jacobian(numbers: FloatArray) -> FloatArray:
+        # Contacts make the residuals rough: smaller steps show their roughness in place of their slope.
+        steps = np.diag(PROBE * np.maximum(np.abs(numbers), MIN_PROBED))
+        before = residuals(numbers)
+        moved = [residuals(numbers + step) - before for step in steps]
+        return np.transpose(moved) / steps.diagonal()
+
     solution = least_squares(
-        lambda numbers: problem.trained(replace(fit, numbers=numbers)).train.ravel(),
+        residuals,
         start,
+        jacobian,
         bounds=(lower, FAR),
-        diff_step=1e-2,
         x_scale=np.maximum(np.abs(start), 0.05),
         ftol=1e-3,
         xtol=1e-4,
@@ -246,10 +263,36 @@ def best_fits(
     trials.sort(key=problem.cost)
     fits = [_refined(problem, fit) for fit in trials[:count]]
     fits += [problem.judged(fit) for fit in trials[count:]]
+    return _best_by_cause(problem, fits)
+
+
+def _best_by_cause(problem: Problem, fits: Sequence[Fit]) -> list[Fit]:
+    """Return the best fit of each last cause, the best first."""
     best: dict[str, Fit] = {}
     for fit in sorted(fits, key=problem.cost):
         best.setdefault(fit.names[-1], fit)
     return list(best.values())
+
+
+def _fits_alone(
+    problem: Problem, causes: Sequence[Cause], advance: Callable[[str], None]
+) -> list[Fit]:
+    """Return the best fit of each cause alone, the best first.
+
+    A cause may change how the noise propagates: feet that slip keep a velocity that feet that stick lose. So the noise
+    is propagated by the best fit, and the fits are refined again, until one reaches the noise.
+    """
+    fits = best_fits(problem, problem.before, causes, MAX_ALONE, advance)
+    for _ in range(MAX_ROUNDS):
+        if problem.left(fits[0]) < NEAR:
+            break
+        problem.whiten(problem.changed(fits[0]))
+        leading = [fit.terms[0][0] for fit in fits[:MAX_LEADING]]
+        again = best_fits(problem, problem.before, leading, MAX_ALONE)
+        again += [_refined(problem, fit) for fit in fits[:MAX_FURTHER]]
+        again += [problem.judged(fit) for fit in fits[MAX_FURTHER:]]
+        fits = _best_by_cause(problem, again)
+    return fits
 
 
 @dataclass(frozen=True)
@@ -342,7 +385,7 @@ def explain(
     """Return what explains the deviation of a log from the model: each cause alone, then several."""
     if problem.before.error < WITHIN_NOISE * problem.floor:
         return Explanation()
-    fits = best_fits(problem, problem.before, causes, MAX_ALONE, advance)
+    fits = _fits_alone(problem, causes, advance)
     alike = [fit.names[0] for fit in fits[1:] if _are_alike(problem, fits[0], fit)]
     several = None
     if problem.left(fits[0]) > NEAR:

@@ -30,6 +30,8 @@ UNLIMITED = 1e4
 """Limit of a joint [rad or m] or an actuator [N m or N] that is none."""
 MAX_GAP = 3.0
 """Interval between two samples, over the median, that a prediction may cross."""
+DRAWS = 8
+"""Draws of the noise of the initial state."""
 MAX_DEVIATION = 3.0
 """Deviation at which a prediction that flies off is cut [rad or m]."""
 
@@ -303,7 +305,7 @@ class Replayer:
         Args:
             setup: What predicts.
             pieces: What is predicted.
-            tangent: Change of the initial positions and rates, shape [2 nv].
+            tangent: Change of the initial positions and rates, shape [2 nv] or [P, 2 nv].
         """
         model, log = setup.model, self.log
         step_s = model.opt.timestep
@@ -313,9 +315,10 @@ class Replayer:
         controls = setup.controls(times_s, step_s)
         qpos, qvel = self.qpos[pieces[:, 0]], self.qvel[pieces[:, 0]]
         if tangent is not None:
-            qvel += tangent[model.nv :]
-            for row in qpos:
-                mujoco.mj_integratePos(model, row, tangent[: model.nv], 1.0)
+            turn, change = np.split(tangent, 2, axis=-1)
+            qvel += change
+            for row, each in zip(qpos, np.broadcast_to(turn, qvel.shape), strict=True):
+                mujoco.mj_integratePos(model, row, each, 1.0)
         size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         state = np.zeros((len(qpos), size))
         end = 1 + model.nq + model.nv
@@ -343,16 +346,25 @@ class Replayer:
         """Return the covariance of the predictions that noise alone gives, shape [P, T D, T D].
 
         The noise of the initial state is propagated by its sensitivities, by finite differences: C = N S0 N^T + S.
+        Contacts amplify it further. Random initial states measure by how much, and C of a piece grows with it.
         """
         plain = self.predict(setup, pieces)
-        recorded = np.tile(self.noise[: len(self.dofs)] ** 2, plain.shape[1])
-        columns = []
+        recorded = np.tile(self.noise[: len(self.dofs)], plain.shape[1])
         units = np.eye(2 * setup.model.nv)[[*self.dofs, *setup.model.nv + self.dofs]]
-        for tangent in self.noise[:, None] * units:
-            change = self.predict(setup, pieces, tangent) - plain
-            columns.append(change.reshape(len(pieces), -1))
-        sensitivity = np.stack(columns, axis=-1)
-        return sensitivity @ sensitivity.transpose(0, 2, 1) + np.diag(recorded)
+        units *= self.noise[:, None]
+
+        def changes(tangents: FloatArray) -> FloatArray:
+            moved = [self.predict(setup, pieces, each) - plain for each in tangents]
+            return np.stack([each.reshape(len(pieces), -1) for each in moved], axis=-1)
+
+        sensitivity = changes(units)
+        covariance = sensitivity @ sensitivity.transpose(0, 2, 1) + np.diag(recorded**2)
+        whitener = np.linalg.inv(np.linalg.cholesky(covariance))
+        draws = np.random.default_rng(0).normal(size=(DRAWS, len(pieces), len(units)))
+        drawn = (whitener @ changes(draws @ units)) ** 2
+        variance = drawn.mean(axis=-1) + ((whitener * recorded) ** 2).sum(axis=-1)
+        amplification = np.maximum(variance.mean(axis=-1), 1.0)
+        return covariance * amplification[:, None, None]
 
     def conditions(
         self, setup: Setup, samples: IntArray
