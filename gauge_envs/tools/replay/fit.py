@@ -22,7 +22,7 @@ NEAR, MAX_LEFT = 0.5, 8.0
 """Error beyond the noise, over that of the noise: of a fit that needs no second cause, and of one that is a result."""
 LEADS = 5.0
 """How many times the others must leave of the error, where a fit leaves more than that."""
-BETTER = 0.75
+BETTER = 0.4
 """Error that several causes may leave, over that of one less."""
 WITHIN_NOISE = 1.3
 """Mean squared error over that of the noise, below which nothing is left to explain."""
