@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from pathlib import Path
@@ -14,11 +14,12 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.errors import FileError, first_fault, first_names, needs_extra
+from gauge_envs.errors import FileError, first_names, needs_extra
 from gauge_envs.files import csv_text, toml_document
+from gauge_envs.references.tables import faults_of, read_content
 
 FloatArray: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]
@@ -71,6 +72,8 @@ MIN_RATE_NOISE = 2e-3
 NOISE_WINDOW = 7
 MIN_JUMP = 0.02
 """Second difference of positions at a lost sample [rad or m]."""
+MAX_TURN_MISFIT = 0.1
+"""Squared difference of the turns of the base and its angular velocity, over squared turns."""
 MAX_MISFIT = 0.3
 """Difference of the velocities of the base to the slope of its pose, over that slope, both squared."""
 TURN_S = 0.3
@@ -84,19 +87,17 @@ MAX_JITTER = 0.03
 """Scatter of the interval between samples, over the interval, that counts as regular."""
 
 
-class JointMap(BaseModel):
+class JointMap(BaseModel, extra="forbid"):
     """What a joint of the model is called in the log, and how its angle reads there."""
 
-    model_config = ConfigDict(extra="forbid")
     log: str = ""
     sign: Literal[1, -1] = 1
     offset_rad: float = 0.0
 
 
-class ControlMap(BaseModel):
+class ControlMap(BaseModel, extra="forbid"):
     """The controller outside of the model: a PD law in the robot's drives, and the scale of actions."""
 
-    model_config = ConfigDict(extra="forbid")
     kp: float | dict[str, float] | None = None
     kd: float | dict[str, float] = 0.0
     action_scale: float | dict[str, float] = 1.0
@@ -112,10 +113,9 @@ class ControlMap(BaseModel):
         return values
 
 
-class LogMap(BaseModel):
+class LogMap(BaseModel, extra="forbid"):
     """A map file: names, order, signs and units of a log that differ from the model."""
 
-    model_config = ConfigDict(extra="forbid")
     unit: Literal["rad", "deg"] = "rad"
     command: Literal["action", "ctrl", "target", "tau"] | None = None
     quaternion: Literal["wxyz", "xyzw"] | None = None
@@ -215,12 +215,8 @@ def read_map(file: Path | None) -> LogMap:
     """
     if file is None:
         return LogMap()
-    try:
-        return LogMap.model_validate(toml_document(file.read_bytes()))
-    except ValidationError as error:
-        raise FileError(file, *first_fault(error)) from error
-    except (OSError, ValueError) as error:
-        raise FileError(file, None, f"cannot be read as TOML: {error}") from error
+    with faults_of(file):
+        return LogMap.model_validate(toml_document(read_content(file)))
 
 
 def read_log(
@@ -281,7 +277,7 @@ def read_log(
         text = "columns without names are taken in the order of the model"
         log.findings.append(text)
     for check in CHECKS:
-        check(log)
+        log.findings += check(log)
     return log
 
 
@@ -342,72 +338,63 @@ def _by_joint(
 # --- checks: each adds its findings to the log -----------------------------------------------------------------------
 
 
-def _check_numbers(log: Log) -> None:
-    """Leave out samples without numbers, and raise an error if few are left."""
+def _check_numbers(log: Log) -> Iterator[str]:
+    """Leave out rows without numbers; raise an error if few are left, or if the times are no clock in seconds."""
     # A lost sample may have a quaternion of zeros.
-    if log.base_pose.shape[1] == 7:
-        log.base_pose[~log.base_pose[:, 3:].any(axis=1)] = np.nan
+    is_lost = (log.base_pose[:, 3:] == 0.0).all(axis=1)
+    log.base_pose[is_lost, 3:] = np.nan
     commands = np.column_stack([log.command_time_s, log.command])
-    log.command_time_s, *columns = commands[np.isfinite(commands).all(axis=1)].T
-    log.command = np.reshape(columns, (-1, len(log.command_time_s))).T
+    commands = commands[np.isfinite(commands).all(axis=1)]
+    log.command_time_s, log.command = commands[:, 0], commands[:, 1:]
     for name in SAMPLED:
-        values = getattr(log, name)
-        is_whole = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        values = np.column_stack([getattr(log, name)])
+        is_whole = np.isfinite(values).all(axis=1)
+        log.keep(is_whole)
         if not is_whole.all():
-            log.keep(is_whole)
-            count = len(values) - len(log.time_s)
-            text = f"rows without a number of {name} are left out: {count}"
-            log.findings.append(text)
+            yield f"rows without a number of {name} are left out: {sum(~is_whole)}"
         if len(log.time_s) < MIN_SAMPLES:
-            reason = f"{len(log.time_s)} rows with numbers; a log needs {MIN_SAMPLES} or more"
+            reason = f"{sum(is_whole)} rows with numbers; a log needs {MIN_SAMPLES}"
             raise FileError(log.name, name, reason)
-
-
-def _check_times(log: Log) -> None:
-    """Raise an error for times that are no clock in seconds."""
     steps = np.diff(log.time_s)
-    if steps.min() <= 0.0:
-        place = f"{log.time_s[np.argmin(steps)]:g} s"
-        reason = "the time does not increase after it; sort the rows"
+    if steps.min() <= 0.0 or log.interval_s >= MAX_INTERVAL_S:
+        place = f"time {log.time_s[np.argmin(steps)]:g}"
+        reason = (
+            f"the next time is {steps.min():g} s later; sort the rows, and give seconds"
+        )
         raise FileError(log.name, place, reason)
-    if log.interval_s >= MAX_INTERVAL_S:
-        reason = f"samples are {log.interval_s:g} apart; give the time in seconds"
-        raise FileError(log.name, "time", reason)
 
 
-def _check_held(log: Log) -> None:
+def _check_held(log: Log) -> Iterator[str]:
     """Keep the first of equal samples where the encoder is slower than the log."""
     fresh = np.flatnonzero((np.diff(log.position, axis=0) != 0.0).any(axis=1)) + 1
     gaps = np.diff(fresh)
     period = int(np.median(gaps)) if len(gaps) else 1
     if period > 1 and np.mean(np.abs(gaps - period) <= period // 4) > MIN_REGULAR:
         log.keep(fresh)
-        text = f"positions are held for {period} rows: the first of each is used"
-        log.findings.append(text)
+        yield f"positions are held for {period} rows: the first of each is used"
 
 
-def _check_zeros(log: Log) -> None:
+def _check_zeros(log: Log) -> Iterator[str]:
     """Leave out lost samples that were written as 0."""
     bend = np.abs(np.diff(log.position, n=2, axis=0))
     is_jump = bend > MIN_JUMP + 12.0 * np.median(bend, axis=0)
     is_lost = ((log.position[1:-1] == 0.0) & is_jump).any(axis=1)
     if is_lost.any():
         log.keep(np.concatenate([[True], ~is_lost, [True]]))
-        text = f"{is_lost.sum()} lost samples, written as 0, are left out"
-        log.findings.append(text)
+        yield f"{is_lost.sum()} lost samples, written as 0, are left out"
 
 
-def _check_wraps(log: Log) -> None:
+def _check_wraps(log: Log) -> Iterator[str]:
     """Unwrap angles modulo 2 pi."""
     turns = np.unwrap(log.position, axis=0)
     is_wrapped = (turns != log.position).any(axis=0)
     if is_wrapped.any():
         turns -= 2.0 * np.pi * np.round(np.median(turns, axis=0) / (2.0 * np.pi))
         log.position = np.where(is_wrapped, turns, log.position)
-        log.findings.append("angles modulo 2 pi are unwrapped")
+        yield "angles modulo 2 pi are unwrapped"
 
 
-def _check_jitter(log: Log) -> None:
+def _check_jitter(log: Log) -> Iterator[str]:
     """Replace stamps that jitter by regular ones where the motion is smoother with them."""
     steps = np.diff(log.time_s)
     jitter_s = float(np.std(steps))
@@ -420,8 +407,7 @@ def _check_jitter(log: Log) -> None:
     if regular < 0.9 * stamped:
         log.command_time_s = np.interp(log.command_time_s, log.time_s, regular_s)
         log.time_s = regular_s
-        text = f"stamps jitter by {1e3 * jitter_s:.2g} ms, and the motion does not: samples are taken as regular"
-        log.findings.append(text)
+        yield f"stamps jitter by {1e3 * jitter_s:.2g} ms, and the motion does not: samples are taken as regular"
 
 
 def noise_of(time_s: FloatArray, values: FloatArray) -> FloatArray:
@@ -440,7 +426,7 @@ def noise_of(time_s: FloatArray, values: FloatArray) -> FloatArray:
     return 1.4826 * np.median(np.abs(residual), axis=0)
 
 
-def _check_velocity(log: Log) -> None:
+def _check_velocity(log: Log) -> Iterator[str]:
     """Add noise levels, and velocities where the log has none; compare those that it has with the positions."""
     noise = noise_of(log.time_s, log.position)
     log.position_noise = np.maximum(noise, MIN_NOISE)
@@ -448,8 +434,7 @@ def _check_velocity(log: Log) -> None:
     if not log.velocity.size:
         log.velocity = slope
         log.velocity_noise = log.position_noise / (np.sqrt(2.0) * log.interval_s)
-        text = "no velocities of all joints: differences of positions are used"
-        log.findings.append(text)
+        yield "no velocities of all joints: differences of positions are used"
         return
     spread = 1.4826 * np.median(np.abs(log.velocity - slope), axis=0)
     noise = np.hypot(noise_of(log.time_s, log.velocity), 0.2 * spread)
@@ -457,8 +442,7 @@ def _check_velocity(log: Log) -> None:
     (variance, product), (_, other) = np.cov(slope.ravel(), log.velocity.ravel())
     is_line = product**2 > 0.9 * variance * other
     if is_line and abs(product - variance) > 0.07 * variance:
-        text = f"velocities are {product / variance:.3g} times the slope of the positions: another unit or clock"
-        log.findings.append(text)
+        yield f"velocities are {product / variance:.3g} times the slope of the positions: another unit or clock"
 
 
 def _turn_misfit(log: Log, turn: Rotation, rate: FloatArray) -> float:
@@ -492,20 +476,19 @@ def _base_convention(log: Log, turns: Mapping[str, Rotation]) -> tuple[str, str]
         for order, turn in turns.items()
         for frame, in_body in (("body", rate), ("world", turn.inv().apply(rate)))
     }
-    best = min(misfits, key=misfits.__getitem__)
-    others = [misfit for key, misfit in misfits.items() if key[0] != best[0]]
-    turned = _turn_misfit(log, turns[best[0]], 0.0 * rate)
+    best = min(misfits.values())
+    periods = np.ptp(log.time_s) / TURN_S
+    near = [key for key in misfits if misfits[key] <= (1.0 + SURE / periods) * best]
+    turned = _turn_misfit(log, turns[near[0][0]], 0.0 * rate)
     # Three angles of a turn have the noise of two quaternions, whose change is half of the angle.
     noise = 24.0 * noise_of(log.time_s, log.base_pose[:, 3:]).max() ** 2
-    periods = np.ptp(log.time_s) / TURN_S
-    limit = (1.0 + SURE / periods) * misfits[best]
-    if limit > min(turned, *others) or misfits[best] > MAX_MISFIT * turned + noise:
-        return None
-    in_body = best[0], "body"
-    return in_body if limit > misfits[in_body] else best
+    is_fit = best < min(
+        MAX_TURN_MISFIT * turned + noise, turned / (1.0 + SURE / periods)
+    )
+    return near[0] if is_fit and len({order for order, _ in near}) == 1 else None
 
 
-def _check_base(log: Log) -> None:
+def _check_base(log: Log) -> Iterator[str]:
     """Bring the base to quaternions w x y z and angular velocities in its own frame.
 
     Velocities that the pose contradicts are replaced by its differences.
@@ -522,15 +505,15 @@ def _check_base(log: Log) -> None:
     order, frame = convention or (next(iter(turns)), "body")
     turn = turns[order]
     if order == "xyzw":
-        log.findings.append("base_quat is x y z w: it is turned to w x y z")
+        yield "base_quat is x y z w: it is turned to w x y z"
         log.base_pose = np.hstack([position, turn.as_quat(scalar_first=True)])
     elif convention is None and not log.quaternion:
-        log.findings.append(
+        yield (
             "base_angvel does not show the order of base_quat: it is taken as w x y z; "
             'if it is x y z w, add quaternion = "xyzw" to --map'
         )
     if frame == "world":
-        log.findings.append("base_angvel is in the world frame: it is turned")
+        yield "base_angvel is in the world frame: it is turned"
         log.base_twist[:, 3:] = turn.inv().apply(log.base_twist[:, 3:])
     rotation = (turn[:-1].inv() * turn[1:]).as_rotvec()
     rate = rotation[[*range(len(rotation)), -1]] / np.gradient(log.time_s)[:, None]
@@ -543,26 +526,24 @@ def _check_base(log: Log) -> None:
         limit = np.maximum(MAX_MISFIT * size, (4.0 * noise / log.interval_s) ** 2)
         if (misfit <= limit).all():
             return
-        log.findings.append(
+        yield (
             "base velocities do not fit the pose (linear in the world, angular in the body frame): "
             "its differences are used"
         )
     log.base_twist = slope
 
 
-def _check_commands(log: Log) -> None:
+def _check_commands(log: Log) -> Iterator[str]:
     """Report commands that move at every sample: what happens between samples is not known."""
     is_held = log.command_interval_s > 1.1 * log.interval_s
     if not log.command_kind:
-        log.findings.append("no commands: the mechanism is taken as passive")
+        yield "no commands: the mechanism is taken as passive"
     elif not is_held and log.command_kind in ("target", "tau"):
-        text = f"commands change at every sample: a delay below {1e3 * log.interval_s:.3g} ms may be how they are held"
-        log.findings.append(text)
+        yield f"commands change at every sample: a delay below {1e3 * log.interval_s:.3g} ms may be how they are held"
 
 
 CHECKS = (
     _check_numbers,
-    _check_times,
     _check_held,
     _check_zeros,
     _check_wraps,

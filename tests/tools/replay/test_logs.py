@@ -176,8 +176,8 @@ DRIVE = '<position joint="elbow" kp="20" kv="0.8"/>'
     [
         ({"joints": ["shoulder", "wrist"]}, "wrist: the model has no such joint"),
         ({"joints": ["elbow", "elbow"]}, "q: a second column of elbow"),
-        ({"t": np.zeros(400)}, "the time does not increase"),
-        ({"t": 20.0 * np.arange(400)}, "give the time in seconds"),
+        ({"t": np.zeros(400)}, "the next time is 0 s later"),
+        ({"t": 20.0 * np.arange(400)}, "the next time is 20 s later"),
         ({"q": np.zeros((399, 2))}, "position: 399 rows, but 400 times"),
         ({"q": np.full((400, 2), np.nan)}, "position: 0 rows with numbers"),
         ({"q": np.full((400, 2), "x")}, "q: expected numbers: .*'x'"),
