@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
@@ -17,8 +17,8 @@ from scipy.optimize import linear_sum_assignment
 from gauge_envs.tools.replay.log import FloatArray
 from gauge_envs.tools.replay.model import IntArray, Replayer, Setup
 
-Change = Callable[[Setup, FloatArray], None]
 Field = tuple[str, Any, Any]
+"""Path and index of an array of a setup, and its entries for values of 1."""
 
 SNIPPETS = {
     "kp": {
@@ -133,7 +133,7 @@ class Cause:
         parameters: Names of the values, as joints.
         present: Values of the model as it is, shape [K].
         scale: Change of each value for a number of 1, shape [K].
-        apply: Changes a setup to values of shape [K].
+        fields: Arrays that take the values.
         groups: What is fitted.
         is_positive: Whether values stay above zero.
         starts: Numbers from which the fit starts where the error is not smooth at the present value.
@@ -144,7 +144,7 @@ class Cause:
     parameters: Sequence[str]
     present: FloatArray
     scale: FloatArray
-    apply: Change
+    fields: Sequence[Field]
     groups: Sequence[Group]
     is_positive: bool = True
     starts: Sequence[float] = ()
@@ -156,7 +156,11 @@ class Cause:
     def changed(self, setup: Setup, group: Group, numbers: FloatArray) -> Setup:
         """Return a changed copy of a setup."""
         after = copy.deepcopy(setup)
-        self.apply(after, self.values(group, numbers))
+        values = self.values(group, numbers)
+        for path, index, factor in self.fields:
+            attrgetter(path)(after)[index] = (np.transpose(factor) * values).T
+        after.model.opt.timestep = after.timing[0]
+        after.model.body_mass += after.payload - setup.payload
         mujoco.mj_setConst(after.model, mujoco.MjData(after.model))
         return after
 
@@ -190,11 +194,6 @@ def _row(
             values of each group, which is each value alone by default; `together`, the further groups; attributes of
             the cause that differ.
     """
-
-    def assign(after: Setup, values: FloatArray) -> None:
-        for path, index, factor in fields:
-            attrgetter(path)(after)[index] = (np.transpose(factor) * values).T
-
     count = len(parameters)
     if "present" not in others:
         path, index, factor = fields[0]
@@ -213,7 +212,7 @@ def _row(
         Group(label, selection, np.where(selection.any(axis=1), origin, present))
         for label, selection in selections
     ]
-    defaults = {"scale": scale, "apply": assign, "groups": groups}
+    defaults = {"scale": scale, "fields": fields, "groups": groups}
     return Cause(name, unit, parameters, **(defaults | others))
 
 
@@ -316,13 +315,11 @@ def _orders(replayer: Replayer, setup: Setup, driven: IntArray) -> Cause:
         for k in np.flatnonzero(np.diag(mixing) != 1.0)
     )
 
-    def apply(after: Setup, values: FloatArray) -> None:
-        after.command[:, ids] = setup.command[:, ids] @ values.reshape(count, count)
-
-    present = np.eye(count).ravel()
+    mixed = ("mixing", (np.repeat(ids, count), np.tile(ids, count)), 1.0)
     option = Group(label, np.zeros((count**2, 0)), mixing.ravel())
+    present = np.eye(count).ravel()
     groups = [option] if label else []
-    return Cause("joint order", "", (), present, present**0, apply, groups)
+    return Cause("joint order", "", (), present, present**0, [mixed], groups)
 
 
 def _bodies(setup: Setup) -> list[Cause]:
@@ -340,16 +337,13 @@ def _bodies(setup: Setup) -> list[Cause]:
     is_end[:1] = True
     ends = np.array(names)[is_end].tolist()
 
-    def carry(after: Setup, values: FloatArray) -> None:
-        after.model.body_mass[bodies[is_end]] = mass[is_end] + values
-
     down = ("model.opt.gravity", np.s_[:], 1.0)
     directions = [f"gravity {axis}" for axis in "xyz"]
     link, free = "mass or centre of a link", {"together": (), "is_positive": False}
     places = [f"{name} {axis}" for name in names for axis in "xyz"]
     # A tilt of the base turns gravity.
     tilts = [2], [0, 1], [0, 1, 2]
-    load, zero = 0.2 * mass[is_end], 0.0 * mass[is_end]
+    load = 0.2 * mass[is_end]
     return [
         _row(
             setup,
@@ -373,18 +367,19 @@ def _bodies(setup: Setup) -> list[Cause]:
             **free,
         ),
         _row(
-            setup, "payload", "kg", ends, load, present=zero, apply=carry, together=()
+            setup,
+            "payload",
+            "kg",
+            ends,
+            load,
+            ("payload", bodies[is_end], 1.0),
+            together=(),
         ),
     ]
 
 
 def _time(replayer: Replayer, setup: Setup) -> Cause:
     """Return the physics step and the decimation."""
-
-    def apply(after: Setup, values: FloatArray) -> None:
-        after.model.opt.timestep = values[0]
-        after.repeat, after.phase = values[1:].astype(int)
-
     step_s = float(setup.model.opt.timestep)
     options = [
         (f"physics step of {1e3 * factor * step_s:.3g} ms", (factor * step_s, 1, 0))
@@ -397,8 +392,9 @@ def _time(replayer: Replayer, setup: Setup) -> Cause:
         for k in range(n)
     ]
     groups = [Group(label, np.zeros((3, 0)), np.array(each)) for label, each in options]
-    present = np.array([step_s, 1.0, 0.0])
-    return Cause("step and decimation", "", (), present, present**0, apply, groups)
+    timing = ("timing", np.s_[:], 1.0)
+    present = setup.timing
+    return Cause("step and decimation", "", (), present, present**0, [timing], groups)
 
 
 def _stops(replayer: Replayer, setup: Setup) -> Cause:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from pydantic import BaseModel
+from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import FileError, first_names, needs_extra
@@ -50,13 +51,6 @@ COLUMN = re.compile(rf"({LONGEST_FIRST})(?:[._/:\[](.*?)\]?)?")
 UNNAMED = ALIASES["position"].split()
 BASE = tuple(key for key in ALIASES if key.startswith("base_"))
 
-KEYS = {alias: key for key, text in ALIASES.items() for alias in text.split()}
-LONGEST_FIRST = "|".join(sorted(KEYS, key=len, reverse=True))
-COLUMN = re.compile(rf"({LONGEST_FIRST})(?:[._/:\[](.*?)\]?)?")
-
-UNNAMED = ALIASES["position"].split()
-BASE = tuple(key for key in ALIASES if key.startswith("base_"))
-
 SAMPLED = ("time_s", "position", "velocity", "base_pose", "base_twist")
 """Attributes of a log with a row a sample."""
 
@@ -76,7 +70,7 @@ MAX_TURN_MISFIT = 0.1
 """Squared difference of the turns of the base and its angular velocity, over squared turns."""
 MAX_MISFIT = 0.3
 """Difference of the velocities of the base to the slope of its pose, over that slope, both squared."""
-TURN_S = 0.3
+TURN_S = 0.2
 """Time over which turns of the base are compared with its angular velocity."""
 SURE = 4.0
 """Difference of two mean squared errors that is no noise, over the error, for one time of TURN_S."""
@@ -105,12 +99,10 @@ class ControlMap(BaseModel, extra="forbid"):
 
     def of(self, joint: str) -> dict[str, Any]:
         """Return the values for a joint by field; the default of a field whose table lacks the joint."""
-        values = {}
-        for name, value in self:
-            if isinstance(value, dict):
-                value = value.get(joint, getattr(ControlMap(), name))
-            values[name] = value
-        return values
+        return {
+            name: value.get(joint, default) if isinstance(value, dict) else value
+            for (name, value), (_, default) in zip(self, ControlMap(), strict=True)
+        }
 
 
 class LogMap(BaseModel, extra="forbid"):
@@ -141,14 +133,13 @@ class LogMap(BaseModel, extra="forbid"):
         offset = ANGLES.get(key, 0.0) * entry.offset_rad
         return name, entry.sign * values + offset
 
-    def check_joints(self, known: Sequence[str]) -> None:
+    def check_joints(self, known: Iterable[str]) -> None:
         """Raise an error for a joint of the map that a log lacks."""
-        tables = [self.joints, *(value for _, value in self.control)]
-        for table in tables:
-            for name in table if isinstance(table, dict) else ():
-                if name not in known:
-                    reason = f"the log has no such joint; it has {first_names(known)}"
-                    raise FileError("--map", name, reason)
+        tables = [self.joints, *dict(self.control).values()]
+        names = [name for table in tables if isinstance(table, dict) for name in table]
+        if unknown := sorted({*names}.difference(known)):
+            reason = f"the log has no such joint; it has {first_names([*known])}"
+            raise FileError("--map", unknown[0], reason)
 
 
 @dataclass
@@ -238,13 +229,13 @@ def read_log(
     except (OSError, ValueError, EOFError, BadZipFile) as error:
         reason = f"cannot be read as CSV, NPZ or Parquet: {error}"
         raise FileError(file, None, reason) from error
-    given = mapped.order or [str(name) for name in dict(columns).get("joints", ())]
+    given = mapped.order or [*map(str, dict(columns).get("joints", ()))]
     found = _by_joint(file, columns, given or names, mapped)
     joints, rates = tuple(found["position"]), found["velocity"]
-    kinds = [key for key in (mapped.command, *COMMANDS) if key and found[key]]
-    kind = kinds[0] if kinds else ""
-    commands = found[kind] if kind else {}
-    mapped.check_joints(list(found["position"] | commands))
+    kinds = [key for key in COMMANDS if found[key]]
+    kind = str(mapped.command or "".join(kinds[:1]))
+    commands = found.get(kind, {})
+    mapped.check_joints(found["position"] | commands)
     time_s = next(iter(found["time"].values()))
     command_time_s = next(iter(found["command_time"].values()), time_s)
 
@@ -445,46 +436,29 @@ def _check_velocity(log: Log) -> Iterator[str]:
         yield f"velocities are {product / variance:.3g} times the slope of the positions: another unit or clock"
 
 
-def _turn_misfit(log: Log, turn: Rotation, rate: FloatArray) -> float:
-    """Return the mean squared angle between the turns of the base in TURN_S and its angular velocity over this time.
-
-    Args:
-        log: The log.
-        turn: Attitudes.
-        rate: Angular velocities in the frame of the base [rad/s], shape [N, 3].
-    """
-    small = Rotation.from_rotvec(rate[:-1] * np.diff(log.time_s)[:, None])
-    length = min(max(1, round(TURN_S / log.interval_s)), len(small) // 2)
-    count = len(small) - length
-    total = small[:count]
-    for step in range(1, length):
-        total = total * small[step : step + count]
-    change = turn[:count].inv() * turn[length : length + count]
-    return float(np.mean((total.inv() * change).magnitude() ** 2))
-
-
 def _base_convention(log: Log, turns: Mapping[str, Rotation]) -> tuple[str, str] | None:
     """Return the order of quaternions and the frame of angular velocities that fit each other; None if several do.
+
+    Turns of the base in TURN_S are compared with its mean angular velocity over this time.
 
     Args:
         log: The log.
         turns: Attitudes of the base by order.
     """
-    rate = log.base_twist[:, 3:]
-    misfits = {
-        (order, frame): _turn_misfit(log, turn, in_body)
-        for order, turn in turns.items()
-        for frame, in_body in (("body", rate), ("world", turn.inv().apply(rate)))
-    }
+    length = min(max(1, round(TURN_S / log.interval_s)), len(log.time_s) // 2)
+    rate, misfits = log.base_twist[:, 3:], {}
+    for order, turn in turns.items():
+        changes = (turn[:-length].inv() * turn[length:]).as_rotvec()
+        for frame, in_body in (("body", rate), ("world", turn.inv().apply(rate))):
+            path = cumulative_trapezoid(in_body, log.time_s, axis=0, initial=0.0)
+            gaps = path[length:] - path[:-length] - changes
+            misfits[order, frame] = np.mean(gaps**2)
     best = min(misfits.values())
     periods = np.ptp(log.time_s) / TURN_S
     near = [key for key in misfits if misfits[key] <= (1.0 + SURE / periods) * best]
-    turned = _turn_misfit(log, turns[near[0][0]], 0.0 * rate)
-    # Three angles of a turn have the noise of two quaternions, whose change is half of the angle.
-    noise = 24.0 * noise_of(log.time_s, log.base_pose[:, 3:]).max() ** 2
-    is_fit = best < min(
-        MAX_TURN_MISFIT * turned + noise, turned / (1.0 + SURE / periods)
-    )
+    # A turn has the noise of two quaternions, whose change is half of the angle.
+    noise = 8.0 * noise_of(log.time_s, log.base_pose[:, 3:]).max() ** 2
+    is_fit = best < MAX_TURN_MISFIT * np.mean(changes**2) + noise
     return near[0] if is_fit and len({order for order, _ in near}) == 1 else None
 
 
@@ -498,7 +472,8 @@ def _check_base(log: Log) -> Iterator[str]:
     position, quaternion = np.split(log.base_pose, [3], axis=1)
     turns = {
         order: Rotation.from_quat(quaternion, scalar_first=order == "wxyz")
-        for order in ([log.quaternion] if log.quaternion else ["wxyz", "xyzw"])
+        for order in ("wxyz", "xyzw")
+        if log.quaternion in (None, order)
     }
     has_twist = log.base_twist.shape[1] == 6
     convention = _base_convention(log, turns) if has_twist else None

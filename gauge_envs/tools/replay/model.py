@@ -25,6 +25,8 @@ from gauge_envs.tools.replay.log import (
 )
 
 IntArray = NDArray[np.int64]
+FREE = mujoco.mjtJoint.mjJNT_FREE.value
+AT_JOINT = mujoco.mjtTrn.mjTRN_JOINT.value
 FOREVER_S = 1e3
 UNLIMITED = 1e4
 """Limit of a joint [rad or m] or an actuator [N m or N] that is none."""
@@ -50,7 +52,10 @@ class Setup:
         scale, offset: See above, shape [nu].
         divisor: The gear for a torque, one over it for an angle, shape [nu].
         delay_s: Time from the command to its effect, shape [1].
-        repeat, phase: The controller takes only each n-th change of the command, from this one on.
+        mixing: What each actuator takes of the command of each, shape [nu, nu].
+        timing: Physics step [s]; n and k, where the controller takes only each n-th change of the command, from number
+            k on.
+        payload: Mass that each body carries in addition [kg], shape [nbody].
     """
 
     model: mujoco.MjModel
@@ -61,8 +66,9 @@ class Setup:
     offset: FloatArray
     divisor: FloatArray
     delay_s: FloatArray
-    repeat: int = 1
-    phase: int = 0
+    mixing: FloatArray
+    timing: FloatArray
+    payload: FloatArray
 
     def controls(self, time_s: FloatArray, step_s: float) -> FloatArray:
         """Return the mean control of steps that begin at given times, shape [..., nu].
@@ -70,9 +76,10 @@ class Setup:
         Commands hold until the next one. The mean over a step makes the result a continuous function of the delay.
         """
         rows = np.arange(len(self.command))
-        if self.repeat > 1:
+        repeat, phase = self.timing[1:].astype(int)
+        if repeat > 1:
             is_new = np.diff(self.command, axis=0, prepend=np.nan).any(axis=1)
-            rows = np.flatnonzero(is_new)[self.phase :: self.repeat]
+            rows = np.flatnonzero(is_new)[phase::repeat]
         # The first command also holds before its time, and the last one for ever.
         starts_s = self.command_time_s[rows]
         knots_s = np.append(starts_s, starts_s[-1] + FOREVER_S)
@@ -81,7 +88,7 @@ class Setup:
         area = make_interp_spline(knots_s, np.vstack([0.0 * areas[:1], areas]), k=1)
         begin_s = time_s - self.delay_s
         mean = (area(begin_s + step_s) - area(begin_s)) / step_s
-        return (self.scale * mean + self.offset) / self.divisor
+        return (self.scale * (mean @ self.mixing) + self.offset) / self.divisor
 
 
 def load_model(file: Path) -> mujoco.MjModel:
@@ -113,8 +120,7 @@ def _check_joints(model: mujoco.MjModel, log: Log) -> None:
         names = first_names(known)
         reason = f"the model has no such joint; it has {names}: name it, or each column by `order`, in --map"
         raise FileError(log.name, unknown[0], reason)
-    is_free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value
-    if is_free.any() and log.base_pose.shape[1] != 7:
+    if FREE in model.jnt_type and log.base_pose.shape[1] != 7:
         reason = "the base of the model is free; log its position and quaternion, or fix the base of the model"
         raise FileError(log.name, "base_pos, base_quat", reason)
 
@@ -126,79 +132,79 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         FileError: Commands name no joint or actuator.
         ParameterError: The log has position targets, but neither model nor map has a gain for them.
     """
-    model, drives = copy.copy(model), _drives(model)
-    kind, count = log.command_kind, model.nu
-    command, is_driven = np.zeros((len(log.command), count)), np.zeros(count, bool)
-    scale, offset, divisor = np.ones(count), np.zeros(count), np.ones(count)
+    kind, count, drives = log.command_kind, model.nu, _drives(model)
+    setup = Setup(
+        model=copy.copy(model),
+        command_time_s=log.command_time_s,
+        command=np.zeros((len(log.command), count)),
+        is_driven=np.zeros(count, bool),
+        scale=np.ones(count),
+        offset=np.zeros(count),
+        divisor=np.ones(count),
+        delay_s=np.zeros(1),
+        mixing=np.eye(count),
+        timing=np.array([model.opt.timestep, 1.0, 0.0]),
+        payload=np.zeros(model.nbody),
+    )
     home = model.key_qpos[0] if model.nkey else model.qpos0
-    for column, name in enumerate(log.command_names):
+    for name, command in zip(log.command_names, log.command.T, strict=True):
         if name not in drives:
             known = first_names([*drives])
             reason = f"no actuator of the model drives it; it has {known}: name it in --map, or add actuators"
             raise FileError(log.name, f"{kind} {name}", reason)
         actuator = drives[name]
         joint = model.joint(model.actuator_trnid[actuator, 0])
-        gear = float(model.actuator_gear[actuator, 0])
+        gear = model.actuator_gear[actuator, 0]
         given = control.of(joint.name)
-        command[:, actuator], is_driven[actuator] = log.command[:, column], True
-        is_motor = model.actuator_biasprm[actuator, 1] == 0.0
+        is_angle = kind in ("target", "action")
         if kind == "tau":
-            _set_law(model, actuator, 1.0, 0.0, 0.0)
-            divisor[actuator] = gear
-        elif kind in ("target", "action") and is_motor and given["kp"]:
-            stiffness, damping = (
-                given["kp"] / gear**2,
-                given["kd"] / gear**2,
-            )
-            _set_law(model, actuator, stiffness, stiffness, damping)
-        elif kind == "target" and is_motor:
-            reason = (
-                "the log has targets, but the model a motor; add kp and kd to --map"
-            )
-            raise ParameterError(f"{name}: {reason}")
-        if kind in ("target", "action") and model.actuator_biasprm[actuator, 1] != 0.0:
-            divisor[actuator] = 1.0 / gear
+            _set_law(setup.model, actuator, 0.0, 0.0)
+            setup.divisor[actuator] = gear
+        elif is_angle and model.actuator_biasprm[actuator, 1] == 0.0:
+            is_angle = bool(given["kp"])
+            if is_angle:
+                _set_law(setup.model, actuator, given["kp"], given["kd"])
+            elif kind == "target":
+                reason = (
+                    "the log has targets, but the model a motor; add kp and kd to --map"
+                )
+                raise ParameterError(f"{name}: {reason}")
+        if is_angle:
+            setup.divisor[actuator] = 1.0 / gear
             pose = given["default_rad"]
-            pose = home[joint.qposadr[0]] if pose is None else pose
-            offset[actuator] = pose
-            # An action counts from the default pose, a target from zero.
-            command[:, actuator] -= pose * (kind == "target")
+            setup.offset[actuator] = home[joint.qposadr[0]] if pose is None else pose
         if kind == "action":
-            scale[actuator] = given["action_scale"]
-    _set_limits(model)
-    return Setup(
-        model,
-        log.command_time_s,
-        command,
-        is_driven,
-        scale,
-        offset,
-        divisor,
-        delay_s=np.zeros(1),
-    )
+            setup.scale[actuator] = given["action_scale"]
+        # An action counts from the default pose, a target from zero.
+        zero = setup.offset[actuator] if kind == "target" else 0.0
+        setup.command[:, actuator] = command - zero
+        setup.is_driven[actuator] = True
+    _set_limits(setup.model)
+    return setup
 
 
 def _drives(model: mujoco.MjModel) -> dict[str, int]:
     """Return the actuators by the names that commands have: of joints and actuators, or numbers."""
     drives = {str(index): index for index in range(model.nu)}
     drives |= {model.actuator(index).name: index for index in range(model.nu)}
-    is_at_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value
-    for index in np.flatnonzero(is_at_joint).tolist():
+    for index in np.flatnonzero(model.actuator_trntype == AT_JOINT).tolist():
         drives[model.joint(model.actuator_trnid[index, 0]).name] = index
     return drives
 
 
 def _set_law(
-    model: mujoco.MjModel, actuator: int, gain: float, stiffness: float, damping: float
+    model: mujoco.MjModel, actuator: int, stiffness: float, damping: float
 ) -> None:
-    """Give an actuator a PD law, whose limit of effort is the range of its control, or with zeros its torque."""
-    is_limited = bool(model.actuator_ctrllimited[actuator])
-    if stiffness and is_limited and not model.actuator_forcelimited[actuator]:
-        model.actuator_forcerange[actuator] = model.actuator_ctrlrange[actuator]
+    """Give an actuator a PD law of its joint, whose limit of effort is the range of its control; a torque for zeros."""
+    gear = model.actuator_gear[actuator, 0]
+    stiffness, damping = stiffness / gear**2, damping / gear**2
+    if stiffness and model.actuator_ctrllimited[actuator]:
+        if not model.actuator_forcelimited[actuator]:
+            model.actuator_forcerange[actuator] = model.actuator_ctrlrange[actuator]
         model.actuator_forcelimited[actuator] = 1
     model.actuator_ctrllimited[actuator] = 0
     model.actuator_biastype[actuator] = mujoco.mjtBias.mjBIAS_AFFINE.value
-    model.actuator_gainprm[actuator, :3] = gain, 0.0, 0.0
+    model.actuator_gainprm[actuator, :3] = stiffness or 1.0, 0.0, 0.0
     model.actuator_biasprm[actuator, :3] = 0.0, -stiffness, -damping
 
 
@@ -209,8 +215,8 @@ def _set_limits(model: mujoco.MjModel) -> None:
     model.actuator_forcerange[model.actuator_forcelimited == 0] = -UNLIMITED, UNLIMITED
     model.actuator_forcelimited[:] = 1
     joints, gear = model.actuator_trnid[:, 0], np.abs(model.actuator_gear[:, :1])
-    is_at_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value
-    limited = np.flatnonzero(is_at_joint & (model.jnt_actfrclimited[joints] == 1))
+    is_limited = model.jnt_actfrclimited[joints] == 1
+    limited = np.flatnonzero((model.actuator_trntype == AT_JOINT) & is_limited)
     lower, upper = (model.jnt_actfrcrange[joints] / gear)[limited].T[..., None]
     limits = np.clip(model.actuator_forcerange[limited], lower, upper)
     model.actuator_forcerange[limited] = limits
@@ -243,28 +249,26 @@ class Replayer:
         self.joint = np.array([model.joint(name).id for name in log.joints])
         self.dof = model.jnt_dofadr[self.joint]
         self.actuator = np.array([drives.get(name, -1) for name in log.joints])
+        free = np.flatnonzero(model.jnt_type == FREE)[:1, None]
+        base_place = (model.jnt_qposadr[free] + np.arange(7)).ravel()
+        base_dof = (model.jnt_dofadr[free] + np.arange(6)).ravel()
+        pose = log.base_pose[:, : len(base_place)]
+        twist = log.base_twist[:, : len(base_dof)]
+        places = np.append(base_place, model.jnt_qposadr[self.joint])
+        self.dofs = np.append(base_dof, self.dof)
+        self.is_joint = np.arange(len(self.dofs)) >= len(base_dof)
         self.qpos = np.tile(model.qpos0, (len(log.time_s), 1))
         self.qvel = np.zeros((len(log.time_s), model.nv))
-        self.qpos[:, model.jnt_qposadr[self.joint]] = log.position
-        self.qvel[:, self.dof] = log.velocity
-        base_dof, (pose_noise, twist_noise) = self.joint[:0], np.zeros((2, 0))
-        for free in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value)[
-            :1
-        ]:
-            base_dof = model.jnt_dofadr[free] + np.arange(6)
-            self.qpos[:, model.jnt_qposadr[free] + np.arange(7)] = log.base_pose
-            self.qvel[:, base_dof] = log.base_twist
-            pose_noise = noise_of(log.time_s, log.base_pose)
-            # A rotation is twice the change of the quaternion.
-            pose_noise = np.append(pose_noise[:3], [2.0 * pose_noise[3:].max()] * 3)
-            twist_noise = noise_of(log.time_s, log.base_twist)
-        self.dofs = np.concatenate([base_dof, self.dof])
-        self.is_joint = np.arange(len(self.dofs)) >= len(base_dof)
+        self.qpos[:, places] = np.hstack([pose, log.position])
+        self.qvel[:, self.dofs] = np.hstack([twist, log.velocity])
+        noise = noise_of(log.time_s, pose)
+        # A rotation is twice the change of the quaternion.
+        noise[3:6] = 2.0 * noise[3:].max(initial=0.0)
         self.noise = np.concatenate(
             [
-                np.maximum(pose_noise, MIN_NOISE),
+                np.maximum(noise[:6], MIN_NOISE),
                 log.position_noise,
-                np.maximum(twist_noise, MIN_RATE_NOISE),
+                np.maximum(noise_of(log.time_s, twist), MIN_RATE_NOISE),
                 log.velocity_noise,
             ]
         )

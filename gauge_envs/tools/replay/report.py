@@ -274,7 +274,7 @@ def paste_lines(causes: Sequence[Explained], step_s: float) -> dict[str, str]:
         causes: What was named.
         step_s: Physics step of the model, in which Isaac Lab and mjlab count a delay.
     """
-    pasted: dict[str, list[str]] = {}
+    pasted: dict[str, dict[str, None]] = {}
     for cause in causes:
         values = [value for value in cause.values if value.changes]
         numbers = {value.parameter: round(value.fitted, 6) for value in values}
@@ -290,8 +290,8 @@ def paste_lines(causes: Sequence[Explained], step_s: float) -> dict[str, str]:
                     steps=steps,
                     samples=steps + 2,
                 )
-                pasted.setdefault(stack, []).append(text)
-    return {stack: "\n".join(dict.fromkeys(lines)) for stack, lines in pasted.items()}
+                pasted.setdefault(stack, {})[text] = None
+    return {stack: "\n".join(texts) for stack, texts in pasted.items()}
 
 
 def _sentence(line: ReplayLine) -> str:
