@@ -309,7 +309,6 @@ def _by_joint(
         is_named = len(names) == len(values) and key not in BASE
         for index, column in enumerate(values):
             name = joint or (names[index] if is_named else str(index))
-            name, column = mapped.converted(key, name, column)
             if name in found[key]:
                 reason = f"a second column of {name}; rename one"
                 raise FileError(file, title, reason)
@@ -323,7 +322,10 @@ def _by_joint(
             titles = first_names([title for title, _ in columns])
             reason = f"no column {expected}; the file has {titles}"
             raise FileError(file, None, reason)
-    return found
+    return {
+        key: dict(mapped.converted(key, *item) for item in by_name.items())
+        for key, by_name in found.items()
+    }
 
 
 # --- checks: each adds its findings to the log -----------------------------------------------------------------------

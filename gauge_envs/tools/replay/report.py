@@ -153,7 +153,7 @@ def _rms(values: FloatArray) -> FloatArray:
 
 
 def _joint_reports(
-    problem: Problem, repeat: FloatArray | None
+    problem: Problem, repeat: Sequence[float | None]
 ) -> tuple[tuple[JointReport, ...], dict[str, float]]:
     """Return predictions over each horizon by joint, and the error over noise by condition."""
     replayer, setup = problem.replayer, problem.setup
@@ -177,21 +177,20 @@ def _joint_reports(
     is_far = (ratio[:-1] > LEAVES) & (ratio[1:] > LEAVES)
     reports = []
     for joint, name in enumerate(log.joints):
-        far = np.flatnonzero(is_far[:, joint])
-        first = far[0] if len(far) else None
-        reports.append(
-            JointReport(
-                joint=name,
-                noise=float(log.position_noise[joint]),
-                parts_s=None if first is None else float(times_s[first]),
-                condition="" if first is None else str(conditions[first, joint]),
-                repeat_rms=None if repeat is None else float(repeat[joint]),
-                predictions=tuple(
-                    Prediction(horizon_s, *rows[joint].tolist())
-                    for horizon_s, rows in predictions.items()
-                ),
-            )
+        first = np.flatnonzero(is_far[:, joint])[:1]
+        rows = [
+            Prediction(horizon_s, *numbers[joint].tolist())
+            for horizon_s, numbers in predictions.items()
+        ]
+        report = JointReport(
+            joint=name,
+            noise=float(log.position_noise[joint]),
+            parts_s=next(iter(times_s[first].tolist()), None),
+            condition="".join(conditions[first, joint]),
+            repeat_rms=repeat[joint],
+            predictions=tuple(rows),
         )
+        reports.append(report)
     reports.sort(key=lambda row: -row.predictions[1].over_noise)
     by_condition = {
         str(name): float(_rms(ratio[conditions == name]))
@@ -200,44 +199,44 @@ def _joint_reports(
     return tuple(reports), by_condition
 
 
-def _repeat(first: Log, second: Log) -> FloatArray | None:
-    """Return the root mean square difference of two logs with the same commands, shape [J]; None otherwise."""
-    if first is second or not first.command_kind or first.joints != second.joints:
-        return None
+def _repeat(first: Log, second: Log) -> Sequence[float | None]:
+    """Return the root mean square difference of two logs with the same commands by joint; None for others."""
     common = second.time_s <= first.time_s[-1]
     time_s = second.time_s[common]
-    commands = [
-        make_interp_spline(log.command_time_s, log.command, k=1)(time_s).ravel()
-        for log in (first, second)
-    ]
-    if np.asarray(np.corrcoef(commands))[0, 1] < MIN_CORRELATION:
-        return None
-    repeated = make_interp_spline(first.time_s, first.position, k=1)(time_s)
-    return _rms(repeated - second.position[common])
+    if first is not second and first.command_kind and first.joints == second.joints:
+        commands = [
+            make_interp_spline(log.command_time_s, log.command, k=1)(time_s).ravel()
+            for log in (first, second)
+        ]
+        if np.asarray(np.corrcoef(commands))[0, 1] >= MIN_CORRELATION:
+            repeated = make_interp_spline(first.time_s, first.position, k=1)(time_s)
+            return _rms(repeated - second.position[common]).tolist()
+    return [None] * len(second.joints)
 
 
 def _explained(problem: Problem, fit: Fit) -> list[Explained]:
     """Return the causes of a fit as they are printed."""
     rows, step_s = [], problem.replayer.log.command_interval_s
-    half_width = fit.numbers * np.nan if fit.half_width is None else fit.half_width
-    for ((cause, group), numbers), (_, half) in zip(
-        fit.parts(fit.numbers), fit.parts(half_width), strict=True
-    ):
-        trials = [numbers, numbers - half, numbers + half]
-        table = [cause.present, *(cause.values(group, trial) for trial in trials)]
+    half = np.nan * fit.numbers if fit.half_width is None else fit.half_width
+    trials = (fit.numbers, fit.numbers - half, fit.numbers + half)
+    for terms in zip(*map(fit.parts, trials), strict=True):
+        cause, group = terms[0][0]
+        table = [cause.present, *(cause.values(group, trial) for _, trial in terms)]
         values = []
-        for k in np.flatnonzero(group.selection.any(axis=1)).tolist():
+        for k in np.flatnonzero(group.selection.any(axis=1)):
             present, fitted, low, high = (float(column[k]) for column in table)
-            changes = bool(low > present or high < present)
+            changes = low > present or high < present
             now = present if abs(present) < UNLIMITED else None
             ends = (None, None) if np.isnan(low) else (low, high)
             name = cause.parameters[k]
             values.append(Value(name, now, fitted, ends[0], ends[1], changes))
+        text = _text(cause, group.label, values, step_s)
+        share = problem.share(fit)
         rows.append(
             Explained(
                 cause=cause.name,
-                text=_text(cause, group.label, values, step_s),
-                share=problem.share(fit),
+                text=text,
+                share=share,
                 unit=cause.unit,
                 values=tuple(values),
             )
@@ -430,10 +429,13 @@ def replay_figure(replay: Replay) -> Figure:
         FIGURE_HORIZON_S, FIGURE_PREDICTIONS, outputs=FIGURE_OUTPUTS
     )
     times_s, recorded = log.time_s[pieces[:, 1:]], log.position[pieces[:, 1:]]
-    curves = {"model": problem.setup}
+    setups = {"model": problem.setup}
     if change is not None:
-        curves["after the change"] = problem.changed(change)
-    errors = [replayer.predict(setup, pieces) for setup in curves.values()]
+        setups["after the change"] = problem.changed(change)
+    curves = {
+        name: recorded + replayer.predict(setup, pieces)[..., replayer.is_joint]
+        for name, setup in setups.items()
+    }
     rows = replay.line.joints[:MAX_FIGURE_ROWS]
     figure = new_figure(10.0, 2.0 * len(rows) + 0.8)
     axes = figure.subplots(len(rows), squeeze=False, sharex=True)[:, 0]
@@ -441,9 +443,9 @@ def replay_figure(replay: Replay) -> Figure:
         joint = log.joints.index(row.joint)
         angle = log.position[:, joint]
         axis.plot(log.time_s, angle, color=REAL, lw=2.4, alpha=0.4, label="log")
-        for color, name, error in zip(OURS, curves, errors, strict=False):
-            predicted = recorded[..., joint] + error[..., replayer.is_joint][..., joint]
-            lines = axis.plot(times_s.T, predicted.T, color=color, lw=1.2)
+        for color, (name, predicted) in zip(OURS, curves.items(), strict=False):
+            angles = predicted[..., joint].T
+            lines = axis.plot(times_s.T, angles, color=color, lw=1.2)
             lines[0].set_label(name)
         if row.parts_s is not None:
             axis.axvline(row.parts_s, color=REAL, lw=0.8, ls=":")
