@@ -262,7 +262,7 @@ def read_log(
         command_time_s=command_time_s,
         base_pose=stacked("base pose", base[0] + base[1]),
         base_twist=stacked("base twist", base[2] + base[3]),
-        quaternion=mapped.quaternion,
+        quaternion="wxyz" if "w" in found["base_quaternion"] else mapped.quaternion,
     )
     if not given and any(title in UNNAMED for title, _ in columns):
         text = "columns without names are taken in the order of the model"
@@ -507,6 +507,8 @@ def _check_base(log: Log) -> Iterator[str]:
             "base velocities do not fit the pose (linear in the world, angular in the body frame): "
             "its differences are used"
         )
+    else:
+        yield "no base velocities: differences of the pose are used"
     log.base_twist = slope
 
 

@@ -62,7 +62,6 @@ PLANTED = [
     ("effort limit", {"change": set_effort}, 3.0),
     ("joint limit", {"change": set_stop}, 0.3),
     ("dry friction", {"robot": CART_POLE, "change": set_pole}, 2.0),
-    ("delay", {"robot": CART_POLE, "delay_s": 0.03}, 0.03),
 ]
 """What is planted, and the value of the first number of the answer."""
 
