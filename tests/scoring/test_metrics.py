@@ -96,8 +96,8 @@ def test_the_time_shift_of_a_late_release_is_found(offset_s):
     real = place_mm(FRAMES_S - offset_s, 3.0)
     real[20:] = np.nan
     shift_s, rmse = time_offset(times_s, place_mm(times_s, 0.0), real)
-    assert shift_s == pytest.approx(offset_s, abs=1e-4)
-    assert rmse == pytest.approx(3.0, abs=1e-3)
+    assert shift_s == pytest.approx(offset_s, abs=1e-7)
+    assert rmse == pytest.approx(3.0)
 
 
 @pytest.mark.parametrize(("later_s", "expected_s"), [(0.0, 0.0), (0.1, -0.1), (1, -1)])
@@ -109,7 +109,6 @@ def test_no_shift_assumes_motion_after_the_end_or_a_shift_of_more_than_10_frames
     real = 500 * 3.0 * np.square(FRAMES_S + 1.0)[:, None]
     shift_s, _ = time_offset(times_s, 500 * 3.0 * np.square(times_s)[:, None], real)
     assert shift_s == pytest.approx(max(expected_s, -MAX_TIME_OFFSET_S), abs=1e-6)
-    assert pytest.approx(1 / 3) == MAX_TIME_OFFSET_S
 
 
 def test_the_time_shift_of_an_object_at_rest_is_zero():
