@@ -335,7 +335,7 @@ class Rollout:
         """Record the current frame, and return the states of the dynamic bodies, shape [N, body_count, 13]."""
         frame = self.frame or 0
         states = self.simulation.body_states(self._dynamic)
-        self._bodies[frame] = states[:, self._recorded]
+        self._bodies[frame] = states.take(self._recorded, axis=1)
         if self._driven:
             self._driver_states[frame] = self.simulation.body_states(self._driven)
         return states

@@ -48,6 +48,8 @@ class PrescribedMotion:
         self.motion_count = len(driver.motions)
         self._interval_s = interval_s
         self._count = count
+        times_s = interval_s * np.arange(count + 1, dtype=np.float64)
+        self._times_s = times_s[:, None, None]
         self._scale = np.array([motion.residual_rate for motion in driver.motions])
         self._axes: FloatArray | None = None
         if all(motion.kind == "translate" for motion in driver.motions):
@@ -113,8 +115,7 @@ class PrescribedMotion:
             recorded = self._targets[first : first + count]
             shape = (count, len(rates), 19)
             return recorded if len(rates) == 1 else np.broadcast_to(recorded, shape)
-        steps = self._interval_s * np.arange(count + 1, dtype=np.float64)
-        offsets = self._offsets + steps[:, None, None] * rates
+        offsets = self._offsets + self._times_s[: count + 1] * rates
         self._offsets = offsets[-1]
         if self._axes is not None:
             # A constant velocity adds to translations.
