@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping
 from functools import lru_cache
 
 import numpy as np
-from scipy import sparse
 
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Contact, ContactMode, Motion, Scene
@@ -130,6 +129,7 @@ def _logarithms(
         count: Number of bodies.
     """
     # Few scenes need a solver, and the import takes a tenth of a second.
+    from scipy import sparse
     from scipy.optimize import linprog
 
     places = np.repeat(np.arange(len(pairs)), 2), np.ravel(pairs)
