@@ -103,10 +103,10 @@ class FrictionLimit(CubeLimit):
     TIME_LIMIT_ENDING = Ending.HELD
 
     def _prepare(self, scene: Scene) -> tuple[float, float]:
-        (rotation,) = scene.drivers[0].motions
-        self._axis = np.array(rotation.axis)
-        self._across_axis = rotation.cross_product
-        self._point_m = np.array(rotation.point_m)
+        (driver,) = scene.drivers
+        (self._rotation,) = driver.motions
+        self._start_normal = scene.body(driver.body).pose.matrix[None, :, 2]
+        self._point_m = np.array(self._rotation.point_m)
         self._corners_m = scene.body(CUBE).shape.corners_m
         return super()._prepare(scene)
 
@@ -142,12 +142,14 @@ class FrictionLimit(CubeLimit):
             Values at the ends of the intervals of the frame, shape [interval_count].
         """
         stage = self._stage
-        around_m = (self._cube_m - self._point_m) @ self._across_axis
-        inward_m = around_m @ self._across_axis
+        # The cross product with the axis.
+        across = self._rotation.cross_product
+        around_m = (self._cube_m - self._point_m) @ across
+        inward_m = around_m @ across
         # Force per mass [m/s^2]: the acceleration of the carrier, alpha x r + omega^2 r inward, minus gravity.
         forces = stage.acceleration[0] * around_m + stage.rates[1:] ** 2 * inward_m
         forces[:, 2] += self.gravity_m_per_s2
-        normals = rotation_matrices(stage.poses[1:, 3:])[:, :, 2]
+        normals = self._rotation.rotated(self._start_normal, stage.offsets[1:])
         normal = (forces * normals).sum(axis=1)
         tangential = forces - normal[:, None] * normals
         return np.asarray(np.sqrt((tangential * tangential).sum(axis=1)) / normal)
@@ -208,7 +210,7 @@ class TurntableLimit(FrictionLimit):
     def _law_command(self, fraction: float) -> float:
         """Return the action that approaches omega = sqrt(fraction mu g / r), with r the current radius of the cube."""
         arm_m = self._state(CUBE)[:3] - self._point_m
-        radius_m = length_of(arm_m - self._axis * (self._axis @ arm_m))
+        radius_m = length_of(arm_m @ self._rotation.cross_product)
         limit_m_per_s2 = fraction * self.limit.value * self.gravity_m_per_s2
         wanted = math.sqrt(limit_m_per_s2 / radius_m)
         change = wanted - float(self._stage.rate[0])
