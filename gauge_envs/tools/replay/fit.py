@@ -33,7 +33,7 @@ MAX_GROUPS = 2
 MAX_FEW = 12
 MAX_CALLS, MAX_LARGE_CALLS = 25, 8
 """Calls of least squares for a few numbers, and for many."""
-MAX_ALONE, MAX_FURTHER, MAX_POOL, MAX_BASES = 8, 3, 5, 2
+MAX_ALONE, MAX_FURTHER, MAX_POOL, MAX_BASES = 5, 3, 5, 2
 """Number of fits that are refined: alone, on top of others, and again those that are best alone; and of such bases."""
 MAX_ROUNDS, MAX_LEADING = 2, 2
 """Number of times that the noise is propagated by the best fit, and of causes that are then fitted anew."""
@@ -288,9 +288,9 @@ def _fits_alone(
             break
         problem.whiten(problem.changed(fits[0]))
         leading = [fit.terms[0][0] for fit in fits[:MAX_LEADING]]
-        again = best_fits(problem, problem.before, leading, MAX_ALONE)
-        again += [_refined(problem, fit) for fit in fits[:MAX_FURTHER]]
-        again += [problem.judged(fit) for fit in fits[MAX_FURTHER:]]
+        again = best_fits(problem, problem.before, leading, MAX_LEADING)
+        again += [_refined(problem, fit) for fit in fits[:MAX_LEADING]]
+        again += [problem.judged(fit) for fit in fits[MAX_LEADING:]]
         fits = _best_by_cause(problem, again)
     return fits
 
