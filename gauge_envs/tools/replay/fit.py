@@ -108,16 +108,31 @@ class Problem:
         pieces = replayer.pieces(HORIZON_S, PIECES)
         self._halves = pieces[::2], pieces[1::2]
         self.floor = 1.0
-        self.whiten(setup)
+        self._whiteners = self._whitened(setup)
+        self.before = self.judged(Fit((), EMPTY, EMPTY, EMPTY))
 
-    def whiten(self, setup: Setup) -> None:
-        """Compute the covariance of the noise by a setup, which propagates the noise of the initial states."""
-        self._whiteners = [
-            np.linalg.inv(np.linalg.cholesky(self.replayer.covariance(setup, half)))
-            for half in self._halves
+    def _whitened(self, setup: Setup) -> list[FloatArray]:
+        """Return what makes the deviations of each half independent, where a setup propagates the noise."""
+        covariances = [self.replayer.covariance(setup, half) for half in self._halves]
+        return [np.linalg.inv(np.linalg.cholesky(each)) for each in covariances]
+
+    def whiten(self, fit: Fit) -> bool:
+        """Propagate the noise by a fit if its training errors are more likely then; return whether they are."""
+        setup = self.changed(fit)
+        whiteners = self._whitened(setup)
+        columns = self.replayer.predict(setup, self._halves[0])
+        columns = columns.reshape(len(columns), -1, 1)
+        # Twice the negative logarithm of the likelihood, by residual.
+        surprises = [
+            np.mean((white @ columns) ** 2)
+            - 2.0 * np.mean(np.log(np.diagonal(white, axis1=1, axis2=2)))
+            for (white, _) in (self._whiteners, whiteners)
         ]
-        train, held_out = (self._residuals(self.setup, half) for half in (0, 1))
-        self.before = Fit((), np.zeros(0), train, held_out)
+        is_likelier = bool(surprises[1] < surprises[0])
+        if is_likelier:
+            self._whiteners = whiteners
+            self.before = self.judged(self.before)
+        return is_likelier
 
     def changed(self, fit: Fit) -> Setup:
         """Return the setup of a fit."""
@@ -284,9 +299,8 @@ def _fits_alone(
     """
     fits = best_fits(problem, problem.before, causes, MAX_ALONE, advance)
     for _ in range(MAX_ROUNDS):
-        if problem.left(fits[0]) < NEAR:
+        if problem.left(fits[0]) < NEAR or not problem.whiten(fits[0]):
             break
-        problem.whiten(problem.changed(fits[0]))
         leading = [fit.terms[0][0] for fit in fits[:MAX_LEADING]]
         again = best_fits(problem, problem.before, leading, MAX_LEADING)
         again += [_refined(problem, fit) for fit in fits[:MAX_LEADING]]
