@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -33,8 +34,10 @@ MAX_GROUPS = 2
 MAX_FEW = 12
 MAX_CALLS, MAX_LARGE_CALLS = 25, 8
 """Calls of least squares for a few numbers, and for many."""
-MAX_ALONE, MAX_FURTHER, MAX_POOL, MAX_BASES = 5, 3, 5, 2
-"""Number of fits that are refined: alone, on top of others, and again those that are best alone; and of such bases."""
+MAX_ALONE, MAX_FURTHER, MAX_BASES = 8, 3, 2
+"""Number of fits that are refined: alone, and on top of another one; and of those."""
+SAME_LAW = {"kd": "damping", "damping": "kd"}
+"""Causes that are one law while the torque stays below its limit."""
 MAX_ROUNDS, MAX_LEADING = 2, 2
 """Number of times that the noise is propagated by the best fit, and of causes that are then fitted anew."""
 SERVO = ("delay", "kp", "armature", "damping")
@@ -99,6 +102,7 @@ class Problem:
         setup: What the user gave; the noise is propagated by it.
 
     Attributes:
+        whiteners: What makes the deviations of each half independent, shape [P, T D, T D].
         before: The model as it is.
         floor: Error over noise of a perfect model: 1, or that of the first of two logs.
     """
@@ -108,7 +112,7 @@ class Problem:
         pieces = replayer.pieces(HORIZON_S, PIECES)
         self._halves = pieces[::2], pieces[1::2]
         self.floor = 1.0
-        self._whiteners = self._whitened(setup)
+        self.whiteners = self._whitened(setup)
         self.before = self.judged(Fit((), EMPTY, EMPTY, EMPTY))
 
     def _whitened(self, setup: Setup) -> list[FloatArray]:
@@ -116,23 +120,23 @@ class Problem:
         covariances = [self.replayer.covariance(setup, half) for half in self._halves]
         return [np.linalg.inv(np.linalg.cholesky(each)) for each in covariances]
 
-    def whiten(self, fit: Fit) -> bool:
-        """Propagate the noise by a fit if its training errors are more likely then; return whether they are."""
+    def following(self, fit: Fit) -> Problem | None:
+        """Return the problem where a fit propagates the noise; None if its training errors are less likely then."""
         setup = self.changed(fit)
-        whiteners = self._whitened(setup)
+        further = copy.copy(self)
+        further.whiteners = self._whitened(setup)
         columns = self.replayer.predict(setup, self._halves[0])
         columns = columns.reshape(len(columns), -1, 1)
         # Twice the negative logarithm of the likelihood, by residual.
         surprises = [
             np.mean((white @ columns) ** 2)
             - 2.0 * np.mean(np.log(np.diagonal(white, axis1=1, axis2=2)))
-            for (white, _) in (self._whiteners, whiteners)
+            for white in (self.whiteners[0], further.whiteners[0])
         ]
-        is_likelier = bool(surprises[1] < surprises[0])
-        if is_likelier:
-            self._whiteners = whiteners
-            self.before = self.judged(self.before)
-        return is_likelier
+        if surprises[1] > surprises[0]:
+            return None
+        further.before = further.judged(self.before)
+        return further
 
     def changed(self, fit: Fit) -> Setup:
         """Return the setup of a fit."""
@@ -144,7 +148,7 @@ class Problem:
     def _residuals(self, setup: Setup, half: int) -> FloatArray:
         deviation = self.replayer.predict(setup, self._halves[half])
         columns = deviation.reshape(len(deviation), -1, 1)
-        white = (self._whiteners[half] @ columns)[..., 0]
+        white = (self.whiteners[half] @ columns)[..., 0]
         return np.clip(white, -MAX_WHITE, MAX_WHITE)
 
     def trained(self, fit: Fit) -> Fit:
@@ -291,21 +295,45 @@ def _best_by_cause(problem: Problem, fits: Sequence[Fit]) -> list[Fit]:
 
 def _fits_alone(
     problem: Problem, causes: Sequence[Cause], advance: Callable[[str], None]
-) -> list[Fit]:
-    """Return the best fit of each cause alone, the best first.
+) -> tuple[Problem, list[Fit]]:
+    """Return the best fit of each cause alone, the best first, and the problem that they solve.
 
-    A cause may change how the noise propagates: feet that slip keep a velocity that feet that stick lose. So the noise
-    is propagated by the best fit, and the fits are refined again, until one reaches the noise.
+    A cause may change how the noise propagates: feet that slip keep a velocity that feet that stick lose. So the best
+    fit propagates the noise, if it reaches the noise then.
     """
     fits = best_fits(problem, problem.before, causes, MAX_ALONE, advance)
+    if problem.left(fits[0]) > NEAR:
+        refined = [_refined(problem, fit) for fit in fits[:MAX_LEADING]]
+        fits = _best_by_cause(problem, refined + fits)
+    followed, leaders = problem, fits
     for _ in range(MAX_ROUNDS):
-        if problem.left(fits[0]) < NEAR or not problem.whiten(fits[0]):
+        if followed.left(leaders[0]) < NEAR:
             break
-        leading = [fit.terms[0][0] for fit in fits[:MAX_LEADING]]
-        again = best_fits(problem, problem.before, leading, MAX_LEADING)
-        again += [_refined(problem, fit) for fit in fits[:MAX_LEADING]]
-        again += [problem.judged(fit) for fit in fits[MAX_LEADING:]]
-        fits = _best_by_cause(problem, again)
+        further = followed.following(leaders[0])
+        if further is None:
+            break
+        followed = further
+        cause = leaders[0].terms[0][0]
+        again = best_fits(followed, followed.before, [cause], MAX_GROUPS)
+        again += [followed.judged(fit) for fit in leaders]
+        leaders = _best_by_cause(followed, again)
+    reaches_noise = followed.left(leaders[0]) < NEAR
+    return (followed, leaders) if reaches_noise else (problem, fits)
+
+
+def _same_law(problem: Problem, causes: Sequence[Cause], fit: Fit) -> list[Fit]:
+    """Return a fit of the cause with the same law and the same values, if there is one."""
+    (cause, group), numbers = next(fit.parts(fit.numbers))
+    changes = cause.values(group, numbers) - cause.present
+    by_name = dict(zip(cause.parameters, changes, strict=False))
+    fits = []
+    for other in causes:
+        if SAME_LAW.get(cause.name) == other.name:
+            values = np.array([by_name.get(name, 0.0) for name in other.parameters])
+            each = other.groups[-1]
+            start = np.maximum(values / other.scale, other.lower(each))
+            alone = problem.before.with_term(other, each, start)
+            fits.append(problem.judged(alone))
     return fits
 
 
@@ -314,6 +342,7 @@ class Explanation:
     """What explains a log.
 
     Attributes:
+        problem: The log, with the noise that the best fit propagates.
         verdict: What explains the difference.
         fits: Best fit of each cause, the best first; none if the model predicts the log within its noise.
         alike: Names of the causes that the log cannot tell from the first.
@@ -321,6 +350,7 @@ class Explanation:
         change: The fit that the verdict is about: one cause, or else several if there are.
     """
 
+    problem: Problem
     verdict: Verdict = Verdict.NOISE
     fits: Sequence[Fit] = ()
     alike: Sequence[str] = ()
@@ -352,21 +382,11 @@ def _servo(problem: Problem, causes: Sequence[Cause], fits: Sequence[Fit]) -> li
 def _several(
     problem: Problem, causes: Sequence[Cause], fits: Sequence[Fit], bases: Sequence[Fit]
 ) -> Fit:
-    """Return the pair of causes, or the constants of a servo, that explain most.
-
-    A cause that explains little on top of another one may still explain much with it, so the best ones alone are tried
-    too.
-    """
+    """Return the pair of causes, or the constants of a servo, that explain most."""
     together: list[Fit] = []
     for base in bases:
         others = [cause for cause in causes if cause.name not in base.names]
         together += best_fits(problem, base, others, MAX_FURTHER)
-        for fit in fits[:MAX_POOL]:
-            if fit.names != base.names:
-                cause, group = fit.terms[0]
-                shorter = fit.numbers if cause.starts else 0.3 * fit.numbers
-                pair = base.with_term(cause, group, shorter)
-                together.append(_refined(problem, pair))
         best = min(together, key=lambda fit: fit.error)
         if problem.left(best) < NEAR:
             return best
@@ -398,8 +418,9 @@ def explain(
 ) -> Explanation:
     """Return what explains the deviation of a log from the model: each cause alone, then several."""
     if problem.before.error < WITHIN_NOISE * problem.floor:
-        return Explanation()
-    fits = _fits_alone(problem, causes, advance)
+        return Explanation(problem)
+    problem, fits = _fits_alone(problem, causes, advance)
+    fits = _best_by_cause(problem, fits + _same_law(problem, causes, fits[0]))
     alike = [fit.names[0] for fit in fits[1:] if _are_alike(problem, fits[0], fit)]
     several = None
     if problem.left(fits[0]) > NEAR:
@@ -408,4 +429,4 @@ def explain(
         several = _several(problem, causes, fits, bases)
     verdict = _verdict(problem, fits, several)
     change = fits[0] if several is None or verdict is Verdict.CAUSE else several
-    return Explanation(verdict, fits, alike, several, change)
+    return Explanation(problem, verdict, fits, alike, several, change)

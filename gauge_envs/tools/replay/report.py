@@ -114,15 +114,13 @@ def replay(
         )
     finally:
         mujoco.set_mju_user_warning(None)
-    return Replay(
-        _line(model.name, logs, problem, explanation), problem, explanation.change
-    )
+    line = _line(model.name, logs, explanation)
+    return Replay(line, explanation.problem, explanation.change)
 
 
-def _line(
-    model: str, logs: Sequence[Log], problem: Problem, explanation: Explanation
-) -> ReplayLine:
+def _line(model: str, logs: Sequence[Log], explanation: Explanation) -> ReplayLine:
     """Return the report of an explanation."""
+    problem = explanation.problem
     verdict, several = explanation.verdict, explanation.several
     joints, conditions = _joint_reports(problem, _repeat(logs[0], logs[-1]))
     alone = [_explained(problem, fit)[0] for fit in explanation.fits]
