@@ -34,8 +34,8 @@ MAX_GROUPS = 2
 MAX_FEW = 12
 MAX_CALLS, MAX_LARGE_CALLS = 25, 8
 """Calls of least squares for a few numbers, and for many."""
-MAX_ALONE, MAX_FURTHER, MAX_BASES = 8, 3, 2
-"""Number of fits that are refined: alone, and on top of another one; and of those."""
+MAX_ALONE, MAX_FURTHER, MAX_POOL, MAX_BASES = 8, 3, 5, 2
+"""Number of fits that are refined: alone, on top of others, and again those that are best alone; and of such bases."""
 SAME_LAW = {"kd": "damping", "damping": "kd"}
 """Causes that are one law while the torque stays below its limit."""
 MAX_ROUNDS, MAX_LEADING = 2, 2
@@ -382,11 +382,21 @@ def _servo(problem: Problem, causes: Sequence[Cause], fits: Sequence[Fit]) -> li
 def _several(
     problem: Problem, causes: Sequence[Cause], fits: Sequence[Fit], bases: Sequence[Fit]
 ) -> Fit:
-    """Return the pair of causes, or the constants of a servo, that explain most."""
+    """Return the pair of causes, or the constants of a servo, that explain most.
+
+    A cause that explains little on top of another one may still explain much with it, so the best ones alone are tried
+    too.
+    """
     together: list[Fit] = []
     for base in bases:
         others = [cause for cause in causes if cause.name not in base.names]
         together += best_fits(problem, base, others, MAX_FURTHER)
+        for fit in fits[:MAX_POOL]:
+            if fit.names != base.names:
+                cause, group = fit.terms[0]
+                shorter = fit.numbers if cause.starts else 0.3 * fit.numbers
+                pair = base.with_term(cause, group, shorter)
+                together.append(_refined(problem, pair))
         best = min(together, key=lambda fit: fit.error)
         if problem.left(best) < NEAR:
             return best
