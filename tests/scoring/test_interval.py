@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, t as student
 
-from gauge_envs.scoring.interval import distance_interval, trials_interval
+from gauge_envs.scoring.interval import distance_interval, student_t, trials_interval
 
 TIMES_S = np.arange(19) / 30.0
 
@@ -64,6 +64,13 @@ def test_zero_is_excluded_where_students_test_excludes_it():
     for factor, is_excluded in ((0.999, False), (1.001, True)):
         deviation = np.full((5, 1), factor * limit)
         assert (trials_interval(deviation, trials)[0] > 0.0) is is_excluded
+
+
+@pytest.mark.parametrize("coverage", [0.5, 0.95, 0.999])
+def test_students_t_is_that_of_scipy(coverage):
+    for freedom in (1, 2, 3, 9, 30, 1_000, 100_000):
+        expected = student.ppf(0.5 + 0.5 * coverage, freedom)
+        assert student_t(freedom, coverage) == pytest.approx(expected, rel=1e-9)
 
 
 def test_an_error_along_the_velocity_is_removed_by_the_shift():
