@@ -39,10 +39,11 @@ MAX_ALONE, MAX_FURTHER, MAX_POOL, MAX_BASES = 8, 3, 5, 2
 SAME_LAW = {"kd": "damping", "damping": "kd"}
 """Causes that are one law while the torque stays below its limit."""
 MAX_ROUNDS, MAX_LEADING = 2, 2
-"""Number of times that the noise is propagated by the best fit, and of causes that are then fitted anew."""
+"""Number of times that the best fit propagates the noise, and of the best fits that are refined twice."""
 SERVO = ("delay", "kp", "armature", "damping")
 """Causes that are fitted together where two are not enough: the constants of a servo."""
 PROBE, MIN_PROBED = 0.05, 0.2
+"""Step of finite differences, over a number of the fit, and the smallest such number."""
 EMPTY = np.zeros(0)
 MAX_WHITE = 1e4
 
