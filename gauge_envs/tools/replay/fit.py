@@ -19,8 +19,10 @@ HORIZON_S = 0.25
 PIECES = 28
 EXPLAINS = 0.9
 """Share of the error from which on a cause is named."""
-NEAR, MAX_LEFT = 0.5, 8.0
-"""Error beyond the noise, over that of the noise: of a fit that needs no second cause, and of one that is a result."""
+NEAR, MAX_LEFT, MAX_LEFT_TOGETHER = 0.5, 8.0, 2.0
+"""Error beyond the noise, over that of the noise: of a fit that needs no second cause, and of fits that are a result."""
+MAX_WORSE = 4.0
+"""Error before least squares, over the smallest, of a fit that is refined where another one reaches the noise."""
 LEADS = 5.0
 """How many times the others must leave of the error, where a fit leaves more than that."""
 BETTER = 0.4
@@ -275,14 +277,25 @@ def best_fits(
     count: int,
     advance: Callable[[str], None] = lambda _: None,
 ) -> list[Fit]:
-    """Return the best fit with each further cause, the best first; `count` fits are refined."""
+    """Return the best fit with each further cause, the best first.
+
+    At most `count` fits are refined, and after one that reaches the noise only those that come near to it.
+    """
     trials: list[Fit] = []
     for cause in causes:
         advance(cause.name)
         trials += _trials(problem, base, cause)
     trials.sort(key=problem.cost)
-    fits = [_refined(problem, fit) for fit in trials[:count]]
-    fits += [problem.judged(fit) for fit in trials[count:]]
+    fits: list[Fit] = []
+    limit = np.inf
+    for trial in trials:
+        if len(fits) < count and trial.error < limit:
+            fit = _refined(problem, trial)
+            if problem.left(fit) < NEAR:
+                limit = MAX_WORSE * trials[0].error
+        else:
+            fit = problem.judged(trial)
+        fits.append(fit)
     return _best_by_cause(problem, fits)
 
 
@@ -415,7 +428,7 @@ def _verdict(problem: Problem, fits: Sequence[Fit], several: Fit | None) -> Verd
     if (
         several
         and problem.share(several) > EXPLAINS
-        and problem.left(several) < min(MAX_LEFT, BETTER * left)
+        and problem.left(several) < min(MAX_LEFT_TOGETHER, BETTER * left)
     ):
         return Verdict.SEVERAL
     leads = all(1.0 - problem.share(fit) > LEADS * (1.0 - share) for fit in fits[1:])
