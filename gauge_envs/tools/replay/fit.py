@@ -20,7 +20,7 @@ PIECES = 28
 EXPLAINS = 0.9
 """Share of the error from which on a cause is named."""
 NEAR, MAX_LEFT, MAX_LEFT_TOGETHER = 0.5, 8.0, 2.0
-"""Error beyond the noise, over that of the noise: of a fit that needs no second cause; of one result, and of several."""
+"""Error beyond the noise, over that of the noise, that a fit may leave: without a second cause; alone; together."""
 MAX_WORSE = 4.0
 """Error before least squares, over the smallest, of a fit that is refined where another one reaches the noise."""
 LEADS = 5.0
