@@ -8,7 +8,7 @@ matter little. Times of threads are wall times and need an idle machine; a busy 
 Limits with a reason:
 
 - episodes in training: MuJoCo takes 50 to 900 us for a frame there, as long as 60 calls of NumPy. Turntable-Limit-wood
-  exceeds both limits, because its frame takes less time than the Python that drives and reads it.
+  exceeds the limit, because its frame takes less time than the Python that drives and reads it.
 - dynamic time warping: other libraries compile their loop. tslearn's Numba and scikit-learn add 280 MB to an
   installation. Here it is NumPy.
 """
@@ -156,7 +156,7 @@ def episodes() -> Iterator[Row]:
 
 
 def many_worlds() -> Iterator[Row]:
-    """Yield the time that Python takes for each of many worlds, over that of a single environment."""
+    """Yield the Python time of a step per world, for many worlds, divided by that of a single environment."""
     name = "SlopeSlider-3-wood"
     single_s = replay.python_s(name, 0, 40, budget_s=2.0)
     for count, steps in ((64, 10), (1024, 1)):

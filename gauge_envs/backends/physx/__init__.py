@@ -87,7 +87,7 @@ def _unsupported_shape(body: RigidBody) -> Iterator[str]:
     for number, piece in enumerate(pieces):
         count = len(piece)
         if count > HULL_LIMIT:
-            # Lists of engines do without this import, which takes as long as that of Gymnasium.
+            # This slow import is not needed to list engines.
             from scipy.spatial import ConvexHull
 
             count = len(ConvexHull(np.asarray(piece)).vertices)

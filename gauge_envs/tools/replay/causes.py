@@ -343,7 +343,7 @@ def _bodies(setup: Setup) -> list[Cause]:
     places = [f"{name} {axis}" for name in names for axis in "xyz"]
     # A tilt of the base turns gravity.
     tilts = [2], [0, 1], [0, 1, 2]
-    # A payload is compared with the robot: that of a wrist may exceed the mass of the wrist by far.
+    # The scale is 2 % of the mass of the robot, because a payload may be heavier than the link that carries it.
     load = 0.02 * model.body_mass.sum()
     return [
         _row(

@@ -20,7 +20,8 @@ PIECES = 28
 EXPLAINS = 0.9
 """Share of the error from which on a cause is named."""
 NEAR, MAX_LEFT, MAX_LEFT_TOGETHER = 0.5, 8.0, 2.0
-"""Error beyond the noise, over that of the noise, that a fit may leave: without a second cause; alone; together."""
+"""Excess error, the mean squared error over that of the noise minus 1, at most: to need no second cause; of a cause
+that is named; of several causes that are named."""
 MAX_WORSE = 4.0
 """Error before least squares, over the smallest, of a fit that is refined where another one reaches the noise."""
 LEADS = 5.0
@@ -91,7 +92,7 @@ class Fit:
         return zip(self.terms, parts, strict=False)
 
     def with_term(self, cause: Cause, group: Group, numbers: FloatArray) -> Fit:
-        """Return a fit with one more cause, whose residuals are still those of this one."""
+        """Return a fit with one more cause. Its residuals are not yet computed: they are those of this fit."""
         terms = (*self.terms, (cause, group))
         after = np.append(self.numbers, numbers)
         return Fit(terms, after, self.train, self.train[:0])

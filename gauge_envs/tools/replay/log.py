@@ -73,7 +73,8 @@ MAX_MISFIT = 0.3
 TURN_S = 0.2
 """Time over which turns of the base are compared with its angular velocity."""
 SURE = 4.0
-"""Difference of two mean squared errors that is no noise, over the error, for one time of TURN_S."""
+"""Relative difference of two mean squared errors that is significant in a log of length TURN_S; it decreases with the
+length."""
 MIN_REGULAR = 0.7
 """Fraction of equal runs of samples from which on the encoder is slower than the log."""
 

@@ -308,7 +308,7 @@ class Replayer:
 
         Args:
             setup: What predicts.
-            pieces: What is predicted.
+            pieces: Samples from `pieces`; each row begins with the recorded state.
             tangent: Change of the initial positions and rates, shape [2 nv] or [P, 2 nv].
         """
         model, log = setup.model, self.log
@@ -375,7 +375,7 @@ class Replayer:
     ) -> tuple[NDArray[np.str_], FloatArray]:
         """Return the condition of each joint at samples, shape [S, J], and its torque in the model, shape [S, J].
 
-        The torque of a joint without an actuator is that of gravity and inertia.
+        For a joint without an actuator, the torque is the sum of gravity, Coriolis and centrifugal torques.
         """
         model, data, log = setup.model, self._datas[0], self.log
         controls = setup.controls(log.time_s[samples], model.opt.timestep)

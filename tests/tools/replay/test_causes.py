@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planted_arm import CART_POLE, SERVO, record
+from planted_arm import ARM, CART_POLE, SERVO, record
 
 from gauge_envs.tools.replay import Verdict, replay
 from gauge_envs.tools.replay.fit import Problem
@@ -99,12 +99,18 @@ def test_a_servo_without_a_load_shows_only_ratios(tmp_path, gauge):
     assert [*map(float, ratios.groups())] == pytest.approx([500.0, 25.0], rel=0.1)
 
 
-def test_the_error_of_the_right_model_is_that_of_the_noise(tmp_path):
-    log, model = record(tmp_path)
+FLOOR = '<worldbody><geom type="plane" size="1 1 1" pos="0 0 -0.53"/>'
+
+
+@pytest.mark.parametrize("robot", [ARM, ARM.replace("<worldbody>", FLOOR)])
+def test_the_error_of_the_right_model_is_that_of_the_noise(tmp_path, robot):
+    """A hand that strikes the floor amplifies the noise of the state before."""
+    log, model = record(tmp_path, robot=robot)
     result = replay(log, model)
     problem = result.problem
     assert result.verdict is Verdict.NOISE
     assert problem.before.error == pytest.approx(1.0, abs=0.25)
+    assert np.mean(problem.before.train**2) == pytest.approx(1.0, abs=0.25)
     # The pieces that a fit sees have no part in its error.
     seen = replace(problem.before, train=0.0 * problem.before.train)
     assert seen.error == problem.before.error
