@@ -445,8 +445,9 @@ def explain(
     if problem.before.error < WITHIN_NOISE * problem.floor:
         return Explanation(problem)
     problem, fits = _fits_alone(problem, causes, advance)
-    fits = _best_by_cause(problem, fits + _same_law(problem, causes, fits[0]))
-    alike = [fit.names[0] for fit in fits[1:] if _are_alike(problem, fits[0], fit)]
+    others = [*_same_law(problem, causes, fits[0]), *fits[1:]]
+    alike = [fit.names[0] for fit in others if _are_alike(problem, fits[0], fit)]
+    alike = list(dict.fromkeys(alike))
     several = None
     if problem.left(fits[0]) > NEAR:
         advance("several together")
