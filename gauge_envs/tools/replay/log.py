@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from pydantic import BaseModel
-from scipy.integrate import cumulative_trapezoid
+from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import FileError, first_names, needs_extra
@@ -26,30 +26,28 @@ FloatArray: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
 ALIASES = {
-    "time": "t time time_s timestamp",
-    "position": "q qpos pos position position_rad joint_pos observation.state",
-    "velocity": "dq qd qvel vel velocity velocity_rad_per_s joint_vel",
+    "time": "t time_s timestamp time",
+    "target": "target command_rad command q_des",
+    "position": "qpos q position_rad position pos joint_pos observation.state",
+    "velocity": "dq qd qvel vel velocity_rad_per_s velocity joint_vel",
     "action": "action actions",
     "ctrl": "ctrl",
-    "target": "target command command_rad q_des",
     "tau": "tau torque effort",
     "base_position": "base_pos base_position",
     "base_quaternion": "base_quat base_quaternion",
     "base_linear_velocity": "base_linvel base_linear_velocity",
     "base_angular_velocity": "base_angvel base_angular_velocity",
-    "command_time": "command_t command_time command_time_s",
 }
-"""Names of each quantity in a file; a column of one joint adds a separator and the joint, as `q_hip`."""
+"""Names of each quantity in a file; a column of one joint adds a separator and the joint, as `q_hip`.
+
+A name that begins with another one, as `q_des`, stands before it.
+"""
 
 ANGLES = {"position": 1.0, "target": 1.0, "ctrl": 1.0, "velocity": 0.0}
 """Quantities with the unit of the map, and the factor of the offset of a joint that they contain."""
 
 KEYS = {alias: key for key, text in ALIASES.items() for alias in text.split()}
-LONGEST_FIRST = "|".join(sorted(KEYS, key=len, reverse=True))
-COLUMN = re.compile(rf"({LONGEST_FIRST})(?:[._/:\[](.*?)\]?)?")
-
-UNNAMED = ALIASES["position"].split()
-BASE = tuple(key for key in ALIASES if key.startswith("base_"))
+COLUMN = re.compile(rf"({'|'.join(KEYS)})(?:[._/:\[](.*?)\]?)?")
 
 SAMPLED = ("time_s", "position", "velocity", "base_pose", "base_twist")
 """Attributes of a log with a row a sample."""
@@ -66,12 +64,10 @@ MIN_RATE_NOISE = 2e-3
 NOISE_WINDOW = 7
 MIN_JUMP = 0.02
 """Second difference of positions at a lost sample [rad or m]."""
-MAX_TURN_MISFIT = 0.1
-"""Squared difference of the turns of the base and its angular velocity, over squared turns."""
-MAX_MISFIT = 0.3
-"""Difference of the velocities of the base to the slope of its pose, over that slope, both squared."""
 TURN_S = 0.2
-"""Time over which turns of the base are compared with its angular velocity."""
+"""Time over which the motion of the base is compared with its velocities."""
+MAX_MISFIT = 0.3
+"""Squared difference of the motion and the integrated velocities, over the squared motion."""
 SURE = 4.0
 """Relative difference of two mean squared errors that is significant in a log of length TURN_S; it decreases with the
 length."""
@@ -101,8 +97,10 @@ class ControlMap(BaseModel, extra="forbid"):
     def of(self, joint: str) -> dict[str, Any]:
         """Return the values for a joint by field; the default of a field whose table lacks the joint."""
         return {
-            name: value.get(joint, default) if isinstance(value, dict) else value
-            for (name, value), (_, default) in zip(self, ControlMap(), strict=True)
+            name: value.get(joint, getattr(ControlMap(), name))
+            if isinstance(value, dict)
+            else value
+            for name, value in self
         }
 
 
@@ -126,21 +124,23 @@ class LogMap(BaseModel, extra="forbid"):
             joint: Name of the joint in the log.
             values: Values of the log, shape [N].
         """
+        if key == "action":
+            # The map says what an action is.
+            key = self.command or key
         names = {entry.log: name for name, entry in self.joints.items()}
         name = names.get(joint, joint)
         entry = self.joints.get(name, JointMap())
         if key in ANGLES and self.unit == "deg":
             values = np.deg2rad(values)
-        offset = ANGLES.get(key, 0.0) * entry.offset_rad
-        return name, entry.sign * values + offset
+        return name, entry.sign * values + ANGLES.get(key, 0.0) * entry.offset_rad
 
-    def check_joints(self, known: Iterable[str]) -> None:
+    def check_joints(self, known: Sequence[str]) -> None:
         """Raise an error for a joint of the map that a log lacks."""
-        tables = [self.joints, *dict(self.control).values()]
-        names = [name for table in tables if isinstance(table, dict) for name in table]
-        if unknown := sorted({*names}.difference(known)):
-            reason = f"the log has no such joint; it has {first_names([*known])}"
-            raise FileError("--map", unknown[0], reason)
+        for table in (self.joints, *dict(self.control).values()):
+            for name in table if isinstance(table, dict) else ():
+                if name not in known:
+                    reason = f"the log has no such joint; it has {first_names(known)}"
+                    raise FileError("--map", name, reason)
 
 
 @dataclass
@@ -188,10 +188,11 @@ class Log:
     @property
     def command_interval_s(self) -> float:
         """Median interval between changes of the command."""
-        changed = np.flatnonzero((np.diff(self.command, axis=0) != 0.0).any(axis=1))
-        if len(changed) < 3:
+        is_new = np.diff(self.command, axis=0).any(axis=1)
+        times_s = self.command_time_s[1:][is_new]
+        if len(times_s) < 3:
             return self.interval_s
-        return float(np.median(np.diff(self.command_time_s[changed + 1])))
+        return float(np.median(np.diff(times_s)))
 
     def keep(self, samples: NDArray[Any]) -> None:
         """Leave out all but some samples; the commands stay."""
@@ -230,42 +231,46 @@ def read_log(
     except (OSError, ValueError, EOFError, BadZipFile) as error:
         reason = f"cannot be read as CSV, NPZ or Parquet: {error}"
         raise FileError(file, None, reason) from error
+    titles = [title for title, _ in columns]
     given = mapped.order or [*map(str, dict(columns).get("joints", ()))]
     found = _by_joint(file, columns, given or names, mapped)
+    kinds = (key for key in COMMANDS if found[key])
+    kind = mapped.command or next(kinds, "")
+    found[kind] = found.get(kind) or found["action"]
+    for key in filter(None, ("time", "position", kind)):
+        if not found[key]:
+            expected = ALIASES[key].replace(" ", " or ")
+            reason = f"no column {expected}; the file has {first_names(titles)}"
+            raise FileError(file, None, reason)
     joints, rates = tuple(found["position"]), found["velocity"]
-    kinds = [key for key in COMMANDS if found[key]]
-    kind = str(mapped.command or "".join(kinds[:1]))
-    commands = found.get(kind, {})
-    mapped.check_joints(found["position"] | commands)
-    time_s = next(iter(found["time"].values()))
-    command_time_s = next(iter(found["command_time"].values()), time_s)
-
-    def stacked(name: str, columns: Iterable[FloatArray]) -> FloatArray:
-        times_s = command_time_s if name == "command" else time_s
-        for column in columns:
-            if len(column) != len(times_s):
-                reason = f"{len(column)} rows, but {len(times_s)} times"
-                raise FileError(file, name, reason)
-        return np.column_stack([np.zeros((len(times_s), 0)), *columns])
-
-    # Titles that end on x, y, z and w tell the order.
-    base = [[found[key][axis] for axis in sorted(found[key])] for key in BASE]
     has_rates = rates.keys() >= {*joints}
+    found["velocity"] = {name: rates[name] for name in joints if has_rates}
+    mapped.check_joints([*(found["position"] | found[kind])])
+    time_s = next(iter(found["time"].values()))
+
+    def matrix(*keys: str) -> FloatArray:
+        columns = [column for key in keys for column in found[key].values()]
+        for column in columns:
+            if len(column) != len(time_s):
+                reason = f"{len(column)} rows, but {len(time_s)} times"
+                raise FileError(file, keys[0], reason)
+        return np.reshape(columns, (len(columns), len(time_s))).T
+
     log = Log(
         name=file.name,
         joints=joints,
         time_s=time_s,
-        position=stacked("position", found["position"].values()),
-        velocity=stacked("velocity", [rates[name] for name in joints if has_rates]),
-        command=stacked("command", commands.values()),
+        position=matrix("position"),
+        velocity=matrix("velocity"),
+        command=matrix(kind),
         command_kind=kind,
-        command_names=tuple(commands),
-        command_time_s=command_time_s,
-        base_pose=stacked("base pose", base[0] + base[1]),
-        base_twist=stacked("base twist", base[2] + base[3]),
-        quaternion="wxyz" if "w" in found["base_quaternion"] else mapped.quaternion,
+        command_names=tuple(found[kind]),
+        command_time_s=time_s,
+        base_pose=matrix("base_position", "base_quaternion"),
+        base_twist=matrix("base_linear_velocity", "base_angular_velocity"),
+        quaternion=mapped.quaternion,
     )
-    if not given and any(title in UNNAMED for title, _ in columns):
+    if not given and any(KEYS.get(title) == "position" for title in titles):
         text = "columns without names are taken in the order of the model"
         log.findings.append(text)
     for check in CHECKS:
@@ -276,16 +281,15 @@ def read_log(
 def _read_columns(file: Path) -> list[tuple[str, Any]]:
     """Return the titles and values of the columns of a file."""
     if file.suffix == ".npz":
-        with np.load(file, allow_pickle=False) as archive:
+        with np.load(file) as archive:
             return list(archive.items())
     if file.suffix == ".parquet":
         with needs_extra("reading Parquet", "parquet"):
             from pyarrow import parquet
         return list(parquet.read_table(file).to_pydict().items())
-    lines = csv_text(file.read_bytes()).read().lstrip("# ").splitlines()
-    rows = csv.reader(line for line in lines if line and not line.startswith("#"))
+    rows = csv.reader(csv_text(file.read_bytes()))
     return [
-        (title.strip(), [cell.strip() or "nan" for cell in cells])
+        (title.strip("# "), [cell.strip() or "nan" for cell in cells])
         for title, *cells in zip_longest(*rows, fillvalue="")
     ]
 
@@ -307,26 +311,15 @@ def _by_joint(
             values = np.atleast_2d(np.array(cells, dtype=float).T)
         except (TypeError, ValueError) as error:
             raise FileError(file, title, f"expected numbers: {error}") from error
-        is_named = len(names) == len(values) and key not in BASE
+        is_named = len(names) == len(values) and "base" not in key
         for index, column in enumerate(values):
             name = joint or (names[index] if is_named else str(index))
+            name, column = mapped.converted(key, name, column)
             if name in found[key]:
                 reason = f"a second column of {name}; rename one"
                 raise FileError(file, title, reason)
             found[key][name] = column
-    if mapped.command and not found[mapped.command]:
-        # The map says what the column `action` is.
-        found[mapped.command], found["action"] = found["action"], {}
-    for key in filter(None, ("time", "position", mapped.command)):
-        if not found[key]:
-            expected = ALIASES[key].replace(" ", " or ")
-            titles = first_names([title for title, _ in columns])
-            reason = f"no column {expected}; the file has {titles}"
-            raise FileError(file, None, reason)
-    return {
-        key: dict(mapped.converted(key, *item) for item in by_name.items())
-        for key, by_name in found.items()
-    }
+    return found
 
 
 # --- checks: each adds its findings to the log -----------------------------------------------------------------------
@@ -335,7 +328,7 @@ def _by_joint(
 def _check_numbers(log: Log) -> Iterator[str]:
     """Leave out rows without numbers; raise an error if few are left, or if the times are no clock in seconds."""
     # A lost sample may have a quaternion of zeros.
-    is_lost = (log.base_pose[:, 3:] == 0.0).all(axis=1)
+    is_lost = ~log.base_pose[:, 3:].any(axis=1)
     log.base_pose[is_lost, 3:] = np.nan
     commands = np.column_stack([log.command_time_s, log.command])
     commands = commands[np.isfinite(commands).all(axis=1)]
@@ -360,7 +353,7 @@ def _check_numbers(log: Log) -> Iterator[str]:
 
 def _check_held(log: Log) -> Iterator[str]:
     """Keep the first of equal samples where the encoder is slower than the log."""
-    fresh = np.flatnonzero((np.diff(log.position, axis=0) != 0.0).any(axis=1)) + 1
+    fresh = np.flatnonzero(np.diff(log.position, axis=0).any(axis=1)) + 1
     gaps = np.diff(fresh)
     period = int(np.median(gaps)) if len(gaps) else 1
     if period > 1 and np.mean(np.abs(gaps - period) <= period // 4) > MIN_REGULAR:
@@ -439,78 +432,62 @@ def _check_velocity(log: Log) -> Iterator[str]:
         yield f"velocities are {product / variance:.3g} times the slope of the positions: another unit or clock"
 
 
-def _base_convention(log: Log, turns: Mapping[str, Rotation]) -> tuple[str, str] | None:
-    """Return the order of quaternions and the frame of angular velocities that fit each other; None if several do.
-
-    Turns of the base in TURN_S are compared with its mean angular velocity over this time.
-
-    Args:
-        log: The log.
-        turns: Attitudes of the base by order.
-    """
-    length = min(max(1, round(TURN_S / log.interval_s)), len(log.time_s) // 2)
-    rate, misfits = log.base_twist[:, 3:], {}
-    for order, turn in turns.items():
-        changes = (turn[:-length].inv() * turn[length:]).as_rotvec()
-        for frame, in_body in (("body", rate), ("world", turn.inv().apply(rate))):
-            path = cumulative_trapezoid(in_body, log.time_s, axis=0, initial=0.0)
-            gaps = path[length:] - path[:-length] - changes
-            misfits[order, frame] = np.mean(gaps**2)
-    best = min(misfits.values())
-    periods = np.ptp(log.time_s) / TURN_S
-    near = [key for key in misfits if misfits[key] <= (1.0 + SURE / periods) * best]
-    # A turn has the noise of two quaternions, whose change is half of the angle.
-    noise = 8.0 * noise_of(log.time_s, log.base_pose[:, 3:]).max() ** 2
-    is_fit = best < MAX_TURN_MISFIT * np.mean(changes**2) + noise
-    return near[0] if is_fit and len({order for order, _ in near}) == 1 else None
-
-
 def _check_base(log: Log) -> Iterator[str]:
     """Bring the base to quaternions w x y z and angular velocities in its own frame.
 
-    Velocities that the pose contradicts are replaced by its differences.
+    Each order of quaternions is tried with each frame of angular velocities. Velocities that the pose contradicts are
+    replaced by its differences.
     """
     if log.base_pose.shape[1] != 7:
         return
+    if log.base_twist.shape[1] != 6:
+        log.base_twist = np.full((len(log.time_s), 6), np.nan)
     position, quaternion = np.split(log.base_pose, [3], axis=1)
-    turns = {
-        order: Rotation.from_quat(quaternion, scalar_first=order == "wxyz")
-        for order in ("wxyz", "xyzw")
-        if log.quaternion in (None, order)
-    }
-    has_twist = log.base_twist.shape[1] == 6
-    convention = _base_convention(log, turns) if has_twist else None
-    order, frame = convention or (next(iter(turns)), "body")
-    turn = turns[order]
+    linear, angular = np.split(log.base_twist, 2, axis=1)
+    window = max(1, round(TURN_S / log.interval_s))
+
+    def power(rates: FloatArray) -> FloatArray:
+        # Mean squares of linear and angular rates without their noise.
+        smooth = uniform_filter1d(rates, window, axis=0).reshape(-1, 2, 3)
+        return np.mean(smooth**2, axis=(0, 2))
+
+    # A turn has the noise of two quaternions, whose change is half of the angle.
+    noise = max(noise_of(log.time_s, log.base_pose).max(), MIN_NOISE) / TURN_S
+    bases, misfits = {}, {}
+    for order, shift in (("wxyz", 0), ("xyzw", 1)):
+        if log.quaternion not in (None, order):
+            continue
+        pose = np.hstack([position, np.roll(quaternion, shift, axis=1)])
+        turn = Rotation.from_quat(pose[:, 3:], scalar_first=True)
+        steps = (turn[:-1].inv() * turn[1:]).as_rotvec()
+        rate = np.vstack([steps, steps[-1:]]) / np.gradient(log.time_s)[:, None]
+        slope = np.hstack([np.gradient(position, log.time_s, axis=0), rate])
+        limit = MAX_MISFIT * power(slope) + 8.0 * noise**2
+        for frame, rate in (("body", angular), ("world", turn.inv().apply(angular))):
+            twist = np.hstack([linear, rate])
+            bases[order, frame] = pose, twist, slope
+            misfits[order, frame] = power(twist - slope) / limit
+    best = min(misfit[1] for misfit in misfits.values())
+    sure = 1.0 + SURE * TURN_S / np.ptp(log.time_s)
+    near = [key for key in misfits if misfits[key][1] <= min(1.0, sure * best)]
+    near = near or [*misfits]
+    order, frame = near[0]
+    log.base_pose, log.base_twist, slope = bases[order, frame]
     if order == "xyzw":
         yield "base_quat is x y z w: it is turned to w x y z"
-        log.base_pose = np.hstack([position, turn.as_quat(scalar_first=True)])
-    elif convention is None and not log.quaternion:
+    if frame == "world":
+        yield "base_angvel is in the world frame: it is turned"
+    if len({order for order, _ in near}) > 1:
         yield (
             "base_angvel does not show the order of base_quat: it is taken as w x y z; "
             'if it is x y z w, add quaternion = "xyzw" to --map'
         )
-    if frame == "world":
-        yield "base_angvel is in the world frame: it is turned"
-        log.base_twist[:, 3:] = turn.inv().apply(log.base_twist[:, 3:])
-    rotation = (turn[:-1].inv() * turn[1:]).as_rotvec()
-    rate = rotation[[*range(len(rotation)), -1]] / np.gradient(log.time_s)[:, None]
-    slope = np.hstack([np.gradient(position, log.time_s, axis=0), rate])
-    if has_twist:
-        changes = np.array([log.base_twist - slope, slope]).reshape(2, -1, 2, 3)
-        misfit, size = np.mean(changes**2, axis=(1, 3))
-        # Noise of the pose makes its slope noisy.
-        noise = noise_of(log.time_s, log.base_pose).max()
-        limit = np.maximum(MAX_MISFIT * size, (4.0 * noise / log.interval_s) ** 2)
-        if (misfit <= limit).all():
-            return
+    if not (misfits[order, frame] <= 1.0).all():
+        log.base_twist = slope
         yield (
-            "base velocities do not fit the pose (linear in the world, angular in the body frame): "
+            "base velocities are missing or do not fit the pose (linear in the world, angular in the body frame): "
             "its differences are used"
         )
-    else:
-        yield "no base velocities: differences of the pose are used"
-    log.base_twist = slope
 
 
 def _check_commands(log: Log) -> Iterator[str]:
