@@ -55,7 +55,6 @@ def replay(
     """
     from gauge_envs.tools.replay import read_map, replay as run
     from gauge_envs.tools.replay.report import replay_document, replay_figure
-    from gauge_envs.tools.replay.schema import Verdict
 
     files = arguments.by_suffix(out, ".md", ".json", ".png")
     picture = files.pop(".png", None)
@@ -70,4 +69,4 @@ def replay(
         from gauge_envs.pages.figures import save_png
 
         message(save_png(replay_figure(result), picture))
-    return result.verdict is not Verdict.NOISE
+    return result.change is not None

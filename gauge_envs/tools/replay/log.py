@@ -74,9 +74,6 @@ length."""
 MIN_REGULAR = 0.7
 """Fraction of equal runs of samples from which on the encoder is slower than the log."""
 
-MAX_JITTER = 0.03
-"""Scatter of the interval between samples, over the interval, that counts as regular."""
-
 
 class JointMap(BaseModel, extra="forbid"):
     """What a joint of the model is called in the log, and how its angle reads there."""
@@ -113,26 +110,6 @@ class LogMap(BaseModel, extra="forbid"):
     order: list[str] = []
     joints: dict[str, JointMap] = {}
     control: ControlMap = ControlMap()
-
-    def converted(
-        self, key: str, joint: str, values: FloatArray
-    ) -> tuple[str, FloatArray]:
-        """Return the name and the values of a column in the terms of the model.
-
-        Args:
-            key: Its quantity, a key of ALIASES.
-            joint: Name of the joint in the log.
-            values: Values of the log, shape [N].
-        """
-        if key == "action":
-            # The map says what an action is.
-            key = self.command or key
-        names = {entry.log: name for name, entry in self.joints.items()}
-        name = names.get(joint, joint)
-        entry = self.joints.get(name, JointMap())
-        if key in ANGLES and self.unit == "deg":
-            values = np.deg2rad(values)
-        return name, entry.sign * values + ANGLES.get(key, 0.0) * entry.offset_rad
 
     def check_joints(self, known: Sequence[str]) -> None:
         """Raise an error for a joint of the map that a log lacks."""
@@ -175,7 +152,7 @@ class Log:
     command_time_s: FloatArray
     base_pose: FloatArray
     base_twist: FloatArray
-    quaternion: str | None = None
+    quaternion: str | None
     position_noise: FloatArray = field(init=False)
     velocity_noise: FloatArray = field(init=False)
     findings: list[str] = field(default_factory=list)
@@ -234,13 +211,12 @@ def read_log(
     titles = [title for title, _ in columns]
     given = mapped.order or [*map(str, dict(columns).get("joints", ()))]
     found = _by_joint(file, columns, given or names, mapped)
-    kinds = (key for key in COMMANDS if found[key])
-    kind = mapped.command or next(kinds, "")
+    kinds = [key for key in COMMANDS if found[key]]
+    kind: str = mapped.command or "".join(kinds[:1])
     found[kind] = found.get(kind) or found["action"]
     for key in filter(None, ("time", "position", kind)):
         if not found[key]:
-            expected = ALIASES[key].replace(" ", " or ")
-            reason = f"no column {expected}; the file has {first_names(titles)}"
+            reason = f"no column {key} ({ALIASES[key]}); it has {first_names(titles)}"
             raise FileError(file, None, reason)
     joints, rates = tuple(found["position"]), found["velocity"]
     has_rates = rates.keys() >= {*joints}
@@ -302,23 +278,30 @@ def _by_joint(
 ) -> dict[str, dict[str, FloatArray]]:
     """Return the columns of each quantity by joint; `names` are the joints of an array that has all of them."""
     found: dict[str, dict[str, FloatArray]] = {key: {} for key in ALIASES}
+    model_names = {entry.log: name for name, entry in mapped.joints.items()}
     for title, cells in columns:
         match = COLUMN.fullmatch(title)
-        if match is None:
+        if not match:
             continue
         key, joint = KEYS[match[1]], match[2]
         try:
             values = np.atleast_2d(np.array(cells, dtype=float).T)
         except (TypeError, ValueError) as error:
             raise FileError(file, title, f"expected numbers: {error}") from error
+        # The map says what an action is.
+        quantity = (mapped.command or key) if key == "action" else key
+        if mapped.unit == "deg" and quantity in ANGLES:
+            values = np.deg2rad(values)
         is_named = len(names) == len(values) and "base" not in key
         for index, column in enumerate(values):
             name = joint or (names[index] if is_named else str(index))
-            name, column = mapped.converted(key, name, column)
+            name = model_names.get(name, name)
             if name in found[key]:
                 reason = f"a second column of {name}; rename one"
                 raise FileError(file, title, reason)
-            found[key][name] = column
+            entry = mapped.joints.get(name, JointMap())
+            offset = ANGLES.get(quantity, 0.0) * entry.offset_rad
+            found[key][name] = entry.sign * column + offset
     return found
 
 
@@ -328,8 +311,7 @@ def _by_joint(
 def _check_numbers(log: Log) -> Iterator[str]:
     """Leave out rows without numbers; raise an error if few are left, or if the times are no clock in seconds."""
     # A lost sample may have a quaternion of zeros.
-    is_lost = ~log.base_pose[:, 3:].any(axis=1)
-    log.base_pose[is_lost, 3:] = np.nan
+    log.base_pose[~log.base_pose[:, 3:].any(axis=1), 3:] = np.nan
     commands = np.column_stack([log.command_time_s, log.command])
     commands = commands[np.isfinite(commands).all(axis=1)]
     log.command_time_s, log.command = commands[:, 0], commands[:, 1:]
@@ -351,18 +333,14 @@ def _check_numbers(log: Log) -> Iterator[str]:
         raise FileError(log.name, place, reason)
 
 
-def _check_held(log: Log) -> Iterator[str]:
-    """Keep the first of equal samples where the encoder is slower than the log."""
+def _check_samples(log: Log) -> Iterator[str]:
+    """Leave out repeated samples where the encoder is slower than the log, and lost ones that were written as 0."""
     fresh = np.flatnonzero(np.diff(log.position, axis=0).any(axis=1)) + 1
     gaps = np.diff(fresh)
     period = int(np.median(gaps)) if len(gaps) else 1
     if period > 1 and np.mean(np.abs(gaps - period) <= period // 4) > MIN_REGULAR:
         log.keep(fresh)
         yield f"positions are held for {period} rows: the first of each is used"
-
-
-def _check_zeros(log: Log) -> Iterator[str]:
-    """Leave out lost samples that were written as 0."""
     bend = np.abs(np.diff(log.position, n=2, axis=0))
     is_jump = bend > MIN_JUMP + 12.0 * np.median(bend, axis=0)
     is_lost = ((log.position[1:-1] == 0.0) & is_jump).any(axis=1)
@@ -384,17 +362,14 @@ def _check_wraps(log: Log) -> Iterator[str]:
 def _check_jitter(log: Log) -> Iterator[str]:
     """Replace stamps that jitter by regular ones where the motion is smoother with them."""
     steps = np.diff(log.time_s)
-    jitter_s = float(np.std(steps))
-    if jitter_s < MAX_JITTER * log.interval_s or steps.max() > 3.0 * log.interval_s:
+    if steps.max() > 3.0 * log.interval_s:
         return
     regular_s = np.linspace(log.time_s[0], log.time_s[-1], len(log.time_s))
-    stamped, regular = (
-        noise_of(time_s, log.position).mean() for time_s in (log.time_s, regular_s)
-    )
-    if regular < 0.9 * stamped:
+    noise = noise_of(log.time_s, log.position).mean()
+    if noise_of(regular_s, log.position).mean() < 0.9 * noise:
         log.command_time_s = np.interp(log.command_time_s, log.time_s, regular_s)
         log.time_s = regular_s
-        yield f"stamps jitter by {1e3 * jitter_s:.2g} ms, and the motion does not: samples are taken as regular"
+        yield f"stamps jitter by {1e3 * np.std(steps):.2g} ms, and the motion does not: samples are taken as regular"
 
 
 def noise_of(time_s: FloatArray, values: FloatArray) -> FloatArray:
@@ -415,8 +390,7 @@ def noise_of(time_s: FloatArray, values: FloatArray) -> FloatArray:
 
 def _check_velocity(log: Log) -> Iterator[str]:
     """Add noise levels, and velocities where the log has none; compare those that it has with the positions."""
-    noise = noise_of(log.time_s, log.position)
-    log.position_noise = np.maximum(noise, MIN_NOISE)
+    log.position_noise = np.maximum(noise_of(log.time_s, log.position), MIN_NOISE)
     slope = np.gradient(log.position, log.time_s, axis=0)
     if not log.velocity.size:
         log.velocity = slope
@@ -432,18 +406,16 @@ def _check_velocity(log: Log) -> Iterator[str]:
         yield f"velocities are {product / variance:.3g} times the slope of the positions: another unit or clock"
 
 
-def _check_base(log: Log) -> Iterator[str]:
-    """Bring the base to quaternions w x y z and angular velocities in its own frame.
+def _base_options(log: Log) -> Iterator[tuple[Any, ...]]:
+    """Yield each order of quaternions and frame of angular velocities with its base.
 
-    Each order of quaternions is tried with each frame of angular velocities. Velocities that the pose contradicts are
-    replaced by its differences.
+    Yields:
+        Misfit of the linear and the angular velocities to the pose, over the limit; order; frame; pose and twist in the
+        terms of a log; velocities that the pose shows.
     """
-    if log.base_pose.shape[1] != 7:
-        return
-    if log.base_twist.shape[1] != 6:
-        log.base_twist = np.full((len(log.time_s), 6), np.nan)
     position, quaternion = np.split(log.base_pose, [3], axis=1)
-    linear, angular = np.split(log.base_twist, 2, axis=1)
+    # Without velocities, zeros are compared with the pose.
+    linear, angular = np.hsplit(np.resize(log.base_twist, (len(position), 6)), 2)
     window = max(1, round(TURN_S / log.interval_s))
 
     def power(rates: FloatArray) -> FloatArray:
@@ -452,8 +424,7 @@ def _check_base(log: Log) -> Iterator[str]:
         return np.mean(smooth**2, axis=(0, 2))
 
     # A turn has the noise of two quaternions, whose change is half of the angle.
-    noise = max(noise_of(log.time_s, log.base_pose).max(), MIN_NOISE) / TURN_S
-    bases, misfits = {}, {}
+    noise = (noise_of(log.time_s, log.base_pose).max() + MIN_NOISE) / TURN_S
     for order, shift in (("wxyz", 0), ("xyzw", 1)):
         if log.quaternion not in (None, order):
             continue
@@ -465,24 +436,33 @@ def _check_base(log: Log) -> Iterator[str]:
         limit = MAX_MISFIT * power(slope) + 8.0 * noise**2
         for frame, rate in (("body", angular), ("world", turn.inv().apply(angular))):
             twist = np.hstack([linear, rate])
-            bases[order, frame] = pose, twist, slope
-            misfits[order, frame] = power(twist - slope) / limit
-    best = min(misfit[1] for misfit in misfits.values())
+            yield power(twist - slope) / limit, order, frame, pose, twist, slope
+
+
+def _check_base(log: Log) -> Iterator[str]:
+    """Bring the base to quaternions w x y z and angular velocities in its own frame.
+
+    Each order of quaternions is tried with each frame of angular velocities. Velocities that the pose contradicts are
+    replaced by its differences.
+    """
+    if log.base_pose.shape[1] != 7:
+        return
+    options = [*_base_options(log)]
+    best = min(option[0][1] for option in options)
     sure = 1.0 + SURE * TURN_S / np.ptp(log.time_s)
-    near = [key for key in misfits if misfits[key][1] <= min(1.0, sure * best)]
-    near = near or [*misfits]
-    order, frame = near[0]
-    log.base_pose, log.base_twist, slope = bases[order, frame]
+    limit = min(1.0, sure * best)
+    near = [option for option in options if option[0][1] <= limit] or options
+    misfit, order, frame, log.base_pose, log.base_twist, slope = near[0]
     if order == "xyzw":
         yield "base_quat is x y z w: it is turned to w x y z"
     if frame == "world":
         yield "base_angvel is in the world frame: it is turned"
-    if len({order for order, _ in near}) > 1:
+    if len({order for _, order, *_ in near}) > 1:
         yield (
             "base_angvel does not show the order of base_quat: it is taken as w x y z; "
             'if it is x y z w, add quaternion = "xyzw" to --map'
         )
-    if not (misfits[order, frame] <= 1.0).all():
+    if (misfit > 1.0).any():
         log.base_twist = slope
         yield (
             "base velocities are missing or do not fit the pose (linear in the world, angular in the body frame): "
@@ -492,17 +472,16 @@ def _check_base(log: Log) -> Iterator[str]:
 
 def _check_commands(log: Log) -> Iterator[str]:
     """Report commands that move at every sample: what happens between samples is not known."""
-    is_held = log.command_interval_s > 1.1 * log.interval_s
+    is_fast = log.command_interval_s < 1.1 * log.interval_s
     if not log.command_kind:
         yield "no commands: the mechanism is taken as passive"
-    elif not is_held and log.command_kind in ("target", "tau"):
+    elif is_fast and log.command_kind in ("target", "tau"):
         yield f"commands change at every sample: a delay below {1e3 * log.interval_s:.3g} ms may be how they are held"
 
 
 CHECKS = (
     _check_numbers,
-    _check_held,
-    _check_zeros,
+    _check_samples,
     _check_wraps,
     _check_jitter,
     _check_velocity,

@@ -36,7 +36,7 @@ class Prediction:
     held_velocity_rms: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class JointReport:
     """Where the prediction of a joint leaves the noise.
 
@@ -77,7 +77,7 @@ class Value:
     changes: bool
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Explained:
     """A candidate.
 
@@ -96,7 +96,7 @@ class Explained:
     values: tuple[Value, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ReplayLine:
     """What a log and a model say of each other.
 
