@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from pathlib import Path
@@ -43,8 +43,8 @@ ALIASES = {
 A name that begins with another one, as `q_des`, stands before it.
 """
 
-ANGLES = {"position": 1.0, "target": 1.0, "ctrl": 1.0, "velocity": 0.0}
-"""Quantities with the unit of the map, and the factor of the offset of a joint that they contain."""
+ANGLES = ("position", "target", "ctrl")
+"""Quantities that contain the offset of a joint; with the velocities they have the unit of the map."""
 
 KEYS = {alias: key for key, text in ALIASES.items() for alias in text.split()}
 COLUMN = re.compile(rf"({'|'.join(KEYS)})(?:[._/:\[](.*?)\]?)?")
@@ -111,12 +111,14 @@ class LogMap(BaseModel, extra="forbid"):
     joints: dict[str, JointMap] = {}
     control: ControlMap = ControlMap()
 
-    def check_joints(self, known: Sequence[str]) -> None:
+    def check_joints(self, known: Mapping[str, Any]) -> None:
         """Raise an error for a joint of the map that a log lacks."""
         for table in (self.joints, *dict(self.control).values()):
             for name in table if isinstance(table, dict) else ():
                 if name not in known:
-                    reason = f"the log has no such joint; it has {first_names(known)}"
+                    reason = (
+                        f"the log has no such joint; it has {first_names([*known])}"
+                    )
                     raise FileError("--map", name, reason)
 
 
@@ -208,21 +210,20 @@ def read_log(
     except (OSError, ValueError, EOFError, BadZipFile) as error:
         reason = f"cannot be read as CSV, NPZ or Parquet: {error}"
         raise FileError(file, None, reason) from error
-    titles = [title for title, _ in columns]
-    given = mapped.order or [*map(str, dict(columns).get("joints", ()))]
+    by_title = dict(columns)
+    given = mapped.order or [*map(str, by_title.get("joints", ()))]
     found = _by_joint(file, columns, given or names, mapped)
-    kinds = [key for key in COMMANDS if found[key]]
-    kind: str = mapped.command or "".join(kinds[:1])
+    kind: str = mapped.command or next(filter(found.get, COMMANDS), "")
     found[kind] = found.get(kind) or found["action"]
     for key in filter(None, ("time", "position", kind)):
         if not found[key]:
-            reason = f"no column {key} ({ALIASES[key]}); it has {first_names(titles)}"
+            titles = first_names([*by_title])
+            reason = f"no column {key} ({ALIASES[key]}); the file has {titles}"
             raise FileError(file, None, reason)
     joints, rates = tuple(found["position"]), found["velocity"]
-    has_rates = rates.keys() >= {*joints}
-    found["velocity"] = {name: rates[name] for name in joints if has_rates}
-    mapped.check_joints([*(found["position"] | found[kind])])
-    time_s = next(iter(found["time"].values()))
+    found["velocity"] = {name: rates[name] for name in joints if name in rates}
+    mapped.check_joints(found["position"] | found[kind])
+    time_s, *_ = found["time"].values()
 
     def matrix(*keys: str) -> FloatArray:
         columns = [column for key in keys for column in found[key].values()]
@@ -246,9 +247,8 @@ def read_log(
         base_twist=matrix("base_linear_velocity", "base_angular_velocity"),
         quaternion=mapped.quaternion,
     )
-    if not given and any(KEYS.get(title) == "position" for title in titles):
-        text = "columns without names are taken in the order of the model"
-        log.findings.append(text)
+    if not given and "position" in map(KEYS.get, by_title):
+        log.findings.append("columns without names are taken in the order of the model")
     for check in CHECKS:
         log.findings += check(log)
     return log
@@ -290,7 +290,7 @@ def _by_joint(
             raise FileError(file, title, f"expected numbers: {error}") from error
         # The map says what an action is.
         quantity = (mapped.command or key) if key == "action" else key
-        if mapped.unit == "deg" and quantity in ANGLES:
+        if mapped.unit == "deg" and quantity in (*ANGLES, "velocity"):
             values = np.deg2rad(values)
         is_named = len(names) == len(values) and "base" not in key
         for index, column in enumerate(values):
@@ -300,7 +300,7 @@ def _by_joint(
                 reason = f"a second column of {name}; rename one"
                 raise FileError(file, title, reason)
             entry = mapped.joints.get(name, JointMap())
-            offset = ANGLES.get(quantity, 0.0) * entry.offset_rad
+            offset = entry.offset_rad if quantity in ANGLES else 0.0
             found[key][name] = entry.sign * column + offset
     return found
 
@@ -312,9 +312,9 @@ def _check_numbers(log: Log) -> Iterator[str]:
     """Leave out rows without numbers; raise an error if few are left, or if the times are no clock in seconds."""
     # A lost sample may have a quaternion of zeros.
     log.base_pose[~log.base_pose[:, 3:].any(axis=1), 3:] = np.nan
-    commands = np.column_stack([log.command_time_s, log.command])
-    commands = commands[np.isfinite(commands).all(axis=1)]
-    log.command_time_s, log.command = commands[:, 0], commands[:, 1:]
+    is_given = np.isfinite(np.column_stack([log.time_s, log.command])).all(axis=1)
+    log.command_time_s = log.command_time_s[is_given]
+    log.command = log.command[is_given]
     for name in SAMPLED:
         values = np.column_stack([getattr(log, name)])
         is_whole = np.isfinite(values).all(axis=1)
@@ -392,7 +392,7 @@ def _check_velocity(log: Log) -> Iterator[str]:
     """Add noise levels, and velocities where the log has none; compare those that it has with the positions."""
     log.position_noise = np.maximum(noise_of(log.time_s, log.position), MIN_NOISE)
     slope = np.gradient(log.position, log.time_s, axis=0)
-    if not log.velocity.size:
+    if log.velocity.shape != log.position.shape:
         log.velocity = slope
         log.velocity_noise = log.position_noise / (np.sqrt(2.0) * log.interval_s)
         yield "no velocities of all joints: differences of positions are used"
@@ -416,7 +416,7 @@ def _base_options(log: Log) -> Iterator[tuple[Any, ...]]:
     position, quaternion = np.split(log.base_pose, [3], axis=1)
     # Without velocities, zeros are compared with the pose.
     linear, angular = np.hsplit(np.resize(log.base_twist, (len(position), 6)), 2)
-    window = max(1, round(TURN_S / log.interval_s))
+    window = 1 + round(TURN_S / log.interval_s)
 
     def power(rates: FloatArray) -> FloatArray:
         # Mean squares of linear and angular rates without their noise.
