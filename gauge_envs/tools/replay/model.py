@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import PPoly
 
 from gauge_envs.errors import FileError, ParameterError, first_names
 from gauge_envs.files import processors
@@ -27,7 +27,6 @@ from gauge_envs.tools.replay.log import (
 IntArray = NDArray[np.int64]
 FREE = mujoco.mjtJoint.mjJNT_FREE.value
 AT_JOINT = mujoco.mjtTrn.mjTRN_JOINT.value
-FOREVER_S = 1e3
 UNLIMITED = 1e4
 """Limit of a joint [rad or m] or an actuator [N m or N] that is none."""
 MAX_GAP = 3.0
@@ -70,7 +69,7 @@ class Setup:
     timing: FloatArray
     payload: FloatArray
 
-    def controls(self, time_s: FloatArray, step_s: float) -> FloatArray:
+    def controls(self, time_s: FloatArray) -> FloatArray:
         """Return the mean control of steps that begin at given times, shape [..., nu].
 
         Commands hold until the next one. The mean over a step makes the result a continuous function of the delay.
@@ -80,13 +79,11 @@ class Setup:
         if repeat > 1:
             is_new = np.diff(self.command, axis=0, prepend=np.nan).any(axis=1)
             rows = np.flatnonzero(is_new)[phase::repeat]
-        # The first command also holds before its time, and the last one for ever.
         starts_s = self.command_time_s[rows]
-        knots_s = np.append(starts_s, starts_s[-1] + FOREVER_S)
-        knots_s[0] -= FOREVER_S
-        areas = np.cumsum(self.command[rows] * np.diff(knots_s)[:, None], axis=0)
-        area = make_interp_spline(knots_s, np.vstack([0.0 * areas[:1], areas]), k=1)
-        begin_s = time_s - self.delay_s
+        # Outside of its ends the integral goes on: the first command holds before its time, and the last one for ever.
+        knots_s = np.append(starts_s, starts_s[-1] + 1.0)
+        area = PPoly(self.command[None, rows], knots_s).antiderivative()
+        begin_s, step_s = time_s - self.delay_s, self.model.opt.timestep
         mean = (area(begin_s + step_s) - area(begin_s)) / step_s
         return (self.scale * (mean @ self.mixing) + self.offset) / self.divisor
 
@@ -108,18 +105,20 @@ def load_model(file: Path) -> mujoco.MjModel:
 
 def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
     """Return the names of the hinges and slides in the order of the model."""
-    is_single = model.jnt_type >= mujoco.mjtJoint.mjJNT_SLIDE.value
-    return tuple(model.joint(int(index)).name for index in np.flatnonzero(is_single))
+    return tuple(
+        model.joint(index).name
+        for index, kind in enumerate(model.jnt_type)
+        if kind >= mujoco.mjtJoint.mjJNT_SLIDE.value
+    )
 
 
 def _check_joints(model: mujoco.MjModel, log: Log) -> None:
     """Raise an error for a joint that the model lacks, and for a free base without a pose."""
     known = joint_names(model)
-    unknown = [name for name in log.joints if name not in known]
-    if unknown:
-        names = first_names(known)
-        reason = f"the model has no such joint; it has {names}: name it, or each column by `order`, in --map"
-        raise FileError(log.name, unknown[0], reason)
+    for name in log.joints:
+        if name not in known:
+            reason = f"the model has no such joint; it has {first_names(known)}: name it, or each column by `order`, in --map"
+            raise FileError(log.name, name, reason)
     if FREE in model.jnt_type and log.base_pose.shape[1] != 7:
         reason = "the base of the model is free; log its position and quaternion, or fix the base of the model"
         raise FileError(log.name, "base_pos, base_quat", reason)
@@ -245,7 +244,6 @@ class Replayer:
         _check_joints(model, log)
         self.log, drives = log, _drives(model)
         self._datas = [mujoco.MjData(model) for _ in range(processors())]
-        self._pool = rollout.Rollout(nthread=len(self._datas))
         self.joint = np.array([model.joint(name).id for name in log.joints])
         self.dof = model.jnt_dofadr[self.joint]
         self.actuator = np.array([drives.get(name, -1) for name in log.joints])
@@ -256,7 +254,7 @@ class Replayer:
         twist = log.base_twist[:, : len(base_dof)]
         places = np.append(base_place, model.jnt_qposadr[self.joint])
         self.dofs = np.append(base_dof, self.dof)
-        self.is_joint = np.arange(len(self.dofs)) >= len(base_dof)
+        self.is_joint = np.isin(self.dofs, self.dof)
         self.qpos = np.tile(model.qpos0, (len(log.time_s), 1))
         self.qvel = np.zeros((len(log.time_s), model.nv))
         self.qpos[:, places] = np.hstack([pose, log.position])
@@ -314,9 +312,9 @@ class Replayer:
         model, log = setup.model, self.log
         step_s = model.opt.timestep
         elapsed_s = self.elapsed_s(pieces)
-        count = max(1, int(np.ceil(elapsed_s.max() / step_s - 1e-9)))
+        count = int(np.ceil(elapsed_s.max() / step_s - 1e-9))
         times_s = log.time_s[pieces[:, :1]] + step_s * np.arange(count)
-        controls = setup.controls(times_s, step_s)
+        controls = setup.controls(times_s)
         qpos, qvel = self.qpos[pieces[:, 0]], self.qvel[pieces[:, 0]]
         if tangent is not None:
             turn, change = np.split(tangent, 2, axis=-1)
@@ -329,10 +327,12 @@ class Replayer:
         state[:, 1:end] = np.hstack([qpos, qvel])
         is_filtered = model.actuator_actadr >= 0
         state[:, end + model.actuator_actadr[is_filtered]] = controls[:, 0, is_filtered]
-        states, _ = self._pool.rollout(model, self._datas, state, controls)
+        states, _ = rollout.rollout(
+            model, self._datas, state, controls, persistent_pool=True
+        )
         motion = np.concatenate([qpos[:, None], states[:, :, 1 : 1 + model.nq]], axis=1)
         # Samples between two steps are interpolated.
-        place = np.clip(elapsed_s / step_s, 0.0, count)
+        place = elapsed_s / step_s
         left = np.minimum(place.astype(int), count - 1)
         part = (place - left)[..., None]
         rows = np.arange(len(qpos))[:, None]
@@ -353,22 +353,21 @@ class Replayer:
         Contacts amplify it further. Random initial states measure by how much, and C of a piece grows with it.
         """
         plain = self.predict(setup, pieces)
-        recorded = np.tile(self.noise[: len(self.dofs)], plain.shape[1])
+
+        def spread(tangents: FloatArray) -> FloatArray:
+            moved = [self.predict(setup, pieces, each) - plain for each in tangents]
+            columns = np.stack(moved, axis=-1).reshape(len(pieces), -1, len(moved))
+            return columns @ columns.transpose(0, 2, 1)
+
         units = np.eye(2 * setup.model.nv)[[*self.dofs, *setup.model.nv + self.dofs]]
         units *= self.noise[:, None]
-
-        def changes(tangents: FloatArray) -> FloatArray:
-            moved = [self.predict(setup, pieces, each) - plain for each in tangents]
-            return np.stack([each.reshape(len(pieces), -1) for each in moved], axis=-1)
-
-        sensitivity = changes(units)
-        covariance = sensitivity @ sensitivity.transpose(0, 2, 1) + np.diag(recorded**2)
-        whitener = np.linalg.inv(np.linalg.cholesky(covariance))
         draws = np.random.default_rng(0).normal(size=(DRAWS, len(pieces), len(units)))
-        drawn = (whitener @ changes(draws @ units)) ** 2
-        variance = drawn.mean(axis=-1) + ((whitener * recorded) ** 2).sum(axis=-1)
-        amplification = np.maximum(variance.mean(axis=-1), 1.0)
-        return covariance * amplification[:, None, None]
+        recorded = np.tile(self.noise[: len(self.dofs)], plain.shape[1])
+        covariance = spread(units) + np.diag(recorded**2)
+        drawn = spread(draws @ units) / DRAWS + np.diag(recorded**2)
+        ratio = np.linalg.solve(covariance, drawn)
+        growth = np.trace(ratio, axis1=1, axis2=2) / len(recorded)
+        return covariance * np.maximum(growth, 1.0)[:, None, None]
 
     def conditions(
         self, setup: Setup, samples: IntArray
@@ -378,7 +377,7 @@ class Replayer:
         For a joint without an actuator, the torque is the sum of gravity, Coriolis and centrifugal torques.
         """
         model, data, log = setup.model, self._datas[0], self.log
-        controls = setup.controls(log.time_s[samples], model.opt.timestep)
+        controls = setup.controls(log.time_s[samples])
         conditions = np.full((len(samples), len(self.joint)), "free", dtype="<U10")
         torques = np.zeros(conditions.shape)
         for place, row in enumerate(samples):
