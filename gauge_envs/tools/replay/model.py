@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -41,7 +42,7 @@ MAX_DEVIATION = 3.0
 class Setup:
     """A model and a controller: what predicts the log. A cause is a changed deep copy of it.
 
-    The control of an actuator is `(scale * command + offset) / divisor`.
+    The control of an actuator is `scale * command + offset`.
 
     Attributes:
         model: The compiled model; each joint and actuator has a limit, which is UNLIMITED where the file has none.
@@ -49,7 +50,6 @@ class Setup:
         command: Commands; angles count from the default pose, which is the offset, shape [M, nu].
         is_driven: Whether an actuator has commands, shape [nu].
         scale, offset: See above, shape [nu].
-        divisor: The gear for a torque, one over it for an angle, shape [nu].
         delay_s: Time from the command to its effect, shape [1].
         mixing: What each actuator takes of the command of each, shape [nu, nu].
         timing: Physics step [s]; n and k, where the controller takes only each n-th change of the command, from number
@@ -63,7 +63,6 @@ class Setup:
     is_driven: BoolArray
     scale: FloatArray
     offset: FloatArray
-    divisor: FloatArray
     delay_s: FloatArray
     mixing: FloatArray
     timing: FloatArray
@@ -85,7 +84,7 @@ class Setup:
         area = PPoly(self.command[None, rows], knots_s).antiderivative()
         begin_s, step_s = time_s - self.delay_s, self.model.opt.timestep
         mean = (area(begin_s + step_s) - area(begin_s)) / step_s
-        return (self.scale * (mean @ self.mixing) + self.offset) / self.divisor
+        return self.scale * (mean @ self.mixing) + self.offset
 
 
 def load_model(file: Path) -> mujoco.MjModel:
@@ -139,7 +138,6 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         is_driven=np.zeros(count, bool),
         scale=np.ones(count),
         offset=np.zeros(count),
-        divisor=np.ones(count),
         delay_s=np.zeros(1),
         mixing=np.eye(count),
         timing=np.array([model.opt.timestep, 1.0, 0.0]),
@@ -151,33 +149,34 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
             known = first_names([*drives])
             reason = f"no actuator of the model drives it; it has {known}: name it in --map, or add actuators"
             raise FileError(log.name, f"{kind} {name}", reason)
-        actuator = drives[name]
-        joint = model.joint(model.actuator_trnid[actuator, 0])
-        gear = model.actuator_gear[actuator, 0]
+        index = drives[name]
+        drive = setup.model.actuator(index)
+        joint = model.joint(drive.trnid[0])
         given = control.of(joint.name)
-        is_angle = kind in ("target", "action")
+        is_motor = drive.biasprm[1] == 0.0
+        if kind == "target" and is_motor and not given["kp"]:
+            reason = (
+                "the log has targets, but the model a motor; add kp and kd to --map"
+            )
+            raise ParameterError(f"{name}: {reason}")
+        is_angle = kind == "target" or (
+            kind == "action" and (given["kp"] or not is_motor)
+        )
         if kind == "tau":
-            _set_law(setup.model, actuator, 0.0, 0.0)
-            setup.divisor[actuator] = gear
-        elif is_angle and model.actuator_biasprm[actuator, 1] == 0.0:
-            is_angle = bool(given["kp"])
-            if is_angle:
-                _set_law(setup.model, actuator, given["kp"], given["kd"])
-            elif kind == "target":
-                reason = (
-                    "the log has targets, but the model a motor; add kp and kd to --map"
-                )
-                raise ParameterError(f"{name}: {reason}")
-        if is_angle:
-            setup.divisor[actuator] = 1.0 / gear
-            pose = given["default_rad"]
-            setup.offset[actuator] = home[joint.qposadr[0]] if pose is None else pose
+            _set_law(drive, 0.0, 0.0)
+        elif is_angle and is_motor:
+            _set_law(drive, given["kp"], given["kd"])
         if kind == "action":
-            setup.scale[actuator] = given["action_scale"]
-        # An action counts from the default pose, a target from zero.
-        zero = setup.offset[actuator] if kind == "target" else 0.0
-        setup.command[:, actuator] = command - zero
-        setup.is_driven[actuator] = True
+            setup.scale[index] = given["action_scale"]
+        zero = 0.0
+        if is_angle:
+            gear, pose = drive.gear[0], given["default_rad"]
+            pose = home[joint.qposadr[0]] if pose is None else pose
+            setup.scale[index] *= gear
+            setup.offset[index] = gear * pose
+            zero = pose if kind == "target" else 0.0
+        setup.command[:, index] = command - zero
+        setup.is_driven[index] = True
     _set_limits(setup.model)
     return setup
 
@@ -191,35 +190,34 @@ def _drives(model: mujoco.MjModel) -> dict[str, int]:
     return drives
 
 
-def _set_law(
-    model: mujoco.MjModel, actuator: int, stiffness: float, damping: float
-) -> None:
+def _set_law(drive: Any, stiffness: float, damping: float) -> None:
     """Give an actuator a PD law of its joint, whose limit of effort is the range of its control; a torque for zeros."""
-    gear = model.actuator_gear[actuator, 0]
-    stiffness, damping = stiffness / gear**2, damping / gear**2
-    if stiffness and model.actuator_ctrllimited[actuator]:
-        if not model.actuator_forcelimited[actuator]:
-            model.actuator_forcerange[actuator] = model.actuator_ctrlrange[actuator]
-        model.actuator_forcelimited[actuator] = 1
-    model.actuator_ctrllimited[actuator] = 0
-    model.actuator_biastype[actuator] = mujoco.mjtBias.mjBIAS_AFFINE.value
-    model.actuator_gainprm[actuator, :3] = stiffness or 1.0, 0.0, 0.0
-    model.actuator_biasprm[actuator, :3] = 0.0, -stiffness, -damping
+    if stiffness and drive.ctrllimited[0] and not drive.forcelimited[0]:
+        drive.forcerange[:], drive.forcelimited[:] = drive.ctrlrange, 1
+    drive.forcerange *= abs(drive.gear[0])
+    drive.gear[0] = 1.0
+    drive.ctrllimited[:] = 0
+    drive.biastype[:] = mujoco.mjtBias.mjBIAS_AFFINE.value
+    drive.gainprm[:3] = stiffness or 1.0, 0.0, 0.0
+    drive.biasprm[:3] = 0.0, -stiffness, -damping
 
 
 def _set_limits(model: mujoco.MjModel) -> None:
-    """Give each joint and actuator a limit, and the limit of effort of a joint to its actuator."""
-    model.jnt_range[model.jnt_limited == 0] = -UNLIMITED, UNLIMITED
-    model.jnt_limited[model.jnt_type >= mujoco.mjtJoint.mjJNT_SLIDE.value] = 1
-    model.actuator_forcerange[model.actuator_forcelimited == 0] = -UNLIMITED, UNLIMITED
-    model.actuator_forcelimited[:] = 1
-    joints, gear = model.actuator_trnid[:, 0], np.abs(model.actuator_gear[:, :1])
-    is_limited = model.jnt_actfrclimited[joints] == 1
-    limited = np.flatnonzero((model.actuator_trntype == AT_JOINT) & is_limited)
-    lower, upper = (model.jnt_actfrcrange[joints] / gear)[limited].T[..., None]
-    limits = np.clip(model.actuator_forcerange[limited], lower, upper)
-    model.actuator_forcerange[limited] = limits
-    model.jnt_actfrclimited[joints[limited]] = 0
+    """Give each joint and actuator a limit, and the limit of effort of a joint to its actuators."""
+    for ranges, is_limited in (
+        (model.jnt_range, model.jnt_limited),
+        (model.actuator_forcerange, model.actuator_forcelimited),
+    ):
+        ranges[is_limited == 0] = -UNLIMITED, UNLIMITED
+        is_limited[:] = 1
+    at_joint = np.flatnonzero(model.actuator_trntype == AT_JOINT)
+    joints = model.actuator_trnid[at_joint, 0]
+    for actuator, joint in zip(at_joint, joints, strict=True):
+        if model.jnt_actfrclimited[joint]:
+            gear = abs(model.actuator_gear[actuator, 0])
+            forces = model.actuator_forcerange[actuator]
+            np.clip(forces, *model.jnt_actfrcrange[joint] / gear, out=forces)
+    model.jnt_actfrclimited[joints] = 0
 
 
 class Replayer:
@@ -247,9 +245,9 @@ class Replayer:
         self.joint = np.array([model.joint(name).id for name in log.joints])
         self.dof = model.jnt_dofadr[self.joint]
         self.actuator = np.array([drives.get(name, -1) for name in log.joints])
-        free = np.flatnonzero(model.jnt_type == FREE)[:1, None]
-        base_place = (model.jnt_qposadr[free] + np.arange(7)).ravel()
-        base_dof = (model.jnt_dofadr[free] + np.arange(6)).ravel()
+        base = np.flatnonzero(model.jnt_type == FREE)[:1]
+        base_place = model.jnt_qposadr[base] + np.arange(7 * len(base))
+        base_dof = model.jnt_dofadr[base] + np.arange(6 * len(base))
         pose = log.base_pose[:, : len(base_place)]
         twist = log.base_twist[:, : len(base_dof)]
         places = np.append(base_place, model.jnt_qposadr[self.joint])
@@ -312,30 +310,31 @@ class Replayer:
         model, log = setup.model, self.log
         step_s = model.opt.timestep
         elapsed_s = self.elapsed_s(pieces)
-        count = int(np.ceil(elapsed_s.max() / step_s - 1e-9))
+        count = int(elapsed_s.max() / step_s) + 1
         times_s = log.time_s[pieces[:, :1]] + step_s * np.arange(count)
         controls = setup.controls(times_s)
-        qpos, qvel = self.qpos[pieces[:, 0]], self.qvel[pieces[:, 0]]
+        size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        state = np.zeros((len(pieces), size))
+        ends = np.cumsum([1, model.nq, model.nv])
+        _, qpos, qvel, activation = np.split(state, ends, axis=1)
+        qpos[:], qvel[:] = self.qpos[pieces[:, 0]], self.qvel[pieces[:, 0]]
         if tangent is not None:
             turn, change = np.split(tangent, 2, axis=-1)
             qvel += change
             for row, each in zip(qpos, np.broadcast_to(turn, qvel.shape), strict=True):
                 mujoco.mj_integratePos(model, row, each, 1.0)
-        size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-        state = np.zeros((len(qpos), size))
-        end = 1 + model.nq + model.nv
-        state[:, 1:end] = np.hstack([qpos, qvel])
         is_filtered = model.actuator_actadr >= 0
-        state[:, end + model.actuator_actadr[is_filtered]] = controls[:, 0, is_filtered]
+        filters = model.actuator_actadr[is_filtered]
+        activation[:, filters] = controls[:, 0, is_filtered]
         states, _ = rollout.rollout(
             model, self._datas, state, controls, persistent_pool=True
         )
-        motion = np.concatenate([qpos[:, None], states[:, :, 1 : 1 + model.nq]], axis=1)
+        motion = np.hstack([state[:, None], states])[..., 1 : 1 + model.nq]
         # Samples between two steps are interpolated.
         place = elapsed_s / step_s
-        left = np.minimum(place.astype(int), count - 1)
+        left = place.astype(int)
         part = (place - left)[..., None]
-        rows = np.arange(len(qpos))[:, None]
+        rows = np.arange(len(pieces))[:, None]
         predicted = (1.0 - part) * motion[rows, left] + part * motion[rows, left + 1]
         recorded = self.qpos[pieces[:, 1:]]
         difference = np.zeros((*place.shape, model.nv))

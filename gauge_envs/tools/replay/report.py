@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -46,11 +46,8 @@ MIN_CORRELATION = 0.99
 MAX_ROWS = 12
 """Joints that the text shows, those with the largest error first."""
 MAX_CAUSES = 4
-MAX_WIDTH = 0.4
-"""Width of the interval of a gain, over its value, from which on only ratios are sure."""
 MAX_FIGURE_ROWS = 4
 FIGURE_PREDICTIONS = 40
-FIGURE_OUTPUTS = 12
 FIGURE_HORIZON_S = 0.25
 
 
@@ -98,20 +95,20 @@ def replay(
     compiled = load_model(model)
     names = joint_names(compiled)
     logs = [read_log(file, names, mapped) for file in (log, against) if file]
-    problems = []
     # A trial may make the simulation unstable; its error says so.
     mujoco.set_mju_user_warning(lambda _: None)
     try:
-        for each in logs:
-            replayer = Replayer(each, compiled)
-            setup = build_setup(compiled, each, mapped.control)
-            problems.append(Problem(replayer, setup))
+        problems = [
+            Problem(
+                Replayer(each, compiled), build_setup(compiled, each, mapped.control)
+            )
+            for each in logs
+        ]
         problem = problems[-1]
         if against is not None:
             problem.floor = max(1.0, problems[0].before.error)
-        explanation = explain(
-            problem, candidates(problem.replayer, problem.setup), advance
-        )
+        causes = candidates(problem.replayer, problem.setup)
+        explanation = explain(problem, causes, advance)
     finally:
         mujoco.set_mju_user_warning(None)
     line = _line(model.name, logs, explanation)
@@ -120,148 +117,141 @@ def replay(
 
 def _line(model: str, logs: Sequence[Log], explanation: Explanation) -> ReplayLine:
     """Return the report of an explanation."""
-    problem = explanation.problem
-    verdict, several = explanation.verdict, explanation.several
+    problem, several = explanation.problem, explanation.several
     joints, conditions = _joint_reports(problem, _repeat(logs[0], logs[-1]))
     alone = [_explained(problem, fit)[0] for fit in explanation.fits]
     together = _explained(problem, several) if several else []
-    named = {Verdict.CAUSE: alone[:1], Verdict.SEVERAL: together}.get(verdict, [])
+    named = {Verdict.CAUSE: alone[:1], Verdict.SEVERAL: together}
+    pasted = named.get(explanation.verdict, [])
+    *baseline, log = logs
     line = ReplayLine(
-        log=logs[-1].name,
-        baseline=logs[0].name if len(logs) > 1 else None,
+        log=log.name,
+        baseline=baseline[0].name if baseline else None,
         model=model,
-        verdict=verdict,
+        verdict=explanation.verdict,
         sentence="",
         error_over_noise=problem.before.error,
         error_after=(explanation.change or problem.before).error,
-        baseline_over_noise=problem.floor if len(logs) > 1 else None,
+        baseline_over_noise=problem.floor if baseline else None,
         findings=tuple(dict.fromkeys(text for log in logs for text in log.findings)),
         joints=joints,
         conditions=conditions,
         candidates=tuple(alone),
         alike=tuple(explanation.alike),
         several=tuple(together),
-        paste=paste_lines(named, problem.setup.model.opt.timestep),
+        paste=paste_lines(pasted, problem.setup.model.opt.timestep),
     )
     return replace(line, sentence=_sentence(line))
 
 
-def _rms(values: FloatArray) -> FloatArray:
+def _rms(values: FloatArray) -> Any:
     return np.sqrt(np.mean(values**2, axis=0))
 
 
 def _joint_reports(
-    problem: Problem, repeat: Sequence[float | None]
+    problem: Problem, repeat: Sequence[float] | None
 ) -> tuple[tuple[JointReport, ...], dict[str, float]]:
     """Return predictions over each horizon by joint, and the error over noise by condition."""
     replayer, setup = problem.replayer, problem.setup
     log, is_joint = replayer.log, replayer.is_joint
-    predictions: dict[float, FloatArray] = {}
+    predictions = []
     for horizon_s, count in HORIZONS_S.items():
         pieces = replayer.pieces(horizon_s, count, outputs=1)
         few = replayer.pieces(horizon_s, NOISE_PIECES, outputs=1)
         variance = np.diagonal(replayer.covariance(setup, few), axis1=1, axis2=2)
         noise = np.sqrt(np.median(variance[:, is_joint], axis=0))
-        error = replayer.predict(setup, pieces)[:, -1, is_joint]
-        starts = pieces[:, 0]
-        moved = log.position[pieces[:, -1]] - log.position[starts]
+        error = replayer.predict(setup, pieces)[:, 0, is_joint]
+        starts, ends = pieces.T
+        moved = log.position[ends] - log.position[starts]
         kept = replayer.elapsed_s(pieces) * log.velocity[starts]
         rms, motion = _rms(error), np.maximum(_rms(moved), 1e-9)
-        numbers = [rms, rms / noise, rms / motion, _rms(kept - moved)]
-        predictions[horizon_s or log.interval_s] = np.column_stack(numbers)
+        numbers = np.transpose([rms, rms / noise, rms / motion, _rms(kept - moved)])
+        length_s = horizon_s or log.interval_s
+        predictions.append([Prediction(length_s, *row) for row in numbers])
         if horizon_s == 0.1:
             ratio, times_s = np.abs(error / noise), log.time_s[starts]
             conditions = replayer.conditions(setup, starts)[0]
     is_far = (ratio[:-1] > LEAVES) & (ratio[1:] > LEAVES)
     reports = []
-    for joint, name in enumerate(log.joints):
+    for joint, rows in enumerate(zip(*predictions, strict=True)):
         first = np.flatnonzero(is_far[:, joint])[:1]
-        rows = [
-            Prediction(horizon_s, *numbers[joint].tolist())
-            for horizon_s, numbers in predictions.items()
-        ]
         report = JointReport(
-            joint=name,
-            noise=float(log.position_noise[joint]),
-            parts_s=next(iter(times_s[first].tolist()), None),
+            joint=log.joints[joint],
+            noise=log.position_noise[joint],
+            parts_s=times_s[first[0]] if len(first) else None,
             condition="".join(conditions[first, joint]),
-            repeat_rms=repeat[joint],
-            predictions=tuple(rows),
+            repeat_rms=repeat[joint] if repeat else None,
+            predictions=rows,
         )
         reports.append(report)
     reports.sort(key=lambda row: -row.predictions[1].over_noise)
     by_condition = {
-        str(name): float(_rms(ratio[conditions == name]))
-        for name in np.unique(conditions)
+        name: _rms(ratio[conditions == name]) for name in np.unique(conditions).tolist()
     }
     return tuple(reports), by_condition
 
 
-def _repeat(first: Log, second: Log) -> Sequence[float | None]:
-    """Return the root mean square difference of two logs with the same commands by joint; None for others."""
+def _repeat(first: Log, second: Log) -> Sequence[float] | None:
+    """Return the root mean square difference of two logs by joint; None if their commands differ."""
     common = second.time_s <= first.time_s[-1]
     time_s = second.time_s[common]
-    if first is not second and first.command_kind and first.joints == second.joints:
-        commands = [
-            make_interp_spline(log.command_time_s, log.command, k=1)(time_s).ravel()
-            for log in (first, second)
-        ]
-        if np.asarray(np.corrcoef(commands))[0, 1] >= MIN_CORRELATION:
-            repeated = make_interp_spline(first.time_s, first.position, k=1)(time_s)
-            return _rms(repeated - second.position[common]).tolist()
-    return [None] * len(second.joints)
+    if first is second or not first.command_kind or first.joints != second.joints:
+        return None
+    commands = [
+        make_interp_spline(log.command_time_s, log.command, k=1)(time_s).ravel()
+        for log in (first, second)
+    ]
+    if np.corrcoef(*commands)[0, 1] < MIN_CORRELATION:
+        return None
+    repeated = make_interp_spline(first.time_s, first.position, k=1)(time_s)
+    return _rms(repeated - second.position[common]).tolist()
 
 
 def _explained(problem: Problem, fit: Fit) -> list[Explained]:
     """Return the causes of a fit as they are printed."""
-    rows, step_s = [], problem.replayer.log.command_interval_s
+    explained, step_s = [], problem.replayer.log.command_interval_s
     half = np.nan * fit.numbers if fit.half_width is None else fit.half_width
     trials = (fit.numbers, fit.numbers - half, fit.numbers + half)
     for terms in zip(*map(fit.parts, trials), strict=True):
         cause, group = terms[0][0]
-        table = [cause.present, *(cause.values(group, trial) for _, trial in terms)]
-        values = []
+        columns = [cause.present, *(cause.values(group, trial) for _, trial in terms)]
+        rows, values = np.transpose(columns), []
         for k in np.flatnonzero(group.selection.any(axis=1)):
-            present, fitted, low, high = (float(column[k]) for column in table)
+            present, fitted, low, high = rows[k].tolist()
             changes = low > present or high < present
             now = present if abs(present) < UNLIMITED else None
             ends = (None, None) if np.isnan(low) else (low, high)
-            name = cause.parameters[k]
-            values.append(Value(name, now, fitted, ends[0], ends[1], changes))
-        text = _text(cause, group.label, values, step_s)
-        share = problem.share(fit)
-        rows.append(
-            Explained(
-                cause=cause.name,
-                text=text,
-                share=share,
-                unit=cause.unit,
-                values=tuple(values),
+            values.append(
+                Value(cause.parameters[k], now, fitted, ends[0], ends[1], changes)
             )
+        row = Explained(
+            cause=cause.name,
+            text=_text(cause, group.label, values, step_s),
+            share=problem.share(fit),
+            unit=cause.unit,
+            values=tuple(values),
         )
-    return rows
+        explained.append(row)
+    return explained
 
 
 def _text(cause: Cause, label: str, values: Sequence[Value], step_s: float) -> str:
     """Return a cause with its value, as `delay of 2 steps (40 ms)`."""
-    name = cause.name
+    name, unit = cause.name, f" {cause.unit}".rstrip()
     if not values:
         return f"{name}: {label}"
-    value = values[0]
+    value, numbers = values[0], [each.fitted for each in values]
     if name == "delay":
         return (
             f"delay of {value.fitted / step_s:.2g} steps ({1e3 * value.fitted:.3g} ms)"
         )
-    unit = f" {cause.unit}" if cause.unit else ""
     if len(values) == 1:
         now = "no limit" if value.present is None else f"{value.present:.3g}"
         return f"{name} of {value.parameter}: {value.fitted:.3g}{unit} (now {now})"
-    numbers = [each.fitted for each in values]
-    text = f"{name} of {label}: {min(numbers):.2g} to {max(numbers):.2g}"
-    if len(values) <= 3:
-        texts = ", ".join(f"{each.parameter} {each.fitted:.3g}" for each in values)
-        text = f"{name}: {texts}"
-    return f"{text}{unit}"
+    if len(values) > 3:
+        return f"{name} of {label}: {min(numbers):.2g} to {max(numbers):.2g}{unit}"
+    texts = [f"{each.parameter} {each.fitted:.3g}" for each in values]
+    return f"{name}: {', '.join(texts)}{unit}"
 
 
 def paste_lines(causes: Sequence[Explained], step_s: float) -> dict[str, str]:
@@ -271,14 +261,14 @@ def paste_lines(causes: Sequence[Explained], step_s: float) -> dict[str, str]:
         causes: What was named.
         step_s: Physics step of the model, in which Isaac Lab and mjlab count a delay.
     """
-    pasted: dict[str, dict[str, None]] = {}
+    pasted: dict[str, list[str]] = {}
     for cause in causes:
         values = [value for value in cause.values if value.changes]
         numbers = {value.parameter: round(value.fitted, 6) for value in values}
         together = " ".join(f"{value.fitted:.4g}" for value in cause.values)
         for value in values:
             steps = round(value.fitted / step_s)
-            for stack, template in SNIPPETS.get(cause.cause, {}).items():
+            for stack, template in SNIPPETS[cause.cause].items():
                 text = template.format(
                     name=value.parameter,
                     value=value.fitted,
@@ -287,8 +277,9 @@ def paste_lines(causes: Sequence[Explained], step_s: float) -> dict[str, str]:
                     steps=steps,
                     samples=steps + 2,
                 )
-                pasted.setdefault(stack, {})[text] = None
-    return {stack: "\n".join(texts) for stack, texts in pasted.items()}
+                pasted.setdefault(stack, []).append(text)
+    # Values that share a line have it once.
+    return {stack: "\n".join(dict.fromkeys(texts)) for stack, texts in pasted.items()}
 
 
 def _sentence(line: ReplayLine) -> str:
@@ -297,58 +288,38 @@ def _sentence(line: ReplayLine) -> str:
     remains = (
         f"; the remaining error is {times:.0f} times the noise" if times > 2.0 else ""
     )
-    if line.verdict is Verdict.NOISE and (line.baseline_over_noise or 1.0) > 1.5:
-        return f"The model predicts {line.log} as badly as {line.baseline}: the logs do not differ{remains}."
     if line.verdict is Verdict.NOISE:
-        return f"The model predicts {line.log} within its noise: nothing is left to explain."
-    best = line.candidates[0]
+        text = f"The model predicts {line.log} within its noise: nothing is left to explain"
+        if (line.baseline_over_noise or 1.0) > 1.5:
+            text = f"The model predicts {line.log} as badly as {line.baseline}: the logs do not differ"
+        return f"{text}{remains}."
+    best, several = line.candidates[0], line.several
     share = f"{_percent(best.share)} %"
-    if line.verdict is Verdict.CAUSE:
-        return f"{best.text} explains {share} of the difference{remains}."
-    together = f"{_percent(line.several[-1].share)} %" if line.several else ""
+    text = f"{best.text} explains {share} of the difference"
+    if several:
+        together = f"{_percent(several[-1].share)} %"
+        names = " and ".join(each.cause for each in several)
+        texts = " and ".join(each.text for each in several)
     if line.verdict is Verdict.SEVERAL:
-        texts = " and ".join(each.text for each in line.several)
         alone = f"best alone: {best.cause}, {share}"
-        return (
-            f"{texts} together explain {together} of the difference ({alone}){remains}."
-        )
-    names = " and ".join(each.cause for each in line.several)
-    more = f"; together {names}, {together}" if line.several else ""
-    return (
-        f"Nothing in the list explains it (best: {best.text}, {share}{more}){remains}."
-    )
-
-
-def _ratios(line: ReplayLine) -> str:
-    """Return the ratios of a servo whose motion does not show how large its torques are; empty for others.
-
-    Torque and inertia times the same number give the same motion, but for gravity and the inertia of the link.
-    """
-    values = {each.cause: each.values[0] for each in line.several if each.values}
-    if not values.keys() >= {"kp", "armature", "damping"}:
-        return ""
-    stiffness, damping, armature = (
-        values[name].fitted for name in ("kp", "damping", "armature")
-    )
-    low, high = values["kp"].low or 0.0, values["kp"].high or np.inf
-    if high - low < MAX_WIDTH * stiffness:
-        return ""
-    return (
-        f"Only ratios are sure: kp / armature {stiffness / armature:.3g} 1/s^2, "
-        f"damping / armature {damping / armature:.3g} 1/s."
-    )
+        text = f"{texts} together explain {together} of the difference ({alone})"
+    elif line.verdict is Verdict.NOTHING:
+        more = f"; together {names}, {together}" if several else ""
+        text = f"Nothing in the list explains it (best: {best.text}, {share}{more})"
+    return f"{text}{remains}."
 
 
 def replay_document(line: ReplayLine) -> Document:
     """Return the answer, a table by joint, a table by cause, and the lines to paste."""
-    parts: list[Part] = [Paragraph(line.sentence, Tone.ANSWER)]
+    warnings = [f"Log: {text}." for text in line.findings]
     if line.alike:
-        text = f"The log cannot tell {line.candidates[0].cause} from: {', '.join(line.alike)}."
-        parts.append(Paragraph(text, Tone.WARNING))
-    if text := _ratios(line):
-        parts.append(Paragraph(text, Tone.WARNING))
-    parts += [Paragraph(f"Log: {text}.", Tone.WARNING) for text in line.findings]
-    parts.append(_joint_table(line.joints))
+        best, others = line.candidates[0].cause, ", ".join(line.alike)
+        warnings.insert(0, f"The log cannot tell {best} from: {others}.")
+    parts: list[Part] = [
+        Paragraph(line.sentence, Tone.ANSWER),
+        *(Paragraph(text, Tone.WARNING) for text in warnings),
+        _joint_table(line.joints),
+    ]
     if len(line.conditions) > 1:
         texts = [f"{name} {value:.3g}" for name, value in line.conditions.items()]
         parts.append(Paragraph(f"Error over noise after 0.1 s: {', '.join(texts)}."))
@@ -421,30 +392,27 @@ def replay_figure(replay: Replay) -> Figure:
 
     A row has the log, predictions from recorded states before and after the change, and the time at which they part.
     """
-    problem, change = replay.problem, replay.change
-    replayer, log = problem.replayer, problem.replayer.log
-    pieces = replayer.pieces(
-        FIGURE_HORIZON_S, FIGURE_PREDICTIONS, outputs=FIGURE_OUTPUTS
-    )
-    times_s, recorded = log.time_s[pieces[:, 1:]], log.position[pieces[:, 1:]]
+    problem, replayer = replay.problem, replay.problem.replayer
+    log, rows = replayer.log, replay.line.joints[:MAX_FIGURE_ROWS]
     setups = {"model": problem.setup}
-    if change is not None:
-        setups["after the change"] = problem.changed(change)
-    curves = {
-        name: recorded + replayer.predict(setup, pieces)[..., replayer.is_joint]
-        for name, setup in setups.items()
-    }
-    rows = replay.line.joints[:MAX_FIGURE_ROWS]
+    if replay.change is not None:
+        setups["after the change"] = problem.changed(replay.change)
+    pieces = replayer.pieces(FIGURE_HORIZON_S, FIGURE_PREDICTIONS)
+    samples = pieces[:, 1:]
+    deviations = [
+        replayer.predict(setup, pieces)[..., replayer.is_joint]
+        for setup in setups.values()
+    ]
     figure = new_figure(10.0, 2.0 * len(rows) + 0.8)
     axes = figure.subplots(len(rows), squeeze=False, sharex=True)[:, 0]
     for axis, row in zip(axes, rows, strict=True):
         joint = log.joints.index(row.joint)
         angle = log.position[:, joint]
         axis.plot(log.time_s, angle, color=REAL, lw=2.4, alpha=0.4, label="log")
-        for color, (name, predicted) in zip(OURS, curves.items(), strict=False):
-            angles = predicted[..., joint].T
-            lines = axis.plot(times_s.T, angles, color=color, lw=1.2)
-            lines[0].set_label(name)
+        for name, color, deviation in zip(setups, OURS, deviations, strict=False):
+            predicted = angle[samples] + deviation[..., joint]
+            curves = axis.plot(log.time_s[samples].T, predicted.T, color=color, lw=1.2)
+            curves[0].set_label(name)
         if row.parts_s is not None:
             axis.axvline(row.parts_s, color=REAL, lw=0.8, ls=":")
         axis.set_ylabel(f"{row.joint} [rad or m]", fontsize=8)
