@@ -111,18 +111,6 @@ def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
     )
 
 
-def _check_joints(model: mujoco.MjModel, log: Log) -> None:
-    """Raise an error for a joint that the model lacks, and for a free base without a pose."""
-    known = joint_names(model)
-    for name in log.joints:
-        if name not in known:
-            reason = f"the model has no such joint; it has {first_names(known)}: name it, or each column by `order`, in --map"
-            raise FileError(log.name, name, reason)
-    if FREE in model.jnt_type and log.base_pose.shape[1] != 7:
-        reason = "the base of the model is free; log its position and quaternion, or fix the base of the model"
-        raise FileError(log.name, "base_pos, base_quat", reason)
-
-
 def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
     """Return the setup that states what the user gave: the model, the gains and the scale of actions.
 
@@ -154,14 +142,12 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         joint = model.joint(drive.trnid[0])
         given = control.of(joint.name)
         is_motor = drive.biasprm[1] == 0.0
-        if kind == "target" and is_motor and not given["kp"]:
+        is_angle = kind in ("target", "action") and (given["kp"] or not is_motor)
+        if kind == "target" and not is_angle:
             reason = (
                 "the log has targets, but the model a motor; add kp and kd to --map"
             )
             raise ParameterError(f"{name}: {reason}")
-        is_angle = kind == "target" or (
-            kind == "action" and (given["kp"] or not is_motor)
-        )
         if kind == "tau":
             _set_law(drive, 0.0, 0.0)
         elif is_angle and is_motor:
@@ -204,12 +190,10 @@ def _set_law(drive: Any, stiffness: float, damping: float) -> None:
 
 def _set_limits(model: mujoco.MjModel) -> None:
     """Give each joint and actuator a limit, and the limit of effort of a joint to its actuators."""
-    for ranges, is_limited in (
-        (model.jnt_range, model.jnt_limited),
-        (model.actuator_forcerange, model.actuator_forcelimited),
-    ):
-        ranges[is_limited == 0] = -UNLIMITED, UNLIMITED
-        is_limited[:] = 1
+    model.jnt_range[model.jnt_limited == 0] = -UNLIMITED, UNLIMITED
+    model.jnt_limited[:] = 1
+    model.actuator_forcerange[model.actuator_forcelimited == 0] = -UNLIMITED, UNLIMITED
+    model.actuator_forcelimited[:] = 1
     at_joint = np.flatnonzero(model.actuator_trntype == AT_JOINT)
     joints = model.actuator_trnid[at_joint, 0]
     for actuator, joint in zip(at_joint, joints, strict=True):
@@ -236,16 +220,29 @@ class Replayer:
         dofs: Addresses of the degrees of freedom in `qvel`, shape [D].
         noise: Noise of the degrees of freedom and then of their rates, shape [2 D].
         is_joint: Whether a degree of freedom is a joint, shape [D].
+
+    Raises:
+        FileError: The model lacks a joint of the log, or has a free base whose pose the log lacks.
     """
 
     def __init__(self, log: Log, model: mujoco.MjModel) -> None:
-        _check_joints(model, log)
-        self.log, drives = log, _drives(model)
+        known, drives = joint_names(model), _drives(model)
+        for name in log.joints:
+            if name not in known:
+                reason = (
+                    f"the model has no such joint; it has {first_names(known)}: "
+                    "name it, or each column by `order`, in --map"
+                )
+                raise FileError(log.name, name, reason)
+        base = np.flatnonzero(model.jnt_type == FREE)[:1]
+        if len(base) and log.base_pose.shape[1] != 7:
+            reason = "the base of the model is free; log its position and quaternion, or fix the base of the model"
+            raise FileError(log.name, "base_pos, base_quat", reason)
+        self.log = log
         self._datas = [mujoco.MjData(model) for _ in range(processors())]
         self.joint = np.array([model.joint(name).id for name in log.joints])
         self.dof = model.jnt_dofadr[self.joint]
         self.actuator = np.array([drives.get(name, -1) for name in log.joints])
-        base = np.flatnonzero(model.jnt_type == FREE)[:1]
         base_place = model.jnt_qposadr[base] + np.arange(7 * len(base))
         base_dof = model.jnt_dofadr[base] + np.arange(6 * len(base))
         pose = log.base_pose[:, : len(base_place)]

@@ -263,16 +263,20 @@ def paste_lines(causes: Sequence[Explained], step_s: float) -> dict[str, str]:
     """
     pasted: dict[str, list[str]] = {}
     for cause in causes:
-        values = [value for value in cause.values if value.changes]
-        numbers = {value.parameter: round(value.fitted, 6) for value in values}
+        # Four digits are more than a log tells.
+        changed = {
+            value.parameter: float(f"{value.fitted:.4g}")
+            for value in cause.values
+            if value.changes
+        }
         together = " ".join(f"{value.fitted:.4g}" for value in cause.values)
-        for value in values:
-            steps = round(value.fitted / step_s)
+        for name, number in changed.items():
+            steps = round(number / step_s)
             for stack, template in SNIPPETS[cause.cause].items():
                 text = template.format(
-                    name=value.parameter,
-                    value=value.fitted,
-                    numbers=numbers,
+                    name=name,
+                    value=number,
+                    numbers=changed,
                     together=together,
                     steps=steps,
                     samples=steps + 2,
@@ -315,10 +319,31 @@ def replay_document(line: ReplayLine) -> Document:
     if line.alike:
         best, others = line.candidates[0].cause, ", ".join(line.alike)
         warnings.insert(0, f"The log cannot tell {best} from: {others}.")
+    numbers = {
+        "noise": ("noise", _milli),
+        "predictions.0.over_noise": ("1 step /noise", _ratio),
+        "predictions.1.rms": ("0.1 s", _milli),
+        "predictions.1.over_noise": ("/noise", _ratio),
+        "predictions.1.over_motion": ("/motion %", _percent),
+        "predictions.1.held_velocity_rms": ("const. vel.", _milli),
+        "predictions.2.rms": ("0.5 s", _milli),
+        "repeat_rms": ("repeat", _milli),
+        "parts_s": ("differs at s", _ratio),
+    }
+    if line.joints[0].repeat_rms is None:
+        del numbers["repeat_rms"]
+    columns = [
+        Column(key, title, form, is_number=True)
+        for key, (title, form) in numbers.items()
+    ]
     parts: list[Part] = [
         Paragraph(line.sentence, Tone.ANSWER),
         *(Paragraph(text, Tone.WARNING) for text in warnings),
-        _joint_table(line.joints),
+        Table(
+            title=f"Predictions from recorded states [mrad or mm], worst of {len(line.joints)} joints first",
+            columns=(Column("joint", "joint"), *columns, Column("condition", "in")),
+            rows=line.joints[:MAX_ROWS],
+        ),
     ]
     if len(line.conditions) > 1:
         texts = [f"{name} {value:.3g}" for name, value in line.conditions.items()]
@@ -346,32 +371,6 @@ def _interval(values: Sequence[Value]) -> str:
     if len(values) != 1 or values[0].low is None:
         return ""
     return f"{values[0].low:.3g} to {values[0].high:.3g}"
-
-
-def _joint_table(joints: Sequence[JointReport]) -> Table:
-    """Return the table by joint."""
-    numbers = {
-        "noise": ("noise", _milli),
-        "predictions.0.over_noise": ("1 step /noise", _ratio),
-        "predictions.1.rms": ("0.1 s", _milli),
-        "predictions.1.over_noise": ("/noise", _ratio),
-        "predictions.1.over_motion": ("/motion %", _percent),
-        "predictions.1.held_velocity_rms": ("const. vel.", _milli),
-        "predictions.2.rms": ("0.5 s", _milli),
-        "repeat_rms": ("repeat", _milli),
-        "parts_s": ("differs at s", _ratio),
-    }
-    if joints[0].repeat_rms is None:
-        del numbers["repeat_rms"]
-    columns = [
-        Column(key, title, form, is_number=True)
-        for key, (title, form) in numbers.items()
-    ]
-    return Table(
-        title=f"Predictions from recorded states [mrad or mm], worst of {len(joints)} joints first",
-        columns=(Column("joint", "joint"), *columns, Column("condition", "in")),
-        rows=joints[:MAX_ROWS],
-    )
 
 
 def _cause_table(title: str, causes: Sequence[Explained]) -> Table:
