@@ -26,7 +26,6 @@ from gauge_envs.tools.replay.log import (
 )
 
 IntArray = NDArray[np.int64]
-FREE = mujoco.mjtJoint.mjJNT_FREE.value
 AT_JOINT = mujoco.mjtTrn.mjTRN_JOINT.value
 UNLIMITED = 1e4
 """Limit of a joint [rad or m] or an actuator [N m or N] that is none."""
@@ -77,7 +76,8 @@ class Setup:
         repeat, phase = self.timing[1:].astype(int)
         if repeat > 1:
             is_new = np.diff(self.command, axis=0, prepend=np.nan).any(axis=1)
-            rows = np.flatnonzero(is_new)[phase::repeat]
+            # The first command holds until the first one that the controller takes.
+            rows = np.union1d(0, np.flatnonzero(is_new)[phase::repeat])
         starts_s = self.command_time_s[rows]
         # Outside of its ends the integral goes on: the first command holds before its time, and the last one for ever.
         knots_s = np.append(starts_s, starts_s[-1] + 1.0)
@@ -234,12 +234,15 @@ class Replayer:
                     "name it, or each column by `order`, in --map"
                 )
                 raise FileError(log.name, name, reason)
-        base = np.flatnonzero(model.jnt_type == FREE)[:1]
+        base = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value)[:1]
         if len(base) and log.base_pose.shape[1] != 7:
             reason = "the base of the model is free; log its position and quaternion, or fix the base of the model"
             raise FileError(log.name, "base_pos, base_quat", reason)
         self.log = log
         self._datas = [mujoco.MjData(model) for _ in range(processors())]
+        # An actuator with a filter begins at its control.
+        self._is_filtered = model.actuator_actadr >= 0
+        self._filters = model.actuator_actadr[self._is_filtered]
         self.joint = np.array([model.joint(name).id for name in log.joints])
         self.dof = model.jnt_dofadr[self.joint]
         self.actuator = np.array([drives.get(name, -1) for name in log.joints])
@@ -320,9 +323,7 @@ class Replayer:
             qvel += change
             for row, each in zip(qpos, np.broadcast_to(turn, qvel.shape), strict=True):
                 mujoco.mj_integratePos(model, row, each, 1.0)
-        is_filtered = model.actuator_actadr >= 0
-        filters = model.actuator_actadr[is_filtered]
-        activation[:, filters] = controls[:, 0, is_filtered]
+        activation[:, self._filters] = controls[:, 0, self._is_filtered]
         states, _ = rollout.rollout(
             model, self._datas, state, controls, persistent_pool=True
         )
@@ -379,6 +380,7 @@ class Replayer:
         for place, row in enumerate(samples):
             data.qpos[:], data.qvel[:] = self.qpos[row], self.qvel[row]
             data.ctrl[:] = controls[place]
+            data.act[self._filters] = controls[place, self._is_filtered]
             mujoco.mj_forward(model, data)
             torque = np.where(data.qfrc_actuator, data.qfrc_actuator, data.qfrc_bias)
             torques[place] = torque[self.dof]

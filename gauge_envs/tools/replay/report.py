@@ -15,7 +15,7 @@ from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.figures import OURS, REAL, legend_above, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import SNIPPETS, Cause, candidates
-from gauge_envs.tools.replay.fit import Explanation, Fit, Problem, explain
+from gauge_envs.tools.replay.fit import Fit, Problem, explain
 from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, read_log
 from gauge_envs.tools.replay.model import (
     UNLIMITED,
@@ -111,37 +111,32 @@ def replay(
         explanation = explain(problem, causes, advance)
     finally:
         mujoco.set_mju_user_warning(None)
-    line = _line(model.name, logs, explanation)
-    return Replay(line, explanation.problem, explanation.change)
-
-
-def _line(model: str, logs: Sequence[Log], explanation: Explanation) -> ReplayLine:
-    """Return the report of an explanation."""
     problem, several = explanation.problem, explanation.several
-    joints, conditions = _joint_reports(problem, _repeat(logs[0], logs[-1]))
+    *baseline, explained = logs
+    joints, conditions = _joint_reports(problem, _repeat(logs[0], explained))
     alone = [_explained(problem, fit)[0] for fit in explanation.fits]
     together = _explained(problem, several) if several else []
     named = {Verdict.CAUSE: alone[:1], Verdict.SEVERAL: together}
     pasted = named.get(explanation.verdict, [])
-    *baseline, log = logs
     line = ReplayLine(
-        log=log.name,
+        log=explained.name,
         baseline=baseline[0].name if baseline else None,
-        model=model,
+        model=model.name,
         verdict=explanation.verdict,
         sentence="",
         error_over_noise=problem.before.error,
         error_after=(explanation.change or problem.before).error,
         baseline_over_noise=problem.floor if baseline else None,
-        findings=tuple(dict.fromkeys(text for log in logs for text in log.findings)),
+        findings=tuple(dict.fromkeys(text for each in logs for text in each.findings)),
         joints=joints,
         conditions=conditions,
         candidates=tuple(alone),
         alike=tuple(explanation.alike),
         several=tuple(together),
-        paste=paste_lines(pasted, problem.setup.model.opt.timestep),
+        paste=paste_lines(pasted, compiled.opt.timestep),
     )
-    return replace(line, sentence=_sentence(line))
+    line = replace(line, sentence=_sentence(line))
+    return Replay(line, problem, explanation.change)
 
 
 def _rms(values: FloatArray) -> Any:
