@@ -11,7 +11,6 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import make_interp_spline
 from scipy.optimize import linear_sum_assignment
 
 from gauge_envs.tools.replay.log import FloatArray
@@ -104,6 +103,8 @@ STOPS = (0.0, -0.02, 0.02)
 LOAD_SAMPLES = 300
 FAR = 40.0
 """Bound of a number of the fit, in units of its scale."""
+MIN_SCALE = 1e-6
+"""Scale of values that stay above zero and are zero now."""
 MIN_FACTOR = 1e-3
 """Smallest value, over the present or typical one, of values that stay above zero."""
 
@@ -113,7 +114,7 @@ class Group:
     """Values of a cause that change together: `base + scale * (selection @ numbers)`.
 
     Attributes:
-        label: `all` for a common number, `each` for a number a value, the text of an option without numbers.
+        label: `all` for a common number, `each` for several numbers, the text of an option without numbers.
         selection: Which number moves each value, shape [K, p].
         base: Values where all numbers are zero, shape [K].
     """
@@ -130,7 +131,7 @@ class Cause:
     Attributes:
         name: As `delay`.
         unit: Unit of the values.
-        parameters: Names of the values, as joints.
+        parameters: Names of the values, as joints; empty for a cause of options.
         present: Values of the model as it is, shape [K].
         scale: Change of each value for a number of 1, shape [K].
         fields: Arrays that take the values.
@@ -158,7 +159,7 @@ class Cause:
         after = copy.deepcopy(setup)
         values = self.values(group, numbers)
         for path, index, factor in self.fields:
-            attrgetter(path)(after)[index] = (np.transpose(factor) * values).T
+            attrgetter(path)(after)[index] = factor * values
         after.model.opt.timestep = after.timing[0]
         after.model.body_mass += after.payload - setup.payload
         mujoco.mj_setConst(after.model, mujoco.MjData(after.model))
@@ -167,9 +168,50 @@ class Cause:
     def lower(self, group: Group) -> FloatArray:
         """Return the smallest numbers of a group, shape [p]."""
         smallest = MIN_FACTOR - group.base / self.scale if self.is_positive else -FAR
-        return (group.selection * np.c_[smallest]).max(
-            axis=0, initial=-FAR, where=group.selection > 0.0
-        )
+        is_moved = group.selection.T > 0.0
+        return np.where(is_moved, smallest, -FAR).max(axis=1, initial=-FAR)
+
+
+def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
+    """Return the causes that a model and a log allow."""
+    log, model, joints = replayer.log, setup.model, replayer.log.joints
+    samples = np.linspace(0, len(log.time_s) - 1, LOAD_SAMPLES).astype(int)
+    conditions, torques = replayer.conditions(setup, samples)
+    # Torques and speeds of the joints that the log often has.
+    load = np.maximum(np.percentile(np.abs(torques), 95, axis=0), 1e-4)
+    speed = np.maximum(np.percentile(np.abs(log.velocity), 95, axis=0), 1e-3)
+    inertia, rate = 0.3 * model.dof_M0[replayer.dof], 0.3 * load / speed
+    armature = ("model.dof_armature", replayer.dof, 1.0)
+    friction = ("model.dof_frictionloss", replayer.dof, 1.0)
+    damping = ("model.dof_damping", replayer.dof, 1.0)
+    sides = [f"{joint} {side}" for side in ("lower", "upper") for joint in joints]
+    places = np.tile(replayer.joint, 2), np.repeat((0, 1), len(joints))
+    stop = ("model.jnt_range", places, 1.0)
+    extremes = np.percentile(log.position, (2.0, 98.0), axis=0).ravel()
+    rows = [
+        _row(setup, "armature", "kg m^2", joints, inertia, armature),
+        _row(setup, "dry friction", "N m", joints, 0.1 * load, friction),
+        _row(setup, "damping", "N m s/rad", joints, rate, damping),
+        *_bodies(setup),
+        _row(
+            setup,
+            "joint limit",
+            "rad",
+            sides,
+            1.0,
+            stop,
+            start=(extremes, STOPS),
+            selections=_alone(len(sides)),
+            is_positive=False,
+        ),
+        _timing(setup),
+    ]
+    driven = np.flatnonzero(np.append(setup.is_driven, False)[replayer.actuator])
+    if len(driven):
+        rows += _drives(replayer, setup, driven, load[driven], speed.max())
+    if (conditions == "contact").any():
+        rows += _contacts(setup)
+    return rows
 
 
 def _row(
@@ -179,68 +221,110 @@ def _row(
     parameters: Sequence[str],
     typical: ArrayLike,
     *fields: Field,
-    **others: Any,
+    start: tuple[ArrayLike, Sequence[float]] | None = None,
+    selections: Sequence[FloatArray] = (),
+    is_positive: bool = True,
 ) -> Cause:
-    """Return a cause.
+    """Return a cause whose values are fitted.
 
     Args:
         setup: The model.
         name: Name of the cause.
         unit: Unit of the values.
         parameters: Names of the values.
-        typical: Size that matters; the unit of the numbers is this or the present value.
-        fields: Path, index and factor of the arrays of the setup that take the values.
-        others: `origin`, values where the numbers are zero, which are the present ones by default; `indices`, the
-            values of each group, which is each value alone by default; `together`, the further groups; attributes of
-            the cause that differ.
+        typical: Size that matters: the scale of values that are smaller now, may be negative, or start elsewhere.
+        *fields: Path, index and factor of the arrays of the setup that take the values.
+        start: Values where the numbers are zero, and numbers from which the fit starts; by default the present values
+            and a single start.
+        selections: Those of the groups; by default each value alone, all by one number, and all by a number each.
+        is_positive: Whether values stay above zero.
     """
-    count = len(parameters)
-    if "present" not in others:
-        path, index, factor = fields[0]
-        others["present"] = attrgetter(path)(setup)[index] / factor
-    present = others["present"]
-    scale = np.maximum(np.broadcast_to(typical, count), 1e-6)
-    if others.get("is_positive", True) and "origin" not in others:
+    path, index, factor = fields[0]
+    present = attrgetter(path)(setup)[index] / factor
+    scale = np.full(len(present), typical)
+    if is_positive and not start:
         scale = np.where(present > 0.2 * scale, present, scale)
-    origin, eye = others.pop("origin", present), np.eye(count)
-    selections = [("", eye[:, index]) for index in others.pop("indices", np.c_[:count])]
-    together = others.pop("together", ("all", "each"))
-    if count > 1:
-        every = {"all": eye.sum(axis=1, keepdims=True), "each": eye}
-        selections += [(label, every[label]) for label in together]
-    groups = [
-        Group(label, selection, np.where(selection.any(axis=1), origin, present))
-        for label, selection in selections
-    ]
-    defaults = {"scale": scale, "fields": fields, "groups": groups}
-    return Cause(name, unit, parameters, **(defaults | others))
+    origin, starts = start or (present, ())
+    groups = []
+    for selection in selections or _selections(len(present)):
+        label = "all" if selection.shape[1] == 1 else "each"
+        base = np.where(selection.any(axis=1), origin, present)
+        groups.append(Group(label, selection, base))
+    return Cause(
+        name, unit, parameters, present, scale, fields, groups, is_positive, starts
+    )
 
 
-def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
-    """Return the causes that a model and a log allow."""
-    log, model, dofs = replayer.log, setup.model, replayer.dof
-    samples = np.linspace(0, len(log.time_s) - 1, LOAD_SAMPLES).astype(int)
-    conditions, torques = replayer.conditions(setup, samples)
-    # Torques and speeds of the joints that the log often has.
-    load = np.maximum(np.percentile(np.abs(torques), 95, axis=0), 1e-4)
-    speed = np.maximum(np.percentile(np.abs(log.velocity), 95, axis=0), 1e-3)
-    # In newer versions damping is a polynomial, whose first coefficient is the linear one.
-    damping = dofs if model.dof_damping.ndim == 1 else (dofs, 0)
-    rows = [
-        _row(setup, name, unit, log.joints, typical, (f"model.dof_{field}", index, 1.0))
-        for name, unit, typical, field, index in (
-            ("armature", "kg m^2", 0.3 * model.dof_M0[dofs], "armature", dofs),
-            ("dry friction", "N m", 0.1 * load, "frictionloss", dofs),
-            ("damping", "N m s/rad", 0.3 * load / speed, "damping", damping),
-        )
+def _alone(count: int, size: int = 1) -> list[FloatArray]:
+    """Return the selections of each value, or of `size` neighbours with a number each, alone."""
+    return np.split(np.eye(count), count // size, axis=1)
+
+
+def _selections(count: int) -> list[FloatArray]:
+    """Return the selections of each value alone, of all by one number, and of all by a number each."""
+    together = [np.ones((count, 1)), np.eye(count)] if count > 1 else []
+    return _alone(count) + together
+
+
+def _bodies(setup: Setup) -> list[Cause]:
+    """Return gravity, mass and centre of each link that moves, and a load on the first one and on each end."""
+    model = setup.model
+    bodies = np.flatnonzero((model.body_weldid > 0) & (model.body_mass > 0.0))
+    names = [model.body(body).name or f"body {body}" for body in bodies]
+    count = len(names)
+    mass, inertia = model.body_mass[bodies], model.body_inertia[bodies].T
+    size = np.maximum(np.sqrt(inertia.sum(axis=0) / mass), 0.01)
+    ends = np.union1d(0, np.flatnonzero(~np.isin(bodies, model.body_parentid[bodies])))
+    # A payload may be heavier than the link that carries it.
+    load = 0.02 * model.body_mass.sum()
+    # A tilt of the base turns gravity.
+    eye = np.eye(3)
+    tilts = [eye[:, 2:], eye[:, :2], eye]
+    axes = np.repeat(bodies, 3), np.tile(range(3), count)
+    masses = ("model.body_mass", bodies, 1.0)
+    inertias = ("model.body_inertia", (bodies, np.c_[:3]), inertia / mass)
+    link = "mass or centre of a link"
+    return [
+        _row(
+            setup,
+            "gravity or tilt",
+            "m/s^2",
+            ["gravity x", "gravity y", "gravity z"],
+            1.0,
+            ("model.opt.gravity", np.s_[:], 1.0),
+            selections=tilts,
+            is_positive=False,
+        ),
+        _row(
+            setup,
+            link,
+            "kg",
+            names,
+            MIN_SCALE,
+            masses,
+            inertias,
+            selections=_selections(count)[: count + 1],
+        ),
+        _row(
+            setup,
+            link,
+            "m",
+            [f"{name} {axis}" for name in names for axis in "xyz"],
+            np.repeat(size, 3),
+            ("model.body_ipos", axes, 1.0),
+            selections=_alone(3 * count, 3),
+            is_positive=False,
+        ),
+        _row(
+            setup,
+            "payload",
+            "kg",
+            [names[end] for end in ends],
+            load,
+            ("payload", bodies[ends], 1.0),
+            selections=_alone(len(ends)),
+        ),
     ]
-    rows += [*_bodies(setup), _stops(replayer, setup), _time(replayer, setup)]
-    driven = np.flatnonzero(np.append(setup.is_driven, False)[replayer.actuator])
-    if len(driven):
-        rows += _drives(replayer, setup, driven, load[driven], speed.max())
-    if (conditions == "contact").any():
-        rows += _contacts(setup)
-    return [row for row in rows if row.groups]
 
 
 def _drives(
@@ -250,20 +334,15 @@ def _drives(
     model, ids = setup.model, replayer.actuator[driven]
     names = [replayer.log.joints[joint] for joint in driven]
     gear = np.abs(model.actuator_gear[ids, 0])
-    limit, law = "model.actuator_forcerange", "model.actuator_biasprm"
-    limits = (limit, (ids, 1), 1.0 / gear), (limit, (ids, 0), -1.0 / gear)
+    upper = ("model.actuator_forcerange", (ids, 1), 1.0 / gear)
+    lower = ("model.actuator_forcerange", (ids, 0), -1.0 / gear)
     gain = ("model.actuator_gainprm", (ids, 0), 1.0 / gear**2)
-    stiffness, damping = (
-        (law, (ids, 1), -1.0 / gear**2),
-        (law, (ids, 2), -1.0 / gear**2),
-    )
+    stiffness = ("model.actuator_biasprm", (ids, 1), -1.0 / gear**2)
+    damping = ("model.actuator_biasprm", (ids, 2), -1.0 / gear**2)
+    scale, offset = ("scale", ids, 1.0), ("offset", ids, 1.0)
+    delay, start = ("delay_s", [0], 1.0), (0.0, DELAYS_S)
     is_servo = model.actuator_biasprm[ids, 1].any()
-    unit, offset = ("rad", 0.05) if is_servo else ("N m", 0.1 * load)
-    scales, offsets, delay = (
-        ("scale", ids, 1.0),
-        ("offset", ids, 1.0),
-        ("delay_s", [0], 1.0),
-    )
+    unit, shift = ("rad", 0.05) if is_servo else ("N m", 0.1 * load)
     rows = [
         _row(
             setup,
@@ -271,162 +350,89 @@ def _drives(
             "N m",
             names,
             load,
-            *limits,
-            origin=0.0 * load,
-            starts=EFFORTS,
+            upper,
+            lower,
+            start=(0.0, EFFORTS),
         ),
-        _row(setup, "action scale", "", names, 0.0, scales),
-        _row(setup, "action offset", unit, names, offset, offsets, is_positive=False),
+        _row(setup, "action scale", "", names, MIN_SCALE, scale),
+        _row(setup, "action offset", unit, names, shift, offset, is_positive=False),
         _row(
-            setup,
-            "delay",
-            "s",
-            ["delay"],
-            1.0,
-            delay,
-            is_positive=False,
-            starts=DELAYS_S,
+            setup, "delay", "s", ["delay"], 1.0, delay, start=start, is_positive=False
         ),
-        _orders(replayer, setup, driven),
+        *_order(replayer, setup, driven),
     ]
     if is_servo:
-        rows.append(_row(setup, "kp", "N m/rad", names, 0.0, stiffness, gain))
-        rows.append(_row(setup, "kd", "N m s/rad", names, 0.3 * load / speed, damping))
+        rate = 0.3 * load / speed
+        rows.append(_row(setup, "kp", "N m/rad", names, MIN_SCALE, stiffness, gain))
+        rows.append(_row(setup, "kd", "N m s/rad", names, rate, damping))
     return rows
 
 
-def _orders(replayer: Replayer, setup: Setup, driven: IntArray) -> Cause:
-    """Return the order and signs of the commands that correlate best with the motion."""
+def _order(replayer: Replayer, setup: Setup, driven: IntArray) -> list[Cause]:
+    """Return the order and signs of the commands that correlate best with the motion, if they are new."""
     log, ids = replayer.log, replayer.actuator[driven]
-    names = [log.joints[joint] for joint in driven]
-    count = len(names)
-    command = make_interp_spline(setup.command_time_s, setup.command, k=1)(log.time_s)
-    motion = log.position.T[driven]
+    rows = np.searchsorted(setup.command_time_s, log.time_s, "right") - 1
+    motion = log.position.T
     if log.command_kind == "tau":
-        motion = np.gradient(log.velocity.T[driven], log.time_s, axis=1)
+        motion = np.gradient(log.velocity.T, log.time_s, axis=1)
+    series = np.vstack([motion[driven], setup.command.T[np.ix_(ids, rows)]])
     # A constant has no correlation; the trend avoids a division by zero.
-    series = np.vstack([motion, command.T[ids]]) + 1e-9 * np.arange(len(log.time_s))
-    match = np.corrcoef(series)[:count, count:]
-    order = linear_sum_assignment(-np.abs(match))[1]
-    signs = np.sign(match[range(count), order])
-    mixing = np.eye(count)[:, order] * signs
+    match = np.corrcoef(series + 1e-9 * np.arange(len(rows)))[: len(ids), len(ids) :]
+    order = linear_sum_assignment(np.abs(match), maximize=True)[1]
+    signs = np.sign(match[range(len(ids)), order])
     label = ", ".join(
-        f"{names[k]} follows {'' if signs[k] > 0.0 else 'minus '}{names[order[k]]}"
-        for k in np.flatnonzero(np.diag(mixing) != 1.0)
+        f"{log.joints[joint]} follows {'' if sign > 0.0 else 'minus '}{log.joints[other]}"
+        for joint, other, sign in zip(driven, driven[order], signs, strict=True)
+        if other != joint or sign < 0.0
     )
-
-    mixed = ("mixing", (np.repeat(ids, count), np.tile(ids, count)), 1.0)
-    option = Group(label, np.zeros((count**2, 0)), mixing.ravel())
-    present = np.eye(count).ravel()
-    groups = [option] if label else []
-    return Cause("joint order", "", (), present, present**0, [mixed], groups)
+    mixed = ("command", np.s_[:, ids], signs * setup.command[:, ids[order]])
+    one, groups = np.ones(1), [_option(label, 1.0)]
+    return [Cause("joint order", "", (), one, one, [mixed], groups)] if label else []
 
 
-def _bodies(setup: Setup) -> list[Cause]:
-    """Return gravity, mass and centre of each link that moves, and a load on the first one and on each end."""
-    model = setup.model
-    bodies = np.flatnonzero((model.body_weldid > 0) & (model.body_mass > 0.0))
-    names = [model.body(int(body)).name or f"body {body}" for body in bodies]
-    mass, inertia = model.body_mass[bodies], model.body_inertia[bodies]
-    size = np.maximum(np.sqrt(inertia.sum(axis=1) / mass), 0.01)
-    masses = ("model.body_mass", bodies, 1.0)
-    inertias = ("model.body_inertia", bodies, inertia / mass[:, None])
-    axes = np.arange(3 * len(bodies)).reshape(-1, 3)
-    centre = ("model.body_ipos", (np.repeat(bodies, 3), axes.ravel() % 3), 1.0)
-    is_end = ~np.isin(bodies, model.body_parentid[bodies])
-    is_end[:1] = True
-    ends = np.array(names)[is_end].tolist()
-
-    down = ("model.opt.gravity", np.s_[:], 1.0)
-    directions = [f"gravity {axis}" for axis in "xyz"]
-    link, free = "mass or centre of a link", {"together": (), "is_positive": False}
-    places = [f"{name} {axis}" for name in names for axis in "xyz"]
-    # A tilt of the base turns gravity.
-    tilts = [2], [0, 1], [0, 1, 2]
-    # The scale is 2 % of the mass of the robot, because a payload may be heavier than the link that carries it.
-    load = 0.02 * model.body_mass.sum()
-    return [
-        _row(
-            setup,
-            "gravity or tilt",
-            "m/s^2",
-            directions,
-            1.0,
-            down,
-            indices=tilts,
-            **free,
-        ),
-        _row(setup, link, "kg", names, 0.0, masses, inertias, together=["all"]),
-        _row(
-            setup,
-            link,
-            "m",
-            places,
-            np.repeat(size, 3),
-            centre,
-            indices=[*axes],
-            **free,
-        ),
-        _row(
-            setup,
-            "payload",
-            "kg",
-            ends,
-            load,
-            ("payload", bodies[is_end], 1.0),
-            together=(),
-        ),
-    ]
+def _option(label: str, *values: float) -> Group:
+    """Return a group without numbers."""
+    return Group(label, np.zeros((len(values), 0)), np.array(values))
 
 
-def _time(replayer: Replayer, setup: Setup) -> Cause:
+def _timing(setup: Setup) -> Cause:
     """Return the physics step and the decimation."""
-    step_s = float(setup.model.opt.timestep)
-    options = [
-        (f"physics step of {1e3 * factor * step_s:.3g} ms", (factor * step_s, 1, 0))
+    step_s = setup.model.opt.timestep
+    groups = [
+        _option(
+            f"physics step of {1e3 * factor * step_s:.3g} ms", factor * step_s, 1, 0
+        )
         for factor in STEPS
         if factor * step_s <= MAX_TIMESTEP_S
     ]
-    options += [
-        (f"only each {n}. command is used, from number {k + 1} on", (step_s, n, k))
-        for n in (REPEATS if replayer.log.command_kind else ())
-        for k in range(n)
-    ]
-    groups = [Group(label, np.zeros((3, 0)), np.array(each)) for label, each in options]
+    if setup.is_driven.any():
+        groups += [
+            _option(
+                f"only each {n}. command is used, from number {k + 1} on", step_s, n, k
+            )
+            for n in REPEATS
+            for k in range(n)
+        ]
     timing = ("timing", np.s_[:], 1.0)
-    present = setup.timing
-    return Cause("step and decimation", "", (), present, present**0, [timing], groups)
-
-
-def _stops(replayer: Replayer, setup: Setup) -> Cause:
-    """Return the stops of the joints, which the fit starts near the extremes of the motion."""
-    log, ids = replayer.log, replayer.joint
-    names = [f"{name} {side}" for side in ("lower", "upper") for name in log.joints]
-    stop = ("model.jnt_range", (np.tile(ids, 2), np.repeat((0, 1), len(ids))), 1.0)
-    extremes = np.percentile(log.position, (2.0, 98.0), axis=0).ravel()
-    return _row(
-        setup,
-        "joint limit",
-        "rad",
-        names,
-        1.0,
-        stop,
-        origin=extremes,
-        together=(),
-        is_positive=False,
-        starts=STOPS,
+    return Cause(
+        "step and decimation", "", (), setup.timing, np.ones(3), [timing], groups
     )
 
 
 def _contacts(setup: Setup) -> list[Cause]:
     """Return friction and softness of all contacts, as factors."""
-
-    def row(name: str, *places: tuple[str, Any]) -> Cause:
-        fields = [(path, at, attrgetter(path)(setup)[at].copy()) for path, at in places]
-        factor = {"present": np.ones(1), "starts": CONTACTS}
-        return _row(setup, name, "", ["factor"], 1.0, *fields, **factor)
-
-    first, sliding = np.s_[:, 0], np.s_[:, :2]
-    friction = ("model.geom_friction", first), ("model.pair_friction", sliding)
-    softness = ("model.geom_solref", first), ("model.pair_solref", first)
-    return [row("floor friction", *friction), row("contact softness", *softness)]
+    columns = {
+        "floor friction": {"model.geom_friction": 1, "model.pair_friction": 2},
+        "contact softness": {"model.geom_solref": 1, "model.pair_solref": 1},
+    }
+    one = np.ones(1)
+    groups = [Group("all", np.eye(1), one)]
+    rows = []
+    for name, counts in columns.items():
+        fields = [
+            (path, np.s_[:, :count], attrgetter(path)(setup)[:, :count])
+            for path, count in counts.items()
+        ]
+        row = Cause(name, "", ["factor"], one, one, fields, groups, starts=CONTACTS)
+        rows.append(row)
+    return rows
