@@ -188,10 +188,11 @@ def _joint_reports(
 
 def _repeat(first: Log, second: Log) -> Sequence[float] | None:
     """Return the root mean square difference of two logs by joint; None if their commands differ."""
+    columns, others = ((log.joints, log.command_names) for log in (first, second))
+    if first is second or not first.command_kind or columns != others:
+        return None
     common = second.time_s <= first.time_s[-1]
     time_s = second.time_s[common]
-    if first is second or not first.command_kind or first.joints != second.joints:
-        return None
     commands = [
         make_interp_spline(log.command_time_s, log.command, k=1)(time_s).ravel()
         for log in (first, second)

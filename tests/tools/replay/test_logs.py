@@ -61,6 +61,12 @@ def test_a_flaw_is_named_and_makes_no_cause(tmp_path, flaw):
         assert replay(file, model).verdict is Verdict.NOISE
 
 
+def test_a_log_whose_command_never_changes_is_explained(tmp_path):
+    log, model = record(tmp_path)
+    held = saved(tmp_path, log, target=np.full((400, 2), 0.1))
+    assert replay(held, model).verdict is not Verdict.NOISE
+
+
 def test_noise_of_each_joint_is_estimated_and_makes_no_cause(tmp_path):
     log, model = record(tmp_path)
     assert read_log(log).position_noise == pytest.approx(5e-4, rel=0.25)
