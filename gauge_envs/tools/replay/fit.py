@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear
@@ -23,7 +23,7 @@ NEAR, MAX_LEFT, MAX_LEFT_TOGETHER = 0.5, 8.0, 2.0
 """Excess error, the mean squared error over that of the noise minus 1, at most: to need no second cause; of a cause
 that is named; of several causes that are named."""
 MAX_WORSE = 4.0
-"""Error before least squares, over the smallest, of a fit that is refined where another one reaches the noise."""
+"""Promised error, over the smallest, of a fit that is refined where another one reaches the noise."""
 LEADS = 5.0
 """How many times the others must leave of the error, where a fit leaves more than that."""
 BETTER = 0.4
@@ -34,19 +34,24 @@ PARAMETER_COST = 0.01
 """Part of the error that one more number of a fit must remove."""
 MAX_GROUPS = 2
 """Number of groups of each cause that are fitted."""
-MAX_FEW = 12
-MAX_CALLS, MAX_LARGE_CALLS = 25, 8
-"""Calls of least squares for a few numbers, and for many."""
-MAX_ALONE, MAX_FURTHER, MAX_POOL, MAX_BASES = 8, 3, 5, 2
-"""Number of fits that are refined: alone, on top of others, and again those that are best alone; and of such bases."""
-SAME_LAW = {"kd": "damping", "damping": "kd"}
-"""Causes that are one law while the torque stays below its limit."""
+MAX_ALONE, MAX_FURTHER, MAX_BASES = 8, 5, 2
+"""Number of fits that are refined: alone, and on top of others; and of such bases."""
+MAX_CALLS = 20
+"""Number of predictions of a fit."""
 MAX_ROUNDS, MAX_LEADING = 2, 2
-"""Number of times that the best fit propagates the noise, and of the best fits that are refined twice."""
+"""Number of times that the best fit propagates the noise, and of the best fits whose slopes are computed anew."""
 SERVO = ("delay", "kp", "armature", "damping")
 """Causes that are fitted together where two are not enough: the constants of a servo."""
+MAX_SERVO = 12
+"""Numbers of such a fit."""
 PROBE, MIN_PROBED = 0.05, 0.2
 """Step of finite differences, over a number of the fit, and the smallest such number."""
+MAX_SHARPENED, MIN_GAIN = 3, 0.9
+"""Number of times that the slopes of a fit are computed, and error after such a round over that before that ends them."""
+MIN_SECANT = 0.01
+"""Smallest step that updates the slopes: contacts make the residuals rough."""
+PARTS = (1.0, 0.4)
+"""Parts of the step of the linear model that are tried."""
 EMPTY = np.zeros(0)
 MAX_WHITE = 1e4
 
@@ -59,16 +64,22 @@ class Fit:
         terms: Cause and group of each.
         numbers: All numbers of the fit, shape [p].
         train: Whitened residuals of the pieces that the fit sees, shape [P, T D].
-        held_out: The same of the other pieces; empty before `Problem.judged`.
-        promised: Mean squared training error that a linear model promises.
+        slopes: Their change per number, shape [P, T D, p].
+        reach: How far the linear model of the residuals is used, shape [p].
+        step: Change of the numbers to the optimum of the linear model, shape [p].
+        promised: Mean squared training error there.
+        held_out: Residuals of the other pieces; empty before `Problem.judged`.
         half_width: Half of the 95 % interval of each number, where it was computed.
     """
 
     terms: tuple[tuple[Cause, Group], ...]
     numbers: FloatArray
     train: FloatArray
-    held_out: FloatArray
+    slopes: FloatArray
+    reach: FloatArray
+    step: FloatArray = field(default_factory=lambda: EMPTY)
     promised: float = np.inf
+    held_out: FloatArray = field(default_factory=lambda: EMPTY)
     half_width: FloatArray | None = None
 
     @property
@@ -78,10 +89,16 @@ class Fit:
 
     @property
     def error(self) -> float:
-        """Mean squared error over that of the noise, of pieces that the fit has not seen, or of the others before."""
+        """Mean squared error over that of the noise, of pieces that the fit has not seen; before, the promised one."""
         if self.held_out.size:
             return float(np.mean(self.held_out**2))
-        return min(float(np.mean(self.train**2)), self.promised)
+        return self.promised
+
+    @property
+    def lower(self) -> FloatArray:
+        """Smallest numbers, shape [p]."""
+        smallest = [cause.lower(group) for cause, group in self.terms]
+        return np.concatenate([EMPTY, *smallest])
 
     def parts(
         self, numbers: FloatArray
@@ -91,11 +108,26 @@ class Fit:
         parts = np.split(numbers, np.cumsum(sizes)[:-1])
         return zip(self.terms, parts, strict=False)
 
-    def with_term(self, cause: Cause, group: Group, numbers: FloatArray) -> Fit:
-        """Return a fit with one more cause. Its residuals are not yet computed: they are those of this fit."""
-        terms = (*self.terms, (cause, group))
-        after = np.append(self.numbers, numbers)
-        return Fit(terms, after, self.train, self.train[:0])
+    def plus(self, other: Fit) -> Fit:
+        """Return a fit with the terms of another one, whose residuals are a change."""
+        return Fit(
+            terms=self.terms + other.terms,
+            numbers=np.append(self.numbers, other.numbers),
+            train=self.train + other.train,
+            slopes=np.concatenate([self.slopes, other.slopes], axis=-1),
+            reach=np.append(self.reach, other.reach),
+        )
+
+    def linear(self) -> Fit:
+        """Return the fit with the step to the optimum of its linear model."""
+        if not len(self.numbers):
+            return replace(self, promised=float(np.mean(self.train**2)))
+        slopes = self.slopes.reshape(self.train.size, -1)
+        lower = np.clip(self.lower - self.numbers, -self.reach, -1e-9)
+        upper = np.clip(FAR - self.numbers, 1e-9, self.reach)
+        solution = lsq_linear(slopes, -self.train.ravel(), (lower, upper))
+        promised = 2.0 * solution.cost / self.train.size
+        return replace(self, step=solution.x, promised=promised)
 
 
 class Problem:
@@ -117,7 +149,8 @@ class Problem:
         self._halves = pieces[::2], pieces[1::2]
         self.floor = 1.0
         self.whiteners = self._whitened(setup)
-        self.before = self.judged(Fit((), EMPTY, EMPTY, EMPTY))
+        none = Fit((), EMPTY, EMPTY, np.zeros((*self.whiteners[0].shape[:2], 0)), EMPTY)
+        self.before = self.judged(none)
 
     def _whitened(self, setup: Setup) -> list[FloatArray]:
         """Return what makes the deviations of each half independent, where a setup propagates the noise."""
@@ -155,15 +188,15 @@ class Problem:
         white = (self.whiteners[half] @ columns)[..., 0]
         return np.clip(white, -MAX_WHITE, MAX_WHITE)
 
-    def trained(self, fit: Fit) -> Fit:
-        """Return a fit with its residuals of the training pieces."""
-        train = self._residuals(self.changed(fit), 0)
-        return replace(fit, train=train, held_out=train[:0])
+    def trained(self, fit: Fit, numbers: FloatArray) -> Fit:
+        """Return a fit with other numbers, and its residuals of the training pieces."""
+        after = replace(fit, numbers=numbers, held_out=EMPTY)
+        return replace(after, train=self._residuals(self.changed(after), 0))
 
     def judged(self, fit: Fit) -> Fit:
         """Return a fit with all its residuals."""
         held_out = self._residuals(self.changed(fit), 1)
-        return replace(self.trained(fit), held_out=held_out)
+        return replace(self.trained(fit, fit.numbers), held_out=held_out)
 
     def left(self, fit: Fit) -> float:
         """Return the error beyond the noise that a fit leaves, over that of the noise."""
@@ -179,76 +212,107 @@ class Problem:
         return fit.error * (1.0 + PARAMETER_COST * len(fit.numbers))
 
 
-def _slopes(problem: Problem, base: Fit, cause: Cause) -> FloatArray:
-    """Return the change of the training residuals per number of a further cause, shape [P, T D, K]."""
-    count = len(cause.parameters)
-    every = Group("each", np.eye(count), cause.present)
-    moved = [
-        problem.trained(base.with_term(cause, every, probe)).train
-        for probe in PROBE * np.eye(count)
-    ]
-    return (np.stack(moved, axis=-1) - base.train[..., None]) / PROBE
+def trials(problem: Problem, cause: Cause) -> list[Fit]:
+    """Return the changes of the residuals by each group of a cause, one a start.
 
-
-def _trials(problem: Problem, base: Fit, cause: Cause) -> list[Fit]:
-    """Return the best fits with a further cause before least squares, one a group.
-
-    A smooth cause steps to the optimum of the linear model of the residuals, or 0.4 of the way; other causes take the
-    best of several starts.
+    The changes of single values add up, as far as the residuals are linear. A cause without starts begins at zero.
     """
-    is_smooth = len(cause.parameters) > 0 and not cause.starts
-    slopes = _slopes(problem, base, cause) if is_smooth else EMPTY
-    trials = []
-    for group in cause.groups:
-        lower = cause.lower(group)
-        starts = [np.maximum(start, lower) for start in cause.starts] or [lower]
-        promised = np.inf
-        if is_smooth:
-            columns = (slopes @ group.selection).reshape(-1, len(lower))
-            solution = lsq_linear(columns, -base.train.ravel(), bounds=(lower, FAR))
-            starts = [solution.x, 0.4 * solution.x]
-            promised = 2.0 * solution.cost / base.train.size
-        fits = [base.with_term(cause, group, start) for start in starts]
-        trials.append([replace(fit, promised=promised) for fit in fits])
-    if is_smooth:
-        trials = sorted(trials, key=lambda fits: problem.cost(fits[0]))[:MAX_GROUPS]
-    best = [
-        min(map(problem.trained, fits), key=lambda fit: float(np.mean(fit.train**2)))
-        for fits in trials
-    ]
-    return sorted(best, key=problem.cost)[:MAX_GROUPS]
+    before, count = problem.before, len(cause.parameters)
+
+    def change(group: Group, numbers: FloatArray) -> FloatArray:
+        fit = replace(before, terms=((cause, group),))
+        return problem.trained(fit, numbers).train - before.train
+
+    if not count:
+        changes = [change(group, EMPTY) for group in cause.groups]
+        return [
+            replace(before, terms=((cause, group),), train=moved)
+            for group, moved in zip(cause.groups, changes, strict=True)
+        ]
+    grid = np.sort(cause.starts or (0.0, PROBE))
+    singles = cause.groups[:count]
+    moved = np.zeros((len(grid), *before.train.shape, count))
+    if not cause.starts:
+        singles = [Group("", unit[:, None], cause.present) for unit in np.eye(count)]
+    for row, number in enumerate(grid):
+        if cause.starts or number:
+            columns = [change(single, np.array([number])) for single in singles]
+            moved[row] = np.stack(columns, axis=-1)
+    slopes = np.gradient(moved, grid, axis=0)
+    spacing = np.gradient(grid)
+    fits = []
+    for row in range(len(grid) if cause.starts else 1):
+        for group in cause.groups:
+            number = np.full(group.selection.shape[1], grid[row])
+            fit = Fit(
+                terms=((cause, group),),
+                numbers=number,
+                train=moved[row] @ group.selection.sum(axis=1),
+                slopes=slopes[row] @ group.selection,
+                reach=np.full(len(number), spacing[row] if cause.starts else np.inf),
+            )
+            fits.append(fit)
+    return fits
 
 
 def _refined(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit after least squares of all its numbers together, with all its residuals."""
+    """Return a fit after least squares of all its numbers together, with all its residuals.
+
+    Each prediction updates the slopes (Broyden, 1965, Mathematics of Computation 19, p. 577): J += (dr - J dx) dx^T / dx^2.
+    """
     if not len(fit.numbers):
         return problem.judged(fit)
-    lower = np.concatenate([cause.lower(group) for cause, group in fit.terms])
-    start = np.clip(fit.numbers, lower + 1e-9, FAR - 1e-9)
+    lower = fit.lower
+    last = fit
 
     def residuals(numbers: FloatArray) -> FloatArray:
-        return problem.trained(replace(fit, numbers=numbers)).train.ravel()
+        nonlocal last
+        after = problem.trained(last, numbers)
+        step = numbers - last.numbers
+        if np.abs(step).max() > MIN_SECANT:
+            gap = after.train - last.train - last.slopes @ step
+            slopes = last.slopes + gap[..., None] * step / (step @ step)
+            after = replace(after, slopes=slopes)
+        last = after
+        return after.train.ravel()
 
-    def jacobian(numbers: FloatArray) -> FloatArray:
-        # Contacts make the residuals rough: smaller steps show their roughness in place of their slope.
-        steps = np.diag(PROBE * np.maximum(np.abs(numbers), MIN_PROBED))
-        before = residuals(numbers)
-        moved = [residuals(numbers + step) - before for step in steps]
-        return np.transpose(moved) / steps.diagonal()
-
+    numbers = [
+        np.clip(fit.numbers + part * fit.step, lower + 1e-9, FAR - 1e-9)
+        for part in PARTS
+    ]
+    start = min(numbers, key=lambda each: float(np.sum(residuals(each) ** 2)))
     solution = least_squares(
         residuals,
         start,
-        jacobian,
+        lambda _: last.slopes.reshape(-1, len(start)),
         bounds=(lower, FAR),
         x_scale=np.maximum(np.abs(start), 0.05),
         ftol=1e-3,
         xtol=1e-4,
-        max_nfev=MAX_CALLS if len(start) < MAX_FEW else MAX_LARGE_CALLS,
+        max_nfev=MAX_CALLS,
     )
-    after = problem.judged(replace(fit, numbers=solution.x))
-    slopes = solution.jac.reshape(*after.train.shape, -1)
-    return replace(after, half_width=_half_width(slopes, after.train))
+    free = np.full(len(start), np.inf)
+    after = replace(last, numbers=solution.x, reach=free)
+    return problem.judged(after)
+
+
+def _sharpened(problem: Problem, fit: Fit) -> Fit:
+    """Return a fit with slopes computed anew, refined until it improves no more, and with intervals."""
+    if not len(fit.numbers):
+        return fit
+    for _ in range(MAX_SHARPENED):
+        # Contacts make the residuals rough: smaller steps show their roughness in place of their slope.
+        steps = PROBE * np.maximum(np.abs(fit.numbers), MIN_PROBED)
+        trained = [problem.trained(fit, fit.numbers + step) for step in np.diag(steps)]
+        moved = np.stack([each.train for each in trained], axis=-1)
+        slopes = (moved - fit.train[..., None]) / steps
+        again = _refined(problem, replace(fit, slopes=slopes).linear())
+        before, after = (np.mean(each.train**2) for each in (fit, again))
+        if after < before:
+            fit = again
+        if after > MIN_GAIN * before:
+            break
+    return replace(fit, half_width=_half_width(slopes, fit.train))
 
 
 def _half_width(slopes: FloatArray, residuals: FloatArray) -> FloatArray:
@@ -272,32 +336,27 @@ def _half_width(slopes: FloatArray, residuals: FloatArray) -> FloatArray:
 
 
 def best_fits(
-    problem: Problem,
-    base: Fit,
-    causes: Sequence[Cause],
-    count: int,
-    advance: Callable[[str], None] = lambda _: None,
-) -> list[Fit]:
-    """Return the best fit with each further cause, the best first.
+    problem: Problem, base: Fit, changes: Sequence[Fit], count: int
+) -> tuple[list[Fit], list[Fit]]:
+    """Return the refined fits with each further cause, the best first, and the other ones.
 
     At most `count` fits are refined, and after one that reaches the noise only those that come near to it.
     """
-    trials: list[Fit] = []
-    for cause in causes:
-        advance(cause.name)
-        trials += _trials(problem, base, cause)
-    trials.sort(key=problem.cost)
-    fits: list[Fit] = []
+    by_cause: dict[str, list[Fit]] = {}
+    promising = [base.plus(change).linear() for change in changes]
+    for fit in sorted(promising, key=problem.cost):
+        by_cause.setdefault(fit.names[-1], []).append(fit)
+    few = [fit for fits in by_cause.values() for fit in fits[:MAX_GROUPS]]
+    few.sort(key=problem.cost)
+    refined: list[Fit] = []
     limit = np.inf
-    for trial in trials:
-        if len(fits) < count and trial.error < limit:
-            fit = _refined(problem, trial)
-            if problem.left(fit) < NEAR:
-                limit = MAX_WORSE * trials[0].error
-        else:
-            fit = problem.judged(trial)
-        fits.append(fit)
-    return _best_by_cause(problem, fits)
+    for fit in few:
+        if len(refined) == count or fit.promised > limit:
+            break
+        refined.append(_refined(problem, fit))
+        if problem.left(refined[-1]) < NEAR:
+            limit = MAX_WORSE * few[0].promised
+    return _best_by_cause(problem, refined), few[len(refined) :]
 
 
 def _best_by_cause(problem: Problem, fits: Sequence[Fit]) -> list[Fit]:
@@ -308,18 +367,23 @@ def _best_by_cause(problem: Problem, fits: Sequence[Fit]) -> list[Fit]:
     return list(best.values())
 
 
-def _fits_alone(
-    problem: Problem, causes: Sequence[Cause], advance: Callable[[str], None]
-) -> tuple[Problem, list[Fit]]:
+def _fits_alone(problem: Problem, changes: Sequence[Fit]) -> tuple[Problem, list[Fit]]:
     """Return the best fit of each cause alone, the best first, and the problem that they solve.
 
     A cause may change how the noise propagates: feet that slip keep a velocity that feet that stick lose. So the best
     fit propagates the noise, if it reaches the noise then.
     """
-    fits = best_fits(problem, problem.before, causes, MAX_ALONE, advance)
-    if problem.left(fits[0]) > NEAR:
-        refined = [_refined(problem, fit) for fit in fits[:MAX_LEADING]]
-        fits = _best_by_cause(problem, refined + fits)
+    fits, others = best_fits(problem, problem.before, changes, MAX_ALONE)
+    stepped = [
+        replace(
+            fit, numbers=fit.numbers + fit.step if len(fit.numbers) else fit.numbers
+        )
+        for fit in others
+    ]
+    sharp = [_sharpened(problem, fit) for fit in fits[:MAX_LEADING]]
+    fits = _best_by_cause(
+        problem, sharp + fits[MAX_LEADING:] + [problem.judged(fit) for fit in stepped]
+    )
     followed, leaders = problem, fits
     for _ in range(MAX_ROUNDS):
         if followed.left(leaders[0]) < NEAR:
@@ -329,27 +393,14 @@ def _fits_alone(
             break
         followed = further
         cause = leaders[0].terms[0][0]
-        again = best_fits(followed, followed.before, [cause], MAX_GROUPS)
+        again, _ = best_fits(
+            followed, followed.before, trials(followed, cause), MAX_GROUPS
+        )
+        again = [_sharpened(followed, again[0])]
         again += [followed.judged(fit) for fit in leaders]
         leaders = _best_by_cause(followed, again)
     reaches_noise = followed.left(leaders[0]) < NEAR
     return (followed, leaders) if reaches_noise else (problem, fits)
-
-
-def _same_law(problem: Problem, causes: Sequence[Cause], fit: Fit) -> list[Fit]:
-    """Return a fit of the cause with the same law and the same values, if there is one."""
-    (cause, group), numbers = next(fit.parts(fit.numbers))
-    changes = cause.values(group, numbers) - cause.present
-    by_name = dict(zip(cause.parameters, changes, strict=False))
-    fits = []
-    for other in causes:
-        if SAME_LAW.get(cause.name) == other.name:
-            values = np.array([by_name.get(name, 0.0) for name in other.parameters])
-            each = other.groups[-1]
-            start = np.maximum(values / other.scale, other.lower(each))
-            alone = problem.before.with_term(other, each, start)
-            fits.append(problem.judged(alone))
-    return fits
 
 
 @dataclass(frozen=True)
@@ -385,38 +436,39 @@ def _are_alike(problem: Problem, best: Fit, other: Fit) -> bool:
 def _servo(problem: Problem, causes: Sequence[Cause], fits: Sequence[Fit]) -> list[Fit]:
     """Return the constants of a few servos fitted together; nothing for many servos, or without any."""
     by_name = {cause.name: cause for cause in causes}
-    if "kp" not in by_name or len(by_name["kp"].parameters) * len(SERVO) > MAX_FEW:
+    if "kp" not in by_name or len(by_name["kp"].parameters) * len(SERVO) > MAX_SERVO:
         return []
     fit = next(fit for fit in fits if fit.names == ["delay"])
-    for name in SERVO[1:]:
-        group = by_name[name].groups[-1]
-        fit = fit.with_term(by_name[name], group, 0.0 * by_name[name].lower(group))
-    return [_refined(problem, fit)]
+    groups = [by_name[name].groups[-1] for name in SERVO[1:]]
+    terms = zip([by_name[name] for name in SERVO[1:]], groups, strict=True)
+    zeros = np.concatenate(
+        [0.0 * by_name[name].lower(by_name[name].groups[-1]) for name in SERVO[1:]]
+    )
+    fit = replace(
+        fit, terms=(*fit.terms, *terms), numbers=np.append(fit.numbers, zeros)
+    )
+    fit = replace(fit, reach=np.full(len(fit.numbers), np.inf))
+    return [_sharpened(problem, problem.judged(fit))]
 
 
 def _several(
-    problem: Problem, causes: Sequence[Cause], fits: Sequence[Fit], bases: Sequence[Fit]
+    problem: Problem,
+    causes: Sequence[Cause],
+    changes: Sequence[Fit],
+    fits: Sequence[Fit],
+    bases: Sequence[Fit],
 ) -> Fit:
-    """Return the pair of causes, or the constants of a servo, that explain most.
-
-    A cause that explains little on top of another one may still explain much with it, so the best ones alone are tried
-    too.
-    """
+    """Return the pair of causes, or the constants of a servo, that explain most."""
     together: list[Fit] = []
     for base in bases:
-        others = [cause for cause in causes if cause.name not in base.names]
-        together += best_fits(problem, base, others, MAX_FURTHER)
-        for fit in fits[:MAX_POOL]:
-            if fit.names != base.names:
-                cause, group = fit.terms[0]
-                shorter = fit.numbers if cause.starts else 0.3 * fit.numbers
-                pair = base.with_term(cause, group, shorter)
-                together.append(_refined(problem, pair))
-        best = min(together, key=lambda fit: fit.error)
+        others = [fit for fit in changes if fit.names != base.names]
+        together += best_fits(problem, base, others, MAX_FURTHER)[0]
+        best = min(together, key=problem.cost)
         if problem.left(best) < NEAR:
-            return best
-    together += _servo(problem, causes, fits)
-    return min(together, key=lambda fit: fit.error)
+            return _sharpened(problem, best)
+    best = min(together, key=problem.cost)
+    together += [_sharpened(problem, best), *_servo(problem, causes, fits)]
+    return min(together, key=problem.cost)
 
 
 def _verdict(problem: Problem, fits: Sequence[Fit], several: Fit | None) -> Verdict:
@@ -444,15 +496,17 @@ def explain(
     """Return what explains the deviation of a log from the model: each cause alone, then several."""
     if problem.before.error < WITHIN_NOISE * problem.floor:
         return Explanation(problem)
-    problem, fits = _fits_alone(problem, causes, advance)
-    others = [*_same_law(problem, causes, fits[0]), *fits[1:]]
-    alike = [fit.names[0] for fit in others if _are_alike(problem, fits[0], fit)]
-    alike = list(dict.fromkeys(alike))
+    changes: list[Fit] = []
+    for cause in causes:
+        advance(cause.name)
+        changes += trials(problem, cause)
+    problem, fits = _fits_alone(problem, changes)
+    alike = [fit.names[0] for fit in fits[1:] if _are_alike(problem, fits[0], fit)]
     several = None
     if problem.left(fits[0]) > NEAR:
         advance("several together")
         bases = [fit for fit in fits if fit.names[0] not in alike][:MAX_BASES]
-        several = _several(problem, causes, fits, bases)
+        several = _several(problem, causes, changes, fits, bases)
     verdict = _verdict(problem, fits, several)
     change = fits[0] if several is None or verdict is Verdict.CAUSE else several
     return Explanation(problem, verdict, fits, alike, several, change)
