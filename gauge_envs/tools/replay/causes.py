@@ -90,7 +90,7 @@ SNIPPETS = {
 
 DELAYS_S = (-0.01, 0.005, 0.01, 0.02, 0.03, 0.045, 0.06, 0.09, 0.13, 0.18)
 """Delays from which the fit starts: the error has several minima over the delay."""
-EFFORTS = (0.12, 0.2, 0.35, 0.5, 0.7, 0.9, 1.3)
+EFFORTS = (0.15, 0.35, 0.65, 1.0)
 """Effort limits from which the fit starts, over the torque that the model needs in the log."""
 CONTACTS = (-0.85, -0.7, -0.55, -0.4, -0.2, 0.5, 1.5, 4.0)
 """Changes of friction and of the time constant of contacts, over the present value."""
@@ -98,7 +98,7 @@ STEPS = (0.25, 0.5, 2.0, 2.5, 4.0, 5.0)
 """Physics steps that are tried, over the present one."""
 REPEATS = (2, 3, 4)
 MAX_TIMESTEP_S = 0.02
-STOPS = (0.0, -0.02, 0.02)
+STOPS = (-0.02, 0.02)
 """Places of a stop from which the fit starts, beyond the extreme of the motion [rad or m]."""
 LOAD_SAMPLES = 300
 FAR = 40.0

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import copy
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
-from scipy.optimize import least_squares, lsq_linear
+from scipy.optimize import lsq_linear
 from scipy.stats import t as student, wilcoxon
 
 from gauge_envs.tools.replay.causes import FAR, Cause, Group
@@ -34,7 +36,7 @@ PARAMETER_COST = 0.01
 """Part of the error that one more number of a fit must remove."""
 MAX_GROUPS = 2
 """Number of groups of each cause that are fitted."""
-MAX_ALONE, MAX_FURTHER, MAX_BASES = 8, 5, 2
+MAX_ALONE, MAX_TOGETHER, MAX_BASES = 8, 8, 2
 """Number of fits that are refined: alone, and on top of others; and of such bases."""
 MAX_CALLS = 20
 """Number of predictions of a fit."""
@@ -47,11 +49,9 @@ MAX_SERVO = 12
 PROBE, MIN_PROBED = 0.05, 0.2
 """Step of finite differences, over a number of the fit, and the smallest such number."""
 MAX_SHARPENED, MIN_GAIN = 3, 0.9
-"""Number of times that the slopes of a fit are computed, and error after such a round over that before that ends them."""
-MIN_SECANT = 0.01
-"""Smallest step that updates the slopes: contacts make the residuals rough."""
-PARTS = (1.0, 0.4)
-"""Parts of the step of the linear model that are tried."""
+"""Number of times that slopes are computed anew, and error after such a round over that before that is no gain."""
+MIN_PROMISED, SHORTER = 0.998, 0.3
+"""Error that the next step promises, over the present one, which ends a fit; length of a step after one that failed."""
 EMPTY = np.zeros(0)
 MAX_WHITE = 1e4
 
@@ -95,6 +95,11 @@ class Fit:
         return self.promised
 
     @property
+    def misfit(self) -> float:
+        """Mean squared training error."""
+        return float(np.mean(self.train**2))
+
+    @property
     def lower(self) -> FloatArray:
         """Smallest numbers, shape [p]."""
         smallest = [cause.lower(group) for cause, group in self.terms]
@@ -121,7 +126,7 @@ class Fit:
     def linear(self) -> Fit:
         """Return the fit with the step to the optimum of its linear model."""
         if not len(self.numbers):
-            return replace(self, promised=float(np.mean(self.train**2)))
+            return replace(self, promised=self.misfit)
         slopes = self.slopes.reshape(self.train.size, -1)
         lower = np.clip(self.lower - self.numbers, -self.reach, -1e-9)
         upper = np.clip(FAR - self.numbers, 1e-9, self.reach)
@@ -159,21 +164,18 @@ class Problem:
 
     def following(self, fit: Fit) -> Problem | None:
         """Return the problem where a fit propagates the noise; None if its training errors are less likely then."""
-        setup = self.changed(fit)
         further = copy.copy(self)
-        further.whiteners = self._whitened(setup)
-        columns = self.replayer.predict(setup, self._halves[0])
-        columns = columns.reshape(len(columns), -1, 1)
-        # Twice the negative logarithm of the likelihood, by residual.
-        surprises = [
-            np.mean((white @ columns) ** 2)
-            - 2.0 * np.mean(np.log(np.diagonal(white, axis1=1, axis2=2)))
-            for white in (self.whiteners[0], further.whiteners[0])
-        ]
-        if surprises[1] > surprises[0]:
+        further.whiteners = self._whitened(self.changed(fit))
+        after = further.trained(fit, fit.numbers)
+        if further.surprise(after) > self.surprise(fit):
             return None
         further.before = further.judged(self.before)
         return further
+
+    def surprise(self, fit: Fit) -> float:
+        """Return twice the negative logarithm of the likelihood of the training errors, by residual."""
+        precision = np.diagonal(self.whiteners[0], axis1=1, axis2=2)
+        return fit.misfit - 2.0 * float(np.mean(np.log(precision)))
 
     def changed(self, fit: Fit) -> Setup:
         """Return the setup of a fit."""
@@ -213,9 +215,9 @@ class Problem:
 
 
 def trials(problem: Problem, cause: Cause) -> list[Fit]:
-    """Return the changes of the residuals by each group of a cause, one a start.
+    """Return what each group of a cause changes, one a start; a cause without starts begins at the present values.
 
-    The changes of single values add up, as far as the residuals are linear. A cause without starts begins at zero.
+    The changes of single values add up, as far as the residuals are linear.
     """
     before, count = problem.before, len(cause.parameters)
 
@@ -224,76 +226,57 @@ def trials(problem: Problem, cause: Cause) -> list[Fit]:
         return problem.trained(fit, numbers).train - before.train
 
     if not count:
-        changes = [change(group, EMPTY) for group in cause.groups]
         return [
-            replace(before, terms=((cause, group),), train=moved)
-            for group, moved in zip(cause.groups, changes, strict=True)
+            replace(before, terms=((cause, group),), train=change(group, EMPTY))
+            for group in cause.groups
         ]
-    grid = np.sort(cause.starts or (0.0, PROBE))
-    singles = cause.groups[:count]
-    moved = np.zeros((len(grid), *before.train.shape, count))
-    if not cause.starts:
+
+    def changes(singles: Sequence[Group], grid: FloatArray) -> FloatArray:
+        rows = [[change(each, np.array([x])) for each in singles] for x in grid]
+        return np.moveaxis(np.array(rows), 1, -1)
+
+    if cause.starts:
+        grid = np.sort(cause.starts)
+        moved = changes(cause.groups[:count], grid)
+        slopes, reach = np.gradient(moved, grid, axis=0), np.gradient(grid)
+    else:
+        grid, reach = np.zeros(1), np.array([np.inf])
         singles = [Group("", unit[:, None], cause.present) for unit in np.eye(count)]
-    for row, number in enumerate(grid):
-        if cause.starts or number:
-            columns = [change(single, np.array([number])) for single in singles]
-            moved[row] = np.stack(columns, axis=-1)
-    slopes = np.gradient(moved, grid, axis=0)
-    spacing = np.gradient(grid)
+        slopes = changes(singles, np.array([PROBE])) / PROBE
+        moved = 0.0 * slopes
     fits = []
-    for row in range(len(grid) if cause.starts else 1):
-        for group in cause.groups:
-            number = np.full(group.selection.shape[1], grid[row])
-            fit = Fit(
-                terms=((cause, group),),
-                numbers=number,
-                train=moved[row] @ group.selection.sum(axis=1),
-                slopes=slopes[row] @ group.selection,
-                reach=np.full(len(number), spacing[row] if cause.starts else np.inf),
-            )
-            fits.append(fit)
+    for row, group in product(range(len(grid)), cause.groups):
+        picks, ones = group.selection, np.ones(group.selection.shape[1])
+        fit = Fit(
+            terms=((cause, group),),
+            numbers=grid[row] * ones,
+            train=moved[row] @ picks.sum(axis=1),
+            slopes=slopes[row] @ picks,
+            reach=reach[row] * ones,
+        )
+        fits.append(fit)
     return fits
 
 
 def _refined(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit after least squares of all its numbers together, with all its residuals.
+    """Return a fit after steps to the optimum of its linear model, with all its residuals.
 
-    Each prediction updates the slopes (Broyden, 1965, Mathematics of Computation 19, p. 577): J += (dr - J dx) dx^T / dx^2.
+    Each prediction updates the slopes (Broyden 1965, Mathematics of Computation 19, 577): J += (dr - J dx) dx^T / dx^2.
     """
-    if not len(fit.numbers):
-        return problem.judged(fit)
-    lower = fit.lower
-    last = fit
-
-    def residuals(numbers: FloatArray) -> FloatArray:
-        nonlocal last
-        after = problem.trained(last, numbers)
-        step = numbers - last.numbers
-        if np.abs(step).max() > MIN_SECANT:
-            gap = after.train - last.train - last.slopes @ step
-            slopes = last.slopes + gap[..., None] * step / (step @ step)
-            after = replace(after, slopes=slopes)
-        last = after
-        return after.train.ravel()
-
-    numbers = [
-        np.clip(fit.numbers + part * fit.step, lower + 1e-9, FAR - 1e-9)
-        for part in PARTS
-    ]
-    start = min(numbers, key=lambda each: float(np.sum(residuals(each) ** 2)))
-    solution = least_squares(
-        residuals,
-        start,
-        lambda _: last.slopes.reshape(-1, len(start)),
-        bounds=(lower, FAR),
-        x_scale=np.maximum(np.abs(start), 0.05),
-        ftol=1e-3,
-        xtol=1e-4,
-        max_nfev=MAX_CALLS,
-    )
-    free = np.full(len(start), np.inf)
-    after = replace(last, numbers=solution.x, reach=free)
-    return problem.judged(after)
+    fit = problem.trained(fit, fit.numbers).linear()
+    for _ in range(MAX_CALLS):
+        if fit.promised > MIN_PROMISED * fit.misfit:
+            break
+        step = fit.step
+        after = problem.trained(fit, fit.numbers + step)
+        gap = after.train - fit.train - fit.slopes @ step
+        slopes = fit.slopes + gap[..., None] * step / (step @ step)
+        if after.misfit < fit.misfit:
+            fit = replace(after, slopes=slopes, reach=2.0 * fit.reach)
+        else:
+            fit = replace(fit, slopes=slopes, reach=SHORTER * np.abs(step))
+        fit = fit.linear()
+    return problem.judged(replace(fit, reach=np.full(len(fit.numbers), np.inf)))
 
 
 def _sharpened(problem: Problem, fit: Fit) -> Fit:
@@ -306,11 +289,9 @@ def _sharpened(problem: Problem, fit: Fit) -> Fit:
         trained = [problem.trained(fit, fit.numbers + step) for step in np.diag(steps)]
         moved = np.stack([each.train for each in trained], axis=-1)
         slopes = (moved - fit.train[..., None]) / steps
-        again = _refined(problem, replace(fit, slopes=slopes).linear())
-        before, after = (np.mean(each.train**2) for each in (fit, again))
-        if after < before:
-            fit = again
-        if after > MIN_GAIN * before:
+        before = fit.misfit
+        fit = _refined(problem, replace(fit, slopes=slopes))
+        if fit.misfit > MIN_GAIN * before:
             break
     return replace(fit, half_width=_half_width(slopes, fit.train))
 
@@ -336,69 +317,62 @@ def _half_width(slopes: FloatArray, residuals: FloatArray) -> FloatArray:
 
 
 def best_fits(
-    problem: Problem, base: Fit, changes: Sequence[Fit], count: int
-) -> tuple[list[Fit], list[Fit]]:
-    """Return the refined fits with each further cause, the best first, and the other ones.
+    problem: Problem, bases: Sequence[Fit], changes: Sequence[Fit], count: int
+) -> list[Fit]:
+    """Return the best fit of each further cause on top of each base, the best first.
 
     At most `count` fits are refined, and after one that reaches the noise only those that come near to it.
     """
-    by_cause: dict[str, list[Fit]] = {}
-    promising = [base.plus(change).linear() for change in changes]
-    for fit in sorted(promising, key=problem.cost):
-        by_cause.setdefault(fit.names[-1], []).append(fit)
-    few = [fit for fits in by_cause.values() for fit in fits[:MAX_GROUPS]]
-    few.sort(key=problem.cost)
-    refined: list[Fit] = []
+    promising = [
+        base.plus(change).linear()
+        for base, change in product(bases, changes)
+        if change.names != base.names
+    ]
     limit = np.inf
-    for fit in few:
-        if len(refined) == count or fit.promised > limit:
-            break
-        refined.append(_refined(problem, fit))
-        if problem.left(refined[-1]) < NEAR:
-            limit = MAX_WORSE * few[0].promised
-    return _best_by_cause(problem, refined), few[len(refined) :]
+    fits: list[Fit] = []
+    for fit in _few_by_cause(problem, promising, MAX_GROUPS):
+        if len(fits) < count and fit.promised < limit:
+            after = _refined(problem, fit)
+            if problem.left(after) < NEAR:
+                limit = min(limit, MAX_WORSE * fit.promised)
+        else:
+            after = problem.judged(replace(fit, numbers=fit.numbers + fit.step))
+        fits.append(after)
+    fits.sort(key=problem.cost)
+    fits[:MAX_LEADING] = [_sharpened(problem, fit) for fit in fits[:MAX_LEADING]]
+    return sorted(fits, key=problem.cost)
 
 
-def _best_by_cause(problem: Problem, fits: Sequence[Fit]) -> list[Fit]:
-    """Return the best fit of each last cause, the best first."""
-    best: dict[str, Fit] = {}
+def _few_by_cause(problem: Problem, fits: Sequence[Fit], count: int) -> list[Fit]:
+    """Return the best fits of the same causes, the best first."""
+    number: Counter[tuple[str, ...]] = Counter()
+    few = []
     for fit in sorted(fits, key=problem.cost):
-        best.setdefault(fit.names[-1], fit)
-    return list(best.values())
+        names = tuple(fit.names)
+        number[names] += 1
+        if number[names] <= count:
+            few.append(fit)
+    return few
 
 
-def _fits_alone(problem: Problem, changes: Sequence[Fit]) -> tuple[Problem, list[Fit]]:
-    """Return the best fit of each cause alone, the best first, and the problem that they solve.
+def _followed(problem: Problem, fits: list[Fit]) -> tuple[Problem, list[Fit]]:
+    """Return the problem where the best fit propagates the noise, with its fits; the same ones if that does not help.
 
     A cause may change how the noise propagates: feet that slip keep a velocity that feet that stick lose. So the best
     fit propagates the noise, if it reaches the noise then.
     """
-    fits, others = best_fits(problem, problem.before, changes, MAX_ALONE)
-    stepped = [
-        replace(
-            fit, numbers=fit.numbers + fit.step if len(fit.numbers) else fit.numbers
-        )
-        for fit in others
-    ]
-    sharp = [_sharpened(problem, fit) for fit in fits[:MAX_LEADING]]
-    fits = _best_by_cause(
-        problem, sharp + fits[MAX_LEADING:] + [problem.judged(fit) for fit in stepped]
-    )
     followed, leaders = problem, fits
     for _ in range(MAX_ROUNDS):
         if followed.left(leaders[0]) < NEAR:
-            break
+            return followed, leaders
         further = followed.following(leaders[0])
         if further is None:
             break
         followed = further
-        cause = leaders[0].terms[0][0]
-        again, _ = best_fits(
-            followed, followed.before, trials(followed, cause), MAX_GROUPS
-        )
-        again = [_sharpened(followed, again[0])]
+        changes = trials(followed, leaders[0].terms[0][0])
+        again = best_fits(followed, [followed.before], changes, MAX_GROUPS)
         again += [followed.judged(fit) for fit in leaders]
-        leaders = _best_by_cause(followed, again)
+        leaders = sorted(again, key=followed.cost)
     reaches_noise = followed.left(leaders[0]) < NEAR
     return (followed, leaders) if reaches_noise else (problem, fits)
 
@@ -424,51 +398,30 @@ class Explanation:
     change: Fit | None = None
 
 
-def _are_alike(problem: Problem, best: Fit, other: Fit) -> bool:
-    """Say whether the pieces that no fit has seen cannot tell two fits apart (signed ranks, 5 %)."""
-    if problem.share(other) < 0.5 * problem.share(best):
-        return False
-    gap = np.mean(other.held_out**2 - best.held_out**2, axis=1)
-    is_equal = np.abs(gap).max() < 1e-3 * (problem.before.error - problem.floor)
-    return bool(is_equal or wilcoxon(gap, alternative="greater").pvalue > 0.05)
+def _alike(problem: Problem, fits: Sequence[Fit]) -> list[str]:
+    """Return the causes that the pieces that no fit has seen cannot tell from the first (signed ranks, 5 %)."""
+    best, *others = fits
+    small = 1e-3 * (problem.before.error - problem.floor)
+    alike = []
+    for fit in others:
+        gap = np.mean(fit.held_out**2 - best.held_out**2, axis=1)
+        is_equal = np.abs(gap).max() < small
+        if problem.share(fit) > 0.5 * problem.share(best) and (
+            is_equal or wilcoxon(gap, alternative="greater").pvalue > 0.05
+        ):
+            alike.append(" and ".join(fit.names))
+    return alike
 
 
-def _servo(problem: Problem, causes: Sequence[Cause], fits: Sequence[Fit]) -> list[Fit]:
-    """Return the constants of a few servos fitted together; nothing for many servos, or without any."""
-    by_name = {cause.name: cause for cause in causes}
-    if "kp" not in by_name or len(by_name["kp"].parameters) * len(SERVO) > MAX_SERVO:
-        return []
-    fit = next(fit for fit in fits if fit.names == ["delay"])
-    groups = [by_name[name].groups[-1] for name in SERVO[1:]]
-    terms = zip([by_name[name] for name in SERVO[1:]], groups, strict=True)
-    zeros = np.concatenate(
-        [0.0 * by_name[name].lower(by_name[name].groups[-1]) for name in SERVO[1:]]
-    )
-    fit = replace(
-        fit, terms=(*fit.terms, *terms), numbers=np.append(fit.numbers, zeros)
-    )
-    fit = replace(fit, reach=np.full(len(fit.numbers), np.inf))
-    return [_sharpened(problem, problem.judged(fit))]
-
-
-def _several(
-    problem: Problem,
-    causes: Sequence[Cause],
-    changes: Sequence[Fit],
-    fits: Sequence[Fit],
-    bases: Sequence[Fit],
-) -> Fit:
-    """Return the pair of causes, or the constants of a servo, that explain most."""
-    together: list[Fit] = []
-    for base in bases:
-        others = [fit for fit in changes if fit.names != base.names]
-        together += best_fits(problem, base, others, MAX_FURTHER)[0]
-        best = min(together, key=problem.cost)
-        if problem.left(best) < NEAR:
-            return _sharpened(problem, best)
-    best = min(together, key=problem.cost)
-    together += [_sharpened(problem, best), *_servo(problem, causes, fits)]
-    return min(together, key=problem.cost)
+def _servo(problem: Problem, changes: Sequence[Fit]) -> list[Fit]:
+    """Return the constants of a few servos fitted together, one fit a start of the delay."""
+    servos = [fit for fit in changes if fit.names == ["delay"]]
+    for name in SERVO[1:]:
+        each = [fit for fit in changes if fit.names == [name]]
+        servos = [fit.plus(each[-1]) for fit in servos if each]
+    servos = [fit.linear() for fit in servos if len(fit.numbers) <= MAX_SERVO]
+    best = sorted(servos, key=problem.cost)[:1]
+    return [_sharpened(problem, _refined(problem, fit)) for fit in best]
 
 
 def _verdict(problem: Problem, fits: Sequence[Fit], several: Fit | None) -> Verdict:
@@ -500,13 +453,22 @@ def explain(
     for cause in causes:
         advance(cause.name)
         changes += trials(problem, cause)
-    problem, fits = _fits_alone(problem, changes)
-    alike = [fit.names[0] for fit in fits[1:] if _are_alike(problem, fits[0], fit)]
-    several = None
-    if problem.left(fits[0]) > NEAR:
+    fits = best_fits(problem, [problem.before], changes, MAX_ALONE)
+    problem, fits = _followed(problem, fits)
+    alone = _few_by_cause(problem, fits, 1)
+    alike = _alike(problem, alone)
+    together: list[Fit] = []
+    if problem.left(alone[0]) > NEAR:
         advance("several together")
-        bases = [fit for fit in fits if fit.names[0] not in alike][:MAX_BASES]
-        several = _several(problem, causes, changes, fits, bases)
-    verdict = _verdict(problem, fits, several)
-    change = fits[0] if several is None or verdict is Verdict.CAUSE else several
-    return Explanation(problem, verdict, fits, alike, several, change)
+        names = [fit.names for fit in alone if fit.names[0] not in alike][:MAX_BASES]
+        bases = [fit for fit in fits if fit.names in names]
+        together = best_fits(problem, bases, changes, MAX_TOGETHER)
+        if problem.left(together[0]) > NEAR:
+            together += _servo(problem, changes)
+        together = _few_by_cause(problem, together, 1)
+    several = next(iter(together), None)
+    verdict = _verdict(problem, alone, several)
+    if verdict is Verdict.SEVERAL:
+        alike = _alike(problem, together)
+    change = alone[0] if several is None or verdict is Verdict.CAUSE else several
+    return Explanation(problem, verdict, alone, alike, several, change)
