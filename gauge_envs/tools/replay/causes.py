@@ -111,17 +111,15 @@ MIN_FACTOR = 1e-3
 
 @dataclass(frozen=True)
 class Group:
-    """Values of a cause that change together: `base + scale * (selection @ numbers)`.
+    """Values of a cause that change together.
 
     Attributes:
         label: `all` for a common number, `each` for several numbers, the text of an option without numbers.
         selection: Which number moves each value, shape [K, p].
-        base: Values where all numbers are zero, shape [K].
     """
 
     label: str
     selection: FloatArray
-    base: FloatArray
 
 
 @dataclass(frozen=True)
@@ -131,12 +129,13 @@ class Cause:
     Attributes:
         name: As `delay`.
         unit: Unit of the values.
-        parameters: Names of the values, as joints; empty for a cause of options.
+        parameters: Names of the values, as joints; empty for an option.
         present: Values of the model as it is, shape [K].
+        origin: Values where the numbers are zero, shape [K].
         scale: Change of each value for a number of 1, shape [K].
+        minimum: Smallest values, shape [K].
         fields: Arrays that take the values.
         groups: What is fitted.
-        is_positive: Whether values stay above zero.
         starts: Numbers from which the fit starts where the error is not smooth at the present value.
     """
 
@@ -144,15 +143,18 @@ class Cause:
     unit: str
     parameters: Sequence[str]
     present: FloatArray
+    origin: FloatArray
     scale: FloatArray
+    minimum: FloatArray
     fields: Sequence[Field]
     groups: Sequence[Group]
-    is_positive: bool = True
     starts: Sequence[float] = ()
 
     def values(self, group: Group, numbers: FloatArray) -> FloatArray:
         """Return all values for numbers of shape [p]."""
-        return group.base + self.scale * (group.selection @ numbers)
+        is_moved = group.selection.any(axis=1)
+        base = np.where(is_moved, self.origin, self.present)
+        return base + self.scale * (group.selection @ numbers)
 
     def changed(self, setup: Setup, group: Group, numbers: FloatArray) -> Setup:
         """Return a changed copy of a setup."""
@@ -160,16 +162,16 @@ class Cause:
         values = self.values(group, numbers)
         for path, index, factor in self.fields:
             attrgetter(path)(after)[index] = factor * values
-        after.model.opt.timestep = after.timing[0]
+        after.model.opt.timestep = after.step_s[0]
         after.model.body_mass += after.payload - setup.payload
         mujoco.mj_setConst(after.model, mujoco.MjData(after.model))
         return after
 
     def lower(self, group: Group) -> FloatArray:
         """Return the smallest numbers of a group, shape [p]."""
-        smallest = MIN_FACTOR - group.base / self.scale if self.is_positive else -FAR
-        is_moved = group.selection.T > 0.0
-        return np.where(is_moved, smallest, -FAR).max(axis=1, initial=-FAR)
+        smallest = (self.minimum - self.origin) / self.scale
+        by_number = np.where(group.selection.T > 0.0, smallest, -np.inf)
+        return by_number.max(axis=1)
 
 
 def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
@@ -186,7 +188,6 @@ def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
     damping = ("model.dof_damping", replayer.dof, 1.0)
     sides = [f"{joint} {side}" for side in ("lower", "upper") for joint in joints]
     places = np.tile(replayer.joint, 2), np.repeat((0, 1), len(joints))
-    stop = ("model.jnt_range", places, 1.0)
     extremes = np.percentile(log.position, (2.0, 98.0), axis=0).ravel()
     rows = [
         _row(setup, "armature", "kg m^2", joints, inertia, armature),
@@ -199,12 +200,12 @@ def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
             "rad",
             sides,
             1.0,
-            stop,
+            ("model.jnt_range", places, 1.0),
             start=(extremes, STOPS),
             selections=_alone(len(sides)),
             is_positive=False,
         ),
-        _timing(setup),
+        *_timing(setup),
     ]
     driven = np.flatnonzero(np.append(setup.is_driven, False)[replayer.actuator])
     if len(driven):
@@ -245,13 +246,14 @@ def _row(
     if is_positive and not start:
         scale = np.where(present > 0.2 * scale, present, scale)
     origin, starts = start or (present, ())
-    groups = []
-    for selection in selections or _selections(len(present)):
-        label = "all" if selection.shape[1] == 1 else "each"
-        base = np.where(selection.any(axis=1), origin, present)
-        groups.append(Group(label, selection, base))
+    minimum = scale * (MIN_FACTOR if is_positive else -np.inf)
+    groups = [
+        Group("all" if selection.shape[1] == 1 else "each", selection)
+        for selection in selections or _selections(len(present))
+    ]
+    origin = np.full(len(present), origin)
     return Cause(
-        name, unit, parameters, present, scale, fields, groups, is_positive, starts
+        name, unit, parameters, present, origin, scale, minimum, fields, groups, starts
     )
 
 
@@ -264,6 +266,12 @@ def _selections(count: int) -> list[FloatArray]:
     """Return the selections of each value alone, of all by one number, and of all by a number each."""
     together = [np.ones((count, 1)), np.eye(count)] if count > 1 else []
     return _alone(count) + together
+
+
+def _option(name: str, label: str, path: str, index: Any, values: ArrayLike) -> Cause:
+    """Return a cause without numbers, which gives values to an array."""
+    one, group = np.ones(1), Group(label, np.zeros((1, 0)))
+    return Cause(name, "", (), one, one, one, one, [(path, index, values)], [group])
 
 
 def _bodies(setup: Setup) -> list[Cause]:
@@ -333,12 +341,11 @@ def _drives(
     """Return gains, effort limit, and scale, offset, order and delay of the commands of driven joints."""
     model, ids = setup.model, replayer.actuator[driven]
     names = [replayer.log.joints[joint] for joint in driven]
-    gear = np.abs(model.actuator_gear[ids, 0])
-    upper = ("model.actuator_forcerange", (ids, 1), 1.0 / gear)
-    lower = ("model.actuator_forcerange", (ids, 0), -1.0 / gear)
-    gain = ("model.actuator_gainprm", (ids, 0), 1.0 / gear**2)
-    stiffness = ("model.actuator_biasprm", (ids, 1), -1.0 / gear**2)
-    damping = ("model.actuator_biasprm", (ids, 2), -1.0 / gear**2)
+    upper = ("model.actuator_forcerange", (ids, 1), 1.0)
+    lower = ("model.actuator_forcerange", (ids, 0), -1.0)
+    gain = ("model.actuator_gainprm", (ids, 0), 1.0)
+    stiffness = ("model.actuator_biasprm", (ids, 1), -1.0)
+    damping = ("model.actuator_biasprm", (ids, 2), -1.0)
     scale, offset = ("scale", ids, 1.0), ("offset", ids, 1.0)
     delay, start = ("delay_s", [0], 1.0), (0.0, DELAYS_S)
     is_servo = model.actuator_biasprm[ids, 1].any()
@@ -385,38 +392,32 @@ def _order(replayer: Replayer, setup: Setup, driven: IntArray) -> list[Cause]:
         for joint, other, sign in zip(driven, driven[order], signs, strict=True)
         if other != joint or sign < 0.0
     )
-    mixed = ("command", np.s_[:, ids], signs * setup.command[:, ids[order]])
-    one, groups = np.ones(1), [_option(label, 1.0)]
-    return [Cause("joint order", "", (), one, one, [mixed], groups)] if label else []
+    mixed = signs * setup.command[:, ids[order]]
+    option = _option("joint order", label, "command", np.s_[:, ids], mixed)
+    return [option] if label else []
 
 
-def _option(label: str, *values: float) -> Group:
-    """Return a group without numbers."""
-    return Group(label, np.zeros((len(values), 0)), np.array(values))
-
-
-def _timing(setup: Setup) -> Cause:
-    """Return the physics step and the decimation."""
-    step_s = setup.model.opt.timestep
-    groups = [
-        _option(
-            f"physics step of {1e3 * factor * step_s:.3g} ms", factor * step_s, 1, 0
-        )
-        for factor in STEPS
-        if factor * step_s <= MAX_TIMESTEP_S
-    ]
-    if setup.is_driven.any():
-        groups += [
-            _option(
-                f"only each {n}. command is used, from number {k + 1} on", step_s, n, k
-            )
-            for n in REPEATS
-            for k in range(n)
-        ]
-    timing = ("timing", np.s_[:], 1.0)
-    return Cause(
-        "step and decimation", "", (), setup.timing, np.ones(3), [timing], groups
-    )
+def _timing(setup: Setup) -> list[Cause]:
+    """Return other physics steps, and controllers that take only each n-th change of the command."""
+    name, every = "step and decimation", np.s_[:]
+    rows = []
+    for step_s in setup.step_s * STEPS:
+        if step_s <= MAX_TIMESTEP_S:
+            label = f"physics step of {1e3 * step_s:.3g} ms"
+            rows.append(_option(name, label, "step_s", every, step_s))
+    if not setup.is_driven.any():
+        return rows
+    is_new = np.diff(setup.command, axis=0).any(axis=1)
+    changes, samples = np.flatnonzero(is_new) + 1, np.arange(len(setup.command))
+    for n in REPEATS:
+        for k in range(n):
+            # The first command holds until the first one that the controller takes.
+            taken = np.append(0, changes[k::n])
+            latest = taken[np.searchsorted(taken, samples, "right") - 1]
+            label = f"only each {n}. command is used, from number {k + 1} on"
+            held = setup.command[latest]
+            rows.append(_option(name, label, "command", every, held))
+    return rows
 
 
 def _contacts(setup: Setup) -> list[Cause]:
@@ -425,14 +426,16 @@ def _contacts(setup: Setup) -> list[Cause]:
         "floor friction": {"model.geom_friction": 1, "model.pair_friction": 2},
         "contact softness": {"model.geom_solref": 1, "model.pair_solref": 1},
     }
-    one = np.ones(1)
-    groups = [Group("all", np.eye(1), one)]
+    one, groups = np.ones(1), [Group("all", np.eye(1))]
     rows = []
     for name, counts in columns.items():
         fields = [
             (path, np.s_[:, :count], attrgetter(path)(setup)[:, :count])
             for path, count in counts.items()
         ]
-        row = Cause(name, "", ["factor"], one, one, fields, groups, starts=CONTACTS)
+        least = MIN_FACTOR * one
+        row = Cause(
+            name, "", ["factor"], one, one, one, least, fields, groups, CONTACTS
+        )
         rows.append(row)
     return rows

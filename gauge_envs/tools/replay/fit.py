@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -221,38 +220,30 @@ def trials(problem: Problem, cause: Cause) -> list[Fit]:
     """
     before, count = problem.before, len(cause.parameters)
 
-    def change(group: Group, numbers: FloatArray) -> FloatArray:
+    def change(group: Group, number: float) -> FloatArray:
+        numbers = np.full(group.selection.shape[1], number)
         fit = replace(before, terms=((cause, group),))
         return problem.trained(fit, numbers).train - before.train
 
     if not count:
-        return [
-            replace(before, terms=((cause, group),), train=change(group, EMPTY))
-            for group in cause.groups
-        ]
-
-    def changes(singles: Sequence[Group], grid: FloatArray) -> FloatArray:
-        rows = [[change(each, np.array([x])) for each in singles] for x in grid]
-        return np.moveaxis(np.array(rows), 1, -1)
-
-    if cause.starts:
-        grid = np.sort(cause.starts)
-        moved = changes(cause.groups[:count], grid)
-        slopes, reach = np.gradient(moved, grid, axis=0), np.gradient(grid)
-    else:
-        grid, reach = np.zeros(1), np.array([np.inf])
-        singles = [Group("", unit[:, None], cause.present) for unit in np.eye(count)]
-        slopes = changes(singles, np.array([PROBE])) / PROBE
-        moved = 0.0 * slopes
+        (group,) = cause.groups
+        return [replace(before, terms=((cause, group),), train=change(group, 0.0))]
+    singles = [Group("", unit[:, None]) for unit in np.eye(count)]
+    grid = np.sort(cause.starts or (0.0, PROBE))
+    moved = np.zeros((len(grid), *before.train.shape, count))
     fits = []
-    for row, group in product(range(len(grid)), cause.groups):
+    for row, column in np.ndindex(len(grid), count):
+        if cause.starts or row:
+            moved[row, ..., column] = change(singles[column], float(grid[row]))
+    slopes, spacing = np.gradient(moved, grid, axis=0), np.gradient(grid)
+    for row, group in product(range(len(cause.starts) or 1), cause.groups):
         picks, ones = group.selection, np.ones(group.selection.shape[1])
         fit = Fit(
             terms=((cause, group),),
             numbers=grid[row] * ones,
             train=moved[row] @ picks.sum(axis=1),
             slopes=slopes[row] @ picks,
-            reach=reach[row] * ones,
+            reach=(spacing[row] if cause.starts else np.inf) * ones,
         )
         fits.append(fit)
     return fits
@@ -344,15 +335,15 @@ def best_fits(
 
 
 def _few_by_cause(problem: Problem, fits: Sequence[Fit], count: int) -> list[Fit]:
-    """Return the best fits of the same causes, the best first."""
-    number: Counter[tuple[str, ...]] = Counter()
-    few = []
+    """Return the best fits of the same causes, those of different groups, the best first."""
+    few: dict[tuple[str, ...], dict[str, Fit]] = {}
     for fit in sorted(fits, key=problem.cost):
-        names = tuple(fit.names)
-        number[names] += 1
-        if number[names] <= count:
-            few.append(fit)
-    return few
+        groups = few.setdefault(tuple(fit.names), {})
+        labels = ", ".join(group.label for _, group in fit.terms)
+        if len(groups) < count:
+            groups.setdefault(labels, fit)
+    flat = [fit for groups in few.values() for fit in groups.values()]
+    return sorted(flat, key=problem.cost)
 
 
 def _followed(problem: Problem, fits: list[Fit]) -> tuple[Problem, list[Fit]]:

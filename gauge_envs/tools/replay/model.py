@@ -50,9 +50,7 @@ class Setup:
         is_driven: Whether an actuator has commands, shape [nu].
         scale, offset: See above, shape [nu].
         delay_s: Time from the command to its effect, shape [1].
-        mixing: What each actuator takes of the command of each, shape [nu, nu].
-        timing: Physics step [s]; n and k, where the controller takes only each n-th change of the command, from number
-            k on.
+        step_s: Physics step, shape [1].
         payload: Mass that each body carries in addition [kg], shape [nbody].
     """
 
@@ -63,8 +61,7 @@ class Setup:
     scale: FloatArray
     offset: FloatArray
     delay_s: FloatArray
-    mixing: FloatArray
-    timing: FloatArray
+    step_s: FloatArray
     payload: FloatArray
 
     def controls(self, time_s: FloatArray) -> FloatArray:
@@ -72,19 +69,12 @@ class Setup:
 
         Commands hold until the next one. The mean over a step makes the result a continuous function of the delay.
         """
-        rows = np.arange(len(self.command))
-        repeat, phase = self.timing[1:].astype(int)
-        if repeat > 1:
-            is_new = np.diff(self.command, axis=0, prepend=np.nan).any(axis=1)
-            # The first command holds until the first one that the controller takes.
-            rows = np.union1d(0, np.flatnonzero(is_new)[phase::repeat])
-        starts_s = self.command_time_s[rows]
         # Outside of its ends the integral goes on: the first command holds before its time, and the last one for ever.
-        knots_s = np.append(starts_s, starts_s[-1] + 1.0)
-        area = PPoly(self.command[None, rows], knots_s).antiderivative()
-        begin_s, step_s = time_s - self.delay_s, self.model.opt.timestep
-        mean = (area(begin_s + step_s) - area(begin_s)) / step_s
-        return self.scale * (mean @ self.mixing) + self.offset
+        knots_s = np.append(self.command_time_s, self.command_time_s[-1] + 1.0)
+        area = PPoly(self.command[None], knots_s).antiderivative()
+        begin_s = time_s - self.delay_s
+        mean = (area(begin_s + self.step_s) - area(begin_s)) / self.step_s
+        return self.scale * mean + self.offset
 
 
 def load_model(file: Path) -> mujoco.MjModel:
@@ -127,10 +117,10 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         scale=np.ones(count),
         offset=np.zeros(count),
         delay_s=np.zeros(1),
-        mixing=np.eye(count),
-        timing=np.array([model.opt.timestep, 1.0, 0.0]),
+        step_s=np.array([model.opt.timestep]),
         payload=np.zeros(model.nbody),
     )
+    _use_joint_units(setup.model)
     home = model.key_qpos[0] if model.nkey else model.qpos0
     for name, command in zip(log.command_names, log.command.T, strict=True):
         if name not in drives:
@@ -154,16 +144,16 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
             _set_law(drive, given["kp"], given["kd"])
         if kind == "action":
             setup.scale[index] = given["action_scale"]
-        zero = 0.0
+        zero, gear = 0.0, 1.0
         if is_angle:
-            gear, pose = drive.gear[0], given["default_rad"]
+            pose = given["default_rad"]
             pose = home[joint.qposadr[0]] if pose is None else pose
-            setup.scale[index] *= gear
-            setup.offset[index] = gear * pose
+            setup.offset[index] = pose
             zero = pose if kind == "target" else 0.0
-        setup.command[:, index] = command - zero
+        elif kind == "ctrl" and not is_motor:
+            gear = model.actuator_gear[index, 0]
+        setup.command[:, index] = command / gear - zero
         setup.is_driven[index] = True
-    _set_limits(setup.model)
     return setup
 
 
@@ -176,32 +166,41 @@ def _drives(model: mujoco.MjModel) -> dict[str, int]:
     return drives
 
 
-def _set_law(drive: Any, stiffness: float, damping: float) -> None:
-    """Give an actuator a PD law of its joint, whose limit of effort is the range of its control; a torque for zeros."""
-    if stiffness and drive.ctrllimited[0] and not drive.forcelimited[0]:
-        drive.forcerange[:], drive.forcelimited[:] = drive.ctrlrange, 1
-    drive.forcerange *= abs(drive.gear[0])
-    drive.gear[0] = 1.0
-    drive.ctrllimited[:] = 0
-    drive.biastype[:] = mujoco.mjtBias.mjBIAS_AFFINE.value
-    drive.gainprm[:3] = stiffness or 1.0, 0.0, 0.0
-    drive.biasprm[:3] = 0.0, -stiffness, -damping
+def _use_joint_units(model: mujoco.MjModel) -> None:
+    """Give each joint and actuator a limit, and the actuators of joints a gear of 1.
 
-
-def _set_limits(model: mujoco.MjModel) -> None:
-    """Give each joint and actuator a limit, and the limit of effort of a joint to its actuators."""
+    A gear g makes a force k u + b0 + b1 g q + b2 g dq a torque of g times this. The control u of a servo becomes an
+    angle u / g. The limit of effort of a joint becomes that of its actuators.
+    """
     model.jnt_range[model.jnt_limited == 0] = -UNLIMITED, UNLIMITED
     model.jnt_limited[:] = 1
     model.actuator_forcerange[model.actuator_forcelimited == 0] = -UNLIMITED, UNLIMITED
     model.actuator_forcelimited[:] = 1
     at_joint = np.flatnonzero(model.actuator_trntype == AT_JOINT)
-    joints = model.actuator_trnid[at_joint, 0]
-    for actuator, joint in zip(at_joint, joints, strict=True):
+    for index in at_joint:
+        drive = model.actuator(index)
+        joint, gear = drive.trnid[0], drive.gear[0]
+        unit = gear if drive.biasprm[1] else 1.0
+        drive.gear[0] = 1.0
+        drive.gainprm[0] *= gear * unit
+        drive.biasprm[:3] *= gear, gear**2, gear**2
+        drive.ctrlrange[:] = np.sort(drive.ctrlrange / unit)
+        drive.forcerange *= abs(gear)
         if model.jnt_actfrclimited[joint]:
-            gear = abs(model.actuator_gear[actuator, 0])
-            forces = model.actuator_forcerange[actuator]
-            np.clip(forces, *model.jnt_actfrcrange[joint] / gear, out=forces)
-    model.jnt_actfrclimited[joints] = 0
+            lower, upper = model.jnt_actfrcrange[joint]
+            drive.forcerange[:] = np.clip(drive.forcerange, lower, upper)
+    model.jnt_actfrclimited[model.actuator_trnid[at_joint, 0]] = 0
+
+
+def _set_law(drive: Any, stiffness: float, damping: float) -> None:
+    """Give an actuator a PD law of its joint, whose limit of effort is the range of its control; a torque for zeros."""
+    if stiffness and drive.ctrllimited[0]:
+        lower, upper = drive.gainprm[0] * drive.ctrlrange
+        drive.forcerange[:] = np.clip(drive.forcerange, lower, upper)
+    drive.ctrllimited[:] = 0
+    drive.biastype[:] = mujoco.mjtBias.mjBIAS_AFFINE.value
+    drive.gainprm[:3] = stiffness or 1.0, 0.0, 0.0
+    drive.biasprm[:3] = 0.0, -stiffness, -damping
 
 
 class Replayer:
@@ -292,11 +291,6 @@ class Replayer:
         chosen = np.unique(np.linspace(0, len(start) - 1, count).round().astype(int))
         return start[chosen, None] + steps
 
-    def elapsed_s(self, pieces: IntArray) -> FloatArray:
-        """Return the time from the start of each piece to its samples, shape [P, T]."""
-        time_s = self.log.time_s[pieces]
-        return time_s[:, 1:] - time_s[:, :1]
-
     def predict(
         self, setup: Setup, pieces: IntArray, tangent: FloatArray | None = None
     ) -> FloatArray:
@@ -309,7 +303,7 @@ class Replayer:
         """
         model, log = setup.model, self.log
         step_s = model.opt.timestep
-        elapsed_s = self.elapsed_s(pieces)
+        elapsed_s = log.time_s[pieces[:, 1:]] - log.time_s[pieces[:, :1]]
         count = int(elapsed_s.max() / step_s) + 1
         times_s = log.time_s[pieces[:, :1]] + step_s * np.arange(count)
         controls = setup.controls(times_s)
@@ -390,7 +384,7 @@ class Replayer:
         near = 3.0 * log.position_noise
         angle = log.position[samples]
         conditions[(angle < lower + near) | (angle > upper - near)] = "limit"
-        effort = model.actuator_forcerange[:, 1] * np.abs(model.actuator_gear[:, 0])
+        effort = model.actuator_forcerange[:, 1]
         # A joint without an actuator has the place -1: the last entry.
         limits = np.append(effort, np.inf)[self.actuator]
         conditions[np.abs(torques) > 0.999 * limits] = "saturation"

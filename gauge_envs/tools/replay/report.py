@@ -158,7 +158,8 @@ def _joint_reports(
         error = replayer.predict(setup, pieces)[:, 0, is_joint]
         starts, ends = pieces.T
         moved = log.position[ends] - log.position[starts]
-        kept = replayer.elapsed_s(pieces) * log.velocity[starts]
+        elapsed_s = log.time_s[pieces[:, 1:]] - log.time_s[pieces[:, :1]]
+        kept = elapsed_s * log.velocity[starts]
         rms, motion = _rms(error), np.maximum(_rms(moved), 1e-9)
         numbers = np.transpose([rms, rms / noise, rms / motion, _rms(kept - moved)])
         length_s = horizon_s or log.interval_s
