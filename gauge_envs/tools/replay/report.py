@@ -116,8 +116,6 @@ def replay(
     joints, conditions = _joint_reports(problem, _repeat(logs[0], explained))
     alone = [_explained(problem, fit)[0] for fit in explanation.fits]
     together = _explained(problem, several) if several else []
-    named = {Verdict.CAUSE: alone[:1], Verdict.SEVERAL: together}
-    pasted = named.get(explanation.verdict, [])
     line = ReplayLine(
         log=explained.name,
         baseline=baseline[0].name if baseline else None,
@@ -133,9 +131,11 @@ def replay(
         candidates=tuple(alone),
         alike=tuple(explanation.alike),
         several=tuple(together),
-        paste=paste_lines(pasted, compiled.opt.timestep),
+        paste={},
     )
-    line = replace(line, sentence=_sentence(line))
+    named = () if line.verdict is Verdict.NOTHING else line.named
+    paste = paste_lines(named, compiled.opt.timestep)
+    line = replace(line, sentence=_sentence(line), paste=paste)
     return Replay(line, problem, explanation.change)
 
 
@@ -314,7 +314,8 @@ def replay_document(line: ReplayLine) -> Document:
     """Return the answer, a table by joint, a table by cause, and the lines to paste."""
     warnings = [f"Log: {text}." for text in line.findings]
     if line.alike:
-        best, others = line.candidates[0].cause, ", ".join(line.alike)
+        best = " and ".join(each.cause for each in line.named)
+        others = ", ".join(line.alike)
         warnings.insert(0, f"The log cannot tell {best} from: {others}.")
     numbers = {
         "noise": ("noise", _milli),

@@ -133,3 +133,9 @@ class ReplayLine:
     alike: tuple[str, ...]
     several: tuple[Explained, ...]
     paste: Mapping[str, str]
+
+    @property
+    def named(self) -> tuple[Explained, ...]:
+        """The causes that the verdict is about: several, or the best one."""
+        is_several = self.verdict is Verdict.SEVERAL
+        return self.several if is_several else self.candidates[:1]

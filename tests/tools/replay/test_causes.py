@@ -105,6 +105,17 @@ def test_the_error_of_the_right_model_is_that_of_the_noise(tmp_path, robot):
     assert seen.error == problem.before.error
 
 
+def test_a_gear_leaves_the_law_of_a_joint(tmp_path):
+    """With a gear of 2, a quarter of the gains gives the same torque."""
+    log, model = record(tmp_path, change=set_stiffness)
+    geared = 'gear="2" kp="10" kv="0.375"'
+    model.write_text(ARM.replace('kp="40" kv="1.5"', geared))
+    (best, *_) = replay(log, model).line.candidates
+    assert best.cause == "kp"
+    assert best.values[0].present == pytest.approx(40.0)
+    assert best.values[0].fitted == pytest.approx(28.0, rel=0.05)
+
+
 def test_two_causes_are_named_together(tmp_path):
     line = replay(*record(tmp_path, change=set_stiffness, delay_s=0.03)).line
     assert line.verdict is Verdict.SEVERAL
