@@ -35,7 +35,7 @@ PARAMETER_COST = 0.01
 """Part of the error that one more number of a fit must remove."""
 MAX_GROUPS = 2
 """Number of groups of each cause that are fitted."""
-MAX_ALONE, MAX_TOGETHER, MAX_BASES = 8, 8, 2
+MAX_ALONE, MAX_TOGETHER, MAX_BASES = 8, 8, 4
 """Number of fits that are refined: alone, and on top of others; and of such bases."""
 MAX_CALLS = 20
 """Number of predictions of a fit."""
@@ -161,13 +161,10 @@ class Problem:
         covariances = [self.replayer.covariance(setup, half) for half in self._halves]
         return [np.linalg.inv(np.linalg.cholesky(each)) for each in covariances]
 
-    def following(self, fit: Fit) -> Problem | None:
-        """Return the problem where a fit propagates the noise; None if its training errors are less likely then."""
+    def following(self, fit: Fit) -> Problem:
+        """Return the problem where a fit propagates the noise."""
         further = copy.copy(self)
         further.whiteners = self._whitened(self.changed(fit))
-        after = further.trained(fit, fit.numbers)
-        if further.surprise(after) > self.surprise(fit):
-            return None
         further.before = further.judged(self.before)
         return further
 
@@ -350,22 +347,18 @@ def _followed(problem: Problem, fits: list[Fit]) -> tuple[Problem, list[Fit]]:
     """Return the problem where the best fit propagates the noise, with its fits; the same ones if that does not help.
 
     A cause may change how the noise propagates: feet that slip keep a velocity that feet that stick lose. So the best
-    fit propagates the noise, if it reaches the noise then.
+    fit propagates the noise, if it reaches the noise then, and its training errors are likelier.
     """
-    followed, leaders = problem, fits
+    best = fits[0]
     for _ in range(MAX_ROUNDS):
-        if followed.left(leaders[0]) < NEAR:
-            return followed, leaders
-        further = followed.following(leaders[0])
-        if further is None:
-            break
-        followed = further
-        changes = trials(followed, leaders[0].terms[0][0])
-        again = best_fits(followed, [followed.before], changes, MAX_GROUPS)
-        again += [followed.judged(fit) for fit in leaders]
-        leaders = sorted(again, key=followed.cost)
-    reaches_noise = followed.left(leaders[0]) < NEAR
-    return (followed, leaders) if reaches_noise else (problem, fits)
+        followed = problem.following(best)
+        changes = trials(followed, best.terms[0][0])
+        best = best_fits(followed, [followed.before], changes, MAX_GROUPS)[0]
+        is_likelier = followed.surprise(best) < problem.surprise(fits[0])
+        if is_likelier and followed.left(best) < NEAR:
+            others = [followed.judged(fit) for fit in fits]
+            return followed, sorted([best, *others], key=followed.cost)
+    return problem, fits
 
 
 @dataclass(frozen=True)
@@ -445,15 +438,15 @@ def explain(
         advance(cause.name)
         changes += trials(problem, cause)
     fits = best_fits(problem, [problem.before], changes, MAX_ALONE)
-    problem, fits = _followed(problem, fits)
+    if problem.left(fits[0]) > NEAR:
+        problem, fits = _followed(problem, fits)
     alone = _few_by_cause(problem, fits, 1)
     alike = _alike(problem, alone)
     together: list[Fit] = []
     if problem.left(alone[0]) > NEAR:
         advance("several together")
-        names = [fit.names for fit in alone if fit.names[0] not in alike][:MAX_BASES]
-        bases = [fit for fit in fits if fit.names in names]
-        together = best_fits(problem, bases, changes, MAX_TOGETHER)
+        bases = [fit for fit in fits if fit.names[0] not in alike]
+        together = best_fits(problem, bases[:MAX_BASES], changes, MAX_TOGETHER)
         if problem.left(together[0]) > NEAR:
             together += _servo(problem, changes)
         together = _few_by_cause(problem, together, 1)
