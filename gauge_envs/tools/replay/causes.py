@@ -170,8 +170,8 @@ class Cause:
     def lower(self, group: Group) -> FloatArray:
         """Return the smallest numbers of a group, shape [p]."""
         smallest = (self.minimum - self.origin) / self.scale
-        by_number = np.where(group.selection.T > 0.0, smallest, -np.inf)
-        return by_number.max(axis=1)
+        by_number = np.where(group.selection.T > 0.0, smallest, -FAR)
+        return np.maximum(by_number.max(axis=1), -FAR)
 
 
 def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:

@@ -33,6 +33,7 @@ MAX_GAP = 3.0
 """Interval between two samples, over the median, that a prediction may cross."""
 DRAWS = 8
 """Draws of the noise of the initial state."""
+MAX_POSITION = 1e6
 MAX_DEVIATION = 3.0
 """Deviation at which a prediction that flies off is cut [rad or m]."""
 
@@ -322,6 +323,10 @@ class Replayer:
             model, self._datas, state, controls, persistent_pool=True
         )
         motion = np.hstack([state[:, None], states])[..., 1 : 1 + model.nq]
+        # A simulation that flies off ends in infinity.
+        motion = np.nan_to_num(motion, nan=MAX_POSITION).clip(
+            -MAX_POSITION, MAX_POSITION
+        )
         # Samples between two steps are interpolated.
         place = elapsed_s / step_s
         left = place.astype(int)
@@ -334,8 +339,7 @@ class Replayer:
             mujoco.mj_differentiatePos(
                 model, difference[index], 1.0, recorded[index], predicted[index]
             )
-        deviation = np.nan_to_num(difference[..., self.dofs], nan=MAX_DEVIATION)
-        return np.clip(deviation, -MAX_DEVIATION, MAX_DEVIATION)
+        return np.clip(difference[..., self.dofs], -MAX_DEVIATION, MAX_DEVIATION)
 
     def covariance(self, setup: Setup, pieces: IntArray) -> FloatArray:
         """Return the covariance of the predictions that noise alone gives, shape [P, T D, T D].
