@@ -15,6 +15,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from pydantic import BaseModel
+from scipy.integrate import cumulative_simpson
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
@@ -400,10 +401,19 @@ def _check_velocity(log: Log) -> Iterator[str]:
     spread = 1.4826 * np.median(np.abs(log.velocity - slope), axis=0)
     noise = np.hypot(noise_of(log.time_s, log.velocity), 0.2 * spread)
     log.velocity_noise = np.maximum(noise, MIN_RATE_NOISE)
-    (variance, product), (_, other) = np.cov(slope.ravel(), log.velocity.ravel())
+    path = cumulative_simpson(log.velocity, x=log.time_s, axis=0, initial=0.0)
+    length = min(1 + round(TURN_S / log.interval_s), len(path) // 2)
+    both = np.stack([log.position, path])
+    moved = both[:, length:] - both[:, :-length]
+    (variance, product), (_, other) = np.cov(moved.reshape(2, -1))
+    # Noise of the positions lowers the ratio by at most the scatter about the line.
     is_line = product**2 > 0.9 * variance * other
-    if is_line and abs(product - variance) > 0.07 * variance:
-        yield f"velocities are {product / variance:.3g} times the slope of the positions: another unit or clock"
+    if is_line and abs(product - variance) > 0.15 * variance:
+        ratio = product / variance
+        yield (
+            f"velocities are {ratio:.3g} times the slope of the positions: "
+            "another unit or clock, or motion too fast for the log"
+        )
 
 
 def _base_options(log: Log) -> Iterator[tuple[Any, ...]]:
