@@ -27,6 +27,7 @@ FloatArray: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
 ALIASES = {
+    "command_time": "command_t command_time",
     "time": "t time_s timestamp time",
     "target": "target command_rad command q_des",
     "position": "qpos q position_rad position pos joint_pos observation.state",
@@ -225,14 +226,16 @@ def read_log(
     found["velocity"] = {name: rates[name] for name in joints if name in rates}
     mapped.check_joints(found["position"] | found[kind])
     time_s, *_ = found["time"].values()
+    command_time_s, *_ = (*found["command_time"].values(), time_s)
 
     def matrix(*keys: str) -> FloatArray:
+        count = len(command_time_s if kind in keys else time_s)
         columns = [column for key in keys for column in found[key].values()]
         for column in columns:
-            if len(column) != len(time_s):
-                reason = f"{len(column)} rows, but {len(time_s)} times"
+            if len(column) != count:
+                reason = f"{len(column)} rows, but {count} times"
                 raise FileError(file, keys[0], reason)
-        return np.reshape(columns, (len(columns), len(time_s))).T
+        return np.reshape(columns, (len(columns), count)).T
 
     log = Log(
         name=file.name,
@@ -243,7 +246,7 @@ def read_log(
         command=matrix(kind),
         command_kind=kind,
         command_names=tuple(found[kind]),
-        command_time_s=time_s,
+        command_time_s=command_time_s,
         base_pose=matrix("base_position", "base_quaternion"),
         base_twist=matrix("base_linear_velocity", "base_angular_velocity"),
         quaternion=mapped.quaternion,
@@ -313,7 +316,9 @@ def _check_numbers(log: Log) -> Iterator[str]:
     """Leave out rows without numbers; raise an error if few are left, or if the times are no clock in seconds."""
     # A lost sample may have a quaternion of zeros.
     log.base_pose[~log.base_pose[:, 3:].any(axis=1), 3:] = np.nan
-    is_given = np.isfinite(np.column_stack([log.time_s, log.command])).all(axis=1)
+    is_given = np.isfinite(np.column_stack([log.command_time_s, log.command])).all(
+        axis=1
+    )
     log.command_time_s = log.command_time_s[is_given]
     log.command = log.command[is_given]
     for name in SAMPLED:
