@@ -397,15 +397,20 @@ def _alike(problem: Problem, fits: Sequence[Fit]) -> list[str]:
     return alike
 
 
-def _servo(problem: Problem, changes: Sequence[Fit]) -> list[Fit]:
-    """Return the constants of a few servos fitted together, one fit a start of the delay."""
-    servos = [fit for fit in changes if fit.names == ["delay"]]
-    for name in SERVO[1:]:
-        each = [fit for fit in changes if fit.names == [name]]
-        servos = [fit.plus(each[-1]) for fit in servos if each]
-    servos = [fit.linear() for fit in servos if len(fit.numbers) <= MAX_SERVO]
-    best = sorted(servos, key=problem.cost)[:1]
-    return [_sharpened(problem, _refined(problem, fit)) for fit in best]
+def _servo(problem: Problem, fits: Sequence[Fit], changes: Sequence[Fit]) -> list[Fit]:
+    """Return the constants of a few servos fitted together, from the best delay; nothing for many, or without any."""
+    alone = {fit.names[0]: fit for fit in reversed(fits)}
+    # The last group of a cause has a number each.
+    each = {fit.names[0]: fit for fit in changes}
+    if not each.keys() >= {*SERVO}:
+        return []
+    first, *others = SERVO
+    servo = alone[first]
+    for name in others:
+        servo = servo.plus(each[name])
+    if len(servo.numbers) > MAX_SERVO:
+        return []
+    return [_sharpened(problem, problem.judged(servo))]
 
 
 def _verdict(problem: Problem, fits: Sequence[Fit], several: Fit | None) -> Verdict:
@@ -448,7 +453,7 @@ def explain(
         bases = [fit for fit in fits if fit.names[0] not in alike]
         together = best_fits(problem, bases[:MAX_BASES], changes, MAX_TOGETHER)
         if problem.left(together[0]) > NEAR:
-            together += _servo(problem, changes)
+            together += _servo(problem, fits, changes)
         together = _few_by_cause(problem, together, 1)
     several = next(iter(together), None)
     verdict = _verdict(problem, alone, several)
