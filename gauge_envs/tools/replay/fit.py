@@ -18,8 +18,8 @@ from gauge_envs.tools.replay.schema import Verdict
 
 HORIZON_S = 0.25
 PIECES = 28
-EXPLAINS = 0.9
-"""Share of the error from which on a cause is named."""
+EXPLAINS, ENOUGH = 0.9, 0.99
+"""Share of the error from which on a cause is named, and from which on no second one is fitted."""
 NEAR, MAX_LEFT, MAX_LEFT_TOGETHER = 0.5, 8.0, 2.0
 """Excess error, the mean squared error over that of the noise minus 1, at most: to need no second cause; of a cause
 that is named; of several causes that are named."""
@@ -127,7 +127,7 @@ class Fit:
         if not len(self.numbers):
             return replace(self, promised=self.misfit)
         slopes = self.slopes.reshape(self.train.size, -1)
-        lower = np.clip(self.lower - self.numbers, -self.reach, -1e-9)
+        lower = np.clip(self.lower - self.numbers, -self.reach, 0.0)
         upper = np.clip(FAR - self.numbers, 1e-9, self.reach)
         solution = lsq_linear(slopes, -self.train.ravel(), (lower, upper))
         promised = 2.0 * solution.cost / self.train.size
@@ -448,7 +448,7 @@ def explain(
     alone = _few_by_cause(problem, fits, 1)
     alike = _alike(problem, alone)
     together: list[Fit] = []
-    if problem.left(alone[0]) > NEAR:
+    if problem.left(alone[0]) > NEAR and problem.share(alone[0]) < ENOUGH:
         advance("several together")
         bases = [fit for fit in fits if fit.names[0] not in alike]
         together = best_fits(problem, bases[:MAX_BASES], changes, MAX_TOGETHER)
