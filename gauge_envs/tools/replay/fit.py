@@ -19,10 +19,10 @@ from gauge_envs.tools.replay.schema import Verdict
 HORIZON_S = 0.25
 PIECES = 28
 EXPLAINS, ENOUGH = 0.9, 0.99
-"""Share of the error from which on a cause is named, and from which on no second one is fitted."""
+"""Share of the error from which on a cause is named, and from which on a second one must bring more."""
 NEAR, MAX_LEFT, MAX_LEFT_TOGETHER = 0.5, 8.0, 2.0
 """Excess error, the mean squared error over that of the noise minus 1, at most: to need no second cause; of a cause
-that is named; of several causes that are named."""
+that is named; of several causes that are named, or of one that explains enough."""
 MAX_WORSE = 4.0
 """Promised error, over the smallest, of a fit that is refined where another one reaches the noise."""
 LEADS = 5.0
@@ -51,6 +51,7 @@ MAX_SHARPENED, MIN_GAIN = 3, 0.9
 """Number of times that slopes are computed anew, and error after such a round over that before that is no gain."""
 MIN_PROMISED, SHORTER = 0.998, 0.3
 """Error that the next step promises, over the present one, which ends a fit; length of a step after one that failed."""
+MIN_REACH = 1e-9
 EMPTY = np.zeros(0)
 MAX_WHITE = 1e4
 
@@ -128,7 +129,7 @@ class Fit:
             return replace(self, promised=self.misfit)
         slopes = self.slopes.reshape(self.train.size, -1)
         lower = np.clip(self.lower - self.numbers, -self.reach, 0.0)
-        upper = np.clip(FAR - self.numbers, 1e-9, self.reach)
+        upper = np.clip(FAR - self.numbers, MIN_REACH, self.reach)
         solution = lsq_linear(slopes, -self.train.ravel(), (lower, upper))
         promised = 2.0 * solution.cost / self.train.size
         return replace(self, step=solution.x, promised=promised)
@@ -262,7 +263,7 @@ def _refined(problem: Problem, fit: Fit) -> Fit:
         if after.misfit < fit.misfit:
             fit = replace(after, slopes=slopes, reach=2.0 * fit.reach)
         else:
-            fit = replace(fit, slopes=slopes, reach=SHORTER * np.abs(step))
+            fit = replace(fit, slopes=slopes, reach=SHORTER * np.abs(step) + MIN_REACH)
         fit = fit.linear()
     return problem.judged(replace(fit, reach=np.full(len(fit.numbers), np.inf)))
 
@@ -448,7 +449,8 @@ def explain(
     alone = _few_by_cause(problem, fits, 1)
     alike = _alike(problem, alone)
     together: list[Fit] = []
-    if problem.left(alone[0]) > NEAR and problem.share(alone[0]) < ENOUGH:
+    explains_enough = problem.share(alone[0]) > ENOUGH
+    if problem.left(alone[0]) > (MAX_LEFT_TOGETHER if explains_enough else NEAR):
         advance("several together")
         bases = [fit for fit in fits if fit.names[0] not in alike]
         together = best_fits(problem, bases[:MAX_BASES], changes, MAX_TOGETHER)
