@@ -88,8 +88,10 @@ SNIPPETS = {
 }
 """Line to paste for a value of each cause, by stack. In Playground m is `self._mj_model`."""
 
-DELAYS_S = (-0.01, 0.005, 0.01, 0.02, 0.03, 0.045, 0.06, 0.09, 0.13, 0.18)
-"""Delays from which the fit starts: the error has several minima over the delay."""
+DELAY_S = 0.02
+"""Delay that matters."""
+DELAYS = (-0.5, 0.25, 0.5, 1.0, 1.5, 2.25, 3.0, 4.5, 6.5, 9.0)
+"""Delays from which the fit starts, over the one that matters: the error has several minima over the delay."""
 EFFORTS = (0.15, 0.35, 0.65, 1.0)
 """Effort limits from which the fit starts, over the torque that the model needs in the log."""
 CONTACTS = (-0.85, -0.7, -0.55, -0.4, -0.2, 0.5, 1.5, 4.0)
@@ -98,8 +100,10 @@ STEPS = (0.25, 0.5, 2.0, 2.5, 4.0, 5.0)
 """Physics steps that are tried, over the present one."""
 REPEATS = (2, 3, 4)
 MAX_TIMESTEP_S = 0.02
-STOPS = (-0.02, 0.02)
-"""Places of a stop from which the fit starts, beyond the extreme of the motion [rad or m]."""
+STOP = 0.05
+"""Change of a stop that matters [rad or m]."""
+STOPS = (-0.4, 0.4)
+"""Places of a stop from which the fit starts, beyond the extreme of the motion, over the change that matters."""
 LOAD_SAMPLES = 300
 FAR = 40.0
 """Bound of a number of the fit, in units of its scale."""
@@ -199,7 +203,7 @@ def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
             "joint limit",
             "rad",
             sides,
-            1.0,
+            STOP,
             ("model.jnt_range", places, 1.0),
             start=(extremes, STOPS),
             selections=_alone(len(sides)),
@@ -347,7 +351,7 @@ def _drives(
     stiffness = ("model.actuator_biasprm", (ids, 1), -1.0)
     damping = ("model.actuator_biasprm", (ids, 2), -1.0)
     scale, offset = ("scale", ids, 1.0), ("offset", ids, 1.0)
-    delay, start = ("delay_s", [0], 1.0), (0.0, DELAYS_S)
+    delay, start = ("delay_s", [0], 1.0), (0.0, DELAYS)
     is_servo = model.actuator_biasprm[ids, 1].any()
     unit, shift = ("rad", 0.05) if is_servo else ("N m", 0.1 * load)
     rows = [
@@ -364,7 +368,14 @@ def _drives(
         _row(setup, "action scale", "", names, MIN_SCALE, scale),
         _row(setup, "action offset", unit, names, shift, offset, is_positive=False),
         _row(
-            setup, "delay", "s", ["delay"], 1.0, delay, start=start, is_positive=False
+            setup,
+            "delay",
+            "s",
+            ["delay"],
+            DELAY_S,
+            delay,
+            start=start,
+            is_positive=False,
         ),
         *_order(replayer, setup, driven),
     ]

@@ -35,7 +35,7 @@ PARAMETER_COST = 0.01
 """Part of the error that one more number of a fit must remove."""
 MAX_GROUPS = 2
 """Number of groups of each cause that are fitted."""
-MAX_ALONE, MAX_TOGETHER, MAX_BASES = 8, 8, 4
+MAX_ALONE, MAX_TOGETHER, MAX_BASES = 8, 8, 8
 """Number of fits that are refined: alone, and on top of others; and of such bases."""
 MAX_CALLS = 20
 """Number of predictions of a fit."""
@@ -45,8 +45,8 @@ SERVO = ("delay", "kp", "armature", "damping")
 """Causes that are fitted together where two are not enough: the constants of a servo."""
 MAX_SERVO = 12
 """Numbers of such a fit."""
-PROBE, MIN_PROBED = 0.05, 0.2
-"""Step of finite differences, over a number of the fit, and the smallest such number."""
+PROBE = 0.1
+"""Step of finite differences. Contacts make the residuals rough: smaller steps show that, and not the slope."""
 MAX_SHARPENED, MIN_GAIN = 3, 0.9
 """Number of times that slopes are computed anew, and error after such a round over that before that is no gain."""
 MIN_PROMISED, SHORTER = 0.998, 0.3
@@ -127,10 +127,12 @@ class Fit:
         """Return the fit with the step to the optimum of its linear model."""
         if not len(self.numbers):
             return replace(self, promised=self.misfit)
-        slopes = self.slopes.reshape(self.train.size, -1)
+        columns = np.dstack([self.slopes, -self.train]).reshape(self.train.size, -1)
+        # The orthogonal factor changes no residual norm.
+        triangle = np.linalg.qr(columns, mode="r")
         lower = np.clip(self.lower - self.numbers, -self.reach, 0.0)
         upper = np.clip(FAR - self.numbers, MIN_REACH, self.reach)
-        solution = lsq_linear(slopes, -self.train.ravel(), (lower, upper))
+        solution = lsq_linear(triangle[:, :-1], triangle[:, -1], (lower, upper))
         promised = 2.0 * solution.cost / self.train.size
         return replace(self, step=solution.x, promised=promised)
 
@@ -273,11 +275,10 @@ def _sharpened(problem: Problem, fit: Fit) -> Fit:
     if not len(fit.numbers):
         return fit
     for _ in range(MAX_SHARPENED):
-        # Contacts make the residuals rough: smaller steps show their roughness in place of their slope.
-        steps = PROBE * np.maximum(np.abs(fit.numbers), MIN_PROBED)
-        trained = [problem.trained(fit, fit.numbers + step) for step in np.diag(steps)]
+        steps = PROBE * np.eye(len(fit.numbers))
+        trained = [problem.trained(fit, fit.numbers + step) for step in steps]
         moved = np.stack([each.train for each in trained], axis=-1)
-        slopes = (moved - fit.train[..., None]) / steps
+        slopes = (moved - fit.train[..., None]) / PROBE
         before = fit.misfit
         fit = _refined(problem, replace(fit, slopes=slopes))
         if fit.misfit > MIN_GAIN * before:
