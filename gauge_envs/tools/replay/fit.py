@@ -129,7 +129,7 @@ class Fit:
             return replace(self, promised=self.misfit)
         columns = np.dstack([self.slopes, -self.train]).reshape(self.train.size, -1)
         # The orthogonal factor changes no residual norm.
-        triangle = np.linalg.qr(columns, mode="r")
+        triangle = np.asarray(np.linalg.qr(columns, mode="r"))
         lower = np.clip(self.lower - self.numbers, -self.reach, 0.0)
         upper = np.clip(FAR - self.numbers, MIN_REACH, self.reach)
         solution = lsq_linear(triangle[:, :-1], triangle[:, -1], (lower, upper))
