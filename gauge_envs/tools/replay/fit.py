@@ -337,7 +337,7 @@ def _few_by_cause(problem: Problem, fits: Sequence[Fit], count: int) -> list[Fit
     """Return the best fits of the same causes, those of different groups, the best first."""
     few: dict[tuple[str, ...], dict[str, Fit]] = {}
     for fit in sorted(fits, key=problem.cost):
-        groups = few.setdefault(tuple(fit.names), {})
+        groups = few.setdefault(tuple(sorted(fit.names)), {})
         labels = ", ".join(group.label for _, group in fit.terms)
         if len(groups) < count:
             groups.setdefault(labels, fit)
