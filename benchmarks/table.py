@@ -156,7 +156,7 @@ def episodes() -> Iterator[Row]:
 
 
 def many_worlds() -> Iterator[Row]:
-    """Yield the Python time of a step per world, for many worlds, divided by that of a single environment."""
+    """Yield the Python time of a step per world of many worlds, as a multiple of that of a single environment."""
     name = "SlopeSlider-3-wood"
     single_s = replay.python_s(name, 0, 40, budget_s=2.0)
     for count, steps in ((64, 10), (1024, 1)):

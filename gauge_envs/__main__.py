@@ -13,8 +13,6 @@ is in vain."""
 def main() -> None:
     """Run the `gauge` command."""
     gc.set_threshold(NEW_OBJECTS)
-    # Matrices are small here: further threads of BLAS would only wait for each other, which takes processor time.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         import signal
 

@@ -237,11 +237,13 @@ def _row(
         name: Name of the cause.
         unit: Unit of the values.
         parameters: Names of the values.
-        typical: Size that matters: the scale of values that are smaller now, may be negative, or start elsewhere.
+        typical: Change that matters. It is the scale of small values, of values that may be negative, and of causes
+            with starts; others have their present value as the scale.
         *fields: Path, index and factor of the arrays of the setup that take the values.
         start: Values where the numbers are zero, and numbers from which the fit starts; by default the present values
             and a single start.
-        selections: Those of the groups; by default each value alone, all by one number, and all by a number each.
+        selections: Selections of the groups. By default, each value alone, all with one number, and all with a number
+            each.
         is_positive: Whether values stay above zero.
     """
     path, index, factor = fields[0]

@@ -18,39 +18,52 @@ from gauge_envs.tools.replay.schema import Verdict
 
 HORIZON_S = 0.25
 PIECES = 28
-EXPLAINS, ENOUGH = 0.9, 0.99
-"""Share of the error from which on a cause is named, and from which on a second one must bring more."""
-NEAR, MAX_LEFT, MAX_LEFT_TOGETHER = 0.5, 8.0, 2.0
-"""Excess error, the mean squared error over that of the noise minus 1, at most: to need no second cause; of a cause
-that is named; of several causes that are named, or of one that explains enough."""
+EXPLAINS = 0.9
+"""Smallest share of the error that a named cause explains."""
+ENOUGH = 0.99
+"""Share that one cause explains, above which a second one is fitted only if much more than the noise remains."""
+NEAR = 0.5
+"""Excess error up to which no second cause is fitted: the mean squared error over that of the noise, minus 1."""
+MAX_LEFT = 8.0
+"""Largest excess error of a cause that is named."""
+MAX_LEFT_TOGETHER = 2.0
+"""Largest excess error of several causes that are named, and of one that explains enough."""
 MAX_WORSE = 4.0
-"""Promised error, over the smallest, of a fit that is refined where another one reaches the noise."""
+"""Largest promised error of a fit that is refined, over that of a fit that reached the noise."""
 LEADS = 5.0
-"""How many times the others must leave of the error, where a fit leaves more than that."""
+"""Smallest error of every other cause, over that of a named cause that leaves more than `MAX_LEFT`."""
 BETTER = 0.4
-"""Error that several causes may leave, over that of one less."""
+"""Largest error of several causes that are named, over that of one cause."""
 WITHIN_NOISE = 1.3
 """Mean squared error over that of the noise, below which nothing is left to explain."""
 PARAMETER_COST = 0.01
 """Part of the error that one more number of a fit must remove."""
 MAX_GROUPS = 2
 """Number of groups of each cause that are fitted."""
-MAX_ALONE, MAX_TOGETHER, MAX_BASES = 8, 8, 8
-"""Number of fits that are refined: alone, and on top of others; and of such bases."""
-MAX_CALLS = 20
-"""Number of predictions of a fit."""
-MAX_ROUNDS, MAX_LEADING = 2, 2
-"""Number of times that the best fit propagates the noise, and of the best fits whose slopes are computed anew."""
+MAX_ALONE, MAX_TOGETHER = 8, 8
+"""Number of fits of one cause, and of two causes, that are refined."""
+MAX_BASES = 8
+"""Number of fits of one cause to which a second cause is added."""
+MAX_STEPS = 20
+"""Largest number of steps of least squares."""
+MAX_ROUNDS = 2
+"""Number of times that the best fit propagates the noise."""
+MAX_LEADING = 2
+"""Number of the best fits that get new slopes and intervals."""
 SERVO = ("delay", "kp", "armature", "damping")
 """Causes that are fitted together where two are not enough: the constants of a servo."""
 MAX_SERVO = 12
-"""Numbers of such a fit."""
+"""Largest number of constants of servos that are fitted together."""
 PROBE = 0.1
-"""Step of finite differences. Contacts make the residuals rough: smaller steps show that, and not the slope."""
-MAX_SHARPENED, MIN_GAIN = 3, 0.9
-"""Number of times that slopes are computed anew, and error after such a round over that before that is no gain."""
-MIN_PROMISED, SHORTER = 0.998, 0.3
-"""Error that the next step promises, over the present one, which ends a fit; length of a step after one that failed."""
+"""Step of finite differences. Contacts make the residuals rough, and smaller steps measure that roughness."""
+MAX_SHARPENED = 3
+"""Largest number of times that the slopes of a fit are computed anew."""
+MIN_GAIN = 0.9
+"""Error after new slopes, over the error before, above which they are not computed again."""
+MIN_PROMISED = 0.998
+"""Promised error over the present error, above which least squares ends."""
+SHORTER = 0.3
+"""Length of a step, over that of the step before it that failed."""
 MIN_REACH = 1e-9
 EMPTY = np.zeros(0)
 MAX_WHITE = 1e4
@@ -89,7 +102,7 @@ class Fit:
 
     @property
     def error(self) -> float:
-        """Mean squared error over that of the noise, of pieces that the fit has not seen; before, the promised one."""
+        """Mean squared error over that of the noise on held-out pieces; the promised one before `Problem.judged`."""
         if self.held_out.size:
             return float(np.mean(self.held_out**2))
         return self.promised
@@ -214,9 +227,10 @@ class Problem:
 
 
 def trials(problem: Problem, cause: Cause) -> list[Fit]:
-    """Return what each group of a cause changes, one a start; a cause without starts begins at the present values.
+    """Return the change of the residuals by each group of a cause, one for each start.
 
-    The changes of single values add up, as far as the residuals are linear.
+    A cause without starts begins at the present values. The changes of single values are added, as for linear
+    residuals.
     """
     before, count = problem.before, len(cause.parameters)
 
@@ -255,7 +269,7 @@ def _refined(problem: Problem, fit: Fit) -> Fit:
     Each prediction updates the slopes (Broyden 1965, Mathematics of Computation 19, 577): J += (dr - J dx) dx^T / dx^2.
     """
     fit = problem.trained(fit, fit.numbers).linear()
-    for _ in range(MAX_CALLS):
+    for _ in range(MAX_STEPS):
         if fit.promised > MIN_PROMISED * fit.misfit:
             break
         step = fit.step
@@ -271,7 +285,7 @@ def _refined(problem: Problem, fit: Fit) -> Fit:
 
 
 def _sharpened(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit with slopes computed anew, refined until it improves no more, and with intervals."""
+    """Return a fit after new slopes and further least squares, until they bring little, with intervals."""
     if not len(fit.numbers):
         return fit
     for _ in range(MAX_SHARPENED):
@@ -334,7 +348,7 @@ def best_fits(
 
 
 def _few_by_cause(problem: Problem, fits: Sequence[Fit], count: int) -> list[Fit]:
-    """Return the best fits of the same causes, those of different groups, the best first."""
+    """Return at most `count` fits of each set of causes, one a group, sorted by cost."""
     few: dict[tuple[str, ...], dict[str, Fit]] = {}
     for fit in sorted(fits, key=problem.cost):
         groups = few.setdefault(tuple(sorted(fit.names)), {})
@@ -346,10 +360,10 @@ def _few_by_cause(problem: Problem, fits: Sequence[Fit], count: int) -> list[Fit
 
 
 def _followed(problem: Problem, fits: list[Fit]) -> tuple[Problem, list[Fit]]:
-    """Return the problem where the best fit propagates the noise, with its fits; the same ones if that does not help.
+    """Return the problem whose noise the best fit propagates, with its fits; the given ones if that does not help.
 
-    A cause may change how the noise propagates: feet that slip keep a velocity that feet that stick lose. So the best
-    fit propagates the noise, if it reaches the noise then, and its training errors are likelier.
+    A cause may change how the noise propagates: feet that slip keep a velocity, and feet that stick lose it. The best
+    fit therefore propagates the noise if it then reaches the noise and its training errors become likelier.
     """
     best = fits[0]
     for _ in range(MAX_ROUNDS):
@@ -385,7 +399,7 @@ class Explanation:
 
 
 def _alike(problem: Problem, fits: Sequence[Fit]) -> list[str]:
-    """Return the causes that the pieces that no fit has seen cannot tell from the first (signed ranks, 5 %)."""
+    """Return the causes that the held-out pieces cannot tell from the first one (signed ranks, 5 %)."""
     best, *others = fits
     small = 1e-3 * (problem.before.error - problem.floor)
     alike = []
@@ -400,7 +414,7 @@ def _alike(problem: Problem, fits: Sequence[Fit]) -> list[str]:
 
 
 def _servo(problem: Problem, fits: Sequence[Fit], changes: Sequence[Fit]) -> list[Fit]:
-    """Return the constants of a few servos fitted together, from the best delay; nothing for many, or without any."""
+    """Return the constants of all servos fitted together from the best delay; nothing for many servos or none."""
     alone = {fit.names[0]: fit for fit in reversed(fits)}
     # The last group of a cause has a number each.
     each = {fit.names[0]: fit for fit in changes}

@@ -170,8 +170,8 @@ def _drives(model: mujoco.MjModel) -> dict[str, int]:
 def _use_joint_units(model: mujoco.MjModel) -> None:
     """Give each joint and actuator a limit, and the actuators of joints a gear of 1.
 
-    A gear g makes a force k u + b0 + b1 g q + b2 g dq a torque of g times this. The control u of a servo becomes an
-    angle u / g. The limit of effort of a joint becomes that of its actuators.
+    With a gear g, an actuator of force k u + b0 + b1 g q + b2 g dq gives a torque of g times this force. The control u
+    of a servo becomes the angle u / g. The actuators of a joint take over its limit of effort.
     """
     model.jnt_range[model.jnt_limited == 0] = -UNLIMITED, UNLIMITED
     model.jnt_limited[:] = 1
@@ -194,7 +194,10 @@ def _use_joint_units(model: mujoco.MjModel) -> None:
 
 
 def _set_law(drive: Any, stiffness: float, damping: float) -> None:
-    """Give an actuator a PD law of its joint, whose limit of effort is the range of its control; a torque for zeros."""
+    """Give an actuator a PD law of its joint; with zeros, its control is a torque.
+
+    The range of the control of a motor limits its torque.
+    """
     if stiffness and drive.ctrllimited[0]:
         lower, upper = drive.gainprm[0] * drive.ctrlrange
         drive.forcerange[:] = np.clip(drive.forcerange, lower, upper)
