@@ -27,7 +27,8 @@ from gauge_envs.experiments.variants import (
     unreadable_task_files,
     variants as variants,
 )
-from gauge_envs.registry import id_modules, lazy_names
+from gauge_envs.registry import lazy_names
+from gauge_envs.tools.control import ids
 
 if TYPE_CHECKING:
     from gauge_envs.envs.env import GaugeEnv as GaugeEnv
@@ -100,8 +101,7 @@ def register_all() -> None:
                 max_episode_steps=row.frame_count - 1,
                 kwargs={"variant": variant.name},
             )
-    for ids in id_modules():
-        ids.register()
+    ids.register()
 
 
 register_all()

@@ -70,10 +70,6 @@ class ParameterError(GaugeError, ValueError):
     """The value of an argument does not exist or is impossible."""
 
 
-class RegistryError(GaugeError, RuntimeError):
-    """A command is declared wrongly, or nothing installed can do the request."""
-
-
 class RenderError(GaugeError, RuntimeError):
     """A picture cannot be rendered; usually an OpenGL library is missing."""
 

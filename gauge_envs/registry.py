@@ -1,7 +1,6 @@
-"""Look up installed parts: engines, Gymnasium ids of tools, readers of scene files, and lazily imported names.
+"""Look up installed engines, and import names lazily.
 
-The core imports tools of `gauge_envs.tools` only through the functions here. Engines are entry points of the group
-`gauge_envs.backends`, which other packages can extend.
+Engines are entry points of the group `gauge_envs.backends`, which other packages can extend.
 """
 
 import sys
@@ -14,16 +13,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.errors import RegistryError, needs_extra
+from gauge_envs.errors import needs_extra
 
 ENGINES_GROUP = "gauge_envs.backends"
 BUNDLED = "gauge_envs."
 """Prefix of the modules of this package."""
 PACKAGE = Path(__file__).parent
-SCENE_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
-"""Suffixes of scene files, which every engine can use."""
-MODEL_SUFFIX = ".xml"
-"""Suffix of model files, which only their engine reads."""
 
 
 @cache
@@ -56,39 +51,6 @@ def is_installed(module: str) -> bool:
     """
     spec = find_spec(module)
     return spec is not None and spec.origin is not None
-
-
-# --- tools that the core uses ----------------------------------------------------------------------------------------
-
-
-def id_modules() -> tuple[Any, ...]:
-    """Return the modules of further Gymnasium ids; each has `register`, `names`, `summary` and `document`.
-
-    Other packages register their ids when Gymnasium imports them, as `my_package:Id`.
-    """
-    if not (PACKAGE / "tools" / "control").is_dir():
-        return ()
-    return (import_module("gauge_envs.tools.control.ids"),)
-
-
-def scene_files(suffix: str) -> Any:
-    """Return the module that reads and writes scene files of a suffix, as `.usda`.
-
-    Raises:
-        RegistryError: No module reads such files.
-        MissingExtraError: The extra `usd` is not installed.
-    """
-    if suffix not in SCENE_SUFFIXES:
-        raise RegistryError(
-            f"cannot read scene files {suffix!r}; known: {', '.join(SCENE_SUFFIXES)}"
-        )
-    with needs_extra(f"a file {suffix}", "usd"):
-        return import_module("gauge_envs.tools.usd")
-
-
-def model_files() -> Any:
-    """Return the module that reads MJCF files, with `read_model` and `BackendMJCF`."""
-    return import_module("gauge_envs.tools.mjcf.reader")
 
 
 # --- lazily imported names -------------------------------------------------------------------------------------------

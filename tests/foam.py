@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.fixtures.parts import driven_box, fixed_box
 from gauge_envs.scene import Attachment, Box, Pose, Region, Scene, SoftBody
-from gauge_envs.tools.bench.parts import driven_box, fixed_box
 
 EDGE_M = 0.05
 AREA_M2 = EDGE_M**2

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.fixtures.parts import body, contact
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Motion, Plane, Pose, Scene
-from gauge_envs.tools.bench.parts import body, contact
 
 FRICTION = 0.273673
 SLOPE = Rotation.from_euler("y", 30, degrees=True)

@@ -13,8 +13,8 @@ from places import ROOT
 
 from gauge_envs import variants
 
-CORE_INSTRUMENTS = {"catalog", "run"}
-"""Tools that list, show, run and score."""
+CORE_INSTRUMENTS = {"catalog", "control", "run"}
+"""Tools that list, show, run and score, and the control tasks, which the package registers."""
 
 CORE_BACKENDS = {"mujoco", "shared"}
 

@@ -14,6 +14,7 @@ from gauge_envs import load_experiment, reference_band
 from gauge_envs.errors import AssetError, GaugeError
 from gauge_envs.experiments.resolve import load_experiment_from_asset
 from gauge_envs.experiments.task_reader import load_task
+from gauge_envs.formats.usd.reader import from_usd
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result
@@ -21,7 +22,6 @@ from gauge_envs.scoring.trajectory_file import read_trajectory
 from gauge_envs.tools.conformance.results import read_columns
 from gauge_envs.tools.sanity import configuration
 from gauge_envs.tools.sweep.spec import load_sweep_file
-from gauge_envs.tools.usd.reader import from_usd
 
 ID = "SlopeSlider-2-wood"
 OWN = ROOT / "examples" / "own_experiment"

@@ -114,7 +114,7 @@ def test_extras_are_imported_at_first_use(files):
         f"tools/{command.place.partition('.')[0]}/": EXTRAS[command.extra]
         for command in BUNDLED
         if command.extra
-    } | {"tools/usd/": EXTRAS["usd"]}
+    } | {"formats/usd/": EXTRAS["usd"]}
     at_once = {
         file: used
         for file, (_, names) in files.items()

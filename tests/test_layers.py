@@ -19,11 +19,9 @@ def edges():
 
 
 def inner_imports(edges):
-    """Return imports of a module inside another tool; only modules of the bench may be imported."""
+    """Return imports of a module inside another tool."""
     imports = []
     for folder in (ROOT / "gauge_envs/tools").iterdir():
-        if folder.name == "bench":
-            continue
         package = f"{TOOLS}{folder.name}"
         for name, imported in edges.items():
             if not name.startswith(TOOLS) or f"{name}.".startswith(f"{package}."):

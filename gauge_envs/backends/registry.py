@@ -8,7 +8,7 @@ from pathlib import Path
 from gauge_envs.backends.base import Backend, scene_support
 from gauge_envs.backends.features import Support
 from gauge_envs.errors import BackendError, GaugeError, ParameterError, UnknownNameError
-from gauge_envs.registry import BUNDLED, engine_points, model_files
+from gauge_envs.registry import BUNDLED, engine_points
 from gauge_envs.scene import Scene
 
 MODEL_ENGINE = "mujoco"
@@ -173,4 +173,8 @@ def backend_for(name: str, model_file: Path | None) -> Backend:
             f"backend {name!r}: expected the name of a backend, as 'mujoco'"
         )
     engine = backend(name)
-    return engine if model_file is None else model_files().BackendMJCF(model_file)
+    if model_file is None:
+        return engine
+    from gauge_envs.backends.mujoco.mjcf.reader import BackendMJCF
+
+    return BackendMJCF(model_file)

@@ -15,13 +15,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs import registration
 from numpy.typing import NDArray
 
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.wrappers import scored_env
 from gauge_envs.errors import needs_extra
 from gauge_envs.experiments.variants import find_variant
-from gauge_envs.registry import id_modules
 from gauge_envs.scoring.score import Score
 
 with needs_extra("gauge_envs.envs.dm_env", "dm"):
@@ -56,12 +56,13 @@ def load(
         >>> step.discount, round(env.score.rmse_normalized, 2)
         (1.0, 0.41)
     """
-    plain = name.removeprefix("GAUGE/")
+    spec = registration.registry.get(f"GAUGE/{name.removeprefix('GAUGE/')}")
     env: gymnasium.Env[Any, Any]
-    if any(plain in ids.names() for ids in id_modules()):
-        env = gymnasium.make(f"GAUGE/{plain}", disable_env_checker=True, **arguments)
-    else:
+    if spec is None or "variant" in spec.kwargs:
         env = scored_env(variant=find_variant(name), **arguments)
+    else:
+        # A control task registers without a variant.
+        env = gymnasium.make(spec, disable_env_checker=True, **arguments)
     return DmEnvironment(env, seed=seed, options=options)
 
 

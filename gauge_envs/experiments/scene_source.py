@@ -11,18 +11,21 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-from gauge_envs.errors import AssetError, first_names
+from gauge_envs.errors import AssetError, first_names, needs_extra
 from gauge_envs.experiments.experiment import Asset, AssetKind, Experiment
 from gauge_envs.files import os_errors
+from gauge_envs.formats import USD_SUFFIXES
 from gauge_envs.references.metrics import EVENT_METRICS
-from gauge_envs.registry import MODEL_SUFFIX, SCENE_SUFFIXES, model_files, scene_files
 from gauge_envs.scene import Motion
 from gauge_envs.scene.diff import scene_changes
 
-RECORDED_SUFFIX = ".usda"
-"""Suffix of the scene file in a result."""
+if TYPE_CHECKING:
+    from gauge_envs.formats.usd import UsdScene
+
+MODEL_SUFFIX = ".xml"
+"""Suffix of MJCF files, which only MuJoCo reads."""
 
 
 def with_asset(experiment: Experiment, path: Path) -> Experiment:
@@ -34,16 +37,19 @@ def with_asset(experiment: Experiment, path: Path) -> Experiment:
     """
     digests = [_digest(path)]
     changes: tuple[str, ...]
-    if path.suffix in SCENE_SUFFIXES:
+    if path.suffix in USD_SUFFIXES:
         layer = _scene_of_file(experiment, path)
         kind, scene = AssetKind.USD, layer.scene
         digests += map(_digest, layer.used_files)
         changes = tuple(scene_changes(experiment.scene, scene))
     elif path.suffix == MODEL_SUFFIX:
+        # MuJoCo is imported at its first use.
+        from gauge_envs.backends.mujoco.mjcf.reader import read_model
+
         kind = AssetKind.MODEL
-        scene, changes = model_files().read_model(path, experiment.scene)
+        scene, changes = read_model(path, experiment.scene)
     else:
-        known = ", ".join(SCENE_SUFFIXES)
+        known = ", ".join(USD_SUFFIXES)
         raise AssetError(
             path,
             "",
@@ -74,10 +80,13 @@ def _digest(path: Path) -> bytes:
         return hashlib.sha256(path.read_bytes()).digest()
 
 
-def _scene_of_file(experiment: Experiment, path: Path) -> Any:
+def _scene_of_file(experiment: Experiment, path: Path) -> UsdScene:
     """Return the content of a USD layer; raise an error if it belongs to another variant."""
     duration_s = experiment.scene.duration_s
-    layer = scene_files(path.suffix).read_usd(path, duration_s=duration_s)
+    with needs_extra(f"a file {path.suffix}", "usd"):
+        from gauge_envs.formats.usd import read_usd
+
+    layer = read_usd(path, duration_s=duration_s)
     name = experiment.name
     origin = layer.metadata.get("variant", name)
     if origin != name:

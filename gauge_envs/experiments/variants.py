@@ -12,11 +12,12 @@ from fnmatch import fnmatchcase
 from functools import cache, lru_cache
 from pathlib import Path
 
+from gymnasium.envs import registration
+
 from gauge_envs.errors import ParameterError, TaskFileError, UnknownNameError
 from gauge_envs.experiments.names import Collection as Collection, Variant as Variant
 from gauge_envs.files import data_folder
 from gauge_envs.references.user_data import OWN_TASKS, own_task_files
-from gauge_envs.registry import id_modules
 
 INDEX_FILE = "index.csv"
 """File in `tasks/` with a row for each experiment of the package."""
@@ -210,6 +211,6 @@ def _unknown(
         return faults[0]
     plain = name.removeprefix("GAUGE/")
     hint = ""
-    if any(plain in ids.names() for ids in id_modules()):
+    if f"GAUGE/{plain}" in registration.registry:
         hint = f"it is a control task: use gymnasium.make('GAUGE/{plain}') or gauge show {plain}"
     return UnknownNameError(kind, name, known, hint)

@@ -15,14 +15,18 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from gauge_envs.errors import ResultFileError, UnknownNameError, first_fault
+from gauge_envs.errors import (
+    ResultFileError,
+    UnknownNameError,
+    first_fault,
+    needs_extra,
+)
 from gauge_envs.experiments.experiment import (
     Asset,
     AssetKind,
     Experiment,
 )
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.scene_source import RECORDED_SUFFIX
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import (
@@ -34,7 +38,6 @@ from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.imported import dataset_record
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.user_data import BUNDLED_DATA, OWN_TASKS, DataSource
-from gauge_envs.registry import scene_files
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scoring.score import OLD_SCORE
 from gauge_envs.scoring.trajectory_file import LARGEST
@@ -223,9 +226,12 @@ def _asset_record(experiment: Experiment) -> dict[str, Any]:
     record = asset.to_dict()
     # For a model file the scene is that of the variant, because only its engine could read the file back.
     if asset.kind is AssetKind.USD and asset.edited:
+        with needs_extra("the scene of the result", "usd"):
+            from gauge_envs.formats.usd import to_usd
+
         with TemporaryDirectory() as folder:
             path = Path(folder) / "scene.usda"
-            scene_files(RECORDED_SUFFIX).to_usd(experiment.scene, path)
+            to_usd(experiment.scene, path)
             record["scene"] = path.read_text(encoding="utf-8")
     return record
 
@@ -249,10 +255,13 @@ def recorded_experiment(result: Result) -> Experiment:
             drivers=result.dataset["drivers"],
             reference=result.dataset["reference"],
         )
+    with needs_extra("the scene of the result", "usd"):
+        from gauge_envs.formats.usd import read_usd
+
     with TemporaryDirectory() as folder:
         path = Path(folder) / "scene.usda"
         path.write_text(record["scene"], encoding="utf-8")
-        scene = scene_files(RECORDED_SUFFIX).read_usd(path).scene
+        scene = read_usd(path).scene
     asset = Asset(
         path=Path(record["file"]),
         kind=AssetKind(record["kind"]),

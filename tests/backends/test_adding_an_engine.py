@@ -36,10 +36,10 @@ from gauge_envs.errors import (
     UnknownNameError,
 )
 from gauge_envs.experiments.variants import find_variant
+from gauge_envs.fixtures.parts import ball, contact, ground
 from gauge_envs.runs import isolation
 from gauge_envs.scene import ConvexUnion, Motion, Pose, Scene, Tether
 from gauge_envs.scene.drivers import Driver, DriverMotion
-from gauge_envs.tools.bench.parts import ball, contact, ground
 from gauge_envs.tools.catalog import listing
 from gauge_envs.tools.conformance import run_checks
 

@@ -25,13 +25,13 @@ from gauge_envs.backends.shared.spring_damper import (
 )
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.task_files import fabrics
+from gauge_envs.fixtures.parts import ball, box, contact, fixed_box, ground
+from gauge_envs.fixtures.recording import record
+from gauge_envs.formats.usd.isaac_fabric import surface_constants
 from gauge_envs.scene import GRAVITY_M_PER_S2, Motion, Pose, Scene
 from gauge_envs.scene.fabrics import Fabric, bending_length_m, plate_bending_stiffness
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
-from gauge_envs.tools.bench.parts import ball, box, contact, fixed_box, ground
-from gauge_envs.tools.bench.recording import record
 from gauge_envs.tools.recipes.fabrics import fabric_constants
-from gauge_envs.tools.usd.isaac_fabric import surface_constants
 
 # --- fabrics ---------------------------------------------------------------------------------------------------------
 

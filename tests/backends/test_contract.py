@@ -19,11 +19,11 @@ from gauge_envs.backends.registry import backend_class
 from gauge_envs.backends.shared import bundled
 from gauge_envs.envs.rollout import intervals
 from gauge_envs.errors import MissingExtraError
+from gauge_envs.fixtures.parts import body, driven_box
 from gauge_envs.registry import is_installed
 from gauge_envs.scene import Box, Pose, Scene
 from gauge_envs.scene.jitter import perturbed_states
 from gauge_envs.scene.prescribed_motion import prescribed_motions
-from gauge_envs.tools.bench.parts import body, driven_box
 
 SLIDE = "SlopeSlider-2-wood"
 INTERVAL_S = 1 / 180

@@ -22,6 +22,8 @@ from gauge_envs.backends.shared.soft_rows import (
     lame_constants,
 )
 from gauge_envs.errors import ShapeError
+from gauge_envs.fixtures.parts import ball, contact, driven_box, fixed_box
+from gauge_envs.fixtures.recording import record
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Attachment,
@@ -31,8 +33,6 @@ from gauge_envs.scene import (
     Rope,
     Scene,
 )
-from gauge_envs.tools.bench.parts import ball, contact, driven_box, fixed_box
-from gauge_envs.tools.bench.recording import record
 
 INTERVAL_S = 1 / 180
 on_both = pytest.mark.parametrize("engine", ["mujoco", "newton"], indirect=True)

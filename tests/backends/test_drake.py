@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.errors import ParameterError
+from gauge_envs.fixtures.parts import contact
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
@@ -29,7 +30,6 @@ from gauge_envs.scene import (
     Pose,
     Sphere,
 )
-from gauge_envs.tools.bench.parts import contact
 
 pytest.importorskip("pydrake")
 

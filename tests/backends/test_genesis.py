@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import backend
 from gauge_envs.errors import BackendError, UnsupportedSceneError
+from gauge_envs.fixtures.parts import contact
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
@@ -20,7 +21,6 @@ from gauge_envs.scene import (
     Pose,
     Sphere,
 )
-from gauge_envs.tools.bench.parts import contact
 from gauge_envs.tools.sanity import configuration
 
 pytest.importorskip("genesis.version", reason="extra 'genesis' is not installed")

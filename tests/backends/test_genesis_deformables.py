@@ -19,9 +19,9 @@ from gauge_envs.backends.shared.attachments import (
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.errors import ParameterError
+from gauge_envs.fixtures.parts import contact
+from gauge_envs.fixtures.recording import DivergedError, record
 from gauge_envs.scene import Motion, Pose, Region, Scene
-from gauge_envs.tools.bench.parts import contact
-from gauge_envs.tools.bench.recording import DivergedError, record
 from gauge_envs.tools.conformance import Status, run_checks
 from gauge_envs.tools.conformance.deformable import clamped, fabric, sheet
 

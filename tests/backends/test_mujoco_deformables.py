@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.cloth import FoldWatch
+from gauge_envs.fixtures.parts import body, box, contact, fixed_box
 from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Motion, Pose, Region, Rod
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.prescribed_motion import prescribed_motions
-from gauge_envs.tools.bench.parts import body, box, contact, fixed_box
 
 MUJOCO = backend("mujoco")
 INTERVAL_S = 1 / 180

@@ -8,12 +8,12 @@ import pytest
 
 from gauge_envs import load_experiment, variants
 from gauge_envs.backends import backend
+from gauge_envs.fixtures.parts import box, contact, ground
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import GRAVITY_M_PER_S2, Scene
 from gauge_envs.scene.states import nominal_states
-from gauge_envs.tools.bench.parts import box, contact, ground
 
 pytest.importorskip("newton")
 

@@ -25,8 +25,8 @@ from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.errors import ParameterError
+from gauge_envs.fixtures.parts import ball, contact, fixed_box
 from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Motion, Pose, Region, Rod
-from gauge_envs.tools.bench.parts import ball, contact, fixed_box
 
 newton = pytest.importorskip("newton")
 

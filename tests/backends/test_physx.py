@@ -17,6 +17,7 @@ from gauge_envs import load_experiment, reference_band, score_trajectory
 from gauge_envs.backends import backend
 from gauge_envs.backends.physx.contacts import constants_of, groups_of_bodies
 from gauge_envs.errors import BackendError
+from gauge_envs.fixtures.parts import ball, contact
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -31,7 +32,6 @@ from gauge_envs.scene import (
     Pose,
 )
 from gauge_envs.scene.meshes import prism
-from gauge_envs.tools.bench.parts import ball, contact
 from gauge_envs.tools.conformance import run_checks
 
 pytest.importorskip("sapien")

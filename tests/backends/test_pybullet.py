@@ -20,6 +20,7 @@ from gauge_envs.backends.pybullet.contacts import (
 )
 from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.fixtures.parts import ball, contact, driven_box, fixed_box
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Attachment,
@@ -30,7 +31,6 @@ from gauge_envs.scene import (
     SoftBody,
 )
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.bench.parts import ball, contact, driven_box, fixed_box
 
 pytest.importorskip("pybullet")
 

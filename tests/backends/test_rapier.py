@@ -13,8 +13,8 @@ from rigid import plane_deg, scene_of, solid, states
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
+from gauge_envs.fixtures.parts import ball, box, contact, fixed_box
 from gauge_envs.scene import GRAVITY_M_PER_S2, Cylinder, Hinge, Pose
-from gauge_envs.tools.bench.parts import ball, box, contact, fixed_box
 from gauge_envs.tools.conformance import run_checks
 
 pytest.importorskip("rapier3d")

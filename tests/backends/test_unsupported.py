@@ -14,6 +14,7 @@ from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import scene_support
 from gauge_envs.errors import GaugeError
+from gauge_envs.fixtures.parts import ball, contact, fixed_box, ground
 from gauge_envs.scene import (
     Attachment,
     Compound,
@@ -28,7 +29,6 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
-from gauge_envs.tools.bench.parts import ball, contact, fixed_box, ground
 
 SLIDE = "SlopeSlider-2-wood"
 CLOTH = "TextileBending-satin"

@@ -9,7 +9,6 @@ from typer.testing import CliRunner
 from gauge_envs import registry
 from gauge_envs.cli.app import app
 from gauge_envs.cli.commands import PLUGINS_GROUP, all_commands, commands
-from gauge_envs.errors import RegistryError
 
 COMMAND = '''
 from gauge_envs.cli.output import echo
@@ -47,8 +46,3 @@ def test_a_plug_in_adds_its_command_after_the_bundled_ones(plugins):
 
 def test_a_plug_in_cannot_replace_a_bundled_command(plugins):
     assert commands()["list"].package == "gauge_envs.tools."
-
-
-def test_an_unknown_scene_file_gives_an_error_with_the_known_suffixes():
-    with pytest.raises(RegistryError, match=r"'\.fbx'; known: .*\.usda"):
-        registry.scene_files(".fbx")

@@ -14,6 +14,7 @@ from texts import changed_text
 
 from gauge_envs import load_experiment, load_experiment_from_asset
 from gauge_envs.backends import backend, backend_for
+from gauge_envs.backends.mujoco.mjcf.diff import model_changes
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.variants import variants
 from gauge_envs.runs.episodes import run_episode, run_episodes
@@ -21,7 +22,6 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.assets.export import mjcf_text
-from gauge_envs.tools.mjcf.diff import model_changes
 
 SLIDE, TILTED, SWING = "SlopeSlider-2-wood", "SlopeSlider-3-wood", "Pendulum-metal"
 CLOTH = "TextileStretching-rayon"

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs import GaugeEnv, load_experiment
 from gauge_envs.experiments.variants import beyond_variants, variants
+from gauge_envs.fixtures.parts import driver as driver_of, ground, ramp
 from gauge_envs.references.tables import read_toml, scoring_folder
 from gauge_envs.rendering.camera import (
     FIELD_OF_VIEW_DEG,
@@ -23,7 +24,6 @@ from gauge_envs.rendering.overlay import Overlay
 from gauge_envs.rendering.reference_path import reference_path
 from gauge_envs.rendering.renderer import SceneRenderer
 from gauge_envs.scene import Box, Hinge, Motion, Pose, RigidBody, Rod, Scene
-from gauge_envs.tools.bench.parts import driver as driver_of, ground, ramp
 
 SIZE = (640, 480)
 

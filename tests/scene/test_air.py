@@ -13,11 +13,11 @@ from gauge_envs.errors import (
     ParameterError,
     UnsupportedSceneError,
 )
+from gauge_envs.formats.usd.reader import from_usd
+from gauge_envs.formats.usd.writer import to_usd
 from gauge_envs.scene import Air
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.tools.assets.export import mjcf_text
-from gauge_envs.tools.usd.reader import from_usd
-from gauge_envs.tools.usd.writer import to_usd
 
 AIR = Air(
     density_kg_per_m3=1.2,

@@ -8,12 +8,12 @@ from hypothesis import given, strategies as st
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.fixtures.parts import body
 from gauge_envs.scene import Box, Pose
 from gauge_envs.scene.drivers import Driver, DriverMotion, recorded_coordinates
 from gauge_envs.scene.prescribed_motion import PrescribedMotion
 from gauge_envs.scene.profiles import CosineProfile, SampledProfile, TrapezoidProfile
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.bench.parts import body
 
 TRAPEZOID = TrapezoidProfile(
     start_s=0.2, duration_s=1.0, accelerate_s=0.3, brake_s=0.2, amount=-0.6

@@ -10,11 +10,11 @@ from scipy.spatial.distance import pdist
 
 from gauge_envs import Jitter, load_experiment
 from gauge_envs.errors import ParameterError
+from gauge_envs.fixtures.parts import contact
 from gauge_envs.scene import Box, Motion, Sphere, Tether
 from gauge_envs.scene.contact_faces import face_normal
 from gauge_envs.scene.jitter import JITTER_FORMAT, perturbed_states
 from gauge_envs.scene.states import scene_at
-from gauge_envs.tools.bench.parts import contact
 
 PUSHES = Jitter(velocity_m_per_s=0.2, angular_velocity_rad_per_s=0.5)
 

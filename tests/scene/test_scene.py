@@ -7,6 +7,7 @@ import pytest
 from rigid import plane_deg, scene_of, solid
 
 from gauge_envs.errors import ParameterError
+from gauge_envs.fixtures.parts import contact, driver, ramp
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Attachment,
@@ -19,7 +20,6 @@ from gauge_envs.scene import (
     Sphere,
 )
 from gauge_envs.scene.diff import scene_changes
-from gauge_envs.tools.bench.parts import contact, driver, ramp
 
 LINEAR, ANGULAR = (1.2, -0.8, 0.5), (2.0, 5.0, -3.0)
 THROWN = solid(

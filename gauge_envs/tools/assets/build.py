@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from gauge_envs.backends.mujoco.mjcf import NUMBER, expanded
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import data_folder
@@ -32,7 +33,6 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.meshes import PRISM_SIDES, hull_triangles
 from gauge_envs.tools.assets.export import mjcf_text, usd_layer_text
-from gauge_envs.tools.mjcf import NUMBER, expanded
 
 SPHERE_SUBDIVISIONS = 3
 """Subdivisions of the icosahedron that approximates a sphere in an OBJ file: 642 vertices."""

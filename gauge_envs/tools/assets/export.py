@@ -4,11 +4,11 @@ import json
 
 from pxr import Usd
 
+from gauge_envs.backends.mujoco.mjcf import scene_mjcf_text
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import task_path
-from gauge_envs.tools.mjcf import scene_mjcf_text
-from gauge_envs.tools.usd import scene_stage
+from gauge_envs.formats.usd import scene_stage
 
 SOURCE = (
     "Calibrated constants and initial states: GAUGE paper (arXiv 2608.05948) and GAUGE dataset "

@@ -20,11 +20,11 @@ from gauge_envs.backends.shared.pair_values import (
 from gauge_envs.envs.rollout import LATER_FRAMES
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.formats.usd import record_follower, write
 from gauge_envs.observables.observer import material_points
 from gauge_envs.scene import Cloth, Deformable, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets.export import experiment_stage
-from gauge_envs.tools.usd import record_follower, write
 
 Prims = Mapping[str, Usd.Prim]
 """Prims of the bodies, by the name of the body."""

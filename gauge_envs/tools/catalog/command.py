@@ -11,7 +11,6 @@ import typer
 from gauge_envs.cli import arguments
 from gauge_envs.cli.commands import listings
 from gauge_envs.cli.output import Format, echo, message, note, print_document
-from gauge_envs.registry import id_modules
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
@@ -99,12 +98,13 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
 def _beyond_the_benchmark() -> list[str]:
     """Return a line for each group of ids outside of the table."""
     from gauge_envs.experiments.variants import beyond_variants, user_variants
+    from gauge_envs.tools.control import summary
 
     users = user_variants()
     families = dict.fromkeys(
         f"{variant.family}-*" for variant in beyond_variants() if variant not in users
     )
-    lines = [ids.summary() for ids in id_modules()]
+    lines = [summary()]
     lines.append(f"Beyond the benchmark: {', '.join(families)}")
     if users:
         lines.append(f"Of GAUGE_TASKS: {', '.join(variant.name for variant in users)}")
@@ -155,14 +155,14 @@ def show(
         echo(json.dumps(output_schema(name), indent=1))
         return
     from gauge_envs.experiments.resolve import load_experiment
+    from gauge_envs.tools import control
     from gauge_envs.tools.catalog.description import description
     from gauge_envs.tools.catalog.report import experiment_document, full_document
 
     plain_name = name.removeprefix("GAUGE/")
-    for ids in id_modules():
-        if plain_name in ids.names():
-            print_document(ids.document(plain_name), form)
-            return
+    if plain_name in control.names():
+        print_document(control.document(plain_name), form)
+        return
     experiment = load_experiment(
         name, asset=asset, **arguments.parsed_use(use, "drivers", "reference")
     )

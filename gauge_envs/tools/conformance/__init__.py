@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.bench.recording import Recording as Recording
+    from gauge_envs.fixtures.recording import Recording as Recording
     from gauge_envs.tools.conformance.cloth import (
         BENT_FREE_M as BENT_FREE_M,
         bending_stiffness as bending_stiffness,
@@ -58,7 +58,7 @@ else:
     __getattr__, __all__ = lazy_names(
         __name__,
         {
-            "gauge_envs.tools.bench.recording": ["Recording"],
+            "gauge_envs.fixtures.recording": ["Recording"],
             ".cloth": [
                 "BENT_FREE_M",
                 "bending_stiffness",

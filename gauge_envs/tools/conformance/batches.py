@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from gauge_envs.backends import LoopedSimulation, Simulation
+from gauge_envs.fixtures.parts import ball
+from gauge_envs.fixtures.recording import DeclinedError
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.states import nominal_states
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.bench.parts import ball
-from gauge_envs.tools.bench.recording import DeclinedError
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, push
 from gauge_envs.tools.conformance.model import COUNT, Tolerance, check
 from gauge_envs.tools.conformance.restart import (

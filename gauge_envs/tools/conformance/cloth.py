@@ -10,6 +10,8 @@ from typing import Literal
 
 import numpy as np
 
+from gauge_envs.fixtures.parts import contact, driven_box, driver, fixed_box, ramp
+from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Air,
@@ -20,8 +22,6 @@ from gauge_envs.scene import (
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scoring.estimators import acceleration_m_per_s2, slide_friction
-from gauge_envs.tools.bench.parts import contact, driven_box, driver, fixed_box, ramp
-from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.deformable import (
     ATTACHED,
     FRAME,

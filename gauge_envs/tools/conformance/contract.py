@@ -10,11 +10,11 @@ import numpy as np
 from scipy.integrate import trapezoid
 
 from gauge_envs.backends import Simulation
+from gauge_envs.fixtures.parts import box, contact, fixed_box, ground, thrown
+from gauge_envs.fixtures.recording import DeclinedError, record
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import length_of
 from gauge_envs.scene.states import nominal_states
-from gauge_envs.tools.bench.parts import box, contact, fixed_box, ground, thrown
-from gauge_envs.tools.bench.recording import DeclinedError, record
 from gauge_envs.tools.conformance.cloth import LIGHT_FABRIC, hanging_strip
 from gauge_envs.tools.conformance.free_motion import solids
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, ratio

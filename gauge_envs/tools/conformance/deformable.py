@@ -18,6 +18,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from gauge_envs.fixtures.parts import (
+    box,
+    contact,
+    driven_box,
+    fixed_box,
+    ramp,
+    thrown,
+)
+from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Attachment,
@@ -36,15 +45,6 @@ from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import FloatArray, Vector, vector
 from gauge_envs.scoring.estimators import hann_mean
-from gauge_envs.tools.bench.parts import (
-    box,
-    contact,
-    driven_box,
-    fixed_box,
-    ramp,
-    thrown,
-)
-from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, ratio
 from gauge_envs.tools.conformance.model import Tolerance
 

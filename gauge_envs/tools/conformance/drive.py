@@ -10,6 +10,15 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.fixtures.parts import (
+    box,
+    contact,
+    driven_box,
+    driver,
+    ramp,
+)
+from gauge_envs.fixtures.recording import Recording
+from gauge_envs.fixtures.slope import moved_m, slope_of
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -20,15 +29,6 @@ from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.profiles import TrapezoidProfile
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
-from gauge_envs.tools.bench.parts import (
-    box,
-    contact,
-    driven_box,
-    driver,
-    ramp,
-)
-from gauge_envs.tools.bench.recording import Recording
-from gauge_envs.tools.bench.slope import moved_m, slope_of
 from gauge_envs.tools.conformance.lab import (
     Lab,
     Measurement,

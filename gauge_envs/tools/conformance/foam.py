@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
+from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import Box, Region, Scene, SoftBody
-from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.deformable import (
     ATTACHED,
     LEVEL,

@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from gauge_envs.fixtures.parts import box, contact, fixed_box, thrown
+from gauge_envs.fixtures.recording import DeclinedError, Recording, record
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     RigidBody,
@@ -15,8 +17,6 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.bench.parts import box, contact, fixed_box, thrown
-from gauge_envs.tools.bench.recording import DeclinedError, Recording, record
 from gauge_envs.tools.conformance.free_motion import DIRECTION, centre_m, solids
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, push, ratio
 from gauge_envs.tools.conformance.model import Tolerance, check

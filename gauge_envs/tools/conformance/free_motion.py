@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from gauge_envs.fixtures.parts import ball, body, corners, thrown
+from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -24,8 +26,6 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
-from gauge_envs.tools.bench.parts import ball, body, corners, thrown
-from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.lab import (
     Lab,
     Measurement,

@@ -9,6 +9,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
+from gauge_envs.fixtures.parts import ball, body, corners, thrown
+from gauge_envs.fixtures.recording import DeclinedError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -28,8 +30,6 @@ from gauge_envs.scoring.estimators import (
     mean_period_s,
     pendulum_period_s,
 )
-from gauge_envs.tools.bench.parts import ball, body, corners, thrown
-from gauge_envs.tools.bench.recording import DeclinedError
 from gauge_envs.tools.conformance.free_motion import ZERO, centre_m
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, ratio
 from gauge_envs.tools.conformance.model import Tolerance, check

@@ -7,6 +7,24 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.fixtures.drop import (
+    RADIUS_M,
+    balls_above_ground,
+    bounce_of,
+    drop_scene,
+    fall_s,
+)
+from gauge_envs.fixtures.parts import (
+    ball,
+    body,
+    box,
+    box_inertia_kg_m2,
+    contact,
+    fixed_box,
+    ground,
+    thrown,
+)
+from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -19,24 +37,6 @@ from gauge_envs.scene import (
     Vector,
 )
 from gauge_envs.scene.geometry import FloatArray, vector
-from gauge_envs.tools.bench.drop import (
-    RADIUS_M,
-    balls_above_ground,
-    bounce_of,
-    drop_scene,
-    fall_s,
-)
-from gauge_envs.tools.bench.parts import (
-    ball,
-    body,
-    box,
-    box_inertia_kg_m2,
-    contact,
-    fixed_box,
-    ground,
-    thrown,
-)
-from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.lab import Lab, Measurement, ratio
 from gauge_envs.tools.conformance.model import Tolerance, check
 

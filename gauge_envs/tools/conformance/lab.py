@@ -21,10 +21,10 @@ from gauge_envs.errors import (
     ParameterError,
     UnsupportedSceneError,
 )
+from gauge_envs.fixtures.recording import DeclinedError, Recording, raised_at, record
 from gauge_envs.scene import Motion, Scene, Sphere
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.bench.recording import DeclinedError, Recording, raised_at, record
 
 T = TypeVar("T")
 

@@ -6,6 +6,16 @@ from itertools import product, repeat
 
 import numpy as np
 
+from gauge_envs.fixtures.parts import (
+    body,
+    box,
+    contact,
+    corners,
+    driver,
+    ground,
+    ramp,
+)
+from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -21,16 +31,6 @@ from gauge_envs.scene import (
     Vector,
 )
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.bench.parts import (
-    body,
-    box,
-    contact,
-    corners,
-    driver,
-    ground,
-    ramp,
-)
-from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest_mm
 from gauge_envs.tools.conformance.model import COUNT, Tolerance, check
 

@@ -13,6 +13,24 @@ import numpy as np
 
 from gauge_envs.backends import Simulation, backend as find_backend
 from gauge_envs.errors import GaugeError
+from gauge_envs.fixtures.parts import (
+    ball,
+    body,
+    box,
+    contact,
+    corners,
+    driven_box,
+    driver,
+    ground,
+    ramp,
+    thrown,
+)
+from gauge_envs.fixtures.recording import (
+    DeclinedError,
+    DivergedError,
+    Recording,
+    record,
+)
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.scene import (
     Box,
@@ -30,24 +48,6 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import rotate
 from gauge_envs.scene.states import nominal_states, scene_at
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.bench.parts import (
-    ball,
-    body,
-    box,
-    contact,
-    corners,
-    driven_box,
-    driver,
-    ground,
-    ramp,
-    thrown,
-)
-from gauge_envs.tools.bench.recording import (
-    DeclinedError,
-    DivergedError,
-    Recording,
-    record,
-)
 from gauge_envs.tools.conformance.cloth import LIGHT_FABRIC
 from gauge_envs.tools.conformance.deformable import sheet
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, push

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from gauge_envs.fixtures.parts import box
+from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Pose,
@@ -13,8 +15,6 @@ from gauge_envs.scene import (
     Rope,
     Scene,
 )
-from gauge_envs.tools.bench.parts import box
-from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.deformable import (
     FRAME,
     LEVEL,

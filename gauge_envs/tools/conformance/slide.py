@@ -8,6 +8,15 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.fixtures.drop import RADIUS_M
+from gauge_envs.fixtures.parts import body, contact, fixed_box, ground, thrown
+from gauge_envs.fixtures.recording import Recording
+from gauge_envs.fixtures.slope import (
+    Slope,
+    acceleration_downhill_m_per_s2,
+    friction_of_slide,
+)
+from gauge_envs.fixtures.turning import ROLL, SPIN, turning_arm_m, turning_scene
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -20,15 +29,6 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
-from gauge_envs.tools.bench.drop import RADIUS_M
-from gauge_envs.tools.bench.parts import body, contact, fixed_box, ground, thrown
-from gauge_envs.tools.bench.recording import Recording
-from gauge_envs.tools.bench.slope import (
-    Slope,
-    acceleration_downhill_m_per_s2,
-    friction_of_slide,
-)
-from gauge_envs.tools.bench.turning import ROLL, SPIN, turning_arm_m, turning_scene
 from gauge_envs.tools.conformance.drive import CUBE_M, unless_off, worst_friction
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest_mm, ratio
 from gauge_envs.tools.conformance.model import Tolerance, check

@@ -11,12 +11,16 @@ if TYPE_CHECKING:
         Policy as Policy,
         play_paid as play_paid,
     )
-    from gauge_envs.tools.control.ids import names as names
+    from gauge_envs.tools.control.ids import (
+        document as document,
+        names as names,
+        summary as summary,
+    )
 else:
     __getattr__, __all__ = lazy_names(
         __name__,
         {
             ".env": ["ControlEnv", "LimitReport", "Policy", "play_paid"],
-            ".ids": ["names"],
+            ".ids": ["document", "names", "summary"],
         },
     )

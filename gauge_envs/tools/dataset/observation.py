@@ -14,9 +14,9 @@ from gauge_envs.observables.observer import observe_markers
 from gauge_envs.references.imported import START_FRAMES
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Markers, Pose
+from gauge_envs.scene.driver_fit import motion_coordinates
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, length_of
-from gauge_envs.tools.bench.driver_fit import motion_coordinates
 from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.trial import PoseTrack, Trial, check_lengths
 

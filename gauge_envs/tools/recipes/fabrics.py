@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.backends.registry import backend, backend_class, backend_names
 from gauge_envs.errors import ParameterError
+from gauge_envs.fixtures.recording import DivergedError
+from gauge_envs.formats.usd import surface_constants
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.fabrics import Fabric, bending_length_m, plate_bending_stiffness
-from gauge_envs.tools.bench.recording import DivergedError
 from gauge_envs.tools.conformance import (
     BENT_FREE_M,
     Lab,
@@ -16,7 +17,6 @@ from gauge_envs.tools.conformance import (
     cantilever_strip,
 )
 from gauge_envs.tools.recipes.search import Recipe, difference
-from gauge_envs.tools.usd import surface_constants
 
 ISAAC = "isaac"
 """Engine with a mapping but without a simulation: this package does not run Isaac Sim."""

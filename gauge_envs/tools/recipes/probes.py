@@ -11,6 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.fixtures.drop import RADIUS_M, balls_above_ground, bounce_of, fall_s
+from gauge_envs.fixtures.parts import ball, body, contact, ground, thrown
+from gauge_envs.fixtures.recording import Recording, record
+from gauge_envs.fixtures.slope import creep_m_per_s, friction_of_slide
+from gauge_envs.fixtures.turning import INERTIA_SHARES, ROLL, SPIN, turning_arm_m
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -19,11 +24,6 @@ from gauge_envs.scene import (
     Scene,
 )
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.bench.drop import RADIUS_M, balls_above_ground, bounce_of, fall_s
-from gauge_envs.tools.bench.parts import ball, body, contact, ground, thrown
-from gauge_envs.tools.bench.recording import Recording, record
-from gauge_envs.tools.bench.slope import creep_m_per_s, friction_of_slide
-from gauge_envs.tools.bench.turning import INERTIA_SHARES, ROLL, SPIN, turning_arm_m
 from gauge_envs.tools.conformance import Lab
 from gauge_envs.tools.recipes.engines.base import ContactSettings
 

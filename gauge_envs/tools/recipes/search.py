@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from gauge_envs.fixtures.recording import DivergedError
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.tools.bench.recording import DivergedError
 from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings, rounded
 from gauge_envs.tools.recipes.probes import (

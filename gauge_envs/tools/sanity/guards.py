@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
+from gauge_envs.fixtures.parts import box, contact, ground, thrown
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
-from gauge_envs.tools.bench.parts import box, contact, ground, thrown
 from gauge_envs.tools.sanity.measure import Measured, Measurements
 from gauge_envs.tools.sanity.model import Settings, Verdict
 from gauge_envs.tools.sanity.phenomena.base import lowest_m

@@ -8,7 +8,7 @@ from typing import Any
 
 from gauge_envs.backends import Backend, backend
 from gauge_envs.errors import GaugeError
-from gauge_envs.tools.bench.recording import (
+from gauge_envs.fixtures.recording import (
     DeclinedError,
     DivergedError,
     Recording,

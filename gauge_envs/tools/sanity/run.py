@@ -10,8 +10,8 @@ import numpy as np
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import versions
+from gauge_envs.fixtures.parts import ball, contact, ground, thrown
 from gauge_envs.scene import Scene
-from gauge_envs.tools.bench.parts import ball, contact, ground, thrown
 from gauge_envs.tools.sanity.fix import find_fix
 from gauge_envs.tools.sanity.measure import (
     Measured,

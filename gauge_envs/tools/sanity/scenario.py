@@ -12,10 +12,10 @@ from gauge_envs.backends.settings import with_drive_interval
 from gauge_envs.errors import GaugeError, ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import find_variant
+from gauge_envs.fixtures.recording import DeclinedError, Recording, record
 from gauge_envs.scene import Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.bench.recording import DeclinedError, Recording, record
 from gauge_envs.tools.sanity.model import Settings
 
 MIN_SAMPLES = 5

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import mujoco
 
+from gauge_envs.backends.mujoco.mjcf import scene_mjcf_text
 from gauge_envs.cli import arguments
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.experiments.resolve import load_experiment
@@ -17,7 +18,6 @@ from gauge_envs.experiments.variants import (
     find_variant,
 )
 from gauge_envs.registry import engine_points
-from gauge_envs.tools.mjcf import scene_mjcf_text
 from gauge_envs.tools.versions.environments import (
     released_versions,
     version_key,

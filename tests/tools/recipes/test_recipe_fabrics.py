@@ -8,8 +8,8 @@ import pytest
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.task_files import fabrics
+from gauge_envs.fixtures.recording import DivergedError
 from gauge_envs.scoring.estimators import hann_mean
-from gauge_envs.tools.bench.recording import DivergedError
 from gauge_envs.tools.recipes import fabrics as recipes
 from gauge_envs.tools.recipes.fabrics import NOTHING_LOST, fabric_recipe
 

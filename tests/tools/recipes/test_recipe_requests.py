@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from gauge_envs.backends.shared.spring_damper import spring_damper_restitution
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError
+from gauge_envs.fixtures.recording import DeclinedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.tools.bench.recording import DeclinedError
 from gauge_envs.tools.recipes import Aim, engine_settings, find_recipe
 from gauge_envs.tools.recipes.materials import material_pairs
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gauge_envs.tools.bench.recording import Recording
+from gauge_envs.fixtures.recording import Recording
 
 CHEETAH = {
     "timestep_s": 0.01,

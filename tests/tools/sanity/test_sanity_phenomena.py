@@ -9,8 +9,8 @@ from sanity_cases import CHEETAH, moved
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+from gauge_envs.fixtures.recording import DeclinedError, DivergedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.tools.bench.recording import DeclinedError, DivergedError
 from gauge_envs.tools.sanity.measure import Measurements, judged, subject_of
 from gauge_envs.tools.sanity.model import Reality, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import RIGID, phenomena, phenomenon

@@ -12,8 +12,8 @@ from quadruped import quadruped_xml
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
+from gauge_envs.backends.mujoco.contact_table import COLUMNS, contact_pairs
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.bench.model_settings import COLUMNS, contact_pairs
 from gauge_envs.tools.sanity.itself.runs import start_data
 from gauge_envs.tools.sanity.model import Need
 from gauge_envs.tools.sanity.stacks import configuration

@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.fixtures.recording import Recording
 from gauge_envs.observables.functions import face_areas_mm2
 from gauge_envs.scene import Cloth
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.estimators import hann_mean
-from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     RECORDINGS,

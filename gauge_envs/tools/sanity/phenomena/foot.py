@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.fixtures.parts import body, contact, ground
+from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Pose, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
-from gauge_envs.tools.bench.parts import body, contact, ground
-from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon, acceleration, lowest_m
 from gauge_envs.tools.sanity.phenomena.friction import (

@@ -11,12 +11,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.fixtures.recording import Recording
+from gauge_envs.fixtures.slope import moved_m
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Box, Pose, RigidBody
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scoring.estimators import steady_speed_m_per_s
-from gauge_envs.tools.bench.recording import Recording
-from gauge_envs.tools.bench.slope import moved_m
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     Phenomenon,

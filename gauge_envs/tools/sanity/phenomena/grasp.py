@@ -6,9 +6,7 @@ The contacts have the target's constants, and friction 0.5.
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
-from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.bench.grasp import (
+from gauge_envs.fixtures.grasp import (
     GRASPED,
     PRESSED,
     TURNED,
@@ -16,8 +14,10 @@ from gauge_envs.tools.bench.grasp import (
     pad_depth_um,
     spin_torque_share,
 )
-from gauge_envs.tools.bench.recording import Recording
-from gauge_envs.tools.bench.turning import turning_scene
+from gauge_envs.fixtures.recording import Recording
+from gauge_envs.fixtures.turning import turning_scene
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.scenario import Scenario

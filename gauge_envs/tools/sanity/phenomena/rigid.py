@@ -11,13 +11,13 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.fixtures.recording import Recording
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import ConvexUnion, RigidBody, Scene, Sphere, Vector
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.estimators import first_bounce, mean_period_s, pendulum_period_s
 from gauge_envs.scoring.events import energy_loss, momentum_transfer_efficiency
-from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     PUBLISHED_TRIALS,

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from gauge_envs.tools.bench.model_settings import GROUND_TYPES
+from gauge_envs.backends.mujoco.contact_table import GROUND_TYPES
 from gauge_envs.tools.sanity.robot.joints import (
     Case,
     drives,

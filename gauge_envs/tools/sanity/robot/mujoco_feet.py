@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from gauge_envs.backends.mujoco.contact_table import COLUMNS, can_move, contact_settings
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
@@ -18,7 +19,6 @@ from gauge_envs.scene import (
     Sphere,
 )
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
-from gauge_envs.tools.bench.model_settings import COLUMNS, can_move, contact_settings
 from gauge_envs.tools.sanity.model import ContactGroup
 from gauge_envs.tools.sanity.robot.foot import COPIES, FootGeometry
 from gauge_envs.tools.sanity.robot.robot import (

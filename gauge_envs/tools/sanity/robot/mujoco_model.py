@@ -11,11 +11,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from gauge_envs.backends.mujoco.versions import sparse_advice
-from gauge_envs.errors import TargetError
-from gauge_envs.scene import Vector
-from gauge_envs.scene.geometry import FloatArray, IntArray, vector
-from gauge_envs.tools.bench.model_settings import (
+from gauge_envs.backends.mujoco.contact_table import (
     COLUMNS,
     ContactPairs,
     can_move,
@@ -26,6 +22,10 @@ from gauge_envs.tools.bench.model_settings import (
     option_settings,
     overrides_contacts,
 )
+from gauge_envs.backends.mujoco.versions import sparse_advice
+from gauge_envs.errors import TargetError
+from gauge_envs.scene import Vector
+from gauge_envs.scene.geometry import FloatArray, IntArray, vector
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     NoFootError,

@@ -14,11 +14,11 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.backends.mujoco.contact_table import ContactPairs, PairKind
 from gauge_envs.backends.mujoco.model import set_option
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import Vector
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
-from gauge_envs.tools.bench.model_settings import ContactPairs, PairKind
 from gauge_envs.tools.sanity.model import Settings
 from gauge_envs.tools.sanity.robot.mjcf_text import ModelText
 

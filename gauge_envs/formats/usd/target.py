@@ -5,8 +5,8 @@ from typing import Any
 
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 
+from gauge_envs.formats.usd.layer import WRITTEN
 from gauge_envs.scene import Contact, Pose, Scene
-from gauge_envs.tools.usd.layer import WRITTEN
 
 GROUPS = ("PhysicsScene", "Contacts", "Materials", "Joints", "Attachments", "Markers")
 """Names of the groups beside the bodies below the world prim."""

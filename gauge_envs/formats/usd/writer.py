@@ -18,7 +18,25 @@ import numpy as np
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from gauge_envs.errors import ParameterError, ResultFileError
-from gauge_envs.registry import SCENE_SUFFIXES
+from gauge_envs.formats import USD_SUFFIXES
+from gauge_envs.formats.usd.deformable_writer import write_attachment, write_deformable
+from gauge_envs.formats.usd.layer import (
+    AIR_KINDS,
+    ARMS,
+    MARKER_INDICES,
+    TEXT,
+    VELOCITIES,
+    WRITTEN,
+    as_array,
+    body_velocities,
+    digest,
+    hinge_axis,
+    hinge_frame,
+    motions_digest,
+    names_digest,
+    samples_digest,
+)
+from gauge_envs.formats.usd.target import Target, write, write_extent, write_friction
 from gauge_envs.scene import (
     Box,
     Compound,
@@ -40,24 +58,6 @@ from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.meshes import hull_faces
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.usd.deformable_writer import write_attachment, write_deformable
-from gauge_envs.tools.usd.layer import (
-    AIR_KINDS,
-    ARMS,
-    MARKER_INDICES,
-    TEXT,
-    VELOCITIES,
-    WRITTEN,
-    as_array,
-    body_velocities,
-    digest,
-    hinge_axis,
-    hinge_frame,
-    motions_digest,
-    names_digest,
-    samples_digest,
-)
-from gauge_envs.tools.usd.target import Target, write, write_extent, write_friction
 
 PLANE_EXTENT_M = 2.0
 """Edge length of the visible square of a plane [m]; the collider is infinite."""
@@ -77,8 +77,8 @@ def to_usd(scene: Scene, path: str | Path) -> None:
         ParameterError: The suffix is unknown, or a body is a compound.
         ResultFileError: The file cannot be written.
     """
-    if Path(path).suffix not in SCENE_SUFFIXES:
-        raise ParameterError(f"{path}: a USD layer ends in {', '.join(SCENE_SUFFIXES)}")
+    if Path(path).suffix not in USD_SUFFIXES:
+        raise ParameterError(f"{path}: a USD layer ends in {', '.join(USD_SUFFIXES)}")
     stage = scene_stage(scene)
     try:
         stage.GetRootLayer().Export(str(path))

@@ -9,6 +9,13 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 from pydantic import TypeAdapter
 
+from gauge_envs.formats.usd.layer import (
+    AIR_KINDS,
+    KINDS,
+    MARKER_INDICES,
+    OMNI_MATERIAL,
+)
+from gauge_envs.formats.usd.source import Source
 from gauge_envs.scene import (
     Air,
     Attachment,
@@ -20,13 +27,6 @@ from gauge_envs.scene import (
     SoftBody,
 )
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.usd.layer import (
-    AIR_KINDS,
-    KINDS,
-    MARKER_INDICES,
-    OMNI_MATERIAL,
-)
-from gauge_envs.tools.usd.source import Source
 
 AIR_PREFIX = "gauge:air:"
 

@@ -25,7 +25,18 @@ import mujoco
 import numpy as np
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
+from gauge_envs.backends.mujoco.contact_table import option_settings
 from gauge_envs.backends.mujoco.flex import flex_table
+from gauge_envs.backends.mujoco.mjcf.diff import (
+    is_same,
+    model_changes,
+    rows_by_name,
+)
+from gauge_envs.backends.mujoco.mjcf.writer import (
+    DRIVER_COLUMNS,
+    DRIVER_PREFIX,
+    driver_rows,
+)
 from gauge_envs.backends.mujoco.model import START_KEY, build_model
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
@@ -36,13 +47,6 @@ from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
-from gauge_envs.tools.bench.model_settings import option_settings
-from gauge_envs.tools.mjcf.diff import (
-    is_same,
-    model_changes,
-    rows_by_name,
-)
-from gauge_envs.tools.mjcf.writer import DRIVER_COLUMNS, DRIVER_PREFIX, driver_rows
 
 RECORDED_SETTINGS = (
     "timestep_s",

@@ -9,6 +9,8 @@ from pxr import Usd
 from gauge_envs import load_experiment
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.variants import variants
+from gauge_envs.formats.usd.reader import from_usd, read_usd
+from gauge_envs.formats.usd.writer import to_usd
 from gauge_envs.scene import (
     Box,
     Contact,
@@ -24,8 +26,6 @@ from gauge_envs.scene import (
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.tools.assets.build import assets_folder
-from gauge_envs.tools.usd.reader import from_usd, read_usd
-from gauge_envs.tools.usd.writer import to_usd
 
 # --- exact return ----------------------------------------------------------------------------------------------------
 

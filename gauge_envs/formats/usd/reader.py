@@ -15,28 +15,28 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
 
-from gauge_envs.scene import (
-    GRAVITY_M_PER_S2,
-    Motion,
-    Scene,
-)
-from gauge_envs.scene.geometry import length_of
-from gauge_envs.tools.usd.bodies import read_body
-from gauge_envs.tools.usd.contacts import (
+from gauge_envs.formats.usd.bodies import read_body
+from gauge_envs.formats.usd.contacts import (
     Collider,
     is_enabled,
     read_contacts,
 )
-from gauge_envs.tools.usd.deformables import (
+from gauge_envs.formats.usd.deformables import (
     is_deformable,
     read_air,
     read_attachment,
     read_deformable,
     read_markers,
 )
-from gauge_envs.tools.usd.joints import joint_prims, read_joint
-from gauge_envs.tools.usd.layer import WRITTEN
-from gauge_envs.tools.usd.source import Source
+from gauge_envs.formats.usd.joints import joint_prims, read_joint
+from gauge_envs.formats.usd.layer import WRITTEN
+from gauge_envs.formats.usd.source import Source
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
+    Motion,
+    Scene,
+)
+from gauge_envs.scene.geometry import length_of
 
 MAX_DURATION_S = 3600.0
 """Longest duration of a scene [s]."""

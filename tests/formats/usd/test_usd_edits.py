@@ -12,6 +12,8 @@ from usd_scenes import pairs
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import AssetError
+from gauge_envs.formats.usd.reader import from_usd
+from gauge_envs.formats.usd.writer import scene_stage
 from gauge_envs.scene import (
     Box,
     ConvexUnion,
@@ -23,8 +25,6 @@ from gauge_envs.scene import (
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets.build import assets_folder
-from gauge_envs.tools.usd.reader import from_usd
-from gauge_envs.tools.usd.writer import scene_stage
 
 SLIDER, TABLE, BALL, PENDULUM = (
     "SlopeSlider-2-wood",

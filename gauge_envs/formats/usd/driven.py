@@ -11,17 +11,17 @@ import numpy as np
 from pxr import Usd
 from pydantic import TypeAdapter
 
-from gauge_envs.scene import Pose
-from gauge_envs.scene.drivers import Driver, DriverMotion
-from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.bench.driver_fit import sampled_motions
-from gauge_envs.tools.usd.layer import (
+from gauge_envs.formats.usd.layer import (
     TEXT,
     WRITTEN,
     motions_digest,
     samples_digest,
 )
-from gauge_envs.tools.usd.source import Source
+from gauge_envs.formats.usd.source import Source
+from gauge_envs.scene import Pose
+from gauge_envs.scene.driver_fit import sampled_motions
+from gauge_envs.scene.drivers import Driver, DriverMotion
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 MOTIONS = TypeAdapter(tuple[DriverMotion, ...])
 Track = dict[float, Pose]

@@ -7,6 +7,7 @@ from usd_scenes import pairs
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.errors import AssetError
+from gauge_envs.formats.usd.reader import from_usd
 from gauge_envs.scene import (
     Box,
     Cylinder,
@@ -14,7 +15,6 @@ from gauge_envs.scene import (
     Motion,
     Tether,
 )
-from gauge_envs.tools.usd.reader import from_usd
 
 HEAD = '#usda 1.0\n(\n metersPerUnit = 1\n upAxis = "Z"\n)\n'
 PHYSICS = 'def PhysicsScene "Physics" {}\n'

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
 
+from gauge_envs.formats.usd.layer import WRITTEN, as_array, hinge_axis
+from gauge_envs.formats.usd.source import Source, is_written
 from gauge_envs.scene import Hinge, Motion, RigidBody, Tether
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
-from gauge_envs.tools.usd.layer import WRITTEN, as_array, hinge_axis
-from gauge_envs.tools.usd.source import Source, is_written
 
 MAX_GAP = 1e-4
 """Largest distance between the two ends of a joint at the start [m], and largest angle between its axes [rad]."""

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 from pxr import Sdf, Usd, UsdPhysics
 
+from gauge_envs.formats.usd.layer import ARMS
+from gauge_envs.formats.usd.source import Source
 from gauge_envs.scene import Contact, ContactMode
-from gauge_envs.tools.usd.layer import ARMS
-from gauge_envs.tools.usd.source import Source
 
 Pair = frozenset[str]
 Coefficient = tuple[float, str]

@@ -9,6 +9,9 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 from trimesh.geometry import triangulate_quads
 
+from gauge_envs.formats.usd.driven import read_driven
+from gauge_envs.formats.usd.layer import VELOCITIES, WRITTEN
+from gauge_envs.formats.usd.source import Source, StoredValue, is_written
 from gauge_envs.scene import (
     Box,
     ConvexUnion,
@@ -24,9 +27,6 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, length_of, pose_distance, vector
-from gauge_envs.tools.usd.driven import read_driven
-from gauge_envs.tools.usd.layer import VELOCITIES, WRITTEN
-from gauge_envs.tools.usd.source import Source, StoredValue, is_written
 
 SAME_FRAME = 1e-9
 """Largest distance [m] and angle [rad] at which a collider's frame counts as the frame of its body."""

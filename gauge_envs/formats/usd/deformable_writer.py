@@ -5,18 +5,18 @@ from dataclasses import fields
 import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics, UsdShade
 
-from gauge_envs.scene import Attachment, Cloth, Deformable, Rope, SoftBody
-from gauge_envs.scene.fabrics import Fabric
-from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.meshes import TOUCHING_M, grid, nodes_in, tetrahedra
-from gauge_envs.tools.usd.isaac_fabric import surface_constants
-from gauge_envs.tools.usd.layer import KINDS, OMNI_MATERIAL, WRITTEN, record_follower
-from gauge_envs.tools.usd.target import (
+from gauge_envs.formats.usd.isaac_fabric import surface_constants
+from gauge_envs.formats.usd.layer import KINDS, OMNI_MATERIAL, WRITTEN, record_follower
+from gauge_envs.formats.usd.target import (
     Target,
     write,
     write_extent,
     write_friction,
 )
+from gauge_envs.scene import Attachment, Cloth, Deformable, Rope, SoftBody
+from gauge_envs.scene.fabrics import Fabric
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.meshes import TOUCHING_M, grid, nodes_in, tetrahedra
 
 LINE_SPACING_M = 0.01
 """Distance between the points of ropes and rods [m]."""

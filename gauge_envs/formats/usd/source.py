@@ -13,9 +13,9 @@ from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import AssetError, first_fault
+from gauge_envs.formats.usd.layer import FOLLOWS, WRITTEN, as_array, digest
 from gauge_envs.scene import Pose
 from gauge_envs.scene.geometry import FloatArray, length_of
-from gauge_envs.tools.usd.layer import FOLLOWS, WRITTEN, as_array, digest
 
 Value = TypeVar("Value")
 
