@@ -114,7 +114,7 @@ def run_request(request: RunRequest) -> list[Result]:
         return run_episodes(request)
     except GaugeError as error:
         is_unsupported = isinstance(error, unsupported)
-        outcome = Outcome.DECLINED if is_unsupported else Outcome.FAILED
+        outcome = Outcome.UNSUPPORTED if is_unsupported else Outcome.FAILED
         return results_without_run(request, outcome, str(error))
     except KeyboardInterrupt:
         raise

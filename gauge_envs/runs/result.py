@@ -34,7 +34,7 @@ class Outcome(StrEnum):
     """The episode ran to its last frame."""
     DIVERGED = "diverged"
     """The simulation left the physical bounds of the scene; there is no score."""
-    DECLINED = "declined"
+    UNSUPPORTED = "unsupported"
     """The episode did not run: the backend cannot build the scene, or the experiment does not have the parameters."""
     FAILED = "failed"
     """An error ended the episode or prevented it."""

@@ -349,7 +349,7 @@ def _score_text(
     parts = (
         [score_cell_text(cell, metric, experiment.unit_of(metric))] if metric else []
     )
-    for outcome in (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED):
+    for outcome in (Outcome.DIVERGED, Outcome.FAILED, Outcome.UNSUPPORTED):
         count = cell.count(outcome)
         is_all = count == len(cell.results)
         parts.append(f"{'' if is_all else f'{count} '}{outcome}" if count else "")

@@ -9,7 +9,7 @@ import numpy as np
 
 from gauge_envs.backends import LoopedSimulation, Simulation
 from gauge_envs.fixtures.parts import ball
-from gauge_envs.fixtures.recording import DeclinedError
+from gauge_envs.fixtures.recording import UnsupportedError
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.states import nominal_states
@@ -302,7 +302,7 @@ def worlds_neighbours(lab: Lab) -> Measurement:
     results = {}
     with aside(), lab.running(scene, 5) as five:
         for what, *how in cases:
-            with suppress(DeclinedError):
+            with suppress(UnsupportedError):
                 courses = _course(five, scene, *how)[:, watched]
                 if what == "are as before":
                     before = courses

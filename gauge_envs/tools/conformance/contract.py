@@ -11,7 +11,7 @@ from scipy.integrate import trapezoid
 
 from gauge_envs.backends import Simulation
 from gauge_envs.fixtures.parts import box, contact, fixed_box, ground, thrown
-from gauge_envs.fixtures.recording import DeclinedError, record
+from gauge_envs.fixtures.recording import UnsupportedError, record
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import length_of
 from gauge_envs.scene.states import nominal_states
@@ -191,7 +191,7 @@ def start_rest(lab: Lab) -> Measurement:
     brick = box("brick", (0.1, 0.0, 0.015), BRICK_M)
     touch = contact("brick", "ground", friction=0.5)
     scene = Scene(bodies=(ground(), brick), contacts=(touch,), duration_s=0.5)
-    with suppress(DeclinedError):
+    with suppress(UnsupportedError):
         late = lab.rollout(scene).cut(0.4, 0.5)
         moved = late.displacement("brick")[-1] / np.ptp(late.times_s)
         off = 1e3 * length_of(late.velocity("brick").mean(axis=0) - moved)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gauge_envs.fixtures.parts import box, contact, fixed_box, thrown
-from gauge_envs.fixtures.recording import DeclinedError, Recording, record
+from gauge_envs.fixtures.recording import UnsupportedError, Recording, record
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     RigidBody,
@@ -165,7 +165,7 @@ def contact_force(lab: Lab) -> Measurement:
     with lab.running(scene) as simulation:
         read = simulation.contact_forces([*PAIRS])
         if read is None:
-            raise DeclinedError(("contact forces are not read",))
+            raise UnsupportedError(("contact forces are not read",))
         for _ in range(80):
             speeds.append(simulation.body_states(names)[0, :, 7:10])
             simulation.advance(SAMPLE_INTERVAL_S)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from gauge_envs.fixtures.parts import ball, body, corners, thrown
-from gauge_envs.fixtures.recording import DeclinedError
+from gauge_envs.fixtures.recording import UnsupportedError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -75,7 +75,7 @@ def _pendulums(lab: Lab) -> list[dict[str, float]]:
         for each in scene.bodies
     }
     pushed = " under a wrench"
-    with suppress(DeclinedError):
+    with suppress(UnsupportedError):
         floating = replace(scene, gravity_m_per_s2=0.0)
         runs[pushed] = lab.rollout(floating, 0.6, wrenches=wrenches)
     radii, periods, energies = {}, {}, {}

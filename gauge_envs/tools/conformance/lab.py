@@ -21,7 +21,7 @@ from gauge_envs.errors import (
     ParameterError,
     UnsupportedSceneError,
 )
-from gauge_envs.fixtures.recording import DeclinedError, Recording, raised_at, record
+from gauge_envs.fixtures.recording import UnsupportedError, Recording, raised_at, record
 from gauge_envs.scene import Motion, Scene, Sphere
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
@@ -122,12 +122,12 @@ class Lab:
             changes: Settings that replace settings of the lab.
 
         Raises:
-            DeclinedError: The engine reports that it cannot build the scene, or rejects the settings for it.
+            UnsupportedError: The engine reports that it cannot build the scene, or rejects the settings for it.
             ContractError: `build` fails although `supports` was true.
         """
         self.effective_settings = {}
         if missing := self._missing(scene):
-            raise DeclinedError(missing)
+            raise UnsupportedError(missing)
         given = deepcopy(scene)
         settings = {**(self.settings or {}), **changes} or None
         try:
@@ -140,7 +140,9 @@ class Lab:
         except Exception as error:
             if settings and isinstance(error, ParameterError | UnsupportedSceneError):
                 # `supports` answers for the default settings; a preset for other scenes is not a fault of the engine.
-                raise DeclinedError((f"the settings are rejected: {error}",)) from error
+                raise UnsupportedError(
+                    (f"the settings are rejected: {error}",)
+                ) from error
             raise ContractError(
                 f"supports() was true, but build() raised {type(error).__name__}: {error}{raised_at(error)}"
             ) from error
@@ -215,7 +217,7 @@ class Lab:
 
 
 def push(simulation: Simulation, body: str, wrench: ArrayLike) -> None:
-    """Apply a wrench to a body in all worlds; raise `DeclinedError` if the engine cannot apply wrenches.
+    """Apply a wrench to a body in all worlds; raise `UnsupportedError` if the engine cannot apply wrenches.
 
     Args:
         simulation: The simulation.
@@ -227,7 +229,7 @@ def push(simulation: Simulation, body: str, wrench: ArrayLike) -> None:
     try:
         simulation.apply_wrench(body, np.broadcast_to(wrenches, (count, 6)).copy())
     except BackendError as error:
-        raise DeclinedError((str(error),)) from error
+        raise UnsupportedError((str(error),)) from error
 
 
 def ratio(ratios: Mapping[str, float], what: str) -> Measurement:

@@ -36,7 +36,7 @@ SIGNS = {
     Status.ERROR: "✗ error",
 }
 STYLES = {Status.PASS: "green", Status.FAIL: "bold red", Status.ERROR: "bold red"}
-CLASSES = {Status.PASS: "inside", Status.UNSUPPORTED: "declined"}
+CLASSES = {Status.PASS: "inside", Status.UNSUPPORTED: "unsupported"}
 """Classes of outcomes on a page; all others are `wrong`."""
 
 MAX_FAILURES = 6
@@ -247,7 +247,9 @@ def _verdicts_table(columns: Sequence[EngineColumn], rows: Sequence[Check]) -> T
     def markup(column: EngineColumn) -> Callable[[Check], Html]:
         def badge_of(check: Check) -> Html:
             result = column.results.get(check.id)
-            kind = "declined" if result is None else CLASSES.get(result.status, "wrong")
+            kind = (
+                "unsupported" if result is None else CLASSES.get(result.status, "wrong")
+            )
             hint = "" if result is None else _reason(result)
             text = verdict_text(result)
             return element("span", text, class_=f"badge {kind}", title=hint or None)

@@ -26,7 +26,7 @@ from gauge_envs.fixtures.parts import (
     thrown,
 )
 from gauge_envs.fixtures.recording import (
-    DeclinedError,
+    UnsupportedError,
     DivergedError,
     Recording,
     record,
@@ -143,7 +143,7 @@ CLOTH = Scene(
 
 def cloths(lab: Lab) -> list[Scene]:
     """Return the scene with cloth if the engine can run it. Use it with `Lab.once`."""
-    with suppress(DeclinedError, DivergedError):
+    with suppress(UnsupportedError, DivergedError):
         lab.rollout(CLOTH, RUN_S)
         return [CLOTH]
     return []
@@ -205,7 +205,7 @@ def _used(simulation: Simulation, scene: Scene, seed: int) -> None:
     simulation.reset(shifted_states(scene, 1.0)[None], seed)
     for item in scene.bodies:
         if item.name in ("stick", "brick"):
-            with suppress(DeclinedError):
+            with suppress(UnsupportedError):
                 push(simulation, item.name, [0.3, -0.2, 0.4, 0.001, 0.002, -0.003])
     record(simulation, scene, 0.1)
 
@@ -465,7 +465,7 @@ def second_process(lab: Lab) -> Measurement:
     with suppress(GaugeError):
         installed = find_backend(name)
     if type(installed) is not type(lab.backend):
-        raise DeclinedError(("no name starts the engine in another process",))
+        raise UnsupportedError(("no name starts the engine in another process",))
     with Worker(300.0) as worker:
         there = worker.call(_course, name, lab.settings)
     here = lab.rollout(lively(lab), RUN_S)

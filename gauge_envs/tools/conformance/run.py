@@ -11,7 +11,7 @@ from typing import Any
 from gauge_envs.backends import Backend, backend as find_backend
 from gauge_envs.backends.registry import checked_versions, versions_of
 from gauge_envs.errors import GaugeError
-from gauge_envs.fixtures.recording import DeclinedError, NotFiniteError, raised_at
+from gauge_envs.fixtures.recording import UnsupportedError, NotFiniteError, raised_at
 from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.tools.conformance.lab import ContractError, Lab
 from gauge_envs.tools.conformance.model import Check, CheckResult, Status, checks
@@ -103,7 +103,7 @@ def run_check(lab: Lab, check: Check) -> CheckResult:
     try:
         measurement = check.measure(lab)
         lab.check_scenes()
-    except DeclinedError as reason:
+    except UnsupportedError as reason:
         result = replace(result, status=Status.UNSUPPORTED, missing=reason.missing)
     except KeyboardInterrupt:
         raise

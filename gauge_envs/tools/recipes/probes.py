@@ -178,7 +178,7 @@ class Probe:
 
         Raises:
             DivergedError: The engine failed, or a body left the scene.
-            DeclinedError: The engine cannot simulate the contact.
+            UnsupportedError: The engine cannot simulate the contact.
         """
         settings = self.settings
         names = tuple(body.name for body in bodies)
@@ -217,7 +217,7 @@ def measured(settings: ContactSettings, mass_kg: float) -> dict[str, float]:
 
     Raises:
         DivergedError: The engine failed, or a body left the scene.
-        DeclinedError: The engine cannot simulate the contact.
+        UnsupportedError: The engine cannot simulate the contact.
     """
     probe = Probe(settings=settings, mass_kg=mass_kg)
     return {

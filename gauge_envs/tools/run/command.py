@@ -151,7 +151,7 @@ def run(
     }
     return any(
         result.outcome in (Outcome.FAILED, Outcome.DIVERGED)
-        or (result.outcome is Outcome.DECLINED and result.id in named)
+        or (result.outcome is Outcome.UNSUPPORTED and result.id in named)
         for result in results
     )
 

@@ -9,7 +9,7 @@ from typing import Any
 from gauge_envs.backends import Backend, backend
 from gauge_envs.errors import GaugeError
 from gauge_envs.fixtures.recording import (
-    DeclinedError,
+    UnsupportedError,
     DivergedError,
     Recording,
     raised_at,
@@ -118,7 +118,7 @@ class Measurements:
     def _called(self, function: Callable[..., Any], *arguments: Any) -> Any:
         try:
             return function(self._backend, *arguments)
-        except DeclinedError as error:
+        except UnsupportedError as error:
             return Measured(verdict=Verdict.NOT_MEASURED, remark=str(error))
         except DivergedError as error:
             remark = f"diverged: {error}"

@@ -35,7 +35,6 @@ RENAMED_VERDICTS = {
     "inside": "passed",
     "visible": "warning",
     "wrong": "failed",
-    "declined": "not measured",
 }
 """Verdicts by their names before 1.0, which are read until 1.2."""
 

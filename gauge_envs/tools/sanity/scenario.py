@@ -12,7 +12,7 @@ from gauge_envs.backends.settings import with_drive_interval
 from gauge_envs.errors import GaugeError, ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import find_variant
-from gauge_envs.fixtures.recording import DeclinedError, Recording, record
+from gauge_envs.fixtures.recording import UnsupportedError, Recording, record
 from gauge_envs.scene import Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
@@ -92,7 +92,7 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Re
         settings: Settings of the backend; the backend's default for the scene completes them.
 
     Raises:
-        DeclinedError: The scene is unsupported, or the step is too long for it.
+        UnsupportedError: The scene is unsupported, or the step is too long for it.
         DivergedError: The engine fails, or a body leaves what the scene allows.
     """
     if settings.get("timestep_s") is None:
@@ -107,7 +107,7 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Re
             long = (
                 f"a step of {interval_s:g} s is too long for a scene of {seconds:g} s"
             )
-            raise DeclinedError((long,))
+            raise UnsupportedError((long,))
         simulation.reset(None, 0)
         for name, wrench in scenario.wrenches.items():
             simulation.apply_wrench(name, wrench[None])
@@ -132,7 +132,7 @@ def effective_settings(
 def _built(backend: Backend, scenario: Scenario, settings: Settings) -> Simulation:
     support = scene_support(backend, scenario.scene)
     if not support:
-        raise DeclinedError(support.missing)
+        raise UnsupportedError(support.missing)
     given = with_drive_interval(settings, scenario.interval_s)
     given = {**scenario.engine_settings.get(backend.name, {}), **given}
     try:
@@ -140,7 +140,7 @@ def _built(backend: Backend, scenario: Scenario, settings: Settings) -> Simulati
     # Engines reject combinations of settings by exceptions of any kind; another scene may accept them.
     except Exception as error:
         kind = "" if isinstance(error, ParameterError) else f"{type(error).__name__}: "
-        raise DeclinedError((f"{kind}{error}",)) from error
+        raise UnsupportedError((f"{kind}{error}",)) from error
 
 
 def check_settings(name: str, settings: Settings) -> None:

@@ -17,7 +17,7 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scoring.score import OVER_U
 from gauge_envs.tools.compare import Cell, Comparison, ExperimentComparison
 
-UNSCORED = (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED)
+UNSCORED = (Outcome.DIVERGED, Outcome.FAILED, Outcome.UNSUPPORTED)
 """Outcomes without a score."""
 
 COLORS = {"inside": "near", "outside": "far"}
@@ -132,7 +132,9 @@ def score_cell(
         parts.append(verdict_of(cell)[1])
         refused = {result.score.refused for result in cell.results} - {None}
         parts += [element("span", reason, class_="quiet") for reason in refused]
-    parts += [element("span", text, class_="badge declined") for text in losses(cell)]
+    parts += [
+        element("span", text, class_="badge unsupported") for text in losses(cell)
+    ]
     shown = [part for part in parts if part is not None]
     return join(shown, " ") if shown else element("span", "no score", class_="quiet")
 

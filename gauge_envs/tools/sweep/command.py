@@ -196,8 +196,8 @@ def sweep(
         f"{counted(total, 'episode')}; results in {out}; --retry-failed repeats failures"
     )
     named = {short_id(name) for name in spec.variants if not is_glob(name)}
-    is_declined = any(run.declined and run.experiment in named for run in runs)
-    return is_declined or any(
+    is_unsupported = any(run.unsupported and run.experiment in named for run in runs)
+    return is_unsupported or any(
         outcome in (Outcome.FAILED, Outcome.DIVERGED) for _, outcome in counts
     )
 

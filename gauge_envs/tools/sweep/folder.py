@@ -2,7 +2,7 @@
 
 DIR/SlopeSlider-2-wood.mujoco.e8ec72ec30333307.json     the episode finished or diverged
 DIR/failed/...json                                      an error occurred or the process ended
-DIR/declined/...json                                    the engine or the experiment does not support it
+DIR/unsupported/...json                                    the engine or the experiment does not support it
 
 A sweep continues with the episodes that have no file.
 """
@@ -20,7 +20,7 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import write_result
 from gauge_envs.tools.sweep.plan import SweepRun
 
-SUBFOLDERS = {Outcome.FAILED: "failed", Outcome.DECLINED: "declined"}
+SUBFOLDERS = {Outcome.FAILED: "failed", Outcome.UNSUPPORTED: "unsupported"}
 
 
 def _folders(path: Path) -> list[Path]:

@@ -45,7 +45,7 @@ class SweepRun:
         experiment: Name of the experiment.
         sha256: Hash of the common content of the episodes.
         shares_worlds: Whether the repeats run as worlds of one simulation.
-        declined: Reason why no episode can run, if known.
+        unsupported: Reason why no episode can run, if known.
         duration_s: Simulated time of an episode [s].
     """
 
@@ -53,7 +53,7 @@ class SweepRun:
     experiment: str
     sha256: str
     shares_worlds: bool
-    declined: str | None
+    unsupported: str | None
     duration_s: float
 
     @property
@@ -174,7 +174,7 @@ def _engine_runs(
                 experiment=experiment.name,
                 sha256=hashlib.sha256(text.encode()).hexdigest(),
                 shares_worlds=shares_worlds,
-                declined="; ".join(support.missing) or reason,
+                unsupported="; ".join(support.missing) or reason,
                 duration_s=experiment.scene.duration_s,
             )
             runs.append(run)

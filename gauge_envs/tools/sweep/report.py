@@ -16,7 +16,7 @@ COUNTS = {
     "runs": "runs",
     "episodes": "episodes",
     "left": "left",
-    "declined": "declined",
+    "unsupported": "unsupported",
     "simulated_s": "simulated [s]",
 }
 """Numbers of a plan and their titles."""
@@ -55,9 +55,9 @@ def _rows(
             "runs": len(members),
             "episodes": episode_count(members),
             "left": len(left),
-            "declined": episode_count(run for run in members if run.declined),
-            "reason": first.declined,
-            "simulated_s": sum(run.duration_s for run in left if not run.declined),
+            "unsupported": episode_count(run for run in members if run.unsupported),
+            "reason": first.unsupported,
+            "simulated_s": sum(run.duration_s for run in left if not run.unsupported),
         }
 
 

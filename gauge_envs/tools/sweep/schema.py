@@ -14,7 +14,7 @@ class PlanLine(TypedDict):
         experiment: Name of the experiment.
         runs: Number of combinations.
         episodes: Number of episodes.
-        declined: Number of unsupported episodes.
+        unsupported: Number of unsupported episodes.
         reason: Why they are unsupported.
         left: Number of remaining episodes.
         simulated_s: Simulated time of the remaining supported episodes [s].
@@ -24,7 +24,7 @@ class PlanLine(TypedDict):
     experiment: str
     runs: int
     episodes: int
-    declined: int
+    unsupported: int
     reason: str | None
     left: int
     simulated_s: float

@@ -317,7 +317,7 @@ def on_ice(stage):
 
 
 # The layer, its edits, and the place and the fault in the words of the error.
-DECLINED = [
+UNSUPPORTED = [
     (
         SLIDER,
         {f"{CUBE}.gauge:mass_kg": 0.3, f"{CUBE}.physics:mass": 0.2},
@@ -353,7 +353,7 @@ DECLINED = [
 ]
 
 
-@pytest.mark.parametrize(("source", "edit", "words"), DECLINED)
+@pytest.mark.parametrize(("source", "edit", "words"), UNSUPPORTED)
 def test_edits_that_cannot_count_are_errors_that_name_the_place(
     source, edit, words, tmp_path
 ):

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from gauge_envs.backends.shared.spring_damper import spring_damper_restitution
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError
-from gauge_envs.fixtures.recording import DeclinedError
+from gauge_envs.fixtures.recording import UnsupportedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.recipes import Aim, engine_settings, find_recipe
 from gauge_envs.tools.recipes.materials import material_pairs
@@ -84,7 +84,7 @@ def test_the_requested_creep_is_not_exceeded():
 
 def test_an_engine_without_torsional_friction_is_unsupported():
     pytest.importorskip("rapier3d")
-    with pytest.raises(DeclinedError, match="torsional friction"):
+    with pytest.raises(UnsupportedError, match="torsional friction"):
         searched("rapier", torsion_m=0.002)
 
 

@@ -9,7 +9,7 @@ from sanity_cases import CHEETAH, moved
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.fixtures.recording import DeclinedError, DivergedError
+from gauge_envs.fixtures.recording import UnsupportedError, DivergedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.sanity.measure import Measurements, judged, subject_of
 from gauge_envs.tools.sanity.model import Reality, TrainingConfiguration, Verdict
@@ -103,9 +103,11 @@ def test_a_scene_runs_at_the_step_of_the_configuration(step, interval):
 
 def test_rejected_settings_and_divergence_are_outcomes():
     row = phenomenon("creep-wood")
-    with pytest.raises(DeclinedError, match="unknown setting"):
+    with pytest.raises(UnsupportedError, match="unknown setting"):
         run_scenario(MUJOCO, row.scenario, {"colour": "red"})
-    with pytest.raises(DeclinedError, match="a step of 2 s is too long for a scene of"):
+    with pytest.raises(
+        UnsupportedError, match="a step of 2 s is too long for a scene of"
+    ):
         run_scenario(MUJOCO, row.scenario, {"timestep_s": 2.0})
     loose = CHEETAH | {"contact_solref": (0.002, 1.0), "refsafe": False}
     with pytest.raises(DivergedError, match="m/s"):

@@ -139,7 +139,7 @@ def test_ctrl_c_keeps_complete_results(gauge, tmp_path, monkeypatch):
 def test_an_unsupported_id_has_exit_code_1(gauge, tmp_path):
     options = ["--backend=rapier", "--repeats=1", "--out", "out"]
     assert gauge("sweep", "--only=FoamBending-soft", *options).exit_code == 1
-    assert len(list((tmp_path / "out/declined").glob("*.json"))) == 1
+    assert len(list((tmp_path / "out/unsupported").glob("*.json"))) == 1
     assert gauge("sweep", "--only=FoamBending-s[o]ft", *options).exit_code == 0
 
 
