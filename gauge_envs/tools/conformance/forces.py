@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gauge_envs.fixtures.parts import box, contact, fixed_box, thrown
-from gauge_envs.fixtures.recording import UnsupportedError, Recording, record
+from gauge_envs.fixtures.recording import Recording, UnsupportedError, record
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     RigidBody,

@@ -21,7 +21,7 @@ from gauge_envs.errors import (
     ParameterError,
     UnsupportedSceneError,
 )
-from gauge_envs.fixtures.recording import UnsupportedError, Recording, raised_at, record
+from gauge_envs.fixtures.recording import Recording, UnsupportedError, raised_at, record
 from gauge_envs.scene import Motion, Scene, Sphere
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S

@@ -26,9 +26,9 @@ from gauge_envs.fixtures.parts import (
     thrown,
 )
 from gauge_envs.fixtures.recording import (
-    UnsupportedError,
     DivergedError,
     Recording,
+    UnsupportedError,
     record,
 )
 from gauge_envs.runs.isolation import Worker

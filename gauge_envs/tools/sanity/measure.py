@@ -9,9 +9,9 @@ from typing import Any
 from gauge_envs.backends import Backend, backend
 from gauge_envs.errors import GaugeError
 from gauge_envs.fixtures.recording import (
-    UnsupportedError,
     DivergedError,
     Recording,
+    UnsupportedError,
     raised_at,
 )
 from gauge_envs.tools.sanity.model import (

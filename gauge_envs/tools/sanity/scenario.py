@@ -12,7 +12,7 @@ from gauge_envs.backends.settings import with_drive_interval
 from gauge_envs.errors import GaugeError, ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import find_variant
-from gauge_envs.fixtures.recording import UnsupportedError, Recording, record
+from gauge_envs.fixtures.recording import Recording, UnsupportedError, record
 from gauge_envs.scene import Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S

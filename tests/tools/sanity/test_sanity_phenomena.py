@@ -9,7 +9,7 @@ from sanity_cases import CHEETAH, moved
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.fixtures.recording import UnsupportedError, DivergedError
+from gauge_envs.fixtures.recording import DivergedError, UnsupportedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.sanity.measure import Measurements, judged, subject_of
 from gauge_envs.tools.sanity.model import Reality, TrainingConfiguration, Verdict
