@@ -35,7 +35,7 @@ import numpy as np
 import replay
 
 from gauge_envs.errors import MissingExtraError
-from gauge_envs.files import processors
+from gauge_envs.processors import processor_count
 from gauge_envs.scoring.metrics import trajectory_dtw
 
 BUSY = 0.3
@@ -176,7 +176,7 @@ def warping() -> Iterator[Row]:
 
 def threads() -> Iterator[Row]:
     """Yield the speed of make_vec in threads over the speed in one thread."""
-    count = processors()
+    count = processor_count()
     is_busy = os.getloadavg()[0] > BUSY * count or count < 2
     for name, number, share in (
         ("SlopeSlider-2-wood", 16, 0.9),

@@ -1,17 +1,11 @@
-"""Find data folders, read and write files, and prepare values for JSON."""
+"""Find data folders, read arrays, write files whole, and prepare values for JSON."""
 
-import codecs
 import errno
 import io
-import json
 import os
-import platform
-import re
-import sys
-import tomllib
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -35,14 +29,6 @@ def data_folder(name: str) -> Path:
     )
 
 
-def printable(text: str) -> str:
-    """Return the text with escapes for unprintable characters."""
-    return "".join(
-        char if char.isprintable() else char.encode("unicode_escape").decode()
-        for char in text
-    )
-
-
 @contextmanager
 def os_errors(raised: Callable[[str], Exception]) -> Iterator[None]:
     """Turn an OSError into an error of this package.
@@ -57,53 +43,6 @@ def os_errors(raised: Callable[[str], Exception]) -> Iterator[None]:
 
 
 # --- reading ---------------------------------------------------------------------------------------------------------
-
-
-def text_of(content: bytes) -> str:
-    """Return text in UTF-8, with or without a byte-order mark, or in UTF-16 with one.
-
-    Raises:
-        ValueError: The content is neither.
-    """
-    is_wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    try:
-        return content.decode("utf-16" if is_wide else "utf-8-sig")
-    except UnicodeDecodeError:
-        raise ValueError("it is not text in UTF-8; save it as UTF-8") from None
-
-
-def json_document(content: bytes) -> Any:
-    """Return the value of a JSON document; see `text_of` for the encoding.
-
-    Raises:
-        ValueError: The content is not JSON.
-    """
-    return json.loads(text_of(content))
-
-
-def csv_text(content: bytes) -> io.StringIO:
-    """Return CSV with commas; the file may have semicolons, tabs or spaces, and decimal commas with the first two.
-
-    Raises:
-        ValueError: The content is not text.
-    """
-    text = text_of(content)
-    header = next((line for line in text.splitlines() if not line.startswith("#")), "")
-    separator = next((mark for mark in ";\t" if mark in header), None)
-    if separator is not None:
-        text = text.replace(",", ".").replace(separator, ",")
-    elif "," not in header:
-        text = "\n".join(",".join(line.split()) for line in text.splitlines())
-    return io.StringIO(text, newline="")
-
-
-def toml_document(content: bytes) -> dict[str, Any]:
-    """Return the tables of a TOML document; see `text_of` for the encoding.
-
-    Raises:
-        ValueError: The content is not TOML.
-    """
-    return tomllib.loads(text_of(content))
 
 
 def npz_arrays(
@@ -145,40 +84,6 @@ def json_ready(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def processors() -> int:
-    """Return the number of processors that this process may use, at most that of `OMP_NUM_THREADS`."""
-    count = (
-        len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
-    )
-    given = os.environ.get("OMP_NUM_THREADS", "")
-    return min(count, int(given)) if given.isdecimal() and int(given) else count
-
-
-@cache
-def processor() -> str:
-    """Return the machine's architecture, and on Linux its processor, as `x86_64, AMD EPYC`.
-
-    Equal versions may give other last bits on another processor, because libraries select functions by processor.
-    """
-    cpu_info = ""
-    with suppress(OSError):
-        cpu_info = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
-    name = re.search(r"^model name\s*: (.*)", cpu_info, re.MULTILINE)
-    return platform.machine() + (f", {name[1].strip()}" if name else "")
-
-
-@cache
-def versions() -> dict[str, str]:
-    """Return the versions of gauge-envs, gymnasium, numpy and python; callers must not change the dictionary.
-
-    They are read once, because reading the metadata of packages takes as long as a short episode.
-    """
-    from importlib.metadata import version
-
-    packages = {name: version(name) for name in ("gauge-envs", "gymnasium", "numpy")}
-    return packages | {"python": platform.python_version()}
-
-
 def check_replaceable(file: Path) -> None:
     """Raise an error if a new file would replace a folder."""
     if file.is_dir():
@@ -204,18 +109,3 @@ def replaced_whole(file: Path) -> Iterator[Path]:
         part.replace(file)
     finally:
         part.unlink(missing_ok=True)
-
-
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder, which only one process can have; the end of the process releases it."""
-    with (folder / ".lock").open("a") as stream:
-        if sys.platform == "win32":
-            import msvcrt
-
-            msvcrt.locking(stream.fileno(), msvcrt.LK_LOCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(stream, fcntl.LOCK_EX)
-        yield

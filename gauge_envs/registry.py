@@ -1,19 +1,20 @@
-"""Look up installed engines, and import names lazily.
+"""Look up installed engines and versions, and import names lazily.
 
 Engines are entry points of the group `gauge_envs.backends`, which other packages can extend.
 """
 
+import platform
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from functools import cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, entry_points, version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.errors import needs_extra
+from gauge_envs.optional import needs_extra
 
 ENGINES_GROUP = "gauge_envs.backends"
 BUNDLED = "gauge_envs."
@@ -51,6 +52,16 @@ def is_installed(module: str) -> bool:
     """
     spec = find_spec(module)
     return spec is not None and spec.origin is not None
+
+
+@cache
+def package_versions() -> dict[str, str]:
+    """Return the versions of gauge-envs, gymnasium, numpy and python; callers must not change the dictionary.
+
+    They are read once, because reading the metadata of packages takes as long as a short episode.
+    """
+    packages = {name: version(name) for name in ("gauge-envs", "gymnasium", "numpy")}
+    return packages | {"python": platform.python_version()}
 
 
 # --- lazily imported names -------------------------------------------------------------------------------------------

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from gauge_envs.errors import first_fault
-from gauge_envs.files import csv_text, npz_arrays, write_whole
+from gauge_envs.files import npz_arrays, write_whole
+from gauge_envs.text import csv_text
+from gauge_envs.validation import first_fault
 
 
 def test_a_failed_write_leaves_the_old_content(tmp_path, monkeypatch):

@@ -10,15 +10,11 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from gauge_envs.errors import (
-    BackendError,
-    ParameterError,
-    UnknownNameError,
-    first_fault,
-    nearest,
-)
+from gauge_envs.errors import BackendError, ParameterError, UnknownNameError
 from gauge_envs.files import json_ready
+from gauge_envs.names import nearest
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
+from gauge_envs.validation import first_fault
 
 INTEGER_LIMIT = 2**31 - 1
 """Largest integer setting; engines hold integers in 32 bits."""

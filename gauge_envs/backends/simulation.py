@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from gauge_envs.errors import BackendError
-from gauge_envs.files import processors
+from gauge_envs.processors import processor_count
 from gauge_envs.scene.geometry import FloatArray
 
 ContactForces = Callable[[], FloatArray]
@@ -168,7 +168,7 @@ class LoopedSimulation(Simulation):
         self._simulations = simulations
         self.settings = simulations[0].settings
         self.world_count = len(simulations)
-        thread_count = min(processors(), self.world_count)
+        thread_count = min(processor_count(), self.world_count)
         is_threaded = simulations[0].releases_gil and thread_count > 1
         self._threads = ThreadPoolExecutor(thread_count) if is_threaded else None
 

@@ -12,7 +12,7 @@ from functools import cache
 from pkgutil import resolve_name
 from typing import Any
 
-from gauge_envs.errors import needs_extra
+from gauge_envs.optional import needs_extra
 from gauge_envs.registry import PACKAGE, installed_points
 
 PLUGINS_GROUP = "gauge_envs.instruments"

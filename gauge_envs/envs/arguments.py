@@ -24,7 +24,6 @@ from gauge_envs.errors import (
     NoRewardWarning,
     ParameterError,
     UnsupportedSceneError,
-    chosen,
 )
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
@@ -36,6 +35,7 @@ from gauge_envs.references.user_data import DataSource, has_import
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.reference import refusal
+from gauge_envs.validation import chosen
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.wrappers import scored_env
-from gauge_envs.errors import needs_extra
 from gauge_envs.experiments.variants import find_variant
+from gauge_envs.optional import needs_extra
 from gauge_envs.scoring.score import Score
 
 with needs_extra("gauge_envs.envs.dm_env", "dm"):

@@ -8,9 +8,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gauge_envs.errors import ParameterError, nearest
+from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import shots_of
+from gauge_envs.names import nearest
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter, can_scatter, perturbed_states

@@ -6,10 +6,10 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.errors import first_names
 from gauge_envs.experiments.names import Variant
 from gauge_envs.experiments.task_format import ScoreSpec, TaskSpec
 from gauge_envs.experiments.variants import user_variants
+from gauge_envs.names import first_names
 from gauge_envs.observables.kinds import coordinate_names
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.references.user_data import DataSource

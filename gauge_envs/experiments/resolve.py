@@ -5,7 +5,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.errors import ParameterError, TaskFileError, chosen
+from gauge_envs.errors import ParameterError, TaskFileError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.scene_builder import (
     Parameters,
@@ -21,6 +21,7 @@ from gauge_envs.references.single_shot import SingleShots, single_shots
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.geometry import vector
+from gauge_envs.validation import chosen
 
 
 def load_experiment(

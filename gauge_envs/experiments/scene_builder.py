@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
-from gauge_envs.errors import ParameterError, first_fault, nearest
+from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.names import Variant
 from gauge_envs.experiments.task_format import (
     AnyBody,
@@ -22,6 +22,7 @@ from gauge_envs.experiments.task_format import (
     SoftBodySpec,
     TaskSpec,
 )
+from gauge_envs.names import nearest
 from gauge_envs.scene import (
     Air,
     Box,
@@ -44,6 +45,7 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.validation import first_fault
 
 AIR = "air"
 """Prefix of overrides of the air of a scene, as `air.density_kg_per_m3`."""

@@ -13,10 +13,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gauge_envs.errors import AssetError, first_names, needs_extra
+from gauge_envs.errors import AssetError
 from gauge_envs.experiments.experiment import Asset, AssetKind, Experiment
 from gauge_envs.files import os_errors
 from gauge_envs.formats import USD_SUFFIXES
+from gauge_envs.names import first_names
+from gauge_envs.optional import needs_extra
 from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.scene import Motion
 from gauge_envs.scene.diff import scene_changes

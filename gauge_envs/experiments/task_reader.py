@@ -4,10 +4,11 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from gauge_envs.errors import TaskFileError, first_fault
+from gauge_envs.errors import TaskFileError
 from gauge_envs.experiments.scene_builder import SceneBuilder
 from gauge_envs.experiments.task_format import TaskSpec
-from gauge_envs.files import toml_document
+from gauge_envs.text import toml_document
+from gauge_envs.validation import first_fault
 
 
 def load_task(path: Path) -> TaskSpec:

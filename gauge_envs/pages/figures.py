@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gauge_envs.errors import needs_extra
-from gauge_envs.files import printable
+from gauge_envs.optional import needs_extra
 from gauge_envs.pages.document import save_file
 from gauge_envs.pages.html import Html, element
 from gauge_envs.scene.geometry import BoolArray
+from gauge_envs.text import printable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from html import escape
 from typing import Any
 
-from gauge_envs.files import printable
+from gauge_envs.text import printable
 
 Text = str | float | int | None
 

@@ -4,9 +4,9 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from gauge_envs.files import printable
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import METRICS
+from gauge_envs.text import printable
 
 METRIC_TITLES = {key: metric.title for key, metric in METRICS.items()}
 

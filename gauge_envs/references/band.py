@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.files import npz_arrays, toml_document
+from gauge_envs.files import npz_arrays
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.tables import (
     FileModel,
@@ -33,6 +33,7 @@ from gauge_envs.references.user_data import (
     trials_folder,
 )
 from gauge_envs.scene.geometry import BoolArray, FloatArray
+from gauge_envs.text import toml_document
 
 MARKER_SIGMA_MM = 1.0
 """Smallest scale of a marker's distance in a reward [mm]; chosen, because no scatter of markers is published."""

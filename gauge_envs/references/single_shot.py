@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.files import npz_arrays, toml_document
+from gauge_envs.files import npz_arrays
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.tables import scoring_folder
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.text import toml_document
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation

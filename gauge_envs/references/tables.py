@@ -14,13 +14,11 @@ from pydantic import (
     ValidationError,
 )
 
-from gauge_envs.errors import ReferenceFileError, first_fault
-from gauge_envs.files import (
-    csv_text,
-    data_folder,
-    toml_document,
-)
+from gauge_envs.errors import ReferenceFileError
+from gauge_envs.files import data_folder
 from gauge_envs.scene.geometry import Vector, length_of
+from gauge_envs.text import csv_text, toml_document
+from gauge_envs.validation import first_fault
 
 
 def _unit(axis: Vector) -> Vector:

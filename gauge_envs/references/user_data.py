@@ -6,7 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from gauge_envs.errors import DatasetError
-from gauge_envs.files import toml_document
+from gauge_envs.text import toml_document
 
 OWN_TASKS = "GAUGE_TASKS"
 """Environment variable that lists task files of the user and folders with them, separated as in `PATH`."""

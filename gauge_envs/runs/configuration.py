@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from gauge_envs.backends.registry import is_bundled, uninstalled_backend
-from gauge_envs.files import versions
 from gauge_envs.observables.observer import MarkerProxy
+from gauge_envs.registry import package_versions
 from gauge_envs.runs.result import Result
 
 
@@ -42,7 +42,7 @@ class RunConfiguration:
     @classmethod
     def of(cls, result: Result) -> RunConfiguration:
         """Return the configuration of a result."""
-        common = versions()
+        common = package_versions()
         return cls(
             backend=result.backend,
             parameters=result.parameters,

@@ -15,8 +15,10 @@ from gauge_envs.envs.initial_states import InitialState, InitialStates
 from gauge_envs.envs.rollout import Rollout
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.files import json_ready, processor, versions
+from gauge_envs.files import json_ready
+from gauge_envs.processors import processor_name
 from gauge_envs.references.kind import Kind
+from gauge_envs.registry import package_versions
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import result_of
@@ -246,8 +248,8 @@ def _with_episode(
         cpu_s=times_s[1],
         sim_s=float(recorded.times_s[-1]),
         settings=settings_record(result.backend, rollout.simulation.settings),
-        versions={**versions_of_engine, **versions()},
-        processor=processor(),
+        versions={**versions_of_engine, **package_versions()},
+        processor=processor_name(),
         error=None,
         trajectory=RecordedTrajectory.of(
             rollout.experiment_of(world),

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.files import json_ready, versions
+from gauge_envs.files import json_ready
 from gauge_envs.references.user_data import BUNDLED_DATA
+from gauge_envs.registry import package_versions
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.metrics import FRAME_TOLERANCE_S
@@ -238,7 +239,7 @@ class Result:
     sim_s: float = 0.0
     settings: dict[str, Any] = field(default_factory=dict)
     settings_given: dict[str, Any] = field(default_factory=dict)
-    versions: dict[str, str] = field(default_factory=versions)
+    versions: dict[str, str] = field(default_factory=package_versions)
     processor: str = ""
     seed: int | None = None
     jitter: dict[str, int | float] = field(default_factory=dict)

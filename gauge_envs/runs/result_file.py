@@ -15,12 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from gauge_envs.errors import (
-    ResultFileError,
-    UnknownNameError,
-    first_fault,
-    needs_extra,
-)
+from gauge_envs.errors import ResultFileError, UnknownNameError
 from gauge_envs.experiments.experiment import (
     Asset,
     AssetKind,
@@ -29,18 +24,17 @@ from gauge_envs.experiments.experiment import (
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.variants import find_variant
-from gauge_envs.files import (
-    json_document,
-    os_errors,
-    write_whole,
-)
+from gauge_envs.files import os_errors, write_whole
 from gauge_envs.observables.observer import MarkerProxy
+from gauge_envs.optional import needs_extra
 from gauge_envs.references.imported import dataset_record
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.user_data import BUNDLED_DATA, OWN_TASKS, DataSource
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scoring.score import OLD_SCORE
 from gauge_envs.scoring.trajectory_file import LARGEST
+from gauge_envs.text import json_document
+from gauge_envs.validation import first_fault
 
 
 def result_file_name(result: Result) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from annotated_types import Ge, Gt, MinLen
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.errors import needs_extra
+from gauge_envs.optional import needs_extra
 
 if TYPE_CHECKING:
     # The import takes 0.2 s, and only pictures need it.

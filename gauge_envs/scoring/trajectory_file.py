@@ -29,13 +29,14 @@ import numpy as np
 
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.files import csv_text, json_document, npz_arrays, os_errors
+from gauge_envs.files import npz_arrays, os_errors
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, frame_index, interpolated
 from gauge_envs.scoring.motion_checks import likely_rate_hz, lost_marker
 from gauge_envs.scoring.reference import reference_band
+from gauge_envs.text import csv_text, json_document
 
 FILE_TOLERANCE_S = 5e-4
 """Largest time between a frame and its sample in a file [s]: the error of times printed with three digits."""

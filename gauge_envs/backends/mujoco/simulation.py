@@ -29,7 +29,7 @@ from gauge_envs.backends.shared.rigid import (
     placed_states,
 )
 from gauge_envs.backends.simulation import ContactForces, MaterialPoints
-from gauge_envs.files import processors
+from gauge_envs.processors import processor_count
 from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray, unit_quaternions
 from gauge_envs.scene.states import row_of
@@ -108,7 +108,7 @@ class SimulationMuJoCo(PlacedSimulation):
         self._options = model.opt
         self._warnings = [data.warning.number for data in self.datas]
         self._driven: dict[str, list[DrivenBody]] = {}
-        self._thread_count = min(processors(), world_count)
+        self._thread_count = min(processor_count(), world_count)
         self._threads = None
         if self._thread_count > 1:
             self._threads = ThreadPoolExecutor(self._thread_count)

@@ -9,7 +9,8 @@ from typing import Any
 
 import mujoco
 
-from gauge_envs.errors import ParameterError, first_names
+from gauge_envs.errors import ParameterError
+from gauge_envs.names import first_names
 from gauge_envs.scene import Scene
 
 DEFORMABLES_SINCE = 4

@@ -12,10 +12,11 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.errors import AssetError, first_fault
+from gauge_envs.errors import AssetError
 from gauge_envs.formats.usd.layer import FOLLOWS, WRITTEN, as_array, digest
 from gauge_envs.scene import Pose
 from gauge_envs.scene.geometry import FloatArray, length_of
+from gauge_envs.validation import first_fault
 
 Value = TypeVar("Value")
 

@@ -10,7 +10,7 @@ import typer
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Progress, echo, message
-from gauge_envs.errors import first_names
+from gauge_envs.names import first_names
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table

@@ -13,13 +13,14 @@ from gauge_envs.envs.reward import is_reward_bounded, reward_text
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Substituted
-from gauge_envs.files import data_folder, json_ready, toml_document
+from gauge_envs.files import data_folder, json_ready
 from gauge_envs.references.band import band_file, read_band_file, recorded_events
 from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.imported import load_imported
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Deformable, RigidBody
 from gauge_envs.scoring.reference import reference_band, reference_kind
+from gauge_envs.text import toml_document
 from gauge_envs.tools.catalog.listing import engine_rows
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
 

@@ -14,7 +14,8 @@ from importlib import import_module
 from typing import Any
 
 from gauge_envs.errors import ParameterError, UnknownNameError
-from gauge_envs.files import json_ready, versions
+from gauge_envs.files import json_ready
+from gauge_envs.registry import package_versions
 from gauge_envs.tools.conformance.lab import Lab, Measurement
 
 PHENOMENA = {
@@ -248,7 +249,7 @@ class CheckResult:
         values = {
             "check": self.check,
             "fingerprint": self.of.fingerprint,
-            "gauge_envs": versions()["gauge-envs"],
+            "gauge_envs": package_versions()["gauge-envs"],
             **{text: getattr(self.of, text) for text in texts},
             "rationale": self.of.tolerance.rationale,
         }

@@ -16,15 +16,10 @@ from gauge_envs.errors import (
     ResultFileError,
     UnknownNameError,
 )
-from gauge_envs.files import (
-    json_document,
-    json_ready,
-    os_errors,
-    toml_document,
-    versions,
-    write_whole,
-)
+from gauge_envs.files import json_ready, os_errors, write_whole
+from gauge_envs.registry import package_versions
 from gauge_envs.runs.isolation import Worker, call_engine
+from gauge_envs.text import json_document, toml_document
 from gauge_envs.tools.conformance.model import LEVELS, CheckResult, Status, checks
 from gauge_envs.tools.conformance.run import run_checks
 
@@ -189,7 +184,7 @@ def badge(results: Sequence[CheckResult], expected: Expected) -> dict[str, str |
         color = "red"
     return {
         "schemaVersion": 1,
-        "label": f"gauge-envs {versions()['gauge-envs']}",
+        "label": f"gauge-envs {package_versions()['gauge-envs']}",
         "message": counts_text(results),
         "color": color,
     }
@@ -302,7 +297,7 @@ def run_column(
         only: Ids or patterns of checks.
         worker: Another process for the checks, so that an engine that crashes loses one check; None for this process.
     """
-    column.gauge_envs = versions()["gauge-envs"]
+    column.gauge_envs = package_versions()["gauge-envs"]
     column.made = datetime.now(UTC).date().isoformat()
     try:
         for result in run_checks(

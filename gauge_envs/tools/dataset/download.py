@@ -5,7 +5,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.errors import DatasetError, needs_extra
+from gauge_envs.errors import DatasetError
+from gauge_envs.optional import needs_extra
 from gauge_envs.references.user_data import user_data_folder
 from gauge_envs.tools.dataset.layout import write_revision
 

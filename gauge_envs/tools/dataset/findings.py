@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from gauge_envs.files import printable
+from gauge_envs.text import printable
 
 
 @dataclass(frozen=True, kw_only=True)

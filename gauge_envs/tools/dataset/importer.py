@@ -11,7 +11,7 @@ import numpy as np
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.files import json_ready, printable
+from gauge_envs.files import json_ready
 from gauge_envs.references.band import Band
 from gauge_envs.references.imported import (
     DriverRecord,
@@ -25,6 +25,7 @@ from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.events import event_values
+from gauge_envs.text import printable
 from gauge_envs.tools.dataset.findings import ImportFinding, TrialError
 from gauge_envs.tools.dataset.layout import Layout
 from gauge_envs.tools.dataset.observation import (

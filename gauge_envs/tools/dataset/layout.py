@@ -26,7 +26,7 @@ from gauge_envs.errors import DatasetError
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.task_format import Group
 from gauge_envs.experiments.variants import Variant, matching_variants, variants
-from gauge_envs.files import json_document, printable
+from gauge_envs.text import json_document, printable
 from gauge_envs.tools.dataset.findings import ImportFinding, TrialError
 
 LAYOUT = "data/<group>/<task>/json/<material>/[task-N/]<trial>.json"

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.errors import first_names
-from gauge_envs.files import json_document
+from gauge_envs.names import first_names
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.text import json_document
 from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.layout import plain_name
 

@@ -19,9 +19,11 @@ from scipy.integrate import cumulative_simpson
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.errors import FileError, first_names, needs_extra
-from gauge_envs.files import csv_text, toml_document
+from gauge_envs.errors import FileError
+from gauge_envs.names import first_names
+from gauge_envs.optional import needs_extra
 from gauge_envs.references.tables import faults_of, read_content
+from gauge_envs.text import csv_text, toml_document
 
 FloatArray: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]

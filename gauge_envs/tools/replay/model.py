@@ -13,8 +13,9 @@ from mujoco import rollout
 from numpy.typing import NDArray
 from scipy.interpolate import PPoly
 
-from gauge_envs.errors import FileError, ParameterError, first_names
-from gauge_envs.files import processors
+from gauge_envs.errors import FileError, ParameterError
+from gauge_envs.names import first_names
+from gauge_envs.processors import processor_count
 from gauge_envs.tools.replay.log import (
     MIN_NOISE,
     MIN_RATE_NOISE,
@@ -242,7 +243,7 @@ class Replayer:
             reason = "the base of the model is free; log its position and quaternion, or fix the base of the model"
             raise FileError(log.name, "base_pos, base_quat", reason)
         self.log = log
-        self._datas = [mujoco.MjData(model) for _ in range(processors())]
+        self._datas = [mujoco.MjData(model) for _ in range(processor_count())]
         # An actuator with a filter begins at its control.
         self._is_filtered = model.actuator_actadr >= 0
         self._filters = model.actuator_actadr[self._is_filtered]

@@ -21,7 +21,7 @@ from gauge_envs.cli.output import (
 )
 from gauge_envs.cli.results import reported
 from gauge_envs.errors import ParameterError, ResultFileError
-from gauge_envs.files import processors
+from gauge_envs.processors import processor_count
 
 if TYPE_CHECKING:
     from gauge_envs.runs.request import RunRequest
@@ -172,7 +172,7 @@ def _default_jobs(requests: Sequence[RunRequest]) -> int:
     is_long = episodes > MAX_LOCAL_EPISODES or any(
         request.calibrated_experiment().scene.deformables for request in requests
     )
-    return processors() if is_long else 1
+    return processor_count() if is_long else 1
 
 
 def _totals(results: Sequence[Result], out: Path) -> str:

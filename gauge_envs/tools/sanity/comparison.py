@@ -15,10 +15,11 @@ from typing import Any
 
 from gauge_envs.cli.output import note
 from gauge_envs.errors import TargetError
-from gauge_envs.files import json_document, os_errors
+from gauge_envs.files import os_errors
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import counted, quantity_text, with_unit
+from gauge_envs.text import json_document
 from gauge_envs.tools.sanity.model import (
     MAX_PASSED,
     RENAMED_VERDICTS,

@@ -10,7 +10,8 @@ from typing import Any
 
 import mujoco
 
-from gauge_envs.errors import GaugeError, ParameterError, first_names
+from gauge_envs.errors import GaugeError, ParameterError
+from gauge_envs.names import first_names
 from gauge_envs.pages.text import counted
 from gauge_envs.tools.sanity.candidates import candidates_of
 from gauge_envs.tools.sanity.guards import hop_mm, hops_more

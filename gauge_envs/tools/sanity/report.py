@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from gauge_envs.backends.mujoco.contact_table import default_contact_settings
-from gauge_envs.errors import first_names
+from gauge_envs.names import first_names
 from gauge_envs.pages.document import Document, Heading, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import counted, quantity_text, with_unit

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.files import versions
 from gauge_envs.fixtures.parts import ball, contact, ground, thrown
+from gauge_envs.registry import package_versions
 from gauge_envs.scene import Scene
 from gauge_envs.tools.sanity.fix import find_fix
 from gauge_envs.tools.sanity.measure import (
@@ -109,7 +109,7 @@ def check(
     return Report(
         configuration=configuration,
         rows=tuple(rows),
-        versions={**measurements.versions, **versions()},
+        versions={**measurements.versions, **package_versions()},
         wall_s=time.perf_counter() - started,
         fix=fix,
         tried=tried,

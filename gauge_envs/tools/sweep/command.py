@@ -18,8 +18,8 @@ from gauge_envs.cli.output import (
 )
 from gauge_envs.cli.results import reported
 from gauge_envs.errors import ParameterError
-from gauge_envs.files import processors
 from gauge_envs.pages.text import counted, short_id
+from gauge_envs.processors import processor_count
 
 if TYPE_CHECKING:
     from gauge_envs.runs.pool import Limits, RequestWorker
@@ -233,4 +233,4 @@ def _workers(
         return ray_workers(ray, count, limits)
     from gauge_envs.runs.pool import ProcessWorker
 
-    return [ProcessWorker(limits) for _ in range(count or processors())]
+    return [ProcessWorker(limits) for _ in range(count or processor_count())]

@@ -4,7 +4,8 @@ import os
 from concurrent.futures import CancelledError
 from typing import Any
 
-from gauge_envs.errors import ParameterError, needs_extra
+from gauge_envs.errors import ParameterError
+from gauge_envs.optional import needs_extra
 from gauge_envs.runs.episodes import results_without_run
 from gauge_envs.runs.pool import Limits, ProcessWorker
 from gauge_envs.runs.request import RunRequest

@@ -23,7 +23,8 @@ from gauge_envs.backends import (
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant, matching_variants
-from gauge_envs.files import json_ready, versions
+from gauge_envs.files import json_ready
+from gauge_envs.registry import package_versions
 from gauge_envs.runs.isolation import call_engine
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene.jitter import JITTER_FORMAT, Jitter
@@ -159,7 +160,8 @@ def _engine_runs(
             "task": experiment.file_sha256,
             "scene": asdict(experiment.scene),
             "backend": backend,
-            "versions": versions_of(backend) | {"gauge-envs": versions()["gauge-envs"]},
+            "versions": versions_of(backend)
+            | {"gauge-envs": package_versions()["gauge-envs"]},
             "parameters": request.parameters,
             "jitter": jitter and {**jitter.to_dict(), "format": JITTER_FORMAT},
         }

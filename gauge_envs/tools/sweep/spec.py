@@ -32,9 +32,11 @@ from pydantic import (
     model_validator,
 )
 
-from gauge_envs.errors import ParameterError, SweepFileError, first_fault
+from gauge_envs.errors import ParameterError, SweepFileError
 from gauge_envs.experiments.variants import is_task_path
-from gauge_envs.files import os_errors, toml_document
+from gauge_envs.files import os_errors
+from gauge_envs.text import toml_document
+from gauge_envs.validation import first_fault
 
 Names = Annotated[list[str], Field(min_length=1)]
 

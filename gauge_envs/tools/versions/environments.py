@@ -20,7 +20,8 @@ from platformdirs import user_cache_path
 
 from gauge_envs.cli.output import message
 from gauge_envs.errors import GaugeError
-from gauge_envs.files import locked, os_errors
+from gauge_envs.files import os_errors
+from gauge_envs.locks import locked
 from gauge_envs.tools.versions.schema import Side
 
 TAG = f"-{sys.implementation.cache_tag}-{sysconfig.get_platform()}"

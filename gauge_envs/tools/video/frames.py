@@ -11,7 +11,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.errors import VideoError, needs_extra
+from gauge_envs.errors import VideoError
+from gauge_envs.optional import needs_extra
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.tools.video.tasks import (
     PLATE_RADIUS_PX,

@@ -18,9 +18,9 @@ from pydantic import TypeAdapter
 
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.files import csv_text, toml_document
 from gauge_envs.references.tables import scoring_folder
 from gauge_envs.scene import Scene
+from gauge_envs.text import csv_text, toml_document
 
 REFERENCE_SIZE_PX = (832, 480)
 """Width and height of the first frames, the grid of all pixel numbers."""

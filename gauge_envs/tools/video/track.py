@@ -10,9 +10,10 @@ import numpy as np
 from scipy.stats import median_abs_deviation
 
 from gauge_envs.errors import VideoError
-from gauge_envs.files import csv_text, os_errors
+from gauge_envs.files import os_errors
 from gauge_envs.pages.document import save_file
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
+from gauge_envs.text import csv_text
 from gauge_envs.tools.video.frames import FileFrames, Registration, laid_out
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from gauge_envs.experiments.task_files import task_sha256, task_spec
-from gauge_envs.files import versions
 from gauge_envs.references.published import published_baselines
+from gauge_envs.registry import package_versions
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
@@ -75,7 +75,7 @@ def made(
         "task_sha256": task_sha256(family),
         "revision": task_spec(family).revision,
         "backend": backend,
-        "versions": {backend: "1.0", **versions()},
+        "versions": {backend: "1.0", **package_versions()},
         "seed": 0,
         "trajectory": recorded(speed, start, seconds),
     }
@@ -115,7 +115,7 @@ def test_a_configuration_with_a_diverged_repeat_has_no_rank(real):
 
 
 def test_results_that_do_not_belong_together_are_reported():
-    older = {"mujoco": "1.0", **versions(), "gauge-envs": "0.0.1"}
+    older = {"mujoco": "1.0", **package_versions(), "gauge-envs": "0.0.1"}
     notes = " ".join(
         compare([made(task_sha256="0" * 64), made(PLASTIC, versions=older)]).notes
     )
@@ -154,7 +154,7 @@ def altered(result, scale, **changes):
 
 def as_newton(result, **changes):
     """Return the same result under the name of another engine."""
-    engine = {"backend": "newton", "versions": {"newton": "1.0", **versions()}}
+    engine = {"backend": "newton", "versions": {"newton": "1.0", **package_versions()}}
     return replace(result, **engine, **changes)
 
 

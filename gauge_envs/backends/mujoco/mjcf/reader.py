@@ -41,8 +41,9 @@ from gauge_envs.backends.mujoco.model import START_KEY, build_model
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.mujoco.versions import sparse_advice
-from gauge_envs.errors import AssetError, ParameterError, first_names
+from gauge_envs.errors import AssetError, ParameterError
 from gauge_envs.files import os_errors
+from gauge_envs.names import first_names
 from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.prescribed_motion import prescribed_motions

@@ -9,8 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from gauge_envs.backends.base import Backend
 from gauge_envs.backends.registry import backend
-from gauge_envs.errors import ParameterError, first_fault
+from gauge_envs.errors import ParameterError
 from gauge_envs.tools.recipes.aim import Aim
+from gauge_envs.validation import first_fault
 
 PAIR = re.compile(r"\s*(\w+)\s*=((?:(?!\w+\s*=).)*)", re.DOTALL)
 """Name before an equals sign, and the text until the next name."""

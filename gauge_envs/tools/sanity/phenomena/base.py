@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.files import data_folder, toml_document
+from gauge_envs.files import data_folder
 from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
+from gauge_envs.text import toml_document
 from gauge_envs.tools.sanity.model import Need, Reality
 from gauge_envs.tools.sanity.scenario import Scenario
 

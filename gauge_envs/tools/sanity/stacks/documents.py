@@ -10,8 +10,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.errors import TargetError, needs_extra
-from gauge_envs.files import os_errors, text_of
+from gauge_envs.errors import TargetError
+from gauge_envs.files import os_errors
+from gauge_envs.optional import needs_extra
+from gauge_envs.text import text_of
 
 PYTHON = "tag:yaml.org,2002:python/"
 

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
 
-from gauge_envs.files import printable
+from gauge_envs.text import printable
 
 POINTER = b"version https://git-lfs"
 """First bytes of the pointer that Git leaves in place of a large file."""
