@@ -149,7 +149,7 @@ def _object(cls: Any, form: Form) -> Schema:
     """Return the schema of a class, with descriptions from its docstring."""
     hints = get_type_hints(cls, include_extras=True)
     names = [field.name for field in fields(cls)] if is_dataclass(cls) else [*hints]
-    described = _descriptions(cls)
+    described = descriptions(cls)
     properties: dict[str, Schema] = {}
     for name in names:
         if name not in form.without and not name.startswith(("_", "model_")):
@@ -198,12 +198,21 @@ def _any_of(schemas: Iterable[Schema]) -> Schema:
     return {"anyOf": distinct}
 
 
-def _descriptions(cls: Any) -> dict[str, str]:
-    """Return the descriptions of attributes in the docstrings of a class and its bases."""
-    descriptions: dict[str, str] = {}
+def descriptions(cls: Any, section: str = "Attributes") -> dict[str, str]:
+    """Return the descriptions of names in a section of the docstrings of a class and its bases.
+
+    Args:
+        cls: The class.
+        section: Heading of the section.
+    """
+    described: dict[str, str] = {}
     for base in reversed(inspect.getmro(cls) if isinstance(cls, type) else (cls,)):
-        text = inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")[2]
-        for entry in re.findall(r"^    (\w+(?:, \w+)*): (.*(?:\n {8}.*)*)", text, re.M):
-            for name in entry[0].split(", "):
-                descriptions[name] = " ".join(entry[1].split())
-    return descriptions
+        text = inspect.cleandoc(base.__doc__ or "").partition(f"{section}:\n")[2]
+        # An entry is `name: text`, or `name, name: text`; its further lines are indented.
+        text = text.partition("\n\n")[0]
+        for names, entry in re.findall(
+            r"^    (\w+(?:, \w+)*): (.*(?:\n {8}.*)*)", text, re.M
+        ):
+            for name in names.split(", "):
+                described[name] = " ".join(entry.split())
+    return described

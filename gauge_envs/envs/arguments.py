@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass
 from os import PathLike
 from typing import Any
@@ -42,20 +43,7 @@ from gauge_envs.validation import chosen
 class EnvArguments:
     """Arguments of `gymnasium.make`: the experiment, the engine and the reference.
 
-    Attributes:
-        variant: Variant, its name, or its Gymnasium id, as `SlopeSlider-2-wood`; or the path of a task file, as
-            `crate.toml`.
-        backend: Name of an installed physics engine.
-        parameters: `calibrated`, another parameter set of the task file, or overrides such as
-            `{"cube.friction": 0.3}`.
-        settings: Numerical settings of the engine that replace those of the preset.
-        marker_proxy: Marker proxy of deformable bodies. `material` tracks the material point of the marker between
-            nodes; `node` tracks the nearest node, as in the paper.
-        drivers: `bundled` moves driven bodies as in the task file, `imported` as in the imported trials. With `action`
-            they rest until actions move them, see `gauge_envs.experiments.resolve.moved_by_actions`.
-        reference: `bundled` scores against the package's references, `imported` against the imported trials.
-        asset: File with the scene in place of the task file: a USD layer for any engine, an MJCF file for `mujoco`. It
-            has constants and driven motion; observation and score stay those of the variant.
+    Attributes: as the arguments of `gauge_envs.GaugeEnv`.
     """
 
     variant: str | Variant
@@ -203,34 +191,28 @@ def checked_action(action: Any, space: spaces.Space[Any], name: str) -> FloatArr
 def check_support(experiment: Experiment, backend: str) -> None:
     """Raise an error if a backend cannot build an experiment."""
     support = support_of(backend, experiment.scene, experiment.model_file)
-    if not support:
-        raise UnsupportedSceneError(
-            _unsupported_message(experiment, backend, support.missing)
-        )
+    if support:
+        return
+    alternative = "no other backend of this package can"
+    able = _first_able(experiment, backend)
+    if able is not None:
+        alternative = f"backend={able!r} can"
+    raise UnsupportedSceneError(
+        f"{experiment.id}: backend {backend!r} cannot build it: {'; '.join(support.missing)}; {alternative}"
+    )
 
 
-def _unsupported_message(
-    experiment: Experiment, asked: str, missing: tuple[str, ...]
-) -> str:
-    able = []
+def _first_able(experiment: Experiment, backend: str) -> str | None:
+    """Return the first other backend of this package that can build an experiment, or None."""
     for name in backend_names():
-        try:
-            # An engine of another package might crash here and end the run.
-            if (
-                name != asked
-                and is_bundled(name)
-                and support_of(name, experiment.scene, experiment.model_file)
-            ):
-                able.append(name)
-        except GaugeError:
+        # An engine of another package might crash here and end the run.
+        if name == backend or not is_bundled(name):
             continue
-    reasons = "; ".join(missing)
-    alternative = (
-        f"backend={able[0]!r} can" if able else "no other backend of this package can"
-    )
-    return (
-        f"{experiment.id}: backend {asked!r} cannot build it: {reasons}; {alternative}"
-    )
+        # Its extra may be missing.
+        with suppress(GaugeError):
+            if support_of(name, experiment.scene, experiment.model_file):
+                return name
+    return None
 
 
 # --- environments without a reward ---
@@ -241,27 +223,21 @@ CALLER = 4
 _warned: set[str] = set()
 
 
-def warn_without_reward(experiment: Experiment, band: Band | None) -> None:
-    """Warn, once for each id, that an environment has no reward, none after some frame, or no score.
+def warn_before_use(experiment: Experiment, band: Band | None) -> None:
+    """Warn, once for each text, that rewards or scores are missing, or that a restitution of the user has no effect.
 
     Args:
         experiment: The experiment of the environment.
         band: Its reference.
     """
-    if experiment.id in _warned:
-        return
-    message = _missing_reward(experiment, band)
-    if message:
-        warnings.warn(message, NoRewardWarning, stacklevel=CALLER)
-        _warned.add(experiment.id)
-
-
-def warn_without_effect(experiment: Experiment) -> None:
-    """Warn, once for each text, that a restitution of the user has no effect."""
-    text = experiment.unused_restitution
-    if text and text not in _warned:
-        warnings.warn(text, stacklevel=CALLER)
-        _warned.add(text)
+    texts = {
+        NoRewardWarning: _missing_reward(experiment, band),
+        UserWarning: experiment.unused_restitution,
+    }
+    for category, text in texts.items():
+        if text and text not in _warned:
+            warnings.warn(text, category, stacklevel=CALLER)
+            _warned.add(text)
 
 
 def _missing_reward(experiment: Experiment, band: Band | None) -> str:

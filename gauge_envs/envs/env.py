@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from os import PathLike
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium
@@ -23,8 +24,11 @@ from gauge_envs.envs.spaces import (
     observation_space_of,
 )
 from gauge_envs.errors import EpisodeError
+from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
+from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.band import Band
+from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.reference import reference_band
 
@@ -61,21 +65,30 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
     one, and `diverged` (the reason) after divergence. `gymnasium.make` adds `score` at the end, see `ScoreEpisode`.
 
     Args:
-        variant: Name of the variant, as `SlopeSlider-2-wood`.
+        variant: Variant, its name, or its Gymnasium id, as `SlopeSlider-2-wood`; or the path of a task file, as
+            `crate.toml`.
+        backend: Name of an installed physics engine.
+        parameters: `calibrated`, another parameter set of the task file, or overrides such as
+            `{"cube.friction": 0.3}`, in SI units.
+        settings: Numerical settings of the engine that replace those of the preset, as `{"timestep_s": 1 / 1800}`.
+        marker_proxy: Marker proxy of deformable bodies. `material` tracks the material point of the marker between
+            nodes; `node` tracks the nearest node, as in the paper.
+        drivers: `bundled` moves driven bodies as in the task file, `imported` as in the imported trials. With `action`
+            they rest until actions move them, see `gauge_envs.experiments.resolve.moved_by_actions`.
+        reference: `bundled` scores against the package's references, `imported` against the imported trials.
+        asset: File with the scene in place of the task file: a USD layer for any engine, an MJCF file for `mujoco`. It
+            has constants and driven motion; observation and score stay those of the variant.
         render_mode: None; `human`, a window that `reset` and `step` draw; `rgb_array`; `depth_array`, the distance from
             the camera plane [m], float32; or `rgbd_tuple`, both.
         width: Picture width [pixels]; None is 640.
         height: Picture height [pixels]; None is 480.
-        camera: Entries that replace those of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
-            `elevation_deg`.
+        camera: Entries that replace those of the scene's camera: `target_m` [m], `distance_m` [m], `azimuth_deg` and
+            `elevation_deg` [degrees].
         render_overlay: Whether pictures also show the tracked points, their paths, and the positions of the reference,
             if g(t) has positions. Off by default, because a policy that learns from pictures must not see the
             reference.
         jitter: Initial-state noise of every episode: a `Jitter`, its fields as a mapping, or `real`. `real` draws
             recorded initial states if each trial has its own, else noise of the default `Jitter`.
-        **arguments: Keywords of `gauge_envs.envs.arguments.EnvArguments`, with their defaults: `backend="mujoco"`,
-            `parameters="calibrated"`, `settings=None`, `marker_proxy="material"`, `drivers="bundled"`,
-            `reference="bundled"`, `asset=None`.
 
     Attributes:
         arguments: Variant and keywords.
@@ -110,13 +123,19 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         self,
         variant: str | Variant,
         *,
+        backend: str = "mujoco",
+        parameters: Parameters = "calibrated",
+        settings: Mapping[str, Any] | None = None,
+        marker_proxy: MarkerProxy | str = MarkerProxy.MATERIAL,
+        drivers: DataSource | str = DataSource.BUNDLED,
+        reference: DataSource | str = DataSource.BUNDLED,
+        asset: str | PathLike[str] | None = None,
         render_mode: str | None = None,
         width: int | None = None,
         height: int | None = None,
         camera: Mapping[str, Any] | None = None,
         render_overlay: bool = False,
         jitter: Scatter = None,
-        **arguments: Any,
     ) -> None:
         self.render_mode = render_mode
         self._pictures = Pictures(
@@ -126,7 +145,16 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             camera=camera,
             has_overlay=render_overlay,
         )
-        self.arguments = EnvArguments(variant, **arguments)
+        self.arguments = EnvArguments(
+            variant,
+            backend=backend,
+            parameters=parameters,
+            settings=settings,
+            marker_proxy=marker_proxy,
+            drivers=drivers,
+            reference=reference,
+            asset=asset,
+        )
         self.experiment = self.arguments.experiment()
         self._initial_states = InitialStates(self.experiment, jitter)
         band = reference_band(self.experiment)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from os import PathLike
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -26,8 +27,7 @@ from gauge_envs.envs.arguments import (
     EnvArguments,
     check_episode_steps,
     checked_action,
-    warn_without_effect,
-    warn_without_reward,
+    warn_before_use,
 )
 from gauge_envs.envs.initial_states import InitialStates, Scatter
 from gauge_envs.envs.pictures import WORLDS_RENDER_MODES, Pictures, rollout_picture
@@ -37,7 +37,10 @@ from gauge_envs.envs.spaces import (
     observation_space_of,
 )
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
+from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
+from gauge_envs.observables.observer import MarkerProxy
+from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.reference import reference_band, refusal
@@ -68,19 +71,30 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
     entry for it. These steps belong to no episode.
 
     Args:
-        variant: Name of the variant, as `SlopeSlider-2-wood`.
+        variant: Variant, its name, or its Gymnasium id, as `SlopeSlider-2-wood`; or the path of a task file, as
+            `crate.toml`.
         num_envs: Number of worlds, 1 or more.
+        backend: Name of an installed physics engine.
+        parameters: `calibrated`, another parameter set of the task file, or overrides such as
+            `{"cube.friction": 0.3}`, in SI units.
+        settings: Numerical settings of the engine that replace those of the preset, as `{"timestep_s": 1 / 1800}`.
+        marker_proxy: Marker proxy of deformable bodies. `material` tracks the material point of the marker between
+            nodes; `node` tracks the nearest node, as in the paper.
+        drivers: `bundled` moves driven bodies as in the task file, `imported` as in the imported trials. With `action`
+            they rest until actions move them, see `gauge_envs.experiments.resolve.moved_by_actions`.
+        reference: `bundled` scores against the package's references, `imported` against the imported trials.
+        asset: File with the scene in place of the task file: a USD layer for any engine, an MJCF file for `mujoco`. It
+            has constants and driven motion; observation and score stay those of the variant.
         render_mode: None, `rgb_array`, `depth_array` or `rgbd_tuple`, as for `GaugeEnv`.
         width: Picture width [pixels]; None is 640.
         height: Picture height [pixels]; None is 480.
-        camera: Entries that replace those of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
-            `elevation_deg`.
+        camera: Entries that replace those of the scene's camera: `target_m` [m], `distance_m` [m], `azimuth_deg` and
+            `elevation_deg` [degrees].
         render_overlay: As for `GaugeEnv`.
         jitter: As for `GaugeEnv`; each world has its own initial states.
         world_parameters: Overrides for each world in addition to `parameters`, such as
             `[{"cube.friction": 0.25}, {"cube.friction": 0.30}]`. Such worlds are built sequentially. A solution cannot
             score a world with other constants, see `Score.refused`.
-        **arguments: Keywords of `GaugeEnv`: `backend`, `parameters`, `settings`, ...
 
     Attributes:
         arguments: Variant and keywords.
@@ -115,6 +129,13 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         variant: str | Variant,
         num_envs: int = 1,
         *,
+        backend: str = "mujoco",
+        parameters: Parameters = "calibrated",
+        settings: Mapping[str, Any] | None = None,
+        marker_proxy: MarkerProxy | str = MarkerProxy.MATERIAL,
+        drivers: DataSource | str = DataSource.BUNDLED,
+        reference: DataSource | str = DataSource.BUNDLED,
+        asset: str | PathLike[str] | None = None,
         render_mode: str | None = None,
         width: int | None = None,
         height: int | None = None,
@@ -122,7 +143,6 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         render_overlay: bool = False,
         jitter: Scatter = None,
         world_parameters: Sequence[Mapping[str, Any]] | None = None,
-        **arguments: Any,
     ) -> None:
         if not isinstance(num_envs, int) or num_envs < 1:
             raise ParameterError(f"num_envs is {num_envs!r}, expected 1 or more")
@@ -139,7 +159,16 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
             has_overlay=render_overlay,
             modes=WORLDS_RENDER_MODES,
         )
-        self.arguments = EnvArguments(variant, **arguments)
+        self.arguments = EnvArguments(
+            variant,
+            backend=backend,
+            parameters=parameters,
+            settings=settings,
+            marker_proxy=marker_proxy,
+            drivers=drivers,
+            reference=reference,
+            asset=asset,
+        )
         self.experiment = experiment = self.arguments.experiment()
         self.band = reference_band(experiment)
         experiments, bands = [experiment] * num_envs, [self.band] * num_envs
@@ -436,7 +465,7 @@ def scored_vector_env(
         ParameterError: `max_episode_steps` differs from the experiment, or arrays of scores lack a reference.
 
     Warns:
-        NoRewardWarning: Rewards or scores are missing; once for each id.
+        NoRewardWarning: Rewards or scores are missing; once for each id and cause.
         UserWarning: A restitution of the user has no effect; once for each experiment.
     """
     envs = GaugeVectorEnv(**arguments)
@@ -445,6 +474,5 @@ def scored_vector_env(
             f"{envs.experiment.id}: score_arrays=True needs a reference, and it has none"
         )
     check_episode_steps(max_episode_steps, envs.experiment.frame_count - 1)
-    warn_without_reward(envs.experiment, envs.band)
-    warn_without_effect(envs.experiment)
+    warn_before_use(envs.experiment, envs.band)
     return ScoreEpisodes(envs, arrays=score_arrays) if score else envs

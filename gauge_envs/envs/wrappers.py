@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from gauge_envs.envs.arguments import warn_without_effect, warn_without_reward
+from gauge_envs.envs.arguments import warn_before_use
 from gauge_envs.envs.env import GaugeEnv
 
 if TYPE_CHECKING:
@@ -124,12 +124,11 @@ def scored_env(*, score: bool = True, **arguments: Any) -> ScoreEpisode | GaugeE
         **arguments: Arguments of `GaugeEnv`.
 
     Warns:
-        NoRewardWarning: Rewards or scores are missing; once for each id.
+        NoRewardWarning: Rewards or scores are missing; once for each id and cause.
         UserWarning: A restitution of the user has no effect; once for each experiment.
     """
     env = GaugeEnv(**arguments)
-    warn_without_reward(env.experiment, env.band)
-    warn_without_effect(env.experiment)
+    warn_before_use(env.experiment, env.band)
     return ScoreEpisode(env) if score else env
 
 

@@ -44,7 +44,8 @@ class FlingLimit(ControlEnv):
 
     Args:
         material: Fabric: `satin`.
-        **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
+
+    The other arguments are those of `ControlEnv`.
     """
 
     SCENE = "TextileFlinging"

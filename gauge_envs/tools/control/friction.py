@@ -89,7 +89,8 @@ class FrictionLimit(CubeLimit):
 
     Args:
         material: Material of the cube: `wood`, `plastic` or `metal`.
-        **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
+
+    The other arguments are those of `ControlEnv`.
     """
 
     COMMANDED = ("angular_acceleration",)

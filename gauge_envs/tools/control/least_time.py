@@ -73,7 +73,8 @@ class LeastTimeLimit(CubeLimit):
 
     Args:
         material: Material of the cube: `wood`, `plastic` or `metal`.
-        **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
+
+    The other arguments are those of `ControlEnv`.
 
     Attributes:
         DRIVEN: Name of the driven body.

@@ -42,7 +42,8 @@ class PendulumLimit(ControlEnv):
 
     Args:
         material: Material of the ball: `metal`.
-        **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
+
+    The other arguments are those of `ControlEnv`.
     """
 
     SCENE = "Pendulum"

@@ -98,7 +98,8 @@ class ThrowLimit(ControlEnv):
 
     Args:
         material: Material of the ball: `rubber`.
-        **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
+
+    The other arguments are those of `ControlEnv`.
     """
 
     SCENE = "BouncingBall"
