@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from gauge_envs.runs.isolation import Worker
+    from gauge_envs.runs.workers import Worker
     from gauge_envs.tools.conformance.model import CheckResult
     from gauge_envs.tools.conformance.results import EngineColumn, Expected
 
@@ -126,7 +126,7 @@ def pytest_collection_modifyitems(
         raise pytest.UsageError(f"give one of {' and '.join(given)}")
     from gauge_envs.backends.registry import versions_of
     from gauge_envs.errors import GaugeError
-    from gauge_envs.runs.isolation import Worker
+    from gauge_envs.runs.workers import Worker
     from gauge_envs.tools.conformance import checks
     from gauge_envs.tools.conformance.command import CHECK_LIMIT_S
     from gauge_envs.tools.conformance.results import read_columns, read_expected

@@ -9,9 +9,9 @@ import pytest
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.runs.episodes import run_request
-from gauge_envs.runs.pool import Limits, ProcessWorker
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import load_result
+from gauge_envs.runs.workers import Limits, ProcessWorker
 from gauge_envs.tools.sweep.folder import earlier_outcomes, run_sweep
 from gauge_envs.tools.sweep.plan import plan_sweep, remaining_tasks
 from gauge_envs.tools.sweep.spec import sweep_spec

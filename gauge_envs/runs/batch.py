@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,11 +15,17 @@ from gauge_envs.errors import GaugeError, ParameterError, ResultFileError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import os_errors
 from gauge_envs.runs.episodes import results_without_run
-from gauge_envs.runs.isolation import TIME_LIMIT_S, CrashError, call_engine
-from gauge_envs.runs.pool import Limits, ProcessWorker, run_tasks
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
+from gauge_envs.runs.workers import (
+    TIME_LIMIT_S,
+    CrashError,
+    Limits,
+    ProcessWorker,
+    call_engine,
+    run_tasks,
+)
 
 Notify = Callable[[str], None]
 
@@ -105,10 +111,13 @@ def run_many(
     Returns:
         Iterator over the results. With one job, it runs an episode when its result is requested.
     """
-    limits = Limits(time_limit_s, memory_limit_gb, isolate=bool(isolate))
+    limits = Limits(time_limit_s, memory_limit_gb, is_per_request=bool(isolate))
+    is_parallel = jobs > 1
     workers = [
         ProcessWorker(
-            limits, apart=isolate if jobs == 1 else True, single_thread=jobs > 1
+            limits,
+            isolate=True if is_parallel else isolate,
+            single_thread=is_parallel,
         )
         for _ in range(jobs)
     ]
@@ -135,16 +144,7 @@ def run_many(
                 write_result(result, file)
         return results
 
-    return _each(run_tasks(runs, workers, results_of))
-
-
-def _each(
-    done: Generator[list[Result], None, None],
-) -> Generator[Result, None, None]:
-    """Yield the results of all lists, and close their iterator at the end."""
-    with closing(done):
-        for results in done:
-            yield from results
+    return run_tasks(runs, workers, results_of)
 
 
 def check_writable(out: Path) -> None:

@@ -37,7 +37,7 @@ from gauge_envs.errors import (
 )
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.fixtures.parts import ball, contact, ground
-from gauge_envs.runs import isolation
+from gauge_envs.runs import workers
 from gauge_envs.scene import ConvexUnion, Motion, Pose, Scene, Tether
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.tools.catalog import listing
@@ -254,7 +254,7 @@ def test_an_engine_that_cannot_be_loaded_is_named_and_affects_no_other_engine(
         backend("nothin")
     assert backend_class("nothing").color == "#123456"
     assert backend_class("broken").color == ""
-    for module in (isolation, listing):
+    for module in (workers, listing):
         monkeypatch.setattr(module, "is_bundled", lambda name: True)
     (row,) = listing.list_rows([find_variant("SlopeSlider-2-wood")])
     assert row["backends"]["nothing"] == ["it does nothing"]

@@ -11,7 +11,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.references.user_data import has_import
-from gauge_envs.runs.isolation import call_engine
+from gauge_envs.runs.workers import call_engine
 from gauge_envs.scoring.reference import reference_kind
 
 QUERY_LIMIT_S = 60.0

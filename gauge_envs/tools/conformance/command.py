@@ -26,7 +26,7 @@ from gauge_envs.errors import ParameterError, ResultFileError
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
-    from gauge_envs.runs.isolation import Worker
+    from gauge_envs.runs.workers import Worker
     from gauge_envs.tools.conformance import CheckResult
     from gauge_envs.tools.conformance.results import EngineColumn, Expected
 
@@ -205,7 +205,7 @@ def _measured(
         is_apart: Whether engines of this package also run in another process.
     """
     from gauge_envs.backends.registry import is_bundled
-    from gauge_envs.runs.isolation import Worker
+    from gauge_envs.runs.workers import Worker
 
     total = len(chosen) * len(columns)
     with Progress("checks", total, line_interval_s=LINE_INTERVAL_S) as progress:

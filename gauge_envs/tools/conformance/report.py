@@ -12,7 +12,7 @@ from gauge_envs.pages.html import Html, element
 from gauge_envs.pages.page import page
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import pairs_text, with_unit
-from gauge_envs.runs.isolation import call_engine
+from gauge_envs.runs.workers import call_engine
 from gauge_envs.tools.conformance.model import (
     Check,
     CheckResult,

@@ -31,7 +31,7 @@ from gauge_envs.fixtures.recording import (
     UnsupportedError,
     record,
 )
-from gauge_envs.runs.isolation import Worker
+from gauge_envs.runs.workers import Worker
 from gauge_envs.scene import (
     Box,
     Compound,

@@ -18,7 +18,7 @@ from gauge_envs.errors import (
 )
 from gauge_envs.files import json_ready, os_errors, write_whole
 from gauge_envs.registry import package_versions
-from gauge_envs.runs.isolation import Worker, call_engine
+from gauge_envs.runs.workers import Worker, call_engine
 from gauge_envs.text import json_document, toml_document
 from gauge_envs.tools.conformance.model import LEVELS, CheckResult, Status, checks
 from gauge_envs.tools.conformance.run import run_checks

@@ -12,7 +12,7 @@ from gauge_envs.backends import Backend, backend as find_backend
 from gauge_envs.backends.registry import checked_versions, versions_of
 from gauge_envs.errors import GaugeError
 from gauge_envs.fixtures.recording import NotFiniteError, UnsupportedError, raised_at
-from gauge_envs.runs.isolation import CrashError, Worker
+from gauge_envs.runs.workers import CrashError, Worker
 from gauge_envs.tools.conformance.lab import ContractError, Lab
 from gauge_envs.tools.conformance.model import Check, CheckResult, Status, checks
 

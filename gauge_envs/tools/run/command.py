@@ -81,9 +81,9 @@ def run(
     """
     from gauge_envs.experiments.variants import is_glob, matching_variants
     from gauge_envs.runs.batch import check_requests, run_many
-    from gauge_envs.runs.isolation import TIME_LIMIT_S
     from gauge_envs.runs.request import RunRequest
     from gauge_envs.runs.result import Outcome
+    from gauge_envs.runs.workers import TIME_LIMIT_S
     from gauge_envs.tools.run.report import summary_document
 
     if not ids:

@@ -24,9 +24,9 @@ from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, experiment_view
 from gauge_envs.rendering.materials import LOOKS, STRING_RADIUS_M
 from gauge_envs.rendering.reference_path import reference_path, reference_words
 from gauge_envs.rendering.skin import Skin
-from gauge_envs.runs.isolation import call_engine
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
+from gauge_envs.runs.workers import call_engine
 from gauge_envs.scene import Compound, ConvexUnion, Deformable, Rod, Rope, Sphere
 from gauge_envs.scene.geometry import FloatArray, Pose
 from gauge_envs.scene.meshes import hull_triangles

@@ -22,7 +22,7 @@ from gauge_envs.pages.text import counted, short_id
 from gauge_envs.processors import processor_count
 
 if TYPE_CHECKING:
-    from gauge_envs.runs.pool import Limits, RequestWorker
+    from gauge_envs.runs.workers import Limits, RequestWorker
     from gauge_envs.tools.sweep.spec import SweepSpec
 
 
@@ -133,9 +133,8 @@ def sweep(
     by its id is unsupported.
     """
     from gauge_envs.experiments.variants import is_glob
-    from gauge_envs.runs.isolation import TIME_LIMIT_S
-    from gauge_envs.runs.pool import Limits
     from gauge_envs.runs.result import Outcome
+    from gauge_envs.runs.workers import TIME_LIMIT_S, Limits
     from gauge_envs.tools.sweep.folder import earlier_outcomes, run_sweep
     from gauge_envs.tools.sweep.plan import (
         episode_count,
@@ -231,6 +230,6 @@ def _workers(
         from gauge_envs.tools.sweep.machines import ray_workers
 
         return ray_workers(ray, count, limits)
-    from gauge_envs.runs.pool import ProcessWorker
+    from gauge_envs.runs.workers import ProcessWorker
 
     return [ProcessWorker(limits) for _ in range(count or processor_count())]

@@ -11,13 +11,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Generator, Sequence
-from contextlib import closing
 from pathlib import Path
 
 from gauge_envs.runs.batch import check_writable
-from gauge_envs.runs.pool import RequestWorker, run_tasks
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import write_result
+from gauge_envs.runs.workers import RequestWorker, run_tasks
 from gauge_envs.tools.sweep.plan import SweepRun
 
 SUBFOLDERS = {Outcome.FAILED: "failed", Outcome.UNSUPPORTED: "unsupported"}
@@ -56,7 +55,7 @@ def run_sweep(
 
     Example:
         >>> from tempfile import TemporaryDirectory
-        >>> from gauge_envs.runs.pool import Limits, ProcessWorker
+        >>> from gauge_envs.runs.workers import Limits, ProcessWorker
         >>> from gauge_envs.tools.sweep.plan import plan_sweep, remaining_tasks
         >>> from gauge_envs.tools.sweep.spec import sweep_spec
         >>> plan = plan_sweep(sweep_spec({"variants": ["SlopeSlider-2-*"], "settings": {"timestep_s": [1 / 1800]}}))
@@ -77,6 +76,4 @@ def run_sweep(
                 (path / "failed" / name).unlink(missing_ok=True)
         return results
 
-    with closing(run_tasks(tasks, workers, perform)) as finished:
-        for results in finished:
-            yield from results
+    return run_tasks(tasks, workers, perform)

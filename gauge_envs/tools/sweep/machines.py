@@ -7,9 +7,9 @@ from typing import Any
 from gauge_envs.errors import ParameterError
 from gauge_envs.optional import needs_extra
 from gauge_envs.runs.episodes import results_without_run
-from gauge_envs.runs.pool import Limits, ProcessWorker
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.runs.workers import Limits, ProcessWorker
 
 MAX_RETRIES = 2
 """Number of times that a request runs again after the loss of its actor."""

@@ -25,8 +25,8 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant, matching_variants
 from gauge_envs.files import json_ready
 from gauge_envs.registry import package_versions
-from gauge_envs.runs.isolation import call_engine
 from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.workers import call_engine
 from gauge_envs.scene.jitter import JITTER_FORMAT, Jitter
 from gauge_envs.tools.sweep.spec import SweepSpec
 

@@ -9,11 +9,11 @@ from types import ModuleType, SimpleNamespace
 import pytest
 from sweep_workers import HereWorker, mortal_worker
 
-from gauge_envs.runs import pool
+from gauge_envs.runs import workers as processes
 from gauge_envs.runs.batch import run_many
-from gauge_envs.runs.pool import Limits, run_tasks
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
+from gauge_envs.runs.workers import Limits, run_tasks
 from gauge_envs.tools.sweep.machines import RayWorker
 
 WOOD = "SlopeSlider-2-wood"
@@ -31,12 +31,12 @@ class Closable(HereWorker):
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_results_have_the_order_of_the_tasks_and_an_error_ends_the_run(count):
     workers = [Closable() for _ in range(count)]
-    done = run_tasks(range(20), workers, lambda worker, task: task)
+    done = run_tasks(range(20), workers, lambda worker, task: [task])
     assert list(done) == list(range(20))
     assert all(worker.closed for worker in workers)
     workers = [Closable() for _ in range(count)]
     with pytest.raises(ZeroDivisionError):
-        list(run_tasks(range(20), workers, lambda worker, task: 1 / (task - 3)))
+        list(run_tasks(range(20), workers, lambda worker, task: [1 / (task - 3)]))
     assert all(worker.closed for worker in workers)
 
 
@@ -54,7 +54,7 @@ def test_a_closed_run_kills_its_workers_and_starts_no_task():
             started.release()
             killed.wait()
         done.append(task)
-        return task
+        return [task]
 
     with closing(run_tasks(range(20), [Slow(), Slow()], perform)) as finished:
         assert next(finished) == 0
@@ -67,12 +67,12 @@ def test_a_closed_run_kills_its_workers_and_starts_no_task():
 def test_a_closed_run_of_several_jobs_ends_their_processes(monkeypatch):
     workers = []
 
-    class Counted(pool.Worker):
+    class Counted(processes.Worker):
         def __init__(self, *args, **kwargs):
             super().__init__(*args, **kwargs)
             workers.append(self)
 
-    monkeypatch.setattr(pool, "Worker", Counted)
+    monkeypatch.setattr(processes, "Worker", Counted)
     results = run_many([RunRequest(WOOD, seed=seed) for seed in range(4)], jobs=2)
     assert next(results).error is None
     results.close()

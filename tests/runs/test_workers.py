@@ -21,10 +21,10 @@ from sweep_workers import children, contents
 from gauge_envs.cli.app import app
 from gauge_envs.errors import GaugeError, ParameterError
 from gauge_envs.experiments.variants import find_variant
-from gauge_envs.runs import isolation
+from gauge_envs.runs import workers
 from gauge_envs.runs.batch import check_requests, run_many
-from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.workers import CrashError, Worker
 from gauge_envs.tools.catalog import listing
 
 WOOD, PLASTIC = "SlopeSlider-2-wood", "SlopeSlider-2-plastic"
@@ -119,7 +119,7 @@ def test_a_process_ends_itself_unless_that_takes_long(tmp_path, monkeypatch):
     with Worker() as worker:
         worker.call(atexit.register, os.mkdir, str(tmp_path / "kernels"))
     assert (tmp_path / "kernels").is_dir()
-    monkeypatch.setattr(isolation, "END_S", 0.1)
+    monkeypatch.setattr(workers, "END_S", 0.1)
     start_s = time.monotonic()
     with Worker() as worker:
         worker.call(atexit.register, time.sleep, 600.0)
@@ -167,7 +167,7 @@ def wait_for_the_end_of(process):
 @needs_proc
 def test_a_worker_ends_after_its_call_when_its_parent_is_gone():
     code = (
-        "import os, time; from gauge_envs.runs.isolation import Worker; worker = Worker(); "
+        "import os, time; from gauge_envs.runs.workers import Worker; worker = Worker(); "
         "print(worker.call(os.getpid), flush=True); worker.call(time.sleep, 0.5)"
     )
     command = [sys.executable, "-c", code]
