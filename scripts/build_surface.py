@@ -17,7 +17,7 @@ from typing import Any
 from gauge_envs import beyond_variants, variants
 from gauge_envs.cli import output
 from gauge_envs.cli.app import load_command
-from gauge_envs.cli.commands import PLUGINS_GROUP, commands
+from gauge_envs.cli.commands import COMMANDS_GROUP, LINES_GROUP, commands
 from gauge_envs.cli.schemas import output_schema, schema_names
 from gauge_envs.experiments.task_format import TaskSpec
 from gauge_envs.references.band import ARRAYS, MARKER_ARRAYS, BandFile
@@ -67,7 +67,7 @@ def surface() -> dict[str, Any]:
         "task file": sorted(set(_keys(TaskSpec.model_json_schema()))),
         "band file": sorted(set(_keys(BandFile.model_json_schema()))),
         "band arrays": [*ARRAYS, *MARKER_ARRAYS],
-        "entry points": [ENGINES_GROUP, PLUGINS_GROUP],
+        "entry points": [ENGINES_GROUP, COMMANDS_GROUP, LINES_GROUP],
     }
 
 

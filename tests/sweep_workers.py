@@ -9,12 +9,11 @@ import pytest
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.runs.episodes import run_request
-from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.runs.workers import Limits, ProcessWorker
-from gauge_envs.tools.sweep.folder import earlier_outcomes, run_sweep
-from gauge_envs.tools.sweep.plan import plan_sweep, remaining_tasks
-from gauge_envs.tools.sweep.spec import sweep_spec
+from gauge_envs.tools.run.folder import earlier_outcomes, run_sweep
+from gauge_envs.tools.run.plan import plan_sweep, remaining_tasks
+from gauge_envs.tools.run.spec import sweep_spec
 
 needs_rapier = pytest.mark.skipif(
     find_spec("rapier3d") is None, reason="extra 'rapier' is absent"
@@ -67,11 +66,7 @@ def planned(**values):
 
 def swept(plan, folder, *workers, retry_failed=False, notify=lambda text: None):
     """Run the rest of a plan as the command does, and return its results."""
-    done = {
-        name
-        for name, outcome in earlier_outcomes(folder, notify).items()
-        if not (retry_failed and outcome is Outcome.FAILED)
-    }
+    done = earlier_outcomes(folder, notify, without_failed=retry_failed)
     tasks = list(remaining_tasks(plan, done))
     return list(run_sweep(tasks, workers or [HereWorker()], folder))
 

@@ -20,8 +20,8 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.scoring.trajectory_file import read_trajectory
 from gauge_envs.tools.conformance.results import read_columns
+from gauge_envs.tools.run.spec import load_sweep_file
 from gauge_envs.tools.sanity import configuration
-from gauge_envs.tools.sweep.spec import load_sweep_file
 
 ID = "SlopeSlider-2-wood"
 OWN = ROOT / "examples" / "own_experiment"

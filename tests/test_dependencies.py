@@ -10,7 +10,7 @@ import pytest
 from packaging.requirements import Requirement
 from places import ROOT
 
-from gauge_envs.cli.commands import BUNDLED
+from gauge_envs.cli.commands import all_commands
 
 PACKAGE = ROOT / "gauge_envs"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -111,9 +111,9 @@ def test_every_import_is_of_a_declared_dependency(files):
 def test_extras_are_imported_at_first_use(files):
     extras = set().union(*EXTRAS.values()) - BASE
     declared = {
-        f"tools/{command.place.partition('.')[0]}/": EXTRAS[command.extra]
-        for command in BUNDLED
-        if command.extra
+        f"tools/{command.point.module.split('.')[2]}/": EXTRAS[command.details.extra]
+        for command in all_commands().values()
+        if command.details.extra
     } | {"formats/usd/": EXTRAS["usd"]}
     at_once = {
         file: used

@@ -56,5 +56,5 @@ def test_a_planted_cycle_is_found(edges, importer, imported):
 
 
 def test_a_planted_import_of_an_inner_module_is_found(edges):
-    planted = ("gauge_envs.tools.sweep.plan", "gauge_envs.tools.compare.ranks")
+    planted = ("gauge_envs.tools.recipes.report", "gauge_envs.tools.compare.ranks")
     assert inner_imports({**edges, planted[0]: {planted[1]}}) == [planted]

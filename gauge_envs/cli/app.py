@@ -7,8 +7,9 @@ import functools
 import inspect
 import re
 import signal
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
 import typer
 import typer.core
@@ -39,57 +40,83 @@ def load_command(name: str) -> Any:
     function = listed.function()
     # Join the lines of a paragraph, because rich would keep line ends.
     text = re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(function.__doc__ or ""))
-    single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    below = [
-        f"gauge {command_name}: {help_lines()[command_name]}"
-        for command_name in _below(name)
-    ]
+    below = [f"gauge {other}: {help_lines()[other]}" for other in _below(name)]
     epilog = "\n\n".join(["See also", *below]) if below else None
-    command = _with_common_options(function)
-    single.command(name, cls=_Command, help=text, epilog=epilog)(command)
+    single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    single.command(name, cls=_Command, help=text, epilog=epilog)(_with_fields(function))
     return typer.main.get_command(single)
 
 
-JsonFlag = Annotated[
-    bool,
-    arguments.option(arguments.OUTPUT, "Short for --format json.", "--json"),
-]
+@dataclass(frozen=True)
+class CommonOptions:
+    """Options of every command."""
 
-QuietFlag = Annotated[
-    bool,
-    arguments.option(
-        arguments.OUTPUT,
-        "No progress, notes and totals on stderr; errors stay.",
-        "--quiet",
-        "-q",
-    ),
-]
+    quiet: Annotated[
+        bool,
+        arguments.option(
+            arguments.OUTPUT,
+            "No progress, notes and totals on stderr; errors stay.",
+            "--quiet",
+            "-q",
+        ),
+    ] = False
 
 
-def _with_common_options(function: Any) -> Any:
-    """Return a command with the options of every command, and `--json` if it has `--format`."""
-    signature = inspect.signature(function, eval_str=True)
-    common = {"quiet": QuietFlag} | (
-        {"json": JsonFlag} if "form" in signature.parameters else {}
-    )
+@dataclass(frozen=True)
+class JsonOption:
+    """Option of commands with `--format`."""
+
+    json: Annotated[
+        bool,
+        arguments.option(arguments.OUTPUT, "Short for --format json.", "--json"),
+    ] = False
+
+
+def _with_fields(function: Any) -> Any:
+    """Return a command that has an option for each field of its dataclasses of options, and the common options.
+
+    Args:
+        function: The function of the command. A parameter whose type is a dataclass gets an instance of it.
+    """
+    classes: dict[str, Any] = {}
+    parameters: list[inspect.Parameter] = []
+    for parameter in inspect.signature(function, eval_str=True).parameters.values():
+        if is_dataclass(parameter.annotation):
+            classes[parameter.name] = parameter.annotation
+            parameters += _parameters_of(parameter.annotation)
+        else:
+            parameters.append(parameter)
+    parameters += _parameters_of(CommonOptions)
+    if any(parameter.name == "form" for parameter in parameters):
+        parameters += _parameters_of(JsonOption)
 
     @functools.wraps(function)
     def command(**values: Any) -> Any:
-        # `read_values` has changed it to --format json.
-        values.pop("json", None)
-        with quieted(values.pop("quiet")):
+        if values.pop("json", False):
+            values["form"] = Format.JSON
+        is_quiet = values.pop("quiet")
+        for name, cls in classes.items():
+            own = {field.name: values.pop(field.name) for field in fields(cls)}
+            values[name] = cls(**own)
+        with quieted(is_quiet):
             return function(**values)
 
-    parameters = [
-        inspect.Parameter(
-            name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=annotation
-        )
-        for name, annotation in common.items()
-    ]
-    command.__signature__ = signature.replace(  # type: ignore[attr-defined]
-        parameters=[*signature.parameters.values(), *parameters]
-    )
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return command
+
+
+def _parameters_of(cls: Any) -> list[inspect.Parameter]:
+    """Return a parameter for each field of a dataclass."""
+    types = get_type_hints(cls, include_extras=True)
+    return [
+        inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=field.default,
+            annotation=types[field.name],
+        )
+        for field in fields(cls)
+    ]
 
 
 def _below(name: str) -> list[str]:
@@ -105,28 +132,25 @@ LISTED = ("ID", "KIND or PATTERN", "NAME", "PATTERN")
 """Metavars of arguments with lists of names, not of paths."""
 
 
-def read_values(command: Any, values: dict[str, Any]) -> dict[str, Any]:
-    """Return the values of a command with lists split at commas, and `--json` as `--format json`.
+def _split_lists(command: Any, values: dict[str, Any]) -> None:
+    """Split the values of options and arguments with lists at commas.
 
     Args:
         command: The command.
-        values: Values of arguments and options by the names of their parameters.
+        values: Values by the names of the parameters; lists change.
     """
-    parsed = dict(values)
-    if parsed.get("json"):
-        parsed["form"] = Format.JSON
     for parameter in command.params:
-        given = values.get(parameter.name)
-        if parameter.param_type_name == "argument":
+        metavar = parameter.metavar or ""
+        is_list = getattr(parameter, "multiple", False)
+        if metavar in LISTED and parameter.nargs == -1:
             # Settings after an engine belong to it.
-            metavar = PER_ENGINE if parameter.metavar in LISTED else None
-        else:
-            metavar = (parameter.metavar or "") if parameter.multiple else None
-        if metavar is not None and isinstance(given, list | tuple):
-            parsed[parameter.name] = [
-                part for value in given for part in _separated(value, metavar)
+            is_list, metavar = True, PER_ENGINE
+        if is_list and values[parameter.name]:
+            values[parameter.name] = [
+                part
+                for value in values[parameter.name]
+                for part in _separated(value, metavar)
             ]
-    return parsed
 
 
 def _separated(value: str | Path, metavar: str) -> list[str | Path]:
@@ -143,7 +167,7 @@ class _Command(typer.core.TyperCommand):
     """
 
     def invoke(self, ctx: Any) -> Any:
-        ctx.params = read_values(self, ctx.params)
+        _split_lists(self, ctx.params)
         with reserved_stdout():
             try:
                 has_failed = super().invoke(ctx)

@@ -18,7 +18,6 @@ from gauge_envs.errors import ParameterError, UnknownNameError
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
-    from gauge_envs.scene.jitter import Jitter
 
 SCENE, NUMERICS, SELECTION, OUTPUT = "Scene", "Numerics", "Selection", "Output"
 """Panels of the help: scene, numerics, selection of results, and output."""
@@ -31,9 +30,6 @@ PER_ENGINE = f"ENGINE[:{ASSIGNED},...]"
 
 SIDE = "SIDE"
 """Metavar of the sides of a comparison; a side may be only settings, as `iterations=4`."""
-
-MUJOCO = ["mujoco"]
-"""Default of commands with several engines."""
 
 
 def option(panel: str, text: str, *names: str, **more: Any) -> Any:
@@ -65,7 +61,7 @@ def measured(
         # Typer also reads the default.
         if isinstance(given, float):
             return given
-        number = _number(given.strip().removesuffix(unit).strip())
+        number = number_of(given.strip().removesuffix(unit).strip())
         if number is None:
             form = f" in {unit}, as 2 or 2{unit}" if unit else ", as 2"
             raise typer.BadParameter(f"{given!r}: expected a number{form}")
@@ -84,7 +80,7 @@ def measured(
     )
 
 
-def _number(text: str) -> float | None:
+def number_of(text: str) -> float | None:
     """Return the finite number in a text; None if it is not one."""
     try:
         number = float(text)
@@ -169,18 +165,6 @@ Use = Annotated[
     ),
 ]
 
-JitterTexts = Annotated[
-    list[str] | None,
-    option(
-        SCENE,
-        "Standard deviations of the start, as 1mm,0.5deg, where one that is not given is 0; real, as manual "
-        "set-ups scatter; or off.",
-        "--jitter",
-        metavar="mm,deg",
-        show_default="off; real with repeats",
-    ),
-]
-
 # --- numerics --------------------------------------------------------------------------------------------------------
 
 
@@ -198,8 +182,6 @@ def backend(
         show_default=show_default,
     )
 
-
-Backends = Annotated[list[str], backend("Engines.")]
 
 Settings = Annotated[
     list[str] | None,
@@ -227,18 +209,6 @@ Repeats = Annotated[
     ),
 ]
 
-Jobs = Annotated[
-    int | None,
-    option(
-        NUMERICS,
-        "Parallel processes.",
-        "--jobs",
-        "-j",
-        min=1,
-        show_default="all processors",
-    ),
-]
-
 
 def timeout(text: str, show_default: str, *, is_positive: bool = True) -> Any:
     """Return the option `--timeout`; zero is rejected if it would stop every run."""
@@ -251,14 +221,6 @@ def timeout(text: str, show_default: str, *, is_positive: bool = True) -> Any:
         show_default=show_default,
     )
 
-
-Timeout = Annotated[
-    float | None,
-    timeout(
-        "Longest time of an experiment, which then has a process of its own.",
-        "3600 in such a process, else none",
-    ),
-]
 
 Memory = Annotated[
     float | None,
@@ -392,30 +354,16 @@ def assigned(option: str, texts: Sequence[str]) -> dict[str, str]:
 
 def value_of(text: str) -> Any:
     """Return the value of JSON, of a fraction, or of numbers with commas; else the text itself."""
-    fraction = [_number(part) for part in text.split("/")]
+    fraction = [number_of(part) for part in text.split("/")]
     if len(fraction) == 2 and fraction[0] is not None and fraction[1]:
         return fraction[0] / fraction[1]
-    numbers = [_number(part.strip()) for part in text.split(",")]
+    numbers = [number_of(part.strip()) for part in text.split(",")]
     if len(numbers) > 1 and None not in numbers:
         return numbers
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
         return text
-
-
-def parsed_parameters(texts: Sequence[str] | None) -> str | dict[str, Any] | None:
-    """Return the name of a parameter set, or overrides such as `cube.friction=0.3` as a dictionary."""
-    if not texts:
-        return None
-    if len(texts) == 1 and "=" not in texts[0]:
-        return texts[0]
-    if not all("=" in text for text in texts):
-        raise ParameterError(
-            f"--parameter {','.join(texts)}: expected {ASSIGNED}, or the name of one set alone"
-        )
-    changes = assigned("--parameter", texts)
-    return {name: value_of(value) for name, value in changes.items()}
 
 
 def parsed_settings(changes: Sequence[str] | None) -> dict[str, Any] | None:
@@ -443,32 +391,6 @@ def parsed_use(words: Sequence[str] | None, *names: str) -> dict[str, Any]:
         name: DataSource.IMPORTED if name in used else DataSource.BUNDLED
         for name in names
     }
-
-
-JITTER_UNITS = {"mm": ("position_m", 1.0e-3), "deg": ("angle_rad", math.radians(1.0))}
-"""Standard deviation for each unit of `--jitter`, and the unit in SI."""
-
-
-def parsed_jitter(texts: Sequence[str] | None) -> Jitter | None:
-    """Return the noise of `--jitter`: `1mm` and `0.5deg`, `real`, or `off`; None if it is not given."""
-    from gauge_envs.scene.jitter import Jitter
-
-    if not texts:
-        return None
-    if list(texts) == ["real"]:
-        return Jitter()
-    deviations: dict[str, float] = {}
-    for part in [] if list(texts) == ["off"] else texts:
-        value = re.fullmatch(r"(.*?)\s*(mm|deg)", part)
-        number = None if value is None else _number(value[1])
-        name, unit = JITTER_UNITS[value[2]] if value is not None else ("", 0.0)
-        if number is None or number < 0.0 or name in deviations:
-            raise ParameterError(
-                f"--jitter {','.join(texts)}: expected numbers of 0 or more in mm and deg, each once, as 1mm,0.5deg; "
-                "or real; or off"
-            )
-        deviations[name] = unit * number
-    return Jitter(**{"position_m": 0.0, "angle_rad": 0.0, **deviations})
 
 
 def matching(

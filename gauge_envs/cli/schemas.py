@@ -1,4 +1,4 @@
-"""JSON Schemas of the output of commands with `--json`, derived from the types in `cli/commands.py`.
+"""JSON Schemas of the output of commands with `--json`, derived from the types of the entry points `gauge_envs.lines`.
 
 A type is a dataclass, a typed dictionary, or a union of them where a command prints lines of several kinds.
 """
@@ -12,13 +12,15 @@ import typing
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from gauge_envs.cli.commands import Command, all_commands
+from gauge_envs.cli.commands import LINES_GROUP, all_commands
 from gauge_envs.errors import UnknownNameError
+from gauge_envs.registry import installed_points
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -26,10 +28,10 @@ LINE = "One line of stdout, a JSON object; an empty output has no line."
 
 NULLS = "null in place of a number: it is not known, does not apply, or is not finite."
 
-RESULT_FILE = Command(
-    "result-file", "run.command:run", line="run.schema:ResultFile", version=7
-)
-"""Result files of `gauge run`."""
+RESULT_FILE = "result-file"
+"""Name of the schema of the result files of `gauge run`."""
+
+RESULT_FILE_VERSION = 7
 
 PLAIN: Mapping[Any, Mapping[str, Any]] = {
     Any: {},
@@ -69,15 +71,18 @@ WHOLE = Form()
 
 def schema_names() -> dict[str, int]:
     """Return the version of each schema by its name, in the order of `gauge --help`."""
-    return {name: command.version for name, command in _outputs().items()}
-
-
-def _outputs() -> dict[str, Command]:
-    """Return the commands that print JSON, and that of result files."""
-    outputs = {
-        name: command for name, command in all_commands().items() if command.line
+    lines = _line_types()
+    versions = {
+        name: command.details.version
+        for name, command in all_commands().items()
+        if name in lines
     }
-    return outputs | {RESULT_FILE.name: RESULT_FILE}
+    return versions | {RESULT_FILE: RESULT_FILE_VERSION}
+
+
+def _line_types() -> dict[str, EntryPoint]:
+    """Return the entry points of the types of a line, by the name of the command."""
+    return {point.name: point for point in installed_points(LINES_GROUP)}
 
 
 def output_schema(name: str) -> Schema:
@@ -89,17 +94,18 @@ def output_schema(name: str) -> Schema:
     Raises:
         UnknownNameError: There is no such schema.
     """
-    known = _outputs()
-    if name not in known:
-        raise UnknownNameError("schema", name, known)
-    output = known[name]
-    schema = schema_of(output.line_type())
-    is_file = name == RESULT_FILE.name
-    about = [schema.pop("description", ""), "" if is_file else LINE, NULLS]
+    versions = schema_names()
+    if name not in versions:
+        raise UnknownNameError("schema", name, versions)
+    schema = schema_of(_line_types()[name].load())
+    title, about = f"gauge {name} --json", [schema.pop("description", ""), LINE, NULLS]
+    if name == RESULT_FILE:
+        title = "Result file"
+        about.remove(LINE)
     return {
         "$schema": DIALECT,
-        "$id": f"urn:gauge-envs:{name.replace(' ', '-')}:{output.version}",
-        "title": "Result file" if is_file else f"gauge {name} --json",
+        "$id": f"urn:gauge-envs:{name.replace(' ', '-')}:{versions[name]}",
+        "title": title,
         "description": " ".join(filter(None, about)),
         **schema,
     }
@@ -186,16 +192,14 @@ def _any_of(schemas: Iterable[Schema]) -> Schema:
     """Return the schema of a union; for types without parts, it is a list of names."""
     distinct: list[Schema] = []
     for schema in schemas:
-        distinct += [schema] if schema not in distinct else []
-    if all(set(schema) == {"type"} for schema in distinct):
-        listed = [schema["type"] for schema in distinct]
-        names = [
-            kind
-            for kinds in listed
-            for kind in (kinds if isinstance(kinds, list) else [kinds])
-        ]
-        return {"type": list(dict.fromkeys(names))}
-    return {"anyOf": distinct}
+        if schema not in distinct:
+            distinct.append(schema)
+    if any(set(schema) != {"type"} for schema in distinct):
+        return {"anyOf": distinct}
+    names: dict[str, None] = {}
+    for schema in distinct:
+        names |= dict.fromkeys(np.atleast_1d(schema["type"]).tolist())
+    return {"type": list(names)}
 
 
 def descriptions(cls: Any, section: str = "Attributes") -> dict[str, str]:

@@ -15,10 +15,11 @@ from slide import NAME, SLIDE, write_csv
 from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.cli.app import load_command
-from gauge_envs.cli.arguments import parsed_jitter, parsed_settings, split_values
+from gauge_envs.cli.arguments import parsed_settings, split_values
 from gauge_envs.cli.commands import commands, help_lines, listings
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.runs import batch
+from gauge_envs.tools.run.options import parsed_jitter
 
 
 def rows(result):

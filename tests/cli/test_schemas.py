@@ -33,7 +33,7 @@ HERE = {
 
 ELSEWHERE = {
     "compare": "tools/compare/test_comparison.py",
-    "sweep": "tools/sweep/test_sweep_run.py",
+    "sweep": "tools/run/test_sweep_run.py",
     "replay": "tools/replay/test_logs.py",
     "recipe": "tools/recipes/test_recipe_requests.py",
     "backend versions": "tools/versions/test_versions.py",

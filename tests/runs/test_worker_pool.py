@@ -14,7 +14,7 @@ from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.workers import Limits, run_tasks
-from gauge_envs.tools.sweep.machines import RayWorker
+from gauge_envs.tools.run.machines import RayWorker
 
 WOOD = "SlopeSlider-2-wood"
 

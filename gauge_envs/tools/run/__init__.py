@@ -1,1 +1,1 @@
-"""Run experiments and score them; score trajectories from files."""
+"""Run experiments once or in all combinations, and score them; score trajectories from files."""

@@ -1,14 +1,13 @@
-"""`gauge run` and `gauge score`."""
+"""`gauge run`, `gauge sweep` and `gauge score`."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -22,10 +21,13 @@ from gauge_envs.cli.output import (
 from gauge_envs.cli.results import reported
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.processors import processor_count
+from gauge_envs.tools.run.options import RunOptions, SweepOptions, parsed_parameters
 
 if TYPE_CHECKING:
     from gauge_envs.runs.request import RunRequest
     from gauge_envs.runs.result import Result
+    from gauge_envs.runs.workers import RequestWorker
+    from gauge_envs.tools.run.plan import PlannedRun
 
 MAX_LOCAL_EPISODES = 20
 """Maximum number of rigid episodes that run in this process by default."""
@@ -33,45 +35,8 @@ MAX_LOCAL_EPISODES = 20
 
 def run(
     ids: arguments.Ids = None,
-    parameters: arguments.Parameters = None,
-    asset: arguments.Asset = None,
-    use: arguments.Use = None,
-    jitter: arguments.JitterTexts = None,
-    marker_proxy: Annotated[
-        Literal["material", "node"],
-        arguments.option(
-            arguments.SCENE,
-            "A marker on a deformable body: material, or node for its nearest node (paper).",
-        ),
-    ] = "material",
-    backend: arguments.Backends = arguments.MUJOCO,
-    changes: arguments.Settings = None,
-    seed: arguments.Seed = 0,
-    repeats: arguments.Repeats = 1,
-    timeout: arguments.Timeout = None,
-    memory: arguments.Memory = None,
-    isolate: arguments.Isolate = False,
-    jobs: Annotated[
-        int | None,
-        arguments.option(
-            arguments.NUMERICS,
-            "Experiments at once, each in a process.",
-            "--jobs",
-            "-j",
-            min=1,
-            show_default="all processors for long runs, else 1",
-        ),
-    ] = None,
-    resume: Annotated[
-        bool,
-        arguments.option(
-            arguments.SELECTION, "Keep results that exist already.", "--resume"
-        ),
-    ] = False,
-    out: Annotated[Path, arguments.folder("Folder for the result files.")] = Path(
-        "results"
-    ),
-    details: arguments.Details = False,
+    *,
+    options: RunOptions,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Run experiments, score each against its reference, and write a result file for each.
@@ -79,91 +44,64 @@ def run(
     The pattern '*' matches all. Engines of other packages run in another process. Exit code 1: an episode failed or
     diverged, or an experiment given by its id is unsupported. Experiments of a pattern may be unsupported.
     """
-    from gauge_envs.experiments.variants import is_glob, matching_variants
+    from gauge_envs.experiments.variants import matching_variants
     from gauge_envs.runs.batch import check_requests, run_many
-    from gauge_envs.runs.request import RunRequest
-    from gauge_envs.runs.result import Outcome
-    from gauge_envs.runs.workers import TIME_LIMIT_S
-    from gauge_envs.tools.run.report import summary_document
+    from gauge_envs.tools.run.report import has_failed, summary_document, totals_text
 
     if not ids:
         raise ParameterError(
             "nothing to run: give ids or patterns such as '*'; gauge list shows them"
         )
-    scatter = arguments.parsed_jitter(jitter)
-    if repeats == 1 and scatter is not None and not any(scatter.to_dict().values()):
-        scatter = None
-    if seed and scatter is None and repeats == 1:
+    requests = options.requests(chain.from_iterable(map(matching_variants, ids)))
+    first = requests[0]
+    if first.seed and first.jitter is None and first.repeats == 1:
         note(
-            f"--seed {seed} changes nothing: the initial state has no noise. Add --jitter real."
+            f"--seed {first.seed} changes nothing: the initial state has no noise. Add --jitter real."
         )
-    constants = arguments.parsed_parameters(parameters) or "calibrated"
-    settings = arguments.parsed_settings(changes)
-    variants_of = {pattern: matching_variants(pattern) for pattern in ids}
-    requests = [
-        RunRequest(
-            subject,
-            backend=engine,
-            parameters=constants,
-            settings=settings,
-            asset=asset,
-            **arguments.parsed_use(use, "drivers", "reference"),
-            jitter=scatter,
-            marker_proxy=marker_proxy,
-            seed=seed,
-            repeats=repeats,
-        )
-        for engine in dict.fromkeys(backend)
-        for subject in dict.fromkeys(chain.from_iterable(variants_of.values()))
-    ]
-    is_apart = True if isolate or timeout or memory else None
+    limits = options.limits()
+    is_limited = options.isolate or options.timeout or options.memory
+    is_apart = True if is_limited else None
     check_requests(requests, isolate=is_apart)
     for text in _unused_restitutions(requests):
         note(text)
+    out = options.out
     episodes = run_many(
         requests,
         out=out,
-        resume=resume,
+        resume=options.resume,
         isolate=is_apart,
-        time_limit_s=timeout or TIME_LIMIT_S,
-        memory_limit_gb=memory,
+        time_limit_s=limits.time_limit_s,
+        memory_limit_gb=limits.memory_limit_gb,
         notify=note,
-        jobs=min(jobs or _default_jobs(requests), len(requests)),
+        jobs=min(options.jobs or _default_jobs(requests), len(requests)),
     )
     total = sum(request.repeats for request in requests)
-    interrupted = f"{out}; --resume continues from there"
+    continues = "--resume continues from there"
     results: list[Result] = []
     try:
-        for result in reported(episodes, form, total, interrupted=interrupted):
+        for result in reported(
+            episodes, form, total, interrupted=f"{out}; {continues}"
+        ):
             results.append(result)
     except ResultFileError:
-        message(f"stopped: {_totals(results, out)}; --resume continues from there")
+        message(f"stopped: {totals_text(results, out)}; {continues}")
         raise
     if form is not Format.JSON:
-        is_detailed = details or form is Format.WIDE
-        print_document(summary_document(results, details=is_detailed), form)
-    message(_totals(results, out))
-    named = {
-        variant.id
-        for pattern in ids
-        if not is_glob(pattern)
-        for variant in variants_of[pattern]
-    }
-    return any(
-        result.outcome in (Outcome.FAILED, Outcome.DIVERGED)
-        or (result.outcome is Outcome.UNSUPPORTED and result.id in named)
-        for result in results
-    )
+        is_detailed = options.details or form is Format.WIDE
+        document = summary_document(results, details=is_detailed)
+        print_document(document, form)
+    message(totals_text(results, out))
+    return has_failed([(result.id, result.outcome) for result in results], ids)
 
 
 def _unused_restitutions(requests: Sequence[RunRequest]) -> list[str]:
     """Return a sentence for each experiment with a restitution of the user that has no effect."""
-    texts = []
+    texts: dict[str, None] = {}
     for request in {request.variant: request for request in requests}.values():
-        # Some engines do not support the experiment of a pattern.
+        # Some experiments of a pattern do not have the parameters.
         with suppress(ParameterError):
-            texts.append(request.experiment().unused_restitution)
-    return [text for text in dict.fromkeys(texts) if text]
+            texts[request.experiment().unused_restitution] = None
+    return [text for text in texts if text]
 
 
 def _default_jobs(requests: Sequence[RunRequest]) -> int:
@@ -175,10 +113,81 @@ def _default_jobs(requests: Sequence[RunRequest]) -> int:
     return processor_count() if is_long else 1
 
 
-def _totals(results: Sequence[Result], out: Path) -> str:
-    counts = Counter(result.outcome.value for result in results)
-    parts = [f"{number} {outcome}" for outcome, number in counts.items()]
-    return f"{', '.join(parts) or 'no episode finished'}; results in {out}"
+def sweep(
+    file: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="FILE", help="Sweep file, TOML; options replace its keys."
+        ),
+    ] = None,
+    *,
+    options: SweepOptions,
+    form: arguments.Form = Format.TEXT,
+) -> bool:
+    """Run engines, settings and experiments in all combinations; continue an earlier run.
+
+    Episodes with results in the folder do not run again. --timeout and --memory limit the worker processes; with
+    --isolate each task runs in a separate process. Exit code 1: an episode failed or diverged, or an experiment given
+    by its id is unsupported.
+    """
+    from gauge_envs.pages.text import counted
+    from gauge_envs.tools.run.folder import earlier_outcomes, run_sweep
+    from gauge_envs.tools.run.plan import (
+        episode_count,
+        part_of,
+        plan_sweep,
+        remaining_tasks,
+    )
+    from gauge_envs.tools.run.report import has_failed, outcome_table, plan_document
+
+    spec = options.spec(file)
+    runs = part_of(plan_sweep(spec), options.shard)
+    out = options.out
+    earlier = earlier_outcomes(out, note, without_failed=options.retry_failed)
+    tasks = list(remaining_tasks(runs, earlier))
+    total, left = episode_count(runs), episode_count(tasks)
+    if options.dry_run:
+        print_document(plan_document(runs, earlier), form)
+        message(f"{counted(total, 'episode')}, {left} left")
+        return False
+    outcomes = [
+        (run.backend, run.experiment, earlier[name])
+        for run in runs
+        for name in run.file_names
+        if name in earlier
+    ]
+    if tasks:
+        results = reported(
+            run_sweep(tasks, _workers(options, tasks), out),
+            form,
+            total,
+            done=total - left,
+            interrupted=f"{out}; the same command continues",
+        )
+        outcomes += [
+            (str(result.backend), result.id, result.outcome) for result in results
+        ]
+    if form is not Format.JSON:
+        print_document(outcome_table(outcomes), form)
+    message(
+        f"{counted(total, 'episode')}; results in {out}; --retry-failed repeats failures"
+    )
+    return has_failed([outcome[1:] for outcome in outcomes], spec.variants)
+
+
+def _workers(
+    options: SweepOptions, tasks: Sequence[PlannedRun]
+) -> Sequence[RequestWorker]:
+    """Return the workers; each process starts with its first task."""
+    limits = options.limits()
+    if options.ray is not None:
+        from gauge_envs.tools.run.machines import ray_workers
+
+        return ray_workers(options.ray, options.jobs, limits)
+    from gauge_envs.runs.workers import ProcessWorker
+
+    count = options.jobs or _default_jobs([task.request for task in tasks])
+    return [ProcessWorker(limits) for _ in range(count)]
 
 
 def score(
@@ -206,7 +215,7 @@ def score(
     result, notes = score_file(
         file,
         variant=name,
-        parameters=arguments.parsed_parameters(parameters),
+        parameters=parsed_parameters(parameters),
         **arguments.parsed_use(use, "reference"),
     )
     for text in notes:

@@ -1,14 +1,19 @@
-"""Summarize scores on one screen, with details, and give the reasons for missing results."""
+"""Summarize scores on one screen, with details and the reasons for missing results; show plans and their outcomes."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Container, Iterable, Iterator, Sequence
+from itertools import groupby
+from operator import attrgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gauge_envs.experiments.variants import is_glob, matching_variants
 from gauge_envs.pages.document import Document, Heading, Paragraph, Part, Tone
 from gauge_envs.pages.results import configuration_parts
-from gauge_envs.pages.table import Column, Facts, Place, Table
+from gauge_envs.pages.table import Column, Facts, Place, Table, grid
 from gauge_envs.pages.text import (
     digits_text,
     event_title,
@@ -23,6 +28,7 @@ from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scoring.estimates import Measured
 from gauge_envs.scoring.score import OVER_U, Score
+from gauge_envs.tools.run.plan import PlannedRun, episode_count
 
 MAX_EXPLAINED = 5
 """Maximum number of results with explanations below their rows."""
@@ -79,34 +85,38 @@ def summary_document(results: Sequence[Result], *, details: bool = False) -> Doc
 
 def _summary(results: Sequence[Result], *, details: bool) -> Iterator[Part]:
     """Yield the common configuration, a row for each result, and the details."""
-    parts = [
-        [text for _, text in configuration_parts(RunConfiguration.of(result))]
-        + ([f"seed {result.seed}"] if result.seed else [])
-        for result in results
-    ]
-    shared = [text for text in parts[0] if all(text in texts for texts in parts)]
-    labels = [
-        ", ".join(text for text in texts if text not in shared) for texts in parts
-    ]
-    is_explained = details or len(results) <= MAX_EXPLAINED
-    rows = [
-        _row(result, is_explained=is_explained) | {"label": label}
-        for result, label in zip(results, labels, strict=True)
-    ]
-    columns = [
-        column
-        for column in COLUMNS
-        if any(row.get(column.key) not in (None, "") for row in rows)
-    ]
+    texts = [_configuration_texts(result) for result in results]
+    shared = [text for text in texts[0] if all(text in other for other in texts)]
+    rows = []
+    for result, own in zip(results, texts, strict=True):
+        row = _row(result)
+        row["label"] = ", ".join(text for text in own if text not in shared)
+        if details or len(results) <= MAX_EXPLAINED:
+            row |= _explanation(result)
+        rows.append(row)
+    filled = {
+        key for row in rows for key, value in row.items() if value not in (None, "")
+    }
+    columns = [column for column in COLUMNS if column.key in filled]
     yield Paragraph(", ".join(shared), Tone.NOTE)
     yield Table(columns=tuple(columns), rows=rows, notes=(NOTE,))
     if details:
-        for result, label in zip(results, labels, strict=True):
-            yield Heading(f"{short_id(result.id)} {label}".rstrip())
+        for result, row in zip(results, rows, strict=True):
+            yield Heading(f"{short_id(result.id)} {row['label']}".rstrip())
             yield Facts(_details(result.score))
 
 
-def _row(result: Result, *, is_explained: bool) -> dict[str, Any]:
+def _configuration_texts(result: Result) -> list[str]:
+    """Return the parts of the configuration of a result, and its seed."""
+    parts = configuration_parts(RunConfiguration.of(result))
+    texts = [text for _, text in parts]
+    if result.seed:
+        texts.append(f"seed {result.seed}")
+    return texts
+
+
+def _row(result: Result) -> dict[str, Any]:
+    """Return the row of a result without its explanation."""
     score = result.score
     row: dict[str, Any] = {"id": result.id, "kind": score.kind, "exact": score.exact}
     if result.diverged:
@@ -118,16 +128,23 @@ def _row(result: Result, *, is_explained: bool) -> dict[str, Any]:
         text = interval_text(
             score.primary_normalized, score.primary_interval, digits_text
         )
-        row["scaled"] = with_unit(text, "u" if score.primary == OVER_U else "1")
-    if is_explained:
-        texts = [motion_text(score)]
-        if (count := score.compared_frames) is not None and count < result.frames:
-            texts.append(f"compared at {count} of {result.frames} frames")
-        row["motion"] = "; ".join(filter(None, texts))
-        row["cause"] = score.refused or cause_text(score)
-        if result.is_edited and score.refused is None:
-            row["cause"] = f"modified: {shortened(result.asset['changes'])}"
+        unit = "u" if score.primary == OVER_U else "1"
+        row["scaled"] = with_unit(text, unit)
     return row
+
+
+def _explanation(result: Result) -> dict[str, Any]:
+    """Return the texts below the row of a result."""
+    score = result.score
+    if result.diverged:
+        return {}
+    texts = [motion_text(score)]
+    if (count := score.compared_frames) is not None and count < result.frames:
+        texts.append(f"compared at {count} of {result.frames} frames")
+    cause = score.refused or cause_text(score)
+    if result.is_edited and score.refused is None:
+        cause = f"modified: {shortened(result.asset['changes'])}"
+    return {"motion": "; ".join(filter(None, texts)), "cause": cause}
 
 
 def motion_text(score: Score) -> str | None:
@@ -207,3 +224,93 @@ def _outcomes(results: Sequence[Result]) -> Iterator[Paragraph]:
     for (outcome, reason), ids in ids_of.items():
         text = f"{outcome.value}: {shortened(ids)}: {reason}"
         yield Paragraph(text, Tone.WARNING)
+
+
+def totals_text(results: Sequence[Result], out: Path) -> str:
+    """Return the number of results of each outcome, and their folder."""
+    counts = Counter(result.outcome.value for result in results)
+    parts = [f"{number} {outcome}" for outcome, number in counts.items()]
+    return f"{', '.join(parts) or 'no episode finished'}; results in {out}"
+
+
+def has_failed(
+    outcomes: Iterable[tuple[str, Outcome]], patterns: Sequence[str]
+) -> bool:
+    """Return whether a run has exit code 1.
+
+    Args:
+        outcomes: Id or name of the experiment and outcome of each episode.
+        patterns: Requested ids, patterns and task files; experiments of a pattern may be unsupported.
+    """
+    named: set[str] = set()
+    for pattern in patterns:
+        if not is_glob(pattern):
+            named |= {variant.name for variant in matching_variants(pattern)}
+    for name, outcome in outcomes:
+        if outcome in (Outcome.FAILED, Outcome.DIVERGED):
+            return True
+        if outcome is Outcome.UNSUPPORTED and short_id(name) in named:
+            return True
+    return False
+
+
+# --- sweeps ---
+
+COUNTS = {
+    "runs": "runs",
+    "episodes": "episodes",
+    "left": "left",
+    "unsupported": "unsupported",
+    "simulated_s": "simulated [s]",
+}
+"""Numbers of a plan and their titles."""
+
+
+def plan_document(runs: Sequence[PlannedRun], done: Container[str]) -> Document:
+    """Return the episodes of a plan and those that are left, for each engine.
+
+    The JSON rows have the numbers for each engine and experiment.
+
+    Args:
+        runs: The plan, grouped by engine and experiment.
+        done: Names of the existing result files.
+    """
+    numbers = [
+        Column(key, title, digits_text, is_number=True) for key, title in COUNTS.items()
+    ]
+    engines = list(_rows(runs, done, "backend"))
+    return Document(
+        parts=[Table(columns=(Column("backend", "engine"), *numbers), rows=engines)],
+        rows=list(_rows(runs, done, "backend", "experiment")),
+    )
+
+
+def _rows(
+    runs: Iterable[PlannedRun], done: Container[str], *keys: str
+) -> Iterator[dict[str, Any]]:
+    """Yield the counts of neighbouring runs with equal attributes `keys`."""
+    for _, group in groupby(runs, attrgetter(*keys)):
+        members = list(group)
+        first = members[0]
+        left = [run for run in members for name in run.file_names if name not in done]
+        yield {
+            "backend": first.backend,
+            "experiment": first.experiment,
+            "runs": len(members),
+            "episodes": episode_count(members),
+            "left": len(left),
+            "unsupported": episode_count(run for run in members if run.unsupported),
+            "reason": first.unsupported,
+            "simulated_s": sum(run.duration_s for run in left if not run.unsupported),
+        }
+
+
+def outcome_table(episodes: Iterable[tuple[str, str, Outcome]]) -> Table:
+    """Return the number of episodes of each engine and outcome.
+
+    Args:
+        episodes: Engine, experiment and outcome of each episode.
+    """
+    counts = Counter((backend, outcome.value) for backend, _, outcome in episodes)
+    rows = [(*key, str(count)) for key, count in sorted(counts.items())]
+    return grid(("engine", "outcome", "episodes"), rows, number_from=2)

@@ -17,7 +17,7 @@ from gauge_envs.runs.batch import check_writable
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import write_result
 from gauge_envs.runs.workers import RequestWorker, run_tasks
-from gauge_envs.tools.sweep.plan import SweepRun
+from gauge_envs.tools.run.plan import PlannedRun
 
 SUBFOLDERS = {Outcome.FAILED: "failed", Outcome.UNSUPPORTED: "unsupported"}
 
@@ -26,25 +26,31 @@ def _folders(path: Path) -> list[Path]:
     return [path, *(path / name for name in SUBFOLDERS.values())]
 
 
-def earlier_outcomes(path: Path, notify: Callable[[str], None]) -> dict[str, Outcome]:
+def earlier_outcomes(
+    path: Path, notify: Callable[[str], None], *, without_failed: bool = False
+) -> dict[str, Outcome]:
     """Return the outcomes of the episodes in a folder, by file name.
 
     Args:
         path: The folder; it may be missing.
         notify: Receives a sentence for each damaged file, which is left out.
+        without_failed: Whether to leave out failed episodes, so that they run again.
     """
     outcomes = {}
     for folder in _folders(path):
         for file in folder.glob("[!.]*.json"):
             try:
-                outcomes[file.name] = Outcome(json.loads(file.read_bytes())["outcome"])
+                outcome = Outcome(json.loads(file.read_bytes())["outcome"])
             except (OSError, LookupError, TypeError, ValueError) as error:
                 notify(f"{file}: not a result file: {error}; run again")
+                continue
+            if not (without_failed and outcome is Outcome.FAILED):
+                outcomes[file.name] = outcome
     return outcomes
 
 
 def run_sweep(
-    tasks: Sequence[SweepRun], workers: Sequence[RequestWorker], path: Path
+    tasks: Sequence[PlannedRun], workers: Sequence[RequestWorker], path: Path
 ) -> Generator[Result, None, None]:
     """Run tasks on workers in parallel, and yield the results of a task after writing them.
 
@@ -56,8 +62,8 @@ def run_sweep(
     Example:
         >>> from tempfile import TemporaryDirectory
         >>> from gauge_envs.runs.workers import Limits, ProcessWorker
-        >>> from gauge_envs.tools.sweep.plan import plan_sweep, remaining_tasks
-        >>> from gauge_envs.tools.sweep.spec import sweep_spec
+        >>> from gauge_envs.tools.run.plan import plan_sweep, remaining_tasks
+        >>> from gauge_envs.tools.run.spec import sweep_spec
         >>> plan = plan_sweep(sweep_spec({"variants": ["SlopeSlider-2-*"], "settings": {"timestep_s": [1 / 1800]}}))
         >>> with TemporaryDirectory() as folder:
         ...     results = list(run_sweep(list(remaining_tasks(plan, ())), [ProcessWorker(Limits())], Path(folder)))
@@ -67,7 +73,7 @@ def run_sweep(
     for folder in _folders(path):
         check_writable(folder)
 
-    def perform(worker: RequestWorker, task: SweepRun) -> list[Result]:
+    def perform(worker: RequestWorker, task: PlannedRun) -> list[Result]:
         results = worker.run(task.request)
         for result, name in zip(results, task.file_names, strict=True):
             write_result(result, path / SUBFOLDERS.get(result.outcome, "") / name)

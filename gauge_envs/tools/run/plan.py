@@ -22,13 +22,13 @@ from gauge_envs.backends import (
 )
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.variants import Variant, matching_variants
+from gauge_envs.experiments.variants import matching_variants
 from gauge_envs.files import json_ready
 from gauge_envs.registry import package_versions
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.workers import call_engine
 from gauge_envs.scene.jitter import JITTER_FORMAT, Jitter
-from gauge_envs.tools.sweep.spec import SweepSpec
+from gauge_envs.tools.run.spec import SweepSpec
 
 MAX_EPISODES = 1_000_000
 """Largest number of episodes of an engine."""
@@ -38,7 +38,7 @@ KEY_LENGTH = 16
 
 
 @dataclass(frozen=True)
-class SweepRun:
+class PlannedRun:
     """Episodes with consecutive seeds of one experiment, engine and choice of parameters and settings.
 
     Attributes:
@@ -65,28 +65,27 @@ class SweepRun:
     @property
     def file_names(self) -> list[str]:
         """Names of the result files, one for each episode."""
-        keys = [
-            hashlib.sha256(f"{self.sha256}:{seed}".encode()).hexdigest()[:KEY_LENGTH]
-            for seed in self.request.seeds
-        ]
-        return [f"{self.experiment}.{self.backend}.{key}.json" for key in keys]
+        return [self._file_name(seed) for seed in self.request.seeds]
+
+    def _file_name(self, seed: int) -> str:
+        key = hashlib.sha256(f"{self.sha256}:{seed}".encode()).hexdigest()
+        return f"{self.experiment}.{self.backend}.{key[:KEY_LENGTH]}.json"
 
 
-def episode_count(runs: Iterable[SweepRun]) -> int:
+def episode_count(runs: Iterable[PlannedRun]) -> int:
     """Return the number of episodes of runs."""
     return sum(run.request.repeats for run in runs)
 
 
-def plan_sweep(spec: SweepSpec) -> list[SweepRun]:
+def plan_sweep(spec: SweepSpec) -> list[PlannedRun]:
     """Return the runs of a sweep without repetition, grouped by engine and experiment. This builds no simulation.
 
     Raises:
         ParameterError: The sweep is too large, or an engine or all experiments reject a value.
         UnknownNameError: An engine or experiment does not exist.
     """
-    variants = dict.fromkeys(chain.from_iterable(map(matching_variants, spec.variants)))
-    subjects = _subjects(spec, variants)
-    runs: dict[str, SweepRun] = {}
+    subjects = _subjects(spec)
+    runs: dict[str, PlannedRun] = {}
     for backend in spec.backends:
         lists = spec.setting_lists(backend)
         choice_count = prod(map(len, lists.values()))
@@ -102,43 +101,61 @@ def plan_sweep(spec: SweepSpec) -> list[SweepRun]:
     return list(runs.values())
 
 
-Subject = tuple[RunRequest, Experiment, str | None]
-"""A request, its experiment, and the reason why the parameters are rejected; the experiment is then calibrated."""
+@dataclass(frozen=True)
+class _Subject:
+    """An experiment with a choice of parameters.
+
+    Attributes:
+        request: The request without an engine and its settings, with the effective jitter.
+        experiment: The experiment; it is calibrated if the parameters are rejected.
+        rejected: Why the parameters are rejected; None if they are not.
+    """
+
+    request: RunRequest
+    experiment: Experiment
+    rejected: str | None = None
 
 
-def _subjects(spec: SweepSpec, variants: Iterable[Variant]) -> list[Subject]:
+def _subjects(spec: SweepSpec) -> list[_Subject]:
     """Return each experiment with each choice of parameters.
 
     Raises:
         ParameterError: All experiments reject a choice of parameters.
     """
     jitter = None if spec.jitter is None else Jitter(**spec.jitter)
-    subjects: list[Subject] = []
-    for variant, parameters in product(variants, spec.parameters):
-        request = RunRequest(
-            variant,
-            parameters=parameters,
-            seed=spec.seed,
-            repeats=spec.repeats,
-            jitter=jitter,
+    variants = dict.fromkeys(chain.from_iterable(map(matching_variants, spec.variants)))
+    subjects = [
+        _subject(
+            RunRequest(
+                variant,
+                parameters=parameters,
+                seed=spec.seed,
+                repeats=spec.repeats,
+                jitter=jitter,
+            )
         )
-        request = replace(request, jitter=request.scatter)
-        reason = None
-        try:
-            experiment = request.experiment()
-        except ParameterError as error:
-            experiment, reason = request.calibrated_experiment(), str(error)
-        subjects.append((request, experiment, reason))
+        for variant, parameters in product(variants, spec.parameters)
+    ]
     for index in range(len(spec.parameters)):
-        reasons = [cause for *_, cause in subjects[index :: len(spec.parameters)]]
-        if all(reasons):
+        of_choice = subjects[index :: len(spec.parameters)]
+        reasons = [subject.rejected for subject in of_choice if subject.rejected]
+        if len(reasons) == len(of_choice):
             raise ParameterError(reasons[0])
     return subjects
 
 
+def _subject(request: RunRequest) -> _Subject:
+    """Return the subject of a request."""
+    request = replace(request, jitter=request.scatter)
+    try:
+        return _Subject(request, request.experiment())
+    except ParameterError as error:
+        return _Subject(request, request.calibrated_experiment(), str(error))
+
+
 def _engine_runs(
-    backend: str, subjects: Sequence[Subject], choices: Sequence[Mapping[str, Any]]
-) -> list[SweepRun]:
+    backend: str, subjects: Sequence[_Subject], choices: Sequence[Mapping[str, Any]]
+) -> list[PlannedRun]:
     """Return the runs of an engine, with its versions and its support for each experiment.
 
     Args:
@@ -147,40 +164,45 @@ def _engine_runs(
         choices: Settings that replace settings of the presets.
     """
     engine = backend_for(backend, None)
-    shares_worlds = (
-        engine.worlds_share_simulation
-        and type(engine).build_worlds is not Backend.build_worlds
-    )
+    is_batched = type(engine).build_worlds is not Backend.build_worlds
+    versions = {
+        **versions_of(backend),
+        "gauge-envs": package_versions()["gauge-envs"],
+    }
     runs = []
-    for request, experiment, reason in subjects:
+    for subject in subjects:
+        experiment = subject.experiment
         support = support_of(backend, experiment.scene, experiment.model_file)
-        jitter = request.jitter
-        content = {
-            "experiment": experiment.id,
-            "task": experiment.file_sha256,
-            "scene": asdict(experiment.scene),
-            "backend": backend,
-            "versions": versions_of(backend)
-            | {"gauge-envs": package_versions()["gauge-envs"]},
-            "parameters": request.parameters,
-            "jitter": jitter and {**jitter.to_dict(), "format": JITTER_FORMAT},
-        }
+        content = _content(subject) | {"backend": backend, "versions": versions}
         for settings in choices:
-            effective = settings
+            content["settings"] = settings
             if support:
-                effective = _effective_settings(engine, experiment, settings)
-            content["settings"] = effective
+                content["settings"] = _effective_settings(engine, experiment, settings)
             text = json.dumps(json_ready(content), sort_keys=True)
-            run = SweepRun(
-                request=replace(request, backend=backend, settings=settings or None),
+            run = PlannedRun(
+                request=replace(
+                    subject.request, backend=backend, settings=settings or None
+                ),
                 experiment=experiment.name,
                 sha256=hashlib.sha256(text.encode()).hexdigest(),
-                shares_worlds=shares_worlds,
-                unsupported="; ".join(support.missing) or reason,
+                shares_worlds=engine.worlds_share_simulation and is_batched,
+                unsupported="; ".join(support.missing) or subject.rejected,
                 duration_s=experiment.scene.duration_s,
             )
             runs.append(run)
     return runs
+
+
+def _content(subject: _Subject) -> dict[str, Any]:
+    """Return what identifies the episodes of a subject, beyond the engine and its settings."""
+    experiment, jitter = subject.experiment, subject.request.jitter
+    return {
+        "experiment": experiment.id,
+        "task": experiment.file_sha256,
+        "scene": asdict(experiment.scene),
+        "parameters": subject.request.parameters,
+        "jitter": jitter and {**jitter.to_dict(), "format": JITTER_FORMAT},
+    }
 
 
 def _effective_settings(
@@ -206,8 +228,8 @@ def _effective_settings(
 
 
 def remaining_tasks(
-    runs: Iterable[SweepRun], done: Container[str]
-) -> Iterator[SweepRun]:
+    runs: Iterable[PlannedRun], done: Container[str]
+) -> Iterator[PlannedRun]:
     """Yield the episodes without a file as tasks; one call runs a task.
 
     If the engine builds repeats as worlds of one simulation, consecutive repeats are one task. Otherwise each episode
@@ -228,7 +250,7 @@ def remaining_tasks(
                 yield replace(run, request=request)
 
 
-def part_of(runs: list[SweepRun], text: str) -> list[SweepRun]:
+def part_of(runs: list[PlannedRun], text: str) -> list[PlannedRun]:
     """Return a part of a plan. Neighbouring runs have the same engine and experiment, so they stay together.
 
     Args:
@@ -239,9 +261,10 @@ def part_of(runs: list[SweepRun], text: str) -> list[SweepRun]:
         ParameterError: The part does not exist.
     """
     match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
-    number, count = map(int, match.groups()) if match else (0, 0)
-    if number >= count:
-        raise ParameterError(
-            f"--shard {text!r}: expected NUMBER/COUNT with NUMBER from 0 to COUNT - 1, for example 0/16"
-        )
-    return runs[number * len(runs) // count : (number + 1) * len(runs) // count]
+    if match is not None:
+        number, count = map(int, match.groups())
+        if number < count:
+            return runs[number * len(runs) // count : (number + 1) * len(runs) // count]
+    raise ParameterError(
+        f"--shard {text!r}: expected NUMBER/COUNT with NUMBER from 0 to COUNT - 1, for example 0/16"
+    )

@@ -7,8 +7,8 @@ from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.errors import ParameterError, SweepFileError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.tools.sweep.plan import remaining_tasks
-from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
+from gauge_envs.tools.run.plan import remaining_tasks
+from gauge_envs.tools.run.spec import load_sweep_file, sweep_spec
 
 WOOD = "SlopeSlider-2-wood"
 SLIDE = 'variants = ["SlopeSlider-2-*"]\n'

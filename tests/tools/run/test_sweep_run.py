@@ -18,9 +18,9 @@ from sweep_workers import (
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
-from gauge_envs.tools.sweep import command
-from gauge_envs.tools.sweep.folder import run_sweep
-from gauge_envs.tools.sweep.plan import remaining_tasks
+from gauge_envs.tools.run import command
+from gauge_envs.tools.run.folder import run_sweep
+from gauge_envs.tools.run.plan import remaining_tasks
 
 WOOD, METAL = "SlopeSlider-2-wood", "SlopeSlider-2-metal"
 QUICK = {"timestep_s": [1 / 360, 1 / 720]}

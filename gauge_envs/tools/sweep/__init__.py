@@ -1,1 +1,0 @@
-"""Run resumable sweeps over engines, settings, parameters and experiments."""
