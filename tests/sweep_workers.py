@@ -12,8 +12,8 @@ from gauge_envs.runs.episodes import run_request
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.runs.workers import Limits, ProcessWorker
 from gauge_envs.tools.run.folder import earlier_outcomes, run_sweep
-from gauge_envs.tools.run.plan import plan_sweep, remaining_tasks
-from gauge_envs.tools.run.spec import sweep_spec
+from gauge_envs.tools.run.plan import plan_runs, remaining_tasks
+from gauge_envs.tools.run.spec import run_spec
 
 needs_rapier = pytest.mark.skipif(
     find_spec("rapier3d") is None, reason="extra 'rapier' is absent"
@@ -61,7 +61,7 @@ def mortal_worker(*seeds):
 
 
 def planned(**values):
-    return plan_sweep(sweep_spec({"variants": ["SlopeSlider-2-wood"]} | values))
+    return plan_runs(run_spec({"variants": ["SlopeSlider-2-wood"]} | values))
 
 
 def swept(plan, folder, *workers, retry_failed=False, notify=lambda text: None):

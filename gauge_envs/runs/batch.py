@@ -5,14 +5,10 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from gauge_envs.backends import backend_for, engine_call, support_of
-from gauge_envs.envs.arguments import check_support
-from gauge_envs.errors import GaugeError, ParameterError, ResultFileError
-from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.files import os_errors
 from gauge_envs.runs.episodes import results_without_run
 from gauge_envs.runs.request import RunRequest
@@ -20,65 +16,14 @@ from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 from gauge_envs.runs.workers import (
     TIME_LIMIT_S,
-    CrashError,
     Limits,
     ProcessWorker,
-    call_engine,
     run_tasks,
 )
 
 Notify = Callable[[str], None]
 
-CHECK_LIMIT_S = 120.0
-"""Time limit of the check of a request in another process [s]."""
-
 _log = logging.getLogger(__name__)
-
-
-def check_requests(
-    requests: Sequence[RunRequest], *, isolate: bool | None = False
-) -> None:
-    """Raise an error that would fail every episode of a run.
-
-    Args:
-        requests: The run, on one or several backends.
-        isolate: See `run_many`. An engine that crashes here fails each of its episodes later.
-    """
-    runs: dict[str, list[tuple[RunRequest, Experiment]]] = {
-        request.backend: [] for request in requests
-    }
-    fault = None
-    for request in requests:
-        try:
-            runs[request.backend].append((request, request.experiment()))
-        except ParameterError as error:
-            fault = error
-    if fault is not None and not any(runs.values()):
-        raise fault
-    for name, of_engine in runs.items():
-        with suppress(CrashError):
-            call_engine(
-                name,
-                _check_backend,
-                name,
-                of_engine,
-                time_limit_s=CHECK_LIMIT_S,
-                isolate=isolate,
-            )
-
-
-def _check_backend(name: str, runs: Sequence[tuple[RunRequest, Experiment]]) -> None:
-    """Raise an error if a backend does not exist, cannot read the asset, or rejects the settings."""
-    engine = backend_for(name, runs[0][1].model_file if runs else None)
-    if runs and runs[0][0].asset is not None:
-        check_support(runs[0][1], name)
-    for request, experiment in runs:
-        if request.settings and support_of(
-            name, experiment.scene, experiment.model_file
-        ):
-            with engine_call(name, "build"):
-                engine.build(experiment.scene, request.settings).close()
-            return
 
 
 def run_many(

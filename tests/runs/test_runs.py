@@ -19,8 +19,8 @@ from gauge_envs import (
 )
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.envs.rollout import Rollout
-from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError
-from gauge_envs.runs.batch import check_requests, run_many
+from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import episode_result, run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
@@ -74,12 +74,7 @@ def test_a_run_equals_an_episode_of_the_environment(name):
     assert run.driver_provenance == ("nominal" if "-3-" in name else None)
 
 
-def test_wrong_requests_and_folders_raise_an_error_before_a_run(played):
-    for wrong in ({"parameters": "nonsense"}, {"settings": {"nope": 1}}):
-        with pytest.raises(ParameterError):
-            check_requests([replace(request, **wrong) for request in THREE])
-    with pytest.raises(UnknownNameError):
-        check_requests([replace(request, backend="warp") for request in THREE])
+def test_a_folder_that_is_not_writable_raises_an_error_before_a_run(played):
     for out in ("/proc/nowhere", __file__, f"{__file__}/below"):
         with pytest.raises(ResultFileError, match="cannot be written"):
             run_many(THREE, out=Path(out))

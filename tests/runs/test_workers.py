@@ -22,7 +22,7 @@ from gauge_envs.cli.app import app
 from gauge_envs.errors import GaugeError, ParameterError
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.runs import workers
-from gauge_envs.runs.batch import check_requests, run_many
+from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.workers import CrashError, Worker
 from gauge_envs.tools.catalog import listing
@@ -69,13 +69,6 @@ def test_a_setting_without_a_json_form_loses_its_episode(installed, tmp_path):
     broken, healthy = run_many(requests, out=tmp_path / "out")
     assert "backend 'no-json': setting 'pool' is a set" in broken.error
     assert healthy.error is None
-
-
-def test_settings_are_checked_in_the_other_process(installed):
-    installed("well")
-    request = RunRequest(WOOD, backend="well", settings={"nope": 1})
-    with pytest.raises(GaugeError, match="MuJoCo setting 'nope'"):
-        check_requests([request], isolate=None)
 
 
 def test_a_list_names_broken_engines_with_their_cause(installed, monkeypatch):

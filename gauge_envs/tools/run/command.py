@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -37,6 +36,16 @@ def run(
     ids: arguments.Ids = None,
     *,
     options: RunOptions,
+    resume: Annotated[
+        bool,
+        arguments.option(
+            arguments.SELECTION, "Keep results that exist already.", "--resume"
+        ),
+    ] = False,
+    out: Annotated[Path, arguments.folder("Folder for the result files.")] = Path(
+        "results"
+    ),
+    details: arguments.Details = False,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Run experiments, score each against its reference, and write a result file for each.
@@ -44,32 +53,24 @@ def run(
     The pattern '*' matches all. Engines of other packages run in another process. Exit code 1: an episode failed or
     diverged, or an experiment given by its id is unsupported. Experiments of a pattern may be unsupported.
     """
-    from gauge_envs.experiments.variants import matching_variants
-    from gauge_envs.runs.batch import check_requests, run_many
+    from gauge_envs.runs.batch import run_many
+    from gauge_envs.tools.run.plan import plan_runs
     from gauge_envs.tools.run.report import has_failed, summary_document, totals_text
 
     if not ids:
         raise ParameterError(
             "nothing to run: give ids or patterns such as '*'; gauge list shows them"
         )
-    requests = options.requests(chain.from_iterable(map(matching_variants, ids)))
-    first = requests[0]
-    if first.seed and first.jitter is None and first.repeats == 1:
-        note(
-            f"--seed {first.seed} changes nothing: the initial state has no noise. Add --jitter real."
-        )
+    requests = [planned.request for planned in plan_runs(options.spec(ids))]
+    for text in _without_effect(requests):
+        note(text)
     limits = options.limits()
     is_limited = options.isolate or options.timeout or options.memory
-    is_apart = True if is_limited else None
-    check_requests(requests, isolate=is_apart)
-    for text in _unused_restitutions(requests):
-        note(text)
-    out = options.out
     episodes = run_many(
         requests,
         out=out,
-        resume=options.resume,
-        isolate=is_apart,
+        resume=resume,
+        isolate=True if is_limited else None,
         time_limit_s=limits.time_limit_s,
         memory_limit_gb=limits.memory_limit_gb,
         notify=note,
@@ -87,17 +88,19 @@ def run(
         message(f"stopped: {totals_text(results, out)}; {continues}")
         raise
     if form is not Format.JSON:
-        is_detailed = options.details or form is Format.WIDE
-        document = summary_document(results, details=is_detailed)
-        print_document(document, form)
+        is_detailed = details or form is Format.WIDE
+        print_document(summary_document(results, details=is_detailed), form)
     message(totals_text(results, out))
     return has_failed([(result.id, result.outcome) for result in results], ids)
 
 
-def _unused_restitutions(requests: Sequence[RunRequest]) -> list[str]:
-    """Return a sentence for each experiment with a restitution of the user that has no effect."""
+def _without_effect(requests: Sequence[RunRequest]) -> list[str]:
+    """Return a sentence for each seed and restitution of the user that has no effect."""
     texts: dict[str, None] = {}
     for request in {request.variant: request for request in requests}.values():
+        if request.seed and request.jitter is None and request.repeats == 1:
+            text = "changes nothing: the initial state has no noise. Add --jitter real."
+            texts[f"--seed {request.seed} {text}"] = None
         # Some experiments of a pattern do not have the parameters.
         with suppress(ParameterError):
             texts[request.experiment().unused_restitution] = None
@@ -135,13 +138,13 @@ def sweep(
     from gauge_envs.tools.run.plan import (
         episode_count,
         part_of,
-        plan_sweep,
+        plan_runs,
         remaining_tasks,
     )
     from gauge_envs.tools.run.report import has_failed, outcome_table, plan_document
 
-    spec = options.spec(file)
-    runs = part_of(plan_sweep(spec), options.shard)
+    spec = options.spec_of(file)
+    runs = part_of(plan_runs(spec), options.shard)
     out = options.out
     earlier = earlier_outcomes(out, note, without_failed=options.retry_failed)
     tasks = list(remaining_tasks(runs, earlier))

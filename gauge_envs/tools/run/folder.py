@@ -62,9 +62,9 @@ def run_sweep(
     Example:
         >>> from tempfile import TemporaryDirectory
         >>> from gauge_envs.runs.workers import Limits, ProcessWorker
-        >>> from gauge_envs.tools.run.plan import plan_sweep, remaining_tasks
-        >>> from gauge_envs.tools.run.spec import sweep_spec
-        >>> plan = plan_sweep(sweep_spec({"variants": ["SlopeSlider-2-*"], "settings": {"timestep_s": [1 / 1800]}}))
+        >>> from gauge_envs.tools.run.plan import plan_runs, remaining_tasks
+        >>> from gauge_envs.tools.run.spec import run_spec
+        >>> plan = plan_runs(run_spec({"variants": ["SlopeSlider-2-*"], "settings": {"timestep_s": [1 / 1800]}}))
         >>> with TemporaryDirectory() as folder:
         ...     results = list(run_sweep(list(remaining_tasks(plan, ())), [ProcessWorker(Limits())], Path(folder)))
         >>> [result.outcome.value for result in results]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -13,18 +13,27 @@ from gauge_envs.cli import arguments
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
-    from gauge_envs.experiments.variants import Variant
-    from gauge_envs.runs.request import RunRequest
     from gauge_envs.runs.workers import Limits
     from gauge_envs.scene.jitter import Jitter
-    from gauge_envs.tools.run.spec import SweepSpec
+    from gauge_envs.tools.run.spec import RunSpec
 
 
 @dataclass(frozen=True, kw_only=True)
-class EpisodeOptions:
+class RunOptions:
     """Options of both commands; None stands for an option that is not given."""
 
     parameters: arguments.Parameters = None
+    asset: arguments.Asset = None
+    use: arguments.Use = None
+    marker_proxy: Annotated[
+        Literal["material", "node"] | None,
+        arguments.option(
+            arguments.SCENE,
+            "A marker on a deformable body: material, or node for its nearest node (paper).",
+            "--marker-proxy",
+            show_default="material",
+        ),
+    ] = None
     jitter: Annotated[
         list[str] | None,
         arguments.option(
@@ -82,6 +91,36 @@ class EpisodeOptions:
         ),
     ] = None
 
+    def spec(self, variants: Sequence[str]) -> RunSpec:
+        """Return a run of experiments.
+
+        Args:
+            variants: Ids, patterns or task files.
+        """
+        from gauge_envs.tools.run.spec import run_spec
+
+        settings = arguments.parsed_settings(self.settings) or {}
+        values = self._given()
+        values["variants"] = list(variants)
+        values["settings"] = {name: [value] for name, value in settings.items()}
+        return run_spec(values)
+
+    def _given(self) -> dict[str, Any]:
+        """Return the values of the given options, without settings, by the keys of `RunSpec`."""
+        jitter = parsed_jitter(self.jitter)
+        values: dict[str, Any] = {
+            "backends": self.backend,
+            "parameters": parameter_sets(self.parameters),
+            "marker_proxy": self.marker_proxy,
+            "asset": self.asset and str(self.asset),
+            "seed": self.seed,
+            "repeats": self.repeats,
+            "jitter": jitter and jitter.to_dict(),
+        }
+        if self.use:
+            values |= arguments.parsed_use(self.use, "drivers", "reference")
+        return {key: value for key, value in values.items() if value is not None}
+
     def limits(self) -> Limits:
         """Return the limits of worker processes."""
         from gauge_envs.runs.workers import TIME_LIMIT_S, Limits
@@ -92,57 +131,7 @@ class EpisodeOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions(EpisodeOptions):
-    """Options of `gauge run`."""
-
-    asset: arguments.Asset = None
-    use: arguments.Use = None
-    marker_proxy: Annotated[
-        Literal["material", "node"],
-        arguments.option(
-            arguments.SCENE,
-            "A marker on a deformable body: material, or node for its nearest node (paper).",
-        ),
-    ] = "material"
-    resume: Annotated[
-        bool,
-        arguments.option(
-            arguments.SELECTION, "Keep results that exist already.", "--resume"
-        ),
-    ] = False
-    out: Annotated[Path, arguments.folder("Folder for the result files.")] = Path(
-        "results"
-    )
-    details: arguments.Details = False
-
-    def requests(self, variants: Iterable[Variant]) -> list[RunRequest]:
-        """Return a request for each engine and variant."""
-        from gauge_envs.runs.request import RunRequest
-
-        repeats = self.repeats or 1
-        jitter = parsed_jitter(self.jitter)
-        if repeats == 1 and jitter is not None and not any(jitter.to_dict().values()):
-            jitter = None
-        common: dict[str, Any] = {
-            "parameters": parsed_parameters(self.parameters) or "calibrated",
-            "settings": arguments.parsed_settings(self.settings),
-            "asset": self.asset,
-            "marker_proxy": self.marker_proxy,
-            "jitter": jitter,
-            "seed": self.seed or 0,
-            "repeats": repeats,
-            **arguments.parsed_use(self.use, "drivers", "reference"),
-        }
-        distinct = list(dict.fromkeys(variants))
-        return [
-            RunRequest(variant, backend=engine, **common)
-            for engine in dict.fromkeys(self.backend or ["mujoco"])
-            for variant in distinct
-        ]
-
-
-@dataclass(frozen=True, kw_only=True)
-class SweepOptions(EpisodeOptions):
+class SweepOptions(RunOptions):
     """Options of `gauge sweep`; a given option replaces the key of the sweep file."""
 
     preset: Annotated[
@@ -208,22 +197,16 @@ class SweepOptions(EpisodeOptions):
         "sweep"
     )
 
-    def spec(self, file: Path | None) -> SweepSpec:
+    def spec_of(self, file: Path | None) -> RunSpec:
         """Return the sweep of a file, with its keys replaced by given options."""
-        from gauge_envs.tools.run.spec import load_sweep_file, sweep_spec
+        from gauge_envs.tools.run.spec import load_sweep_file, run_spec
 
         values = {} if file is None else load_sweep_file(file)
-        jitter = parsed_jitter(self.jitter)
-        given = {
-            "backends": self.backend,
-            "variants": self.only,
-            "presets": self.preset,
-            "parameters": parameter_sets(self.parameters),
-            "repeats": self.repeats,
-            "seed": self.seed,
-            "jitter": jitter and jitter.to_dict(),
-        }
-        values |= {key: value for key, value in given.items() if value is not None}
+        values |= self._given()
+        if self.only:
+            values["variants"] = self.only
+        if self.preset:
+            values["presets"] = self.preset
         if "variants" not in values:
             raise ParameterError(
                 "nothing to run: give a sweep file or experiments, for example --only 'SlopeSlider-2-*'"
@@ -234,7 +217,7 @@ class SweepOptions(EpisodeOptions):
             engine, dot, key = name.rpartition(".")
             table = settings.setdefault(engine, {}) if dot else settings
             table[key] = list(map(arguments.value_of, arguments.split_values(texts)))
-        return sweep_spec(values)
+        return run_spec(values)
 
 
 # --- values ----------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Plan a sweep: list every episode once, with the name of its result file, before a run."""
+"""Plan a run: check it, and list every episode once, with the name of its result file, before the first one runs."""
 
 from __future__ import annotations
 
@@ -24,14 +24,18 @@ from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import matching_variants
 from gauge_envs.files import json_ready
+from gauge_envs.references.imported import dataset_record
 from gauge_envs.registry import package_versions
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.workers import call_engine
-from gauge_envs.scene.jitter import JITTER_FORMAT, Jitter
-from gauge_envs.tools.run.spec import SweepSpec
+from gauge_envs.runs.workers import CrashError, call_engine
+from gauge_envs.scene.jitter import JITTER_FORMAT
+from gauge_envs.tools.run.spec import RunSpec
 
 MAX_EPISODES = 1_000_000
 """Largest number of episodes of an engine."""
+
+ANSWER_LIMIT_S = 120.0
+"""Time limit of the questions to an engine outside this package [s]."""
 
 KEY_LENGTH = 16
 """Hexadecimal digits of a key in a file name. A million episodes collide with a probability of 3e-8."""
@@ -46,7 +50,7 @@ class PlannedRun:
         experiment: Name of the experiment.
         sha256: Hash of the common content of the episodes.
         shares_worlds: Whether the repeats run as worlds of one simulation.
-        unsupported: Reason why no episode can run, if known.
+        unsupported: Reason why no episode can run; empty if none is known.
         duration_s: Simulated time of an episode [s].
     """
 
@@ -54,7 +58,7 @@ class PlannedRun:
     experiment: str
     sha256: str
     shares_worlds: bool
-    unsupported: str | None
+    unsupported: str
     duration_s: float
 
     @property
@@ -77,16 +81,16 @@ def episode_count(runs: Iterable[PlannedRun]) -> int:
     return sum(run.request.repeats for run in runs)
 
 
-def plan_sweep(spec: SweepSpec) -> list[PlannedRun]:
-    """Return the runs of a sweep without repetition, grouped by engine and experiment. This builds no simulation.
+def plan_runs(spec: RunSpec) -> list[PlannedRun]:
+    """Return the runs of a request without repetition, grouped by engine and experiment. This builds no simulation.
 
     Raises:
-        ParameterError: The sweep is too large, or an engine or all experiments reject a value.
+        ParameterError: The request is too large, or an engine or all experiments reject a value.
         UnknownNameError: An engine or experiment does not exist.
     """
     subjects = _subjects(spec)
     runs: dict[str, PlannedRun] = {}
-    for backend in spec.backends:
+    for backend in dict.fromkeys(spec.backends):
         lists = spec.setting_lists(backend)
         choice_count = prod(map(len, lists.values()))
         if choice_count * len(subjects) * spec.repeats > MAX_EPISODES:
@@ -96,7 +100,7 @@ def plan_sweep(spec: SweepSpec) -> list[PlannedRun]:
         choices = [
             dict(zip(lists, values, strict=True)) for values in product(*lists.values())
         ]
-        for run in call_engine(backend, _engine_runs, backend, subjects, choices):
+        for run in _engine_runs(backend, subjects, choices):
             runs.setdefault(run.sha256, run)
     return list(runs.values())
 
@@ -108,39 +112,47 @@ class _Subject:
     Attributes:
         request: The request without an engine and its settings, with the effective jitter.
         experiment: The experiment; it is calibrated if the parameters are rejected.
-        rejected: Why the parameters are rejected; None if they are not.
+        rejected: Why the parameters are rejected; empty if they are not.
     """
 
     request: RunRequest
     experiment: Experiment
-    rejected: str | None = None
+    rejected: str = ""
+
+    def content(self) -> dict[str, Any]:
+        """Return what identifies the episodes, beyond the engine and its settings."""
+        experiment, jitter = self.experiment, self.request.jitter
+        return {
+            "experiment": experiment.id,
+            "task": experiment.file_sha256,
+            "scene": asdict(experiment.scene),
+            "asset": experiment.asset and experiment.asset.sha256,
+            "dataset": dataset_record(
+                experiment.name,
+                drivers=experiment.drivers,
+                reference=experiment.reference_source,
+            ),
+            "parameters": self.request.parameters,
+            "marker_proxy": self.request.proxy,
+            "jitter": jitter and {**jitter.to_dict(), "format": JITTER_FORMAT},
+        }
 
 
-def _subjects(spec: SweepSpec) -> list[_Subject]:
+def _subjects(spec: RunSpec) -> list[_Subject]:
     """Return each experiment with each choice of parameters.
 
     Raises:
         ParameterError: All experiments reject a choice of parameters.
     """
-    jitter = None if spec.jitter is None else Jitter(**spec.jitter)
     variants = dict.fromkeys(chain.from_iterable(map(matching_variants, spec.variants)))
     subjects = [
-        _subject(
-            RunRequest(
-                variant,
-                parameters=parameters,
-                seed=spec.seed,
-                repeats=spec.repeats,
-                jitter=jitter,
-            )
-        )
+        _subject(spec.request(variant, parameters))
         for variant, parameters in product(variants, spec.parameters)
     ]
     for index in range(len(spec.parameters)):
         of_choice = subjects[index :: len(spec.parameters)]
-        reasons = [subject.rejected for subject in of_choice if subject.rejected]
-        if len(reasons) == len(of_choice):
-            raise ParameterError(reasons[0])
+        if all(subject.rejected for subject in of_choice):
+            raise ParameterError(of_choice[0].rejected)
     return subjects
 
 
@@ -155,54 +167,85 @@ def _subject(request: RunRequest) -> _Subject:
 
 def _engine_runs(
     backend: str, subjects: Sequence[_Subject], choices: Sequence[Mapping[str, Any]]
-) -> list[PlannedRun]:
-    """Return the runs of an engine, with its versions and its support for each experiment.
+) -> Iterator[PlannedRun]:
+    """Yield the runs of an engine.
 
     Args:
         backend: Name of the engine.
         subjects: The experiments.
         choices: Settings that replace settings of the presets.
     """
-    engine = backend_for(backend, None)
-    is_batched = type(engine).build_worlds is not Backend.build_worlds
-    versions = {
-        **versions_of(backend),
-        "gauge-envs": package_versions()["gauge-envs"],
-    }
-    runs = []
-    for subject in subjects:
-        experiment = subject.experiment
-        support = support_of(backend, experiment.scene, experiment.model_file)
-        content = _content(subject) | {"backend": backend, "versions": versions}
-        for settings in choices:
-            content["settings"] = settings
-            if support:
-                content["settings"] = _effective_settings(engine, experiment, settings)
+    experiments = [subject.experiment for subject in subjects]
+    try:
+        answer = call_engine(
+            backend,
+            _answer_of,
+            backend,
+            experiments,
+            choices,
+            time_limit_s=ANSWER_LIMIT_S,
+        )
+    except CrashError:
+        # Each of its episodes will fail, but those of other engines run.
+        answer = _Answer({}, False, [""] * len(subjects), [choices] * len(subjects))
+    versions = {**answer.versions, "gauge-envs": package_versions()["gauge-envs"]}
+    for subject, missing, effective in zip(
+        subjects, answer.missing, answer.settings, strict=True
+    ):
+        content = subject.content() | {"backend": backend, "versions": versions}
+        for settings, content["settings"] in zip(choices, effective, strict=True):
             text = json.dumps(json_ready(content), sort_keys=True)
-            run = PlannedRun(
+            yield PlannedRun(
                 request=replace(
                     subject.request, backend=backend, settings=settings or None
                 ),
-                experiment=experiment.name,
+                experiment=subject.experiment.name,
                 sha256=hashlib.sha256(text.encode()).hexdigest(),
-                shares_worlds=engine.worlds_share_simulation and is_batched,
-                unsupported="; ".join(support.missing) or subject.rejected,
-                duration_s=experiment.scene.duration_s,
+                shares_worlds=answer.shares_worlds,
+                unsupported=missing or subject.rejected,
+                duration_s=subject.experiment.scene.duration_s,
             )
-            runs.append(run)
-    return runs
 
 
-def _content(subject: _Subject) -> dict[str, Any]:
-    """Return what identifies the episodes of a subject, beyond the engine and its settings."""
-    experiment, jitter = subject.experiment, subject.request.jitter
-    return {
-        "experiment": experiment.id,
-        "task": experiment.file_sha256,
-        "scene": asdict(experiment.scene),
-        "parameters": subject.request.parameters,
-        "jitter": jitter and {**jitter.to_dict(), "format": JITTER_FORMAT},
-    }
+@dataclass(frozen=True)
+class _Answer:
+    """What an engine knows of experiments before it builds them.
+
+    Attributes:
+        versions: Versions of its packages.
+        shares_worlds: Whether it builds repeats as worlds of one simulation.
+        missing: What each experiment has that the engine does not support, or empty.
+        settings: All settings of the engine, for each experiment and choice.
+    """
+
+    versions: Mapping[str, str]
+    shares_worlds: bool
+    missing: list[str]
+    settings: list[Sequence[Mapping[str, Any]]]
+
+
+def _answer_of(
+    backend: str,
+    experiments: Sequence[Experiment],
+    choices: Sequence[Mapping[str, Any]],
+) -> _Answer:
+    """Return the answer of an engine; its process calls this."""
+    engine = backend_for(backend, experiments[0].model_file)
+    is_batched = type(engine).build_worlds is not Backend.build_worlds
+    answer = _Answer(
+        versions_of(backend), engine.worlds_share_simulation and is_batched, [], []
+    )
+    for experiment in experiments:
+        support = support_of(backend, experiment.scene, experiment.model_file)
+        answer.missing.append("; ".join(support.missing))
+        effective = choices
+        if support:
+            effective = [
+                _effective_settings(engine, experiment, settings)
+                for settings in choices
+            ]
+        answer.settings.append(effective)
+    return answer
 
 
 def _effective_settings(
@@ -220,10 +263,7 @@ def _effective_settings(
         # The preset does not apply to this scene: the episode is unsupported.
         return settings
     except GaugeError as error:
-        raise ParameterError(
-            f"{experiment.name} on {engine.name}: {error}. Put a setting or preset of one engine in the table "
-            f"[settings.{engine.name}]"
-        ) from None
+        raise ParameterError(f"{experiment.name} on {engine.name}: {error}") from None
     return settings if resolved is None else resolved
 
 

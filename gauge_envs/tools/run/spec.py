@@ -1,4 +1,4 @@
-"""Read the content of a sweep from a file or from keywords.
+"""What a run consists of, from options and a sweep file. A run of one combination and a sweep are the same.
 
 A sweep file::
 
@@ -33,8 +33,10 @@ from pydantic import (
 )
 
 from gauge_envs.errors import ParameterError, SweepFileError
-from gauge_envs.experiments.variants import is_task_path
+from gauge_envs.experiments.variants import Variant, is_task_path
 from gauge_envs.files import os_errors
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.scene.jitter import Jitter
 from gauge_envs.text import toml_document
 from gauge_envs.validation import first_fault
 
@@ -46,8 +48,8 @@ JitterKey = Literal[
 """Standard deviations of initial poses and velocities; see `gauge_envs.Jitter`."""
 
 
-class SweepSpec(BaseModel):
-    """Content of a sweep. The episodes are the product of its lists.
+class RunSpec(BaseModel):
+    """Content of a run or a sweep. The episodes are the product of its lists.
 
     Attributes:
         backends: Names of engines.
@@ -59,6 +61,10 @@ class SweepSpec(BaseModel):
         jitter: Standard deviations of the initial state. None means the default jitter for repeats, and no jitter for
             a single episode.
         settings: A list of values for each numerical setting, and a table of such lists under the name of an engine.
+        marker_proxy: As for `gauge_envs.GaugeEnv`; likewise the following.
+        drivers: `bundled` or `imported`.
+        reference: `bundled` or `imported`.
+        asset: File with the scene in place of the task file.
     """
 
     model_config = ConfigDict(
@@ -73,9 +79,13 @@ class SweepSpec(BaseModel):
     seed: NonNegativeInt = 0
     jitter: dict[JitterKey, NonNegativeFloat] | None = None
     settings: dict[str, JsonValue] = {}
+    marker_proxy: str = "material"
+    drivers: str = "bundled"
+    reference: str = "bundled"
+    asset: str | None = None
 
     @model_validator(mode="after")
-    def _check_settings(self) -> SweepSpec:
+    def _check_settings(self) -> RunSpec:
         for name, values in self.settings.items():
             if isinstance(values, dict) != (name in self.backends):
                 raise ValueError(
@@ -89,6 +99,24 @@ class SweepSpec(BaseModel):
                     )
         return self
 
+    def request(self, variant: Variant, parameters: Any) -> RunRequest:
+        """Return the request of an experiment with a choice of parameters, without an engine and its settings."""
+        jitter = None
+        # A single episode without noise starts from the initial state of the experiment.
+        if self.jitter is not None and (self.repeats > 1 or any(self.jitter.values())):
+            jitter = Jitter(**self.jitter)
+        return RunRequest(
+            variant,
+            parameters=parameters,
+            marker_proxy=self.marker_proxy,
+            drivers=self.drivers,
+            reference=self.reference,
+            asset=self.asset,
+            seed=self.seed,
+            repeats=self.repeats,
+            jitter=jitter,
+        )
+
     def setting_lists(self, backend: str) -> dict[str, list[Any]]:
         """Return the values of each setting for an engine. The table of the engine replaces common values."""
         lists: dict[str, Any] = {"preset": self.presets} if self.presets else {}
@@ -99,7 +127,7 @@ class SweepSpec(BaseModel):
         return lists | of_engine
 
 
-def sweep_spec(values: dict[str, Any], file: Path | None = None) -> SweepSpec:
+def run_spec(values: dict[str, Any], file: Path | None = None) -> RunSpec:
     """Return the sweep of keywords, the keys of a sweep file.
 
     Args:
@@ -111,11 +139,11 @@ def sweep_spec(values: dict[str, Any], file: Path | None = None) -> SweepSpec:
         SweepFileError: A value of a file is wrong.
     """
     try:
-        return SweepSpec.model_validate(values)
+        return RunSpec.model_validate(values)
     except ValidationError as error:
         key, reason = first_fault(error)
         if reason in ("unknown key", "missing key"):
-            reason = f"{reason}; keys: {', '.join(SweepSpec.model_fields)}"
+            reason = f"{reason}; keys: {', '.join(RunSpec.model_fields)}"
         if file is not None:
             raise SweepFileError(file, key, reason) from None
         raise ParameterError(": ".join(filter(None, (key, reason)))) from None
@@ -124,10 +152,10 @@ def sweep_spec(values: dict[str, Any], file: Path | None = None) -> SweepSpec:
 def load_sweep_file(path: Path) -> dict[str, Any]:
     """Read a sweep file and check it.
 
-    Paths of task files are relative to the folder of the file.
+    Paths of task files and of the asset are relative to the folder of the file.
 
     Returns:
-        Keys and values for `sweep_spec`.
+        Keys and values for `run_spec`.
 
     Raises:
         SweepFileError: The file cannot be read, or a value is wrong.
@@ -140,8 +168,11 @@ def load_sweep_file(path: Path) -> dict[str, Any]:
         values = toml_document(content)
     except ValueError as error:
         raise SweepFileError(path, None, f"not a TOML file: {error}") from error
-    values["variants"] = [
-        str(path.parent / name) if is_task_path(name) else name
-        for name in sweep_spec(values, path).variants
-    ]
+    spec = run_spec(values, path)
+    values["variants"] = list(spec.variants)
+    for index, name in enumerate(spec.variants):
+        if is_task_path(name):
+            values["variants"][index] = str(path.parent / name)
+    if spec.asset is not None:
+        values["asset"] = str(path.parent / spec.asset)
     return values

@@ -5,10 +5,11 @@ from sweep_workers import planned
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.settings import settings_for
-from gauge_envs.errors import ParameterError, SweepFileError
+from gauge_envs.errors import GaugeError, ParameterError, SweepFileError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.tools.run.plan import remaining_tasks
-from gauge_envs.tools.run.spec import load_sweep_file, sweep_spec
+from gauge_envs.tools.run.options import RunOptions
+from gauge_envs.tools.run.plan import plan_runs, remaining_tasks
+from gauge_envs.tools.run.spec import load_sweep_file, run_spec
 
 WOOD = "SlopeSlider-2-wood"
 SLIDE = 'variants = ["SlopeSlider-2-*"]\n'
@@ -32,7 +33,7 @@ def names(plan):
 
 def test_a_table_of_an_engine_replaces_the_common_list(tmp_path):
     (tmp_path / "sweep.toml").write_text(WHOLE)
-    spec = sweep_spec(load_sweep_file(tmp_path / "sweep.toml"))
+    spec = run_spec(load_sweep_file(tmp_path / "sweep.toml"))
     assert spec.setting_lists("mujoco") == {
         "preset": ["contact", "stack"],
         "timestep_s": [0.001, 0.0005],
@@ -109,3 +110,41 @@ def test_too_many_combinations_are_rejected():
     settings = {name: list(range(1001)) for name in ("iterations", "timestep_s")}
     with pytest.raises(ParameterError, match="more than 1,000,000 episodes"):
         planned(settings=settings)
+
+
+def test_settings_are_checked_in_the_process_of_the_engine(installed):
+    installed("well")
+    with pytest.raises(GaugeError, match="MuJoCo setting 'nope'"):
+        planned(backends=["well"], settings={"nope": [1]})
+
+
+def test_an_engine_that_crashes_in_the_plan_leaves_the_others(installed):
+    installed("supports-crash")
+    crashed, mujoco = planned(backends=["supports-crash", "mujoco"])
+    assert (crashed.backend, mujoco.backend) == ("supports-crash", "mujoco")
+    assert crashed.unsupported == ""
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"parameters": ["nonsense"]},
+        {"settings": {"nope": [1]}},
+        {"backends": ["warp"]},
+        {"asset": "none.usda"},
+        {"marker_proxy": "ghost"},
+    ],
+)
+def test_a_plan_rejects_what_fails_every_episode(wrong):
+    with pytest.raises(GaugeError, match=r"nonsense|nope|warp|none\.usda|ghost"):
+        planned(**wrong)
+
+
+def test_one_combination_is_a_run():
+    options = RunOptions(settings=["iterations=50"], repeats=2, marker_proxy="node")
+    (run,) = plan_runs(options.spec([WOOD]))
+    assert run.request.settings == {"iterations": 50}
+    assert run.request.marker_proxy == "node"
+    assert list(run.request.seeds) == [0, 1]
+    (plain,) = planned(settings={"iterations": [50]}, repeats=2)
+    assert not names([run]) & names([plain])
