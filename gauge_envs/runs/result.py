@@ -7,10 +7,11 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import PlainValidator
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready
@@ -41,23 +42,29 @@ class Outcome(StrEnum):
     """An error ended the episode or prevented it."""
 
 
-# 10,000 results take half a gigabyte as lists, and a sixth of that as arrays. Readers of files and the JSON Schema use
-# the types at run time.
-if TYPE_CHECKING:
-    Times = FloatArray
-    Rows = FloatArray
-else:
-    Times = list[float]
-    Rows = list[list[float | None]]
+def rows_of(values: ArrayLike) -> FloatArray:
+    """Return numbers as an array, with NaN for null and for values that are not finite.
 
-_NO_ROWS = np.empty((0, 0))
+    Raises:
+        ValueError: Rows differ in length, or a value is not a number.
+    """
+    try:
+        rows = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError("rows of equal length with numbers are expected") from None
+    rows[~np.isfinite(rows)] = np.nan
+    return rows
+
+
+Numbers = Annotated[FloatArray, PlainValidator(rows_of)]
+"""Array that a file stores as lists, with null for NaN."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedTrajectory:
     """Generalized trajectory of an episode, dense enough to plot and to score again.
 
-    A value that is not finite is NaN, and null in a file.
+    A value that is not finite is NaN, and null in a file. Arrays take a sixth of the memory of lists.
 
     Attributes:
         unit: Unit of the samples.
@@ -72,22 +79,23 @@ class RecordedTrajectory:
 
     unit: str
     coordinates: list[str]
-    times_s: Times
-    samples: Rows
-    later_times_s: Times = field(default_factory=lambda: np.empty(0))
-    later_samples: Rows = field(default_factory=lambda: _NO_ROWS)
-    markers_mm: Rows = field(default_factory=lambda: _NO_ROWS)
+    times_s: Numbers
+    samples: Numbers
+    later_times_s: Numbers = field(default_factory=lambda: np.empty(0))
+    later_samples: Numbers = field(default_factory=lambda: np.empty((0, 0)))
+    markers_mm: Numbers = field(default_factory=lambda: np.empty((0, 0)))
 
     def __post_init__(self) -> None:
-        width = len(self.coordinates)
-        for prefix in ("", "later_"):
-            times_s = np.array(getattr(self, f"{prefix}times_s"), dtype=np.float64)
-            samples = _rows(getattr(self, f"{prefix}samples"), width)
+        for times_s, samples in (
+            (self.times_s, self.samples),
+            (self.later_times_s, self.later_samples),
+        ):
             if len(samples) != len(times_s):
                 raise ValueError(f"{len(times_s)} times but {len(samples)} samples")
-            object.__setattr__(self, f"{prefix}times_s", times_s)
-            object.__setattr__(self, f"{prefix}samples", samples)
-        object.__setattr__(self, "markers_mm", _rows(self.markers_mm))
+            if len(samples) and samples.shape[1:] != (len(self.coordinates),):
+                raise ValueError(
+                    f"a sample does not have {len(self.coordinates)} coordinates"
+                )
 
     def __eq__(self, other: object) -> bool:
         """Return whether all values are the same; NaN equals NaN."""
@@ -114,16 +122,16 @@ class RecordedTrajectory:
         """
         duration_s = (experiment.frame_count - 1) / FRAME_RATE_HZ
         count = int(np.searchsorted(times_s, duration_s + ROUNDING_S))
-        markers_mm = _NO_ROWS
+        markers_mm = np.empty((0, 0))
         if markers_m is not None and markers_m.size:
             markers_mm = 1e3 * markers_m.reshape(len(markers_m), -1)
         return cls(
             unit=experiment.score.observable.unit,
             coordinates=list(experiment.coordinates),
             times_s=times_s[:count],
-            samples=samples[:count],
+            samples=rows_of(samples[:count]),
             later_times_s=times_s[count:],
-            later_samples=samples[count:],
+            later_samples=rows_of(samples[count:]),
             markers_mm=np.round(markers_mm, MARKER_DECIMALS),
         )
 
@@ -144,30 +152,12 @@ class RecordedTrajectory:
         Args:
             later: Whether to add the samples after the last frame.
         """
-        if not later:
+        if not later or not len(self.later_times_s):
             return self.times_s, self.samples
         return (
             np.concatenate([self.times_s, self.later_times_s]),
             np.concatenate([self.samples, self.later_samples]),
         )
-
-
-def _rows(values: ArrayLike, width: int | None = None) -> FloatArray:
-    """Return rows of numbers, with NaN for values that are not finite.
-
-    Raises:
-        ValueError: Rows differ in length, or have another width.
-    """
-    try:
-        rows = np.array(values, dtype=np.float64)
-    except ValueError:
-        raise ValueError("rows of a trajectory differ in length") from None
-    if len(rows) == 0:
-        return np.empty((0, width or 0))
-    if width is not None and rows.shape != (len(rows), width):
-        raise ValueError(f"a sample does not have {width} coordinates")
-    rows[~np.isfinite(rows)] = np.nan
-    return rows
 
 
 def recorded_frames(
@@ -203,12 +193,12 @@ class Result:
         wall_s: Wall time of reset and steps [s], without building the scene. Episodes that ran together share it
             evenly.
         cpu_s: CPU time of the process over the same span [s], all its threads, shared in the same way. Other processes
-            on the machine change it far less than `wall_s`. It has no time of a GPU. None in files of older versions.
+            on the machine change it far less than `wall_s`. It has no time of a GPU.
         sim_s: Simulated time [s].
         settings: All numerical settings of the engine.
         settings_given: The settings that the caller gave.
         versions: Versions of the engine, gauge-envs, gymnasium, numpy and python.
-        processor: The machine's processor, see `files.processor`; empty in files of older versions, and without a run.
+        processor: The machine's processor, see `processors.processor_name`; empty without a run.
         seed: Seed of the reset and of the jitter.
         jitter: Standard deviations of the start, or `trial`, the number of the imported trial that it is from; empty
             for the calibrated start.

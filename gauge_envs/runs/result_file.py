@@ -88,17 +88,6 @@ def load_result(file: Path) -> Result:
     return parse_result(text, str(file))
 
 
-OLDER_DEFAULTS: dict[str, Any] = {
-    "revision": 1,
-    "jitter": {},
-    "marker_proxy": MarkerProxy.NODE.value,
-    "asset": {},
-    "cpu_s": None,
-    "processor": "",
-}
-"""Values of keys that are missing in files of older versions."""
-
-
 def parse_result(text: bytes, name: str) -> Result:
     """Return the result in the content of a result file.
 
@@ -110,9 +99,6 @@ def parse_result(text: bytes, name: str) -> Result:
         content = json_document(text)
         if not isinstance(content, dict):
             raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
-        content = OLDER_DEFAULTS | content
-        if isinstance(content.setdefault("dataset", {}), dict):
-            content["dataset"] = BUNDLED_DATA | content["dataset"]
         if isinstance(content.get("score"), dict) and "kind" not in content["score"]:
             raise ValueError(OLD_SCORE)
         for key in fields(Result):
@@ -163,7 +149,10 @@ def _check(result: Result) -> None:
     choices = [
         ("score.kind", result.score.kind, Kind),
         ("marker_proxy", result.marker_proxy, MarkerProxy),
-        *((f"dataset.{key}", result.dataset[key], DataSource) for key in BUNDLED_DATA),
+        *(
+            (f"dataset.{key}", result.dataset.get(key), DataSource)
+            for key in BUNDLED_DATA
+        ),
     ]
     for key, value, known in choices:
         if value not in tuple(known):
@@ -178,7 +167,8 @@ def _check_trajectory(result: Result) -> None:
     if not trajectory.samples.size:
         raise ValueError("trajectory: it has no samples")
     times_s, samples = trajectory.arrays(later=True)
-    if (np.diff(times_s) <= 0.0).any():
+    # A comparison with NaN is false.
+    if not (np.diff(times_s) > 0.0).all():
         raise ValueError("trajectory.times_s: increasing times are expected")
     largest = np.nanmax(np.abs(samples), initial=0.0)
     if result.outcome is Outcome.FINISHED and largest > LARGEST:

@@ -43,7 +43,7 @@ def recorded(speed_mm_per_s, start_mm, seconds):
     return RecordedTrajectory(
         unit="mm",
         coordinates=["cube.x", "cube.y", "cube.z"],
-        times_s=times_s.tolist(),
+        times_s=times_s,
         samples=samples,
     )
 
