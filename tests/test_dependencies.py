@@ -111,9 +111,9 @@ def test_every_import_is_of_a_declared_dependency(files):
 def test_extras_are_imported_at_first_use(files):
     extras = set().union(*EXTRAS.values()) - BASE
     declared = {
-        f"tools/{command.point.module.split('.')[2]}/": EXTRAS[command.details.extra]
+        f"tools/{command.point.module.split('.')[2]}/": EXTRAS[command.info.extra]
         for command in all_commands().values()
-        if command.details.extra
+        if command.info.extra
     } | {"formats/usd/": EXTRAS["usd"]}
     at_once = {
         file: used

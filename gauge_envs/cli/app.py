@@ -36,14 +36,16 @@ def load_command(name: str) -> Any:
     """Return a command, imported from its module, or a group of commands."""
     listed = commands().get(name)
     if listed is None:
-        return _Group(name=name, help=help_lines()[name], no_args_is_help=True)
+        return _CommandGroup(name=name, help=help_lines()[name], no_args_is_help=True)
     function = listed.function()
     # Join the lines of a paragraph, because rich would keep line ends.
     text = re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(function.__doc__ or ""))
     below = [f"gauge {other}: {help_lines()[other]}" for other in _below(name)]
     epilog = "\n\n".join(["See also", *below]) if below else None
     single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    single.command(name, cls=_Command, help=text, epilog=epilog)(_with_fields(function))
+    single.command(name, cls=_ExitingCommand, help=text, epilog=epilog)(
+        _with_fields(function)
+    )
     return typer.main.get_command(single)
 
 
@@ -160,7 +162,7 @@ def _separated(value: str | Path, metavar: str) -> list[str | Path]:
     return [type(value)(part) for part in split_values(str(value), metavar)]
 
 
-class _Command(typer.core.TyperCommand):
+class _ExitingCommand(typer.core.TyperCommand):
     """Command whose function returns its exit code, or whether it failed.
 
     Its stdout has only results, even if engines print.
@@ -193,7 +195,7 @@ class _Named(typer.core.TyperCommand):
         )
 
 
-class _Group(typer.core.TyperGroup):
+class _CommandGroup(typer.core.TyperGroup):
     """Commands by name; a name may have two words, as `sanity probe` next to `sanity TARGET`."""
 
     def list_commands(self, ctx: Any) -> list[str]:
@@ -221,7 +223,7 @@ class _Group(typer.core.TyperGroup):
         return f"{self.name} {name}" if self.name in help_lines() else name
 
 
-class _Root(_Group):
+class _Root(_CommandGroup):
     """The command line, which prints errors of gauge-envs without a traceback."""
 
     def invoke(self, ctx: Any) -> Any:

@@ -397,25 +397,23 @@ def matching(
     tables: Sequence[Table], patterns: Sequence[str], *, kind: str
 ) -> list[Table]:
     """Return tables with the rows whose first column matches a pattern; without patterns, all rows."""
-    if not patterns:
-        return [table for table in tables if table.rows]
-
-    def name(table: Table, row: Any) -> str:
-        return str(table.columns[0].value(row))
-
-    names = [name(table, row) for table in tables for row in table.rows]
-    for pattern in patterns:
-        if not any(fnmatchcase(known, pattern) for known in names):
-            raise UnknownNameError(kind, pattern, names)
-    kept = []
+    missing = set(patterns)
+    names: list[str] = []
+    kept: list[Table] = []
     for table in tables:
-        rows = [
-            row
-            for row in table.rows
-            if any(fnmatchcase(name(table, row), pattern) for pattern in patterns)
-        ]
+        rows = []
+        for row in table.rows:
+            name = str(table.columns[0].value(row))
+            names.append(name)
+            hits = {pattern for pattern in patterns if fnmatchcase(name, pattern)}
+            missing -= hits
+            if hits or not patterns:
+                rows.append(row)
         if rows:
             kept.append(replace(table, rows=rows))
+    for pattern in patterns:
+        if pattern in missing:
+            raise UnknownNameError(kind, pattern, names)
     return kept
 
 

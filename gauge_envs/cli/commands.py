@@ -28,7 +28,7 @@ GROUPS = {
 
 
 @dataclass(frozen=True)
-class Details:
+class CommandInfo:
     """What is known of a command without importing it.
 
     Attributes:
@@ -42,90 +42,92 @@ class Details:
     extra: str = ""
 
 
-DETAILS = {
-    "list": Details(
+BUNDLED_COMMANDS = {
+    "list": CommandInfo(
         "List experiments; or backends, checks, phenomena, materials, scenes, ...",
         version=5,
     ),
-    "show": Details(
+    "show": CommandInfo(
         "Show one experiment or control task: reference, reward, spaces, engines, constants.",
         version=7,
     ),
-    "list schemas": Details(),
-    "run": Details(
+    "list schemas": CommandInfo(),
+    "run": CommandInfo(
         "Run experiments, score each against its reference, and write a result file for each.",
         version=7,
     ),
-    "score": Details(
+    "score": CommandInfo(
         "Score a trajectory from your own simulator; no engine is needed.", version=7
     ),
-    "compare": Details(
+    "compare": CommandInfo(
         "Compare engines, parameters and settings: scores with intervals, and ranks.",
         version=5,
     ),
-    "plot": Details("Draw results: experiments over real bands, or a comparison."),
-    "report": Details(
+    "plot": CommandInfo("Draw results: experiments over real bands, or a comparison."),
+    "report": CommandInfo(
         "Write results as a static site: engines, phenomena, curves, errors and 3D replays."
     ),
-    "sweep": Details(
+    "sweep": CommandInfo(
         "Run engines, settings and experiments in all combinations; continue an earlier run.",
         version=7,
     ),
-    "sanity": Details(
+    "sanity": CommandInfo(
         "Check the physics of a training configuration, and print the best fix of its settings.",
         version=7,
     ),
-    "sanity probe": Details(
+    "sanity probe": CommandInfo(
         "Print a Python file that saves the settings of a training environment."
     ),
-    "list phenomena": Details(),
-    "replay": Details(
+    "list phenomena": CommandInfo(),
+    "replay": CommandInfo(
         "Name the cause that makes a robot, or another simulator, move unlike your model."
     ),
-    "recipe": Details(
+    "recipe": CommandInfo(
         "Find contact settings of an engine for a measured behaviour, and measure what they reach.",
         version=3,
     ),
-    "recipe fabrics": Details("Show the six fabrics in the constants of every engine."),
-    "list materials": Details(version=3),
-    "backend check": Details(
+    "recipe fabrics": CommandInfo(
+        "Show the six fabrics in the constants of every engine."
+    ),
+    "list materials": CommandInfo(version=3),
+    "backend check": CommandInfo(
         "Check engines against closed forms, with the most likely cause of each failure.",
         version=4,
     ),
-    "list backends": Details(),
-    "list checks": Details(),
-    "backend versions": Details(
+    "list backends": CommandInfo(),
+    "list checks": CommandInfo(),
+    "backend versions": CommandInfo(
         "Compare releases of MuJoCo on your model, settings or engines: what changed, and which side is right.",
         version=5,
     ),
-    "data download": Details(
+    "data download": CommandInfo(
         "Download the GAUGE dataset (10 GB in all); an interrupted download resumes."
     ),
-    "data import": Details(
+    "data import": CommandInfo(
         "Import real trials as bands and prescribed motions, and compare them with published baselines; offline."
     ),
-    "list references": Details(version=3),
-    "data scenes": Details(
+    "list references": CommandInfo(version=3),
+    "data scenes": CommandInfo(
         "Write every scene as USD and MJCF, and every solid as OBJ.", extra="usd"
     ),
-    "data isaac-sim": Details(
+    "data isaac-sim": CommandInfo(
         "Write experiments as USD layers that Isaac Sim simulates.", extra="usd"
     ),
-    "list scenes": Details(extra="usd"),
-    "video prompts": Details(
+    "list scenes": CommandInfo(extra="usd"),
+    "video prompts": CommandInfo(
         "Fetch the first frame and the prompt of each task of the benchmark (3 MB).",
         extra="video",
     ),
-    "video score": Details(
+    "video score": CommandInfo(
         "Follow the object in videos, fit the law of the task, and report its metrics.",
         version=5,
         extra="video",
     ),
-    "video report": Details(
+    "video report": CommandInfo(
         "Score the videos of many models, and write a page with a table and pictures.",
         extra="video",
     ),
-    "list video-tasks": Details(extra="video"),
+    "list video-tasks": CommandInfo(extra="video"),
 }
 """Commands of this package and kinds of `gauge list`, as `list checks`, in the order of the help."""
 
@@ -136,11 +138,11 @@ class Command:
 
     Attributes:
         point: Entry point of its function.
-        details: What is known without importing it.
+        info: What is known without importing it.
     """
 
     point: EntryPoint
-    details: Details
+    info: CommandInfo
 
     def function(self) -> Any:
         """Return the function, imported from its module.
@@ -148,7 +150,7 @@ class Command:
         Raises:
             MissingExtraError: The extra is not installed; the function raises it too.
         """
-        extra = self.details.extra
+        extra = self.info.extra
         if not extra:
             return self.point.load()
         feature = f"gauge {self.point.name}"
@@ -173,22 +175,20 @@ def all_commands() -> dict[str, Command]:
         elif _has_folder(point):
             own[point.name] = point
     by_name = {
-        name: Command(own[name], details)
-        for name, details in DETAILS.items()
+        name: Command(own[name], info)
+        for name, info in BUNDLED_COMMANDS.items()
         if name in own
     }
     for point in plugins:
-        details = Details(f"Of the package {point.module}.")
-        by_name.setdefault(point.name, Command(point, details))
+        info = CommandInfo(f"Of the package {point.module}.")
+        by_name.setdefault(point.name, Command(point, info))
     return by_name
 
 
 def commands() -> dict[str, Command]:
     """Return the commands by name, in the order of the help."""
     return {
-        name: command
-        for name, command in all_commands().items()
-        if command.details.help
+        name: command for name, command in all_commands().items() if command.info.help
     }
 
 
@@ -197,7 +197,7 @@ def listings() -> dict[str, Command]:
     return {
         name.removeprefix("list "): command
         for name, command in all_commands().items()
-        if not command.details.help
+        if not command.info.help
     }
 
 
@@ -208,5 +208,5 @@ def help_lines() -> dict[str, str]:
         group = name.partition(" ")[0]
         if group in GROUPS:
             lines.setdefault(group, GROUPS[group])
-        lines[name] = command.details.help
+        lines[name] = command.info.help
     return lines

@@ -73,7 +73,7 @@ def schema_names() -> dict[str, int]:
     """Return the version of each schema by its name, in the order of `gauge --help`."""
     lines = _line_types()
     versions = {
-        name: command.details.version
+        name: command.info.version
         for name, command in all_commands().items()
         if name in lines
     }

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from gauge_envs.backends.registry import is_bundled, uninstalled_backend
@@ -24,18 +24,18 @@ class RunConfiguration:
     Attributes:
         backend: Name of the physics engine; None for a trajectory file of a user.
         parameters: Name of the parameter set, or the overrides.
+        marker_proxy: Marker proxy of deformable bodies: `material` or `node`.
         settings_given: Numerical settings that replace those of the preset.
         jitter: Standard deviations of the initial state; empty without noise.
-        marker_proxy: Marker proxy of deformable bodies: `material` or `node`.
         asset: File and hash of an asset that differs from the calibrated scene; empty without one.
         engine_versions: Versions of the engine's packages.
     """
 
     backend: str | None
     parameters: str | Mapping[str, Any]
+    marker_proxy: str = "material"
     settings_given: Mapping[str, Any] = field(default_factory=dict)
     jitter: Mapping[str, float] = field(default_factory=dict)
-    marker_proxy: str = "material"
     asset: Mapping[str, str] = field(default_factory=dict)
     engine_versions: Mapping[str, str] = field(default_factory=dict)
 
@@ -43,15 +43,16 @@ class RunConfiguration:
     def of(cls, result: Result) -> RunConfiguration:
         """Return the configuration of a result."""
         common = package_versions()
+        asset: dict[str, str] = {}
+        if result.is_edited:
+            asset = {key: result.asset[key] for key in ("file", "sha256")}
         return cls(
             backend=result.backend,
             parameters=result.parameters,
             settings_given=result.settings_given,
             jitter=result.jitter,
             marker_proxy=result.marker_proxy,
-            asset={key: result.asset[key] for key in ("file", "sha256")}
-            if result.is_edited
-            else {},
+            asset=asset,
             engine_versions={
                 name: text
                 for name, text in result.versions.items()
@@ -81,37 +82,28 @@ def group_by_configuration(
     for result in sorted(results, key=lambda result: result.error is not None):
         configuration = RunConfiguration.of(result)
         for known, members in groups:
+            versions = configuration.engine_versions
             if result.error is not None:
-                configuration = replace(
-                    configuration, engine_versions=known.engine_versions
-                )
-            if known == configuration:
+                versions = known.engine_versions
+            if known == replace(configuration, engine_versions=versions):
                 members.append(result)
                 break
         else:
-            groups.append((RunConfiguration.of(result), [result]))
+            groups.append((configuration, [result]))
     return sorted(groups, key=lambda group: _order(group[0]))
 
 
 def _order(configuration: RunConfiguration) -> tuple[str, bool, int, str]:
-    changes = (
-        configuration.settings_given,
-        configuration.jitter,
-        configuration.asset,
-        configuration.engine_versions,
-    )
-    changed = (
+    has_other_proxy = configuration.marker_proxy != MarkerProxy.MATERIAL
+    change_count = (
         len(configuration.settings_given)
         + len(configuration.jitter)
-        + (configuration.marker_proxy != MarkerProxy.MATERIAL)
+        + has_other_proxy
         + bool(configuration.asset)
     )
     return (
         configuration.backend or "",
         configuration.parameters != "calibrated",
-        changed,
-        json.dumps(
-            (configuration.parameters, configuration.marker_proxy, *changes),
-            sort_keys=True,
-        ),
+        change_count,
+        json.dumps(list(asdict(configuration).values()), sort_keys=True),
     )

@@ -11,7 +11,7 @@ import gymnasium
 from gauge_envs.backends.registry import versions_of
 from gauge_envs.backends.settings import settings_record
 from gauge_envs.envs.arguments import EnvArguments
-from gauge_envs.envs.initial_states import InitialState, InitialStates
+from gauge_envs.envs.initial_states import InitialStates
 from gauge_envs.envs.rollout import Rollout
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
@@ -52,8 +52,10 @@ def run_episodes(request: RunRequest) -> list[Result]:
         single-trial recording.
     """
     experiment = request.experiment()
-    initial_states = _initial_states(request, experiment)
-    engine_versions = versions_of(request.backend)
+    sampler = InitialStates(experiment, request.scatter)
+    draw = sampler.of_reset(None, seeded=True)
+    initial_states = [sampler.sample(draw, seed) for seed in request.seeds]
+    versions = versions_of(request.backend)
     bands = [reference_band(experiment)] * request.repeats
     rollout = request.rollout([experiment] * request.repeats, bands)
     try:
@@ -64,28 +66,18 @@ def run_episodes(request: RunRequest) -> list[Result]:
         cpu_s = (time.process_time() - cpu_s) / request.repeats
         # The score adds later samples to the trajectory.
         scores = [rollout.score(world) for world in range(request.repeats)]
-        return [
-            _with_episode(
-                _without_run(request, experiment, seed=seed, start=start.record),
-                rollout,
-                world,
-                scores[world],
-                versions_of_engine=engine_versions,
-                times_s=(wall_s, cpu_s),
+        results = []
+        for world, start in enumerate(initial_states):
+            planned = _without_run(
+                request, experiment, seed=request.seeds[world], start=start.record
             )
-            for world, (seed, start) in enumerate(
-                zip(request.seeds, initial_states, strict=True)
+            result = _with_episode(
+                planned, rollout, world, scores[world], versions_of_engine=versions
             )
-        ]
+            results.append(replace(result, wall_s=wall_s, cpu_s=cpu_s))
+        return results
     finally:
         rollout.simulation.close()
-
-
-def _initial_states(request: RunRequest, experiment: Experiment) -> list[InitialState]:
-    """Return the initial state of each episode of a request."""
-    sampler = InitialStates(experiment, request.scatter)
-    draw = sampler.of_reset(None, seeded=True)
-    return [sampler.sample(draw, seed) for seed in request.seeds]
 
 
 def _start_record(
@@ -140,19 +132,12 @@ def results_without_run(
         reason: Why they did not run.
     """
     calibrated = request.calibrated_experiment()
-    return [
-        replace(
-            _without_run(
-                request,
-                calibrated,
-                seed=seed,
-                start=_start_record(request, calibrated, seed),
-            ),
-            outcome=outcome,
-            error=reason,
-        )
-        for seed in request.seeds
-    ]
+    results = []
+    for seed in request.seeds:
+        start = _start_record(request, calibrated, seed)
+        planned = _without_run(request, calibrated, seed=seed, start=start)
+        results.append(replace(planned, outcome=outcome, error=reason))
+    return results
 
 
 def episode_result(env: gymnasium.Env[Any, Any], info: Mapping[str, Any]) -> Result:
@@ -198,14 +183,10 @@ def _without_run(
     """
     band = reference_band(experiment)
     kind = Kind.NONE if band is None else band.kind
-    parameters = arguments.parameters
     return result_of(
         experiment,
         outcome=Outcome.FAILED,
-        parameters=(
-            parameters if isinstance(parameters, str) else json_ready(parameters)
-        )
-        or "calibrated",
+        parameters=json_ready(arguments.parameters) or "calibrated",
         score=Score(kind=kind.value, unit=experiment.score.observable.unit),
         backend=arguments.backend,
         settings_given=json_ready(arguments.settings or {}),
@@ -223,7 +204,6 @@ def _with_episode(
     score: Score,
     *,
     versions_of_engine: Mapping[str, str],
-    times_s: tuple[float | None, float | None] = (None, None),
 ) -> Result:
     """Return the result of an episode that has run.
 
@@ -233,7 +213,6 @@ def _with_episode(
         world: Number of the world of this one.
         score: Its score.
         versions_of_engine: Versions of the engine's packages.
-        times_s: Wall and CPU time of the episode [s], if they were measured.
     """
     recorded = rollout.trajectory(world)
     reason = rollout.diverged.get(world)
@@ -244,8 +223,6 @@ def _with_episode(
         frames=len(recorded.frames),
         diverged=bool(reason),
         diverged_reason=reason,
-        wall_s=times_s[0],
-        cpu_s=times_s[1],
         sim_s=float(recorded.times_s[-1]),
         settings=settings_record(result.backend, rollout.simulation.settings),
         versions={**versions_of_engine, **package_versions()},

@@ -56,7 +56,7 @@ def rows_of(values: ArrayLike) -> FloatArray:
     return rows
 
 
-Numbers = Annotated[FloatArray, PlainValidator(rows_of)]
+StoredArray = Annotated[FloatArray, PlainValidator(rows_of)]
 """Array that a file stores as lists, with null for NaN."""
 
 
@@ -79,11 +79,11 @@ class RecordedTrajectory:
 
     unit: str
     coordinates: list[str]
-    times_s: Numbers
-    samples: Numbers
-    later_times_s: Numbers = field(default_factory=lambda: np.empty(0))
-    later_samples: Numbers = field(default_factory=lambda: np.empty((0, 0)))
-    markers_mm: Numbers = field(default_factory=lambda: np.empty((0, 0)))
+    times_s: StoredArray
+    samples: StoredArray
+    later_times_s: StoredArray = field(default_factory=lambda: np.empty(0))
+    later_samples: StoredArray = field(default_factory=lambda: np.empty((0, 0)))
+    markers_mm: StoredArray = field(default_factory=lambda: np.empty((0, 0)))
 
     def __post_init__(self) -> None:
         for times_s, samples in (
@@ -137,7 +137,7 @@ class RecordedTrajectory:
 
     @cached_property
     def frames(self) -> tuple[NDArray[np.int64], FloatArray]:
-        """Numbers of the 30 Hz frames with finite samples, and g(t) there; see `recorded_frames`."""
+        """StoredArray of the 30 Hz frames with finite samples, and g(t) there; see `recorded_frames`."""
         return recorded_frames(*self.arrays())
 
     def markers_m(self) -> FloatArray | None:

@@ -43,13 +43,12 @@ def result_file_name(result: Result) -> str:
     Further parts give differences from the defaults: hashes of overrides, asset, settings and jitter, imported data,
     the marker proxy and the seed.
     """
-    named = result.parameters
+    parameters = result.parameters
     parts = [result.id.removeprefix("GAUGE/"), result.backend or "file"]
-    parts.append(
-        re.sub(r"[^\w-]", "_", named)
-        if isinstance(named, str)
-        else f"custom-{_digest(named)}"
-    )
+    if isinstance(parameters, str):
+        parts.append(re.sub(r"[^\w-]", "_", parameters))
+    else:
+        parts.append(f"custom-{_digest(parameters)}")
     if result.is_edited:
         parts.append(f"asset-{result.asset['sha256'][:8]}")
     parts += [

@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 from gauge_envs import registry
 from gauge_envs.cli.app import app
 from gauge_envs.cli.commands import (
+    BUNDLED_COMMANDS,
     COMMANDS_GROUP,
-    DETAILS,
     LINES_GROUP,
     all_commands,
     commands,
@@ -59,8 +59,8 @@ def test_a_plug_in_cannot_replace_a_bundled_command(plugins):
 def test_each_command_of_the_package_has_an_entry_point_and_details():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     declared = project["entry-points"]
-    assert declared[COMMANDS_GROUP].keys() == DETAILS.keys()
-    assert declared[LINES_GROUP].keys() <= DETAILS.keys() | {"result-file"}
+    assert declared[COMMANDS_GROUP].keys() == BUNDLED_COMMANDS.keys()
+    assert declared[LINES_GROUP].keys() <= BUNDLED_COMMANDS.keys() | {"result-file"}
     installed = {
         point.name: point.value for point in entry_points(group=COMMANDS_GROUP)
     }

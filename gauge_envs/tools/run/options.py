@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from gauge_envs.cli import arguments
+from gauge_envs.cli.arguments import NUMERICS, SCENE, SELECTION, option
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -27,20 +28,18 @@ class RunOptions:
     use: arguments.Use = None
     marker_proxy: Annotated[
         Literal["material", "node"] | None,
-        arguments.option(
-            arguments.SCENE,
+        option(
+            SCENE,
             "A marker on a deformable body: material, or node for its nearest node (paper).",
-            "--marker-proxy",
             show_default="material",
         ),
     ] = None
     jitter: Annotated[
         list[str] | None,
-        arguments.option(
-            arguments.SCENE,
+        option(
+            SCENE,
             "Standard deviations of the start, as 1mm,0.5deg, where one that is not given is 0; real, as manual "
             "set-ups scatter; or off.",
-            "--jitter",
             metavar="mm,deg",
             show_default="off; real with repeats",
         ),
@@ -51,8 +50,8 @@ class RunOptions:
     settings: arguments.Settings = None
     seed: Annotated[
         int | None,
-        arguments.option(
-            arguments.NUMERICS,
+        option(
+            NUMERICS,
             "Seed of the first start.",
             "--seed",
             "-s",
@@ -62,10 +61,9 @@ class RunOptions:
     ] = None
     repeats: Annotated[
         int | None,
-        arguments.option(
-            arguments.NUMERICS,
+        option(
+            NUMERICS,
             "Episodes, each with the next seed and its own initial-state noise.",
-            "--repeats",
             min=1,
             show_default="1",
         ),
@@ -81,8 +79,8 @@ class RunOptions:
     isolate: arguments.Isolate = False
     jobs: Annotated[
         int | None,
-        arguments.option(
-            arguments.NUMERICS,
+        option(
+            NUMERICS,
             "Experiments at once, each in a process.",
             "--jobs",
             "-j",
@@ -136,18 +134,17 @@ class SweepOptions(RunOptions):
 
     preset: Annotated[
         list[str] | None,
-        arguments.option(
-            arguments.NUMERICS,
+        option(
+            NUMERICS,
             "Presets of every engine.",
-            "--preset",
             metavar="NAME",
             show_default="chosen by each engine",
         ),
     ] = None
     settings: Annotated[
         list[str] | None,
-        arguments.option(
-            arguments.NUMERICS,
+        option(
+            NUMERICS,
             "Values of a setting: timestep_s=1/1800,1/3600 or mujoco.iterations=10,50.",
             "--set",
             metavar=arguments.ASSIGNED,
@@ -156,42 +153,37 @@ class SweepOptions(RunOptions):
     ] = None
     ray: Annotated[
         str | None,
-        arguments.option(
-            arguments.NUMERICS,
+        option(
+            NUMERICS,
             "Run on Ray: auto, local, or the address of a cluster.",
-            "--ray",
             metavar="ADDRESS",
         ),
     ] = None
     only: Annotated[
         list[str] | None,
-        arguments.option(
-            arguments.SELECTION,
+        option(
+            SELECTION,
             "Ids, patterns or task files.",
-            "--only",
             metavar="ID",
             show_default="ids of the file",
         ),
     ] = None
     shard: Annotated[
         str,
-        arguments.option(
-            arguments.SELECTION,
+        option(
+            SELECTION,
             "Run one part, as 0/16; parts may run at the same time.",
-            "--shard",
             metavar="NUMBER/COUNT",
             show_default="all",
         ),
     ] = "0/1"
     retry_failed: Annotated[
         bool,
-        arguments.option(
-            arguments.SELECTION, "Run again what failed before.", "--retry-failed"
-        ),
+        option(SELECTION, "Run again what failed before.", "--retry-failed"),
     ] = False
     dry_run: Annotated[
         bool,
-        arguments.option(arguments.OUTPUT, "Show the plan; run nothing.", "--dry-run"),
+        option(arguments.OUTPUT, "Show the plan; run nothing.", "--dry-run"),
     ] = False
     out: Annotated[Path, arguments.folder("Folder for the result files.")] = Path(
         "sweep"

@@ -88,25 +88,25 @@ def plan_runs(spec: RunSpec) -> list[PlannedRun]:
         ParameterError: The request is too large, or an engine or all experiments reject a value.
         UnknownNameError: An engine or experiment does not exist.
     """
-    subjects = _subjects(spec)
+    cases = _cases(spec)
     runs: dict[str, PlannedRun] = {}
     for backend in dict.fromkeys(spec.backends):
         lists = spec.setting_lists(backend)
         choice_count = prod(map(len, lists.values()))
-        if choice_count * len(subjects) * spec.repeats > MAX_EPISODES:
+        if choice_count * len(cases) * spec.repeats > MAX_EPISODES:
             raise ParameterError(
                 f"the sweep has more than {MAX_EPISODES:,} episodes: shorten its lists or split it"
             )
         choices = [
             dict(zip(lists, values, strict=True)) for values in product(*lists.values())
         ]
-        for run in _engine_runs(backend, subjects, choices):
+        for run in _engine_runs(backend, cases, choices):
             runs.setdefault(run.sha256, run)
     return list(runs.values())
 
 
 @dataclass(frozen=True)
-class _Subject:
+class _Case:
     """An experiment with a choice of parameters.
 
     Attributes:
@@ -138,44 +138,44 @@ class _Subject:
         }
 
 
-def _subjects(spec: RunSpec) -> list[_Subject]:
+def _cases(spec: RunSpec) -> list[_Case]:
     """Return each experiment with each choice of parameters.
 
     Raises:
         ParameterError: All experiments reject a choice of parameters.
     """
     variants = dict.fromkeys(chain.from_iterable(map(matching_variants, spec.variants)))
-    subjects = [
-        _subject(spec.request(variant, parameters))
+    cases = [
+        _case(spec.request(variant, parameters))
         for variant, parameters in product(variants, spec.parameters)
     ]
     for index in range(len(spec.parameters)):
-        of_choice = subjects[index :: len(spec.parameters)]
-        if all(subject.rejected for subject in of_choice):
-            raise ParameterError(of_choice[0].rejected)
-    return subjects
+        same = cases[index :: len(spec.parameters)]
+        if all(case.rejected for case in same):
+            raise ParameterError(same[0].rejected)
+    return cases
 
 
-def _subject(request: RunRequest) -> _Subject:
-    """Return the subject of a request."""
+def _case(request: RunRequest) -> _Case:
+    """Return the case of a request."""
     request = replace(request, jitter=request.scatter)
     try:
-        return _Subject(request, request.experiment())
+        return _Case(request, request.experiment())
     except ParameterError as error:
-        return _Subject(request, request.calibrated_experiment(), str(error))
+        return _Case(request, request.calibrated_experiment(), str(error))
 
 
 def _engine_runs(
-    backend: str, subjects: Sequence[_Subject], choices: Sequence[Mapping[str, Any]]
+    backend: str, cases: Sequence[_Case], choices: Sequence[Mapping[str, Any]]
 ) -> Iterator[PlannedRun]:
     """Yield the runs of an engine.
 
     Args:
         backend: Name of the engine.
-        subjects: The experiments.
+        cases: The experiments.
         choices: Settings that replace settings of the presets.
     """
-    experiments = [subject.experiment for subject in subjects]
+    experiments = [case.experiment for case in cases]
     try:
         answer = call_engine(
             backend,
@@ -187,23 +187,24 @@ def _engine_runs(
         )
     except CrashError:
         # Each of its episodes will fail, but those of other engines run.
-        answer = _Answer({}, False, [""] * len(subjects), [choices] * len(subjects))
+        answer = _Answer({}, False, [""] * len(cases), [choices] * len(cases))
     versions = {**answer.versions, "gauge-envs": package_versions()["gauge-envs"]}
-    for subject, missing, effective in zip(
-        subjects, answer.missing, answer.settings, strict=True
+    for case, missing, resolved in zip(
+        cases, answer.missing, answer.settings, strict=True
     ):
-        content = subject.content() | {"backend": backend, "versions": versions}
-        for settings, content["settings"] in zip(choices, effective, strict=True):
+        content = case.content() | {"backend": backend, "versions": versions}
+        for settings, effective in zip(choices, resolved, strict=True):
+            content["settings"] = effective
             text = json.dumps(json_ready(content), sort_keys=True)
             yield PlannedRun(
                 request=replace(
-                    subject.request, backend=backend, settings=settings or None
+                    case.request, backend=backend, settings=settings or None
                 ),
-                experiment=subject.experiment.name,
+                experiment=case.experiment.name,
                 sha256=hashlib.sha256(text.encode()).hexdigest(),
                 shares_worlds=answer.shares_worlds,
-                unsupported=missing or subject.rejected,
-                duration_s=subject.experiment.scene.duration_s,
+                unsupported=missing or case.rejected,
+                duration_s=case.experiment.scene.duration_s,
             )
 
 
@@ -238,13 +239,13 @@ def _answer_of(
     for experiment in experiments:
         support = support_of(backend, experiment.scene, experiment.model_file)
         answer.missing.append("; ".join(support.missing))
-        effective = choices
+        resolved = choices
         if support:
-            effective = [
+            resolved = [
                 _effective_settings(engine, experiment, settings)
                 for settings in choices
             ]
-        answer.settings.append(effective)
+        answer.settings.append(resolved)
     return answer
 
 

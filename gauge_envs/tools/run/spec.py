@@ -40,7 +40,7 @@ from gauge_envs.scene.jitter import Jitter
 from gauge_envs.text import toml_document
 from gauge_envs.validation import first_fault
 
-Names = Annotated[list[str], Field(min_length=1)]
+NameList = Annotated[list[str], Field(min_length=1)]
 
 JitterKey = Literal[
     "position_m", "angle_rad", "velocity_m_per_s", "angular_velocity_rad_per_s"
@@ -52,7 +52,7 @@ class RunSpec(BaseModel):
     """Content of a run or a sweep. The episodes are the product of its lists.
 
     Attributes:
-        backends: Names of engines.
+        backends: NameList of engines.
         variants: Ids, patterns such as `SlopeSlider-2-*`, or task files.
         presets: Presets of every engine; None for the default preset of each engine and scene.
         parameters: Parameter sets, or tables of overrides such as `{"cube.friction" = 0.3}`.
@@ -71,9 +71,9 @@ class RunSpec(BaseModel):
         extra="forbid", frozen=True, allow_inf_nan=False, strict=True
     )
 
-    backends: Names = ["mujoco"]
-    variants: Names
-    presets: Names | None = None
+    backends: NameList = ["mujoco"]
+    variants: NameList
+    presets: NameList | None = None
     parameters: Annotated[list[Any], Field(min_length=1)] = ["calibrated"]
     repeats: PositiveInt = 1
     seed: NonNegativeInt = 0
