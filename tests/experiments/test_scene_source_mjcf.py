@@ -12,7 +12,7 @@ import pytest
 from places import first_of_each_kind
 from texts import changed_text
 
-from gauge_envs import load_experiment, load_experiment_from_asset
+from gauge_envs import load_experiment, load_experiment_from_asset, reference_band
 from gauge_envs.backends import backend, backend_for
 from gauge_envs.backends.mujoco.mjcf.diff import model_changes
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
@@ -21,6 +21,7 @@ from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.diff import ChangeKind
+from gauge_envs.scoring.reference import refusal
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.assets.export import mjcf_text
 
@@ -104,6 +105,35 @@ def test_a_longer_step_is_a_setting_of_the_file(edited):
     change = "option: timestep 0.0001111111111 -> 0.0005555555556"
     assert result.asset["changes"] == [change]
     assert recorded_experiment(result).scene == load_experiment(SLIDE).scene
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "trials_score", "solution_scores"),
+    [
+        (TIMESTEP, f'timestep="{1 / 1800!r}"', True, True),
+        ('impratio="10"', 'impratio="5"', True, True),
+        ('solref="0.002"', 'solref="0.004"', True, True),
+        ('mass="0.0903"', 'mass="0.2"', True, False),
+        ('friction="0.273673 0.273673', 'friction="0.2 0.2', True, False),
+        ('size="0.025 0.025 0.025"', 'size="0.025 0.03 0.025"', False, False),
+        ('gravity="0 0 -9.80665"', 'gravity="0 0 -1.62"', False, False),
+        ('gravity="0 0 -9.80665"', 'gravity="0.5 0 -9.793895"', False, False),
+        ("<option ", '<option density="1.2" viscosity="1" ', False, False),
+        (
+            ' type="box" contype="0" conaffinity="0" mass',
+            ' type="ellipsoid" contype="0" conaffinity="0" mass',
+            False,
+            False,
+        ),
+        ('size="0.25 0.075 0.005"', 'size="0.05 0.075 0.005"', False, False),
+    ],
+)
+def test_a_reference_scores_a_file_with_the_structure_of_its_scene(
+    old, new, trials_score, solution_scores, edited
+):
+    for name, is_scored in ((SLIDE, trials_score), (TILTED, solution_scores)):
+        file = load_experiment_from_asset(name, edited(name, (old, new)))
+        assert (refusal(file, reference_band(file)) is None) == is_scored, name
 
 
 def test_an_edited_table_of_stiffness_is_a_change(edited):
