@@ -126,6 +126,13 @@ def test_a_longer_step_is_a_setting_of_the_file(edited):
             False,
         ),
         ('size="0.25 0.075 0.005"', 'size="0.05 0.075 0.005"', False, False),
+        # An array that no list names, together with one that the trials allow.
+        (
+            'mass="0.0903"',
+            'mass="0.2" fluidshape="ellipsoid" fluidcoef="1 1 1 1 1"',
+            False,
+            False,
+        ),
     ],
 )
 def test_a_reference_scores_a_file_with_the_structure_of_its_scene(
