@@ -44,6 +44,7 @@ def loaded_results(
     )
     results: dict[Path, Result] = {}
     built: set[str] = set()
+    skipped = corrected_count = 0
     for file in files:
         try:
             result = load_result(file)
@@ -51,21 +52,18 @@ def loaded_results(
             if with_scene and scene not in built:
                 recorded_experiment(result)
                 built.add(scene)
-            results[file] = result
         except GaugeError as error:
+            skipped += 1
             message(f"{file}: {str(error).removeprefix(f'{file}: ')}", "skipped")
-    skipped = len(files) - len(results)
-    kept = {
-        file: result
-        for file, result in results.items()
-        if corrected or RunConfiguration.of(result).physics != "corrected"
-    }
-    if len(kept) < len(results):
-        message(
-            f"{counted(len(results) - len(kept), 'result')} with corrections by this package",
-            "left out",
-        )
-    return kept, skipped
+            continue
+        if not corrected and RunConfiguration.of(result).physics == "corrected":
+            corrected_count += 1
+        else:
+            results[file] = result
+    if corrected_count:
+        text = counted(corrected_count, "result")
+        message(f"{text} with corrections by this package", "left out")
+    return results, skipped
 
 
 def _result_files(source: Path) -> list[Path]:
@@ -81,7 +79,7 @@ def reported(
     total: int,
     *,
     done: int = 0,
-    interrupted: str,
+    kept: str,
 ) -> Iterator[Result]:
     """Yield the results of a long run after reporting each as progress and as a line of JSON.
 
@@ -92,10 +90,11 @@ def reported(
         form: Format of stdout.
         total: Number of all episodes.
         done: Number of episodes completed before.
-        interrupted: Text after Ctrl-C: where the results are, and how to continue.
+        kept: Where the results are, and how to continue after Ctrl-C or a full disk.
 
     Raises:
         OSError: Output was lost.
+        ResultFileError: A result cannot be written.
         typer.Exit: Ctrl-C ended the run.
     """
     progress = Progress("episodes", total, done=done, line_interval_s=LINE_INTERVAL_S)
@@ -109,8 +108,11 @@ def reported(
                     lost = lost or error
                 yield result
     except KeyboardInterrupt:
-        message(f"interrupted: finished episodes are kept in {interrupted}")
+        message(f"interrupted: finished episodes are kept in {kept}")
         raise typer.Exit(EXIT_INTERRUPTED) from None
+    except ResultFileError:
+        message(f"stopped: finished episodes are kept in {kept}")
+        raise
     if lost is not None:
         raise lost
 

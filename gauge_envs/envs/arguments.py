@@ -62,21 +62,16 @@ class EnvArguments:
 
     def _check_types(self) -> None:
         """Raise an error for an argument of a type that no run can use."""
-        expected: tuple[tuple[str, type | tuple[type, ...], str], ...] = (
-            (
-                "variant",
-                (str, Variant),
+        expected: dict[str, tuple[Any, str]] = {
+            "variant": (
+                str | Variant,
                 "a Variant or its name, as 'SlopeSlider-2-wood'",
             ),
-            ("backend", str, "the name of a backend, as 'mujoco'"),
-            (
-                "settings",
-                (Mapping, type(None)),
-                "a mapping, as {'timestep_s': 1 / 1800}",
-            ),
-            ("asset", (str, PathLike, type(None)), "the path of a file"),
-        )
-        for name, types, text in expected:
+            "backend": (str, "the name of a backend, as 'mujoco'"),
+            "settings": (Mapping | None, "a mapping, as {'timestep_s': 1 / 1800}"),
+            "asset": (str | PathLike | None, "the path of a file"),
+        }
+        for name, (types, text) in expected.items():
             value = getattr(self, name)
             if not isinstance(value, types):
                 raise ParameterError(f"{name} is {value!r}, expected {text}")

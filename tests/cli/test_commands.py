@@ -199,7 +199,7 @@ def test_a_full_disk_keeps_earlier_results(gauge, monkeypatch):
     assert result.exit_code == 2
     message = " ".join(result.stderr.split())
     assert "No space left on device" in message
-    assert "1 finished; results in results; --resume continues" in message
+    assert "finished episodes are kept in results; --resume continues" in message
 
 
 def test_a_missing_extra_is_in_the_message(gauge, monkeypatch):

@@ -18,13 +18,12 @@ from gauge_envs.cli.output import (
     print_document,
 )
 from gauge_envs.cli.results import reported
-from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.errors import ParameterError
 from gauge_envs.processors import processor_count
 from gauge_envs.tools.run.options import RunOptions, SweepOptions, parsed_parameters
 
 if TYPE_CHECKING:
     from gauge_envs.runs.request import RunRequest
-    from gauge_envs.runs.result import Result
     from gauge_envs.runs.workers import RequestWorker
     from gauge_envs.tools.run.plan import PlannedRun
 
@@ -77,16 +76,8 @@ def run(
         jobs=min(options.jobs or _default_jobs(requests), len(requests)),
     )
     total = sum(request.repeats for request in requests)
-    continues = "--resume continues from there"
-    results: list[Result] = []
-    try:
-        for result in reported(
-            episodes, form, total, interrupted=f"{out}; {continues}"
-        ):
-            results.append(result)
-    except ResultFileError:
-        message(f"stopped: {totals_text(results, out)}; {continues}")
-        raise
+    kept = f"{out}; --resume continues from there"
+    results = list(reported(episodes, form, total, kept=kept))
     if form is not Format.JSON:
         is_detailed = details or form is Format.WIDE
         print_document(summary_document(results, details=is_detailed), form)
@@ -165,7 +156,7 @@ def sweep(
             form,
             total,
             done=total - left,
-            interrupted=f"{out}; the same command continues",
+            kept=f"{out}; the same command continues",
         )
         outcomes += [
             (str(result.backend), result.id, result.outcome) for result in results
