@@ -203,12 +203,10 @@ class _CommandGroup(typer.core.TyperGroup):
         return [command_name.removeprefix(f"{name} ") for command_name in _below(name)]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        full = self._full(cmd_name)
-        return (
-            _Named(name=cmd_name, help=help_lines()[full])
-            if full in help_lines()
-            else None
-        )
+        text = help_lines().get(self._full(cmd_name))
+        if text is None:
+            return None
+        return _Named(name=cmd_name, help=text)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         for count in (2, 1):

@@ -52,7 +52,7 @@ class RunSpec(BaseModel):
     """Content of a run or a sweep. The episodes are the product of its lists.
 
     Attributes:
-        backends: NameList of engines.
+        backends: Names of engines.
         variants: Ids, patterns such as `SlopeSlider-2-*`, or task files.
         presets: Presets of every engine; None for the default preset of each engine and scene.
         parameters: Parameter sets, or tables of overrides such as `{"cube.friction" = 0.3}`.
@@ -142,7 +142,7 @@ def run_spec(values: dict[str, Any], file: Path | None = None) -> RunSpec:
         return RunSpec.model_validate(values)
     except ValidationError as error:
         key, reason = first_fault(error)
-        if reason in ("unknown key", "missing key"):
+        if error.errors()[0]["type"] in ("extra_forbidden", "missing"):
             reason = f"{reason}; keys: {', '.join(RunSpec.model_fields)}"
         if file is not None:
             raise SweepFileError(file, key, reason) from None
