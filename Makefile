@@ -44,9 +44,7 @@ build: $(VENV)/.installed
 
 # Costs as ratios in one run, all of benchmarks/.
 bench: $(VENV)/.installed
-	$(BIN)/pip install --quiet -e ".[bench]"
 	$(BIN)/python benchmarks/table.py
-	$(BIN)/python benchmarks/import_memory.py --trials 100
 
 # Archives, their contents, and the wheel on the lowest and the highest Python.
 release: $(VENV)/.installed

@@ -70,7 +70,7 @@ def test_a_release_names_what_is_left_to_do(tmp_path):
 
 
 def test_the_conda_recipe_has_the_requirements_of_the_project():
-    recipe = yaml.safe_load((ROOT / "conda" / "recipe.yaml").read_text())
+    recipe = yaml.safe_load((ROOT / "packaging" / "conda" / "recipe.yaml").read_text())
     project = PROJECT["project"]
     assert project["version"].startswith(recipe["context"]["version"])
     assert project["requires-python"] == f">={recipe['context']['python_min']}"
