@@ -10,9 +10,8 @@ import tomllib
 import pytest
 import yaml
 from places import ROOT
+from texts import parse
 
-from gauge_envs.cli.app import load_command
-from gauge_envs.cli.commands import help_lines
 from scripts.release import ADDRESSES, left_to_do
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -108,8 +107,4 @@ def test_commands_of_a_workflow_exist(file):
         for listed in re.findall(r"\.\[([\w,]+)\]", command):
             assert set(listed.split(",")) <= set(extras)
         if command.startswith("gauge ") and command != "gauge --version":
-            words = shlex.split(command.partition(" >>")[0])[1:]
-            name = next(
-                name for name in (" ".join(words[:2]), words[0]) if name in help_lines()
-            )
-            load_command(name).make_context(name, words[len(name.split()) :])
+            parse(shlex.split(command.partition(" >>")[0])[1:])
