@@ -18,7 +18,7 @@ import pytest
 from install_commands import DEFAULT, Table
 from places import ROOT
 
-from scripts.test_matrix import build_wheel, make_environment
+from scripts.test_matrix import make_environment
 
 TABLE = Table.read(Path(__file__).with_name("install_commands.toml"))
 COMMANDS = TABLE.commands(ROOT)
@@ -67,9 +67,8 @@ SHOWN = shown_outputs("README.md", (ROOT / "README.md").read_text())
 
 
 @pytest.fixture(scope="module")
-def commands_of(tmp_path_factory):
+def commands_of(wheel, tmp_path_factory):
     """The folder of the commands of an environment, created at first use."""
-    wheel = build_wheel(tmp_path_factory.mktemp("wheel"))
     made = {}
 
     def make(environment):
