@@ -14,12 +14,14 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from random import Random
 
 from cosmic_ray.ast import ast_nodes, get_ast_from_path
 from cosmic_ray.mutating import mutate_and_test
 from cosmic_ray.plugins import get_operator
+from cosmic_ray.testing import run_tests
 from cosmic_ray.work_item import MutationSpec, TestOutcome
 
 from scripts.generated import ROOT
@@ -99,10 +101,18 @@ def tests_of(file: Path) -> list[Path]:
     return [room, *more]
 
 
+@cache
+def passes(command: str) -> bool:
+    """Return whether tests pass without a mutant."""
+    return run_tests(command, LIMIT_S)[0] is TestOutcome.SURVIVED
+
+
 def outcome(mutation: MutationSpec) -> str:
     """Return `killed`, `survived`, or why there is no result."""
     places = " ".join(map(str, tests_of(mutation.module_path)))
     command = f"{sys.executable} -m pytest -x -n 2 --dist loadfile {places}"
+    if not passes(command):
+        return "the tests fail without the mutant"
     result = mutate_and_test([mutation], command, LIMIT_S)
     if result.output == "timeout" or result.test_outcome is TestOutcome.INCOMPETENT:
         return result.output.splitlines()[-1]

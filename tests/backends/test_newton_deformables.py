@@ -238,7 +238,7 @@ def test_segments_of_a_rod_have_the_mass_and_inertia_of_their_pieces():
         rod,
         attachments=[attachment_of("high", Motion.FIXED, depth_m, body="top")],
         bodies={"top": -1},
-        settings=SettingsLines(preset="bench", timestep_s=1 / 3600),
+        settings=SettingsLines(preset="own", timestep_s=1 / 3600),
     )
     masses_kg = np.array(builder.body_mass)
     assert masses_kg == pytest.approx(mass_kg * free_m / (free_m + depth_m) / 8)
