@@ -1,0 +1,89 @@
+"""Guard for changes of contact settings: cubes that slide fast must stay on the ground.
+
+A soft contact damps the sliding speed like the normal speed. Where it stops a body within a step, friction mu lifts a
+body of speed v with mu v. The body then hops by mu^2 v^2 / (2 g): 54 mm at 4 m/s. At a step of 2 ms, a time constant of
+two steps hops by 58 mm. MuJoCo's default of ten steps hops by 5 mm, and this package's preset by 1 mm.
+"""
+
+import math
+
+import numpy as np
+
+from gauge_envs.fixtures.parts import box, contact, ground, thrown
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
+from gauge_envs.tools.sanity.object_checks.check import lowest_m
+from gauge_envs.tools.sanity.object_checks.measure import CheckOutcome, Measurements
+from gauge_envs.tools.sanity.object_checks.scenario import Scenario
+from gauge_envs.tools.sanity.robot.robot import Settings
+from gauge_envs.tools.sanity.verdict import SanityVerdict
+
+FRICTION = 0.257
+"""Friction of the measured wooden cube (scoring/facts/slope_slider_30deg_summary.toml)."""
+
+SLOW_M_PER_S, FAST_M_PER_S = 1.0, 4.0
+"""Initial speeds of cubes [m/s]. Hops grow with the square of the speed."""
+
+CUBES = [
+    thrown(
+        box(
+            f"{speed} m/s, {edge} m",
+            (0.0, speed + 10.0 * edge, 0.5 * edge),
+            (edge,) * 3,
+            mass_kg=kg,
+        ),
+        (speed, 0.0, 0.0),
+    )
+    for speed, edge, kg in (
+        (SLOW_M_PER_S, 0.02, 0.05),
+        (SLOW_M_PER_S, 0.1, 5.0),
+        (FAST_M_PER_S, 0.02, 5.0),
+        (FAST_M_PER_S, 0.1, 0.05),
+    )
+]
+"""Cubes side by side: mass [kg] matters to springs of a fixed stiffness, and height [m] to bodies that tip."""
+
+NAMES = tuple(cube.name for cube in CUBES)
+
+SLIDE_S = 0.6
+"""Simulated time [s]: all hops reach their top in it, and the slower cubes stop after 0.4 s."""
+
+SLIDE = Scenario(
+    "slide-hop",
+    "SlopeSlider-2-wood",
+    SLIDE_S,
+    Scene(
+        bodies=(*CUBES, ground()),
+        contacts=(contact(NAMES, "ground", friction=FRICTION),),
+        duration_s=SLIDE_S,
+    ),
+    released=NAMES,
+)
+
+MIN_HOP_MM, HOP_SCATTER = 5.0, 2.0
+"""Hop of a quarter of the smaller cube [mm]; and ratio within which hops scatter for one time constant, with either
+cone and with `impratio` 1 to 100."""
+
+STOP_M, STOP_TOLERANCE = SLOW_M_PER_S**2 / (2.0 * FRICTION * G), 0.1
+"""Coulomb's stopping distance v^2 / (2 mu g) of the slower cubes [m], and its relative tolerance: the friction of real
+cubes scatters by up to 8 % (slope_slider_30deg)."""
+
+
+def hop_mm(measurements: Measurements, settings: Settings) -> float:
+    """Return the largest height that cubes gain while they slide with some settings [mm].
+
+    It is infinite where the simulation diverges or a slower cube does not stop where it must, and NaN where it is not
+    measured.
+    """
+    rollout = measurements.rollout(SLIDE, settings)
+    if isinstance(rollout, CheckOutcome):
+        return math.nan if rollout.verdict is SanityVerdict.NOT_MEASURED else math.inf
+    stops_m = [rollout.displacement(name)[-1, 0] for name in NAMES[:2]]
+    if not np.allclose(stops_m, STOP_M, rtol=STOP_TOLERANCE):
+        return math.inf
+    heights_m = [lowest_m(rollout, cube.name, cube.shape.corners_m) for cube in CUBES]
+    return 1e3 * max(float((height - height[0]).max()) for height in heights_m)
+
+
+def hops_more(before_mm: float, after_mm: float) -> bool:
+    """Return whether sliding bodies hop visibly more after a change; False where a hop was not measured."""
+    return after_mm > max(MIN_HOP_MM, HOP_SCATTER * before_mm)

@@ -1,0 +1,264 @@
+"""Check the contacts of a robot's feet with the ground, and of its parts with each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from gauge_envs.backends.mujoco.contact_table import GROUND_TYPES
+from gauge_envs.tools.sanity.model_checks.check import (
+    Case,
+    Finding,
+    NotApplicableError,
+    model_check,
+    worst_case,
+)
+from gauge_envs.tools.sanity.model_checks.drives import drives, start
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    Standing,
+    chain_of,
+    geom_name,
+    joints_of,
+    name_of,
+    random_poses,
+    switched_off,
+)
+from gauge_envs.tools.sanity.robot.standing import SOLE_WITHIN, STANDS_WITHIN, support_m
+
+
+def standing_of(robot: Robot) -> Standing:
+    """Return the robot that stands; checks that need one do not apply to a model without."""
+    if robot.standing is None:
+        raise NotApplicableError(
+            "no robot of the model stands on the ground under its own weight"
+        )
+    return robot.standing
+
+
+def floor_m(robot: Robot) -> float:
+    """Return the height of the highest plane under the feet [m]; over other ground the height of the lowest foot."""
+    touched = np.unique(robot.pairs.geoms[robot.foot_rows])
+    is_plane = robot.model.geom_type[touched] == mujoco.mjtGeom.mjGEOM_PLANE
+    heights_m = robot.stance.positions_m[touched[is_plane], 2]
+    return float(max(heights_m, default=standing_of(robot).ground_m))
+
+
+@model_check(
+    "robot-feet",
+    title="limbs in the ground that cannot touch it",
+    unit="1",
+    interval=(0.0, 0.5),
+    source="contype, conaffinity and pairs of the model; the lowest geoms in the pose in which it stands",
+    consequence="The limb passes through the ground: walking does without it.",
+)
+def feet(robot: Robot) -> Finding:
+    """Return the number of limbs that reach the ground and cannot touch it."""
+    model = robot.model
+    if (plane := _untouched_plane(robot)) is not None:
+        text = f"no geom of the robot can touch {geom_name(model, plane)}: it falls through it"
+        return Finding(value=1.0, remark=text, place=("geom", plane))
+    standing = standing_of(robot)
+    lows = {geom: point[2] for geom, point in standing.support_m.items()}
+    within_m = SOLE_WITHIN * standing.height_m
+    carrying = {
+        body for geom in lows for body in chain_of(model, int(model.geom_bodyid[geom]))
+    }
+    is_solid = (model.geom_contype | model.geom_conaffinity) != 0
+    lame: dict[int, int] = {}
+    for geom in np.flatnonzero(np.isin(model.geom_bodyid, robot.bodies)).tolist():
+        limb = chain_of(model, int(model.geom_bodyid[geom]))
+        low = support_m(robot, geom)[2]
+        near = [lows[sole] for sole in lows if model.geom_bodyid[sole] in limb[:2]]
+        # Drawn geoms of a limb that touches are no fault; colliding geoms below its contact are.
+        is_apart = limb[0] not in carrying and low <= standing.ground_m + within_m
+        if near:
+            is_apart = bool(is_solid[geom]) and low < min(near) - within_m
+        if geom not in lows and is_apart:
+            lame[limb[0]] = geom
+    names = [geom_name(model, geom) for geom in lame.values()]
+    if not lame:
+        return Finding(value=0.0)
+    return Finding(
+        value=float(len(lame)),
+        remark=f"{', '.join(names[:3])} reach the ground and cannot touch it",
+        place=("geom", next(iter(lame.values()))),
+        parts=dict.fromkeys(names, 1.0),
+    )
+
+
+def _untouched_plane(robot: Robot) -> int | None:
+    """Return the plane of the world that no geom of a free robot with motors can touch; None without one."""
+    model = robot.model
+    is_floor = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+    is_floor &= (model.geom_contype | model.geom_conaffinity) != 0
+    floors = np.flatnonzero(is_floor & (model.geom_bodyid == 0)).tolist()
+    is_free = joints_of(model, "FREE") & np.isin(model.jnt_bodyid, robot.bodies)
+    falls = model.opt.gravity.any() and not switched_off(model, "gravity", "contact")
+    is_touched = np.isin(robot.pairs.geoms, floors).any()
+    if is_touched or not (floors and is_free.any() and falls and drives(robot)):
+        return None
+    return int(floors[0])
+
+
+# --- friction --------------------------------------------------------------------------------------------------------
+
+LOW_FRICTION, HIGH_FRICTION = 0.05, 3.0
+"""Friction of feet: wet ice on rubber has 0.05 and more, racing tyres less than 3."""
+
+LOST_FRICTION = 2.0
+"""Friction of a foot's contact over the friction of its ground above which the latter has no effect."""
+
+
+@model_check(
+    "robot-friction",
+    title="friction of a foot, over the limit of real soles",
+    unit="1",
+    interval=(0.0, 1.0),
+    source="wet ice 0.05, racing tyres below 3; MuJoCo takes the greater one of two geoms of equal priority",
+    consequence="The foot slips or grips as on no real floor.",
+    is_usual=True,
+)
+def friction(robot: Robot) -> Finding:
+    """Return the foot whose friction most exceeds the limits."""
+    standing_of(robot)
+    return worst_case(
+        case for number in robot.foot_rows for case in _frictions(robot, number)
+    )
+
+
+def _frictions(robot: Robot, number: int) -> Iterator[Case]:
+    model = robot.model
+    condim, met = robot.pairs.constants[number, :2].tolist()
+    met *= condim > 1
+    # The pair is in the order of ids; the foot is on a body of the robot.
+    ground, foot = sorted(
+        robot.pairs.geoms[number].tolist(),
+        key=lambda geom: int(model.geom_bodyid[geom]) in robot.bodies,
+    )
+    name = geom_name(model, foot)
+    ratio = max(LOW_FRICTION / max(met, 1e-9), met / HIGH_FRICTION)
+    text = f"{name} has friction {met:g} on {geom_name(model, ground)}"
+    text += ", by condim 1" * (condim == 1)
+    yield Case(ratio, ("geom", foot), name, text, is_usual=True)
+    given = model.geom_friction[ground, 0]
+    # A friction that a geom takes from the default is not compared.
+    # Without a file, the most frequent friction stands for it.
+    values, counts = np.unique(model.geom_friction[:, 0], return_counts=True)
+    common = values[counts.argmax()]
+    if robot.spec is not None:
+        common = robot.spec.default.geom.friction[0]
+    is_equal = model.geom_priority[foot] == model.geom_priority[ground]
+    if given != common and is_equal and not model.npair:
+        ratio = met / max(given, 1e-3) / LOST_FRICTION
+        text = f"{geom_name(model, ground)} has friction {given:g}, {name} slides with {met:g}"
+        yield Case(ratio, ("geom", ground), name, text, is_usual=True)
+
+
+MIN_TIP_M = 0.0025
+"""Size of a geom below which it is a point of a larger pad [m]."""
+
+LEVER = 3.0
+"""Largest lever over the size of a geom: pads are up to three times as large as their geoms."""
+
+
+@model_check(
+    "robot-torsion",
+    title="lever of torsional friction, over size of a foot",
+    unit="1",
+    interval=(0.0, LEVER),
+    source="an even disc has a lever of two thirds of its radius, and no contact is larger than the part",
+    consequence="Feet and fingers hold as if glued: they neither turn nor roll.",
+)
+def torsion(robot: Robot) -> Finding:
+    """Return the geom of a robot whose friction against turning is largest for its size."""
+    model, cases = robot.model, []
+    is_felt = np.isin(model.geom_bodyid, robot.bodies)
+    is_felt &= model.geom_rbound > MIN_TIP_M
+    for number in robot.foot_rows or range(len(robot.pairs.geoms)):
+        condim, sliding, *levers = robot.pairs.constants[number, [0, 1, 3, 4, 5]]
+        geoms = [geom for geom in robot.pairs.geoms[number].tolist() if is_felt[geom]]
+        if condim < 4 or not geoms:
+            continue
+        lever_m = max(levers[: 1 if condim == 4 else 3])
+        geom = min(geoms, key=lambda number: model.geom_rbound[number])
+        size_m, name = model.geom_rbound[geom], geom_name(model, geom)
+        text = f"{name} of {1e3 * size_m:.3g} mm resists turning with a lever of {1e3 * lever_m:.3g} mm"
+        if lever_m > sliding:
+            text += ": friction is in the order sliding, torsion, rolling"
+        cases.append(Case(lever_m / size_m, ("geom", geom), name, text))
+    if not cases:
+        raise NotApplicableError("no contact of the robot has condim 4 or 6")
+    return worst_case(cases, limit=LEVER)
+
+
+# --- overlap ---------------------------------------------------------------------------------------------------------
+
+MIN_GAP_MM = 10.0
+"""Height of feet above or in the ground that a remark names [mm]: soft contacts of a standing robot sink by less."""
+
+OVERLAP_POSES = 32
+"""Number of random poses in which the overlap of two parts is checked."""
+
+
+@model_check(
+    "robot-overlap",
+    title="overlap of parts of the robot where it starts",
+    unit="mm",
+    interval=(0.0, 2.0),
+    source="rigid parts do not overlap; without a keyframe it counts where they do in half of all poses",
+    consequence="Contacts push parts apart or block their joint from the start.",
+)
+def overlap(robot: Robot) -> Finding:
+    """Return the deepest contact between parts of a robot, with what is fixed to the world, where it starts."""
+    model = robot.model
+    if switched_off(model, "contact", "constraint"):
+        raise NotApplicableError("contacts are switched off")
+    depths = _overlaps(robot, start(robot))
+    if depths and not model.nkey:
+        # Code rarely starts a robot in the pose of zeros.
+        poses = [_overlaps(robot, pose) for pose in random_poses(model, OVERLAP_POSES)]
+        for pair in list(depths):
+            if 2 * sum(pair in pose for pose in poses) < OVERLAP_POSES:
+                del depths[pair]
+    cases = []
+    for pair, (depth_m, push_n) in depths.items():
+        names = " and ".join(name_of(model, "body", body) for body in pair)
+        text = f"{names} overlap by {1e3 * depth_m:.3g} mm and push each other with {push_n:.3g} N"
+        cases.append(Case(1e3 * depth_m, ("body", pair[1]), names, text))
+    if robot.standing is not None and model.nkey and not cases:
+        depth_mm = 1e3 * (floor_m(robot) - robot.standing.ground_m)
+        # Code raises a robot from a deeper pose before it starts.
+        if MIN_GAP_MM < depth_mm < 1e3 * STANDS_WITHIN * robot.standing.height_m:
+            text = f"its feet start {depth_mm:.3g} mm in the ground, so that contacts push them out"
+            place = ("body", next(iter(robot.standing.feet)))
+            cases.append(Case(depth_mm, place, "feet", text, is_usual=True))
+    return worst_case(cases, limit=2.0)
+
+
+def _overlaps(
+    robot: Robot, data: mujoco.MjData
+) -> dict[tuple[int, int], tuple[float, float]]:
+    """Return depth [m] and normal force [N] of contacts between bodies of a robot, and with its fixed base."""
+    model, force = robot.model, np.zeros(6)
+    depths: dict[tuple[int, int], tuple[float, float]] = {}
+    free_roots = model.body_rootid[model.jnt_bodyid[joints_of(model, "FREE")]]
+    for number, contact in enumerate(data.contact):
+        first, second = sorted(model.geom_bodyid[contact.geom].tolist())
+        root = model.body_rootid[second]
+        # Overlapping objects are no robot; its base is fixed to the world.
+        is_part = model.body_rootid[first] == root or (
+            model.body_weldid[first] == 0
+            and root not in free_roots
+            and first in (0, *chain_of(model, second))
+        )
+        is_ground = np.isin(model.geom_type[contact.geom], GROUND_TYPES).any()
+        is_inside = contact.dist < 0.0 and not contact.exclude and not is_ground
+        if second in robot.bodies and is_part and is_inside:
+            mujoco.mj_contactForce(model, data, number, force)
+            depth_m, push_n = depths.get((first, second), (0.0, 0.0))
+            depth_m = max(depth_m, -contact.dist)
+            depths[first, second] = (depth_m, push_n + force[0])
+    return depths

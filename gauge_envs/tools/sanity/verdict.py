@@ -1,0 +1,196 @@
+"""Define what a check says: its reality, its verdict, and its result."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+from gauge_envs.files import json_ready
+from gauge_envs.scoring.interval import student_t
+
+MAX_PASSED = 1.0
+"""Largest deviation of a check that passes, in half-widths of the interval of reality."""
+
+MAX_WARNING = 2.5
+"""Largest deviation of a warning, in half-widths of the interval of reality."""
+
+COVERAGE = 0.95
+"""Share of further real trials that the interval of a measured quantity covers."""
+
+RECORDING_FACTOR = 2.0
+"""Half-width of the interval of a single recording, in standard uncertainties."""
+
+
+class SanityVerdict(StrEnum):
+    """Distance between a measured value and reality, in half-widths of the interval of reality."""
+
+    PASSED = "passed"
+    """In the interval: a real trial could give this value, or the law is met within its tolerance."""
+    WARNING = "warning"
+    """Outside of the interval, by at most 2.5 half-widths from its centre: a careful observer sees the difference."""
+    FAILED = "failed"
+    """Farther away, or a failure of another kind, such as divergence."""
+    NOT_MEASURED = "not measured"
+    """The check does not apply to the target, or cannot run; `SanityResult.applies` tells which."""
+
+    @property
+    def is_off(self) -> bool:
+        """Whether it is a warning or a failure."""
+        return self in (SanityVerdict.WARNING, SanityVerdict.FAILED)
+
+    @classmethod
+    def of(cls, deviation: float) -> SanityVerdict:
+        """Return the verdict of a distance from reality, in half-widths of its interval."""
+        if deviation <= MAX_PASSED:
+            return cls.PASSED
+        return cls.WARNING if deviation <= MAX_WARNING else cls.FAILED
+
+
+class RealityKind(StrEnum):
+    """What a check compares with."""
+
+    MEASURED = "measured"
+    """Real trials: their mean, scatter and number."""
+    LAW = "law"
+    """A law of mechanics, with a tolerance and its reason."""
+
+
+@dataclass(frozen=True)
+class Reality:
+    """Real value of a checked quantity, and the interval in which a simulation is as good as a real trial.
+
+    Attributes:
+        value: Mean of real trials, or value from a law, in the unit of the check.
+        tolerance: Half-width of the interval, in the same unit.
+        source: Source of the value.
+        rationale: Reason for the tolerance.
+        kind: Whether real trials or a law give the value.
+        scatter: Standard deviation of real trials, or standard uncertainty of a single recording; None for a law.
+        trial_count: Number of real trials; 0 for a law.
+        limits: The interval as a text, where a value has a limit on one side; empty for centre and half-width.
+    """
+
+    value: float
+    tolerance: float
+    source: str
+    rationale: str
+    _: KW_ONLY
+    kind: RealityKind = RealityKind.LAW
+    scatter: float | None = None
+    trial_count: int = 0
+    limits: str = ""
+
+    @classmethod
+    def measured(
+        cls, value: float, scatter: float, trial_count: int, source: str
+    ) -> Reality:
+        """Return what real trials gave, with the interval that covers 95 % of further trials.
+
+        Args:
+            value: Mean of the trials.
+            scatter: Standard deviation of the trials; for one trial, the standard uncertainty of its measurement.
+            trial_count: Number of trials.
+            source: Source of the trials.
+        """
+        if trial_count == 1:
+            factor, rationale = (
+                RECORDING_FACTOR,
+                "two standard uncertainties of one recording",
+            )
+        else:
+            quantile = student_t(trial_count - 1, COVERAGE)
+            factor = quantile * (1.0 + 1.0 / trial_count) ** 0.5
+            rationale = f"covers {COVERAGE:.0%} of further trials, from the scatter of {trial_count} trials"
+        return cls(
+            value,
+            factor * scatter,
+            source,
+            rationale,
+            kind=RealityKind.MEASURED,
+            scatter=scatter,
+            trial_count=trial_count,
+        )
+
+    def deviation(self, value: float) -> float:
+        """Return the distance of a value from the real one, in half-widths of the interval."""
+        return abs(value - self.value) / self.tolerance
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartOutcome:
+    """Outcome of a check for one part: a set of contact constants, or a joint, a link or a pair of geoms of the robot.
+
+    Attributes:
+        name: The part; for contact constants, the geoms that touch with them.
+        value: Measured value; None when not measured.
+        verdict: The verdict.
+        deviation: Distance from reality, in half-widths of its interval or as the ratio to a limit.
+        remark: Why it was not measured, or how it failed; empty otherwise.
+    """
+
+    name: str
+    value: float | None
+    verdict: SanityVerdict
+    deviation: float
+    remark: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SanityResult:
+    """Result of one check.
+
+    Attributes:
+        id: Id, such as `creep-wood`.
+        title: Title, such as `creep of a cube of wood on 10 degrees`.
+        experiment: Gymnasium id of the experiment; empty when nothing is simulated.
+        unit: Unit of the values; `1` for a pure number.
+        reality: Value for real objects.
+        default: Value with the backend's default; None when not measured.
+        configured: Value in this configuration; None when not measured.
+        verdict: SanityVerdict of this configuration.
+        default_verdict: SanityVerdict of the backend's default.
+        remark: Why it was not measured, or how it failed; empty otherwise.
+        advisory: Why the verdict does not count for the whole configuration; empty when it counts.
+        applies: Whether the check applies to the target.
+        geoms: Geoms whose contact constants decide the verdict; empty when all contacts have the same.
+        parts: Outcome for each part that is checked; empty when nothing was measured.
+        consequence: What a failure means for a policy, in one sentence; empty when the title says it.
+        place: Element of the target's own model that decides the verdict, with file and line; empty otherwise.
+    """
+
+    id: str
+    title: str
+    experiment: str = ""
+    unit: str
+    reality: Reality
+    default: float | None = None
+    configured: float | None = None
+    verdict: SanityVerdict
+    default_verdict: SanityVerdict = SanityVerdict.NOT_MEASURED
+    remark: str = ""
+    advisory: str = ""
+    applies: bool = True
+    geoms: str = ""
+    parts: tuple[PartOutcome, ...] = ()
+    consequence: str = ""
+    place: str = ""
+
+    @property
+    def is_on_target(self) -> bool:
+        """Whether the check is on the target itself, and runs none of the suite's experiments."""
+        return not self.experiment
+
+    @property
+    def is_flag(self) -> bool:
+        """Whether the check is a warning or failed, and counts."""
+        return self.verdict.is_off and not self.advisory
+
+    @property
+    def deviation(self) -> float:
+        """Distance of the worst part from reality, in half-widths of its interval; 0 if nothing was measured."""
+        return max((part.deviation for part in self.parts), default=0.0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all attributes, JSON-ready."""
+        return json_ready(asdict(self))
