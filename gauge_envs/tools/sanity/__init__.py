@@ -20,21 +20,14 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.sanity.comparison import difference as difference
     from gauge_envs.tools.sanity.readers import configuration as configuration
-    from gauge_envs.tools.sanity.readers.gymnasium_env import Target as Target
     from gauge_envs.tools.sanity.report import Fix as Fix, Report as Report
-    from gauge_envs.tools.sanity.robot.foot import FootGeometry as FootGeometry
     from gauge_envs.tools.sanity.run import check as check
     from gauge_envs.tools.sanity.training import (
-        ContactGroup as ContactGroup,
-        Need as Need,
         TrainingConfiguration as TrainingConfiguration,
     )
     from gauge_envs.tools.sanity.verdict import (
-        PartOutcome as PartOutcome,
         Reality as Reality,
-        RealityKind as RealityKind,
         SanityResult as SanityResult,
         SanityVerdict as SanityVerdict,
     )
@@ -46,20 +39,11 @@ else:
     __getattr__, __all__ = lazy_names(
         __name__,
         {
-            ".comparison": ["difference"],
             ".readers": ["configuration"],
-            ".readers.gymnasium_env": ["Target"],
             ".report": ["Fix", "Report"],
-            ".robot.foot": ["FootGeometry"],
             ".run": ["check"],
-            ".training": ["ContactGroup", "Need", "TrainingConfiguration"],
-            ".verdict": [
-                "PartOutcome",
-                "Reality",
-                "RealityKind",
-                "SanityResult",
-                "SanityVerdict",
-            ],
+            ".training": ["TrainingConfiguration"],
+            ".verdict": ["Reality", "SanityResult", "SanityVerdict"],
             ".wrapper": ["SanityWarning", "SanityWrapper"],
         },
     )

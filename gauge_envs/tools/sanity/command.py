@@ -205,8 +205,8 @@ def _compare(
     form: Format,
 ) -> int:
     """Print the checks of two targets side by side, and return the exit code."""
-    from gauge_envs.tools.sanity import check, difference
-    from gauge_envs.tools.sanity.comparison import difference_document
+    from gauge_envs.tools.sanity import check
+    from gauge_envs.tools.sanity.comparison import difference, difference_document
 
     reports = [check(target, explain=False, **options) for target in (first, second)]
     compared = difference(*reports)

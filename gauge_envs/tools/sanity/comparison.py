@@ -2,6 +2,7 @@
 
 Example:
     >>> from gauge_envs.tools.sanity import check
+    >>> from gauge_envs.tools.sanity.comparison import difference
     >>> reports = [check(target, only=["rebound"]) for target in ("mujoco", "mujoco")]
     >>> [check.is_changed for check in difference(*reports).checks]
     [False]
@@ -20,12 +21,14 @@ from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import counted, quantity_text, with_unit
 from gauge_envs.text import json_document
 from gauge_envs.tools.sanity.report import Report
-from gauge_envs.tools.sanity.verdict import MAX_PASSED, SanityResult, SanityVerdict
+from gauge_envs.tools.sanity.verdict import (
+    MAX_PASSED,
+    WORSE_BY,
+    SanityResult,
+    SanityVerdict,
+)
 
 # --- an earlier run --------------------------------------------------------------------------------------------------
-
-GROWTH = 1.0
-"""Growth of the deviation of a failed check or warning that is a regression, in half-widths of the interval."""
 
 Baseline = Mapping[tuple[str, str], float]
 """Deviation of each part of each check of an earlier run, by the id of the check and the name of the part."""
@@ -85,7 +88,7 @@ def regressions(
     for result in report.flags.values():
         for part in result.parts:
             before = baseline.get((result.id, part.name), MAX_PASSED)
-            is_farther = part.deviation > before + GROWTH or before <= MAX_PASSED
+            is_farther = part.deviation > before + WORSE_BY or before <= MAX_PASSED
             if part.verdict in verdicts and is_farther:
                 text = "-" if part.value is None else quantity_text(part.value)
                 value = with_unit(text, result.unit)

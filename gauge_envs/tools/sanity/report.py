@@ -68,7 +68,7 @@ class Report:
     configuration: TrainingConfiguration
     checks: tuple[SanityResult, ...]
     versions: Mapping[str, str]
-    wall_s: float
+    wall_s: float = 0.0
     fix: Fix | None = None
     tried: tuple[str, ...] = ()
     trade: str = ""

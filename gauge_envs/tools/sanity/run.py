@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,16 +12,12 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.fixtures.parts import ball, contact, ground, thrown
 from gauge_envs.registry import package_versions
 from gauge_envs.scene import Scene
-from gauge_envs.tools.sanity.fixes.fix import FixSearch, find_fix
+from gauge_envs.tools.sanity.fixes.fix import find_fix
 from gauge_envs.tools.sanity.model_checks import TARGET_CHECKS
 from gauge_envs.tools.sanity.model_checks.drives import unstated
 from gauge_envs.tools.sanity.object_checks import GRASP
 from gauge_envs.tools.sanity.object_checks.applied import applied_check
-from gauge_envs.tools.sanity.object_checks.measure import (
-    CheckOutcome,
-    Measurements,
-    TimeLimitError,
-)
+from gauge_envs.tools.sanity.object_checks.measure import Measurements, TimeLimitError
 from gauge_envs.tools.sanity.object_checks.scenario import Scenario
 from gauge_envs.tools.sanity.readers import configuration as configuration_of
 from gauge_envs.tools.sanity.readers.gymnasium_env import Target
@@ -28,7 +25,7 @@ from gauge_envs.tools.sanity.report import Report
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.selection import selection
 from gauge_envs.tools.sanity.training import Need, TrainingConfiguration
-from gauge_envs.tools.sanity.verdict import SanityResult, SanityVerdict
+from gauge_envs.tools.sanity.verdict import PartOutcome, SanityResult, SanityVerdict
 
 
 @mujoco_warnings()
@@ -73,11 +70,17 @@ def check(
     objects, is_cut_short = _object_results(measurements, configuration, names, notify)
     if not is_cut_short:
         _check_accepted(configuration, measurements.engine, objects)
-    results += objects
-    search = FixSearch()
+    report = Report(
+        configuration=configuration,
+        checks=(*results, *objects),
+        versions={**measurements.versions, **package_versions()},
+        asked=tuple(name for name in chosen if name in only),
+    )
+    if configuration.robot is not None:
+        report = replace(report, unstated=unstated(configuration.robot))
     if explain:
         try:
-            search = find_fix(configuration, measurements, results)
+            report = find_fix(report, measurements)
         except TimeLimitError:
             is_cut_short = True
     notes = []
@@ -88,19 +91,8 @@ def check(
         notes = [f"{limit}: the check is incomplete", *notes]
     elif not only:
         notes += force_notes(measurements, configuration)
-    robot = configuration.robot
-    return Report(
-        configuration=configuration,
-        checks=tuple(results),
-        versions={**measurements.versions, **package_versions()},
-        wall_s=time.perf_counter() - started,
-        fix=search.fix,
-        tried=search.tried,
-        trade=search.trade,
-        unstated="" if robot is None else unstated(robot),
-        notes=tuple(notes),
-        asked=tuple(name for name in chosen if name in only),
-    )
+    wall_s = time.perf_counter() - started
+    return replace(report, notes=tuple(notes), wall_s=wall_s)
 
 
 def _target_results(
@@ -198,16 +190,13 @@ def force_notes(
     """Return a note where the peak force of an impact depends on the step; no note where it cannot be measured."""
     settings = next(iter(configuration.contact_sets.values()), {})
     effective = measurements.effective(IMPACT, settings)
-    if (
-        isinstance(effective, CheckOutcome)
-        or Need.CONTACT in configuration.inapplicable
-    ):
+    if isinstance(effective, PartOutcome) or Need.CONTACT in configuration.inapplicable:
         return []
     peaks_n, step_s = [], effective["timestep_s"]
     for timestep_s in (step_s, 0.1 * step_s):
         changed = {**settings, "timestep_s": timestep_s}
         rollout = measurements.rollout(IMPACT, changed)
-        if isinstance(rollout, CheckOutcome):
+        if isinstance(rollout, PartOutcome):
             return []
         accelerations = np.diff(rollout.velocity("ball")[:, 2]) / rollout.interval_s
         peaks_n.append(float(accelerations.max()))

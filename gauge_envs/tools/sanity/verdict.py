@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, asdict, dataclass
+import math
+from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
-from typing import Any
 
-from gauge_envs.files import json_ready
 from gauge_envs.scoring.interval import student_t
 
 MAX_PASSED = 1.0
@@ -14,6 +13,9 @@ MAX_PASSED = 1.0
 
 MAX_WARNING = 2.5
 """Largest deviation of a warning, in half-widths of the interval of reality."""
+
+WORSE_BY = 1.0
+"""Growth of a deviation that makes a failed check or a warning worse, in half-widths of the interval of reality."""
 
 COVERAGE = 0.95
 """Share of further real trials that the interval of a measured quantity covers."""
@@ -45,6 +47,10 @@ class SanityVerdict(StrEnum):
         if deviation <= MAX_PASSED:
             return cls.PASSED
         return cls.WARNING if deviation <= MAX_WARNING else cls.FAILED
+
+
+class NotApplicableError(Exception):
+    """A check does not apply to a target; the message is the reason."""
 
 
 class RealityKind(StrEnum):
@@ -123,16 +129,16 @@ class PartOutcome:
 
     Attributes:
         name: The part; for contact constants, the geoms that touch with them.
-        value: Measured value; None when not measured.
+        value: Measured value; None when nothing was measured.
         verdict: The verdict.
         deviation: Distance from reality, in half-widths of its interval or as the ratio to a limit.
-        remark: Why it was not measured, or how it failed; empty otherwise.
+        remark: Why nothing was measured, or a failure of another kind; empty otherwise.
     """
 
-    name: str
-    value: float | None
+    name: str = ""
+    value: float | None = None
     verdict: SanityVerdict
-    deviation: float
+    deviation: float = math.inf
     remark: str = ""
 
 
@@ -190,7 +196,3 @@ class SanityResult:
     def deviation(self) -> float:
         """Distance of the worst part from reality, in half-widths of its interval; 0 if nothing was measured."""
         return max((part.deviation for part in self.parts), default=0.0)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return all attributes, JSON-ready."""
-        return json_ready(asdict(self))

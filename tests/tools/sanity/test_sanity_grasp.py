@@ -173,5 +173,5 @@ def test_a_planted_fault_of_a_hand_is_fixed(name):
     assert report.fix is not None
     assert len(report.fix.fixed) == report.fix.flag_count
     robot = report.configuration.robot
-    fixed, _ = checked(changed_model(robot, report.fix.changes).model)
+    fixed, _ = checked(changed_model(robot, report.fix.changes)[0])
     assert set(fixed.values()) == {SanityVerdict.PASSED}

@@ -102,7 +102,7 @@ def facts(target):
 
 
 def results(target, *only):
-    return [result.to_dict() for result in check(target, only=only).checks]
+    return check(target, only=only).checks
 
 
 def run_program(folder, *arguments):

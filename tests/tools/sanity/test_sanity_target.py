@@ -14,7 +14,7 @@ from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.contact_table import COLUMNS, contact_pairs
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.model_checks.numbers import action_time
+from gauge_envs.tools.sanity.model_checks import numbers
 from gauge_envs.tools.sanity.model_checks.runs import start_data
 from gauge_envs.tools.sanity.readers import configuration
 from gauge_envs.tools.sanity.training import Need
@@ -363,7 +363,7 @@ def test_a_warning_of_mujoco_on_the_users_file_is_a_note(tmp_path, capfd):
 
 def test_an_action_takes_at_most_half_of_the_time_in_which_a_fall_grows_by_e():
     read = configuration(mujoco.MjModel.from_xml_string(quadruped_xml()))
-    result = action_time.result(replace(read, frame_skip=5))
+    result = numbers.action_time.result(replace(read, frame_skip=5))
     limit_ms = 500.0 * np.sqrt(read.robot.standing.height_m / 9.80665)
     # Five steps of 2 ms.
     assert result.configured == pytest.approx(10.0)
@@ -383,4 +383,4 @@ def test_an_action_takes_at_most_half_of_the_time_in_which_a_fall_grows_by_e():
 )
 def test_gravity_is_that_of_the_earth_and_points_to_the_ground(gravity, verdict):
     read = replace(configuration("HalfCheetah-v5"), gravity_m_per_s2=gravity)
-    assert gravity.result(read).verdict == verdict
+    assert numbers.gravity.result(read).verdict == verdict

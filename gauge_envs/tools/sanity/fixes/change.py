@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -43,17 +43,8 @@ SHARED = ("contact_margin_m", "contact_gap_m")
 """Settings of which each of two geoms gives a half: they add up."""
 
 
-@dataclass(frozen=True)
-class ChangedModel:
-    """A copy of a model with changes.
-
-    Attributes:
-        model: The copy.
-        places: Elements that change, for each setting of elements.
-    """
-
-    model: mujoco.MjModel
-    places: dict[str, list[Place]]
+Places = dict[str, list[Place]]
+"""Elements that change, for each setting of elements."""
 
 
 def applied(
@@ -76,7 +67,7 @@ def applied(
         )
         settings = {**configuration.settings, **changes}
         return replace(configuration, settings=settings, contact_groups=groups)
-    model = changed_model(robot, changes).model
+    model = changed_model(robot, changes)[0]
     try:
         mujoco.mj_forward(model, mujoco.MjData(model))
     except mujoco.FatalError as error:
@@ -91,14 +82,14 @@ def applied(
     )
 
 
-def changed_model(robot: Robot, changes: Settings) -> ChangedModel:
+def changed_model(robot: Robot, changes: Settings) -> tuple[mujoco.MjModel, Places]:
     """Return a copy of a robot's model with changes, and the elements that change.
 
     Options are set. Attributes of geoms change on geoms that can touch the ground, and on all geoms of their
     default class. Attributes of equalities change on those with the constants of the equality that opens.
     """
     model = copy.copy(robot.model)
-    places: dict[str, list[Place]] = {}
+    places: Places = {}
     for name, value in changes.items():
         field = ELEMENT_FIELDS.get(name)
         if field is None:
@@ -116,7 +107,7 @@ def changed_model(robot: Robot, changes: Settings) -> ChangedModel:
         reached = reached_by_default(robot, name)
         if any(("geom", number) in places[name] for number in reached):
             getattr(model, f"geom_{field}")[reached] = new
-    return ChangedModel(model, places)
+    return model, places
 
 
 def reached_by_default(robot: Robot, name: str) -> list[int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from heapq import heapify, heappop, heappush
 from typing import Any
 
@@ -19,63 +19,43 @@ from gauge_envs.tools.sanity.fixes.text_change import write_change
 from gauge_envs.tools.sanity.model_checks import TARGET_CHECKS
 from gauge_envs.tools.sanity.object_checks import object_check
 from gauge_envs.tools.sanity.object_checks.applied import applied_check, worst_of
-from gauge_envs.tools.sanity.object_checks.measure import CheckOutcome, Measurements
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
 from gauge_envs.tools.sanity.readers import dialect
-from gauge_envs.tools.sanity.report import ChangePart, Fix
+from gauge_envs.tools.sanity.report import ChangePart, Fix, Report
 from gauge_envs.tools.sanity.robot.robot import Settings
 from gauge_envs.tools.sanity.training import TrainingConfiguration
-from gauge_envs.tools.sanity.verdict import SanityResult, SanityVerdict
-
-GROWTH = 1.0
-"""Growth of a deviation that makes a failed check worse, in half-widths of the interval of reality."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FixSearch:
-    """What a search for a fix gives.
-
-    Attributes:
-        fix: The smallest change that resolves most checks without harm; None when no change resolves one.
-        tried: Changes that were tried and not chosen, and how far each came.
-        trade: The change that resolves most checks, with its price; empty when the fix resolves as many.
-    """
-
-    fix: Fix | None = None
-    tried: tuple[str, ...] = ()
-    trade: str = ""
+from gauge_envs.tools.sanity.verdict import (
+    WORSE_BY,
+    PartOutcome,
+    SanityResult,
+    SanityVerdict,
+)
 
 
-def find_fix(
-    configuration: TrainingConfiguration,
-    measurements: Measurements,
-    results: Sequence[SanityResult],
-) -> FixSearch:
-    """Search the smallest change that resolves most checks without harm.
+def find_fix(report: Report, measurements: Measurements) -> Report:
+    """Return a report with the smallest change that resolves most checks without harm.
+
+    It also has the other changes that were tried, and the trade: the change that resolves most checks, with its price,
+    where the fix resolves fewer.
 
     Args:
-        configuration: The checked configuration.
+        report: Report of all checks.
         measurements: Measurements on the engine of the checks.
-        results: Results of all checks.
 
     Raises:
         TimeLimitError: The time is used up.
     """
-    return _Search(configuration, measurements, results).run()
+    return _Search(report, measurements).run()
 
 
 class _Search:
     """Applies changes and checks them; see `find_fix` for the arguments."""
 
-    def __init__(
-        self,
-        configuration: TrainingConfiguration,
-        measurements: Measurements,
-        results: Sequence[SanityResult],
-    ) -> None:
-        self.configuration = configuration
+    def __init__(self, report: Report, measurements: Measurements) -> None:
+        self.report, self.measurements = report, measurements
+        self.configuration = configuration = report.configuration
         self.dialect = dialect(configuration.language)
-        self.measurements = measurements
-        changeable = [result for result in results if _is_changeable(result.id)]
+        changeable = [result for result in report.checks if _is_changeable(result.id)]
         self._units = {result.id: result.unit for result in changeable}
         # Short scenes come first, the target's own model last.
         self._before = {
@@ -85,10 +65,10 @@ class _Search:
         }
         self._flags = [result.id for result in changeable if result.is_flag]
         self._applied: dict[str, TrainingConfiguration | None] = {}
-        self._known: dict[tuple[str, str], CheckOutcome] = {}
+        self._known: dict[tuple[str, str], PartOutcome] = {}
         self._tried: list[str] = []
 
-    def run(self) -> FixSearch:
+    def run(self) -> Report:
         """Return what `find_fix` does."""
         best_count, trade = 0, ""
         for changes in self._ranked(self._candidates()):
@@ -108,14 +88,14 @@ class _Search:
         if self._tried:
             best = f"; best: {trade}" if trade else ""
             trade = f"None of {len(self._tried)} changes of settings resolves a check without harm{best}"
-        return FixSearch(tried=tuple(self._tried), trade=trade)
+        return replace(self.report, tried=tuple(self._tried), trade=trade)
 
-    def _found(self, changes: Settings, best_count: int, trade: str) -> FixSearch:
-        """Return a change without harm; the best trade counts where it resolves more checks."""
+    def _found(self, changes: Settings, best_count: int, trade: str) -> Report:
+        """Return the report with a change without harm; the trade counts where it resolves more checks."""
         fix = self._fix(changes)
         if best_count <= len(fix.fixed):
             trade = ""
-        return FixSearch(fix=fix, tried=tuple(self._tried), trade=trade)
+        return replace(self.report, fix=fix, tried=tuple(self._tried), trade=trade)
 
     def _candidates(self) -> list[dict[str, Any]]:
         """Return the changes that may resolve checks."""
@@ -157,17 +137,15 @@ class _Search:
                 self._applied[key] = None
         return self._applied[key]
 
-    def _outcome(self, changes: Settings, name: str) -> CheckOutcome:
+    def _outcome(self, changes: Settings, name: str) -> PartOutcome:
         """Return the outcome of a check after changes."""
         key = str(sorted(changes.items())), name
         if key not in self._known:
             self._known[key] = self._measure(self._changed(changes), name)
         return self._known[key]
 
-    def _measure(
-        self, changed: TrainingConfiguration | None, name: str
-    ) -> CheckOutcome:
-        unmeasured = CheckOutcome(verdict=SanityVerdict.NOT_MEASURED)
+    def _measure(self, changed: TrainingConfiguration | None, name: str) -> PartOutcome:
+        unmeasured = PartOutcome(verdict=SanityVerdict.NOT_MEASURED)
         if changed is None:
             return unmeasured
         if name in TARGET_CHECKS:
@@ -257,13 +235,14 @@ class _Search:
         if robot is None or changed is None or changed.robot is None:
             return fix
         text, hidden = write_change(robot, self.dialect, changes)
-        diff = [] if text is None else text.diff
-        lines = [] if text is None else [text.short(line) for line in diff]
-        added = " and ".join(line.text for line in diff if line.is_added)
+        lines, added = [], []
+        if text is not None:
+            lines = [text.short(f"{mark} {line}") for mark, line in text.diff]
+            added = [line for mark, line in text.diff if mark == "+"]
         also = f", also in {first_names(hidden)}" if hidden else ""
         return replace(
             fix,
-            line=f"{added or pasted}{also}: {effect}",
+            line=f"{' and '.join(added) or pasted}{also}: {effect}",
             lines=tuple(lines),
             speed_ratio=speed_ratio(robot, changed.robot),
         )
@@ -283,7 +262,7 @@ class _Search:
         return f"{text}, not {', '.join(failing)}" if failing and resolved else text
 
 
-def _value_text(outcome: CheckOutcome) -> str:
+def _value_text(outcome: PartOutcome) -> str:
     return "not measured" if outcome.value is None else f"{outcome.value:.3g}"
 
 
@@ -299,13 +278,13 @@ def _seconds(name: str) -> float:
     return object_check(name).scenario.seconds
 
 
-def _outcome_of(result: SanityResult) -> CheckOutcome:
-    return CheckOutcome(
+def _outcome_of(result: SanityResult) -> PartOutcome:
+    return PartOutcome(
         value=result.configured, deviation=result.deviation, verdict=result.verdict
     )
 
 
-def _is_worse(before: CheckOutcome, after: CheckOutcome) -> bool:
+def _is_worse(before: PartOutcome, after: PartOutcome) -> bool:
     """Return whether a check cannot be measured any more, has a worse verdict, or is farther from reality.
 
     A check cannot be measured, for example, where a robot that stood at rest falls.
@@ -318,4 +297,4 @@ def _is_worse(before: CheckOutcome, after: CheckOutcome) -> bool:
         after.verdict is SanityVerdict.FAILED
         and before.verdict is SanityVerdict.WARNING
     )
-    return is_failed or after.deviation > before.deviation + GROWTH
+    return is_failed or after.deviation > before.deviation + WORSE_BY

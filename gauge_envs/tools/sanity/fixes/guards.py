@@ -12,10 +12,10 @@ import numpy as np
 from gauge_envs.fixtures.parts import box, contact, ground, thrown
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
 from gauge_envs.tools.sanity.object_checks.check import lowest_m
-from gauge_envs.tools.sanity.object_checks.measure import CheckOutcome, Measurements
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
 from gauge_envs.tools.sanity.object_checks.scenario import Scenario
 from gauge_envs.tools.sanity.robot.robot import Settings
-from gauge_envs.tools.sanity.verdict import SanityVerdict
+from gauge_envs.tools.sanity.verdict import PartOutcome, SanityVerdict
 
 FRICTION = 0.257
 """Friction of the measured wooden cube (scoring/facts/slope_slider_30deg_summary.toml)."""
@@ -75,7 +75,7 @@ def hop_mm(measurements: Measurements, settings: Settings) -> float:
     measured.
     """
     rollout = measurements.rollout(SLIDE, settings)
-    if isinstance(rollout, CheckOutcome):
+    if isinstance(rollout, PartOutcome):
         return math.nan if rollout.verdict is SanityVerdict.NOT_MEASURED else math.inf
     stops_m = [rollout.displacement(name)[-1, 0] for name in NAMES[:2]]
     if not np.allclose(stops_m, STOP_M, rtol=STOP_TOLERANCE):

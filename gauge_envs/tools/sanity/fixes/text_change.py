@@ -7,7 +7,6 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 from gauge_envs.tools.sanity.fixes.change import (
     ELEMENT_FIELDS,
@@ -27,23 +26,6 @@ SCREEN = 100
 
 SECTION_TAGS = {"option": ("option",), "flag": ("option", "flag")}
 """Tags of the sections of options; all other sections are defaults."""
-
-
-class ChangedLine(NamedTuple):
-    """A line of a diff.
-
-    Attributes:
-        text: The line without the blanks at its ends.
-        is_added: Whether it is added, not removed.
-    """
-
-    text: str
-    is_added: bool
-
-    def __str__(self) -> str:
-        """Return the line as a diff shows it."""
-        mark = "+" if self.is_added else "-"
-        return f"{mark} {self.text}"
 
 
 class TextChange:
@@ -115,17 +97,22 @@ class TextChange:
         """Insert a section behind the included files, if there are any, or in front of the other sections."""
         file = self.model.file
         children = [child for child in self.model.root.children if child.file == file]
-        includes = [child for child in children if child.tag == "include"] * is_behind
+        includes = [child for child in children if child.tag == "include"]
         later = [child for child in children if child.tag not in FIRST]
-        neighbour = [*(later or children)[:1], *includes][-1]
+        neighbour = (later or children)[0]
+        is_behind &= bool(includes)
+        if is_behind:
+            neighbour = includes[-1]
         before = self.model.texts[file][: neighbour.start].rpartition("\n")[2]
         gap = "\n" + before if before.isspace() else "\n"
         text = "".join(f' {key}="{value}"' for key, value in values.items())
         text = f"<{tags[-1]}{text}/>"
         for tag in tags[-2::-1]:
             text = f"<{tag}>{text}</{tag}>"
-        at = neighbour.stop if includes else neighbour.start
-        self._inserted.append((at, at, gap + text if includes else text + gap))
+        if is_behind:
+            self._inserted.append((neighbour.stop, neighbour.stop, gap + text))
+        else:
+            self._inserted.append((neighbour.start, neighbour.start, text + gap))
 
     def move(self, folder: Path) -> None:
         """Write included files and the folders of meshes and textures relative to another folder."""
@@ -162,7 +149,7 @@ class TextChange:
 
     def text(self, file: Path) -> str:
         """Return the text of a file with all changes."""
-        edits = self._inserted * (file == self.model.file)
+        edits = [*self._inserted] if file == self.model.file else []
         for (element, key), value in self._values.items():
             if element.file == file:
                 spans = element.places.values()
@@ -176,20 +163,19 @@ class TextChange:
         return text
 
     @property
-    def diff(self) -> list[ChangedLine]:
-        """Changed lines of all files."""
-        changes: list[ChangedLine] = []
+    def diff(self) -> list[tuple[str, str]]:
+        """Changed lines of all files: the mark of each, `-` or `+`, and its text."""
+        changes: list[tuple[str, str]] = []
         for file, before in self.model.texts.items():
             texts = before.splitlines(), self.text(file).splitlines()
             # The first two lines name the files.
             for line in [*difflib.unified_diff(*texts, n=0, lineterm="")][2:]:
                 if line[0] in "+-":
-                    changes.append(ChangedLine(line[1:].strip(), line[0] == "+"))
+                    changes.append((line[0], line[1:].strip()))
         return changes
 
-    def short(self, changed: ChangedLine) -> str:
+    def short(self, line: str) -> str:
         """Return a line; of one that is longer than the screen, its name, its class and what changes."""
-        line = str(changed)
         if len(line) <= SCREEN:
             return line
         keys = {"name", "class", *(key for _, key in self._values)}
@@ -217,7 +203,7 @@ def write_change(
     """
     text = None if robot.text is None else TextChange(robot.text)
     hidden: list[str] = []
-    places = changed_model(robot, changes).places
+    _, places = changed_model(robot, changes)
     sections: dict[tuple[str, ...], dict[str, str]] = {}
     for setting in dialect.settings:
         if setting.name not in changes:

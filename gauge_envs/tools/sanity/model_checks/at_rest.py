@@ -8,15 +8,11 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.model_checks.check import (
-    Finding,
-    NotApplicableError,
-    leave_to,
-    model_check,
-)
+from gauge_envs.tools.sanity.model_checks.check import Finding, leave_to, model_check
 from gauge_envs.tools.sanity.model_checks.free_motion import solver
 from gauge_envs.tools.sanity.model_checks.runs import LATE, SAMPLES, SLEEP, Run, settled
 from gauge_envs.tools.sanity.robot.robot import Robot, joints_of, name_of
+from gauge_envs.tools.sanity.verdict import NotApplicableError
 
 NOTHING = Finding(value=0.0)
 """Finding of a model without a fault."""
@@ -46,7 +42,6 @@ The lowest of twenty equal blocks carries as much. The check rest-height covers 
 @model_check(
     "model-overlap",
     title="depth of a crushed body at rest, over its size",
-    unit="1",
     interval=(0.0, 0.01),
     source="solids yield at strains of 0.2 % (steel) to 2 % (plastics); MuJoCo softens a contact as its lighter body",
     consequence="Stacks sink into each other and are lower than in reality.",
@@ -108,7 +103,6 @@ A longer time constant, a stiffness or a smaller impedance may mean a spring.
 @model_check(
     "model-constraints",
     title="opening of a joined part or stop, over its size",
-    unit="1",
     interval=(0.0, 0.05),
     source="bearings and stops of machines yield by less than 1 %; MuJoCo's limits by up to 0.02 rad under a robot",
     consequence="Joined parts come apart under load, as on a rubber band.",
@@ -265,7 +259,6 @@ def _worst_flex(robot: Robot, ratios: FloatArray, text: str) -> Finding:
 @model_check(
     "model-cloth",
     title="stretch of inextensible edges under gravity",
-    unit="1",
     interval=(0.0, 0.05),
     source="an edge with an equality has no elasticity; woven cloth stretches by less than 5 % under its weight",
     consequence="Cloth flows like rubber, so that a grasp lifts a part of it.",
@@ -283,7 +276,6 @@ def cloth(robot: Robot) -> Finding:
 @model_check(
     "model-cloth-sink",
     title="depth of cloth in its support, over its thickness",
-    unit="1",
     interval=(0.0, 1.0),
     source="two solids do not share a place; MuJoCo's flex is as thick as twice its radius",
     consequence="Cloth passes into or through what it lies on.",

@@ -27,6 +27,7 @@ from gauge_envs.pages.text import quantity_text
 from gauge_envs.tools.sanity.robot.robot import Place, Robot, once
 from gauge_envs.tools.sanity.training import TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import (
+    NotApplicableError,
     PartOutcome,
     Reality,
     SanityResult,
@@ -38,10 +39,6 @@ WHOLE = "the model"
 
 USUAL_MARGIN = 1.1
 """Largest ratio to a usual limit, which is no law, that passes."""
-
-
-class NotApplicableError(Exception):
-    """A check does not apply to a target; the message is the reason."""
 
 
 class NotMeasuredError(Exception):
@@ -221,10 +218,10 @@ def model_check(
     name: str,
     *,
     title: str,
-    unit: str,
     interval: tuple[float, float],
     source: str,
     consequence: str,
+    unit: str = "1",
     is_usual: bool = False,
     is_simulated: bool = False,
 ) -> Callable[[Callable[[Robot], Finding]], ModelCheck]:

@@ -7,12 +7,7 @@ import numpy as np
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.model_checks.check import (
-    Finding,
-    NotApplicableError,
-    leave_to,
-    model_check,
-)
+from gauge_envs.tools.sanity.model_checks.check import Finding, leave_to, model_check
 from gauge_envs.tools.sanity.model_checks.runs import (
     REST_S,
     STATE,
@@ -33,6 +28,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     joints_of_motors,
     name_of,
 )
+from gauge_envs.tools.sanity.verdict import NotApplicableError
 
 CONSERVED = 0.05
 """Largest relative change of angular momentum that passes."""
@@ -77,7 +73,6 @@ def _flight(model: mujoco.MjModel, joints: list[int]) -> tuple[FloatArray, float
 @model_check(
     "model-spin",
     title="relative change of angular momentum in a flight",
-    unit="1",
     interval=(0.0, CONSERVED),
     source="angular momentum of a free body is conserved; air takes a few percent of the spin of a thrown object",
     consequence="What is thrown or jumps turns faster or slower than in reality.",
@@ -113,7 +108,6 @@ SINE_S, SINE_SHARE, SINE_RAD = 1.0, 0.25, 0.2
 @model_check(
     "robot-holds",
     title="time with a finite state, over that of the run",
-    unit="1",
     interval=(1.0, np.inf),
     source="a run of the model from its keyframe or initial pose, without actions and along sines",
     consequence="Training meets NaN or is reset in each episode.",
@@ -148,7 +142,6 @@ ENERGY_S = 1.0
 @model_check(
     "robot-energy",
     title="energy that a free motion gains, over its kinetic",
-    unit="1",
     interval=(0.0, 0.1),
     source="without contact and motors, with the damping and friction of joints and servos, energy only falls",
     consequence="The policy is paid for motions that the engine feeds.",
@@ -187,7 +180,6 @@ SOLVED_STATES = 20
 @model_check(
     "model-solver",
     title="error of the solver's forces in the run at rest",
-    unit="1",
     interval=(0.0, 0.05),
     source="Newton's method with 1e-10 and a dense Jacobian: all solvers of MuJoCo minimize one convex function",
     consequence="Contacts and joints push with forces that no model states.",
@@ -238,7 +230,6 @@ LINK_SHARE = 0.2
 @model_check(
     "model-stated",
     title="values of the file without effect",
-    unit="1",
     interval=(0.0, 0.5),
     source="MuJoCo: rolling friction acts with condim 6; gravcomp of a body does not reach its children",
     consequence="The model does not do what its file says.",

@@ -11,7 +11,6 @@ from gauge_envs.backends.mujoco.contact_table import GROUND_TYPES
 from gauge_envs.tools.sanity.model_checks.check import (
     Case,
     Finding,
-    NotApplicableError,
     model_check,
     worst_case,
 )
@@ -27,6 +26,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     switched_off,
 )
 from gauge_envs.tools.sanity.robot.standing import SOLE_WITHIN, STANDS_WITHIN, support_m
+from gauge_envs.tools.sanity.verdict import NotApplicableError
 
 
 def standing_of(robot: Robot) -> Standing:
@@ -49,7 +49,6 @@ def floor_m(robot: Robot) -> float:
 @model_check(
     "robot-feet",
     title="limbs in the ground that cannot touch it",
-    unit="1",
     interval=(0.0, 0.5),
     source="contype, conaffinity and pairs of the model; the lowest geoms in the pose in which it stands",
     consequence="The limb passes through the ground: walking does without it.",
@@ -115,7 +114,6 @@ LOST_FRICTION = 2.0
 @model_check(
     "robot-friction",
     title="friction of a foot, over the limit of real soles",
-    unit="1",
     interval=(0.0, 1.0),
     source="wet ice 0.05, racing tyres below 3; MuJoCo takes the greater one of two geoms of equal priority",
     consequence="The foot slips or grips as on no real floor.",
@@ -141,7 +139,8 @@ def _frictions(robot: Robot, number: int) -> Iterator[Case]:
     name = geom_name(model, foot)
     ratio = max(LOW_FRICTION / max(met, 1e-9), met / HIGH_FRICTION)
     text = f"{name} has friction {met:g} on {geom_name(model, ground)}"
-    text += ", by condim 1" * (condim == 1)
+    if condim == 1:
+        text += ", by condim 1"
     yield Case(ratio, ("geom", foot), name, text, is_usual=True)
     given = model.geom_friction[ground, 0]
     # A friction that a geom takes from the default is not compared.
@@ -167,7 +166,6 @@ LEVER = 3.0
 @model_check(
     "robot-torsion",
     title="lever of torsional friction, over size of a foot",
-    unit="1",
     interval=(0.0, LEVER),
     source="an even disc has a lever of two thirds of its radius, and no contact is larger than the part",
     consequence="Feet and fingers hold as if glued: they neither turn nor roll.",

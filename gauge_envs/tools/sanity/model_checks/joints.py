@@ -12,7 +12,6 @@ from gauge_envs.scene.geometry import length_of
 from gauge_envs.tools.sanity.model_checks.check import (
     Case,
     Finding,
-    NotApplicableError,
     model_check,
     worst_case,
 )
@@ -34,6 +33,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     root_of,
 )
 from gauge_envs.tools.sanity.robot.standing import LIQUID_KG_PER_M3
+from gauge_envs.tools.sanity.verdict import NotApplicableError
 
 # --- friction, damping and armature ----------------------------------------------------------------------------------
 
@@ -50,7 +50,6 @@ FALL_PER_S = 1.0
 @model_check(
     "robot-joint",
     title="friction, damping and armature of a joint",
-    unit="1",
     interval=(0.0, 1.0),
     source="force balance of a slow motion: 0.1 rad/s from rest in 0.2 s, in a leg 3 rad/s in 0.1 s; a leg without "
     "power gives way to the whole robot; a rotor is rarely heavier than the whole robot where no torque moves it",
@@ -133,7 +132,6 @@ GROWTH, GROWTH_STEPS, MAX_RATIO = 3.0, 200, 1.05
 @model_check(
     "robot-drive",
     title="response of a servo, over the limit of a drive",
-    unit="1",
     interval=(0.0, 1.0),
     source="a slow motion without gravity and contact never grows; closed forms of a loop of second order for ringing, "
     "lag and sag; the error at which a servo saturates; commands in degrees",
@@ -254,7 +252,6 @@ Stiff linkages in grippers of makers yield by 0.001 to 0.02, and MuJoCo's defaul
 @model_check(
     "robot-coupling",
     title="force of a motor, over that of a yielding coupling",
-    unit="1",
     interval=(0.0, 1.0),
     source="inverse dynamics of a coupling that has yielded by 30 % of the joint's range; stiff linkages yield by 2 %",
     consequence="One finger gives way, so that a grasp holds less than the real one.",
@@ -297,7 +294,6 @@ FREE_SHARE = 0.05
 @model_check(
     "robot-free",
     title="share of its speed that a free joint takes in 1 s",
-    unit="1",
     interval=(0.0, FREE_SHARE),
     source='nothing holds a base in the air; defaults of joints apply to <joint type="free"> and not to <freejoint>',
     consequence="The policy learns to turn and fall slower than the robot does.",

@@ -12,7 +12,6 @@ from gauge_envs.scene.geometry import length_of
 from gauge_envs.tools.sanity.model_checks.check import (
     Case,
     Finding,
-    NotApplicableError,
     model_check,
     worst_case,
 )
@@ -24,6 +23,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     reaches_m,
     root_of,
 )
+from gauge_envs.tools.sanity.verdict import NotApplicableError
 
 LEAD_KG_PER_M3, OSMIUM_KG_PER_M3 = 12_000.0, 22_600.0
 """Density of lead and of the densest metal [kg/m^3]: no link of a robot is denser than the first."""
@@ -53,7 +53,6 @@ DRAWN_TWICE = 0.05
 @model_check(
     "robot-mass",
     title="density, inertia or mass, over that of real bodies",
-    unit="1",
     interval=(0.0, 1.0),
     source="lead 12,000 and osmium 22,600 kg/m^3; a ball of osmium has the least inertia of its mass; no mass is "
     "farther away than the robot reaches; what is drawn and collides weighs once",

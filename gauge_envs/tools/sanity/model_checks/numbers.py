@@ -9,13 +9,9 @@ import numpy as np
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import length_of
-from gauge_envs.tools.sanity.model_checks.check import (
-    Finding,
-    NotApplicableError,
-    TargetCheck,
-)
+from gauge_envs.tools.sanity.model_checks.check import Finding, TargetCheck
 from gauge_envs.tools.sanity.training import Need, TrainingConfiguration
-from gauge_envs.tools.sanity.verdict import Reality
+from gauge_envs.tools.sanity.verdict import NotApplicableError, Reality
 
 TARGET = "the target"
 """Part of a check of the target as a whole."""

@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.model_checks.check import NotApplicableError
 from gauge_envs.tools.sanity.model_checks.drives import hold_position
 from gauge_envs.tools.sanity.robot.robot import Robot, disable_bit, once
+from gauge_envs.tools.sanity.verdict import NotApplicableError
 
 REST_S = 2.0
 """Time of a run at rest [s]: a body dropped by 0.1 m falls for 0.14 s, and a default contact settles in 0.1 s."""

@@ -8,7 +8,6 @@ import numpy as np
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.check import (
     Finding,
-    NotApplicableError,
     NotMeasuredError,
     model_check,
     worst_case,
@@ -23,6 +22,7 @@ from gauge_envs.tools.sanity.model_checks.drives import (
 from gauge_envs.tools.sanity.model_checks.ground import MIN_GAP_MM, floor_m, standing_of
 from gauge_envs.tools.sanity.model_checks.masses import is_overweight
 from gauge_envs.tools.sanity.robot.robot import Robot, once
+from gauge_envs.tools.sanity.verdict import NotApplicableError
 
 HOLD_S, LATE_S = 2.0, 0.5
 """Time for which servos hold the robot [s], and the end of this time, in which torques are read."""
@@ -82,7 +82,6 @@ def hold_pose(robot: Robot) -> tuple[float, FloatArray]:
 @model_check(
     "robot-torque",
     title="force that holds a joint, over that of its motor",
-    unit="1",
     interval=(0.0, 1.0),
     source="inverse dynamics at rest in the pose of the keyframe; of a robot on feet, the mean torque as it falls",
     consequence="The motors do not hold the robot's own weight.",
@@ -123,7 +122,6 @@ def holding_force(robot: Robot) -> Finding:
 @model_check(
     "robot-stands",
     title="height after 2 s under servos, over the first",
-    unit="1",
     interval=(FELL, ROSE),
     source="the robot's own rollout: its pose, its controls and its settings, on three feet or more",
     consequence="Episodes begin with a fall or jump that the policy has to undo.",

@@ -7,10 +7,15 @@ from dataclasses import dataclass, replace
 
 from gauge_envs.tools.sanity.object_checks import GRASP, object_check
 from gauge_envs.tools.sanity.object_checks.check import ObjectCheck
-from gauge_envs.tools.sanity.object_checks.measure import CheckOutcome, Measurements
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
 from gauge_envs.tools.sanity.robot.robot import Settings
 from gauge_envs.tools.sanity.training import Need, TrainingConfiguration
-from gauge_envs.tools.sanity.verdict import SanityResult, SanityVerdict
+from gauge_envs.tools.sanity.verdict import (
+    NotApplicableError,
+    PartOutcome,
+    SanityResult,
+    SanityVerdict,
+)
 
 NO_ROBOT = "the target gives no geoms of a robot, so it has no foot"
 """Reason why checks of a foot do not apply to settings without a model."""
@@ -22,10 +27,6 @@ NO_IMPACT = (
 
 Sets = Mapping[str, Settings]
 """Settings of sets of contact constants, by the geoms that touch with them."""
-
-
-class _InapplicableError(Exception):
-    """A check does not apply to a target; the message is the reason."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class AppliedCheck:
     inapplicable: str = ""
     advisory: str = ""
 
-    def outcomes(self) -> dict[str, CheckOutcome]:
+    def outcomes(self) -> dict[str, PartOutcome]:
         """Return the outcome with each set.
 
         Raises:
@@ -85,9 +86,12 @@ class AppliedCheck:
             configured=worst.value,
             verdict=worst.verdict,
             geoms=geoms if len(outcomes) > 1 else "",
-            parts=tuple(outcome.part(name) for name, outcome in outcomes.items()),
+            parts=tuple(
+                replace(outcome, name=name) for name, outcome in outcomes.items()
+            ),
         )
-        if worst.rollout is not None:
+        rollout = self.measurements.rollout(self.check.scenario, self.sets[geoms])
+        if not isinstance(rollout, PartOutcome):
             # A rollout that diverges fails even where the check is advice.
             result = replace(result, advisory=self.advisory)
         verdicts = {outcome.verdict for outcome in outcomes.values()}
@@ -104,10 +108,10 @@ class AppliedCheck:
         )
 
 
-def worst_of(outcomes: Mapping[str, CheckOutcome]) -> tuple[str, CheckOutcome]:
+def worst_of(outcomes: Mapping[str, PartOutcome]) -> tuple[str, PartOutcome]:
     """Return the geoms and the outcome that is farthest from reality; of those that were not measured if all."""
 
-    def distance(item: tuple[str, CheckOutcome]) -> tuple[bool, float]:
+    def distance(item: tuple[str, PartOutcome]) -> tuple[bool, float]:
         outcome = item[1]
         is_measured = outcome.verdict is not SanityVerdict.NOT_MEASURED
         return is_measured, outcome.deviation
@@ -126,9 +130,9 @@ def applied_check(
     try:
         for need in check.all_needs:
             if need in configuration.inapplicable:
-                raise _InapplicableError(configuration.inapplicable[need])
+                raise NotApplicableError(configuration.inapplicable[need])
         sets = _sets_of(configuration, check)
-    except _InapplicableError as error:
+    except NotApplicableError as error:
         return AppliedCheck(measurements, check, {}, inapplicable=str(error))
     applied = AppliedCheck(measurements, own_check, sets)
     if not check.is_impact:
@@ -149,38 +153,38 @@ def _sets_of(configuration: TrainingConfiguration, check: ObjectCheck) -> Sets:
     """Return the sets of contact constants that a check applies to.
 
     Raises:
-        _InapplicableError: There is none; the message is the reason.
+        NotApplicableError: There is none; the message is the reason.
     """
     contacts: TrainingConfiguration | None = configuration
     if check.id in GRASP:
         contacts = configuration.of_hand(is_flat=check.id == "grasp-torsion")
     if contacts is None:
-        raise _InapplicableError(
+        raise NotApplicableError(
             "round fingertips: their torsional friction alone holds a torque"
         )
     sets: Sets = contacts.contact_sets
     if Need.FOOT in check.needs:
         foot = configuration.foot_geometry
         if foot is None:
-            raise _InapplicableError(NO_ROBOT)
+            raise NotApplicableError(NO_ROBOT)
         sets = {geoms: sets[geoms] for geoms in sets if geoms in foot.sets}
         if not sets:
-            raise _InapplicableError("the chosen geoms are no foot on the ground")
+            raise NotApplicableError("the chosen geoms are no foot on the ground")
     if not check.touches:
         sets = dict([*sets.items()][:1])
     if Need.FRICTION in check.needs:
         named = "; ".join(sets) or "the target"
         sets = {geoms: sets[geoms] for geoms in sets if sets[geoms].get("condim") != 1}
         if not sets:
-            raise _InapplicableError(
+            raise NotApplicableError(
                 f"condim 1: contacts of {named} have no friction on purpose"
             )
     return sets
 
 
-def _has_rebound(effective: Settings | CheckOutcome) -> bool:
+def _has_rebound(effective: Settings | PartOutcome) -> bool:
     """Return whether contacts have a rebound: one solref without it replaces an engine's restitution."""
-    if isinstance(effective, CheckOutcome):
+    if isinstance(effective, PartOutcome):
         return True
     if effective.get("newton_material"):
         return False

@@ -3,7 +3,6 @@
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from gauge_envs.backends import Backend, backend
@@ -44,35 +43,6 @@ class TimeLimitError(GaugeError):
     """The time of a check is used up, and another rollout would be needed."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class CheckOutcome:
-    """Outcome of a check of measured objects with some settings.
-
-    Attributes:
-        value: Value in the unit of the check; None when nothing was measured.
-        deviation: Distance from reality in half-widths of its interval; infinite when nothing was measured.
-        verdict: The verdict.
-        remark: Why nothing was measured, or a failure that no real trial shows; empty otherwise.
-        rollout: The rollout; None when the scene is unsupported or the rollout diverged.
-    """
-
-    value: float | None = None
-    deviation: float = math.inf
-    verdict: SanityVerdict
-    remark: str = ""
-    rollout: Recording | None = None
-
-    def part(self, name: str) -> PartOutcome:
-        """Return the outcome as that of a part of a check."""
-        return PartOutcome(
-            name=name,
-            value=self.value,
-            verdict=self.verdict,
-            deviation=self.deviation,
-            remark=self.remark,
-        )
-
-
 class Measurements:
     """Runs checks on one engine, and caches rollouts by scenario and settings.
 
@@ -94,16 +64,16 @@ class Measurements:
         self._backend = backend(engine) if isinstance(engine, str) else engine
         self.engine, self.versions = self._backend.name, self._backend.versions()
 
-    def measure(self, check: ObjectCheck, settings: Settings) -> CheckOutcome:
+    def measure(self, check: ObjectCheck, settings: Settings) -> PartOutcome:
         """Run a check; an outcome also exists when the scene is unsupported or the rollout diverges."""
         rollout = self.rollout(check.scenario, settings)
-        if isinstance(rollout, CheckOutcome):
+        if isinstance(rollout, PartOutcome):
             return rollout
         return judged(check, rollout)
 
     def rollout(
         self, scenario: Scenario, settings: Settings
-    ) -> Recording | CheckOutcome:
+    ) -> Recording | PartOutcome:
         """Return the rollout of a scenario with settings, or an outcome that says why there is none.
 
         Raises:
@@ -113,7 +83,7 @@ class Measurements:
 
     def effective(
         self, scenario: Scenario, settings: Settings
-    ) -> Settings | CheckOutcome:
+    ) -> Settings | PartOutcome:
         """Return every setting that a scenario would run with, or an outcome that says why there is none."""
         return self._once(effective_settings, scenario, settings)
 
@@ -122,7 +92,7 @@ class Measurements:
         function: Callable[[Backend, Scenario, Settings], Result],
         scenario: Scenario,
         settings: Settings,
-    ) -> Result | CheckOutcome:
+    ) -> Result | PartOutcome:
         touches = scenario.scene.contacts
         relevant = [
             (name, value)
@@ -134,7 +104,7 @@ class Measurements:
             if function is run_scenario and time.monotonic() >= self._ends_s:
                 raise TimeLimitError("the time limit is reached")
             self._known[key] = self._called(function, scenario, settings)
-        result: Result | CheckOutcome = self._known[key]
+        result: Result | PartOutcome = self._known[key]
         return result
 
     def _called(
@@ -142,36 +112,33 @@ class Measurements:
         function: Callable[[Backend, Scenario, Settings], Result],
         scenario: Scenario,
         settings: Settings,
-    ) -> Result | CheckOutcome:
+    ) -> Result | PartOutcome:
         try:
             return function(self._backend, scenario, settings)
         except UnsupportedError as error:
-            return CheckOutcome(verdict=SanityVerdict.NOT_MEASURED, remark=str(error))
+            return PartOutcome(verdict=SanityVerdict.NOT_MEASURED, remark=str(error))
         except DivergedError as error:
             remark = f"diverged: {error}"
         # Engines raise exceptions of any kind; other scenes may run.
         except Exception as error:
             raised = f"{type(error).__name__}: {error}{raised_at(error)}"
             remark = f"the engine raised {raised}"
-        return CheckOutcome(verdict=SanityVerdict.FAILED, remark=remark)
+        return PartOutcome(verdict=SanityVerdict.FAILED, remark=remark)
 
 
-def judged(check: ObjectCheck, rollout: Recording) -> CheckOutcome:
+def judged(check: ObjectCheck, rollout: Recording) -> PartOutcome:
     """Return the outcome of a check in a rollout of its scenario."""
     value = float(check.value(rollout))
     remark = check.failure(rollout)
     if not math.isfinite(value):
         remark = remark or "it does not happen"
-        return CheckOutcome(
-            verdict=SanityVerdict.FAILED, remark=remark, rollout=rollout
-        )
+        return PartOutcome(verdict=SanityVerdict.FAILED, remark=remark)
     deviation = check.reality.deviation(value)
     if remark:
         deviation = max(deviation, FAILURE_DEVIATION)
-    return CheckOutcome(
+    return PartOutcome(
         value=value,
         deviation=deviation,
         verdict=SanityVerdict.of(deviation),
         remark=remark,
-        rollout=rollout,
     )

@@ -63,61 +63,52 @@ class Attribute(NamedTuple):
     kind: str = ""
 
 
-def numbers(*names: str) -> list[Attribute]:
-    """Return attributes with numbers whose arrays have the same names."""
-    return [Attribute(name, (name,)) for name in names]
+def numbers(*names: str, **arrays: str) -> list[Attribute]:
+    """Return attributes with numbers: those whose arrays have the same names, and those of arrays by their names."""
+    same = {name: name for name in names}
+    return [Attribute(name, (array,)) for name, array in {**same, **arrays}.items()]
 
+
+def enumerations(**kinds: str) -> list[Attribute]:
+    """Return attributes with a constant, by their enumerations, such as `mjtGeom`."""
+    return [Attribute(name, (name,), kind) for name, kind in kinds.items()]
+
+
+STIFFNESS = Attribute("stiffness", ("stiffness", "stiffnesspoly"))
+DAMPING = Attribute("damping", ("damping", "dampingpoly"))
+FORCES = numbers(actuatorfrcrange="actfrcrange", actuatorfrclimited="actfrclimited")
+LIMITS = numbers(solreflimit="solref", solimplimit="solimp")
+FRICTIONS = numbers(solreffriction="solref", solimpfriction="solimp")
 
 BODY = numbers("pos", "quat", "gravcomp")
 SITE = numbers("pos", "quat")
-INERTIAL = [
-    Attribute("mass", ("mass",)),
-    Attribute("pos", ("ipos",)),
-    Attribute("quat", ("iquat",)),
-    Attribute("diaginertia", ("inertia",)),
-]
-FORCE_LIMIT = [
-    Attribute("actuatorfrcrange", ("actfrcrange",)),
-    Attribute("actuatorfrclimited", ("actfrclimited",)),
-]
-STIFFNESS = Attribute("stiffness", ("stiffness", "stiffnesspoly"))
-DAMPING = Attribute("damping", ("damping", "dampingpoly"))
+INERTIAL = numbers("mass", pos="ipos", quat="iquat", diaginertia="inertia")
 JOINT = [
-    Attribute("type", ("type",), "mjtJoint"),
+    *enumerations(type="mjtJoint"),
     *numbers("pos", "axis", "range", "limited", "margin"),
-    *FORCE_LIMIT,
-    Attribute("actuatorgravcomp", ("actgravcomp",)),
+    *numbers(actuatorgravcomp="actgravcomp"),
+    *FORCES,
     STIFFNESS,
-    Attribute("solreflimit", ("solref",)),
-    Attribute("solimplimit", ("solimp",)),
+    *LIMITS,
 ]
-DOF = [
-    *numbers("armature", "frictionloss"),
-    DAMPING,
-    Attribute("solreffriction", ("solref",)),
-    Attribute("solimpfriction", ("solimp",)),
-]
+DOF = [*numbers("armature", "frictionloss"), DAMPING, *FRICTIONS]
 GEOM = [
-    Attribute("type", ("type",), "mjtGeom"),
+    *enumerations(type="mjtGeom"),
     *numbers("pos", "quat", "size", "contype", "conaffinity", "condim", "priority"),
     *numbers("solmix", "friction", "solref", "solimp", "margin", "gap", "group"),
     *numbers("adhesion", "surfacevel"),
 ]
 TENDON = [
     *numbers("range", "limited", "margin", "armature", "frictionloss"),
-    *FORCE_LIMIT,
+    *numbers(springlength="lengthspring"),
+    *numbers(solreflimit="solref_lim", solimplimit="solimp_lim"),
+    *numbers(solreffriction="solref_fri", solimpfriction="solimp_fri"),
+    *FORCES,
     STIFFNESS,
     DAMPING,
-    Attribute("springlength", ("lengthspring",)),
-    Attribute("solreflimit", ("solref_lim",)),
-    Attribute("solimplimit", ("solimp_lim",)),
-    Attribute("solreffriction", ("solref_fri",)),
-    Attribute("solimpfriction", ("solimp_fri",)),
 ]
 ACTUATOR = [
-    Attribute("dyntype", ("dyntype",), "mjtDyn"),
-    Attribute("gaintype", ("gaintype",), "mjtGain"),
-    Attribute("biastype", ("biastype",), "mjtBias"),
+    *enumerations(dyntype="mjtDyn", gaintype="mjtGain", biastype="mjtBias"),
     *numbers("gear", "dynprm", "gainprm", "biasprm", "ctrlrange", "ctrllimited"),
     *numbers("forcerange", "forcelimited", "actrange", "actlimited", "actearly"),
     *numbers("group", "lengthrange", "armature", "delay"),
@@ -126,16 +117,15 @@ ACTUATOR = [
 PAIR = [
     Attribute("geom1", ("geom1",), "geom"),
     Attribute("geom2", ("geom2",), "geom"),
-    Attribute("condim", ("dim",)),
     *numbers("friction", "solref", "solreffriction", "solimp", "margin", "gap"),
-    *numbers("adhesion"),
+    *numbers("adhesion", condim="dim"),
 ]
-EQUALITY = [*numbers("solref", "solimp"), Attribute("active", ("active0",))]
+EQUALITY = numbers("solref", "solimp", active="active0")
 KEY = numbers("time", "qpos", "qvel", "act", "ctrl", "mpos", "mquat")
 HEIGHT_FIELD = numbers("nrow", "ncol", "size")
 WRAPS = {
-    "joint": [Attribute("joint", ("objid",), "joint"), Attribute("coef", ("prm",))],
-    "pulley": [Attribute("divisor", ("prm",))],
+    "joint": [Attribute("joint", ("objid",), "joint"), *numbers(coef="prm")],
+    "pulley": numbers(divisor="prm"),
     "site": [Attribute("site", ("objid",), "site")],
     "geom": [
         Attribute("geom", ("objid",), "geom"),

@@ -119,18 +119,17 @@ def isaac_lab_configuration(
         source: Description of where it is from.
     """
     table = NestedTable(cfg, source=name)
-    table = table if table.part("sim") else table.part("env")
+    if not table.part("sim"):
+        table = table.part("env")
     sim = table.part("sim")
     if sim.value("dt") is None:
         raise TargetError(
             f"{name}: there is no sim.dt: give the params/env.yaml of a training run with Isaac Lab"
         )
-    physx = _physx(sim)
-    dialect = ISAAC_LAB if physx.path.endswith("physx") else ISAAC_LAB_3
+    physx, dialect = _physx(sim)
     robot = _robot(table)
     spawn = robot.part("spawn")
-    place = "sim.physx" if dialect is ISAAC_LAB else "sim.physics"
-    places = {"sim": sim, place: physx, SPAWN: spawn}
+    places = {"sim": sim, "sim.physx": physx, "sim.physics": physx, SPAWN: spawn}
     places[COLLIDER] = spawn.part("collision_props")
     settings = dialect.read(places)
     settings["preset"] = "isaac", "not given: this package's preset"
@@ -166,11 +165,13 @@ def isaac_lab_configuration(
 # --- solver ----------------------------------------------------------------------------------------------------------
 
 
-def _physx(sim: NestedTable) -> NestedTable:
-    """Return the settings of PhysX; Isaac Lab 3 has them at another place."""
+def _physx(sim: NestedTable) -> tuple[NestedTable, Dialect]:
+    """Return the settings of PhysX, and the dialect; Isaac Lab 3 has them at another place."""
     physx, physics = sim.part("physx"), sim.part("physics")
-    if physx or physics.value("bounce_threshold_velocity") is not None:
-        return physx or physics
+    if physx:
+        return physx, ISAAC_LAB
+    if physics.value("bounce_threshold_velocity") is not None:
+        return physics, ISAAC_LAB_3
     engines = [sim.name(key) for key in OTHER_ENGINES if sim.value(key)]
     reason = f"there is {engines[0]} instead" if engines else "it has no solver"
     raise TargetError(
