@@ -6,7 +6,7 @@ A target passes through the modules in this order, which `run` calls.
 2. `model_checks` run and check the target itself.
 3. `object_checks` run scenes of measured objects with the target's settings.
 4. `fixes` apply documented changes, run the checks again, and write the fixed file.
-5. `screen` shows the `report`; `comparison` compares two reports.
+5. `report` shows what `verdict` defines; `comparison` compares two reports.
 
 Example:
     >>> from gauge_envs.tools.sanity import check
@@ -21,13 +21,14 @@ from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
     from gauge_envs.tools.sanity.readers import configuration as configuration
-    from gauge_envs.tools.sanity.report import Fix as Fix, Report as Report
     from gauge_envs.tools.sanity.run import check as check
     from gauge_envs.tools.sanity.training import (
         TrainingConfiguration as TrainingConfiguration,
     )
     from gauge_envs.tools.sanity.verdict import (
+        Fix as Fix,
         Reality as Reality,
+        Report as Report,
         SanityResult as SanityResult,
         SanityVerdict as SanityVerdict,
     )
@@ -40,10 +41,9 @@ else:
         __name__,
         {
             ".readers": ["configuration"],
-            ".report": ["Fix", "Report"],
             ".run": ["check"],
             ".training": ["TrainingConfiguration"],
-            ".verdict": ["Reality", "SanityResult", "SanityVerdict"],
+            ".verdict": ["Fix", "Reality", "Report", "SanityResult", "SanityVerdict"],
             ".wrapper": ["SanityWarning", "SanityWrapper"],
         },
     )

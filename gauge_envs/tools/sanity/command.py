@@ -140,7 +140,7 @@ def sanity(
     from gauge_envs.tools.sanity import check, configuration
     from gauge_envs.tools.sanity.comparison import read_baseline
     from gauge_envs.tools.sanity.fix_file import check_can_fix, write_fix
-    from gauge_envs.tools.sanity.screen import sanity_document
+    from gauge_envs.tools.sanity.report import sanity_document
     from gauge_envs.tools.sanity.selection import chooses_deformables, selection
 
     if target is None:
@@ -248,6 +248,6 @@ def sanity_probe(
 
 def list_checks(patterns: Sequence[str]) -> list[Table]:
     """Return the table of checks, those of a wall and of deformable bodies only for patterns that choose them."""
-    from gauge_envs.tools.sanity.screen import checks_table
+    from gauge_envs.tools.sanity.report import checks_table
 
     return [checks_table(patterns)]

@@ -20,10 +20,10 @@ from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import counted, quantity_text, with_unit
 from gauge_envs.text import json_document
-from gauge_envs.tools.sanity.report import Report
 from gauge_envs.tools.sanity.verdict import (
     MAX_PASSED,
     WORSE_BY,
+    Report,
     SanityResult,
     SanityVerdict,
 )

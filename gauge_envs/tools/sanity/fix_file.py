@@ -9,8 +9,8 @@ from gauge_envs.errors import ParameterError, ResultFileError, TargetError
 from gauge_envs.files import check_replaceable, os_errors
 from gauge_envs.tools.sanity.fixes.text_change import TextChange, write_change
 from gauge_envs.tools.sanity.readers import configuration as configuration_of, dialect
-from gauge_envs.tools.sanity.report import Fix, Report, flags_text
 from gauge_envs.tools.sanity.run import check
+from gauge_envs.tools.sanity.verdict import Fix, Report, flags_text
 
 
 def check_can_fix(file: Path) -> None:

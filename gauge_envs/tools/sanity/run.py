@@ -16,16 +16,23 @@ from gauge_envs.tools.sanity.fixes.fix import find_fix
 from gauge_envs.tools.sanity.model_checks import TARGET_CHECKS
 from gauge_envs.tools.sanity.model_checks.drives import unstated
 from gauge_envs.tools.sanity.object_checks import GRASP
-from gauge_envs.tools.sanity.object_checks.applied import applied_check
-from gauge_envs.tools.sanity.object_checks.measure import Measurements, TimeLimitError
-from gauge_envs.tools.sanity.object_checks.scenario import Scenario
+from gauge_envs.tools.sanity.object_checks.check import Scenario
+from gauge_envs.tools.sanity.object_checks.measure import (
+    Measurements,
+    TimeLimitError,
+    applied_check,
+)
 from gauge_envs.tools.sanity.readers import configuration as configuration_of
 from gauge_envs.tools.sanity.readers.gymnasium_env import Target
-from gauge_envs.tools.sanity.report import Report
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.selection import selection
 from gauge_envs.tools.sanity.training import Need, TrainingConfiguration
-from gauge_envs.tools.sanity.verdict import PartOutcome, SanityResult, SanityVerdict
+from gauge_envs.tools.sanity.verdict import (
+    PartOutcome,
+    Report,
+    SanityResult,
+    SanityVerdict,
+)
 
 
 @mujoco_warnings()

@@ -4,9 +4,8 @@ from typing import Annotated, TypedDict
 
 from gauge_envs.cli.schemas import Form
 from gauge_envs.tools.sanity.comparison import CheckDifference, TargetDifference
-from gauge_envs.tools.sanity.report import Report
 from gauge_envs.tools.sanity.training import TrainingConfiguration
-from gauge_envs.tools.sanity.verdict import RealityKind, SanityResult
+from gauge_envs.tools.sanity.verdict import RealityKind, Report, SanityResult
 
 Configuration = Annotated[TrainingConfiguration, Form(without=("robot",))]
 

@@ -12,9 +12,12 @@ from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.fixtures.recording import DivergedError, UnsupportedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.sanity.object_checks import GRASP, RIGID, SLOW, object_check
-from gauge_envs.tools.sanity.object_checks.applied import applied_check
-from gauge_envs.tools.sanity.object_checks.measure import Measurements, judged
-from gauge_envs.tools.sanity.object_checks.scenario import run_scenario
+from gauge_envs.tools.sanity.object_checks.check import run_scenario
+from gauge_envs.tools.sanity.object_checks.measure import (
+    Measurements,
+    applied_check,
+    judged,
+)
 from gauge_envs.tools.sanity.training import TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import Reality, SanityVerdict
 

@@ -19,7 +19,7 @@ SOFT, FIRM, STIFF = (
 )
 """Documented, medium and short time constant of contacts of MuJoCo.
 
-A time constant below ten steps makes bodies hop that slide fast; see `guards`.
+A time constant below ten steps makes bodies hop that slide fast; see `harm`.
 """
 
 HARD_SOLIMP, HARDEST_SOLIMP = (

@@ -13,20 +13,29 @@ from gauge_envs.names import first_names
 from gauge_envs.pages.text import counted, with_unit
 from gauge_envs.tools.sanity.fixes.candidates import candidates_of
 from gauge_envs.tools.sanity.fixes.change import applied
-from gauge_envs.tools.sanity.fixes.guards import hop_mm, hops_more
-from gauge_envs.tools.sanity.fixes.motion import motion_harm, speed_ratio
+from gauge_envs.tools.sanity.fixes.harm import (
+    hop_mm,
+    hops_more,
+    motion_harm,
+    speed_ratio,
+)
 from gauge_envs.tools.sanity.fixes.text_change import write_change
 from gauge_envs.tools.sanity.model_checks import TARGET_CHECKS
 from gauge_envs.tools.sanity.object_checks import object_check
-from gauge_envs.tools.sanity.object_checks.applied import applied_check, worst_of
-from gauge_envs.tools.sanity.object_checks.measure import Measurements
+from gauge_envs.tools.sanity.object_checks.measure import (
+    Measurements,
+    applied_check,
+    worst_of,
+)
 from gauge_envs.tools.sanity.readers import dialect
-from gauge_envs.tools.sanity.report import ChangePart, Fix, Report
 from gauge_envs.tools.sanity.robot.robot import Settings
 from gauge_envs.tools.sanity.training import TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import (
     WORSE_BY,
+    ChangePart,
+    Fix,
     PartOutcome,
+    Report,
     SanityResult,
     SanityVerdict,
 )

@@ -11,7 +11,6 @@ from gauge_envs.tools.sanity.model_checks import (
     joints,
     masses,
     numbers,
-    standing,
 )
 from gauge_envs.tools.sanity.model_checks.check import ModelCheck, TargetCheck
 
@@ -36,8 +35,8 @@ MODEL_CHECKS: tuple[ModelCheck, ...] = (
     joints.coupling_yield,
     joints.free_joint_drag,
     masses.mass,
-    standing.holding_force,
-    standing.stands,
+    ground.holding_force,
+    ground.stands,
 )
 """Checks of the target's own model, in their order."""
 

@@ -17,12 +17,12 @@ from gauge_envs.scoring.estimators import hann_mean
 from gauge_envs.tools.sanity.object_checks.check import (
     RECORDINGS,
     ObjectCheck,
+    Scenario,
     facts,
     recorded,
     recorded_reality,
     rigid_law,
 )
-from gauge_envs.tools.sanity.object_checks.scenario import Scenario
 from gauge_envs.tools.sanity.training import Need
 from gauge_envs.tools.sanity.verdict import Reality
 

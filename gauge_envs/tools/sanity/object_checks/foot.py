@@ -18,6 +18,7 @@ from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Pose, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.sanity.object_checks.check import (
     ObjectCheck,
+    Scenario,
     acceleration,
     lowest_m,
 )
@@ -30,7 +31,6 @@ from gauge_envs.tools.sanity.object_checks.friction import (
     real_friction,
     slide,
 )
-from gauge_envs.tools.sanity.object_checks.scenario import Scenario
 from gauge_envs.tools.sanity.robot.foot import FootGeometry
 from gauge_envs.tools.sanity.training import Need
 from gauge_envs.tools.sanity.verdict import COVERAGE, Reality

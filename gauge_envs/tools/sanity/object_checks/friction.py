@@ -19,11 +19,12 @@ from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scoring.estimators import steady_speed_m_per_s
 from gauge_envs.tools.sanity.object_checks.check import (
     ObjectCheck,
+    Scenario,
     acceleration,
     facts,
+    posed,
     rigid_law,
 )
-from gauge_envs.tools.sanity.object_checks.scenario import Scenario, posed
 from gauge_envs.tools.sanity.training import Need
 from gauge_envs.tools.sanity.verdict import COVERAGE, Reality
 

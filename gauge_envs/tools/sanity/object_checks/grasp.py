@@ -18,8 +18,7 @@ from gauge_envs.fixtures.recording import Recording
 from gauge_envs.fixtures.turning import turning_scene
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.object_checks.check import ObjectCheck
-from gauge_envs.tools.sanity.object_checks.scenario import Scenario
+from gauge_envs.tools.sanity.object_checks.check import ObjectCheck, Scenario
 from gauge_envs.tools.sanity.training import Need
 from gauge_envs.tools.sanity.verdict import Reality
 

@@ -22,13 +22,14 @@ from gauge_envs.tools.sanity.object_checks.check import (
     PUBLISHED_TRIALS,
     RECORDINGS,
     ObjectCheck,
+    Scenario,
     acceleration,
     facts,
+    posed,
     recorded,
     recorded_reality,
     rigid_law,
 )
-from gauge_envs.tools.sanity.object_checks.scenario import Scenario, posed
 from gauge_envs.tools.sanity.training import Need
 from gauge_envs.tools.sanity.verdict import Reality
 
