@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypeAlias
 
 from gauge_envs.scene import Vector
 from gauge_envs.tools.sanity.robot.foot import FootGeometry
-from gauge_envs.tools.sanity.robot.robot import Robot, Settings
+from gauge_envs.tools.sanity.robot.robot import Robot
+
+Settings: TypeAlias = Mapping[str, Any]
+"""Settings by name. A value is a number, a truth value, a text, a list, or None for what is not set."""
 
 
 class Need(StrEnum):

@@ -10,8 +10,7 @@ from typing import Any
 
 from gauge_envs.files import json_ready
 from gauge_envs.scoring.interval import student_t
-from gauge_envs.tools.sanity.robot.robot import Settings
-from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 
 MAX_PASSED = 1.0
 """Largest deviation of a check that passes, in half-widths of the interval of reality."""
@@ -276,32 +275,28 @@ class Report:
         return {result.id: result for result in self.checks if result.is_flag}
 
     @property
+    def _missing(self) -> list[SanityResult]:
+        missing = SanityVerdict.NOT_MEASURED
+        return [result for result in self.checks if result.verdict is missing]
+
+    @property
     def unmeasured(self) -> tuple[str, ...]:
         """Ids of checks that apply, or were requested by id, and were not measured; all ids when none was measured."""
-        missing = [
-            result
-            for result in self.checks
-            if result.verdict is SanityVerdict.NOT_MEASURED
-        ]
-        is_all = len(missing) == len(self.checks)
+        is_all = len(self._missing) == len(self.checks)
         return tuple(
             result.id
-            for result in missing
+            for result in self._missing
             if is_all or result.applies or result.id in self.asked
         )
 
     @property
     def counts(self) -> dict[str, int]:
         """Numbers of checks that were measured, that apply and were not measured, and that do not apply."""
-        missing = [
-            result
-            for result in self.checks
-            if result.verdict is SanityVerdict.NOT_MEASURED
-        ]
-        inapplicable = sum(not result.applies for result in missing)
+        missing = len(self._missing)
+        inapplicable = sum(not result.applies for result in self._missing)
         return {
-            "measured": len(self.checks) - len(missing),
-            "not_measured": len(missing) - inapplicable,
+            "measured": len(self.checks) - missing,
+            "not_measured": missing - inapplicable,
             "not_applicable": inapplicable,
         }
 

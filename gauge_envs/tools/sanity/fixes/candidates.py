@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gauge_envs.tools.sanity.readers.dialect import Dialect
-from gauge_envs.tools.sanity.robot.robot import Settings
-from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 
 ELLIPTIC, MARGIN = {"cone": "elliptic"}, {"contact_margin_m": 0.0}
 DAMPED, ACCURATE = {"integrator": "implicitfast"}, {"integrator": "RK4"}

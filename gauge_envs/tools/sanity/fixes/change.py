@@ -12,14 +12,8 @@ from gauge_envs.backends.mujoco.model import set_option
 from gauge_envs.errors import ParameterError
 from gauge_envs.tools.sanity.model_checks.at_rest import constraints
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
-from gauge_envs.tools.sanity.robot.robot import (
-    Place,
-    Robot,
-    Settings,
-    free_balls,
-    grasp_kinds,
-)
-from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.robot.robot import Place, Robot, free_balls, grasp_kinds
+from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 
 GEOM_FIELDS = {
     "contact_solref": "solref",

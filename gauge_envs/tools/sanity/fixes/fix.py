@@ -28,8 +28,7 @@ from gauge_envs.tools.sanity.object_checks.measure import (
     worst_of,
 )
 from gauge_envs.tools.sanity.readers import dialect
-from gauge_envs.tools.sanity.robot.robot import Settings
-from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import (
     WORSE_BY,
     ChangePart,

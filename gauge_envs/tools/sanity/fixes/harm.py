@@ -18,7 +18,8 @@ from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
 from gauge_envs.tools.sanity.model_checks.ground import FELL, HOLD_S
 from gauge_envs.tools.sanity.object_checks.check import Scenario, lowest_m
 from gauge_envs.tools.sanity.object_checks.measure import Measurements
-from gauge_envs.tools.sanity.robot.robot import Robot, Settings, once
+from gauge_envs.tools.sanity.robot.robot import Robot, once
+from gauge_envs.tools.sanity.training import Settings
 from gauge_envs.tools.sanity.verdict import PartOutcome, SanityVerdict
 
 FRICTION = 0.257

@@ -15,7 +15,8 @@ from gauge_envs.tools.sanity.fixes.change import (
 )
 from gauge_envs.tools.sanity.readers.dialect import Dialect
 from gauge_envs.tools.sanity.robot.model_text import ATTRIBUTE, Element, ModelText
-from gauge_envs.tools.sanity.robot.robot import Robot, Settings
+from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.tools.sanity.training import Settings
 
 FIRST = ("compiler", "option", "size", "statistic", "visual")
 """Sections in front of which no other one is inserted."""

@@ -23,8 +23,7 @@ from gauge_envs.tools.sanity.object_checks.check import (
     effective_settings,
     run_scenario,
 )
-from gauge_envs.tools.sanity.robot.robot import Settings
-from gauge_envs.tools.sanity.training import Need, TrainingConfiguration
+from gauge_envs.tools.sanity.training import Need, Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import (
     MAX_WARNING,
     NotApplicableError,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.robot.robot import Settings
+from gauge_envs.tools.sanity.training import Settings
 
 Entries = Mapping[str, Sequence[str]]
 """Assignments by their place."""

@@ -12,8 +12,7 @@ from gauge_envs.tools.sanity.readers.dialect import (
     settings_of,
 )
 from gauge_envs.tools.sanity.readers.settings import checked_configuration
-from gauge_envs.tools.sanity.robot.robot import Settings
-from gauge_envs.tools.sanity.training import Need, TrainingConfiguration
+from gauge_envs.tools.sanity.training import Need, Settings, TrainingConfiguration
 
 
 def _choice(*names: str) -> Callable[[NestedTable, str], Any]:

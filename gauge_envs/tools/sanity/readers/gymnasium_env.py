@@ -16,8 +16,8 @@ from gauge_envs.errors import MissingExtraError, NoRewardWarning, TargetError
 from gauge_envs.scene import ContactMode
 from gauge_envs.tools.sanity.readers.mjcf import GeomPair, model_name, read_model
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
-from gauge_envs.tools.sanity.robot.robot import Settings, mujoco_warnings
-from gauge_envs.tools.sanity.training import Need, TrainingConfiguration
+from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
+from gauge_envs.tools.sanity.training import Need, Settings, TrainingConfiguration
 
 Target: TypeAlias = (
     str

@@ -20,8 +20,7 @@ from gauge_envs.tools.sanity.readers.dialect import (
 )
 from gauge_envs.tools.sanity.readers.documents import file_value, yaml_document
 from gauge_envs.tools.sanity.readers.physx import GRAVITY, KINDS, physx_configuration
-from gauge_envs.tools.sanity.robot.robot import Settings
-from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 
 SPRING = "physics_material.compliant_contact_stiffness"
 """Key that makes contacts of a body springs."""

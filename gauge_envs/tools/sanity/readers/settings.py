@@ -8,8 +8,7 @@ from gauge_envs.backends.settings import with_drive_interval
 from gauge_envs.errors import GaugeError, ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.tools.sanity.readers.dialect import NestedTable, SettingOrigins
-from gauge_envs.tools.sanity.robot.robot import Settings
-from gauge_envs.tools.sanity.training import Need, TrainingConfiguration
+from gauge_envs.tools.sanity.training import Need, Settings, TrainingConfiguration
 
 TRIAL_VARIANT = "BouncingBall-rubber"
 """Variant whose scene settings are tried on, which builds fast."""
@@ -84,7 +83,7 @@ def _is_rejected(engine: str, key: str, value: Any) -> bool:
     """Return whether a backend rejects a setting alone."""
     try:
         check_settings(engine, {key: value})
-    except ParameterError:
+    except GaugeError:
         return True
     return False
 

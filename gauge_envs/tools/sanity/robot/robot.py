@@ -20,9 +20,6 @@ from gauge_envs.scene import Vector
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 from gauge_envs.tools.sanity.robot.model_text import ModelText
 
-Settings: TypeAlias = Mapping[str, Any]
-"""Settings by name. A value is a number, a truth value, a text, a list, or None for what is not set."""
-
 Place: TypeAlias = tuple[str, int]
 """Kind of an element of the model, such as `joint`, and its id in the compiled model."""
 
