@@ -122,7 +122,7 @@ def mujoco_configuration(
 def _inapplicable(
     model: mujoco.MjModel, groups: tuple[ContactGroup, ...]
 ) -> dict[Need, str]:
-    """Return the needs of phenomena that the model does not meet, with the reason."""
+    """Return the needs of checks that the model does not meet, with the reason."""
     reasons = {}
     if switched_off(model, "gravity") or not model.opt.gravity.any():
         reasons[Need.GRAVITY] = "the model has no gravity"
