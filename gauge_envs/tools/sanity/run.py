@@ -12,7 +12,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.fixtures.parts import ball, contact, ground, thrown
 from gauge_envs.registry import package_versions
 from gauge_envs.scene import Scene
-from gauge_envs.tools.sanity.fixes.fix import find_fix
+from gauge_envs.tools.sanity.fixes.fix import FixSearch
 from gauge_envs.tools.sanity.model_checks import TARGET_CHECKS
 from gauge_envs.tools.sanity.model_checks.drives import unstated
 from gauge_envs.tools.sanity.object_checks import GRASP
@@ -87,7 +87,7 @@ def check(
         report = replace(report, unstated=unstated(configuration.robot))
     if explain:
         try:
-            report = find_fix(report, measurements)
+            report = FixSearch(report, measurements).run()
         except TimeLimitError:
             is_cut_short = True
     notes = []

@@ -40,24 +40,13 @@ from gauge_envs.tools.sanity.verdict import (
 )
 
 
-def find_fix(report: Report, measurements: Measurements) -> Report:
-    """Return a report with the smallest change that resolves most checks without harm.
-
-    It also has the other changes that were tried, and the trade: the change that resolves most checks, with its price,
-    where the fix resolves fewer.
+class FixSearch:
+    """Searches the smallest change of settings that resolves most checks without harm, by trial.
 
     Args:
         report: Report of all checks.
         measurements: Measurements on the engine of the checks.
-
-    Raises:
-        TimeLimitError: The time is used up.
     """
-    return _Search(report, measurements).run()
-
-
-class _Search:
-    """Applies changes and checks them; see `find_fix` for the arguments."""
 
     def __init__(self, report: Report, measurements: Measurements) -> None:
         self.report, self.measurements = report, measurements
@@ -77,7 +66,13 @@ class _Search:
         self._tried: list[str] = []
 
     def run(self) -> Report:
-        """Return what `find_fix` does."""
+        """Return the report with the fix, the other changes that were tried, and the trade.
+
+        The trade is the change that resolves most checks, with its price; it is empty where the fix resolves as many.
+
+        Raises:
+            TimeLimitError: The time is used up.
+        """
         best_count, trade = 0, ""
         for changes in self._ranked(self._candidates()):
             resolved = self._resolved(changes)

@@ -87,28 +87,7 @@ def _read_env(
     # A control task has a simulation of its own, any other environment of this suite that of its rollout.
     simulation = getattr(getattr(inner, "rollout", inner), "simulation", None)
     if isinstance(simulation, Simulation):
-        settings = dict(simulation.settings)
-        settings.pop("drive_interval_s", None)
-        scene = inner.experiment.scene
-        rigid = {body.name for body in scene.bodies}
-        contacts = [
-            contact
-            for contact in scene.contacts
-            if rigid.intersection(contact.first) and rigid.intersection(contact.second)
-        ]
-        inapplicable = {}
-        if not contacts:
-            inapplicable[Need.CONTACT] = "no rigid bodies touch in its scene"
-        if all(contact.mode is ContactMode.SUSTAINED for contact in contacts):
-            inapplicable[Need.REBOUND] = "nothing rebounds in its scene"
-        return TrainingConfiguration(
-            name=name,
-            source="environment of this suite",
-            backend=inner.arguments.backend,
-            settings=settings,
-            origins=dict.fromkeys(settings, f"settings of {name}"),
-            inapplicable=inapplicable,
-        )
+        return _suite_configuration(inner, simulation, name)
     model = getattr(inner, "model", None)
     if not isinstance(model, mujoco.MjModel):
         kind = f"{type(inner).__module__}.{type(inner).__qualname__}"
@@ -125,6 +104,34 @@ def _read_env(
         frame_skip=getattr(inner, "frame_skip", None),
         spec=None if file is None else _spec_of(file, model),
         file=file,
+    )
+
+
+def _suite_configuration(
+    env: Any, simulation: Simulation, name: str
+) -> TrainingConfiguration:
+    """Return the configuration of an environment of this suite."""
+    settings = dict(simulation.settings)
+    settings.pop("drive_interval_s", None)
+    scene = env.experiment.scene
+    rigid = {body.name for body in scene.bodies}
+    modes = {
+        contact.mode
+        for contact in scene.contacts
+        if rigid.intersection(contact.first) and rigid.intersection(contact.second)
+    }
+    inapplicable = {}
+    if not modes:
+        inapplicable[Need.CONTACT] = "no rigid bodies touch in its scene"
+    if modes <= {ContactMode.SUSTAINED}:
+        inapplicable[Need.REBOUND] = "nothing rebounds in its scene"
+    return TrainingConfiguration(
+        name=name,
+        source="environment of this suite",
+        backend=env.arguments.backend,
+        settings=settings,
+        origins=dict.fromkeys(settings, f"settings of {name}"),
+        inapplicable=inapplicable,
     )
 
 
