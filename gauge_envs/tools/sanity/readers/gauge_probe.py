@@ -371,16 +371,31 @@ def add_actuators(parent: ET.Element, model: Any) -> None:
 # --- targets ---------------------------------------------------------------------------------------------------------
 
 MODEL_PLACES = (
-    *("mj_model", "_mj_model", "model", "_model", "sim.mj_model", "sim.model"),
-    *("physics.model.ptr", "physics.model", "physics.model._model"),
-    *("env.mj_model", "_env.mj_model", "unwrapped.model", "unwrapped.mj_model"),
+    "mj_model",
+    "_mj_model",
+    "model",
+    "_model",
+    "sim.mj_model",
+    "sim.model",
+    "physics.model.ptr",
+    "physics.model",
+    "physics.model._model",
+    "env.mj_model",
+    "_env.mj_model",
+    "unwrapped.model",
+    "unwrapped.mj_model",
     "unwrapped.sim.mj_model",
 )
 """Attributes with the compiled model of an environment."""
 
 SKIPS = (
-    *("frame_skip", "n_substeps", "_n_substeps", "_n_sub_steps"),
-    *("cfg.decimation", "decimation", "unwrapped.frame_skip"),
+    "frame_skip",
+    "n_substeps",
+    "_n_substeps",
+    "_n_sub_steps",
+    "cfg.decimation",
+    "decimation",
+    "unwrapped.frame_skip",
 )
 """Attributes with the steps of the engine for one action."""
 
