@@ -6,9 +6,14 @@ import mujoco
 import pytest
 from robot_faults import good_xml
 
-from gauge_envs.tools.sanity import (configuration)
-from gauge_envs.tools.sanity.model_checks import (MODEL_CHECKS, TARGET_CHECKS, at_rest, free_motion)
-from gauge_envs.tools.sanity.verdict import (SanityVerdict)
+from gauge_envs.tools.sanity import configuration
+from gauge_envs.tools.sanity.model_checks import (
+    MODEL_CHECKS,
+    TARGET_CHECKS,
+    at_rest,
+    free_motion,
+)
+from gauge_envs.tools.sanity.verdict import SanityVerdict
 
 FLOOR = '<geom name="floor" type="plane" size="5 5 1"/>'
 

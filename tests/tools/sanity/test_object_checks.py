@@ -11,11 +11,15 @@ from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.fixtures.recording import DivergedError, UnsupportedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.tools.sanity.object_checks import (GRASP, RIGID, SLOW, object_check)
-from gauge_envs.tools.sanity.object_checks.check import (run_scenario)
-from gauge_envs.tools.sanity.object_checks.measure import (Measurements, applied_check, judged)
-from gauge_envs.tools.sanity.training import (TrainingConfiguration)
-from gauge_envs.tools.sanity.verdict import (Reality, SanityVerdict)
+from gauge_envs.tools.sanity.object_checks import GRASP, RIGID, SLOW, object_check
+from gauge_envs.tools.sanity.object_checks.check import run_scenario
+from gauge_envs.tools.sanity.object_checks.measure import (
+    Measurements,
+    applied_check,
+    judged,
+)
+from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import Reality, SanityVerdict
 
 MUJOCO = backend("mujoco")
 ALONG, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])

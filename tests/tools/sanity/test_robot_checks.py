@@ -3,9 +3,9 @@
 import pytest
 from robot_faults import FAULTS, faulty_xml, good_xml
 
-from gauge_envs.tools.sanity import (configuration)
-from gauge_envs.tools.sanity.model_checks import (MODEL_CHECKS, TARGET_CHECKS)
-from gauge_envs.tools.sanity.model_checks.drives import (drives, unstated)
+from gauge_envs.tools.sanity import configuration
+from gauge_envs.tools.sanity.model_checks import MODEL_CHECKS, TARGET_CHECKS
+from gauge_envs.tools.sanity.model_checks.drives import drives, unstated
 
 NAMES = [
     check.id

@@ -7,9 +7,9 @@ import pytest
 from sanity_cases import CHEETAH, moved
 
 from gauge_envs.backends import backend
-from gauge_envs.tools.sanity.object_checks import (SLOW, object_check)
-from gauge_envs.tools.sanity.object_checks.measure import (Measurements)
-from gauge_envs.tools.sanity.verdict import (SanityVerdict)
+from gauge_envs.tools.sanity.object_checks import SLOW, object_check
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
+from gauge_envs.tools.sanity.verdict import SanityVerdict
 
 MUJOCO = backend("mujoco")
 TIMES_S = np.linspace(0.0, 1.2, 601)

@@ -8,9 +8,9 @@ import mujoco
 import pytest
 from quadruped import GOOD, quadruped_xml
 
-from gauge_envs.tools.sanity import (check, configuration)
-from gauge_envs.tools.sanity.fixes.change import (applied)
-from gauge_envs.tools.sanity.fixes.harm import (motion_harm)
+from gauge_envs.tools.sanity import check, configuration
+from gauge_envs.tools.sanity.fixes.change import applied
+from gauge_envs.tools.sanity.fixes.harm import motion_harm
 
 OPTION = 'timestep="0.002" integrator="implicitfast"'
 FLAT = f'{OPTION} cone="elliptic" impratio="100"'

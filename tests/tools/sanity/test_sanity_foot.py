@@ -7,10 +7,10 @@ from quadruped import FEET, FOOT_RADIUS_M, GOOD, quadruped_xml
 
 from gauge_envs.backends import backend
 from gauge_envs.scene import GRAVITY_M_PER_S2, Sphere
-from gauge_envs.tools.sanity import (SanityVerdict, check, configuration)
-from gauge_envs.tools.sanity.object_checks import (object_check)
-from gauge_envs.tools.sanity.object_checks.measure import (Measurements)
-from gauge_envs.tools.sanity.training import (Need)
+from gauge_envs.tools.sanity import SanityVerdict, check, configuration
+from gauge_envs.tools.sanity.object_checks import object_check
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
+from gauge_envs.tools.sanity.training import Need
 
 MUJOCO = backend("mujoco")
 

@@ -7,12 +7,12 @@ from sanity_cases import moved
 
 from gauge_envs.backends import backend
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.tools.sanity.fixes.change import (changed_model)
-from gauge_envs.tools.sanity.object_checks import (GRASP, object_check)
-from gauge_envs.tools.sanity.object_checks.measure import (Measurements)
-from gauge_envs.tools.sanity.readers import (configuration)
-from gauge_envs.tools.sanity.run import (check)
-from gauge_envs.tools.sanity.verdict import (SanityVerdict)
+from gauge_envs.tools.sanity.fixes.change import changed_model
+from gauge_envs.tools.sanity.object_checks import GRASP, object_check
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
+from gauge_envs.tools.sanity.readers import configuration
+from gauge_envs.tools.sanity.run import check
+from gauge_envs.tools.sanity.verdict import SanityVerdict
 
 MUJOCO = Measurements(backend("mujoco"))
 GOOD = {

@@ -6,8 +6,8 @@ import pytest
 
 from gauge_envs.backends import backend
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.tools.sanity.fixes.harm import (FAST_M_PER_S, FRICTION, hop_mm, hops_more)
-from gauge_envs.tools.sanity.object_checks.measure import (Measurements)
+from gauge_envs.tools.sanity.fixes.harm import FAST_M_PER_S, FRICTION, hop_mm, hops_more
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
 
 MUJOCO = Measurements(backend("mujoco"))
 DEFAULT = {"preset": "out_of_box"}

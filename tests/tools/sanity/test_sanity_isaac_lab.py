@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity import (configuration)
-from gauge_envs.tools.sanity.object_checks.measure import (Measurements)
-from gauge_envs.tools.sanity.readers import (dialect)
-from gauge_envs.tools.sanity.readers.documents import (yaml_document)
-from gauge_envs.tools.sanity.readers.isaac_lab import (isaac_lab_configuration)
-from gauge_envs.tools.sanity.readers.maniskill import (maniskill_configuration)
-from gauge_envs.tools.sanity.run import (force_notes)
-from gauge_envs.tools.sanity.training import (Need)
+from gauge_envs.tools.sanity import configuration
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
+from gauge_envs.tools.sanity.readers import dialect
+from gauge_envs.tools.sanity.readers.documents import yaml_document
+from gauge_envs.tools.sanity.readers.isaac_lab import isaac_lab_configuration
+from gauge_envs.tools.sanity.readers.maniskill import maniskill_configuration
+from gauge_envs.tools.sanity.run import force_notes
+from gauge_envs.tools.sanity.training import Need
 
 pytest.importorskip("sapien")
 

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity import (check, configuration)
-from gauge_envs.tools.sanity.readers import (gauge_probe as program)
-from gauge_envs.tools.sanity.readers.dialect import (NestedTable)
-from gauge_envs.tools.sanity.readers.genesis import (options_settings)
+from gauge_envs.tools.sanity import check, configuration
+from gauge_envs.tools.sanity.readers import gauge_probe as program
+from gauge_envs.tools.sanity.readers.dialect import NestedTable
+from gauge_envs.tools.sanity.readers.genesis import options_settings
 
 PROGRAM = Path(program.__file__).read_text()
 

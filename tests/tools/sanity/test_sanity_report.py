@@ -21,10 +21,18 @@ from gauge_envs.cli.app import app
 from gauge_envs.pages.document import as_rows
 from gauge_envs.pages.terminal import Terminal
 from gauge_envs.tools import sanity
-from gauge_envs.tools.sanity import (SanityWarning, SanityWrapper)
-from gauge_envs.tools.sanity.report import (sanity_document)
-from gauge_envs.tools.sanity.training import (TrainingConfiguration)
-from gauge_envs.tools.sanity.verdict import (ChangePart, Fix, PartOutcome, Reality, Report, SanityResult, SanityVerdict)
+from gauge_envs.tools.sanity import SanityWarning, SanityWrapper
+from gauge_envs.tools.sanity.report import sanity_document
+from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import (
+    ChangePart,
+    Fix,
+    PartOutcome,
+    Reality,
+    Report,
+    SanityResult,
+    SanityVerdict,
+)
 
 
 def part(value, verdict=SanityVerdict.FAILED):

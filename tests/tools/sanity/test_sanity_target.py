@@ -14,10 +14,10 @@ from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.contact_table import COLUMNS, contact_pairs
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.model_checks import (numbers)
-from gauge_envs.tools.sanity.model_checks.runs import (start_data)
-from gauge_envs.tools.sanity.readers import (configuration)
-from gauge_envs.tools.sanity.training import (Need)
+from gauge_envs.tools.sanity.model_checks import numbers
+from gauge_envs.tools.sanity.model_checks.runs import start_data
+from gauge_envs.tools.sanity.readers import configuration
+from gauge_envs.tools.sanity.training import Need
 
 # Every rule by which MuJoCo lets geoms collide or mixes their constants; all of it lies in one heap.
 HEAP = """
