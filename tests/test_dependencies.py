@@ -51,7 +51,7 @@ EXTRAS = {
 
 
 ELSEWHERE = {
-    "tools/sanity/gauge_probe.py": {"mjlab"},
+    "tools/sanity/readers/gauge_probe.py": {"mjlab"},
     "rendering/window.py": {"glfw"},
     "pytest_plugin.py": {"pytest"},
 }

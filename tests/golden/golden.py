@@ -135,12 +135,12 @@ def on_engine(name):
 
 
 def sanity(target):
-    """Return value, unit and verdict of each phenomenon of a training configuration."""
+    """Return value, unit and verdict of each check of a training configuration."""
     names = tuple(read()["sanity"][target])
     report = check(target, only=names, include_deformables=True, explain=False)
     return {
-        row.phenomenon: [row.configured, row.unit, row.verdict.value]
-        for row in report.rows
+        result.id: [result.configured, result.unit, result.verdict.value]
+        for result in report.checks
     }
 
 

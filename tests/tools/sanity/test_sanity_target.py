@@ -15,10 +15,10 @@ from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.contact_table import contact_pairs
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.itself.runs import start_data
-from gauge_envs.tools.sanity.model import Need
-from gauge_envs.tools.sanity.stacks import configuration
-from gauge_envs.tools.sanity.target_checks import control_row, gravity_row
+from gauge_envs.tools.sanity.model_checks import numbers
+from gauge_envs.tools.sanity.model_checks.runs import start_data
+from gauge_envs.tools.sanity.readers import configuration
+from gauge_envs.tools.sanity.training import Need
 
 
 def built(experiment, settings):
@@ -252,10 +252,10 @@ def test_what_is_no_target_says_why(target, message):
 def test_a_warning_of_mujoco_on_the_users_file_is_a_note(tmp_path, capfd):
     (tmp_path / "a.xml").write_text("<mujoco><compiler settotalmass='2'/></mujoco>")
     with warnings.catch_warnings(action="error"):
-        notes = configuration(tmp_path / "a.xml").notes
+        warned = configuration(tmp_path / "a.xml").warnings
         configuration("HalfCheetah-v5")
     if mujoco.mj_version() >= 4_000_000:
-        assert notes[0].startswith("MuJoCo warns: compiler attribute 'settotalmass'")
+        assert warned[0].startswith("compiler attribute 'settotalmass'")
     assert capfd.readouterr().err == ""
 
 
@@ -264,12 +264,12 @@ def test_a_warning_of_mujoco_on_the_users_file_is_a_note(tmp_path, capfd):
 
 def test_an_action_takes_at_most_half_of_the_time_in_which_a_fall_grows_by_e():
     read = configuration(mujoco.MjModel.from_xml_string(quadruped_xml()))
-    row = control_row(replace(read, frame_skip=5))
+    result = numbers.action_time.result(replace(read, frame_skip=5))
     limit_ms = 500.0 * np.sqrt(read.robot.standing.height_m / 9.80665)
     # Five steps of 2 ms.
-    assert row.configured == pytest.approx(10.0)
-    assert row.reality.tolerance == pytest.approx(limit_ms)
-    assert row.deviation == pytest.approx(10.0 / limit_ms)
+    assert result.configured == pytest.approx(10.0)
+    assert result.reality.tolerance == pytest.approx(limit_ms)
+    assert result.deviation == pytest.approx(10.0 / limit_ms)
 
 
 @pytest.mark.parametrize(
@@ -284,4 +284,4 @@ def test_an_action_takes_at_most_half_of_the_time_in_which_a_fall_grows_by_e():
 )
 def test_gravity_is_that_of_the_earth_and_points_to_the_ground(gravity, verdict):
     read = replace(configuration("HalfCheetah-v5"), gravity_m_per_s2=gravity)
-    assert gravity_row(read).verdict == verdict
+    assert numbers.gravity.result(read).verdict == verdict
