@@ -32,7 +32,6 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.references.user_data import BUNDLED_DATA, OWN_TASKS, DataSource
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.diff import scene_changes
-from gauge_envs.scoring.score import OLD_SCORE
 from gauge_envs.scoring.trajectory_file import LARGEST
 from gauge_envs.text import json_document
 from gauge_envs.validation import first_fault
@@ -99,8 +98,6 @@ def parse_result(text: bytes, name: str) -> Result:
         content = json_document(text)
         if not isinstance(content, dict):
             raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
-        if isinstance(content.get("score"), dict) and "kind" not in content["score"]:
-            raise ValueError(OLD_SCORE)
         for key in fields(Result):
             if key.name not in content:
                 raise ValueError(f"no {key.name!r}")
