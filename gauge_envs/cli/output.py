@@ -144,35 +144,29 @@ class Progress:
     def advance(self, text: object = "") -> None:
         """Count a step, and show its name."""
         self._done += 1
-        self.show(text, self._done)
+        self.show(text)
+        self._bar.advance(self._task)
         time_s = time.monotonic()
         if self._done == self._first + 1:
             self._start_s = time_s  # The first step also loads the engine.
-        if self._interval_s is not None and time_s - self._line_s >= self._interval_s:
+        if self._is_terminal or self._interval_s is None:
+            return
+        if time_s - self._line_s >= self._interval_s:
             self._line_s = time_s
-            self.line(f"{self._done}/{self._total} {text}{self._left(time_s)}")
+            message(f"{self._done}/{self._total} {text}{self._left(time_s)}")
+
+    def show(self, text: object) -> None:
+        """Show the name of the current step."""
+        self._bar.update(self._task, description=escape(str(text)))
 
     def _left(self, time_s: float) -> str:
         """Return the remaining time at the pace since the first step; empty if it is not known."""
         counted = self._done - self._first - 1
-        if not self._total or counted < 1:
+        if not self._total or counted < 1 or self._done >= self._total:
             return ""
         step_s = (time_s - self._start_s) / counted
         left_s = (self._total - self._done) * step_s
-        return f", about {left_s / 60.0:.1f} min left" if left_s > 0.0 else ""
-
-    def line(self, text: str) -> None:
-        """Print a line without a terminal."""
-        if not self._is_terminal:
-            message(text)
-
-    def show(
-        self, text: object, done: int | None = None, total: int | None = None
-    ) -> None:
-        """Show the current step and the number of completed steps."""
-        self._bar.update(
-            self._task, completed=done, total=total, description=escape(str(text))
-        )
+        return f", about {left_s / 60.0:.1f} min left"
 
 
 def echo(text: object, *, nl: bool = True) -> None:
