@@ -113,7 +113,7 @@ BUNDLED = (
     Command(
         "report",
         "site.command:report",
-        "Write results as a static site: engines, phenomena, curves, errors and 3D replays.",
+        "Write results as a static site: figures and tables of scores, and 3D views of the motions.",
     ),
     Command(
         "sweep",

@@ -8,12 +8,9 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from gauge_envs.optional import needs_extra
 from gauge_envs.pages.document import save_file
 from gauge_envs.pages.html import Html, element
-from gauge_envs.scene.geometry import BoolArray
 from gauge_envs.text import printable
 
 if TYPE_CHECKING:
@@ -29,8 +26,6 @@ def color_of(index: int) -> tuple[str, bool]:
     """Return the colour of a configuration, and whether its lines are dashed, which starts at the seventh."""
     return OURS[index % len(OURS)], index % (2 * len(OURS)) >= len(OURS)
 
-
-ENGINES = ("#8c8c8c", "#b0b0b0", "#d0d0d0")
 
 REAL = "#303030"
 
@@ -80,13 +75,6 @@ def _drawn(figure: Figure, form: str) -> bytes:
     with rc_context({"svg.hashsalt": "gauge-envs"}):
         figure.savefig(stream, format=form, dpi=120, metadata=metadata)
     return stream.getvalue()
-
-
-def runs(flags: BoolArray) -> list[tuple[int, int]]:
-    """Return half-open ranges of true flags."""
-    edges = np.diff(np.concatenate([[False], flags, [False]]).astype(int))
-    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    return list(zip(starts.tolist(), ends.tolist(), strict=True))
 
 
 def tidy_axis(axis: Axes) -> None:

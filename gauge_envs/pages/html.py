@@ -75,11 +75,6 @@ def folded(
     return element("details", element("summary", summary), *content, **attributes)
 
 
-def below(*texts: Text | Html) -> Html:
-    """Return a quiet line below a text."""
-    return element("span", *texts, class_="quiet block")
-
-
 def script_value(value: Any) -> str:
     """Return a value as JSON for a script; it has no `<`, so no text can end the script."""
     return json.dumps(value, allow_nan=False, separators=(",", ":")).replace(

@@ -40,7 +40,7 @@ def _markdown(part: Part) -> str:
 
 
 def _table(table: Table) -> str:
-    columns = table.saved_columns
+    columns = table.columns
     lines = [f"**{markdown_text(table.title)}**", ""] if table.title else []
     lines.append(_row([column.label for column in columns]))
     marks = ["---:" if column.is_number else "---" for column in columns]

@@ -77,36 +77,41 @@ def as_html(part: Part) -> Html:
 
 
 def _table(table: Table) -> Html:
-    columns = table.saved_columns
-    cells_columns = [column for column in columns if column.place is not Place.BELOW]
-    below = [column for column in columns if column.place is Place.BELOW]
-    head = [
+    cells = table.placed(Place.CELL)
+    titles = [
         element("th", column.label, scope="col", class_=_class(column))
-        for column in cells_columns
+        for column in cells
     ]
-    body = []
+    body: list[Html] = []
+    last_heading = ""
     for row in table.rows:
-        cells = (
-            element(
-                "td", column.markup(row), class_=_class(column, column.style_of(row))
-            )
-            for column in cells_columns
-        )
-        body.append(element("tr", *cells))
-        for text in filter(None, (column.markup(row) for column in below)):
-            cell = element("td", text, colspan=len(cells_columns))
-            body.append(element("tr", cell, class_="more"))
-    whole = element(
-        "table",
-        element("thead", element("tr", *head)),
-        element("tbody", *body),
-        class_=table.look or None,
-    )
+        heading = table.heading_of(row)
+        if heading != last_heading:
+            body.append(_wide_row("th", heading, len(cells)))
+            last_heading = heading
+        body.append(element("tr", *(_cell(column, row) for column in cells)))
+        for column in table.placed(Place.BELOW):
+            text = column.markup(row)
+            if text:
+                body.append(_wide_row("td", text, len(cells)))
+    head = element("thead", element("tr", *titles))
+    whole = element("table", head, element("tbody", *body), class_=table.look or None)
     title = element("h3", table.title) if table.title else None
     notes = (element("p", note, class_="small") for note in table.notes)
     return join([title, element("div", whole, class_="scroll"), *notes])
 
 
+def _cell(column: Column, row: object) -> Html:
+    classes = _class(column, column.style_of(row))
+    return element("td", column.markup(row), class_=classes)
+
+
+def _wide_row(name: str, text: Html | str, width: int) -> Html:
+    """Return a row with one cell over all columns."""
+    return element("tr", element(name, text, colspan=width), class_="more")
+
+
 def _class(column: Column, style: str = "") -> str | None:
     """Return the classes of a cell."""
-    return " ".join(filter(None, ("n" if column.is_number else "", style))) or None
+    number = "n" if column.is_number else ""
+    return " ".join(filter(None, (number, style))) or None

@@ -13,7 +13,7 @@ from gauge_envs.pages.text import value_text
 
 
 class Place(StrEnum):
-    """Place of a column in a terminal. Markdown has only columns; pages also have `BELOW`."""
+    """Place of a column in a terminal and on a page. Markdown has only columns."""
 
     CELL = "cell"
     """In the row."""
@@ -34,7 +34,6 @@ class Column:
         unit: Unit of all values, in brackets after the title.
         is_number: Whether the texts are aligned on the right.
         wide_only: Whether a terminal shows the column only with `--format wide`.
-        narrow_only: Whether only a terminal without `--format wide` shows the column.
         place: Place of the column in a terminal.
         style: Rich style of a value, also the class of its cell on a page; None for plain text.
         html: Markup of a value on a page; None for its text.
@@ -47,7 +46,6 @@ class Column:
     unit: str = ""
     is_number: bool = False
     wide_only: bool = False
-    narrow_only: bool = False
     place: Place = Place.CELL
     style: Callable[[Any], str] | None = None
     html: Callable[[Any], Html | str] | None = None
@@ -105,10 +103,16 @@ class Table:
     wide_only: bool = False
     look: str = ""
 
-    @property
-    def saved_columns(self) -> list[Column]:
-        """Columns of Markdown and of pages."""
-        return [column for column in self.columns if not column.narrow_only]
+    def placed(self, place: Place) -> list[Column]:
+        """Return the columns with a place."""
+        return [column for column in self.columns if column.place is place]
+
+    def heading_of(self, row: Any) -> str:
+        """Return the line above consecutive rows: the first value without a title, the others after their titles."""
+        headings = self.placed(Place.HEADING)
+        texts = [column.text(row) for column in headings[:1]]
+        texts += [f"{column.title} {column.text(row)}" for column in headings[1:]]
+        return "  ".join(texts)
 
 
 @dataclass(frozen=True)

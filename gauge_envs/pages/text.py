@@ -10,13 +10,6 @@ from gauge_envs.text import printable
 
 METRIC_TITLES = {key: metric.title for key, metric in METRICS.items()}
 
-
-QUESTIONS = {
-    "validation": "Validation: is the motion like reality?",
-    "verification": "Verification: does the engine solve the calibrated scene?",
-}
-"""Questions that references answer. No table, axis or rank mixes the two."""
-
 KIND_NOTES = {
     Kind.TRIALS: "mean and standard deviation of the real trials at each frame",
     Kind.RECORDING: "one recorded real trial, with the published scatter",

@@ -13,10 +13,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from operator import attrgetter
 
 import numpy as np
 
-from gauge_envs.references.kind import Kind
 from gauge_envs.scoring.score import Interval
 from gauge_envs.tools.compare.statistics import Deviations, difference_interval
 
@@ -37,17 +37,22 @@ class Mean:
 
 @dataclass(frozen=True, kw_only=True)
 class KindScore:
-    """Mean rank and score of one configuration over the experiments of a kind that all configurations share.
+    """Mean rank of one configuration over the experiments of a kind that all configurations share.
 
     Attributes:
         configuration: Index of the configuration.
         mean_rank: Mean of the ranks in the experiments; None without common experiments.
-        mean: Mean of the primary scores. Large scores of one experiment dominate it, so it does not order engines.
     """
 
     configuration: int
     mean_rank: Mean | None = None
-    mean: Mean | None = None
+
+    @property
+    def order(self) -> float:
+        """Value by which scores are sorted: the mean rank, 0 without one."""
+        if self.mean_rank is None:
+            return 0.0
+        return self.mean_rank.value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,12 +62,10 @@ class ScoredExperiment:
     Attributes:
         id: Gymnasium id.
         deviations: Deviations of the configurations with a score, by index.
-        intervals: 95 % interval of the primary score of each configuration, by index; None without an interval.
     """
 
     id: str
     deviations: Mapping[int, Deviations]
-    intervals: Mapping[int, Interval | None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,21 +89,14 @@ class KindComparison:
     @property
     def ranked(self) -> list[KindScore]:
         """The scores, lowest mean rank first."""
-        return sorted(
-            self.scores,
-            key=lambda score: score.mean_rank.value if score.mean_rank else 0.0,
-        )
-
-    @property
-    def is_solution(self) -> bool:
-        """Whether the references are solutions of the scenes, not real trials."""
-        return Kind(self.kind).is_solution
+        return sorted(self.scores, key=attrgetter("order"))
 
     @property
     def name(self) -> str:
         """Kind, with the constants unless they are the published ones."""
-        is_published = self.constants == PUBLISHED
-        return self.kind if is_published else f"{self.kind}, {self.constants}"
+        if self.constants == PUBLISHED:
+            return self.kind
+        return f"{self.kind}, {self.constants}"
 
 
 def compare_kind(
@@ -129,27 +125,15 @@ def _compared(
 ) -> KindComparison:
     """Return the ranks of configurations with the same constants."""
     ranks = {experiment.id: _ranks(experiment, members) for experiment in experiments}
-    common = [
-        experiment
-        for experiment in experiments
-        if len(ranks[experiment.id]) == len(members)
-    ]
-    scores = [KindScore(configuration=index) for index in members]
-    if common:
-        scores = [
-            KindScore(
-                configuration=index,
-                mean_rank=_mean_rank(
-                    [ranks[experiment.id][index] for experiment in common]
-                ),
-                mean=_mean_score(common, index),
-            )
-            for index in members
-        ]
+    common = [name for name, places in ranks.items() if len(places) == len(members)]
+    scores = []
+    for index in members:
+        places = [ranks[name][index] for name in common]
+        scores.append(KindScore(configuration=index, mean_rank=_mean_rank(places)))
     return KindComparison(
         kind=kind,
         constants=constants,
-        ids=tuple(experiment.id for experiment in common),
+        ids=tuple(common),
         scores=tuple(scores),
         ranks={name: places for name, places in ranks.items() if places},
     )
@@ -177,24 +161,10 @@ def _ranks(experiment: ScoredExperiment, members: Sequence[int]) -> dict[int, Me
     }
 
 
-def _mean_rank(ranks: Sequence[Mean]) -> Mean:
+def _mean_rank(ranks: Sequence[Mean]) -> Mean | None:
+    """Return the mean of ranks and of their best and worst values; None without ranks."""
+    if not ranks:
+        return None
     best, worst = np.mean([rank.interval_95 for rank in ranks], axis=0)
     value = float(np.mean([rank.value for rank in ranks]))
     return Mean(value=value, interval_95=(float(best), float(worst)))
-
-
-def _mean_score(experiments: Sequence[ScoredExperiment], index: int) -> Mean:
-    """Return the mean over experiments. References are independent, so interval widths add in quadrature."""
-    scores = [
-        float(experiment.deviations[index].scores.mean()) for experiment in experiments
-    ]
-    mean = float(np.mean(scores))
-    # A score without an interval counts as exact.
-    intervals = [
-        experiment.intervals[index] or (score, score)
-        for experiment, score in zip(experiments, scores, strict=True)
-    ]
-    widths = np.subtract(intervals, np.transpose([scores]))
-    below, above = np.linalg.norm(widths, axis=0) / len(scores)
-    low = max(mean - float(below), 0.0)
-    return Mean(value=mean, interval_95=(low, mean + float(above)))
