@@ -57,6 +57,7 @@ class ReferenceFacts(TypedDict):
     Attributes:
         kind: Kind of the reference motion.
         unit: Unit of `standard_uncertainty` and `zero_motion_distance`.
+        compared: Coordinates of the distance and of the reward.
         source: Source of the numbers, or the reason for a missing reference.
         licence: Licence of the data.
         trial_count: Number of real trials.
@@ -75,6 +76,7 @@ class ReferenceFacts(TypedDict):
 
     kind: Kind
     unit: str | None
+    compared: Sequence[str] | None
     source: str | None
     licence: str | None
     trial_count: int | None
