@@ -89,9 +89,8 @@ def legend_above(axis: Axes) -> None:
     handles, texts = axis.get_legend_handles_labels()
     labels = [fill(text, MAX_LABEL_WIDTH) for text in texts]
     # A legend that is wider than its panel would make the panel narrower.
-    longest = max(
-        (len(line) for label in labels for line in label.split("\n")), default=0
-    )
+    lines = "\n".join(labels).split("\n")
+    longest = max(map(len, lines))
     columns = min(3, max(1, LEGEND_WIDTH // (longest + KEY_WIDTH)))
     place: dict[str, Any] = {
         "loc": "lower left",

@@ -67,8 +67,7 @@ def as_html(part: Part) -> Html:
         case Paragraph(text, tone):
             return element("p", text, class_=CLASSES[tone])
         case Bullets(entries, title):
-            heading = element("h3", title) if title else None
-            return join([heading, listed(entries)])
+            return join([_title(title), listed(entries)])
         case Facts(pairs):
             return _table(grid(("what", "value"), list(pairs.items())))
         case Table():
@@ -89,29 +88,34 @@ def _table(table: Table) -> Html:
         if heading != last_heading:
             body.append(_wide_row("th", heading, len(cells)))
             last_heading = heading
-        body.append(element("tr", *(_cell(column, row) for column in cells)))
+        texts = [
+            element("td", column.text(row), class_=_class(column)) for column in cells
+        ]
+        body.append(element("tr", *texts))
         for column in table.placed(Place.BELOW):
-            text = column.markup(row)
+            text = column.text(row)
             if text:
                 body.append(_wide_row("td", text, len(cells)))
     head = element("thead", element("tr", *titles))
-    whole = element("table", head, element("tbody", *body), class_=table.look or None)
-    title = element("h3", table.title) if table.title else None
+    whole = element("table", head, element("tbody", *body))
     notes = (element("p", note, class_="small") for note in table.notes)
-    return join([title, element("div", whole, class_="scroll"), *notes])
+    return join([_title(table.title), element("div", whole, class_="scroll"), *notes])
 
 
-def _cell(column: Column, row: object) -> Html:
-    classes = _class(column, column.style_of(row))
-    return element("td", column.markup(row), class_=classes)
+def _title(text: str) -> Html:
+    """Return a title above a table or a list; nothing for an empty one."""
+    if not text:
+        return Html("")
+    return element("h3", text)
 
 
-def _wide_row(name: str, text: Html | str, width: int) -> Html:
+def _wide_row(name: str, text: str, width: int) -> Html:
     """Return a row with one cell over all columns."""
     return element("tr", element(name, text, colspan=width), class_="more")
 
 
-def _class(column: Column, style: str = "") -> str | None:
-    """Return the classes of a cell."""
-    number = "n" if column.is_number else ""
-    return " ".join(filter(None, (number, style))) or None
+def _class(column: Column) -> str | None:
+    """Return the class of a cell of numbers."""
+    if column.is_number:
+        return "n"
+    return None

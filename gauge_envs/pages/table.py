@@ -8,7 +8,6 @@ from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from typing import Any
 
-from gauge_envs.pages.html import Html
 from gauge_envs.pages.text import value_text
 
 
@@ -35,8 +34,7 @@ class Column:
         is_number: Whether the texts are aligned on the right.
         wide_only: Whether a terminal shows the column only with `--format wide`.
         place: Place of the column in a terminal.
-        style: Rich style of a value, also the class of its cell on a page; None for plain text.
-        html: Markup of a value on a page; None for its text.
+        style: Rich style of a value in a terminal; None for plain text.
     """
 
     key: str
@@ -48,12 +46,13 @@ class Column:
     wide_only: bool = False
     place: Place = Place.CELL
     style: Callable[[Any], str] | None = None
-    html: Callable[[Any], Html | str] | None = None
 
     @property
     def label(self) -> str:
         """Title with the unit."""
-        return f"{self.title} [{self.unit}]" if self.unit else self.title
+        if not self.unit:
+            return self.title
+        return f"{self.title} [{self.unit}]"
 
     def value(self, row: Any) -> Any:
         """Return the value of a row; None for a missing one."""
@@ -70,17 +69,17 @@ class Column:
     def text(self, row: Any) -> str:
         """Return the text of a row; a missing value is a dash in a cell and empty elsewhere."""
         value = self.value(row)
-        if value is None:
-            return "-" if self.place is Place.CELL else ""
-        return self.format(value)
+        if value is not None:
+            return self.format(value)
+        if self.place is Place.CELL:
+            return "-"
+        return ""
 
     def style_of(self, row: Any) -> str:
         """Return the rich style of a row."""
-        return "" if self.style is None else self.style(self.value(row))
-
-    def markup(self, row: Any) -> Html | str:
-        """Return the markup or text of a row on a page."""
-        return self.text(row) if self.html is None else self.html(self.value(row))
+        if self.style is None:
+            return ""
+        return self.style(self.value(row))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +92,6 @@ class Table:
         title: Line above the table; empty for none.
         notes: Lines below the table.
         wide_only: Whether a terminal shows the table only with `--format wide`.
-        look: Class of the table on a page: empty, or `matrix`, whose first column stays in view.
     """
 
     columns: tuple[Column, ...]
@@ -101,7 +99,6 @@ class Table:
     title: str = ""
     notes: tuple[str, ...] = ()
     wide_only: bool = False
-    look: str = ""
 
     def placed(self, place: Place) -> list[Column]:
         """Return the columns with a place."""
@@ -123,22 +120,17 @@ class Facts:
 
 
 def grid(
-    titles: Sequence[str],
-    rows: Iterable[Sequence[str]],
-    *,
-    number_from: int = 99,
-    look: str = "",
+    titles: Sequence[str], rows: Iterable[Sequence[str]], *, number_from: int = 99
 ) -> Table:
-    """Return a table of cells that are already texts or markup.
+    """Return a table of cells that are already texts.
 
     Args:
-        titles: Titles of the columns, texts or markup.
+        titles: Titles of the columns.
         rows: The cells.
         number_from: First column of numbers.
-        look: Class of the table on a page.
     """
-    columns = (
-        Column(str(index), title, lambda cell: cell, is_number=index >= number_from)
+    columns = [
+        Column(str(index), title, is_number=index >= number_from)
         for index, title in enumerate(titles)
-    )
-    return Table(columns=tuple(columns), rows=list(rows), look=look)
+    ]
+    return Table(columns=tuple(columns), rows=list(rows))

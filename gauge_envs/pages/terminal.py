@@ -167,21 +167,25 @@ def _line(
 def _widths(columns: Sequence[Column], rows: Sequence[object], width: int) -> list[int]:
     """Return the widths of the columns that fit side by side; cells wrap between words where they must."""
     wrapper = TextWrapper(TITLE_WIDTH, break_long_words=False, break_on_hyphens=False)
-    lines = [
-        [*wrapper.wrap(column.label), *(column.text(row) for row in rows)]
-        for column in columns
-    ]
-    widths = [max(map(cell_len, texts)) for texts in lines]
-    min_widths = [
-        max(map(cell_len, " ".join(texts).split()), default=1) for texts in lines
-    ]
+    widths: list[int] = []
+    min_widths: list[int] = []
+    for column in columns:
+        lines = [*wrapper.wrap(column.label), *map(column.text, rows)]
+        words = " ".join(lines).split()
+        widths.append(max(map(cell_len, lines)))
+        min_widths.append(max(map(cell_len, words), default=1))
     # A longer name of a row gets its own line, so that fewer columns move below their rows.
     min_widths[0] = min(min_widths[0], MIN_NAME_WIDTH)
-    while len(min_widths) > 1 and sum(min_widths) + GAP * (len(min_widths) - 1) > width:
+    while len(min_widths) > 1 and _total(min_widths) > width:
         del min_widths[-1], widths[-1]
-    while sum(widths) + GAP * (len(widths) - 1) > width:
+    while _total(widths) > width:
         spare = [size - word for size, word in zip(widths, min_widths, strict=True)]
         if max(spare) <= 0:
             break
         widths[spare.index(max(spare))] -= 1
     return widths
+
+
+def _total(widths: Sequence[int]) -> int:
+    """Return the width of columns with the gaps between them."""
+    return sum(widths) + GAP * (len(widths) - 1)
