@@ -37,14 +37,25 @@ class ListLine(TypedDict):
 
 
 class SchemaLine(TypedDict):
-    """A JSON Schema; `gauge show NAME --schema` prints it."""
+    """A JSON Schema; `gauge show NAME --schema` prints it.
+
+    Attributes:
+        name: Words of the command whose output it describes.
+        version: Version of the output.
+    """
 
     name: str
     version: int
 
 
 class ObservableFacts(TypedDict):
-    """Quantity g(t), its unit, and the names of its coordinates."""
+    """Quantity g(t).
+
+    Attributes:
+        kind: Name of the quantity.
+        unit: Unit of its values.
+        coordinates: Names of its coordinates.
+    """
 
     kind: str
     unit: str
@@ -111,7 +122,7 @@ class ShowLine(TypedDict):
         asset: File of the scene, with its changes; null for the task file.
         frames: Number of frames of 1/30 s.
         duration_s: Duration [s].
-        observable: Quantity g(t).
+        observable: What is compared with the reference.
         bodies: Bodies: `name`, `kind`, `recorded`, pose, and the fields of their class in `gauge_envs.scene`.
         contacts: Constants of pairs of bodies.
         joints: Joints, with the fields of their class in `gauge_envs.scene`.

@@ -29,7 +29,12 @@ PUBLISHED = "calibrated"
 
 @dataclass(frozen=True, kw_only=True)
 class Mean:
-    """A mean with its 95 % interval."""
+    """A mean with its interval.
+
+    Attributes:
+        value: Mean.
+        interval_95: 95 % interval.
+    """
 
     value: float
     interval_95: Interval
