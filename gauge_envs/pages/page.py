@@ -1,6 +1,6 @@
 """Documents as pages in HTML."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from importlib.resources import files
 
 from gauge_envs.pages.document import Bullets, Heading, Paragraph, Part, Tone
@@ -17,46 +17,26 @@ CLASSES = {
 """Class of a paragraph."""
 
 
-def stylesheet() -> str:
-    """Return the style of all pages, in CSS."""
-    return (files("gauge_envs.pages") / "style.css").read_text(encoding="utf-8")
-
-
-def page(
-    title: str,
-    parts: Iterable[Part],
-    *,
-    above: Html | None = None,
-    style: str | None = None,
-    scripts: Sequence[str] = (),
-    look: str | None = None,
-) -> str:
-    """Return a page in HTML.
+def page(title: str, parts: Iterable[Part], *, look: str | None = None) -> str:
+    """Return a page in HTML with its style.
 
     Args:
         title: Its title, above the parts and for the browser.
         parts: Its content.
-        above: Markup above the title, as links.
-        style: File of the style, relative to the page; None writes the style into the page.
-        scripts: Script files in the order in which they run.
         look: Class of the body.
     """
-    head = [
+    style = files("gauge_envs.pages") / "style.css"
+    head = element(
+        "head",
         element("meta", charset="utf-8"),
         element("title", title),
         element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        *(element("script", Html(""), src=file, defer=True) for file in scripts),
-    ]
-    if style is None:
-        head.append(element("style", Html(stylesheet())))
-    else:
-        head.append(element("link", rel="icon", href="data:,"))
-        head.append(element("link", rel="stylesheet", href=style))
-    body = join([above, *map(as_html, [Heading(title, 1), *parts])], "\n")
-    whole = element(
-        "html", element("head", *head), element("body", body, class_=look), lang="en"
+        element("link", rel="icon", href="data:,"),
+        element("style", Html(style.read_text(encoding="utf-8"))),
     )
-    return f"<!DOCTYPE html>\n{whole}\n"
+    content = join(map(as_html, [Heading(title, 1), *parts]), "\n")
+    body = element("body", content, class_=look)
+    return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
 
 
 def as_html(part: Part) -> Html:

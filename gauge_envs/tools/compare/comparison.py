@@ -136,7 +136,7 @@ class ExperimentComparison:
     """
 
     id: str
-    kind: str
+    kind: Kind
     unit: str
     cells: tuple[Cell | None, ...]
     baselines: Mapping[str, Baseline]
@@ -149,7 +149,7 @@ class ExperimentComparison:
     @property
     def is_solution(self) -> bool:
         """Whether the reference is a solution of the scene, not real trials."""
-        return Kind(self.kind).is_solution
+        return self.kind.is_solution
 
     @property
     def present(self) -> list[tuple[int, Cell]]:
@@ -210,7 +210,7 @@ class ExperimentComparison:
         The paper scores trajectories against the mean of real trials: RMSE and DTW need the kind `trials`.
         Event metrics do not depend on the reference.
         """
-        is_comparable = self.kind == Kind.TRIALS or SCORE_METRICS[metric].is_event
+        is_comparable = self.kind is Kind.TRIALS or SCORE_METRICS[metric].is_event
         if not is_comparable or metric not in self.baselines:
             return None
         return self.baselines[metric].engines
@@ -251,9 +251,9 @@ class ScoreComparison:
             scored = [
                 experiment.scored()
                 for experiment in self.experiments
-                if experiment.kind == kind and _is_ranked(experiment)
+                if experiment.kind is kind and _is_ranked(experiment)
             ]
-            comparisons += compare_kind(kind.value, scored, constants)
+            comparisons += compare_kind(kind, scored, constants)
         return tuple(comparisons)
 
 
@@ -316,9 +316,9 @@ def _experiment(name: str, cells: Sequence[Cell | None]) -> ExperimentComparison
     for cell in filter(None, cells):
         results += cell.results
     ran = [result for result in results if result.error is None] or results
-    kind = ran[0].score.kind
+    kind = Kind(ran[0].score.kind)
     if all(result.score.refused is not None for result in ran):
-        kind = Kind.NONE.value
+        kind = Kind.NONE
     return ExperimentComparison(
         id=name,
         kind=kind,

@@ -17,6 +17,7 @@ from operator import attrgetter
 
 import numpy as np
 
+from gauge_envs.references.kind import Kind
 from gauge_envs.scoring.score import Interval
 from gauge_envs.tools.compare.statistics import Deviations, difference_interval
 
@@ -85,7 +86,7 @@ class KindComparison:
         ranks: Ranks in each experiment with a score, by id and index of the configuration.
     """
 
-    kind: str
+    kind: Kind
     constants: str
     ids: tuple[str, ...]
     scores: tuple[KindScore, ...]
@@ -100,12 +101,12 @@ class KindComparison:
     def name(self) -> str:
         """Kind, with the constants unless they are the published ones."""
         if self.constants == PUBLISHED:
-            return self.kind
+            return self.kind.value
         return f"{self.kind}, {self.constants}"
 
 
 def compare_kind(
-    kind: str, experiments: Sequence[ScoredExperiment], constants: Sequence[str]
+    kind: Kind, experiments: Sequence[ScoredExperiment], constants: Sequence[str]
 ) -> tuple[KindComparison, ...]:
     """Return the ranks for each set of constants, the published constants first.
 
@@ -123,7 +124,7 @@ def compare_kind(
 
 
 def _compared(
-    kind: str,
+    kind: Kind,
     constants: str,
     experiments: Sequence[ScoredExperiment],
     members: Sequence[int],

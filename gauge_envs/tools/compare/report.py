@@ -222,7 +222,7 @@ def _experiment_row(
     row: dict[str, Any] = {
         "record": "experiment",
         "id": experiment.id,
-        "kind": experiment.kind,
+        "kind": experiment.kind.value,
         "metric": metric,
         "unit": None,
         "real": None,
@@ -295,7 +295,7 @@ def _kind_row(comparison: ScoreComparison, kind: KindComparison) -> dict[str, An
         configurations.append(facts)
     return {
         "record": "kind",
-        "kind": kind.kind,
+        "kind": kind.kind.value,
         "constants": kind.constants,
         "ids": kind.ids,
         "configurations": configurations,
@@ -341,7 +341,7 @@ def _score_table(
     rows = []
     for kind in Kind:
         for experiment in comparison.experiments:
-            if experiment.kind == kind:
+            if experiment.kind is kind:
                 rows += _score_rows(experiment, metrics, is_full=is_full)
     columns = [REFERENCE, NAME]
     if is_full or not all(row["is_primary"] for row in rows):
@@ -376,7 +376,7 @@ def _score_row(
     experiment: ExperimentComparison, metric: str | None, *, is_full: bool
 ) -> dict[str, Any]:
     row = {
-        "kind": f"{experiment.kind}: {KIND_NOTES[Kind(experiment.kind)]}",
+        "kind": f"{experiment.kind}: {KIND_NOTES[experiment.kind]}",
         "name": experiment.name,
         "metric": "-",
         "is_primary": metric in (experiment.primary, None),
@@ -503,7 +503,7 @@ def _distance_tables(comparison: ScoreComparison) -> list[Table]:
     """Return the table of distances between engines in experiments without a reference; empty without distances."""
     rows = []
     for experiment in comparison.experiments:
-        if experiment.kind != Kind.NONE:
+        if experiment.kind is not Kind.NONE:
             continue
         for distance in experiment.distances:
             first = comparison.labels[distance.first]

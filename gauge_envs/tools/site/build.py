@@ -10,7 +10,6 @@ from gauge_envs.files import os_errors
 from gauge_envs.pages.document import Paragraph, Part, Tone, save_file
 from gauge_envs.pages.figures import color_of
 from gauge_envs.pages.html import Html, element, script_value, slug
-from gauge_envs.pages.page import stylesheet
 from gauge_envs.runs.result import Result
 from gauge_envs.tools.compare import ExperimentComparison, compare
 from gauge_envs.tools.site.motion_view import motion_view_data
@@ -69,7 +68,6 @@ def save_site(
         with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as folder:
             new = Path(folder) / "new"
             copytree(ASSETS, new / "assets")
-            save_file(new / "assets" / "site.css", stylesheet())
             save_file(new / MARK, MARK_TEXT)
             for experiment in site.comparison.experiments:
                 progress(experiment.name)

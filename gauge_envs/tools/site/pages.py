@@ -1,6 +1,6 @@
 """Write the pages of a site: the figures and tables of `gauge plot` and `gauge compare`, and the inputs of each run."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -47,12 +47,6 @@ def page_file(experiment: ExperimentComparison) -> str:
     return f"experiment-{slug(experiment.name)}.html"
 
 
-def _site_page(title: str, parts: Iterable[Part], scripts: Sequence[str] = ()) -> str:
-    """Return a page of the site with a link to the first page; its scripts run in order."""
-    overview = element("nav", element("a", "Overview", href="index.html"))
-    return page(title, parts, above=overview, style="assets/site.css", scripts=scripts)
-
-
 # --- first page ---
 
 
@@ -80,7 +74,7 @@ def overview_page(site: Site) -> str:
             ". Real data: GAUGE, arXiv 2608.05948.",
         ),
     ]
-    return _site_page("How far is each engine off?", parts)
+    return page("How far is each engine off?", parts)
 
 
 def _link(experiment: ExperimentComparison) -> Html:
@@ -106,13 +100,15 @@ def experiment_page(
     spec = load_experiment(experiment.name).spec
     alone = replace(site.comparison, experiments=(experiment,), notes=())
     parts: list[Part] = [
+        element("nav", element("a", "Overview", href="index.html")),
         element("p", spec.summary, class_="lead"),
         element("p", element("b", "Tests:"), f" {', '.join(spec.evaluates)}."),
         *_figure(site, experiment),
         *compared_parts(alone, is_full=True),
     ]
     if views:
-        parts += [Heading("3D view"), *views]
+        scripts = (element("script", src=file, defer=True) for file in SCRIPTS)
+        parts += [Heading("3D view"), *views, *scripts]
     parts += [
         Heading("In words"),
         listed(_sentences(site, experiment)),
@@ -120,7 +116,7 @@ def experiment_page(
         Paragraph(REPRODUCE_NOTE, Tone.NOTE),
         *_runs(site, experiment),
     ]
-    return _site_page(experiment.name, parts, scripts=SCRIPTS if views else ())
+    return page(experiment.name, parts)
 
 
 def _figure(site: Site, experiment: ExperimentComparison) -> Iterator[Html]:
