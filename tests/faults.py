@@ -538,7 +538,7 @@ FAULTS = {
     ),
     "all worlds start as the first": Fault(
         caught_by="worlds-single",
-        says="worlds have the start or the driven motion of another world",
+        says="it has the course of world 0",
         worlds=_StartsAsFirst,
     ),
     "all worlds driven as the first": Fault(

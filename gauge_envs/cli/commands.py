@@ -113,7 +113,7 @@ BUNDLED = (
     Command(
         "report",
         "site.command:report",
-        "Write results as a static site: engines, phenomena, curves, errors and 3D replays.",
+        "Write results as a static site: figures and tables of scores, and 3D views of the motions.",
     ),
     Command(
         "sweep",
@@ -168,8 +168,8 @@ BUNDLED = (
         "backend check",
         "conformance.command:backend_check",
         "Check engines against closed forms, with the most likely cause of each failure.",
-        line="conformance.schema:FindingLine",
-        version=4,
+        line="conformance.schema:CheckResultLine",
+        version=5,
     ),
     Command(
         "list backends",
@@ -180,6 +180,7 @@ BUNDLED = (
         "list checks",
         "conformance.command:list_checks",
         line="conformance.schema:CheckLine",
+        version=2,
     ),
     Command(
         "backend versions",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
+from enum import StrEnum
 from functools import cache
 from typing import Any
 
@@ -43,6 +44,14 @@ OVER_U = "over_uncertainty"
 """Value of `Score.primary` for a solution."""
 
 Interval = tuple[float, float]
+
+
+class ScoreVerdict(StrEnum):
+    """Whether a motion is as close to its reference as real trials are, or within the uncertainty of a solution."""
+
+    INSIDE = "inside"
+    OUTSIDE = "outside"
+    NO_REFERENCE = "no reference"
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -137,7 +146,7 @@ class Score:
         return ends[0] * ratio / distance, ends[1] * ratio / distance
 
     @property
-    def verdict(self) -> str:
+    def verdict(self) -> ScoreVerdict:
         """`inside`, `outside` or `no reference`.
 
         The motion is inside if at least one real trial is as far from the mean of the other trials. Without single
@@ -145,24 +154,26 @@ class Score:
         the limit is 1.96 u. Without a reference motion, each event with a real value must be within 1.96 u.
         """
         if self.refused is not None:
-            return "no reference"
+            return ScoreVerdict.NO_REFERENCE
         if self.over_uncertainty is not None:
-            return _word(self.over_uncertainty <= COVERAGE_FACTOR)
+            return _verdict(self.over_uncertainty <= COVERAGE_FACTOR)
         if self.percentile is not None:
-            return _word(self.percentile < 100.0)
+            return _verdict(self.percentile < 100.0)
         if self.primary_normalized is not None:
-            return _word(self.primary_normalized <= 2.0)
+            return _verdict(self.primary_normalized <= 2.0)
         if self.rmse_95 is not None:
-            return _word(self.rmse_95[0] == 0.0)
+            return _verdict(self.rmse_95[0] == 0.0)
         verdicts = [event.is_inside for event in self.events.values()]
         known_verdicts = [is_inside for is_inside in verdicts if is_inside is not None]
-        return _word(all(known_verdicts)) if known_verdicts else "no reference"
+        if not known_verdicts:
+            return ScoreVerdict.NO_REFERENCE
+        return _verdict(all(known_verdicts))
 
     def summary(self) -> str:
         """Return the score in one sentence."""
         if self.refused is not None:
             return f"{self.refused[0].upper()}{self.refused[1:]}."
-        parts = [self.verdict]
+        parts = [self.verdict.value]
         if self.distance is not None:
             parts[0] += f": {_text(self.distance)} {self.distance_unit}"
         if self.primary_normalized is not None:
@@ -231,8 +242,8 @@ def _score_adapter() -> TypeAdapter[Score]:
     return TypeAdapter(Score)
 
 
-def _word(is_inside: bool) -> str:
-    return "inside" if is_inside else "outside"
+def _verdict(is_inside: bool) -> ScoreVerdict:
+    return ScoreVerdict.INSIDE if is_inside else ScoreVerdict.OUTSIDE
 
 
 def _text(value: float) -> str:

@@ -45,7 +45,7 @@ SLOW_TO_BUILD = {"newton": ("glide-reports", "drop-energy")}
 """Checks of the default run whose scene takes seconds on an engine."""
 
 PUBLISHED = {
-    column["backend"]: column["findings"]
+    column["backend"]: column["results"]
     for column in json.loads((ROOT / "scoring" / "conformance.json").read_text())[
         "columns"
     ]

@@ -46,7 +46,9 @@ class ScoreSpread:
         known = [value for value in values if value is not None]
         if not known:
             return None
-        std = float(np.std(known, ddof=1)) if len(known) > 1 else None
+        std = None
+        if len(known) > 1:
+            std = float(np.std(known, ddof=1))
         return cls(mean=float(np.mean(known)), std=std, count=len(known))
 
 
@@ -168,18 +170,22 @@ def difference_interval(first: Deviations, second: Deviations) -> Interval:
     Repeats are paired by seed; repeats without a partner are left out. Without a common seed, all pairs count.
     """
     places = {seed: place for place, seed in enumerate(second.seeds)}
-    pairs = [(i, places[seed]) for i, seed in enumerate(first.seeds) if seed in places]
+    pairs = [
+        (place, places[seed])
+        for place, seed in enumerate(first.seeds)
+        if seed in places
+    ]
     is_paired = bool(pairs)
     if not is_paired:
         pairs = [*product(range(len(first.seeds)), range(len(second.seeds)))]
     rows, columns = np.transpose(pairs)
     scores, other_scores = first.scores[rows], second.scores[columns]
     differences = scores - other_scores
-    half_of_repeats = (
-        mean_half_width(differences)
-        if is_paired
-        else math.hypot(mean_half_width(first.scores), mean_half_width(second.scores))
-    )
+    if is_paired:
+        half_of_repeats = mean_half_width(differences)
+    else:
+        halves = mean_half_width(first.scores), mean_half_width(second.scores)
+        half_of_repeats = math.hypot(*halves)
     sums = np.maximum(scores + other_scores, SMALLEST)
     apart = first.vectors[rows] - second.vectors[columns]
     direction = (2.0 / sums) @ apart / len(pairs)

@@ -5,6 +5,9 @@
 The checks use only the contract of `gauge_envs.backends`, so they run on any engine. A check is one function that
 builds a scene and measures one number; its docstring has the scene and the measured quantity:
 
+    check = Checks(Level.RIGID)
+
+
     @check(
         "free-fall",
         title="free fall",
@@ -24,8 +27,8 @@ builds a scene and measures one number; its docstring has the scene and the meas
         measured = -acceleration_m_per_s2(rollout.times_s, height_m)
         return Measurement(measured=measured, expected=GRAVITY_M_PER_S2)
 
-Add it to the module of its phenomenon. The decorator registers it for the command, the table and the tests. Checks that
-share a scene share its recording by `Lab.once`.
+Add it to a module of checks, which `catalog` lists. The decorator registers it for the command, the table and the
+tests. Checks that share a scene share its recording by `Lab.once`.
 """
 
 from typing import TYPE_CHECKING
@@ -34,6 +37,7 @@ from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
     from gauge_envs.fixtures.recording import Recording as Recording
+    from gauge_envs.tools.conformance.catalog import checks as checks
     from gauge_envs.tools.conformance.cloth import (
         BENT_FREE_M as BENT_FREE_M,
         bending_stiffness as bending_stiffness,
@@ -48,10 +52,10 @@ if TYPE_CHECKING:
     from gauge_envs.tools.conformance.model import (
         Check as Check,
         CheckResult as CheckResult,
+        Checks as Checks,
+        Level as Level,
         Status as Status,
         Tolerance as Tolerance,
-        check as check,
-        checks as checks,
     )
     from gauge_envs.tools.conformance.run import run_checks as run_checks
 else:
@@ -59,6 +63,7 @@ else:
         __name__,
         {
             "gauge_envs.fixtures.recording": ["Recording"],
+            ".catalog": ["checks"],
             ".cloth": [
                 "BENT_FREE_M",
                 "bending_stiffness",
@@ -70,10 +75,10 @@ else:
             ".model": [
                 "Check",
                 "CheckResult",
+                "Checks",
+                "Level",
                 "Status",
                 "Tolerance",
-                "check",
-                "checks",
             ],
             ".run": ["run_checks"],
         },

@@ -47,7 +47,10 @@ from gauge_envs.tools.conformance.deformable import (
     worst_law,
 )
 from gauge_envs.tools.conformance.lab import Lab, Measurement, ratio
-from gauge_envs.tools.conformance.model import Tolerance, check
+from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
+
+check = Checks(Level.CLOTH)
+
 
 LIGHT_FABRIC = fabric(0.2, 110.0, 1e-4)
 """Fabric of sheets whose stiffness does not matter."""

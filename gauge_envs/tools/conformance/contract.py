@@ -18,8 +18,11 @@ from gauge_envs.scene.states import nominal_states
 from gauge_envs.tools.conformance.cloth import LIGHT_FABRIC, hanging_strip
 from gauge_envs.tools.conformance.free_motion import solids
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, ratio
-from gauge_envs.tools.conformance.model import COUNT, Tolerance, check
-from gauge_envs.tools.conformance.restart import Gaps, apart, repeated
+from gauge_envs.tools.conformance.model import COUNT, Checks, Level, Tolerance
+from gauge_envs.tools.conformance.repeats import BITS, Gap, apart, gaps, repeated
+
+check = Checks(Level.RIGID)
+
 
 BRICK_M = (0.1, 0.06, 0.03)
 WALL = fixed_box("wall", (-0.4, 0.2, -1.0), BRICK_M, euler_deg=(0.0, 0.0, 30.0))
@@ -61,15 +64,18 @@ def order_of_names(lab: Lab) -> Measurement:
             _arrays(simulation, scene)
         for array, old, width in zip(given, before, (13, 13, 3), strict=False):
             what = "nodes" if width == 3 else "body_states"
-            kind = f"{type(array).__name__} {old.dtype} {old.shape}"
-            if kind != f"ndarray float64 {(1, *old.shape[-2:-1], width)}":
-                faults.add(f"{what}: {kind} instead of ndarray float64 (1, n, {width})")
+            is_right = type(array) is np.ndarray and old.dtype == np.float64
+            if not is_right or old.shape != (1, *old.shape[-2:-1], width):
+                found = f"{type(array).__name__} {old.dtype} {old.shape}"
+                faults.add(
+                    f"{what}: {found} instead of ndarray float64 (1, n, {width})"
+                )
             if not np.array_equal(array, old):
                 faults.add(f"{what}: a returned array changes later; return a copy")
         places = [array[..., :3] for array in before[:2]]
         if not faults and np.abs(places[0] - places[1][:, ::-1]).max() > 1e-3:
             faults.add("body_states: rows are not in the order of the names")
-    return Measurement(measured=len(faults), hint="; ".join(sorted(faults)))
+    return Measurement(measured=len(faults), cause="; ".join(sorted(faults)))
 
 
 SPEED_M_PER_S = np.array([1.2, -0.8, 0.5])
@@ -96,23 +102,21 @@ def determinism(lab: Lab) -> Measurement:
 
     Largest difference [m, 1, m/s, rad/s] from a second simulation, alone and beside another of lower gravity.
     """
-    again: Gaps = {}
-    beside: Gaps = {}
-    for scene in (
-        BOUNCE if lab.supports(BOUNCE) else lab.in_any_shape(FREE),
-        *filter(lab.supports, [STRIP]),
-    ):
+    again: list[Gap] = []
+    beside: list[Gap] = []
+    falling = BOUNCE if lab.supports(BOUNCE) else lab.in_any_shape(FREE)
+    for scene in (falling, *filter(lab.supports, [STRIP])):
         first = lab.rollout(scene, 0.3)
-        again |= apart(first, lab.rollout(scene, 0.3), "in a second simulation")
+        again += apart(first, lab.rollout(scene, 0.3), "in a second simulation")
         lighter = replace(scene, gravity_m_per_s2=1.62)
         with closing(lab.build(scene)) as simulation, lab.running(lighter) as neighbour:
             simulation.reset(None, 0)
             neighbour.advance(0.1)
             run = record(simulation, scene, 0.3)
-        beside |= apart(first, run, "beside another simulation, which shares gravity,")
-    measurement = repeated(lab, again, "bits")
+        beside += apart(first, run, "beside another simulation, which shares gravity,")
+    measurement = repeated(lab, again, BITS)
     is_same = measurement.measured <= (measurement.width or 0.0)
-    return repeated(lab, beside, "bits") if is_same else measurement
+    return repeated(lab, beside, BITS) if is_same else measurement
 
 
 # --- start -----------------------------------------------------------------------------------------------------------
@@ -129,12 +133,9 @@ def _start(lab: Lab) -> list[dict[str, float]]:
         calls["reset"] = np.array(simulation.body_states(names)[0])
     places, turns, rates = {}, {}, {}
     for call, rows in calls.items():
-        for name, row, start in zip(names, rows, nominal_states(scene), strict=True):
-            off = row - start
-            # A quaternion and its opposite are the same orientation.
-            turned = min(length_of(off[3:7]), length_of(row[3:7] + start[3:7]))
+        for name, off in zip(names, gaps(rows, nominal_states(scene)), strict=True):
             places[f"the {name} after {call}"] = 1e3 * length_of(off[:3])
-            turns[f"the {name} after {call}"] = turned
+            turns[f"the {name} after {call}"] = length_of(off[3:7])
             rates[f"the velocity of the {name} after {call}"] = 1e3 * length_of(off[7:])
     return [places, turns, rates]
 
@@ -236,8 +237,8 @@ def time(lab: Lab) -> Measurement:
     measurement = ratio(ratios, "the simulated time")
     if not np.allclose(late, 1.0, atol=0.1):
         return measurement
-    text = "states are those before the last call of advance: an interval late"
-    return replace(measurement, hint=text)
+    hint = "states are those before the last call of advance"
+    return replace(measurement, hint=hint, cause="an interval late")
 
 
 STEPS_S = (1 / 360, 1 / 900)
@@ -264,6 +265,8 @@ def settings_step(lab: Lab) -> Measurement:
         given = lab.effective_settings.get("timestep_s", np.nan)
         if not abs(given / step_s - 1.0) < 1e-9:
             faults.append(f"settings have timestep_s {given:.6g}, not {step_s:.6g}")
+    cause = ""
     if np.array_equal(ends[0], ends[1]):
-        faults.append("two steps give the same motion: the engine ignores timestep_s")
-    return Measurement(measured=len(faults), hint="; ".join(faults))
+        faults.append("two steps give the same motion")
+        cause = "the engine ignores timestep_s"
+    return Measurement(measured=len(faults), hint="; ".join(faults), cause=cause)

@@ -19,7 +19,10 @@ from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.conformance.free_motion import DIRECTION, centre_m, solids
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, push, ratio
-from gauge_envs.tools.conformance.model import Tolerance, check
+from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
+
+check = Checks(Level.RIGID)
+
 
 PUSH_S = 0.1
 RATE_RAD_PER_S2 = 0.4

@@ -33,7 +33,10 @@ from gauge_envs.tools.conformance.lab import (
     largest_mm,
     ratio,
 )
-from gauge_envs.tools.conformance.model import Tolerance, check
+from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
+
+check = Checks(Level.RIGID)
+
 
 # --- solids ----------------------------------------------------------------------------------------------------------
 

@@ -38,7 +38,10 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.conformance.lab import Lab, Measurement, ratio
-from gauge_envs.tools.conformance.model import Tolerance, check
+from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
+
+check = Checks(Level.CONTACT)
+
 
 NEWTON = "Newton's law of restitution"
 REBOUND = Tolerance(
@@ -51,7 +54,7 @@ REBOUND = Tolerance(
 DROP_M = 0.4
 MIN_HOP_SHARE = 0.01
 """Height of a hop, over the height of the drop, below which a contact settles."""
-SUSTAINED = "a pair of the mode SUSTAINED: restitution has no effect there"
+SUSTAINED = "a pair of the mode SUSTAINED"
 
 
 @check(
@@ -87,10 +90,14 @@ def rebound_of_balls(lab: Lab) -> Measurement:
         e = bounce.restitution if bounce else math.inf
         ratios[name] = e if e**2 > MIN_HOP_SHARE else 0.0
     worst = max(values, key=lambda name: abs(ratios[name] - values[name]))
-    hint = f"the rebound is wrong for {worst}"
+    hint, cause = f"the rebound is wrong for {worst}", ""
+    if worst == SUSTAINED:
+        cause = "restitution has no effect there"
     if not any(ratios.values()):
-        hint = "no ball leaves the ground again: restitution has no effect"
-    return Measurement(measured=ratios[worst], expected=values[worst], hint=hint)
+        hint, cause = "no ball leaves the ground again", "restitution has no effect"
+    return Measurement(
+        measured=ratios[worst], expected=values[worst], hint=hint, cause=cause
+    )
 
 
 # --- bodies that fly against walls and other bodies ------------------------------------------------------------------
@@ -196,8 +203,12 @@ def _worst(rebounds: Mapping[str, float]) -> Measurement:
     """Measure the worst rebound."""
     through = [name for name, rebound in rebounds.items() if rebound < -1.0]
     if through:
-        hint = f"no contact: it passes through at {', '.join(through)}"
-        return Measurement(measured=rebounds[through[0]], expected=1.0, hint=hint)
+        return Measurement(
+            measured=rebounds[through[0]],
+            expected=1.0,
+            hint=f"it passes through at {', '.join(through)}",
+            cause="no contact",
+        )
     return ratio(rebounds, "the rebound")
 
 
@@ -350,13 +361,18 @@ def rebound_slow(lab: Lab) -> Measurement:
         if rollout.velocity(name)[before, 0] < 0.9 * shot.speed_m_per_s
     ]
     dead = [name for name, rebound in ratios.items() if abs(rebound) < 0.2]
-    hint = f"the rebound of {worst} is wrong"
+    hint, cause = f"the rebound of {worst} is wrong", ""
     if asleep:
-        hint = f"balls of {', '.join(asleep)} stop before the wall: the engine puts slow bodies to sleep"
+        hint = f"balls of {', '.join(asleep)} stop before the wall"
+        cause = "the engine puts slow bodies to sleep"
     elif dead:
-        hint = f"impacts of {', '.join(dead)} do not rebound: a threshold speed of restitution"
+        hint = f"impacts of {', '.join(dead)} do not rebound"
+        cause = "a threshold speed of restitution"
     return Measurement(
-        measured=expected[worst] * ratios[worst], expected=expected[worst], hint=hint
+        measured=expected[worst] * ratios[worst],
+        expected=expected[worst],
+        hint=hint,
+        cause=cause,
     )
 
 

@@ -33,7 +33,10 @@ from gauge_envs.tools.conformance.deformable import (
     worst_law,
 )
 from gauge_envs.tools.conformance.lab import Lab, Measurement, ratio
-from gauge_envs.tools.conformance.model import Tolerance, check
+from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
+
+check = Checks(Level.ROPE)
+
 
 LEVEL_ROD = Pose.from_euler_deg(LEVEL.position_m, (0.0, 90.0, 0.0))
 

@@ -31,7 +31,10 @@ from gauge_envs.scene.geometry import vector
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.conformance.drive import CUBE_M, unless_off, worst_friction
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest_mm, ratio
-from gauge_envs.tools.conformance.model import Tolerance, check
+from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
+
+check = Checks(Level.CONTACT)
+
 
 FRICTION = Tolerance(
     "single real slides are 5 to 14 % from the published coefficient; an engine must be well below that",
@@ -172,11 +175,11 @@ def hold(lab: Lab) -> Measurement:
     rollout = lab.once(_boxes).cut(0.0, 0.3)
     moved_mm = {name: largest_mm(rollout.displacement(name)) for name in HOLDING}
     worst = max(moved_mm, key=lambda name: moved_mm[name])
-    hint = f"the {worst} moves by {moved_mm[worst]:.3g} mm"
+    hint, cause = f"the {worst} moves by {moved_mm[worst]:.3g} mm", ""
     # After half the time a body that slides is at a quarter, and one that creeps at a half.
     if largest_mm(rollout.displacement(worst)[:28]) < 0.35 * moved_mm[worst]:
-        hint += ": it slides, so that its friction is less than that of the pair"
-    measurement = Measurement(measured=moved_mm[worst], hint=hint)
+        cause = "it slides, so that its friction is less than that of the pair"
+    measurement = Measurement(measured=moved_mm[worst], hint=hint, cause=cause)
     return unless_off(measurement, rollout, {worst: HOLDING[worst][1]})
 
 

@@ -22,7 +22,7 @@ from gauge_envs.references.metrics import METRICS
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scoring.estimates import Measured
-from gauge_envs.scoring.score import OVER_U, Score
+from gauge_envs.scoring.score import OVER_U, Score, ScoreVerdict
 
 MAX_EXPLAINED = 5
 """Maximum number of results with explanations below their rows."""
@@ -173,7 +173,7 @@ def cause_text(score: Score) -> str | None:
         return None
     if abs(engine - exact) <= EQUAL_SHARE * max(engine, exact, 1.0):
         cause = "the constants, not the engine"
-        if score.verdict == "inside":
+        if score.verdict is ScoreVerdict.INSIDE:
             cause = "the engine agrees with the exact solution"
     elif engine > exact:
         cause = "the engine differs from an exact solution"

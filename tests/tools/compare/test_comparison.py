@@ -172,10 +172,6 @@ def test_kinds_are_ranked_apart_and_equal_motions_tie(real):
     assert [trials.kind, analytic.kind] == ["trials", "analytic"]
     assert trials.ids == (f"GAUGE/{SLIDER}", f"GAUGE/{PLASTIC}")
     assert ranks(trials) == ranks(analytic) == [(1, 2), (1, 2)]
-    aligned = [real[name].score.rmse_aligned_normalized for name in (SLIDER, PLASTIC)]
-    assert trials.scores[0].mean.value == pytest.approx(np.mean(aligned))
-    solved = real[TURNED].score.over_uncertainty
-    assert analytic.scores[0].mean.value == pytest.approx(solved)
     shared = "mujoco and newton are not distinguishable on 3 of 3 experiments."
     assert answer(both) == shared
     # Only the wide report has mean ranks of fewer than three experiments.
