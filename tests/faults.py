@@ -538,7 +538,7 @@ FAULTS = {
     ),
     "all worlds start as the first": Fault(
         caught_by="worlds-single",
-        says="it has the course of world 0",
+        says="it has the course of start 0",
         worlds=_StartsAsFirst,
     ),
     "all worlds driven as the first": Fault(
