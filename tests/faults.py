@@ -330,6 +330,16 @@ class _NotFinite(Planted):
         return states
 
 
+class _Leaks(Planted):
+    """Keep 0.1 MB at each reset."""
+
+    kept: tuple[np.ndarray, ...] = ()
+
+    def reset(self, starts=None, seed=0):
+        self.kept = (*self.kept, np.ones(12_500))
+        super().reset(starts, seed)
+
+
 class _Noisy(Planted):
     """Add noise of 1 um that does not depend on the seed."""
 
@@ -525,6 +535,11 @@ FAULTS = {
         caught_by="start-position",
         says="before the first step and after reset",
         simulation=_NoReset,
+    ),
+    "reset keeps memory": Fault(
+        caught_by="life",
+        says="reset() makes objects that nothing frees",
+        simulation=_Leaks,
     ),
     "starts ignored": Fault(
         caught_by="starts-free",

@@ -234,7 +234,9 @@ def tether_length(lab: Lab) -> Measurement:
             lag_mm = 500.0 * abs(lack) * SLACK_S**2
             cases["the fall while a string is slack"] = lag_mm
             beyond = np.maximum(beyond, 0.0)
-        aside = (name != "block") * arm[:, :2].T
-        off_mm = 1e3 * float(np.abs([beyond, *aside]).max())
-        cases[f"the string of the {name}"] = off_mm
+        off_m = [beyond]
+        # A block turns about the end of its string.
+        if name != "block":
+            off_m += [*arm[:, :2].T]
+        cases[f"the string of the {name}"] = 1e3 * float(np.abs(off_m).max())
     return largest(cases, "mm")
