@@ -169,7 +169,6 @@ class CheckResult:
         diagnosis: Meaning of a failure and its most likely cause, or the text of the exception; empty otherwise.
         missing: Features that the engine lacks, if the check is unsupported.
         rejects_settings: Whether the check is unsupported since the engine rejects the settings.
-        wall_s: Time that the check took [s]; checks that share a recording count it once.
         settings: Effective numerical settings in the last scene of the check.
         versions: Versions of the engine's packages.
     """
@@ -184,7 +183,6 @@ class CheckResult:
     diagnosis: str = ""
     missing: tuple[str, ...] = ()
     rejects_settings: bool = False
-    wall_s: float = 0.0
     settings: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
 
