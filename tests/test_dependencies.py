@@ -29,8 +29,8 @@ DISTRIBUTION = {
 """Distributions whose module has another name."""
 
 
-NOT_OF_USERS = {"bench", "dev", "docs"}
-"""Extras of benchmarks, development and guides, which the package does not import."""
+NOT_OF_USERS = {"dev", "docs"}
+"""Extras of development and guides, which the package does not import."""
 
 
 def canonical(name):

@@ -34,16 +34,13 @@ from gauge_envs.scoring.metrics import (
     z_scores,
 )
 from gauge_envs.scoring.recorded_events import EVENTS, Motion
-from gauge_envs.scoring.reference import has_real_geometry, refusal
+from gauge_envs.scoring.reference import has_real_structure, refusal
 
 COVERAGE_FACTOR = 1.96
 """Half width of a 95 % interval over the standard uncertainty."""
 
 OVER_U = "over_uncertainty"
 """Value of `Score.primary` for a solution."""
-
-OLD_SCORE = "gauge-envs 0.3 or earlier wrote its score: run `gauge score FILE` to score its trajectory again"
-"""Why a stored score cannot be read."""
 
 Interval = tuple[float, float]
 
@@ -223,10 +220,8 @@ class Score:
         """Build a score from `to_dict`; keys of later versions are ignored.
 
         Raises:
-            ValueError: The score is of version 0.3 or earlier, or a value has the wrong type.
+            ValueError: A value is missing or has the wrong type.
         """
-        if "kind" not in values:
-            raise ValueError(OLD_SCORE)
         return _score_adapter().validate_python(dict(values))
 
 
@@ -484,7 +479,7 @@ def _events(
     markers_m: FloatArray | None,
 ) -> dict[str, Measured]:
     """Return the events of an episode with the published and the recorded values."""
-    if not has_real_geometry(experiment):
+    if not has_real_structure(experiment):
         return {}
     events = {}
     for metric, value in event_values(experiment, frames).items():

@@ -7,122 +7,23 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
+from heap import heap
 from places import ROOT
 from quadruped import quadruped_xml
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
-from gauge_envs.backends.mujoco.contact_table import COLUMNS, contact_pairs
+from gauge_envs.backends.mujoco.contact_table import contact_pairs
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.itself.runs import start_data
 from gauge_envs.tools.sanity.model import Need
 from gauge_envs.tools.sanity.stacks import configuration
 from gauge_envs.tools.sanity.target_checks import control_row, gravity_row
 
-# Every rule by which MuJoCo lets geoms collide or mixes their constants; all of it lies in one heap.
-HEAP = """
-<mujoco model="heap">
-  <option {option}><flag {flag}/></option>
-  <worldbody>
-    <geom name="floor" type="plane" size="5 5 .1" solref=".01 1.2" margin=".002"/>
-    <geom name="step" type="box" size=".5 .5 .1" friction="1.5 .02 .003"/>
-    <body name="a"><freejoint/>
-      <geom name="a1" size=".2" solmix="3" solref=".04 .7" solimp=".5 .8 .01 .4 3" gap=".003"/>
-      <geom name="a2" size=".2" priority="2" condim="4" friction=".3 .05 .01" margin=".01"/>
-      <body name="a_child" pos=".01 0 0"><joint axis="0 1 0"/>
-        <geom name="child" size=".2" condim="6"/>
-        <body name="grandchild" pos="0 .01 0"><joint axis="1 0 0"/><geom name="grandchild" size=".2" condim="1"/></body>
-      </body>
-      <body name="a_welded" pos="0 0 .01"><geom name="welded" size=".2" solref="-500 -20"/></body>
-    </body>
-    <body name="b"><freejoint/><geom name="b" size=".2" priority="2" solref="-300 -40" friction="0 0 0"/></body>
-    <body name="c"><freejoint/><geom name="c" size=".2" solmix="0" solref=".03 1"/></body>
-    <body name="d"><freejoint/><geom name="d" size=".2" solmix="0" solref=".05 1" contype="2" conaffinity="1"/></body>
-    <body name="e"><freejoint/><geom name="e" size=".2" contype="0" conaffinity="0"/></body>
-    <body name="hand" mocap="true"><geom name="hand" size=".2"/></body>
-    <body name="post"><joint axis="0 0 1"/><geom name="post" size=".2"/></body>
-  </worldbody>
-  <contact>
-    <exclude body1="a" body2="c"/>
-    <pair geom1="e" geom2="c" condim="3" friction=".7 .8 .01 .002 .003" solref=".015 .9" solreffriction=".03 1.1"
-      solimp=".6 .7 .02 .3 4" margin=".004" gap=".001"/>
-    <pair geom1="b" geom2="a1" condim="4"/>
-  </contact>
-</mujoco>
-"""
-
 
 def built(experiment, settings):
     """Return MuJoCo's simulation of an experiment with settings."""
     return backend("mujoco").build(load_experiment(experiment).scene, settings)
-
-
-def heap(*, option="", flag=""):
-    return mujoco.MjModel.from_xml_string(HEAP.format(option=option, flag=flag))
-
-
-def made_contacts(data):
-    """Constants of the contacts that MuJoCo makes, by their geoms, without those in which nothing can move."""
-    contacts = {}
-    for contact in data.contact:
-        if contact.exclude != 3:
-            constants = (
-                contact.friction,
-                contact.solref,
-                contact.solreffriction,
-                contact.solimp,
-            )
-            contacts[tuple(sorted(contact.geom.tolist()))] = np.hstack(
-                [contact.dim, *constants, contact.includemargin]
-            )
-    return contacts
-
-
-def read_contacts(model):
-    pairs = contact_pairs(model)
-    without_gap = pairs.constants[:, : COLUMNS["gap"].start]
-    return {
-        tuple(geoms): row
-        for geoms, row in zip(pairs.geoms.tolist(), without_gap, strict=True)
-    }
-
-
-@pytest.mark.parametrize(
-    ("option", "flag"),
-    [
-        ("", ""),
-        ("", "filterparent='disable'"),
-        (
-            "o_margin='.03' o_solref='.007 1.3' o_solimp='.1 .2 .3 .4 5' o_friction='.1 .2 .3 .4 .5'",
-            "override='enable'",
-        ),
-    ],
-)
-def test_pairs_are_those_that_mujoco_makes_of_a_heap(option, flag):
-    model = heap(option=option, flag=flag)
-    data = mujoco.MjData(model)
-    mujoco.mj_step(model, data)
-    made, read = made_contacts(data), read_contacts(model)
-    assert len(made) > 20
-    assert made.keys() == read.keys()
-    for geoms, constants in made.items():
-        np.testing.assert_allclose(
-            read[geoms], constants, rtol=1e-12, err_msg=str(geoms)
-        )
-
-
-def test_a_gap_is_the_sum_of_both():
-    # `includemargin` leaves the gap out; it shows in how far apart a contact is found.
-    xml = """<mujoco><worldbody><geom type="plane" size="1 1 1" gap=".03"/><body pos="0 0 {height}"><freejoint/>
-      <geom size=".1" gap=".02"/></body></worldbody></mujoco>"""
-    for height, count in ((0.149, 1), (0.151, 0)):
-        model = mujoco.MjModel.from_xml_string(xml.format(height=height))
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        assert data.ncon == count
-        assert contact_pairs(model).constants[
-            0, COLUMNS["gap"]
-        ].item() == pytest.approx(0.05)
 
 
 def test_half_cheetah():
