@@ -93,8 +93,6 @@ def pytest_collection_modifyitems(
             option = "--gauge-expected" if expected else "--gauge-baseline"
             raise pytest.UsageError(f"{option} needs --gauge-engine NAME")
         return
-    if expected and baseline:
-        raise pytest.UsageError("give one of --gauge-expected and --gauge-baseline")
     from gauge_envs.backends.registry import versions_of
     from gauge_envs.errors import GaugeError
     from gauge_envs.runs.isolation import Worker

@@ -12,7 +12,6 @@ builds a scene and measures one number; its docstring has the scene and the meas
         "free-fall",
         title="free fall",
         law="a = g",
-        source="Galilei",
         unit="m/s^2",
         tolerance=Tolerance("a fall has no model error", relative=1e-3),
         cause="the engine has a gravity of its own, or damps free bodies",
@@ -21,6 +20,8 @@ builds a scene and measures one number; its docstring has the scene and the meas
         \"\"\"A ball that falls from 3 m.
 
         Downward acceleration, by a quadratic fit over 0.5 s.
+
+        Source: Galilei.
         \"\"\"
         rollout = lab.rollout(Scene(bodies=(ball("ball", (0.0, 0.0, 3.0)),), duration_s=0.5))
         height_m = rollout.position("ball")[:, 2]
@@ -36,14 +37,11 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
-    from gauge_envs.fixtures.recording import Recording as Recording
     from gauge_envs.tools.conformance.catalog import checks as checks
     from gauge_envs.tools.conformance.cloth import (
         BENT_FREE_M as BENT_FREE_M,
         bending_stiffness as bending_stiffness,
         cantilever_strip as cantilever_strip,
-        hanging_strip as hanging_strip,
-        stretch_stiffness as stretch_stiffness,
     )
     from gauge_envs.tools.conformance.lab import (
         Lab as Lab,
@@ -62,14 +60,11 @@ else:
     __getattr__, __all__ = lazy_names(
         __name__,
         {
-            "gauge_envs.fixtures.recording": ["Recording"],
             ".catalog": ["checks"],
             ".cloth": [
                 "BENT_FREE_M",
                 "bending_stiffness",
                 "cantilever_strip",
-                "hanging_strip",
-                "stretch_stiffness",
             ],
             ".lab": ["Lab", "Measurement"],
             ".model": [

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import closing, suppress
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +35,6 @@ SINGLES = (0, 1, 5, 10, 14, 15)
 """Worlds that are compared with single simulations; the reversed order has the same worlds."""
 INTERVALS = 36
 ALONE = Tolerance("single precision, in another order, over one rebound", absolute=1e-4)
-BATCH = "contract (Backend.build_worlds, Simulation.reset, Simulation.drive)"
 
 
 def _rigid(lab: Lab) -> Scene:
@@ -94,7 +94,6 @@ def _course(
     "worlds-shapes",
     title="arrays of worlds",
     law="shape = [N, ...], new arrays, inputs unchanged",
-    source="contract (gauge_envs.backends.simulation)",
     tolerance=COUNT,
     cause="arrays have the world as first axis, and belong to the caller",
 )
@@ -103,6 +102,8 @@ def worlds_shapes(lab: Lab) -> Measurement:
 
     Number of faults: shapes of what is returned, arrays that change later, arrays of starts that `reset` changes or
     needs later, a nominal start that not all worlds have, `diverged` that names healthy worlds.
+
+    Source: contract (gauge_envs.backends.simulation).
     """
     faults: set[str] = set()
     for scene in (_rigid(lab), *lab.once(cloths)):
@@ -142,39 +143,38 @@ def _faults(simulation: Simulation, scene: Scene, count: int) -> list[str]:
     return [text for text, fine in is_right.items() if not fine]
 
 
-TOGETHER, THREADS, AGAIN = "world", "in threads simulation", "after the reset world"
-Runs = dict[str, tuple[Sequence[int], FloatArray]]
-"""Kind of run -> numbers of the initial states, and courses, shape [interval_count, world_count, ...]."""
+TOGETHER = "the world of start"
+THREADS = "the simulation in threads of start"
+AGAIN = "the reset world of start"
+Courses = dict[int, FloatArray]
+"""States after each interval, by the number of the initial state."""
 
 
-class _Batch(NamedTuple):
-    """A scene, the courses of single simulations by number of their initial state, and the courses of batches."""
-
-    scene: Scene
-    singles: dict[int, FloatArray]
-    runs: Runs
+def _courses(simulation: Simulation, scene: Scene, numbers: Sequence[int]) -> Courses:
+    """Return the course of each world of a simulation."""
+    courses = _course(simulation, scene, numbers)
+    return {number: courses[:, world] for world, number in enumerate(numbers)}
 
 
-def _batches(lab: Lab) -> list[_Batch]:
-    """Return the batches of both scenes."""
+def _batches(lab: Lab) -> list[tuple[Scene, Courses, dict[str, Courses]]]:
+    """Return two scenes, the courses of single simulations, and those of each kind of batch."""
     batches = []
     for scene in (_rigid(lab), *lab.once(cloths)):
-        runs: Runs = {}
-        worlds = SINGLES[:3] if scene.deformables else WORLDS
+        runs: dict[str, Courses] = {}
+        compared = SINGLES[:3] if scene.deformables else SINGLES
+        worlds = compared if scene.deformables else WORLDS
+        singles: Courses = {}
         with closing(lab.build(scene)) as simulation:
-            singles = {
-                number: _course(simulation, scene, [number])[:, 0]
-                for number in SINGLES
-                if number in worlds
-            }
+            for number in compared:
+                singles |= _courses(simulation, scene, [number])
             if simulation.releases_gil:
                 copies = [lab.build(scene) for _ in SINGLES]
                 with closing(LoopedSimulation(copies)) as threaded:
-                    runs[THREADS] = SINGLES, _course(threaded, scene, SINGLES)
+                    runs[THREADS] = _courses(threaded, scene, SINGLES)
         with closing(lab.build(scene, len(worlds))) as batch:
-            for kind, numbers in ((TOGETHER, worlds), (AGAIN, worlds[::-1])):
-                runs[kind] = numbers, _course(batch, scene, numbers)
-        batches.append(_Batch(scene, singles, runs))
+            runs[TOGETHER] = _courses(batch, scene, worlds)
+            runs[AGAIN] = _courses(batch, scene, worlds[::-1])
+        batches.append((scene, singles, runs))
     return batches
 
 
@@ -198,23 +198,17 @@ def _compared(lab: Lab, *kinds: str) -> Measurement:
     errors: dict[str, float] = {}
     mistakes: dict[str, dict[str, float]] = {}
     for scene, singles, runs in lab.once(_batches):
-        for kind in kinds:
+        for kind, number in product(kinds, singles):
             if kind not in runs:
                 continue
-            numbers, courses = runs[kind]
-            for number, single in singles.items():
-                world = numbers.index(number)
-                here = courses[:, world]
-                gap = _gap(here, single)
-                case = f"{kind} {world}, {_first_gap(scene, gap)},"
-                errors[case] = float(gap.max())
-                mistakes[case] = {
-                    f"it has the course of world {numbers.index(twin)}": float(
-                        _gap(here, course).max()
-                    )
-                    for twin, course in singles.items()
-                    if twin != number
-                }
+            course = runs[kind][number]
+            gap = _gap(course, singles[number])
+            case = f"{kind} {number}, {_first_gap(scene, gap)},"
+            errors[case] = float(gap.max())
+            mistakes[case] = {
+                f"it has the course of start {twin}": float(_gap(course, single).max())
+                for twin, single in singles.items()
+            }
     return largest(errors, "", mistakes)
 
 
@@ -222,7 +216,6 @@ def _compared(lab: Lab, *kinds: str) -> Measurement:
     "worlds-single",
     title="a world of a batch is a single simulation",
     law="a world is that of its start and of its driven motion",
-    source=BATCH,
     tolerance=ALONE,
     cause="worlds have the start or the driven motion of another world, or one step for all is another step",
 )
@@ -231,6 +224,8 @@ def worlds_single(lab: Lab) -> Measurement:
 
     Largest difference of a state or node within 0.2 s from single simulations; the worlds start and move differently.
     Simulations of engines with `releases_gil` also advance in threads at once.
+
+    Source: contract (Backend.build_worlds, Simulation.reset, Simulation.drive).
     """
     return _compared(lab, TOGETHER, THREADS)
 
@@ -239,7 +234,6 @@ def worlds_single(lab: Lab) -> Measurement:
     "worlds-reset",
     title="reset of all worlds to other starts",
     law="a world is that of its start and of its driven motion",
-    source=BATCH,
     tolerance=ALONE,
     cause="reset(starts) must write the starts of all worlds, and forget their contacts, forces and earlier starts",
 )
@@ -247,6 +241,8 @@ def worlds_reset(lab: Lab) -> Measurement:
     """The worlds of `worlds-single` after 0.2 s, reset to their starts in the reversed order.
 
     Largest difference of a state or node within 0.2 s after the reset from single simulations.
+
+    Source: contract (Backend.build_worlds, Simulation.reset, Simulation.drive).
     """
     return _compared(lab, AGAIN)
 
@@ -258,7 +254,6 @@ WRENCH = ("force x", "force y", "force z", "torque x", "torque y", "torque z")
     "worlds-wrench",
     title="a wrench in each world",
     law="v = F t / m, w = M t / I",
-    source="Newton, Euler; contract (Simulation.apply_wrench)",
     tolerance=Tolerance("a constant force has no model error", relative=1e-3),
     cause="worlds have the wrench of another world or of another call, or lose it",
     optional=True,
@@ -268,6 +263,8 @@ def worlds_wrench(lab: Lab) -> Measurement:
 
     Gain of velocity or spin in ten intervals over force times time through mass, or torque times time through moment of
     inertia, in the world and call that are farthest off.
+
+    Source: Newton, Euler; contract (Simulation.apply_wrench).
     """
     floating = ball("ball", (0.0, 0.0, 0.0))
     inertia = 0.4 * floating.mass_kg * 0.03**2
@@ -302,7 +299,6 @@ class _Run(NamedTuple):
     "worlds-neighbours",
     title="worlds do not feel their neighbours",
     law="a world is that of its start and of its driven motion",
-    source="contract (Backend.build_worlds, Simulation.diverged)",
     tolerance=ALONE,
     cause="worlds share forces, contacts, solver steps or a limit of their number",
 )
@@ -310,6 +306,8 @@ def worlds_neighbours(lab: Lab) -> Measurement:
     """Five worlds, of which the first, third and fifth change what they do: start, motion, wrench, and divergence.
 
     Largest difference of a state of the second and fourth world within 0.2 s from the run before these changes.
+
+    Source: contract (Backend.build_worlds, Simulation.diverged).
     """
     scene, numbers = _rigid(lab), range(5)
     watched, changed = [1, 3], [0, 2, 4]

@@ -17,7 +17,7 @@ from gauge_envs.cli.output import (
     print_document,
     print_json_lines,
 )
-from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
@@ -106,13 +106,14 @@ def backend_check(
         )
     chosen = [check.id for check in checks(only or ())]
     settings = arguments.parsed_settings(changes)
-    # Places are checked and files read before anything runs.
-    if out is not None:
-        _check_place(out)
     is_apart = isolate or timeout is not None or memory is not None or out is not None
     is_apart |= any(":" in name for name in names)
     columns = engine_columns(names, settings, isolate=is_apart)
+    # Files are read and written before checks run that may take hours.
     expectation = _expectation(columns, expected, baseline)
+    if out is not None:
+        arguments.by_suffix([out], ".json")
+        write_columns([], out)
     limits = (CHECK_LIMIT_S if timeout is None else timeout, memory)
     try:
         for result in _results(columns, chosen, limits, is_apart):
@@ -129,19 +130,6 @@ def backend_check(
     _check_settings(columns)
     _print(columns, form)
     return _is_unexpected(columns, expectation)
-
-
-def _check_place(file: Path) -> None:
-    """Check that a file can be written, before checks run that may take hours."""
-    from gauge_envs.files import check_replaceable
-    from gauge_envs.runs.batch import check_writable
-
-    arguments.by_suffix([file], ".json")
-    try:
-        check_replaceable(file)
-    except OSError as error:
-        raise ResultFileError(f"{file}: cannot be written: {error.strerror}") from error
-    check_writable(file.parent)
 
 
 def _expectation(

@@ -46,7 +46,6 @@ def _arrays(simulation: Simulation, scene: Scene) -> list[Any]:
     "order-of-names",
     title="arrays of states and nodes",
     law="a new float64 array [N, len(names), 13], row i of names[i]; nodes [N, n, 3]",
-    source="contract (Simulation.body_states, Simulation.nodes)",
     tolerance=COUNT,
     cause="body_states must return a new float64 array with a row for each name, in the order of the call",
 )
@@ -54,6 +53,8 @@ def order_of_names(lab: Lab) -> Measurement:
     """A fixed box and free solids, all turned; and a strip of cloth, if the engine builds cloth.
 
     Number of faults of arrays: type, shape, order of rows, and changes after they were returned.
+
+    Source: contract (Simulation.body_states, Simulation.nodes).
     """
     faults = set()
     for scene in (_several(lab), *filter(lab.supports, [STRIP])):
@@ -92,7 +93,6 @@ BOUNCE = replace(
     "determinism",
     title="a scene moves alike in each simulation",
     law="same scene and seed, same trajectory",
-    source="contract (Backend.build, Simulation.reset)",
     tolerance=Tolerance("equal bits, or as Backend.repeatability says"),
     cause="random numbers have no seed, sums have a changing order, as atomic additions on a GPU, or simulations share"
     " their state",
@@ -101,6 +101,8 @@ def determinism(lab: Lab) -> Measurement:
     """A spinning brick that falls on a plane, or freely without contacts; a strip of cloth, if the engine builds it.
 
     Largest difference [m, 1, m/s, rad/s] from a second simulation, alone and beside another of lower gravity.
+
+    Source: contract (Backend.build, Simulation.reset).
     """
     again: list[Gap] = []
     beside: list[Gap] = []
@@ -144,7 +146,6 @@ def _start(lab: Lab) -> list[dict[str, float]]:
     "start-position",
     title="bodies start at their positions",
     law="RigidBody.pose.position_m",
-    source="contract (Backend.build, Simulation.reset)",
     unit="mm",
     tolerance=Tolerance("single precision rounds 1 m to 0.1 um", absolute=1e-3),
     cause="body_states must report body origins [m] in the world frame, before the first step and after reset",
@@ -153,6 +154,8 @@ def start_position(lab: Lab) -> Measurement:
     """A fixed box and free solids, all turned.
 
     Largest distance of a body's origin from its start, right after build and after a reset.
+
+    Source: contract (Backend.build, Simulation.reset).
     """
     return largest(lab.once(_start)[0], "mm")
 
@@ -161,7 +164,6 @@ def start_position(lab: Lab) -> Measurement:
     "start-orientation",
     title="bodies start at their orientations",
     law="RigidBody.pose.quaternion",
-    source="contract (Simulation.body_states)",
     tolerance=Tolerance("single precision rounds to 1e-7", absolute=1e-5),
     cause="a quaternion is w, x, y, z from the body to the world, in Pose and in columns 3 to 6 of body_states",
 )
@@ -169,6 +171,8 @@ def start_orientation(lab: Lab) -> Measurement:
     """A fixed box and free solids, all turned.
 
     Largest distance of a quaternion of either sign from its start, right after build and after a reset.
+
+    Source: contract (Simulation.body_states).
     """
     return largest(lab.once(_start)[1])
 
@@ -177,7 +181,6 @@ def start_orientation(lab: Lab) -> Measurement:
     "start-rest",
     title="bodies at rest report no velocity",
     law="v = 0, omega = 0",
-    source="contract (Simulation.body_states)",
     unit="mm/s",
     tolerance=Tolerance("gravity gives 1 mm/s within 0.1 ms", absolute=0.1),
     cause="build and reset return time 0, before any step; velocities are those after the contacts of a step",
@@ -187,6 +190,8 @@ def start_rest(lab: Lab) -> Measurement:
 
     Largest reported velocity [mm/s, mrad/s] right after build and reset; and the mean of the brick from 0.4 to 0.5 s,
     less that with which it moves.
+
+    Source: contract (Simulation.body_states).
     """
     _, _, cases = lab.once(_start)
     brick = box("brick", (0.1, 0.0, 0.015), BRICK_M)
@@ -211,7 +216,6 @@ CALLS = {"1/180 s": (1 / 180, 432), "1/30 s": (1 / 30, 72), "1 s": (1.0, 2)}
     "time",
     title="advance simulates the given time",
     law="path = v t",
-    source="Newton; contract (Simulation.advance)",
     tolerance=Tolerance("a lost call of 432 is 0.2 %", absolute=1e-3),
     cause="advance(seconds) must simulate any time: count steps, and carry over what is left",
 )
@@ -220,6 +224,8 @@ def time(lab: Lab) -> Measurement:
 
     Horizontal path over time and speed, the worst. The speed is that of the start or as reported, whichever explains
     the path.
+
+    Source: Newton; contract (Simulation.advance).
     """
     ratios, late = {}, []
     scene = lab.in_any_shape(replace(FREE, gravity_m_per_s2=0.0))
@@ -248,7 +254,6 @@ STEPS_S = (1 / 360, 1 / 900)
     "settings-step",
     title="settings have the step in force",
     law="Simulation.settings['timestep_s'] is the step",
-    source="contract (Simulation.settings)",
     tolerance=COUNT,
     cause="read settings back from the engine; timestep_s must be its step",
     optional=True,
@@ -257,6 +262,8 @@ def settings_step(lab: Lab) -> Measurement:
     """A spinning brick that falls, with steps of 1/360 s and of 1/900 s.
 
     Number of faults: another step in the settings than the requested step; the same motion with both.
+
+    Source: contract (Simulation.settings).
     """
     faults, ends = [], []
     scene = lab.in_any_shape(FREE)

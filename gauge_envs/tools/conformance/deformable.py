@@ -300,7 +300,6 @@ def worst_law(
 
 START: dict[str, Any] = {
     "law": "the nodes span size_m or length_m about the pose",
-    "source": "contract (Simulation.nodes)",
     "unit": "mm",
     "tolerance": Tolerance("a float's rounding at 1 m is 0.1 um", absolute=0.01),
     "cause": "nodes() returns world positions in metres; size, pose and axis are those of the scene",
@@ -351,7 +350,6 @@ def start_error(
 
 ATTACHED: dict[str, Any] = {
     "law": "nodes within Region.depth_m of the side keep their places on the frame, and no others",
-    "source": "contract (scene.Attachment, scene.Region)",
     "unit": "mm",
     "tolerance": Tolerance("a tenth of the real trials' scatter", absolute=0.1),
     "cause": "attached nodes lag, hang on soft springs or do not turn with the body, or an attachment is missing",
@@ -396,7 +394,6 @@ def attachment_error(rollout: Recording) -> Measurement:
 SLAB_M = (0.2, 0.2, 0.04)
 
 REST: dict[str, Any] = {
-    "source": "contact (scene.Contact)",
     "unit": "mm",
     "tolerance": Tolerance("the real trials' scatter is about 1 mm", absolute=1.0),
     "cause": "the thickness or radius in contact is another one, or the contact has a margin (scene.Contact)",
@@ -452,7 +449,6 @@ def rest_error(
 
 STRIKE: dict[str, Any] = {
     "law": "m v + M w = const",
-    "source": "Newton",
     "tolerance": Tolerance(
         "no force acts from outside; a mesh has the mass at its nodes to 1 %",
         relative=0.01,

@@ -96,7 +96,6 @@ def _asked(rollout: Recording, name: str) -> FloatArray:
     "driven-velocity",
     title="driven body has its driver's velocity",
     law="v = prescribed v, omega = prescribed omega",
-    source="contract (Simulation.drive)",
     unit="%",
     tolerance=Tolerance(
         "a velocity that is 0.1 % high moves what a turntable carries by the scatter of real trials, 1 mm",
@@ -108,6 +107,8 @@ def driven_velocity(lab: Lab) -> Measurement:
     """Two driven blocks: one slides at 0.86 m/s along a leaning line, one turns at 2.3 rad/s about a leaning axis.
 
     Error of the reported linear or angular velocity over the prescribed one, mean of 0.15 to 0.35 s; the larger one.
+
+    Source: contract (Simulation.drive).
     """
     rollout = lab.once(_blocks)
     cruise = rollout.between(0.15, 0.35)
@@ -157,7 +158,6 @@ def _off_path(rollout: Recording, name: str) -> tuple[float, dict[str, float]]:
     "driven-path",
     title="driven bodies follow their drivers",
     law="pose = prescribed pose",
-    source="contract (Simulation.drive)",
     unit="mm",
     tolerance=Tolerance("a tenth of the real trials' scatter", absolute=0.1),
     cause="each call of drive() gives the pose at the start of the interval, and rates in the world frame",
@@ -167,6 +167,8 @@ def driven_path(lab: Lab) -> Measurement:
 
     Largest distance of a corner from its prescribed place, in strokes of 0.4 s from 0 and 2.1 s; the first block
     that is off by more than 0.1 mm, or the worst one.
+
+    Source: contract (Simulation.drive).
     """
     rollout = lab.once(_blocks)
     errors, mistakes = {}, {}
@@ -265,7 +267,6 @@ def worst_friction(
     "carry-slip",
     title="plates slip under cubes",
     law="a = mu g",
-    source="Coulomb",
     tolerance=Tolerance(
         "1 % as for a slide, and 1 % since the plate's speed changes within an interval",
         absolute=0.02,
@@ -277,6 +278,8 @@ def carry_slip(lab: Lab) -> Measurement:
     """Two driven plates under cubes that accelerate by 2 m/s^2, at once and after 2.1 s at rest; friction 0.05 and 0.1.
 
     Acceleration of a cube over mu g, quadratic fit over 0.3 s; the worst of both.
+
+    Source: Coulomb.
     """
     rollout = lab.once(_plates)
     slides = {}
@@ -293,7 +296,6 @@ def carry_slip(lab: Lab) -> Measurement:
     "carry-turn",
     title="plates carry cubes",
     law="0 if the acceleration is below mu g",
-    source="Coulomb",
     unit="mm",
     tolerance=Tolerance("the real trials' scatter is about 1 mm", absolute=1.0),
     cause="friction creeps, or the driven body jolts: it must have its velocity in every step",
@@ -302,6 +304,8 @@ def carry_turn(lab: Lab) -> Measurement:
     """A plate that moves by 0.3 m and brakes, and a disc that turns at up to 1.5 rad/s, driven, with a cube on each.
 
     Largest displacement of a cube in its plate's prescribed frame within 2.4 s, at a quarter of mu g.
+
+    Source: Coulomb.
     """
     rollout = lab.once(_plates)
     slips = {}
@@ -318,7 +322,6 @@ def carry_turn(lab: Lab) -> Measurement:
     "driven-slow",
     title="slow plates move, and carry",
     law="displacement = prescribed displacement",
-    source="contract (Simulation.drive); Coulomb",
     tolerance=Tolerance("2 % is 0.04 mm, small beside real scatter", absolute=0.02),
     cause="slow bodies are treated as resting ones",
 )
@@ -326,6 +329,8 @@ def driven_slow(lab: Lab) -> Measurement:
     """Two plates, driven at 2 mm/s along a line and at 0.02 rad/s about an axis 0.1 m beside, with a cube on each.
 
     Displacement along the prescribed one, over it, after 0.9 s; the worst of the plates and cubes.
+
+    Source: contract (Simulation.drive); Coulomb.
     """
     rollout = lab.once(_plates).cut(0.0, 0.9)
     shares, supports = {}, {}

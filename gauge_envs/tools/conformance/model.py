@@ -70,9 +70,8 @@ class Check:
         id: Stable name.
         level: Level that the check belongs to.
         title: Subject, in a few words.
-        description: The scene, the measured quantity and the method.
+        description: The scene, the measured quantity, the method, and the source of the law.
         law: Formula of the expected value.
-        source: Origin of the law.
         unit: Unit of the measured value; "1" for a pure number.
         tolerance: Largest admissible difference.
         cause: Most likely cause of a failure, one sentence.
@@ -86,7 +85,6 @@ class Check:
     title: str
     description: str
     law: str
-    source: str
     unit: str
     tolerance: Tolerance
     cause: str
@@ -125,7 +123,6 @@ class Checks:
         *,
         title: str,
         law: str,
-        source: str,
         tolerance: Tolerance,
         cause: str,
         unit: str = "1",
@@ -134,7 +131,7 @@ class Checks:
     ) -> Callable[[Measure], Measure]:
         """Return a decorator that registers a function of a lab as a check; see `Check` for the arguments.
 
-        The docstring of the function is the description: the scene, then the measured quantity with its method.
+        The docstring of the function is the description: the scene, the measured quantity with its method, the source.
         """
 
         def register(measure: Measure) -> Measure:
@@ -144,7 +141,6 @@ class Checks:
                 title=title,
                 description=" ".join((inspect.getdoc(measure) or "").split()),
                 law=law,
-                source=source,
                 unit=unit,
                 tolerance=tolerance,
                 cause=cause,
@@ -173,7 +169,6 @@ class CheckResult:
         diagnosis: Meaning of a failure and its most likely cause, or the text of the exception; empty otherwise.
         missing: Features that the engine lacks, if the check is unsupported.
         rejects_settings: Whether the check is unsupported since the engine rejects the settings.
-        wall_s: Time that the check took [s]; checks that share a recording count it once.
         settings: Effective numerical settings in the last scene of the check.
         versions: Versions of the engine's packages.
     """
@@ -188,7 +183,6 @@ class CheckResult:
     diagnosis: str = ""
     missing: tuple[str, ...] = ()
     rejects_settings: bool = False
-    wall_s: float = 0.0
     settings: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
 
@@ -204,7 +198,7 @@ class CheckResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result and the texts of its check, JSON-ready; a number that is not finite becomes null."""
-        texts = ("title", "description", "law", "source", "unit")
+        texts = ("title", "description", "law", "unit")
         values = {
             "check": self.check,
             "fingerprint": self.of.fingerprint,

@@ -55,7 +55,7 @@ def versions_text(versions: dict[str, str]) -> str:
     return ", ".join(f"{name} {text}" for name, text in versions.items())
 
 
-CHECK_TEXTS = ("id", "title", "description", "law", "source", "unit")
+CHECK_TEXTS = ("id", "title", "description", "law", "unit")
 
 
 def checks_table(checks: Sequence[Check]) -> Table:
@@ -85,35 +85,21 @@ def engine_document(results: Sequence[CheckResult]) -> Document:
     if verdicts:
         parts.append(Paragraph(f"Levels: {verdicts}."))
     failures = sorted((result for result in results if result.is_bad), key=_urgency)
+    columns = (
+        Column("", "check", lambda result: f"{result.of.title} ({result.check})"),
+        Column("", "expected", expected_text),
+        Column(
+            "",
+            "measured",
+            lambda result: f"{_measured_text(result)} {result.status}".lstrip(),
+            style=lambda result: STYLES.get(result.status, ""),
+        ),
+        Column("", "", _reason, place=Place.BELOW),
+    )
     if failures:
-        columns = (
-            Column("check", "check"),
-            Column(
-                "",
-                "measured",
-                lambda result: _measured_text(result) or result.status.value,
-                style=lambda _: "bold red",
-            ),
-            Column("", "expected", expected_text),
-            Column("", "", _message, place=Place.BELOW),
-        )
         parts.append(Table(columns=columns, rows=failures[:MAX_FAILURES]))
     parts += [Paragraph(note, Tone.NOTE) for note in _notes(results, failures)]
-    everything = Table(
-        columns=(
-            Column("", "check", lambda result: f"{result.of.title} ({result.check})"),
-            Column("", "expected", expected_text),
-            Column(
-                "",
-                "measured",
-                lambda result: f"{_measured_text(result)} {result.status}".lstrip(),
-                style=lambda result: STYLES.get(result.status, ""),
-            ),
-            Column("", "", _reason, place=Place.BELOW),
-        ),
-        rows=results,
-        wide_only=True,
-    )
+    everything = Table(columns=columns, rows=results, wide_only=True)
     rows = (result.to_dict() for result in results)
     return Document(parts=(*parts, everything), rows=rows)
 
@@ -127,11 +113,6 @@ def _urgency(result: CheckResult) -> int:
 
 def _reason(result: CheckResult) -> str:
     return "; ".join(result.missing) or result.diagnosis
-
-
-def _message(result: CheckResult) -> str:
-    title = result.of.title
-    return f"{title[:1].upper()}{title[1:]}: {result.diagnosis}"
 
 
 def _notes(

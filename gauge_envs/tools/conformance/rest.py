@@ -185,7 +185,6 @@ def _rest(lab: Lab) -> list[tuple[Sequence[_Pair], Recording]]:
     "contact-listed",
     title="listed pairs collide, others pass",
     law="height = const for a listed pair, height = -g t^2 / 2 for others",
-    source="contract (scene.Contact)",
     tolerance=COUNT,
     cause="the collision filter does not follow Scene.contacts: see colliding_pairs",
 )
@@ -196,6 +195,8 @@ def contact_listed(lab: Lab) -> Measurement:
 
     Number of listed pairs that fall by more than half of a free fall within 0.2 s, and of unlisted bodies that fall by
     less than nine tenths of it.
+
+    Source: contract (scene.Contact).
     """
     missing: set[str] = set()
     extra: set[str] = set()
@@ -223,7 +224,6 @@ def contact_listed(lab: Lab) -> Measurement:
     "rest-heights",
     title="every shape rests at its height",
     law="height = const",
-    source="sizes of both shapes (scene.Shape)",
     unit="mm",
     tolerance=Tolerance(
         "a fifth of the real trials' scatter; margins of collision shapes are 0.5 to 40 mm",
@@ -238,6 +238,8 @@ def rest_heights(lab: Lab) -> Measurement:
     and a turned convex solid.
 
     Mean displacement upward 0.14 to 0.2 s after the start, the worst of all pairs that the engine builds.
+
+    Source: sizes of both shapes (scene.Shape).
     """
     errors_mm = {}
     for pairs, rollout in lab.once(_rest):
@@ -306,7 +308,6 @@ def _stands(
     "tower-stands",
     title="tower stands",
     law="r = const",
-    source="statics",
     unit="mm",
     tolerance=SCATTER,
     cause="contacts yield under the weight of many bodies, or a solver ends before the forces of all layers balance",
@@ -315,6 +316,8 @@ def tower_stands(lab: Lab) -> Measurement:
     """A tower of twenty boxes on a plane, as wide as two of them are high.
 
     Largest displacement of a box, or of a point 50 mm from its middle by rotation, 0.8 to 1 s after the start.
+
+    Source: statics.
     """
     places = [(0.0, 0.0, BOX_M[2] * (i + 0.5)) for i in range(20)]
     return _stands(_boxes_at(lab, places, 1.0), 0.8)
@@ -324,7 +327,6 @@ def tower_stands(lab: Lab) -> Measurement:
     "mass-ratio",
     title="heavy body on a light body",
     law="height = const",
-    source="statics: rigid bodies carry any weight",
     unit="mm",
     tolerance=SCATTER,
     cause="contacts of a light body are too soft for the weight on it, or the solver ends before its forces balance",
@@ -334,6 +336,8 @@ def mass_ratio(lab: Lab) -> Measurement:
 
     Largest displacement up or down of a box, or of a point 50 mm from its middle by rotation, 0.2 to 0.3 s after the
     start.
+
+    Source: statics: rigid bodies carry any weight.
     """
     boxes: list[tuple[Vector, float]] = []
     for index, light_kg in enumerate((0.1, 0.1, 1.0)):
@@ -352,7 +356,6 @@ BRICK_M = (0.04, 0.02, 0.015)
     "wall",
     title="wall of many bricks stands",
     law="r = const",
-    source="statics",
     unit="mm",
     tolerance=SCATTER,
     cause="contacts of many bodies are too soft, or exceed a limit of the engine, which drops the rest",
@@ -361,6 +364,8 @@ def wall(lab: Lab) -> Measurement:
     """A wall of 45 loose bricks in running bond on a plane, with some 400 points of contact.
 
     Largest displacement of a brick, or of a point 50 mm from its middle by rotation, within 0.1 s.
+
+    Source: statics.
     """
     length, _, height = BRICK_M
     places = [
@@ -375,7 +380,6 @@ def wall(lab: Lab) -> Measurement:
     "rest-long",
     title="bodies at rest do not creep",
     law="r = const, R = const",
-    source="statics",
     unit="mm",
     tolerance=Tolerance("a fifth of the real trials' scatter", absolute=0.2),
     cause="contacts leave a velocity in each step, as a correction of penetration does",
@@ -384,6 +388,8 @@ def rest_long(lab: Lab) -> Measurement:
     """A box that stands on another box on a plane, 20 mm off its middle.
 
     Largest displacement of a box, or of a point 50 mm from its middle by rotation, within 2.3 s.
+
+    Source: statics.
     """
     places = ((0.0, 0.0, 0.025), (0.02, 0.0, 0.075))
     return _stands(_boxes_at(lab, places, 2.3))

@@ -69,7 +69,6 @@ REPEATED = Tolerance(
     "bit for bit, or poses to 1000 times the start error of Backend.repeatability"
 )
 STARTED = Tolerance("single precision, over one rebound", absolute=1e-4)
-RESET = "contract (Simulation.reset)"
 SAME: dict[str, Any] = {
     "law": "same starts and seed, same trajectory",
     "tolerance": REPEATED,
@@ -211,7 +210,6 @@ def _again(lab: Lab) -> list[tuple[Recording, list[Recording]]]:
     "reset-start",
     title="reset restores the start",
     law="state after reset = state after build",
-    source=RESET,
     tolerance=EXACT,
     cause="reset() must write poses, velocities and nodes of all bodies, driven ones too, and forget earlier starts",
 )
@@ -220,6 +218,8 @@ def reset_start(lab: Lab) -> Measurement:
 
     Largest difference of a state or node from before the first reset: after that reset, after a reset with seed 1 that
     follows a run, and after one with seed 2 that follows a run from other starts.
+
+    Source: contract (Simulation.reset).
     """
     found: list[Gap] = []
     cases = ("after the first reset", "after a run", "after a run from other starts")
@@ -232,7 +232,6 @@ def reset_start(lab: Lab) -> Measurement:
 @check(
     "wrench-reset",
     title="reset ends wrenches and driven motion",
-    source="contract (Simulation.apply_wrench, Simulation.drive)",
     cause="reset() must clear forces, torques and the targets of drive()",
     **SAME,
 )
@@ -240,6 +239,8 @@ def wrench_reset(lab: Lab) -> Measurement:
     """A stick under a wrench, where the engine applies one, and a ball on a driven plate, among other bodies.
 
     Largest difference of a state within 0.1 s after a reset, without wrench and `drive`, from the same before.
+
+    Source: contract (Simulation.apply_wrench, Simulation.drive).
     """
     scene = lively(lab)
     undriven = replace(scene, drivers=())
@@ -253,7 +254,6 @@ def wrench_reset(lab: Lab) -> Measurement:
 @check(
     "reset-course",
     title="the same seed gives the same trajectory",
-    source=RESET,
     cause="reset() leaves something behind: warm starts, contacts, driving forces, wrenches, time or random numbers",
     **SAME,
 )
@@ -262,6 +262,8 @@ def reset_course(lab: Lab) -> Measurement:
 
     Largest difference of a state or node within 0.2 s between runs of one simulation with the same seed, 0 or 1. Runs
     from other starts and with seeds 1 and 2 lie between. Free flight may not depend on the seed by more than 0.1 mm.
+
+    Source: contract (Simulation.reset).
     """
     found: list[Gap] = []
     for _, runs in lab.once(_again):
@@ -293,7 +295,6 @@ SHAPES: tuple[Any, ...] = (
     "starts-free",
     title="reset takes initial states",
     law="a reset with states is a scene that starts with them",
-    source=RESET,
     tolerance=STARTED,
     cause="reset(starts) must write pose and velocities of each body: of the origin, in the world frame",
 )
@@ -302,6 +303,8 @@ def starts_free(lab: Lab) -> Measurement:
 
     Largest difference of a state or node within 0.2 s between a reset with initial states, which follows a run, and a
     scene that is built with them.
+
+    Source: contract (Simulation.reset).
     """
     solids: list[dict[str, Any]] = [
         {"bodies": (body(type(shape).__name__, shape, Pose(position_m=(x, 3, 1))),)}
@@ -345,7 +348,6 @@ def aside() -> Iterator[None]:
 @check(
     "restart-after-nan",
     title="a simulation that failed is healthy after reset",
-    source="contract (Simulation.reset, Simulation.diverged)",
     cause="reset() leaves states, forces, contacts or caches that are not finite",
     **SAME,
 )
@@ -354,6 +356,8 @@ def restart_after_nan(lab: Lab) -> Measurement:
 
     Largest difference of a state within 0.2 s from the run before. The failure itself must show: as states that are not
     finite, in `diverged`, or as an error.
+
+    Source: contract (Simulation.reset, Simulation.diverged).
     """
     scene = lively(lab)
     with aside(), lab.running(scene) as simulation:
@@ -396,7 +400,6 @@ def _resident_mb() -> float:
     "life",
     title="200 resets need no memory",
     law="growth = 0",
-    source="a training run resets a simulation a million times",
     unit="MB",
     tolerance=Tolerance("Python's memory varies by 1 MB", absolute=4.0),
     cause="reset() makes objects that nothing frees: contacts, shapes, solvers or states",
@@ -405,6 +408,8 @@ def life(lab: Lab) -> Measurement:
     """A thrown stick, a tumbling brick, a bouncing ball, one on a driven plate, a pendulum, reset 200 times.
 
     Growth of the resident memory from reset 50 to 200. The first interval after the last one must be that of the first.
+
+    Source: a training run resets a simulation a million times.
     """
     scene = lively(lab)
     with closing(lab.build(scene)) as simulation:
@@ -435,7 +440,6 @@ def _course(backend: str, settings: Mapping[str, Any] | None) -> Recording:
 @check(
     "second-process",
     title="another process gives the same trajectory",
-    source=RESET,
     cause="the engine takes random numbers, the time, addresses or the order of a set",
     optional=True,
     **SAME,
@@ -444,6 +448,8 @@ def second_process(lab: Lab) -> Measurement:
     """A thrown stick, a tumbling brick, a bouncing ball, one on a driven plate, a pendulum.
 
     Largest difference of a state within 0.2 s between this Python process and a second one, for an installed engine.
+
+    Source: contract (Simulation.reset).
     """
     name, installed = lab.backend.name, None
     with suppress(GaugeError):

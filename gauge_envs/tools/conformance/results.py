@@ -110,40 +110,35 @@ def engine_columns(
     """
     columns: dict[tuple[str, str], EngineColumn] = {}
     for name in names:
-        pattern, has_configuration, wanted = name.partition(":")
+        pattern, colon, configuration = name.partition(":")
         engines = [engine for engine in backend_names() if fnmatchcase(engine, pattern)]
         if not engines:
             raise UnknownNameError("backend", pattern, backend_names())
-        declared: dict[str, dict[str, dict[str, Any]]] = {}
+        known: dict[tuple[str, str], Mapping[str, Any]] = {}
         for engine in engines:
-            declared[engine] = {"default": {}}
-            if has_configuration:
-                declared[engine] |= call_engine(
-                    engine, _configurations, engine, isolate=isolate
-                )
-        chosen = [
-            (engine, key)
-            for engine, known in declared.items()
-            for key in known
-            if not wanted or fnmatchcase(key, wanted)
-        ]
+            known[engine, "default"] = {}
+            if colon:
+                known |= call_engine(engine, _configurations, engine, isolate=isolate)
+        chosen = [key for key in known if fnmatchcase(key[1], configuration or "*")]
         if not chosen:
-            known = {key for of_engine in declared.values() for key in of_engine}
-            raise UnknownNameError("configuration", wanted, known)
-        for engine, key in chosen:
-            changed = {**(settings or {}), **declared[engine][key]}
-            column = EngineColumn(backend=engine, name=key, settings=changed)
-            columns.setdefault((engine, key), column)
+            configurations = {key[1] for key in known}
+            raise UnknownNameError("configuration", configuration, configurations)
+        for key in chosen:
+            changed = {**(settings or {}), **known[key]}
+            column = EngineColumn(backend=key[0], name=key[1], settings=changed)
+            columns.setdefault(key, column)
     return list(columns.values())
 
 
-def _configurations(name: str) -> dict[str, dict[str, Any]]:
-    """Return the configurations that an engine declares; none for an engine that is not installed."""
+def _configurations(name: str) -> dict[tuple[str, str], dict[str, Any]]:
+    """Return the settings of the configurations that an engine declares; none for an engine that is not installed."""
     try:
         engine = backend(name)
     except GaugeError:
         return {}
-    return {str(key): dict(values) for key, values in engine.configurations.items()}
+    return {
+        (name, str(key)): dict(values) for key, values in engine.configurations.items()
+    }
 
 
 def run_column(

@@ -1,7 +1,6 @@
 """Run checks on an engine."""
 
 import math
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -52,21 +51,9 @@ def run_checks(
         run = partial(_run_there, worker, backend, settings)
     else:
         engine = find_backend(backend) if isinstance(backend, str) else backend
-        versions = checked_versions(engine)
+        versions = dict(checked_versions(engine))
         run = partial(run_check, Lab(engine, settings))
-    return _results(run, chosen, dict(versions))
-
-
-def _results(
-    run: Callable[[Check], CheckResult],
-    chosen: Sequence[Check],
-    versions: Mapping[str, str],
-) -> Iterator[CheckResult]:
-    for check in chosen:
-        started_s = time.perf_counter()
-        result = run(check)
-        wall_s = time.perf_counter() - started_s
-        yield replace(result, versions=versions, wall_s=wall_s)
+    return (replace(run(check), versions=versions) for check in chosen)
 
 
 # --- in another process ----------------------------------------------------------------------------------------------

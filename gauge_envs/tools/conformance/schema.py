@@ -26,16 +26,14 @@ class CheckTexts(TypedDict):
 
     Attributes:
         title: Subject of the check.
-        description: The scene, the measured quantity and the method.
+        description: The scene, the measured quantity, the method, and the source of the law.
         law: Formula of the expected value.
-        source: Origin of the law.
         unit: Unit of the measured value; 1 for a pure number.
     """
 
     title: str
     description: str
     law: str
-    source: str
     unit: str
 
 

@@ -200,7 +200,7 @@ def test_each_check_has_an_id_of_its_own_and_a_description():
 
 def test_texts_do_not_change_a_fingerprint_but_numbers_and_revisions_do():
     (check,) = checks(["slide"])
-    prose = {"title": "", "description": "", "law": "", "source": "", "cause": ""}
+    prose = {"title": "", "description": "", "law": "", "cause": ""}
     wider = replace(check.tolerance, absolute=0.02)
     reason = replace(check.tolerance, rationale="")
     assert replace(check, tolerance=reason, **prose).fingerprint == check.fingerprint
