@@ -177,7 +177,7 @@ def _check_trajectory(result: Result) -> None:
         raise ValueError("it has no trajectory")
     if not trajectory.samples.size:
         raise ValueError("trajectory: it has no samples")
-    times_s, samples = trajectory.arrays(later=True)
+    times_s, samples = trajectory.arrays()
     if (np.diff(times_s) <= 0.0).any():
         raise ValueError("trajectory.times_s: increasing times are expected")
     largest = np.nanmax(np.abs(samples), initial=0.0)

@@ -20,7 +20,7 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
-from gauge_envs.scoring.estimates import Measured
+from gauge_envs.scoring.estimates import ComparedQuantity
 from gauge_envs.scoring.score import OVER_U
 from gauge_envs.tools.compare import (
     ExperimentComparison,
@@ -136,7 +136,7 @@ def _sentences(site: Site, results: Mapping[int, Result]) -> list[Part]:
     return [Heading("In words"), listed(entries)] if entries else []
 
 
-def _estimate_text(estimate: Measured) -> str:
+def _estimate_text(estimate: ComparedQuantity) -> str:
     text = f"simulated {with_unit(digits_text(estimate.value), estimate.unit)}"
     if estimate.real is not None:
         text += f", real {digits_text(estimate.real)}"
