@@ -14,6 +14,7 @@ from gauge_envs.observables.kinds import coordinate_names
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import ContactMode, Scene
+from gauge_envs.scene.diff import Change
 
 
 class AssetKind(StrEnum):
@@ -34,14 +35,14 @@ class Asset:
         kind: Kind of file.
         sha256: Hash of the file and of the files to which it refers.
         edited: Whether its physics differ from the calibrated variant.
-        changes: Differences, one line each, as `contact cube/board: friction 0.273673 -> 0.136837`.
+        changes: Differences from the calibrated variant; those of an MJCF file are of the models of both.
     """
 
     path: Path
     kind: AssetKind
     sha256: str
     edited: bool = False
-    changes: tuple[str, ...] = ()
+    changes: tuple[Change, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready dictionary without the folder of the file."""
@@ -50,7 +51,7 @@ class Asset:
             "kind": self.kind.value,
             "sha256": self.sha256,
             "edited": self.edited,
-            "changes": list(self.changes),
+            "changes": [*map(str, self.changes)],
         }
 
 
@@ -154,7 +155,7 @@ class Experiment:
         if self.model_file is not None:
             return ""
         changes = self.asset.changes if self.asset else ()
-        is_users = any("restitution" in change for change in changes)
+        is_users = any(change.field == ("restitution",) for change in changes)
         is_users |= self.variant in user_variants()
         given = [v for k, v in self.overrides.items() if k.endswith(".restitution")]
         pairs = [

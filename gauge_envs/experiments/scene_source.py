@@ -21,7 +21,7 @@ from gauge_envs.names import first_names
 from gauge_envs.optional import needs_extra
 from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.scene import Motion
-from gauge_envs.scene.diff import scene_changes
+from gauge_envs.scene.diff import Change, scene_changes
 
 if TYPE_CHECKING:
     from gauge_envs.formats.usd import UsdScene
@@ -38,7 +38,7 @@ def with_asset(experiment: Experiment, path: Path) -> Experiment:
         path: USD layer or MJCF file.
     """
     digests = [_digest(path)]
-    changes: tuple[str, ...]
+    changes: tuple[Change, ...]
     if path.suffix in USD_SUFFIXES:
         layer = _scene_of_file(experiment, path)
         kind, scene = AssetKind.USD, layer.scene

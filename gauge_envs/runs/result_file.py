@@ -31,6 +31,7 @@ from gauge_envs.references.imported import dataset_record
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.user_data import BUNDLED_DATA, OWN_TASKS, DataSource
 from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scoring.score import OLD_SCORE
 from gauge_envs.scoring.trajectory_file import LARGEST
 from gauge_envs.text import json_document
@@ -256,12 +257,12 @@ def recorded_experiment(result: Result) -> Experiment:
         path = Path(folder) / "scene.usda"
         path.write_text(record["scene"], encoding="utf-8")
         scene = read_usd(path).scene
+    experiment = load_experiment(result.id, reference=result.dataset["reference"])
     asset = Asset(
         path=Path(record["file"]),
         kind=AssetKind(record["kind"]),
         sha256=record["sha256"],
         edited=record["edited"],
-        changes=tuple(record["changes"]),
+        changes=tuple(scene_changes(experiment.scene, scene)),
     )
-    experiment = load_experiment(result.id, reference=result.dataset["reference"])
     return replace(experiment, scene=scene, asset=asset)

@@ -159,7 +159,13 @@ def _experiment_of_file(
 ) -> Experiment:
     """Return the experiment of the arguments, or else of the file."""
     if origin.has_asset and variant is None and parameters is None:
-        return recorded_experiment(load_result(file))
+        result = load_result(file)
+        if result.is_edited and "scene" not in result.asset:
+            raise TrajectoryFileError(
+                f"{file}: the result lacks its scene, which was the edited file {result.asset['file']}: run it again "
+                "with --asset to score it"
+            )
+        return recorded_experiment(result)
     name = variant or origin.id
     if name is None:
         raise TrajectoryFileError(

@@ -1,26 +1,28 @@
 """The reference of an experiment, and the scenes that it cannot score."""
 
-import re
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from gauge_envs.errors import ReferenceFileError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import load_experiment, shots_of
+from gauge_envs.experiments.resolve import load_experiment, shots_of, with_trial
 from gauge_envs.references.band import Band, band_file, load_band
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.references.user_data import DataSource
-from gauge_envs.scene import Scene
-from gauge_envs.scene.diff import scene_changes
+from gauge_envs.scene import Box, Cloth, Deformable, RigidBody, Scene
+from gauge_envs.scene.diff import Change, ChangeKind, scene_changes
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scoring.likely_mistakes import START_TOLERANCE_MM, start_values
+from gauge_envs.scene.states import nominal_states, scene_at
+from gauge_envs.scoring.likely_mistakes import START_TOLERANCE_MM
 
-GEOMETRY = re.compile(
-    r": (added|removed|(pose|shape|size_m|length_m|radius_m|anchor_m|axis|gravity_m_per_s2)\b)"
-)
-"""Matches the lines of `scene_changes` about gravity, shapes and poses, which real trials cannot score."""
+SOLUTION_ALLOWS = frozenset({ChangeKind.SETTING, ChangeKind.LABEL})
+"""Changes with which a solution of the calibrated scene still scores a scene."""
+
+REAL_ALLOWS = SOLUTION_ALLOWS | {ChangeKind.CONSTANT, ChangeKind.START}
+"""Changes with which real trials still score a scene; a start only near theirs, because real starts scatter."""
 
 
 def reference_band(experiment: Experiment) -> Band | None:
@@ -55,8 +57,9 @@ def refusal(
 ) -> str | None:
     """Return why a reference cannot score a scene, one sentence; None if it can.
 
-    Real trials score scenes with their gravity and geometry, and with any constants. A solution scores only the
-    calibrated scene and start: for another scene, the distance would also hold the effect of the change.
+    Real trials score the scene in which they were recorded, with any constants (`REAL_ALLOWS`) and a start near theirs.
+    A solution scores only the calibrated scene and start: for another scene, the distance would also hold the effect of
+    the change. Numerical settings of an engine may differ in both.
 
     Args:
         experiment: The experiment.
@@ -67,9 +70,7 @@ def refusal(
         return None
     if band.kind.is_solution and is_moved:
         return f"no score: the {band.kind} reference holds for the nominal start, and this start had noise"
-    changes = _changes(experiment)
-    if band.kind.is_real:
-        changes = _of_geometry(experiment, changes)
+    changes = _real_changes(experiment) if band.kind.is_real else _changes(experiment)
     if not changes:
         return None
     scored = "real scene" if band.kind.is_real else "calibrated scene"
@@ -77,53 +78,108 @@ def refusal(
     return f"no score: the {band.kind} reference holds for the {scored}, and this scene differs: {changes[0]}{more}"
 
 
-def has_real_geometry(experiment: Experiment) -> bool:
-    """Return whether gravity, shapes and poses equal those of the real scene, so that real events compare."""
-    return not _of_geometry(experiment, _changes(experiment))
+def has_real_structure(experiment: Experiment) -> bool:
+    """Return whether only what `REAL_ALLOWS` differs from the real scene, so that real events compare."""
+    return not _real_changes(experiment)
 
 
-def _changes(experiment: Experiment) -> list[str]:
-    """Return the differences from the calibrated scene, a line each; driven motion of actions does not count."""
-    calibrated = _calibrated_scene(experiment.name, experiment.file_sha256)
-    if experiment.scene == calibrated:
-        return []
-    changes = list(scene_changes(calibrated, experiment.scene))
-    if experiment.drivers is DataSource.ACTION:
-        changes = [change for change in changes if not change.startswith("driver of")]
+def _changes(experiment: Experiment) -> list[Change]:
+    """Return the changes that a solution of the calibrated scene does not allow."""
+    solved = _nominal(experiment).scene
+    return [
+        change
+        for change in _differences(solved, experiment)
+        if change.kind not in SOLUTION_ALLOWS
+    ]
+
+
+def _real_changes(experiment: Experiment) -> list[Change]:
+    """Return the changes that real trials do not allow."""
+    real = _real_scene(experiment)
+    allowed = REAL_ALLOWS
+    if not _starts_near(real, experiment.scene):
+        allowed = REAL_ALLOWS - {ChangeKind.START}
+    return [
+        change
+        for change in _differences(real, experiment)
+        if change.kind not in allowed
+    ]
+
+
+def _differences(before: Scene, experiment: Experiment) -> list[Change]:
+    """Return the differences of an experiment from a scene, with those of the model in an MJCF file."""
+    changes = [*scene_changes(before, experiment.scene)]
+    if experiment.asset is not None and experiment.model_file is not None:
+        changes += experiment.asset.changes
     return changes
 
 
-def _of_geometry(experiment: Experiment, changes: list[str]) -> list[str]:
-    """Return the changes of gravity, shapes and poses that real trials cannot score.
+def _real_scene(experiment: Experiment) -> Scene:
+    """Return the scene of the real trials, with the measured start and prescribed motion of the episode.
 
-    Parameter sets of the task file describe the real scene. Real starts scatter, so a start within
-    `START_TOLERANCE_MM` is no change.
+    Each parameter set of the task file describes the real scene.
     """
-    if experiment.parameters != "custom" and not experiment.edited:
-        return []
-    moving = {body.name for body in experiment.scene.dynamic_bodies}
-    geometry = [change for change in changes if GEOMETRY.search(change)]
-    start_changes = [
-        change for change in geometry if change.partition(": pose")[0] in moving
-    ]
-    calibrated = _calibrated_start(experiment.name, experiment.file_sha256)
-    deviation = np.abs(start_values(experiment) - calibrated)
-    is_position = experiment.score.observable.unit == "mm"
-    if not is_position or deviation.max() <= START_TOLERANCE_MM:
-        geometry = [change for change in geometry if change not in start_changes]
-    return geometry
+    is_named = experiment.parameters != "custom"
+    parameters = experiment.parameters if is_named else "calibrated"
+    nominal = _nominal(experiment, parameters)
+    scene, trial = nominal.scene, experiment.trial
+    if shots_of(experiment) is not None and trial is not None:
+        return with_trial(nominal, trial).scene
+    if trial is not None and not experiment.edited:
+        scene = scene_at(scene, nominal_states(experiment.scene))
+    if trial is not None or experiment.drivers is DataSource.IMPORTED:
+        scene = replace(scene, drivers=experiment.scene.drivers)
+    return scene
+
+
+def _nominal(experiment: Experiment, parameters: str = "calibrated") -> Experiment:
+    """Return the experiment of the task file with a parameter set, moved by actions if the experiment is."""
+    is_action = experiment.drivers is DataSource.ACTION
+    drivers = DataSource.ACTION if is_action else DataSource.BUNDLED
+    return _loaded(experiment.name, experiment.file_sha256, parameters, drivers)
 
 
 @lru_cache(maxsize=128)
-def _calibrated_start(variant: str, file_sha256: str) -> FloatArray:
-    """Return g(t) at the start in the task file, shape [coordinate_count]."""
-    return start_values(load_experiment(variant))
+def _loaded(
+    variant: str, file_sha256: str, parameters: str, drivers: DataSource
+) -> Experiment:
+    """Load an experiment; the hash of the task file distinguishes versions in the cache."""
+    return load_experiment(variant, parameters, drivers=drivers)
 
 
-@lru_cache(maxsize=128)
-def _calibrated_scene(variant: str, file_sha256: str) -> Scene:
-    """Return the calibrated scene of a variant; the hash of the task file distinguishes versions in the cache."""
-    return load_experiment(variant).scene
+def _starts_near(real: Scene, scene: Scene) -> bool:
+    """Return whether each body that is free to move starts near that of the real trials, with its velocity."""
+    real_bodies = {body.name: body for body in (*real.bodies, *real.deformables)}
+    return all(
+        _is_near(real_bodies[body.name], body)
+        for body in (*scene.dynamic_bodies, *scene.deformables)
+        if body.name in scene.free_cloths or isinstance(body, RigidBody)
+        if body.name in real_bodies
+    )
+
+
+def _is_near(real: RigidBody | Deformable, body: RigidBody | Deformable) -> bool:
+    """Return whether no corner of a body is further than `START_TOLERANCE_MM`, and its velocity is the real one."""
+    corners_m = _corners_m(body)
+    shifts_m = body.pose.to_world(corners_m) - real.pose.to_world(corners_m)
+    if 1e3 * np.linalg.norm(shifts_m, axis=1).max() > START_TOLERANCE_MM:
+        return False
+    return np.allclose(_velocity(body), _velocity(real), rtol=1e-9, atol=1e-12)
+
+
+def _corners_m(body: RigidBody | Deformable) -> FloatArray:
+    """Return the corners of a rigid body or a cloth in its frame [m], shape [corner_count, 3]."""
+    if isinstance(body, RigidBody):
+        return body.shape.corners_m
+    assert isinstance(body, Cloth), "only a cloth can be free"
+    return Box(size_m=(*body.size_m, body.thickness_m)).corners_m
+
+
+def _velocity(body: RigidBody | Deformable) -> tuple[float, ...]:
+    """Return the start velocity [m/s] and the angular velocity [rad/s]; a deformable body starts at rest."""
+    if not isinstance(body, RigidBody):
+        return (0.0,) * 6
+    return (*body.linear_velocity_m_per_s, *body.angular_velocity_rad_per_s)
 
 
 def reference_kind(variant: str, source: DataSource = DataSource.BUNDLED) -> Kind:

@@ -34,7 +34,7 @@ from gauge_envs.scoring.metrics import (
     z_scores,
 )
 from gauge_envs.scoring.recorded_events import EVENTS, SampledMotion
-from gauge_envs.scoring.reference import has_real_geometry, refusal
+from gauge_envs.scoring.reference import has_real_structure, refusal
 
 COVERAGE_FACTOR = 1.96
 """Half width of a 95 % interval over the standard uncertainty."""
@@ -531,7 +531,7 @@ def _events(
     markers_m: FloatArray | None,
 ) -> dict[str, ComparedQuantity]:
     """Return the events of an episode with the published and the recorded values."""
-    if not has_real_geometry(experiment):
+    if not has_real_structure(experiment):
         return {}
     events = {}
     for metric, value in event_values(experiment, frames).items():

@@ -12,7 +12,7 @@ import pytest
 from places import first_of_each_kind
 from texts import changed_text
 
-from gauge_envs import load_experiment, load_experiment_from_asset
+from gauge_envs import load_experiment, load_experiment_from_asset, reference_band
 from gauge_envs.backends import backend, backend_for
 from gauge_envs.backends.mujoco.mjcf.diff import model_changes
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
@@ -20,6 +20,8 @@ from gauge_envs.experiments.variants import variants
 from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import recorded_experiment
+from gauge_envs.scene.diff import ChangeKind
+from gauge_envs.scoring.reference import refusal
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.assets.export import mjcf_text
 
@@ -87,10 +89,13 @@ def test_an_edited_mass_pose_and_friction_reach_scene_and_model(edited):
     assert observation["observable"][0] == pytest.approx(98.247)
     assert model.body("cube").mass[0] == 0.2
     assert 0.1368365 in model.pair_friction[:, 0]
-    changed = [
-        line.partition(": ")[2].split(" ")[0] for line in env.experiment.asset.changes
+    changed = [change.field for change in env.experiment.asset.changes]
+    assert changed == [
+        ("body_mass",),
+        ("body_inertia",),
+        ("body_pos",),
+        ("pair_friction",),
     ]
-    assert changed == ["body_mass", "body_inertia", "body_pos", "pair_friction"]
 
 
 def test_a_longer_step_is_a_setting_of_the_file(edited):
@@ -102,12 +107,48 @@ def test_a_longer_step_is_a_setting_of_the_file(edited):
     assert recorded_experiment(result).scene == load_experiment(SLIDE).scene
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "trials_score", "solution_scores"),
+    [
+        (TIMESTEP, f'timestep="{1 / 1800!r}"', True, True),
+        ('impratio="10"', 'impratio="5"', True, True),
+        ('solref="0.002"', 'solref="0.004"', True, True),
+        ('mass="0.0903"', 'mass="0.2"', True, False),
+        ('friction="0.273673 0.273673', 'friction="0.2 0.2', True, False),
+        ('size="0.025 0.025 0.025"', 'size="0.025 0.03 0.025"', False, False),
+        ('gravity="0 0 -9.80665"', 'gravity="0 0 -1.62"', False, False),
+        ('gravity="0 0 -9.80665"', 'gravity="0.5 0 -9.793895"', False, False),
+        ("<option ", '<option density="1.2" viscosity="1" ', False, False),
+        (
+            ' type="box" contype="0" conaffinity="0" mass',
+            ' type="ellipsoid" contype="0" conaffinity="0" mass',
+            False,
+            False,
+        ),
+        ('size="0.25 0.075 0.005"', 'size="0.05 0.075 0.005"', False, False),
+        # An array that no list names, together with one that the trials allow.
+        (
+            'mass="0.0903"',
+            'mass="0.2" fluidshape="ellipsoid" fluidcoef="1 1 1 1 1"',
+            False,
+            False,
+        ),
+    ],
+)
+def test_a_reference_scores_a_file_with_the_structure_of_its_scene(
+    old, new, trials_score, solution_scores, edited
+):
+    for name, is_scored in ((SLIDE, trials_score), (TILTED, solution_scores)):
+        file = load_experiment_from_asset(name, edited(name, (old, new)))
+        assert (refusal(file, reference_band(file)) is None) == is_scored, name
+
+
 def test_an_edited_table_of_stiffness_is_a_change(edited):
     table = r'name="flex_bending/textile/weight" size="\d+" data="'
     start = re.search(table, shipped(CLOTH).read_text()).group(0)
     path = edited(CLOTH, (start, f"{start}7"))
     (change,) = load_experiment_from_asset(CLOTH, path).asset.changes
-    assert change.startswith("flex_bending: ")
+    assert (change.field, change.kind) == (("flex_bending",), ChangeKind.CONSTANT)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +156,7 @@ def test_an_edited_table_of_stiffness_is_a_change(edited):
     [
         ("<worldbody>", '<worldbody><geom name="w" size=".1"/>', "w: added"),
         ("<worldbody>", '<option density="1.2"/><worldbody>', "option: density 0 -> 1"),
-        ('type="free" />', 'type="free" damping=".1" />', "dof_damping: 6 of 6 number"),
+        ('type="free" />', 'type="free" damping=".1" />', "model: dof_damping "),
         ('<body name="cube"', '<body name="cube" gravcomp="1"', "cube: body_gravcomp"),
         ('<geom name="cube"', '<geom name="cube" rgba="1 0 0 1"', None),
     ],
@@ -126,7 +167,7 @@ def test_changes_of_a_model_name_every_kind_of_edit_but_colours(old, new, messag
         mujoco.MjModel.from_xml_string(content)
         for content in (text, text.replace(old, new))
     )
-    changes = list(model_changes(after, before))
+    changes = [*map(str, model_changes(after, before))]
     if message is None:
         assert changes == []
     else:
@@ -172,7 +213,7 @@ def test_a_start_velocity_of_a_file_is_read_into_the_scene(name, body, start, tm
     ]
     assert rates[1] == pytest.approx(rates[0], abs=1e-9)
     assert np.abs(rates[0]).max() > 0.1
-    assert file.asset.changes[0].startswith("key_qvel: ")
+    assert file.asset.changes[0].field == ("key_qvel",)
     simulation = backend_for("mujoco", file.model_file).build(file.scene)
     for _ in range(2):
         state = simulation.body_states([body])[0, 0]

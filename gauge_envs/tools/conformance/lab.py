@@ -159,7 +159,7 @@ class Lab:
         pairs = self._given
         self._given = []
         for scene, given in pairs:
-            if changes := "; ".join(scene_changes(scene, given)):
+            if changes := "; ".join(map(str, scene_changes(scene, given))):
                 raise ContractError(
                     f"the engine changed the scene that it was given: {changes}. A Scene is input: copy what changes"
                 )

@@ -45,6 +45,7 @@ from gauge_envs.errors import AssetError, ParameterError
 from gauge_envs.files import os_errors
 from gauge_envs.names import first_names
 from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene.diff import Change
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
@@ -115,7 +116,7 @@ class BackendMJCF(BackendMuJoCo):
         )
 
 
-def read_model(path: Path, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
+def read_model(path: Path, scene: Scene) -> tuple[Scene, tuple[Change, ...]]:
     """Read the start poses, masses, hinges and gravity of a file, and its differences.
 
     Args:
@@ -124,7 +125,7 @@ def read_model(path: Path, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
 
     Returns:
         The scene, with the start poses and masses of the file; and the differences between the file and the model that
-        the backend builds from the scene, one line each.
+        the backend builds from the scene.
 
     Raises:
         AssetError: The file cannot be read, or does not fit the scene.
