@@ -14,9 +14,11 @@ from gauge_envs.scene.geometry import FloatArray, IntArray
 
 
 class AngleDeficits:
-    """Formula of the curvature of one textile, see `angle_deficit_curvature`.
+    """Discrete Gaussian curvature at each marker of one textile (paper, appendix on metrics, K).
 
-    Its index arrays and its matrix depend on the textile alone.
+    k_i is the full angle of a flat sheet at the marker minus the sum of the angles of its faces there. The full angle
+    is 2 pi inside, pi on an edge and pi/2 in a corner. As in the paper, the sum skips faces with a missing or a
+    coincident vertex, so k_i grows by their angles.
 
     Args:
         faces: Marker indices of the triangles, shape [face_count, 3].
@@ -44,7 +46,11 @@ class AngleDeficits:
         self._incidence[np.arange(table.size), table.ravel()] = 1.0
 
     def __call__(self, markers_m: FloatArray) -> FloatArray:
-        """Return the curvature, shape [frame_count, marker_count]."""
+        """Return the curvature, shape [frame_count, marker_count], rad; NaN where the marker itself is missing.
+
+        Args:
+            markers_m: Marker positions, shape [frame_count, marker_count, 3], m; NaN where missing.
+        """
         corners = _axes(markers_m).take(self._corners, axis=2)
         own = corners[:, :, 0]
         angles = _angle_between(corners[:, :, 1] - own, corners[:, :, 2] - own)
@@ -57,33 +63,6 @@ class AngleDeficits:
         curvature: FloatArray = self._full_angle - sums
         curvature[is_missing] = np.nan
         return curvature
-
-
-def angle_deficit_curvature(
-    markers_m: ArrayLike,
-    faces: ArrayLike,
-    *,
-    corner: Collection[int],
-    edge: Collection[int],
-) -> FloatArray:
-    """Return the discrete Gaussian curvature at each marker of a textile (paper, appendix on metrics, K).
-
-    k_i is the full angle of a flat sheet at the marker minus the sum of the angles of its faces there. The full angle
-    is 2 pi inside, pi on an edge and pi/2 in a corner. As in the paper, the sum skips faces with a missing or a
-    coincident vertex, so k_i grows by their angles.
-
-    Args:
-        markers_m: Marker positions, shape [frame_count, marker_count, 3], m; NaN where missing.
-        faces: Marker indices of the triangles, shape [face_count, 3].
-        corner: Indices of the markers in a corner of the sheet.
-        edge: Indices of the markers on a straight edge; all others are inside.
-
-    Returns:
-        Curvature, shape [frame_count, marker_count], rad; NaN where the marker itself is missing.
-    """
-    positions_m = np.asarray(markers_m, dtype=np.float64)
-    marker_count = positions_m.shape[1]
-    return AngleDeficits(faces, marker_count, corner=corner, edge=edge)(positions_m)
 
 
 def line_turning_angle(markers_m: ArrayLike, lines: ArrayLike) -> FloatArray:

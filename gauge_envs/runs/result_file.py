@@ -33,7 +33,7 @@ from gauge_envs.references.user_data import BUNDLED_DATA, OWN_TASKS, DataSource
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scoring.score import OLD_SCORE
-from gauge_envs.scoring.trajectory_file import LARGEST
+from gauge_envs.scoring.user_file.trajectory_file import LARGEST
 from gauge_envs.text import json_document
 from gauge_envs.validation import first_fault
 

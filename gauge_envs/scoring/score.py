@@ -22,7 +22,6 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.estimates import ComparedQuantity, estimates
 from gauge_envs.scoring.events import PUBLISHED_TRIALS, event_values
 from gauge_envs.scoring.interval import distance_interval, trials_interval
-from gauge_envs.scoring.likely_mistakes import value_mistake
 from gauge_envs.scoring.metrics import (
     MAX_TIME_OFFSET_S,
     frame_index,
@@ -35,6 +34,7 @@ from gauge_envs.scoring.metrics import (
 )
 from gauge_envs.scoring.recorded_events import EVENTS, SampledMotion
 from gauge_envs.scoring.reference import has_real_structure, refusal
+from gauge_envs.scoring.user_file.likely_mistakes import value_mistake
 
 COVERAGE_FACTOR = 1.96
 """Half width of a 95 % interval over the standard uncertainty."""

@@ -10,9 +10,9 @@ from places import first_of_each_kind
 from gauge_envs import Score, load_experiment, reference_band, variants
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scoring.estimates import ComparedQuantity
-from gauge_envs.scoring.likely_mistakes import start_values
 from gauge_envs.scoring.reference import refusal
 from gauge_envs.scoring.score import score_trajectory
+from gauge_envs.scoring.user_file.likely_mistakes import start_values
 
 NAMES = [variant.name for variant in variants()]
 

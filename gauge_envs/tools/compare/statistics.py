@@ -135,9 +135,9 @@ def _scaled(deviation: FloatArray, band: Band) -> FloatArray:
     An aligned motion may end some frames before the band. The distance does not compare these, and their entries are 0.
     """
     is_compared = band.known & np.isfinite(deviation).any(axis=1)
-    number_count = np.count_nonzero(is_compared) * band.marker_count
+    number_count = max(int(is_compared.sum()) * band.marker_count, 1)
     entries = np.nan_to_num(deviation[np.isfinite(band.mean)])
-    return entries / math.sqrt(max(number_count, 1))
+    return entries / math.sqrt(number_count)
 
 
 def _errors_of_mean(trials: FloatArray) -> FloatArray:

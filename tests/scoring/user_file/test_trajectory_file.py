@@ -14,8 +14,8 @@ from gauge_envs import load_experiment, reference_band, score_trajectory
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.experiments.resolve import with_trial
 from gauge_envs.runs.score_file import score_file
-from gauge_envs.scoring.likely_mistakes import start_values
-from gauge_envs.scoring.trajectory_file import read_trajectory
+from gauge_envs.scoring.user_file.likely_mistakes import start_values
+from gauge_envs.scoring.user_file.trajectory_file import read_trajectory
 
 
 def test_a_closed_form_slide_in_a_csv_scores_as_in_the_library(tmp_path):

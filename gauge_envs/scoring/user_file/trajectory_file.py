@@ -33,8 +33,8 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.metrics import frame_index, interpolated
-from gauge_envs.scoring.motion_checks import likely_rate_hz, lost_marker
 from gauge_envs.scoring.reference import reference_band
+from gauge_envs.scoring.user_file.motion_checks import likely_rate_hz, lost_marker
 from gauge_envs.text import csv_text, json_document
 
 FILE_TOLERANCE_S = 5e-4
