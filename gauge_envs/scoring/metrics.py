@@ -5,6 +5,7 @@ NaN is a value that was not measured. Only the real mean may have NaN.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,7 +36,7 @@ BLOCK_SIZE = 30_000
 """Numbers in a block of deviations, 240 kB."""
 
 TIE = 1e-12
-"""Relative difference of two path costs that count as equal: the order of a sum changes a total by less."""
+"""Relative difference of two path costs, or of two RMSE, that count as equal; a sum in another order changes less."""
 
 
 def trajectory_rmse(simulated: ArrayLike, real_mean: ArrayLike) -> float:
@@ -159,8 +160,6 @@ def time_offset(
     Raises:
         ShapeError: The times are not strictly ascending, or nothing was measured.
     """
-    from scipy.optimize import minimize_scalar
-
     values = _trajectory("simulated", simulated)
     real = _trajectory("real_mean", real_mean, allow_missing=True)
     times = np.asarray(times_s, dtype=np.float64)
@@ -173,12 +172,21 @@ def time_offset(
     needed = known[math.ceil(MIN_OVERLAP * len(known)) - 1]
     earliest_s = max(earliest_s, needed / FRAME_RATE_HZ - float(times[-1]))
 
-    def shifted_rmse(offset_s: FloatArray | float) -> FloatArray:
+    def shifted_rmse(offset_s: FloatArray) -> FloatArray:
         shifted = shifted_frames(times, values, offset_s, frame_count=len(real))
         deviation = shifted - real
         counts = (~np.isnan(deviation).all(axis=-1)).sum(axis=-1)
         squares = np.nansum(np.square(deviation), axis=(-2, -1))
         return np.asarray(np.sqrt(squares / counts))
+
+    return _best_offset(shifted_rmse, earliest_s)
+
+
+def _best_offset(
+    shifted_rmse: Callable[[FloatArray], FloatArray], earliest_s: float
+) -> tuple[float, float]:
+    """Return the time shift with the smallest RMSE, from a grid and a search next to its best shift, and the RMSE."""
+    from scipy.optimize import minimize_scalar
 
     step_count = round(MAX_TIME_OFFSET_S / OFFSET_STEP_S)
     grid_s = OFFSET_STEP_S * np.arange(-step_count, step_count + 1, dtype=np.float64)
@@ -205,7 +213,7 @@ def time_offset(
 def shifted_frames(
     times_s: FloatArray,
     values: FloatArray,
-    offset_s: FloatArray | float,
+    offset_s: ArrayLike,
     *,
     frame_count: int,
 ) -> FloatArray:
