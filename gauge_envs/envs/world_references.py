@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,8 +15,10 @@ from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scoring.reference import reference_band, refusal
-from gauge_envs.scoring.score import Score, score_trajectory
-from gauge_envs.scoring.worlds import score_worlds
+
+if TYPE_CHECKING:
+    # Only the end of an episode needs scores.
+    from gauge_envs.scoring.score import Score
 
 
 class WorldReferences:
@@ -81,6 +84,8 @@ class WorldReferences:
         Raises:
             EpisodeError: The episode is not over.
         """
+        from gauge_envs.scoring.score import Score, score_trajectory
+
         rollout = self._rollout
         experiment = rollout.experiment_of(world)
         if not rollout.is_over[world]:
@@ -100,6 +105,8 @@ class WorldReferences:
 
     def score_arrays(self) -> dict[str, FloatArray]:
         """Return the scores of all worlds, see `GaugeVectorEnv.score_arrays`."""
+        from gauge_envs.scoring.worlds import score_worlds
+
         rollout = self._rollout
         times_s, samples = rollout.recording.trajectories()
         scores: dict[str, FloatArray] = {}
