@@ -10,7 +10,7 @@ PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
 # A slide and a rebound against real trials, a row of balls that engines fail, and two closed forms that they solve.
 DEMO := SlopeSlider-2-wood BouncingBall-rubber NewtonsCradle-metal Pendulum-metal Turntable-1-wood
 
-.PHONY: demo check test slow build bench docs release
+.PHONY: demo check test slow mutants build bench docs release
 
 demo: $(VENV)/.runs
 	$(BIN)/gauge run $(DEMO) --out results
@@ -38,15 +38,19 @@ slow: $(VENV)/.installed
 	$(PYTEST) tests/backends -k drake
 	$(PYTEST) -m slow
 
+# Tests against 20 random changes of the package.
+SEED ?= 1
+mutants: $(VENV)/.installed
+	$(BIN)/pip install --quiet "cosmic-ray>=8.7,<9"
+	$(BIN)/python -m scripts.mutants --seed $(SEED)
+
 # Generated pages: all of them, or those of NAME, as `make build NAME=cheat_sheet`.
 build: $(VENV)/.installed
 	$(BIN)/python -m scripts build $(NAME)
 
 # Costs as ratios in one run, all of benchmarks/.
 bench: $(VENV)/.installed
-	$(BIN)/pip install --quiet -e ".[bench]"
 	$(BIN)/python benchmarks/table.py
-	$(BIN)/python benchmarks/import_memory.py --trials 100
 
 # Archives, their contents, and the wheel on the lowest and the highest Python.
 release: $(VENV)/.installed

@@ -1,6 +1,6 @@
-"""Dynamic time warping of other libraries, on two trajectories of the longest textile task, 562 x 63.
+"""Dynamic time warping of dtaidistance, on two trajectories of the longest textile task, 562 x 63.
 
-All run on one thread and are timed by its CPU clock, so the load of the machine does not matter.
+All calls run on one thread and are timed by its CPU clock, so the load of the machine does not matter.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-
-from gauge_envs.errors import MissingExtraError
+from dtaidistance import dtw_ndim
 
 FRAME_COUNT, MARKER_COUNT = 562, 63
 
@@ -19,16 +18,8 @@ FRAME_COUNT, MARKER_COUNT = 562, 63
 def competitors(
     first: np.ndarray, second: np.ndarray
 ) -> dict[str, Callable[[], object]]:
-    try:
-        from dtaidistance import dtw_ndim
-        from tslearn.metrics import dtw_path as tslearn_path, dtw_path_from_metric
-    except ImportError as error:
-        raise MissingExtraError("the DTW benchmark", "bench", error) from error
+    """Return the calls of dtaidistance, by name."""
     return {
-        "tslearn.dtw_path": lambda: tslearn_path(first, second),
-        "tslearn.dtw_path_from_metric(euclidean)": lambda: dtw_path_from_metric(
-            first, second, metric="euclidean"
-        ),
         "dtaidistance.dtw_ndim.distance_fast": lambda: dtw_ndim.distance_fast(
             first, second
         ),
@@ -43,7 +34,7 @@ def cpu_medians_ms(
 ) -> dict[str, float]:
     """Return the median CPU time of each call [ms]; each repeat runs all calls under the same clock rate."""
     for call in calls.values():
-        call()  # Some libraries compile at first use.
+        call()
     times_ms: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(repeats):
         for name, call in calls.items():

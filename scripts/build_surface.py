@@ -5,16 +5,19 @@ A test compares the file with the package, so that a change of a public name is 
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import json
 import re
-from collections.abc import Iterator, Mapping
-from importlib import import_module
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import fields
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
-from gauge_envs import beyond_variants, variants
+import gauge_envs
+from gauge_envs import Score, beyond_variants, variants
+from gauge_envs.backends import Backend, Simulation
 from gauge_envs.cli import output
 from gauge_envs.cli.app import load_command
 from gauge_envs.cli.commands import PLUGINS_GROUP, commands
@@ -27,15 +30,23 @@ from scripts.generated import ROOT
 
 FILE = ROOT / "tests" / "public_surface.json"
 
-GUIDES = {
-    "gymnasium.make": "gauge_envs.envs.arguments:EnvArguments.__init__",
+FUNCTIONS = {
+    "gymnasium.make": "gauge_envs.envs.env:GaugeEnv.__init__",
     "gymnasium.make_vec": "gauge_envs.envs.vector:GaugeVectorEnv.__init__",
-    "scored_vector_env": "gauge_envs.envs.vector:scored_vector_env",
     "ScoreEpisodes": "gauge_envs.envs.vector:ScoreEpisodes.__init__",
-    "dm_env": "gauge_envs.envs.dm_env:load",
-    "read_log": "gauge_envs.tools.replay:read_log",
+    "dm_env.load": "gauge_envs.envs.dm_env:load",
+    "control.names": "gauge_envs.tools.control:names",
+    "conformance.run_checks": "gauge_envs.tools.conformance:run_checks",
+    "recipes.engine_settings": "gauge_envs.tools.recipes:engine_settings",
+    "recipes.find_recipe": "gauge_envs.tools.recipes:find_recipe",
+    "replay.read_log": "gauge_envs.tools.replay:read_log",
+    "sanity.SanityWrapper": "gauge_envs.tools.sanity:SanityWrapper.__init__",
+    "sanity.check": "gauge_envs.tools.sanity:check",
+    "video.read_track": "gauge_envs.tools.video:read_track",
+    "video.score_track": "gauge_envs.tools.video:score_track",
+    "video.video_task": "gauge_envs.tools.video:video_task",
 }
-"""Functions of the guides that are not on an API page; `GaugeEnv` there has the other options of `gymnasium.make`."""
+"""Functions that the guides call, outside `gauge_envs`."""
 
 
 def contents() -> Mapping[Path, str]:
@@ -44,26 +55,30 @@ def contents() -> Mapping[Path, str]:
 
 
 def surface() -> dict[str, Any]:
-    """Return the public names: environments, Python, commands, exit codes, JSON, files, and groups of plug-ins."""
+    """Return the public names: environments, Python, engines, commands, exit codes, JSON, files, groups of plug-ins."""
     ids = [variant.id for variant in (*variants(), *beyond_variants())]
     return {
         "environments": ids + [f"GAUGE/{name}" for name in control.names()],
-        "guides": {
+        "functions": {
             name: _signature(EntryPoint(name, place, "").load())
-            for name, place in GUIDES.items()
+            for name, place in FUNCTIONS.items()
         },
-        "python": {name: _public_names(name) for name in _modules()},
+        "gauge_envs": {
+            name: _signature(getattr(gauge_envs, name)) for name in gauge_envs.__all__
+        },
+        "score": [field.name for field in fields(Score)],
+        "engines": {
+            contract.__name__: _members(contract) for contract in (Backend, Simulation)
+        },
         "commands": {name: _options(name) for name in sorted(commands())},
         "exit codes": {
             name: code for name, code in vars(output).items() if name.startswith("EXIT")
         },
         "json": {
-            name: {
-                "version": version,
-                "keys": sorted(set(_keys(output_schema(name)))),
-            }
+            name: f"version {version}, keys {_digest(_keys(output_schema(name)))}"
             for name, version in schema_names().items()
         },
+        "result file": sorted(output_schema("result-file")["properties"]),
         "task file": sorted(set(_keys(TaskSpec.model_json_schema()))),
         "band file": sorted(set(_keys(BandFile.model_json_schema()))),
         "band arrays": [*ARRAYS, *MARKER_ARRAYS],
@@ -71,43 +86,20 @@ def surface() -> dict[str, Any]:
     }
 
 
-def _modules() -> list[str]:
-    """Return the modules of the API reference, without those of task files, whose keys are stored."""
-    pages = (ROOT / "docs" / "api").glob("*.md")
-    texts = [page.read_text("utf-8") for page in pages if page.stem != "task_format"]
-    return sorted(re.findall(r"automodule:: (\S+)", "".join(texts)))
-
-
-def _public_names(module_name: str) -> dict[str, Any]:
-    """Return the public names of a module with their descriptions."""
-    module = import_module(module_name)
-    # The module of errors exports its classes.
-    classes = [
-        name
-        for name, value in vars(module).items()
-        if inspect.isclass(value) and value.__module__ == module_name
-    ]
-    names = getattr(module, "__all__", classes)
-    return {name: _described(getattr(module, name)) for name in sorted(names)}
-
-
-def _described(value: Any) -> Any:
-    """Return the signature of a function, the public members of a class with theirs, or `value`."""
-    if not inspect.isclass(value):
-        return _signature(value)
-    names = set()
-    for base in value.__mro__:
-        if base.__module__.startswith("gauge_envs"):
-            names |= {*vars(base), *inspect.get_annotations(base)}
+def _members(contract: type) -> dict[str, str]:
+    """Return the public members of a class with their parameters."""
+    names = {*vars(contract), *inspect.get_annotations(contract)}
     return {
-        name: _signature(getattr(value, name, None))
+        name: _signature(getattr(contract, name, None))
         for name in sorted(names)
-        if name == "__init__" or not name.startswith(("_", "model_"))
+        if not name.startswith("_")
     }
 
 
 def _signature(value: Any) -> str:
-    """Return the parameters of a function without types; `value` for anything else."""
+    """Return the parameters of a function without types; `class` or `value` for anything else."""
+    if inspect.isclass(value):
+        return "class"
     if not (callable(value) and inspect.isroutine(inspect.unwrap(value))):
         return "value"
     parameters = inspect.signature(value).parameters.values()
@@ -117,6 +109,11 @@ def _signature(value: Any) -> str:
     ]
     # A default value without a name has an address of the memory.
     return re.sub(r" at 0x\w+", "", str(inspect.Signature(plain)))
+
+
+def _digest(keys: Iterable[str]) -> str:
+    """Return a short text that changes with the keys of a schema, whose version then increases."""
+    return hashlib.sha256("\n".join(sorted(set(keys))).encode()).hexdigest()[:12]
 
 
 def _options(command_name: str) -> list[str]:

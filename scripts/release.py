@@ -77,8 +77,8 @@ def left_to_do(root: Path, version: str, urls: Iterable[str]) -> list[str]:
         f"CITATION.cff: version: {release}": f"version: {release}" in citation,
         "CITATION.cff: date-released, as in CHANGELOG.md": f"date-released: {date}"
         in citation,
-        f"pyproject.toml: [project.urls] lacks {missing}; README.md, docs/getting_started.md, hub/ and the badges of "
-        "notebooks need the same address": not missing,
+        f"pyproject.toml: [project.urls] lacks {missing}; README.md, docs/getting_started.md, packaging/hub/ and the "
+        "badges of notebooks need the same address": not missing,
     }
     return [text for text, is_right in is_done.items() if not is_right]
 

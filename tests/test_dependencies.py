@@ -29,8 +29,8 @@ DISTRIBUTION = {
 """Distributions whose module has another name."""
 
 
-NOT_OF_USERS = {"bench", "dev", "docs"}
-"""Extras of benchmarks, development and guides, which the package does not import."""
+NOT_OF_USERS = {"dev", "docs"}
+"""Extras of development and guides, which the package does not import."""
 
 
 def canonical(name):
@@ -51,7 +51,7 @@ EXTRAS = {
 
 
 ELSEWHERE = {
-    "tools/sanity/gauge_probe.py": {"mjlab"},
+    "tools/sanity/readers/gauge_probe.py": {"mjlab"},
     "rendering/window.py": {"glfw"},
     "pytest_plugin.py": {"pytest"},
 }

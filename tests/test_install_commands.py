@@ -15,10 +15,10 @@ from collections import defaultdict
 from pathlib import Path
 
 import pytest
-from install_commands import DEFAULT, Command, Table, shell_commands
+from install_commands import DEFAULT, Table
 from places import ROOT
 
-from scripts.test_matrix import build_wheel, make_environment
+from scripts.test_matrix import make_environment
 
 TABLE = Table.read(Path(__file__).with_name("install_commands.toml"))
 COMMANDS = TABLE.commands(ROOT)
@@ -67,9 +67,8 @@ SHOWN = shown_outputs("README.md", (ROOT / "README.md").read_text())
 
 
 @pytest.fixture(scope="module")
-def commands_of(tmp_path_factory):
+def commands_of(wheel, tmp_path_factory):
     """The folder of the commands of an environment, created at first use."""
-    wheel = build_wheel(tmp_path_factory.mktemp("wheel"))
     made = {}
 
     def make(environment):
@@ -162,33 +161,3 @@ def test_every_environment_of_the_table_is_defined():
     named |= set(TABLE.page_environments.values()) | set(TABLE.scripts.values())
     assert named <= set(TABLE.environments)
     assert all(("skip" in rule) != ("environment" in rule) for rule in TABLE.rules)
-
-
-def test_blocks_give_commands_without_comments_and_prompts():
-    page = (
-        "text\n```sh\ngauge list   # all ids\n# a comment\n\n$ gauge run 'a#b' \\\n  --out results\n```\n"
-        "```python\nimport gauge_envs\n```\n```{code-block} bash\nmake test\n```\n"
-    )
-    assert list(shell_commands(page)) == [
-        "gauge list",
-        "gauge run 'a#b' --out results",
-        "make test",
-    ]
-
-
-def test_the_first_rule_decides(tmp_path):
-    file = tmp_path / "table.toml"
-    file.write_text(
-        'pages = ["*.md"]\n[page_environments]\n[page_folders]\n[scripts]\n'
-        '[environments]\ndefault = []\nplot = ["plot"]\n'
-        '[[rules]]\ncommand = "gauge plot --live*"\nskip = "needs a screen"\n'
-        '[[rules]]\ncommand = "gauge plot*"\nenvironment = "plot"\n',
-    )
-    (tmp_path / "a.md").write_text(
-        "```sh\ngauge list\ngauge plot r\ngauge plot --live r\n```\n"
-    )
-    assert Table.read(file).commands(tmp_path) == (
-        Command("a.md", "gauge list", "default"),
-        Command("a.md", "gauge plot r", "plot"),
-        Command("a.md", "gauge plot --live r", "default", "needs a screen"),
-    )

@@ -84,14 +84,14 @@ def test_real_scatter(tmp_path):
 
 def test_training_setup():
     names = run(ROOT / "examples" / "notebooks" / "training_setup.ipynb")
-    before = {row.phenomenon: row.verdict.value for row in names["before"].rows}
+    before = {result.id: result.verdict.value for result in names["before"].checks}
     assert (
         before["foot-creep"]
         == before["creep-wood"]
         == before["rest-height"]
         == "failed"
     )
-    assert {row.verdict.value for row in names["after"].rows} == {"passed"}
+    assert {result.verdict.value for result in names["after"].checks} == {"passed"}
 
 
 def test_trials_to_settings():

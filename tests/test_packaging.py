@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
-import venv
+import sys
 import zipfile
-from pathlib import Path
 
 import pytest
+
+from scripts.test_matrix import make_environment
 
 NOT_OF_THE_BASE = {
     "imageio",
@@ -51,73 +51,34 @@ def test_the_wheel_contains_the_data(wheel):
 
 
 @pytest.mark.slow  # `.ci/matrix` installs the wheel too, and runs more than this.
-def test_installed_wheel_makes_an_environment_outside_the_checkout(wheel, tmp_path):
-    venv.create(tmp_path / "venv", with_pip=True)
-    python = tmp_path / "venv" / "bin" / "python"
-    # Where PYTHONPATH leads to another copy with the same version, pip installs nothing and succeeds.
-    variables = {
-        name: value
-        for name, value in os.environ.items()
-        if not name.startswith("PYTHON")
-    }
-    subprocess.run(
-        [python, "-m", "pip", "install", "--quiet", str(wheel)],
-        check=True,
-        capture_output=True,
-        env=variables,
-    )
-    script = (
-        "import sys, gymnasium, gauge_envs\n"
-        "env = gymnasium.make('GAUGE/BouncingBall-rubber'); env.reset(seed=0)\n"
-        "done = False\n"
-        "while not done: *_, stop, done, info = env.step(0)\n"
-        "assert 'matplotlib' not in sys.modules and 'warp' not in sys.modules\n"
-        "print(gauge_envs.__file__, len(gauge_envs.variants()), info['score'].rmse_normalized)\n"
-    )
-    run = subprocess.run(
-        [python, "-I", "-c", script],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert run.returncode == 0, run.stderr
-    file, count, rmse = run.stdout.split()
-    assert Path(file).is_relative_to(tmp_path)
-    assert count == "75"
-    assert float(rmse) == pytest.approx(14.1, abs=0.1)
-    pip = [python, "-m", "pip", "--disable-pip-version-check"]
-    listed = subprocess.run(
-        [*pip, "list", "--format", "json"],
-        check=True,
-        capture_output=True,
-        text=True,
-        env=variables,
-    )
-    names = {package["name"].lower() for package in json.loads(listed.stdout)}
-    assert {"gymnasium", "mujoco", "numpy"} <= names
-    assert names.isdisjoint(NOT_OF_THE_BASE)
-    size_mb = sum(
-        file.stat().st_size
-        for file in (tmp_path / "venv").rglob("*")
-        if file.is_file() and not file.is_symlink()
-    )
-    assert size_mb / 1e6 < MAX_BASE_MB
+def test_the_wheel_alone_is_small_and_scores_outside_the_checkout(
+    wheel, tmp_path, monkeypatch
+):
+    folder = tmp_path / "venv"
+    commands = make_environment(folder, python=sys.executable, wheel=wheel, extras=[])
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    monkeypatch.chdir(tmp_path)
 
-    def gauge(*words):
+    def run(command, *words):
         return subprocess.run(
-            [tmp_path / "venv" / "bin" / "gauge", *words],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-            env=variables,
+            [commands / command, *words], capture_output=True, text=True, check=False
         )
 
-    assert "\n75 ids" in gauge("list").stdout
+    (result,) = run("gauge", "run", "BouncingBall-rubber", "--json").stdout.splitlines()
+    assert json.loads(result)["score"]["rmse_normalized"] == pytest.approx(
+        14.1, abs=0.1
+    )
+    assert "\n75 ids" in run("gauge", "list").stdout
+    listed = json.loads(run("pip", "list", "--format", "json").stdout)
+    names = {package["name"].lower() for package in listed}
+    assert {"gymnasium", "mujoco", "numpy"} <= names
+    assert names.isdisjoint(NOT_OF_THE_BASE)
+    files = [file for file in folder.rglob("*") if file.is_file()]
+    size_bytes = sum(file.lstat().st_size for file in files)
+    assert size_bytes / 1e6 < MAX_BASE_MB
     (tmp_path / "slide.mp4").write_bytes(b"\0\0\0\x18ftypmp42")
     for words, extra in NEEDS_EXTRA:
-        refused = gauge(*words)
+        refused = run("gauge", *words)
         assert refused.returncode == 2
         assert f"pip install 'gauge-envs[{extra}]'" in refused.stderr
         assert len(refused.stderr.splitlines()) == 1

@@ -1,6 +1,9 @@
-"""Change texts of files, and read code blocks of pages."""
+"""Change texts of files, and read code blocks and commands of pages."""
 
 import re
+
+from gauge_envs.cli.app import load_command
+from gauge_envs.cli.commands import help_lines
 
 
 def changed_text(path, *replacements, to=None, count=1):
@@ -21,3 +24,22 @@ def fenced(page, language):
         page.read_text(),
         flags=re.MULTILINE | re.DOTALL,
     )
+
+
+def without_blocks(page):
+    """Return the text of a page without its code blocks."""
+    flags = re.MULTILINE | re.DOTALL
+    return re.sub(r"^```.*?^```$", "", page.read_text(), flags=flags)
+
+
+def command_of(words):
+    """Return the command of words, and its arguments."""
+    names = (" ".join(words[:2]), words[0])
+    name = next(name for name in names if name in help_lines())
+    return load_command(name), words[len(name.split()) :]
+
+
+def parse(words):
+    """Raise an error for an unknown option, a missing value, or a wrong number of arguments."""
+    command, arguments = command_of(words)
+    command.make_context(command.name, arguments)

@@ -4,7 +4,6 @@ import json
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -50,26 +49,6 @@ class SteppedSettings(BaseModel):
         if isinstance(value, int) and abs(value) > INTEGER_LIMIT:
             raise ValueError(f"must be at most {INTEGER_LIMIT}")
         return value
-
-
-@dataclass(frozen=True)
-class Native:
-    """Metadata of a setting: its name in the engine's own interface, if that name differs.
-
-    Attributes:
-        name: The engine's name, in the engine's units; its values are those of the setting.
-    """
-
-    name: str
-
-
-def native_settings(settings: type[SteppedSettings]) -> dict[str, str]:
-    """Return the name of each setting by its name in the engine's own interface."""
-    names: dict[str, str] = {}
-    for name, field in settings.model_fields.items():
-        native = (mark.name for mark in field.metadata if isinstance(mark, Native))
-        names[next(native, name)] = name
-    return names
 
 
 Settings = TypeVar("Settings", bound=SteppedSettings)

@@ -7,7 +7,6 @@ origin [m/s] (3) and angular velocity [rad/s] (3).
 
 from __future__ import annotations
 
-import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -41,17 +40,6 @@ class Simulation(ABC):
     world_count: int = 1
     releases_gil: ClassVar[bool] = False
     """Whether `advance` runs without Python's lock, so that `LoopedSimulation` advances several in as many threads."""
-
-    def __init_subclass__(cls, **arguments: Any) -> None:
-        """Reject a class of the 0.3 contract, whose methods have different parameters."""
-        super().__init_subclass__(**arguments)
-        for method, expected in (("reset", "starts"), ("drive", "targets")):
-            if expected not in inspect.signature(getattr(cls, method)).parameters:
-                raise BackendError(
-                    f"{cls.__module__}.{cls.__name__}.{method} has no parameter {expected!r}: it follows the contract "
-                    "of gauge-envs 0.3. In 1.0 a Simulation holds N worlds: reset(starts, seed), drive(body, targets) "
-                    "and arrays whose first axis is the world; CHANGELOG.md lists the changes"
-                )
 
     @abstractmethod
     def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:

@@ -124,20 +124,20 @@ BUNDLED = (
     ),
     Command(
         "sanity",
-        "sanity.sanity_command:sanity",
+        "sanity.command:sanity",
         "Check the physics of a training configuration, and print the best fix of its settings.",
         line="sanity.schema:SanityLine",
         version=7,
     ),
     Command(
         "sanity probe",
-        "sanity.sanity_command:sanity_probe",
+        "sanity.command:sanity_probe",
         "Print a Python file that saves the settings of a training environment.",
     ),
     Command(
         "list phenomena",
-        "sanity.sanity_command:list_phenomena",
-        line="sanity.schema:PhenomenonLine",
+        "sanity.command:list_checks",
+        line="sanity.schema:CheckLine",
     ),
     Command(
         "replay",

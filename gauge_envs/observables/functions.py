@@ -18,7 +18,7 @@ class AngleDeficits:
 
     k_i is the full angle of a flat sheet at the marker minus the sum of the angles of its faces there. The full angle
     is 2 pi inside, pi on an edge and pi/2 in a corner. As in the paper, the sum skips faces with a missing or a
-    coincident vertex, so k_i grows by their angles.
+    coincident vertex, so k_i grows by their angles. The index arrays and the matrix depend on the textile alone.
 
     Args:
         faces: Marker indices of the triangles, shape [face_count, 3].
@@ -46,10 +46,10 @@ class AngleDeficits:
         self._incidence[np.arange(table.size), table.ravel()] = 1.0
 
     def __call__(self, markers_m: FloatArray) -> FloatArray:
-        """Return the curvature, shape [frame_count, marker_count], rad; NaN where the marker itself is missing.
+        """Return the curvature [rad], shape [frame_count, marker_count]; NaN where the marker itself is missing.
 
         Args:
-            markers_m: Marker positions, shape [frame_count, marker_count, 3], m; NaN where missing.
+            markers_m: Marker positions [m], shape [frame_count, marker_count, 3]; NaN where missing.
         """
         corners = _axes(markers_m).take(self._corners, axis=2)
         own = corners[:, :, 0]

@@ -47,11 +47,6 @@ def published_baselines(variant: str) -> dict[str, Baseline]:
     return dict(_all_baselines(scoring_folder("published")).get(variant, {}))
 
 
-def published_variants() -> tuple[str, ...]:
-    """Return the variants with a published baseline, in the order of the paper's Table 5."""
-    return tuple(_all_baselines(scoring_folder("published")))
-
-
 class _BaselineRow(FileModel):
     """One row of `engine_results.csv`; its fields are the columns."""
 

@@ -1,6 +1,7 @@
 """Renderer of a scene from poses and nodes, the same for all engines."""
 
 import os
+import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from ctypes.util import find_library
@@ -47,7 +48,7 @@ _drawing_processes: set[int] = set()
 
 
 def _graphics_context(width: int, height: int) -> Any:
-    """Return an off-screen OpenGL context: as MUJOCO_GL says, else EGL if it is installed, else OSMesa."""
+    """Return an off-screen OpenGL context: as MUJOCO_GL says, else EGL or OSMesa on Linux, else MuJoCo's choice."""
     if _drawing_processes - {os.getpid()}:
         raise RenderError(
             "this process is a fork of one that has drawn pictures, and OpenGL does not survive a fork. Start new "
@@ -55,7 +56,9 @@ def _graphics_context(width: int, height: int) -> Any:
         )
     _drawing_processes.add(os.getpid())
     wanted = os.environ.get("MUJOCO_GL", "").lower()
-    chosen = wanted or ("egl" if find_library("EGL") else "osmesa")
+    chosen = wanted
+    if not wanted and sys.platform == "linux":
+        chosen = "egl" if find_library("EGL") else "osmesa"
     module = chosen if chosen in ("egl", "osmesa") else "gl_context"
     try:
         context = import_module(f"mujoco.{module}").GLContext(width, height)

@@ -32,7 +32,6 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.references.user_data import BUNDLED_DATA, OWN_TASKS, DataSource
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.diff import scene_changes
-from gauge_envs.scoring.score import OLD_SCORE
 from gauge_envs.scoring.user_file.trajectory_file import LARGEST
 from gauge_envs.text import json_document
 from gauge_envs.validation import first_fault
@@ -114,8 +113,6 @@ def parse_result(text: bytes, name: str) -> Result:
         content = OLDER_DEFAULTS | content
         if isinstance(content.setdefault("dataset", {}), dict):
             content["dataset"] = BUNDLED_DATA | content["dataset"]
-        if isinstance(content.get("score"), dict) and "kind" not in content["score"]:
-            raise ValueError(OLD_SCORE)
         for key in fields(Result):
             if key.name not in content:
                 raise ValueError(f"no {key.name!r}")

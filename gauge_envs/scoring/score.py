@@ -42,9 +42,6 @@ COVERAGE_FACTOR = 1.96
 OVER_U = "over_uncertainty"
 """Value of `Score.primary` for a solution."""
 
-OLD_SCORE = "gauge-envs 0.3 or earlier wrote its score: run `gauge score FILE` to score its trajectory again"
-"""Why a stored score cannot be read."""
-
 EVENT_WORDS = {
     "lsd": "longest rest",
     "mte": "momentum transfer",
@@ -233,10 +230,8 @@ class Score:
         """Build a score from `to_dict`; keys of later versions are ignored.
 
         Raises:
-            ValueError: The score is of version 0.3 or earlier, or a value has the wrong type.
+            ValueError: A value is missing or has the wrong type.
         """
-        if "kind" not in values:
-            raise ValueError(OLD_SCORE)
         return _score_adapter().validate_python(dict(values))
 
 

@@ -272,29 +272,6 @@ def test_ctrl_c_in_an_import_is_not_an_error_of_the_engine():
         interrupted_import()
 
 
-OLD = """
-from gauge_envs.backends import Simulation
-class Old(Simulation):
-    def reset(self, seed): ...
-    def advance(self, seconds): ...
-    def body_states(self, names): ...
-    def close(self): ...
-"""
-
-
-@pytest.mark.parametrize(
-    ("source", "message"),
-    [
-        (OLD, r"Old\.reset has no parameter 'starts'.*reset\(starts, seed\)"),
-        ("from gauge_envs.backends import World", r"belongs to the engine contract"),
-    ],
-)
-def test_an_engine_of_0_3_gets_instructions(source, message):
-    with pytest.raises((BackendError, ImportError), match=message) as caught:
-        exec(source, {"__name__": "old_engine"})
-    assert "CHANGELOG.md lists the changes" in str(caught.value)
-
-
 # --- worlds in a loop ------------------------------------------------------------------------------------------------
 
 
@@ -364,7 +341,7 @@ def test_a_looped_simulation_gives_each_world_its_row():
 
 def test_worlds_that_free_python_advance_in_threads(monkeypatch):
     monkeypatch.setattr(Counter, "releases_gil", True)
-    monkeypatch.setattr("gauge_envs.backends.simulation.processors", lambda: 2)
+    monkeypatch.setattr("gauge_envs.backends.simulation.processor_count", lambda: 2)
     worlds = [Counter(), Counter()]
     looped = LoopedSimulation(worlds)
     looped.advance(0.5)

@@ -1,7 +1,7 @@
 """The contract of simulations on all installed engines; the conformance checks have the laws.
 
-A reset restores the start, and worlds are independent. Driven and pushed bodies follow closed forms. The contents of a
-scene choose the preset of its settings.
+A reset restores the start, and worlds are independent. Driven bodies follow closed forms. The contents of a scene
+choose the preset of its settings.
 """
 
 import gc
@@ -19,9 +19,9 @@ from gauge_envs.backends.registry import backend_class
 from gauge_envs.backends.shared import bundled
 from gauge_envs.envs.rollout import intervals
 from gauge_envs.errors import MissingExtraError
-from gauge_envs.fixtures.parts import body, driven_box
+from gauge_envs.fixtures.parts import driven_box
 from gauge_envs.registry import is_installed
-from gauge_envs.scene import Box, Pose, Scene
+from gauge_envs.scene import Pose, Scene
 from gauge_envs.scene.jitter import perturbed_states
 from gauge_envs.scene.prescribed_motion import prescribed_motions
 
@@ -78,43 +78,6 @@ def test_a_reset_begins_anew(engine, name, parameters):
         np.testing.assert_allclose(course(simulation, scene, 4), first, atol=1e-9)
 
 
-def act(simulation, scene):
-    """Drive a turntable from where it is, at 1 rad/s and 6 rad/s^2, and push the cube on it."""
-    name = scene.drivers[0].body
-    pose = simulation.body_states([name])[:, 0, :7]
-    rates = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
-    simulation.drive(name, np.hstack([pose, rates, 6.0 * rates]))
-    simulation.apply_wrench("cube", np.array([[0.0, 0.0, 5.0, 0.0, 0.0, 0.0]]))
-
-
-def test_a_reset_forgets_the_drive_and_the_wrench_of_the_next_step(engine):
-    scene = scene_for(engine, "Turntable-2-wood")
-    with closing(engine.build(scene)) as fresh, closing(engine.build(scene)) as used:
-        act(used, scene)
-        used.advance(INTERVAL_S)
-        moved = used.body_states([scene.drivers[0].body, "cube"])[0]
-        assert moved[0, 12] == pytest.approx(1.0 + 6.0 * INTERVAL_S, abs=2e-3)
-        assert moved[1, 9] > 0.01
-        act(used, scene)
-        for simulation in (fresh, used):
-            simulation.reset()
-            simulation.advance(INTERVAL_S)
-        expected = everything(fresh, scene)
-        np.testing.assert_allclose(everything(used, scene), expected, atol=1e-9)
-
-
-@pytest.mark.parametrize("engine", ["mujoco", "rapier"], indirect=True)
-def test_a_reset_clears_a_divergence(engine):
-    with closing(engine.build(load_experiment(SLIDE).scene)) as simulation:
-        simulation.apply_wrench("cube", np.array([[np.nan, 0, 0, 0, 0, 0]]))
-        simulation.advance(INTERVAL_S)
-        assert "not finite" in simulation.diverged()[0]
-        simulation.reset()
-        simulation.advance(INTERVAL_S)
-        assert simulation.diverged() == {}
-        assert np.isfinite(simulation.body_states(["cube"])).all()
-
-
 @pytest.mark.parametrize(
     "name", ["SlopeSlider-3-wood", "NewtonsCradle-metal", "RotatingBall-satin"]
 )
@@ -138,7 +101,7 @@ def test_worlds_equal_single_simulations_of_their_initial_states(engine, name):
             np.testing.assert_allclose(together[:, world], alone, atol=1e-9)
 
 
-# --- driven and pushed bodies ----------------------------------------------------------------------------------------
+# --- driven bodies ---------------------------------------------------------------------------------------------------
 
 
 def test_a_driven_body_accelerates_about_the_axes_of_the_world(engine):
@@ -159,21 +122,6 @@ def test_a_driven_body_accelerates_about_the_axes_of_the_world(engine):
     turned = Rotation.from_rotvec(moved[3:]) * start.rotation
     rotation = Rotation.from_quat(state[3:7], scalar_first=True)
     assert (rotation * turned.inv()).magnitude() < 1e-4
-
-
-def test_a_wrench_replaces_the_last_one(engine):
-    brick = body("box", Box(size_m=(0.1,) * 3), Pose(position_m=(0.0, 0.0, 0.0)))
-    scene = Scene(bodies=(brick,), duration_s=1.0, gravity_m_per_s2=0.0)
-    inertia = brick.mass_kg * 0.1**2 / 6.0
-    wrenches = np.zeros((3, 6))
-    wrenches[0, [0, 3]] = 0.5, inertia
-    wrenches[1, [1, 4]] = 0.2, inertia
-    with closing(engine.build(scene)) as simulation:
-        for wrench in wrenches:
-            simulation.apply_wrench("box", wrench[None])
-            simulation.advance(0.1)
-        state = simulation.body_states(["box"])[0, 0]
-    assert state[7:] == pytest.approx([0.5, 0.2, 0.0, 0.1, 0.1, 0.0], abs=1e-3)
 
 
 # --- settings --------------------------------------------------------------------------------------------------------

@@ -32,6 +32,8 @@ QUICK = (
     "stated-inertia",
     "contact-force",
     "tether-length",
+    "wrench-reset",
+    "restart-after-nan",
     "worlds-wrench",
     "torsion",
     "drop-energy",

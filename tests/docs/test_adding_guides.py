@@ -11,6 +11,7 @@ from pathlib import Path
 import faults
 import pytest
 from places import ROOT
+from texts import fenced
 from typer.testing import CliRunner
 
 from gauge_envs.backends import backend
@@ -21,10 +22,7 @@ RUNNER = CliRunner()
 
 
 def blocks(page, language):
-    text = (ROOT / "docs" / page).read_text()
-    return re.findall(
-        rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL
-    )
+    return fenced(ROOT / "docs" / page, language)
 
 
 @pytest.fixture

@@ -11,12 +11,11 @@ from pathlib import Path
 import pytest
 from places import ROOT
 from programs import printed
-from texts import fenced
+from texts import command_of, fenced, parse, without_blocks
 from typer.testing import CliRunner
 
 from gauge_envs.cli import commands as command_table
-from gauge_envs.cli.app import app, load_command
-from gauge_envs.cli.commands import help_lines
+from gauge_envs.cli.app import app
 
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
@@ -32,8 +31,8 @@ PAGES = [
     for page in PAGES
     if "_build" not in page.parts and DOCS / "studies" not in page.parents
 ]
-STUDIES = sorted((ROOT / "studies").rglob("README.md"))
-PAGES += STUDIES
+PAGES += sorted((ROOT / "studies").rglob("README.md"))
+SKILL = ROOT / ".agents" / "skills" / "gauge-envs" / "SKILL.md"
 
 RUN_ELSEWHERE = {
     "adding_a_check.md",
@@ -51,13 +50,7 @@ def name_of(page):
 
 def prose(page):
     """Text of a page without its code blocks and code spans."""
-    text = re.sub(
-        r"^```.*?^```$",
-        "",
-        page.read_text(),
-        flags=re.MULTILINE | re.DOTALL,
-    )
-    return re.sub(r"`[^`\n]*`", "", text)
+    return re.sub(r"`[^`\n]*`", "", without_blocks(page))
 
 
 # --- scripts ---------------------------------------------------------------------------------------------------------
@@ -92,13 +85,7 @@ def test_scripts_import_names_that_exist(script):
 
 def anchors(page):
     """Anchors of the headings of a page, as in GitHub and MyST."""
-    text = re.sub(
-        r"^```.*?^```$",
-        "",
-        page.read_text(),
-        flags=re.MULTILINE | re.DOTALL,
-    )
-    titles = re.findall(r"^#+ (.*)$", text, flags=re.MULTILINE)
+    titles = re.findall(r"^#+ (.*)$", without_blocks(page), flags=re.MULTILINE)
     return {
         re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles
     }
@@ -128,11 +115,7 @@ def test_every_page_is_in_the_table_of_contents():
         DOCS / "api.md",
         DOCS / "environments" / "index.md",
     ):
-        for tree in re.findall(
-            r"^```\{toctree\}\n(.*?)^```$",
-            page.read_text(),
-            flags=re.MULTILINE | re.DOTALL,
-        ):
+        for tree in fenced(page, r"\{toctree\}"):
             names = [
                 line
                 for line in tree.splitlines()
@@ -195,45 +178,21 @@ def check_scores_of_written_files(page):
 
 
 def commands(page):
-    """Commands `gauge ...` in the shell blocks of a page, without comments."""
-    lines = [
-        line
-        for block in fenced(page, "sh")
-        for line in block.splitlines()
-        if line.startswith("gauge ")
-    ]
+    """Commands `gauge ...` in the shell blocks of a page, without comments and files of output."""
+    lines = "".join(fenced(page, "sh")).splitlines()
+    lines = [line.partition(" > ")[0] for line in lines if line.startswith("gauge ")]
     return [shlex.split(line, comments=True)[1:] for line in lines]
 
 
 def mentioned(page):
     """Commands with arguments in the text and the tables of a page."""
-    text = re.sub(
-        r"^```.*?^```$",
-        "",
-        page.read_text(),
-        flags=re.MULTILINE | re.DOTALL,
-    )
-    return [
-        shlex.split(command)[1:]
-        for command in re.findall(r"`(gauge [a-z][^`\n]*)`", text)
-    ]
+    texts = re.findall(r"`(gauge [a-z][^`\n]*)`", without_blocks(page))
+    return [shlex.split(text)[1:] for text in texts]
 
 
-def command_of(words):
-    """The command of words, and its arguments."""
-    name = next(
-        name for name in (" ".join(words[:2]), words[0]) if name in help_lines()
-    )
-    return load_command(name), words[len(name.split()) :]
-
-
-def parse(words):
-    """Raise an error for an unknown option, a missing value, or a wrong number of arguments."""
-    command, arguments = command_of(words)
-    command.make_context(command.name, arguments)
-
-
-@pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=name_of)
+@pytest.mark.parametrize(
+    "page", [p for p in (*PAGES, SKILL) if commands(p)], ids=name_of
+)
 def test_commands_have_the_options_that_are_shown(page):
     for words in commands(page):
         parse(words)
@@ -243,7 +202,7 @@ NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
 
 
 @pytest.mark.parametrize(
-    "page", [p for p in (*PAGES, *NOTEBOOKS) if mentioned(p)], ids=name_of
+    "page", [p for p in (*PAGES, SKILL, *NOTEBOOKS) if mentioned(p)], ids=name_of
 )
 def test_sentences_name_commands_and_options_that_exist(page):
     unknown = []

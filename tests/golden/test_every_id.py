@@ -223,8 +223,9 @@ def test_a_fabric_has_golden_constants_in_each_engine(name):
 @pytest.mark.parametrize(
     "name", slow_where(STORED["sanity"], lambda name: name == "Ant-v5")
 )
-def test_a_training_configuration_has_golden_phenomena(name):
+def test_a_training_configuration_has_golden_checks(name):
     """Rounding changes the drift of a wall of bricks by up to a tenth."""
-    rows = STORED["sanity"][name]
-    shares = {row: 0.2 if row.startswith("wall-") else 1e-2 for row in rows}
-    check_golden("sanity", name, {row: (1e-6, share) for row, share in shares.items()})
+    checks = STORED["sanity"][name]
+    shares = {check: 0.2 if check.startswith("wall-") else 1e-2 for check in checks}
+    tolerances = {check: (1e-6, share) for check, share in shares.items()}
+    check_golden("sanity", name, tolerances)

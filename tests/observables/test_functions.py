@@ -17,8 +17,8 @@ from gauge_envs.observables.functions import (
 
 def inner_curvature(markers, faces):
     """Curvature where all markers count as inside."""
-    formula = AngleDeficits(faces, np.shape(markers)[1], corner=[], edge=[])
-    return formula(np.asarray(markers, dtype=np.float64))
+    deficits = AngleDeficits(faces, markers.shape[1], corner=[], edge=[])
+    return deficits(markers)
 
 
 def fan(count, apex_height):
@@ -36,10 +36,10 @@ def test_a_sheet_bent_about_one_axis_has_no_curvature():
     # The sheet hangs upright, with rows of markers across it.
     bent = flat + 5.0 * np.abs(flat[:, 2:] - flat[:, 2].mean()) * [0.0, 1.0, 0.0]
     frames = np.stack([flat, bent])
-    formula = AngleDeficits(
+    deficits = AngleDeficits(
         sheet.faces, len(flat), corner=sheet.corner, edge=sheet.edge
     )
-    curvature = formula(frames)
+    curvature = deficits(frames)
     np.testing.assert_allclose(curvature, 0.0, atol=1e-4)
     all_inner = inner_curvature(frames, sheet.faces)
     np.testing.assert_allclose(all_inner[:, sheet.corner], 1.5 * np.pi, atol=1e-4)

@@ -7,14 +7,13 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from gauge_envs import variants
 from gauge_envs.references.band import load_band
 from gauge_envs.references.metrics import METRICS, MetricKey
-from gauge_envs.references.published import published_baselines, published_variants
+from gauge_envs.references.published import published_baselines
 
 ROWS = [
-    row
-    for variant in published_variants()
-    for row in published_baselines(variant).values()
+    row for variant in variants() for row in published_baselines(variant.name).values()
 ]
 
 

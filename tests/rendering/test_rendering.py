@@ -1,6 +1,7 @@
 """Pictures, on machines with and without OpenGL."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import gymnasium
 import mujoco
@@ -13,6 +14,7 @@ from scipy.spatial import ConvexHull
 
 from gauge_envs import GaugeEnv, load_experiment
 from gauge_envs.errors import EpisodeError, RenderError
+from gauge_envs.rendering import renderer
 from gauge_envs.rendering.camera import experiment_view
 from gauge_envs.rendering.renderer import DEBIAN_PACKAGES, SceneRenderer
 from gauge_envs.rendering.skin import Skin
@@ -89,6 +91,19 @@ def test_missing_opengl_names_the_packages():
     shown = printed("-c", script, env={})
     assert shown.startswith("RenderError")
     assert DEBIAN_PACKAGES in shown
+
+
+@pytest.mark.parametrize("system", ["darwin", "win32"])
+def test_macos_and_windows_draw_with_the_context_that_mujoco_chooses(
+    monkeypatch, system
+):
+    imported = []
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setattr(renderer, "sys", SimpleNamespace(platform=system))
+    monkeypatch.setattr(renderer, "import_module", imported.append)
+    with pytest.raises(RenderError, match="no off-screen OpenGL"):
+        renderer._graphics_context(40, 30)
+    assert imported == ["mujoco.gl_context"]
 
 
 @needs_opengl

@@ -14,7 +14,6 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 from gauge_envs.backends.mujoco.versions import check_installed
 from gauge_envs.backends.settings import (
     STACK_BODY_COUNT,
-    Native,
     SteppedSettings,
     load_presets,
     read_presets,
@@ -134,9 +133,9 @@ class SettingsMuJoCo(SteppedSettings):
     sleep: bool = False
     sleep_tolerance: float = Field(default=1e-3, ge=0.0)
     speculative: bool = False
-    contact_solref: Annotated[SolRef | None, Native("solref")] = None
-    contact_solreffriction: Annotated[SolRef | None, Native("solreffriction")] = None
-    contact_solimp: Annotated[SolImp | None, Native("solimp")] = None
+    contact_solref: SolRef | None = None
+    contact_solreffriction: SolRef | None = None
+    contact_solimp: SolImp | None = None
     contact_margin_m: float | None = Field(default=None, ge=0.0)
     contact_gap_m: float | None = Field(default=None, ge=0.0)
     condim: Literal[1, 3, 4, 6] | None = None

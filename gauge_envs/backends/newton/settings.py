@@ -15,7 +15,6 @@ from pydantic import Field
 
 from gauge_envs.backends.newton.fabrics import vbd_constants
 from gauge_envs.backends.settings import (
-    Native,
     SteppedSettings,
     read_presets,
     resolve_settings,
@@ -88,18 +87,16 @@ class SettingsMuJoCoWarp(SettingsNewton):
     jacobian: Literal["auto", "dense", "sparse"] = "auto"
     impratio: Positive = 10.0
     iterations: Count = 100
-    line_search_iterations: Annotated[Count, Native("ls_iterations")] = 50
+    line_search_iterations: Count = 50
     tolerance: float = Field(default=1e-6, ge=1e-6)
     sustained_solref: tuple[float, float] = (0.005, 1.0)
     sustained_solimp: tuple[float, float, float] = (0.95, 0.95, 0.001)
     impact_stiffness: Positive = 0.002
     impact_solimp: tuple[float, float, float] = (0.99, 0.99, 0.001)
     newton_material: bool = False
-    contact_solref: Annotated[tuple[float, float] | None, Native("solref")] = None
-    contact_solimp: Annotated[
-        tuple[float, float, float, float, float] | None, Native("solimp")
-    ] = None
-    contact_kf_n_s_per_m: Annotated[float | None, Native("kf")] = None
+    contact_solref: tuple[float, float] | None = None
+    contact_solimp: tuple[float, float, float, float, float] | None = None
+    contact_kf_n_s_per_m: float | None = None
     mujoco_contacts: bool = False
     meshes: bool = False
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
 from gauge_envs.backends.settings import (
-    Native,
     SteppedSettings,
     load_presets,
     resolve_settings,
@@ -55,18 +54,10 @@ class SettingsPhysX(SteppedSettings):
     """
 
     solver: Literal["TGS", "PGS"] = "TGS"
-    position_iterations: Annotated[int, Native("solver_position_iterations")] = Field(
-        default=10, ge=1, le=255
-    )
-    velocity_iterations: Annotated[int, Native("solver_velocity_iterations")] = Field(
-        default=1, ge=0, le=255
-    )
-    bounce_threshold_m_per_s: Annotated[float, Native("bounce_threshold")] = Field(
-        default=0.02, ge=0.0
-    )
-    contact_offset_m: Annotated[float, Native("contact_offset")] = Field(
-        default=0.01, gt=0.0, le=1.0
-    )
+    position_iterations: int = Field(default=10, ge=1, le=255)
+    velocity_iterations: int = Field(default=1, ge=0, le=255)
+    bounce_threshold_m_per_s: float = Field(default=0.02, ge=0.0)
+    contact_offset_m: float = Field(default=0.01, gt=0.0, le=1.0)
     rest_offset_m: float = Field(default=0.0, ge=-0.1, le=1.0)
     friction_every_iteration: bool = True
     persistent_manifolds: bool = True

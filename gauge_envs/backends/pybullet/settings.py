@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import ceil, log2, sqrt
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
 from gauge_envs.backends.settings import (
     STACK_BODY_COUNT,
-    Native,
     SteppedSettings,
     load_presets,
     resolve_settings,
@@ -81,24 +80,18 @@ class SettingsPyBullet(SteppedSettings):
     """
 
     units_per_m: float = Field(default=100.0, gt=0.0)
-    solver_iterations: Annotated[int, Native("numSolverIterations")] = Field(
-        default=50, ge=1
-    )
+    solver_iterations: int = Field(default=50, ge=1)
     residual_threshold: float = Field(default=0.0, ge=0.0)
     erp: float = Field(default=0.2, ge=0.0, le=1.0)
-    contact_erp: Annotated[float, Native("contactERP")] = Field(
-        default=0.2, ge=0.0, le=1.0
-    )
+    contact_erp: float = Field(default=0.2, ge=0.0, le=1.0)
     friction_erp: float = Field(default=0.2, ge=0.0, le=1.0)
     global_cfm: float = Field(default=0.0, ge=0.0)
     warm_starting: float = Field(default=1.0, ge=0.0, le=1.0)
     cone_friction: bool = True
     friction_anchors: bool = False
     split_impulse: Literal["all", "deep", "none"] = "all"
-    rebound_threshold: Annotated[float, Native("restitutionVelocityThreshold")] = Field(
-        default=0.0, ge=0.0
-    )
-    contact_slop: Annotated[float, Native("contactSlop")] = Field(default=1e-5, ge=0.0)
+    rebound_threshold: float = Field(default=0.0, ge=0.0)
+    contact_slop: float = Field(default=1e-5, ge=0.0)
     contact_stiffness_n_per_m: float | None = Field(default=None, gt=0.0)
     contact_damping_n_s_per_m: float | None = Field(default=None, gt=0.0)
     late_impacts: bool = True

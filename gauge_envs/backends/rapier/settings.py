@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
 from gauge_envs.backends.settings import (
-    Native,
     SteppedSettings,
     load_presets,
     resolve_settings,
@@ -47,23 +46,15 @@ class SettingsRapier(SteppedSettings):
         threads: Threads of the solver. This package's default is 1, because scenes are small.
     """
 
-    solver_iterations: Annotated[int, Native("num_solver_iterations")] = Field(
-        default=4, ge=1, le=1000
-    )
+    solver_iterations: int = Field(default=4, ge=1, le=1000)
     pgs_iterations: int = Field(default=1, ge=1, le=1000)
     stabilization_iterations: int = Field(default=1, ge=0, le=1000)
     friction_model: Literal["simplified", "coulomb"] = "simplified"
     contact_frequency_hz: float = Field(default=30.0, gt=0.0)
     contact_damping_ratio: float = Field(default=10.0, gt=0.0)
-    static_contact_frequency_hz: Annotated[float, Native("natural_frequency")] = Field(
-        default=60.0, gt=0.0
-    )
-    static_contact_damping_ratio: Annotated[float, Native("damping_ratio")] = Field(
-        default=10.0, gt=0.0
-    )
-    allowed_linear_error_m: Annotated[float, Native("allowed_linear_error")] = Field(
-        default=0.005, ge=0.0
-    )
+    static_contact_frequency_hz: float = Field(default=60.0, gt=0.0)
+    static_contact_damping_ratio: float = Field(default=10.0, gt=0.0)
+    allowed_linear_error_m: float = Field(default=0.005, ge=0.0)
     max_corrective_velocity_m_per_s: float = Field(default=3.0, gt=0.0)
     prediction_distance_m: float = Field(default=0.02, gt=0.0)
     contact_clustering: bool = True

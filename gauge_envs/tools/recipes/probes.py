@@ -30,9 +30,6 @@ from gauge_envs.tools.recipes.engines.base import ContactSettings
 PLATE_M = (0.12, 0.12, 0.03)
 """Edges of the plate [m]. It tips only if the friction exceeds 4."""
 
-PLATE_CONTACTS = 4
-"""Number of corners on which the plate rests."""
-
 DROP_M = 0.2
 """Height of the drop [m]; the impact speed is 2 m/s."""
 

@@ -266,7 +266,7 @@ def _read_columns(file: Path) -> list[tuple[str, Any]]:
         with np.load(file) as archive:
             return list(archive.items())
     if file.suffix == ".parquet":
-        with needs_extra("reading Parquet", "parquet"):
+        with needs_extra("reading Parquet", "data"):
             from pyarrow import parquet
         return list(parquet.read_table(file).to_pydict().items())
     rows = csv.reader(csv_text(file.read_bytes()))

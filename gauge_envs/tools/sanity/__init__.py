@@ -2,16 +2,16 @@
 
 A target passes through the modules in this order, which `run` calls.
 
-1. `stacks`: a reader returns a `TrainingConfiguration`, with the target's own model where it has one.
-2. `itself` and `robot` run and check this model; `rows` defines their checks.
-3. `phenomena` are scenes of measured objects; `measure` runs them by `scenario`, and gives verdicts.
-4. `fix` applies documented changes and runs the checks again; `fix_file` writes the fixed file.
-5. `report` prints one screen; `comparison` compares two reports.
+1. `readers` return a `TrainingConfiguration`, with the target's own model, a `robot`, where it has one.
+2. `model_checks` run and check the target itself.
+3. `object_checks` run scenes of measured objects with the target's settings.
+4. `fixes` apply documented changes, run the checks again, and write the fixed file.
+5. `report` shows what `verdict` defines; `comparison` compares two reports.
 
 Example:
     >>> from gauge_envs.tools.sanity import check
     >>> report = check("mujoco", only=["rebound"])
-    >>> [row.verdict.value for row in report.rows]
+    >>> [result.verdict.value for result in report.checks]
     ['passed']
 """
 
@@ -20,57 +20,30 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.sanity.comparison import difference as difference
-    from gauge_envs.tools.sanity.model import (
-        ContactGroup as ContactGroup,
-        Fix as Fix,
-        Need as Need,
-        PartOutcome as PartOutcome,
-        PhenomenonResult as PhenomenonResult,
-        Reality as Reality,
-        RealityKind as RealityKind,
-        Report as Report,
-        TrainingConfiguration as TrainingConfiguration,
-        Verdict as Verdict,
-    )
-    from gauge_envs.tools.sanity.robot.foot import FootGeometry as FootGeometry
+    from gauge_envs.tools.sanity.readers import configuration as configuration
     from gauge_envs.tools.sanity.run import check as check
-    from gauge_envs.tools.sanity.stacks import configuration as configuration
-    from gauge_envs.tools.sanity.stacks.gymnasium_env import Target as Target
+    from gauge_envs.tools.sanity.training import (
+        TrainingConfiguration as TrainingConfiguration,
+    )
+    from gauge_envs.tools.sanity.verdict import (
+        Fix as Fix,
+        Reality as Reality,
+        Report as Report,
+        SanityResult as SanityResult,
+        SanityVerdict as SanityVerdict,
+    )
     from gauge_envs.tools.sanity.wrapper import (
         SanityWarning as SanityWarning,
         SanityWrapper as SanityWrapper,
     )
 else:
-    _public_name, __all__ = lazy_names(
+    __getattr__, __all__ = lazy_names(
         __name__,
         {
-            ".comparison": ["difference"],
-            ".model": [
-                "ContactGroup",
-                "Fix",
-                "Need",
-                "PartOutcome",
-                "PhenomenonResult",
-                "Reality",
-                "RealityKind",
-                "Report",
-                "TrainingConfiguration",
-                "Verdict",
-            ],
-            ".robot.foot": ["FootGeometry"],
+            ".readers": ["configuration"],
             ".run": ["check"],
-            ".stacks": ["configuration"],
-            ".stacks.gymnasium_env": ["Target"],
+            ".training": ["TrainingConfiguration"],
+            ".verdict": ["Fix", "Reality", "Report", "SanityResult", "SanityVerdict"],
             ".wrapper": ["SanityWarning", "SanityWrapper"],
         },
     )
-
-    def __getattr__(name):
-        """Return a public name; `Cure`, the name of `Fix` before 1.0, is read until 1.2."""
-        if name != "Cure":
-            return _public_name(name)
-        from gauge_envs.tools.sanity.model import warn_renamed
-
-        warn_renamed("Cure", "Fix")
-        return _public_name("Fix")

@@ -2,8 +2,9 @@
 
 Example:
     >>> from gauge_envs.tools.sanity import check
+    >>> from gauge_envs.tools.sanity.comparison import difference
     >>> reports = [check(target, only=["rebound"]) for target in ("mujoco", "mujoco")]
-    >>> [row.is_changed for row in difference(*reports).rows]
+    >>> [check.is_changed for check in difference(*reports).checks]
     [False]
 """
 
@@ -13,25 +14,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.cli.output import note
 from gauge_envs.errors import TargetError
 from gauge_envs.files import os_errors
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import counted, quantity_text, with_unit
 from gauge_envs.text import json_document
-from gauge_envs.tools.sanity.model import (
+from gauge_envs.tools.sanity.verdict import (
     MAX_PASSED,
-    RENAMED_VERDICTS,
-    PhenomenonResult,
+    WORSE_BY,
     Report,
-    Verdict,
+    SanityResult,
+    SanityVerdict,
 )
 
 # --- an earlier run --------------------------------------------------------------------------------------------------
-
-GROWTH = 1.0
-"""Growth of the deviation of a failed check or warning that is a regression, in half-widths of the interval."""
 
 Baseline = Mapping[tuple[str, str], float]
 """Deviation of each part of each check of an earlier run, by the id of the check and the name of the part."""
@@ -49,14 +46,13 @@ def read_baseline(path: Path) -> dict[tuple[str, str], float]:
     with os_errors(lambda cause: TargetError(f"{path}: cannot be read: {cause}")):
         content = path.read_bytes()
     try:
-        rows = [json_document(line) for line in content.splitlines() if line.strip()]
-        parts = {
-            (row["phenomenon"], part["name"]): part
-            for row in rows
-            if "phenomenon" in row
-            for part in row["parts"]
+        lines = [json_document(line) for line in content.splitlines() if line.strip()]
+        deviations = {
+            (line["id"], part["name"]): _deviation(part)
+            for line in lines
+            if "id" in line
+            for part in line["parts"]
         }
-        deviations = {key: _deviation(part) for key, part in parts.items()}
     except (TypeError, ValueError, KeyError) as error:
         raise TargetError(
             f"{path}: expected the output of this version's gauge sanity TARGET --json: {error}"
@@ -65,15 +61,12 @@ def read_baseline(path: Path) -> dict[tuple[str, str], float]:
         raise TargetError(
             f"{path}: has no check; write it with gauge sanity TARGET --json > {path}"
         )
-    if any(part["verdict"] in RENAMED_VERDICTS for part in parts.values()):
-        note(f"{path} has verdicts of a version before 1.0, which are read until 1.2")
     return deviations
 
 
 def _deviation(part: dict[str, Any]) -> float:
     """Return the deviation of a stored part; JSON has null for an infinite one."""
-    verdict = RENAMED_VERDICTS.get(part["verdict"], part["verdict"])
-    if not Verdict(verdict).is_off:
+    if not SanityVerdict(part["verdict"]).is_off:
         return MAX_PASSED
     return math.inf if part["deviation"] is None else float(part["deviation"])
 
@@ -92,15 +85,15 @@ def regressions(
         verdicts: Verdicts that count.
     """
     worse = []
-    for row in report.flags.values():
-        for part in row.parts:
-            before = baseline.get((row.phenomenon, part.name), MAX_PASSED)
-            is_farther = part.deviation > before + GROWTH or before <= MAX_PASSED
+    for result in report.flags.values():
+        for part in result.parts:
+            before = baseline.get((result.id, part.name), MAX_PASSED)
+            is_farther = part.deviation > before + WORSE_BY or before <= MAX_PASSED
             if part.verdict in verdicts and is_farther:
                 text = "-" if part.value is None else quantity_text(part.value)
-                value = with_unit(text, row.unit)
+                value = with_unit(text, result.unit)
                 worse.append(
-                    f"{row.phenomenon}, {part.name or 'all contacts'}: {value}, {part.deviation:.3g} half-widths from "
+                    f"{result.id}, {part.name or 'all contacts'}: {value}, {part.deviation:.3g} half-widths from "
                     f"reality; the baseline has {before:.3g}"
                 )
     return worse
@@ -110,7 +103,7 @@ def regressions(
 
 
 @dataclass(frozen=True, kw_only=True)
-class DifferenceRow:
+class CheckDifference:
     """A check of two reports.
 
     Attributes:
@@ -119,8 +112,8 @@ class DifferenceRow:
         unit: Unit of both values; `1` for a pure number.
         first: Value of the first target; None when not measured.
         second: Value of the second target.
-        first_verdict: Verdict of the first target.
-        second_verdict: Verdict of the second target.
+        first_verdict: SanityVerdict of the first target.
+        second_verdict: SanityVerdict of the second target.
         is_changed: Whether the verdicts differ, or the values by more than the half-width of the interval of reality.
     """
 
@@ -129,58 +122,61 @@ class DifferenceRow:
     unit: str
     first: float | None
     second: float | None
-    first_verdict: Verdict
-    second_verdict: Verdict
+    first_verdict: SanityVerdict
+    second_verdict: SanityVerdict
     is_changed: bool
 
     @property
     def is_measured(self) -> bool:
         """Whether both targets were measured."""
-        return Verdict.NOT_MEASURED not in (self.first_verdict, self.second_verdict)
+        return SanityVerdict.NOT_MEASURED not in (
+            self.first_verdict,
+            self.second_verdict,
+        )
 
     @property
     def is_failed(self) -> bool:
         """Whether a target failed the check."""
-        return Verdict.FAILED in (self.first_verdict, self.second_verdict)
+        return SanityVerdict.FAILED in (self.first_verdict, self.second_verdict)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Difference:
+class TargetDifference:
     """The checks of two reports that apply to a target or to both.
 
     Attributes:
         first: Name of the first target.
         second: Name of the second target.
-        rows: The checks, in the order of the reports.
+        checks: The checks, in the order of the reports.
     """
 
     first: str
     second: str
-    rows: tuple[DifferenceRow, ...]
+    checks: tuple[CheckDifference, ...]
 
 
-def difference(first: Report, second: Report) -> Difference:
+def difference(first: Report, second: Report) -> TargetDifference:
     """Return the checks of two reports side by side."""
-    second_rows = {row.phenomenon: row for row in second.rows}
-    pairs = [
-        (row, second_rows[row.phenomenon])
-        for row in first.rows
-        if row.phenomenon in second_rows
-    ]
-    return Difference(
+    others = {result.id: result for result in second.checks}
+    checks = []
+    for result in first.checks:
+        other = others.get(result.id)
+        if other is not None and (result.applies or other.applies):
+            checks.append(_check_difference(result, other))
+    return TargetDifference(
         first=first.configuration.name,
         second=second.configuration.name,
-        rows=tuple(_row(*pair) for pair in pairs if any(row.applies for row in pair)),
+        checks=tuple(checks),
     )
 
 
-def _row(first: PhenomenonResult, second: PhenomenonResult) -> DifferenceRow:
+def _check_difference(first: SanityResult, second: SanityResult) -> CheckDifference:
     is_changed = first.verdict is not second.verdict
     if first.configured is not None and second.configured is not None:
-        difference = abs(first.configured - second.configured)
-        is_changed |= difference > first.reality.tolerance
-    return DifferenceRow(
-        id=first.phenomenon,
+        distance = abs(first.configured - second.configured)
+        is_changed |= distance > first.reality.tolerance
+    return CheckDifference(
+        id=first.id,
         title=first.title,
         unit=first.unit,
         first=first.configured,
@@ -191,10 +187,10 @@ def _row(first: PhenomenonResult, second: PhenomenonResult) -> DifferenceRow:
     )
 
 
-def difference_document(compared: Difference) -> Document:
+def difference_document(compared: TargetDifference) -> Document:
     """Return how many checks differ, and the table; its JSON rows are both names, then each check."""
-    changed = [row.id for row in compared.rows if row.is_changed]
-    text = f"{len(changed)} of {counted(len(compared.rows), 'check')} change"
+    changed = [check.id for check in compared.checks if check.is_changed]
+    text = f"{len(changed)} of {counted(len(compared.checks), 'check')} change"
     if changed:
         text += f": {', '.join(changed)}"
     table = Table(
@@ -205,12 +201,16 @@ def difference_document(compared: Difference) -> Document:
             Column("second", compared.second, quantity_text, is_number=True),
             Column("first_verdict", "verdict", lambda verdict: verdict.value),
             Column("second_verdict", "verdict", lambda verdict: verdict.value),
-            Column("is_changed", "", lambda is_changed: "changed" * is_changed),
+            Column("is_changed", "", _changed_text),
         ),
-        rows=compared.rows,
+        rows=compared.checks,
     )
     names = {"first": compared.first, "second": compared.second}
     return Document(
         parts=(Paragraph(text, Tone.ANSWER), table),
-        rows=[names, *map(vars, compared.rows)],
+        rows=[names, *map(vars, compared.checks)],
     )
+
+
+def _changed_text(is_changed: bool) -> str:
+    return "changed" if is_changed else ""

@@ -7,10 +7,10 @@ from secrets import token_hex
 
 from gauge_envs.errors import ParameterError, ResultFileError, TargetError
 from gauge_envs.files import check_replaceable, os_errors
-from gauge_envs.tools.sanity.model import Report, flags_text
-from gauge_envs.tools.sanity.robot.fix_text import write_change
+from gauge_envs.tools.sanity.fixes.text_change import TextChange, write_change
+from gauge_envs.tools.sanity.readers import configuration as configuration_of, dialect
 from gauge_envs.tools.sanity.run import check
-from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
+from gauge_envs.tools.sanity.verdict import Fix, Report, flags_text
 
 
 def check_can_fix(file: Path) -> None:
@@ -39,19 +39,11 @@ def write_fix(report: Report, file: Path) -> str:
         TargetError: The target's text is unknown or not MJCF, an included file has to change, or the written model does
             not compile or fails further checks.
     """
-    checked, fix = report.configuration, report.fix
-    before = set(report.flags)
+    fix, before = report.fix, set(report.flags)
     if fix is None:
         reason = "no change resolves a check" if before else "all checks passed"
         return f"{file} is not written: {reason}"
-    text = None
-    if checked.robot is not None:
-        language = dialect(checked.language)
-        text, _ = write_change(checked.robot, language, fix.changes)
-    if text is None or text.model.root.tag != "mujoco":
-        raise TargetError(
-            f"{checked.name}: --fix changes the text of an MJCF file, which the target is not: paste the fix instead"
-        )
+    text = _changed_text(report, fix)
     if text.elsewhere:
         raise TargetError(
             f"{file} is not written: change {', '.join(text.elsewhere)}, which {text.model.file.name} includes"
@@ -77,13 +69,37 @@ def write_fix(report: Report, file: Path) -> str:
     return f"{file} is written and checked again: {len(before - after)} of {len(before)} {noun} are resolved"
 
 
+def _changed_text(report: Report, fix: Fix) -> TextChange:
+    """Return the text of a report's model with the fix.
+
+    Raises:
+        TargetError: The text is unknown or not MJCF.
+    """
+    checked = report.configuration
+    text = None
+    if checked.robot is not None:
+        language = dialect(checked.language)
+        text, _ = write_change(checked.robot, language, fix.changes)
+    if text is None or text.model.root.tag != "mujoco":
+        raise TargetError(
+            f"{checked.name}: --fix changes the text of an MJCF file, which the target is not: paste the fix instead"
+        )
+    return text
+
+
 def _flags(file: Path, report: Report) -> set[str]:
-    """Return the failed checks and warnings of a file."""
-    fixed = configuration_of(str(file), pair=report.configuration.robot.pair)
+    """Return the failed checks and warnings of a file with a report's model."""
+    robot = report.configuration.robot
+    pair = None if robot is None else robot.pair
     measured = [
-        row.phenomenon
-        for row in report.rows
-        if row.configured is not None or row.is_flag
+        result.id
+        for result in report.checks
+        if result.configured is not None or result.is_flag
     ]
-    after = check(fixed, only=measured, include_deformables=True, explain=False)
+    after = check(
+        configuration_of(str(file), pair=pair),
+        only=measured,
+        include_deformables=True,
+        explain=False,
+    )
     return set(after.flags)

@@ -10,20 +10,18 @@ from gauge_envs.names import first_names
 from gauge_envs.pages.document import Document, Heading, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import counted, quantity_text, with_unit
-from gauge_envs.tools.sanity.model import (
-    WARNED,
-    PhenomenonResult,
+from gauge_envs.tools.sanity.model_checks import TARGET_CHECKS
+from gauge_envs.tools.sanity.object_checks import object_check
+from gauge_envs.tools.sanity.readers.dialect import toml_text
+from gauge_envs.tools.sanity.selection import chooses_deformables, selection
+from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import (
     Reality,
     Report,
-    TrainingConfiguration,
-    Verdict,
+    SanityResult,
+    SanityVerdict,
     flags_text,
 )
-from gauge_envs.tools.sanity.phenomena import phenomena
-from gauge_envs.tools.sanity.rows import ROWS
-from gauge_envs.tools.sanity.selection import chooses_deformables, selection
-from gauge_envs.tools.sanity.stacks.dialect import toml_text
-from gauge_envs.tools.sanity.target_checks import NUMBER_ROWS
 
 MAX_TARGET_FLAGS, MAX_OBJECT_FLAGS = 3, 4
 """Largest numbers of problems of the target itself and of measured objects that the screen shows.
@@ -45,10 +43,10 @@ GUIDE = "docs/sanity.md"
 """Page that explains the checks."""
 
 STYLES = {
-    Verdict.PASSED: "green",
-    Verdict.WARNING: "yellow",
-    Verdict.FAILED: "bold red",
-    Verdict.NOT_MEASURED: "dim",
+    SanityVerdict.PASSED: "green",
+    SanityVerdict.WARNING: "yellow",
+    SanityVerdict.FAILED: "bold red",
+    SanityVerdict.NOT_MEASURED: "dim",
 }
 
 DEFAULT_OPTIONS = {
@@ -76,7 +74,7 @@ def sanity_document(
         is_all: Whether to show the table of all checks.
     """
     whole = report.to_dict()
-    rows = whole.pop("rows")
+    results = whole.pop("checks")
     parts = [
         Paragraph(answer_text(report), Tone.ANSWER),
         *_target_flags(report),
@@ -90,20 +88,22 @@ def sanity_document(
     if details:
         parts += _details(report)
     markdown = (Paragraph(answer_text(report), Tone.ANSWER), table)
-    return Document(parts=parts, rows=[whole, *rows], markdown=markdown)
+    return Document(parts=parts, rows=[whole, *results], markdown=markdown)
 
 
 def answer_text(report: Report) -> str:
     """Return how many checks failed, warn, passed, and were not measured."""
-    verdicts = [row.verdict for row in report.flags.values()]
+    verdicts = [result.verdict for result in report.flags.values()]
     measured = report.counts["measured"]
     if not measured:
-        reasons = dict.fromkeys(row.remark for row in report.rows if row.remark)
+        reasons = dict.fromkeys(
+            result.remark for result in report.checks if result.remark
+        )
         text = f"nothing was measured: {'; '.join([*reasons][:MAX_NAMES])}"
         return f"{report.configuration.name}: {text}"
     texts = [
-        f"{counted(verdicts.count(Verdict.FAILED), 'check')} failed",
-        counted(verdicts.count(Verdict.WARNING), "warning"),
+        f"{counted(verdicts.count(SanityVerdict.FAILED), 'check')} failed",
+        counted(verdicts.count(SanityVerdict.WARNING), "warning"),
         f"{measured - len(verdicts)} passed",
     ]
     missing = report.unmeasured
@@ -112,12 +112,9 @@ def answer_text(report: Report) -> str:
     return f"{report.configuration.name}: {', '.join(texts)}"
 
 
-def phenomena_table(only: Sequence[str] = ()) -> Table:
+def checks_table(only: Sequence[str] = ()) -> Table:
     """Return checks by patterns: ids, titles, kinds and reality; those of deformable bodies by their own patterns."""
     chosen = selection(only, include_deformables=chooses_deformables(only))
-    checks: dict[str, Any] = {row.phenomenon: row for row in NUMBER_ROWS}
-    checks |= {row.id: row for row in phenomena(include_deformables=True)}
-    checks |= ROWS
     return Table(
         columns=(
             Column("id", "id"),
@@ -128,28 +125,36 @@ def phenomena_table(only: Sequence[str] = ()) -> Table:
             Column("source", "source", place=Place.BELOW, wide_only=True),
             Column("rationale", "interval", place=Place.BELOW, wide_only=True),
         ),
-        rows=[
-            {
-                "id": name,
-                "title": checks[name].title,
-                "kind": checks[name].reality.kind.value,
-                "reality": reality_text(checks[name].reality, checks[name].unit),
-                "trial_count": checks[name].reality.trial_count,
-                "source": checks[name].reality.source,
-                "rationale": checks[name].reality.rationale,
-            }
-            for name in chosen
-        ],
+        rows=[_check_line(name) for name in chosen],
     )
+
+
+def _check_line(name: str) -> dict[str, Any]:
+    """Return the row of a check in the list of checks."""
+    check = TARGET_CHECKS[name] if name in TARGET_CHECKS else object_check(name)
+    reality = check.reality
+    return {
+        "id": name,
+        "title": check.title,
+        "kind": reality.kind.value,
+        "reality": reality_text(reality, check.unit),
+        "trial_count": reality.trial_count,
+        "source": reality.source,
+        "rationale": reality.rationale,
+    }
 
 
 # --- flags -----------------------------------------------------------------------------------------------------------
 
 
-def _sorted_flags(report: Report, *, is_on_target: bool) -> list[PhenomenonResult]:
+def _sorted_flags(report: Report, *, is_on_target: bool) -> list[SanityResult]:
     """Return the problems of the target itself or of measured objects, failed checks first."""
-    flags = [row for row in report.flags.values() if row.is_on_target == is_on_target]
-    return sorted(flags, key=lambda row: row.verdict is not Verdict.FAILED)
+    flags = [
+        result
+        for result in report.flags.values()
+        if result.is_on_target == is_on_target
+    ]
+    return sorted(flags, key=lambda result: result.verdict is not SanityVerdict.FAILED)
 
 
 def _target_flags(report: Report) -> list[Part]:
@@ -157,39 +162,39 @@ def _target_flags(report: Report) -> list[Part]:
     flags = _sorted_flags(report, is_on_target=True)
     lines: list[Part] = []
     shown, more = _shown(flags, MAX_TARGET_FLAGS)
-    for row in shown:
-        limit = reality_text(row.reality, row.unit)
-        style = Tone.ERROR if row.verdict is Verdict.FAILED else Tone.WARNING
-        numbers = f"{measured_text(row)}, {limit}"
-        texts = [": ".join(filter(None, (numbers, row.remark)))]
-        texts += filter(None, [_place_text(report, row)])
-        lines.append(Paragraph(f"{row.verdict}: {row.title} ({row.phenomenon})", style))
+    for result in shown:
+        limit = reality_text(result.reality, result.unit)
+        style = Tone.ERROR if result.verdict is SanityVerdict.FAILED else Tone.WARNING
+        numbers = f"{measured_text(result)}, {limit}"
+        texts = [": ".join(filter(None, (numbers, result.remark)))]
+        texts += filter(None, [_place_text(report, result)])
+        lines.append(
+            Paragraph(f"{result.verdict}: {result.title} ({result.id})", style)
+        )
         lines += [Paragraph(f"  {text}") for text in texts]
     return lines + more
 
 
 def _shown(
-    flags: Sequence[PhenomenonResult], maximum: int
-) -> tuple[Sequence[PhenomenonResult], list[Part]]:
+    flags: Sequence[SanityResult], maximum: int
+) -> tuple[Sequence[SanityResult], list[Part]]:
     """Return the problems that the screen shows, and a line that names the rest."""
     count = maximum if len(flags) <= maximum else maximum - 1
-    left = [row.phenomenon for row in flags[count:]]
+    left = [result.id for result in flags[count:]]
     if not left:
         return flags, []
     text = f"and {len(left)} more: {first_names(left, MAX_NAMES)}"
     return flags[:count], [Paragraph(text)]
 
 
-def _place_text(report: Report, row: PhenomenonResult) -> str:
+def _place_text(report: Report, result: SanityResult) -> str:
     """Return the place of a problem, and the part of the fix that resolves it, or what the problem means."""
-    texts = [f"at {row.place}"] if row.place else []
-    if report.fix is not None and row.phenomenon in report.fix.fixed:
-        parts = [
-            part.text for part in report.fix.parts if row.phenomenon in part.corrects
-        ]
+    texts = [f"at {result.place}"] if result.place else []
+    if report.fix is not None and result.id in report.fix.fixed:
+        parts = [part.text for part in report.fix.parts if result.id in part.corrects]
         texts.append(f"fix: {parts[0] if parts else 'all lines below together'}")
-    elif row.consequence:
-        texts.append(row.consequence)
+    elif result.consequence:
+        texts.append(result.consequence)
     return "; ".join(texts)
 
 
@@ -202,7 +207,7 @@ def _object_flags(report: Report) -> list[Part]:
         worst = flags[0]
         text = (
             f"{worst.verdict}: MuJoCo's default contact, as the file sets no solref, solimp, cone. Measured objects: "
-            f"{len(flags)} {flags_text(flags)}, such as {worst.phenomenon} with "
+            f"{len(flags)} {flags_text(flags)}, such as {worst.id} with "
             f"{with_unit(measured_text(worst), worst.unit)}, real {reality_text(worst.reality, worst.unit)}"
         )
         return [Paragraph(text, Tone.WARNING)]
@@ -265,16 +270,14 @@ def _change(report: Report, *, details: bool) -> list[Part]:
 
 def _notes(report: Report, *, details: bool) -> list[Part]:
     """Return what the reader might miss, what the model leaves open, and where to read on."""
-    texts = [
-        note
-        for note in report.configuration.notes
-        if details or note.startswith(WARNED)
-    ]
-    lines: list[Part] = [
-        Paragraph(f"note: {text}", Tone.WARNING) for text in (*texts, *report.notes)
-    ]
+    configuration = report.configuration
+    texts = [f"MuJoCo warns: {text}" for text in configuration.warnings]
+    if details:
+        texts += configuration.notes
+    texts += report.notes
+    lines: list[Part] = [Paragraph(f"note: {text}", Tone.WARNING) for text in texts]
     if missing := report.unmeasured:
-        reasons = {row.phenomenon: row.remark for row in report.rows}
+        reasons = {result.id: result.remark for result in report.checks}
         text = f"{missing[0]}: {reasons[missing[0]]}"
         names = first_names(missing, MAX_NAMES)
         lines.append(Paragraph(f"Not measured: {names} ({text})", Tone.WARNING))
@@ -293,15 +296,15 @@ def _details(report: Report) -> list[Part]:
     """Return what was read, the sources of the problems, and the changes that were tried."""
     checked = report.configuration
     parts: list[Part] = [Heading("Read"), Facts(_facts(checked))]
-    for row in report.flags.values():
-        reality = row.reality
-        text = f"{row.phenomenon}: {row.title}; {reality.source}; {reality.rationale}"
+    for result in report.flags.values():
+        reality = result.reality
+        text = f"{result.id}: {result.title}; {reality.source}; {reality.rationale}"
         parts.append(Paragraph(text, Tone.NOTE))
     parts += [Paragraph(f"tried {text}", Tone.NOTE) for text in report.tried]
     reasons: dict[str, list[str]] = {}
-    for row in report.rows:
-        if not row.applies:
-            reasons.setdefault(row.remark, []).append(row.phenomenon)
+    for result in report.checks:
+        if not result.applies:
+            reasons.setdefault(result.remark, []).append(result.id)
     parts += [
         Paragraph(f"not applicable, {reason}: {', '.join(names)}", Tone.NOTE)
         for reason, names in reasons.items()
@@ -333,12 +336,12 @@ def _facts(checked: TrainingConfiguration) -> dict[str, str]:
 def _all_rows(report: Report) -> Table:
     """Return the table of all checks that apply."""
     remark = Column("", "remark", _remark_text, place=Place.BELOW, wide_only=True)
-    rows = [row for row in report.rows if row.applies]
+    rows = [result for result in report.checks if result.applies]
     return Table(columns=(*COLUMNS, VERDICT, remark), rows=rows)
 
 
-def _style(row: PhenomenonResult) -> str:
-    return "" if row.advisory else STYLES[row.verdict]
+def _style(result: SanityResult) -> str:
+    return "" if result.advisory else STYLES[result.verdict]
 
 
 def reality_text(reality: Reality, unit: str) -> str:
@@ -347,30 +350,34 @@ def reality_text(reality: Reality, unit: str) -> str:
     return with_unit(reality.limits or interval, unit)
 
 
-def measured_text(row: PhenomenonResult) -> str:
+def measured_text(result: SanityResult) -> str:
     """Return the measured value; what it is instead where there is none."""
-    if row.configured is not None:
-        return quantity_text(row.configured)
-    return "no value" if row.verdict.is_off else "-"
+    if result.configured is not None:
+        return quantity_text(result.configured)
+    return "no value" if result.verdict.is_off else "-"
 
 
-def verdict_text(row: PhenomenonResult) -> str:
+def verdict_text(result: SanityResult) -> str:
     """Return the verdict; `advice` for a check that does not count."""
-    return "advice" if row.advisory and row.verdict.is_off else row.verdict.value
+    return (
+        "advice" if result.advisory and result.verdict.is_off else result.verdict.value
+    )
 
 
-def _remark_text(row: PhenomenonResult) -> str:
+def _remark_text(result: SanityResult) -> str:
     """Return the place, the remark and why the verdict does not count."""
-    advice = row.advisory if row.verdict.is_off else ""
-    return "; ".join(filter(None, (row.geoms or row.place, row.remark, advice)))
+    advice = result.advisory if result.verdict.is_off else ""
+    return "; ".join(
+        filter(None, (result.geoms or result.place, result.remark, advice))
+    )
 
 
 VERDICT = Column("", "", verdict_text, style=_style)
 
 COLUMNS = (
-    Column("phenomenon", "check"),
+    Column("id", "check"),
     Column("title", "quantity", wide_only=True),
-    Column("", "real", lambda row: reality_text(row.reality, row.unit)),
+    Column("", "real", lambda result: reality_text(result.reality, result.unit)),
     Column("", "here", measured_text, is_number=True, style=_style),
     Column("default", "preset", quantity_text, is_number=True),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,46 +12,38 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.fixtures.parts import ball, contact, ground, thrown
 from gauge_envs.registry import package_versions
 from gauge_envs.scene import Scene
-from gauge_envs.tools.sanity.fix import find_fix
-from gauge_envs.tools.sanity.measure import (
-    Measured,
+from gauge_envs.tools.sanity.fixes.fix import FixSearch
+from gauge_envs.tools.sanity.model_checks import TARGET_CHECKS
+from gauge_envs.tools.sanity.model_checks.drives import unstated
+from gauge_envs.tools.sanity.object_checks import GRASP
+from gauge_envs.tools.sanity.object_checks.check import Scenario
+from gauge_envs.tools.sanity.object_checks.measure import (
     Measurements,
-    Subject,
     TimeLimitError,
-    result_of,
-    subject_of,
-    worst_of,
+    applied_check,
 )
-from gauge_envs.tools.sanity.model import (
-    Fix,
-    Need,
-    PartOutcome,
-    PhenomenonResult,
-    Report,
-    TrainingConfiguration,
-    Verdict,
-)
-from gauge_envs.tools.sanity.phenomena import GRASP, phenomenon
-from gauge_envs.tools.sanity.robot.joints import unstated
+from gauge_envs.tools.sanity.readers import configuration as configuration_of
+from gauge_envs.tools.sanity.readers.gymnasium_env import Target
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
-from gauge_envs.tools.sanity.scenario import Scenario, effective_settings, run_scenario
-from gauge_envs.tools.sanity.selection import TARGET_IDS, selection
-from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
-from gauge_envs.tools.sanity.target_checks import target_rows
-
-POINT_NOTE = "{}: a round fingertip has one contact, which with condim 3 holds no torque: see gauge recipe --torsion"
-"""Note on a hand between whose fingertips a body turns freely."""
+from gauge_envs.tools.sanity.selection import selection
+from gauge_envs.tools.sanity.training import Need, TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import (
+    PartOutcome,
+    Report,
+    SanityResult,
+    SanityVerdict,
+)
 
 
 @mujoco_warnings()
 def check(
-    target: Any,
+    target: Target | TrainingConfiguration,
     *,
     only: Sequence[str] = (),
     include_deformables: bool = False,
     time_limit_s: float | None = None,
     explain: bool = True,
-    notify: Callable[[PhenomenonResult], None] | None = None,
+    notify: Callable[[SanityResult], None] | None = None,
 ) -> Report:
     """Check the physics of a training configuration, and find the change of its settings that fixes most.
 
@@ -79,45 +71,103 @@ def check(
     has_hand = any(group.is_held for group in configuration.contact_groups)
     if has_hand and not only and not include_deformables:
         chosen = (*chosen, *GRASP)
-    rows = target_rows(configuration, chosen, notify)
-    search: tuple[Fix | None, tuple[str, ...], str] = (None, (), "")
+    results = _target_results(configuration, chosen, notify)
     measurements = Measurements(configuration.backend, time_limit_s=time_limit_s)
-    objects = _object_rows(measurements, configuration, chosen, notify)
-    is_cut_short = any(row.remark == NO_TIME for row in objects)
+    names = [name for name in chosen if name not in TARGET_CHECKS]
+    objects, is_cut_short = _object_results(measurements, configuration, names, notify)
     if not is_cut_short:
         _check_accepted(configuration, measurements.engine, objects)
-    rows += objects
+    report = Report(
+        configuration=configuration,
+        checks=(*results, *objects),
+        versions={**measurements.versions, **package_versions()},
+        asked=tuple(name for name in chosen if name in only),
+    )
+    if configuration.robot is not None:
+        report = replace(report, unstated=unstated(configuration.robot))
     if explain:
         try:
-            language = dialect(configuration.language)
-            search = find_fix(configuration, language, measurements, rows)
+            report = FixSearch(report, measurements).run()
         except TimeLimitError:
             is_cut_short = True
     notes = []
+    if "grasp-torsion" in chosen:
+        notes += point_notes(configuration)
     if is_cut_short:
         limit = f"the time limit, {time_limit_s} s, is reached"
-        notes.append(f"{limit}: the check is incomplete")
-    if "grasp-torsion" in chosen:
-        notes += [
-            POINT_NOTE.format(group.geoms)
-            for group in configuration.contact_groups
-            if group.is_point and group.constants["condim"] == 3
-        ]
-    if not only and not is_cut_short:
+        notes = [f"{limit}: the check is incomplete", *notes]
+    elif not only:
         notes += force_notes(measurements, configuration)
-    fix, tried, trade = search
-    return Report(
-        configuration=configuration,
-        rows=tuple(rows),
-        versions={**measurements.versions, **package_versions()},
-        wall_s=time.perf_counter() - started,
-        fix=fix,
-        tried=tried,
-        trade=trade,
-        unstated="" if configuration.robot is None else unstated(configuration.robot),
-        notes=tuple(notes),
-        asked=tuple(name for name in chosen if name in only),
-    )
+    wall_s = time.perf_counter() - started
+    return replace(report, notes=tuple(notes), wall_s=wall_s)
+
+
+def _target_results(
+    configuration: TrainingConfiguration,
+    names: Sequence[str],
+    notify: Callable[[SanityResult], None] | None,
+) -> list[SanityResult]:
+    """Return the results of checks of the target itself."""
+    results = []
+    for name in names:
+        if name in TARGET_CHECKS:
+            results.append(TARGET_CHECKS[name].result(configuration))
+            if notify is not None:
+                notify(results[-1])
+    return results
+
+
+def _object_results(
+    measurements: Measurements,
+    configuration: TrainingConfiguration,
+    names: Sequence[str],
+    notify: Callable[[SanityResult], None] | None,
+) -> tuple[list[SanityResult], bool]:
+    """Return the results of checks of measured objects, and whether the time did not suffice for one."""
+    results, is_cut_short = [], False
+    for name in names:
+        applied = applied_check(measurements, configuration, name)
+        try:
+            results.append(applied.result())
+        except TimeLimitError:
+            is_cut_short = True
+            results.append(applied.unmeasured(NO_TIME))
+        if notify is not None:
+            notify(results[-1])
+    return results, is_cut_short
+
+
+NO_TIME = "not measured within the time limit"
+"""Reason of a check for which the time did not suffice."""
+
+
+def _check_accepted(
+    configuration: TrainingConfiguration,
+    engine: str,
+    results: Sequence[SanityResult],
+) -> None:
+    """Raise an error where the engine rejects the settings in each scene that it simulates with its preset."""
+    applying = [result for result in results if result.applies]
+    verdicts = {result.verdict for result in applying}
+    is_rejected = verdicts == {SanityVerdict.NOT_MEASURED}
+    if is_rejected and any(result.default is not None for result in applying):
+        cause = applying[0].remark
+        raise ParameterError(
+            f"{configuration.name}: {engine} rejects these settings: {cause}"
+        )
+
+
+# --- notes -----------------------------------------------------------------------------------------------------------
+
+
+def point_notes(configuration: TrainingConfiguration) -> list[str]:
+    """Return a note on each hand between whose fingertips a body turns freely."""
+    return [
+        f"{group.geoms}: a round fingertip has one contact, which with condim 3 holds no torque: "
+        "see gauge recipe --torsion"
+        for group in configuration.contact_groups
+        if group.is_point and group.constants["condim"] == 3
+    ]
 
 
 IMPACT = Scenario(
@@ -146,14 +196,14 @@ def force_notes(
 ) -> list[str]:
     """Return a note where the peak force of an impact depends on the step; no note where it cannot be measured."""
     settings = next(iter(configuration.contact_sets.values()), {})
-    effective = measurements.outcome(effective_settings, IMPACT, settings)
-    if isinstance(effective, Measured) or Need.CONTACT in configuration.inapplicable:
+    effective = measurements.effective(IMPACT, settings)
+    if isinstance(effective, PartOutcome) or Need.CONTACT in configuration.inapplicable:
         return []
     peaks_n, step_s = [], effective["timestep_s"]
     for timestep_s in (step_s, 0.1 * step_s):
         changed = {**settings, "timestep_s": timestep_s}
-        rollout = measurements.outcome(run_scenario, IMPACT, changed)
-        if isinstance(rollout, Measured):
+        rollout = measurements.rollout(IMPACT, changed)
+        if isinstance(rollout, PartOutcome):
             return []
         accelerations = np.diff(rollout.velocity("ball")[:, 2]) / rollout.interval_s
         peaks_n.append(float(accelerations.max()))
@@ -163,83 +213,3 @@ def force_notes(
         f"peak contact forces depend on the step: 1 kg at 1 m/s gives {peaks_n[0]:,.0f} N at {1e3 * step_s:g} ms and "
         f"{peaks_n[1]:,.0f} N at a tenth of it; average forces over a fixed time"
     ]
-
-
-NO_TIME = "not measured within the time limit"
-"""Reason of a check for which the time did not suffice."""
-
-
-def _object_rows(
-    measurements: Measurements,
-    configuration: TrainingConfiguration,
-    chosen: Sequence[str],
-    notify: Callable[[PhenomenonResult], None] | None,
-) -> list[PhenomenonResult]:
-    """Return the chosen checks of measured objects; the preset is measured where a check does not pass."""
-    rows = []
-    for name in chosen:
-        if name in TARGET_IDS:
-            continue
-        subject = subject_of(measurements, configuration, phenomenon(name))
-        try:
-            outcomes = subject.measured()
-            is_off = any(
-                outcome.verdict is not Verdict.PASSED for outcome in outcomes.values()
-            )
-            preset = measurements.measure(subject.phenomenon, {}) if is_off else None
-            rows.append(_object_row(subject, outcomes, preset))
-        except TimeLimitError:
-            unmeasured = Measured(verdict=Verdict.NOT_MEASURED, remark=NO_TIME)
-            rows.append(result_of(subject.phenomenon, unmeasured, None))
-        if notify is not None:
-            notify(rows[-1])
-    return rows
-
-
-def _object_row(
-    subject: Subject, outcomes: dict[str, Measured], preset: Measured | None
-) -> PhenomenonResult:
-    """Return the result of the worst set of contact constants, with an outcome for each set."""
-    phenomenon = subject.phenomenon
-    if not outcomes:
-        unmeasured = Measured(verdict=Verdict.NOT_MEASURED, remark=subject.inapplicable)
-        return result_of(phenomenon, unmeasured, preset, applies=False)
-    geoms, worst = worst_of(outcomes)
-    # A scene that the engine cannot simulate at all is not checked.
-    is_unknown = preset is not None and {worst.verdict, preset.verdict} == {
-        Verdict.NOT_MEASURED
-    }
-    return result_of(
-        phenomenon,
-        worst,
-        preset,
-        applies=not is_unknown,
-        # A rollout that diverges fails even where the check is advice.
-        advisory="" if worst.rollout is None else subject.advisory,
-        geoms=geoms if len(outcomes) > 1 else "",
-        parts=tuple(
-            PartOutcome(
-                name=name,
-                value=outcome.value,
-                verdict=outcome.verdict,
-                deviation=outcome.deviation,
-                remark=outcome.remark,
-            )
-            for name, outcome in outcomes.items()
-        ),
-    )
-
-
-def _check_accepted(
-    configuration: TrainingConfiguration,
-    engine: str,
-    rows: Sequence[PhenomenonResult],
-) -> None:
-    """Raise an error where the engine rejects the settings in each scene that it simulates with its preset."""
-    applying = [row for row in rows if row.applies]
-    is_rejected = all(row.verdict is Verdict.NOT_MEASURED for row in applying)
-    if is_rejected and any(row.default is not None for row in applying):
-        cause = applying[0].remark
-        raise ParameterError(
-            f"{configuration.name}: {engine} rejects these settings: {cause}"
-        )

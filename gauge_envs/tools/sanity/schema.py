@@ -3,18 +3,14 @@
 from typing import Annotated, TypedDict
 
 from gauge_envs.cli.schemas import Form
-from gauge_envs.tools.sanity.comparison import Difference, DifferenceRow
-from gauge_envs.tools.sanity.model import (
-    PhenomenonResult,
-    RealityKind,
-    Report,
-    TrainingConfiguration,
-)
+from gauge_envs.tools.sanity.comparison import CheckDifference, TargetDifference
+from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import RealityKind, Report, SanityResult
 
 Configuration = Annotated[TrainingConfiguration, Form(without=("robot",))]
 
 
-class PhenomenonLine(TypedDict):
+class CheckLine(TypedDict):
     """A check that `gauge sanity` can run.
 
     Attributes:
@@ -45,12 +41,12 @@ class CheckedConfiguration(TypedDict):
 ReportLine = Annotated[
     Report,
     Form(
-        without=("rows", "configuration"),
+        without=("checks", "configuration"),
         properties=("worst", "unmeasured", "counts"),
         more=CheckedConfiguration,
     ),
 ]
-DifferenceLine = Annotated[Difference, Form(without=("rows",))]
+DifferenceLine = Annotated[TargetDifference, Form(without=("checks",))]
 
-SanityLine = ReportLine | PhenomenonResult | DifferenceLine | DifferenceRow
+SanityLine = ReportLine | SanityResult | DifferenceLine | CheckDifference
 """First the configuration, then each check; with --against first both targets, then each check."""

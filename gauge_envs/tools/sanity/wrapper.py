@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import gymnasium
 
-from gauge_envs.tools.sanity.model import Report
 from gauge_envs.tools.sanity.report import answer_text
 from gauge_envs.tools.sanity.run import check
+from gauge_envs.tools.sanity.verdict import Report
 
 
 class SanityWarning(UserWarning):

@@ -8,7 +8,9 @@ import pytest
 from opengl import needs_opengl
 from places import ROOT
 
-make_env = runpy.run_path(str(ROOT / "hub" / "envhub" / "env.py"))["make_env"]
+make_env = runpy.run_path(str(ROOT / "packaging" / "hub" / "envhub" / "env.py"))[
+    "make_env"
+]
 
 
 @needs_opengl

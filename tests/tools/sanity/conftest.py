@@ -4,7 +4,7 @@ import pytest
 
 from gauge_envs.backends import backend
 from gauge_envs.tools.sanity import run
-from gauge_envs.tools.sanity.measure import Measurements
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,13 @@ import pytest
 from robot_faults import good_xml
 
 from gauge_envs.tools.sanity import configuration
-from gauge_envs.tools.sanity.model import Verdict
-from gauge_envs.tools.sanity.rows import ROWS, row_result
-from gauge_envs.tools.sanity.selection import MODEL_IDS
+from gauge_envs.tools.sanity.model_checks import (
+    MODEL_CHECKS,
+    TARGET_CHECKS,
+    at_rest,
+    free_motion,
+)
+from gauge_envs.tools.sanity.verdict import SanityVerdict
 
 FLOOR = '<geom name="floor" type="plane" size="5 5 1"/>'
 
@@ -73,8 +77,8 @@ ROLLING_PAIR = mjcf(
 
 
 def result(name, xml):
-    robot = configuration(mujoco.MjModel.from_xml_string(xml)).robot
-    return row_result(ROWS[name], robot)
+    read = configuration(mujoco.MjModel.from_xml_string(xml))
+    return TARGET_CHECKS[name].result(read)
 
 
 @pytest.mark.parametrize(
@@ -101,10 +105,10 @@ def result(name, xml):
     ],
 )
 def test_a_fault_is_named_with_its_size(name, xml, value, words):
-    row = result(name, xml)
-    assert row.verdict.is_off, row
-    assert words in row.remark
-    assert value is None or row.configured == pytest.approx(value, rel=0.1)
+    found = result(name, xml)
+    assert found.verdict.is_off, found
+    assert words in found.remark
+    assert value is None or found.configured == pytest.approx(value, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -122,18 +126,18 @@ def test_a_fault_is_named_with_its_size(name, xml, value, words):
     ],
 )
 def test_a_right_model_passes(xml):
-    robot = configuration(mujoco.MjModel.from_xml_string(xml)).robot
-    itself = [
-        ROWS[name] for name in MODEL_IDS if "itself" in ROWS[name].measure.__module__
-    ]
-    rows = [row_result(row, robot) for row in itself]
-    assert [row.remark for row in rows if row.verdict.is_off] == []
+    read = configuration(mujoco.MjModel.from_xml_string(xml))
+    modules = at_rest.__name__, free_motion.__name__
+    itself = [check for check in MODEL_CHECKS if check.finding.__module__ in modules]
+    results = [check.result(read) for check in itself]
+    assert len(itself) == 11
+    assert [result.remark for result in results if result.verdict.is_off] == []
 
 
 def test_the_solver_is_compared_with_an_exact_one():
     rough = result("model-solver", stack(10, 'iterations="1" solver="PGS">'))
     exact = result("model-solver", stack(10))
-    assert rough.verdict is Verdict.FAILED and rough.configured > exact.configured
+    assert rough.verdict is SanityVerdict.FAILED and rough.configured > exact.configured
     creep = result("model-creep", stack(10, 'iterations="1" solver="PGS">'))
     assert (creep.applies, creep.remark) == (False, "model-solver has the cause")
 
@@ -148,7 +152,7 @@ def test_energy_that_a_motion_gains_is_compared_with_its_kinetic_energy():
     pendulum = """<body pos="0 0 1"><joint axis="0 1 0"/><geom size=".02" pos=".3 0 0" mass="1"/>
       <body pos=".3 0 0"><joint axis="0 1 0"/><geom size=".02" pos=".3 0 0" mass="1"/></body></body>"""
     flags = '<flag eulerdamp="disable"/>'
-    row = result("robot-energy", mjcf(pendulum, f'timestep=".05">{flags}'))
-    gained_j, kinetic_j = map(float, re.findall(r"([\d.e+-]+) J", row.remark))
-    assert row.verdict.is_off
-    assert row.configured == pytest.approx(gained_j / kinetic_j, rel=0.01)
+    found = result("robot-energy", mjcf(pendulum, f'timestep=".05">{flags}'))
+    gained_j, kinetic_j = map(float, re.findall(r"([\d.e+-]+) J", found.remark))
+    assert found.verdict.is_off
+    assert found.configured == pytest.approx(gained_j / kinetic_j, rel=0.01)

@@ -7,9 +7,9 @@ import pytest
 from sanity_cases import CHEETAH, moved
 
 from gauge_envs.backends import backend
-from gauge_envs.tools.sanity.measure import Measurements
-from gauge_envs.tools.sanity.model import Verdict
-from gauge_envs.tools.sanity.phenomena import SLOW, phenomenon
+from gauge_envs.tools.sanity.object_checks import SLOW, object_check
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
+from gauge_envs.tools.sanity.verdict import SanityVerdict
 
 MUJOCO = backend("mujoco")
 TIMES_S = np.linspace(0.0, 1.2, 601)
@@ -19,12 +19,14 @@ X, Y, Z = np.eye(3)
 
 def markers_m(name):
     """Markers at rest [m], shape [marker_count, 3]."""
-    return np.asarray(phenomenon(name).scenario.scene.markers.positions_m)
+    return np.asarray(object_check(name).scenario.scene.markers.positions_m)
 
 
 def read(name, markers, **displacements_m):
-    row = phenomenon(name)
-    return float(row.value(moved(row.scenario, TIMES_S, markers, **displacements_m)))
+    check = object_check(name)
+    return float(
+        check.value(moved(check.scenario, TIMES_S, markers, **displacements_m))
+    )
 
 
 # --- readings of motions that are known ------------------------------------------------------------------------------
@@ -46,7 +48,7 @@ def test_sag_is_the_centre_of_the_swing():
 
 def test_fling_reads_the_angle_of_a_rigid_sheet():
     rest = markers_m("fling-lag")
-    rod = phenomenon("fling-lag").scenario.scene.body("rod").pose.position_m
+    rod = object_check("fling-lag").scenario.scene.body("rod").pose.position_m
     angle = np.radians(13.0) * PULSE[:, None]
     arm = rod[2] - rest[:, 2]
     rod_m = np.outer(-0.5 * TIMES_S, Y)
@@ -64,7 +66,7 @@ def test_area_of_a_face_that_grows_alike_in_all_directions():
 
 @pytest.mark.parametrize("stretch", [0.01, -0.02])
 def test_stretch_of_a_rope(stretch):
-    rope = phenomenon("rope-length")
+    rope = object_check("rope-length")
     length_m = rope.scenario.scene.deformables[0].length_m
     straight = np.outer(np.linspace(0.0, length_m, 21), X)
     nodes = straight * (1.0 + stretch * PULSE)[:, None, None]
@@ -85,8 +87,8 @@ def test_foot_stays_behind_the_base():
 
 def test_rejected_settings_are_not_measured_for_a_reason():
     settings = CHEETAH | {"integrator": "implicitfast"}
-    measured = Measurements(MUJOCO).measure(phenomenon("foam-stretch"), settings)
-    assert (measured.verdict, measured.value) == (Verdict.NOT_MEASURED, None)
+    measured = Measurements(MUJOCO).measure(object_check("foam-stretch"), settings)
+    assert (measured.verdict, measured.value) == (SanityVerdict.NOT_MEASURED, None)
     assert "set integrator='discrete'" in measured.remark
 
 
@@ -97,13 +99,13 @@ def test_rejected_settings_are_not_measured_for_a_reason():
 def test_explicit_elasticity_diverges_and_fails(name, timestep_s):
     """MuJoCo resets a state that diverges, and a body at its start could look right."""
     settings = {"timestep_s": timestep_s, "integrator": "Euler"}
-    measured = Measurements(MUJOCO).measure(phenomenon(name), settings)
-    assert (measured.verdict, measured.value) == (Verdict.FAILED, None)
+    measured = Measurements(MUJOCO).measure(object_check(name), settings)
+    assert (measured.verdict, measured.value) == (SanityVerdict.FAILED, None)
     assert measured.remark.startswith("diverged: after 0.0")
 
 
 @pytest.mark.slow
 def test_the_preset_passes():
     measurements = Measurements(MUJOCO)
-    rows = [measurements.measure(phenomenon(name), {}) for name in SLOW]
-    assert {row.verdict for row in rows} == {Verdict.PASSED}
+    outcomes = [measurements.measure(object_check(name), {}) for name in SLOW]
+    assert {outcome.verdict for outcome in outcomes} == {SanityVerdict.PASSED}

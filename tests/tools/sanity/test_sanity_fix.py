@@ -9,8 +9,8 @@ import pytest
 from quadruped import GOOD, quadruped_xml
 
 from gauge_envs.tools.sanity import check, configuration
-from gauge_envs.tools.sanity.fix import applied
-from gauge_envs.tools.sanity.robot.motion import motion_harm
+from gauge_envs.tools.sanity.fixes.change import applied
+from gauge_envs.tools.sanity.fixes.harm import motion_harm
 
 OPTION = 'timestep="0.002" integrator="implicitfast"'
 FLAT = f'{OPTION} cone="elliptic" impratio="100"'
@@ -31,13 +31,13 @@ PLANTED = {
 
 @pytest.mark.parametrize("attribute", PLANTED)
 def test_a_planted_fault_is_resolved_by_the_first_line(attribute):
-    changes, row = PLANTED[attribute]
+    changes, name = PLANTED[attribute]
     model = mujoco.MjModel.from_xml_string(quadruped_xml(**changes))
-    report = check(model, only=[row])
-    assert [*report.flags] == [row]
+    report = check(model, only=[name])
+    assert [*report.flags] == [name]
     assert report.fix is not None and attribute in report.fix.line
     changed = applied(report.configuration, report.fix.changes)
-    assert not check(changed, only=[row]).flags
+    assert not check(changed, only=[name]).flags
 
 
 def test_a_right_model_has_no_fix():
@@ -54,12 +54,12 @@ PAIRS = "".join(
 )
 
 
-def written(gauge, folder, text, row):
+def written(gauge, folder, text, name):
     """Return the lines of a model that `--fix` changes, as pairs of before and after."""
     (folder / "robot.xml").write_text(text)
-    outcome = gauge("sanity", "robot.xml", "--only", row, "--fix", "out/fixed.xml")
+    outcome = gauge("sanity", "robot.xml", "--only", name, "--fix", "out/fixed.xml")
     assert outcome.exit_code == 1 and "1 of 1 failed checks are" in outcome.stderr
-    assert gauge("sanity", "out/fixed.xml", "--only", row).exit_code == 0
+    assert gauge("sanity", "out/fixed.xml", "--only", name).exit_code == 0
     lines = (folder / "out" / "fixed.xml").read_text().splitlines()
     blocks = SequenceMatcher(None, text.splitlines(), lines).get_opcodes()
     return [
@@ -71,12 +71,12 @@ def written(gauge, folder, text, row):
 
 @pytest.mark.parametrize("name", ["solimp", "pairs", "timestep"])
 def test_the_written_text_differs_in_attributes_alone(name, gauge, tmp_path):
-    changes, row = PLANTED.get(name, ({}, "rest-height"))
+    changes, check = PLANTED.get(name, ({}, "rest-height"))
     text = quadruped_xml(**changes)
     if name == "pairs":
         text = text.replace("</mujoco>", f"<contact>{PAIRS}</contact></mujoco>")
     number = re.compile(r'(timestep|solref|solimp)="[^"]*"')
-    differing = written(gauge, tmp_path, text, row)
+    differing = written(gauge, tmp_path, text, check)
     assert differing
     for before, after in differing:
         texts = [[number.sub("", line) for line in lines] for lines in (before, after)]

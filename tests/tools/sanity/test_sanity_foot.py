@@ -7,9 +7,10 @@ from quadruped import FEET, FOOT_RADIUS_M, GOOD, quadruped_xml
 
 from gauge_envs.backends import backend
 from gauge_envs.scene import GRAVITY_M_PER_S2, Sphere
-from gauge_envs.tools.sanity import Need, Verdict, check, configuration
-from gauge_envs.tools.sanity.measure import Measurements
-from gauge_envs.tools.sanity.phenomena import phenomenon
+from gauge_envs.tools.sanity import SanityVerdict, check, configuration
+from gauge_envs.tools.sanity.object_checks import object_check
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
+from gauge_envs.tools.sanity.training import Need
 
 MUJOCO = backend("mujoco")
 
@@ -107,7 +108,7 @@ def test_the_foot_creeps_like_a_robot_with_locked_joints():
     read = configuration(model(quadruped_xml(option=option, locked=True)))
     foot, known = read.foot_geometry, Measurements(MUJOCO)
     (settings,) = read.contact_sets.values()
-    creep = phenomenon("foot-creep", foot)
+    creep = object_check("foot-creep", foot)
     friction = creep.scenario.scene.contacts[0].friction
     times, places = locked_robot(option, friction, 10.0)
     late = times > 0.5
@@ -127,11 +128,11 @@ FAULTS = {
 
 def test_a_good_quadruped_passes():
     report = check(model(quadruped_xml()), only=["foot-*"], explain=False)
-    assert not [row.phenomenon for row in report.rows if row.verdict.is_off]
+    assert not [result.id for result in report.checks if result.verdict.is_off]
 
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_of_the_feet_fails(fault):
     xml = quadruped_xml(**FAULTS[fault])
-    (result,) = check(model(xml), only=[fault], explain=False).rows
-    assert result.verdict is Verdict.FAILED
+    (result,) = check(model(xml), only=[fault], explain=False).checks
+    assert result.verdict is SanityVerdict.FAILED

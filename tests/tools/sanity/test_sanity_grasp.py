@@ -7,11 +7,12 @@ from sanity_cases import moved
 
 from gauge_envs.backends import backend
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.tools.sanity.measure import Measurements
-from gauge_envs.tools.sanity.model import Verdict
-from gauge_envs.tools.sanity.phenomena import GRASP, phenomenon
+from gauge_envs.tools.sanity.fixes.change import changed_model
+from gauge_envs.tools.sanity.object_checks import GRASP, object_check
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
+from gauge_envs.tools.sanity.readers import configuration
 from gauge_envs.tools.sanity.run import check
-from gauge_envs.tools.sanity.stacks import configuration
+from gauge_envs.tools.sanity.verdict import SanityVerdict
 
 MUJOCO = Measurements(backend("mujoco"))
 GOOD = {
@@ -41,14 +42,14 @@ def hand(option="", geom="", pad="", motors="left right", tip=BOX, height_m=0.03
 
 def checked(model):
     report = check(model, only=["grasp-*", "rolling"], include_deformables=True)
-    return {row.phenomenon: row.verdict for row in report.rows}, report
+    return {result.id: result.verdict for result in report.checks}, report
 
 
 # --- readings --------------------------------------------------------------------------------------------------------
 
 
 def test_creep_and_depth_of_a_box_are_relative_to_its_pads():
-    creep = phenomenon("grasp-creep")
+    creep = object_check("grasp-creep")
     times = np.linspace(0.0, 1.5, 151)
     down, inward = (
         np.outer(times, [0.0, 0.0, -1e-6]),
@@ -62,33 +63,33 @@ def test_creep_and_depth_of_a_box_are_relative_to_its_pads():
         right=10.0 * down - inward,
     )
     assert creep.value(rollout) == pytest.approx(20.0)
-    assert phenomenon("grasp-sink").value(rollout) == pytest.approx(30.0)
+    assert object_check("grasp-sink").value(rollout) == pytest.approx(30.0)
 
 
 @pytest.mark.parametrize("share", [0.383, 3.0])
 def test_torque_is_read_from_the_energy_of_the_spin(share):
-    row = phenomenon("grasp-torsion")
+    check = object_check("grasp-torsion")
     times = np.linspace(0.0, 0.15, 1501)
     # 2 mu N side share over m (a^2 + b^2) / 12; at 3.0 the box stops within the time.
     rate = share * 2.0 * 0.5 * 2.0 * 0.2 * G * 0.02 / (0.2 * (0.06**2 + 0.16**2) / 12.0)
-    rollout = moved(row.scenario, times)
+    rollout = moved(check.scenario, times)
     rollout.states["object"][:, 10] = np.maximum(20.0 - rate * times, 0.0)
-    assert row.value(rollout) == pytest.approx(share, rel=1e-3)
+    assert check.value(rollout) == pytest.approx(share, rel=1e-3)
     # Even pressure has (sqrt 2 + ln(1 + sqrt 2)) / 6, pressure at the corners 1 / sqrt 2.
-    low = row.reality.value - row.reality.tolerance
-    high = row.reality.value + row.reality.tolerance
+    low = check.reality.value - check.reality.tolerance
+    high = check.reality.value + check.reality.tolerance
     assert (low, high) == pytest.approx((0.383, 0.707), abs=0.007)
 
 
 @pytest.mark.parametrize("arm_mm", [0.5, 20.0])
 def test_rolling_friction_is_read_from_the_path(arm_mm):
-    row = phenomenon("rolling")
+    check = object_check("rolling")
     times = np.linspace(0.0, 0.5, 2001)
     # Rolling without slip: a = 5/7 g arm / r, until the ball stops.
     rate = 5.0 / 7.0 * G * 1e-3 * arm_mm / 0.03
     until = np.minimum(times, 0.3 / rate)
     path = np.outer(0.3 * until - 0.5 * rate * until**2, [1.0, 0.0, 0.0])
-    assert row.value(moved(row.scenario, times, ball=path)) == pytest.approx(
+    assert check.value(moved(check.scenario, times, ball=path)) == pytest.approx(
         arm_mm, rel=2e-3
     )
 
@@ -97,14 +98,14 @@ def test_rolling_friction_is_read_from_the_path(arm_mm):
 
 
 @pytest.mark.parametrize(
-    ("arm_m", "verdict"), [(1e-3, Verdict.PASSED), (0.1, Verdict.FAILED)]
+    ("arm_m", "verdict"), [(1e-3, SanityVerdict.PASSED), (0.1, SanityVerdict.FAILED)]
 )
 def test_rolling_friction_of_mujoco(arm_m, verdict):
     settings = {"condim": 6, "rolling_friction_m": arm_m}
-    measured = MUJOCO.measure(phenomenon("rolling"), settings)
+    measured = MUJOCO.measure(object_check("rolling"), settings)
     assert measured.verdict is verdict
     # A larger rolling friction stops the ball before the end.
-    if verdict is Verdict.PASSED:
+    if verdict is SanityVerdict.PASSED:
         assert measured.value == pytest.approx(1e3 * arm_m, rel=0.01)
 
 
@@ -133,7 +134,7 @@ def test_round_fingertips_without_torsional_friction_are_named(pad, spins):
     """MuJoCo does the same: 5 N on two tips resist 20 mN m with a lever of 2 mm each, or nothing."""
     model = hand(**GOOD, pad=f'priority="1" {pad}', tip="size='.01'", height_m=0.1)
     verdicts, report = checked(model)
-    assert verdicts["grasp-torsion"] is Verdict.NOT_MEASURED
+    assert verdicts["grasp-torsion"] is SanityVerdict.NOT_MEASURED
     assert not any(verdict.is_off for verdict in verdicts.values())
     assert ["holds no torque" in note for note in report.notes] == [True] * spins
     model.opt.gravity[:] = 0.0
@@ -151,7 +152,7 @@ def test_round_fingertips_without_torsional_friction_are_named(pad, spins):
 
 def test_a_good_hand_passes():
     verdicts, report = checked(hand(**GOOD))
-    assert verdicts == dict.fromkeys(GRASP, Verdict.PASSED)
+    assert verdicts == dict.fromkeys(GRASP, SanityVerdict.PASSED)
     assert (report.fix, report.notes) == (None, ())
 
 
@@ -172,5 +173,5 @@ def test_a_planted_fault_of_a_hand_is_fixed(name):
     assert report.fix is not None
     assert len(report.fix.fixed) == report.fix.flag_count
     robot = report.configuration.robot
-    fixed, _ = checked(robot.changed(report.fix.changes)[0])
-    assert set(fixed.values()) == {Verdict.PASSED}
+    fixed, _ = checked(changed_model(robot, report.fix.changes)[0])
+    assert set(fixed.values()) == {SanityVerdict.PASSED}

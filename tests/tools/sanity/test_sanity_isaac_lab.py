@@ -10,13 +10,13 @@ import pytest
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import configuration
-from gauge_envs.tools.sanity.measure import Measurements
-from gauge_envs.tools.sanity.model import Need
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
+from gauge_envs.tools.sanity.readers import dialect
+from gauge_envs.tools.sanity.readers.documents import yaml_document
+from gauge_envs.tools.sanity.readers.isaac_lab import isaac_lab_configuration
+from gauge_envs.tools.sanity.readers.maniskill import maniskill_configuration
 from gauge_envs.tools.sanity.run import force_notes
-from gauge_envs.tools.sanity.stacks import dialect
-from gauge_envs.tools.sanity.stacks.documents import yaml_document
-from gauge_envs.tools.sanity.stacks.isaac_lab import isaac_lab_configuration
-from gauge_envs.tools.sanity.stacks.maniskill import maniskill_configuration
+from gauge_envs.tools.sanity.training import Need
 
 pytest.importorskip("sapien")
 

@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity import check, configuration, gauge_probe as program
-from gauge_envs.tools.sanity.stacks.dialect import Table
-from gauge_envs.tools.sanity.stacks.genesis import options_settings
+from gauge_envs.tools.sanity import check, configuration
+from gauge_envs.tools.sanity.readers import gauge_probe as program
+from gauge_envs.tools.sanity.readers.dialect import NestedTable
+from gauge_envs.tools.sanity.readers.genesis import options_settings
 
 PROGRAM = Path(program.__file__).read_text()
 
@@ -62,6 +63,7 @@ HARD = """
   <equality>
     <connect body1="tip" body2="other" anchor="0 0 0"/>
     <weld body1="hand" body2="other" solref=".05 1" torquescale=".2" active="false"/>
+    <weld body1="base" body2="other" relpose=".1 .2 .3 .8 .6 0 0" anchor=".01 .02 .03"/>
     <joint joint1="lift" joint2="knee" polycoef="0 .01 0 0 0"/>
   </equality>
   <tendon>
@@ -99,8 +101,8 @@ def facts(target):
     return {key: read[key] for key in read if key not in ("name", "source")}
 
 
-def rows(target, *only):
-    return [row.to_dict() for row in check(target, only=only).rows]
+def results(target, *only):
+    return check(target, only=only).checks
 
 
 def run_program(folder, *arguments):
@@ -132,7 +134,7 @@ def test_a_file_gives_the_results_of_the_target_digit_by_digit(tmp_path):
     saved = tmp_path / done.stdout.strip()
     assert facts(saved) == facts("HalfCheetah-v5")
     only = ("gravity", "rest-height", "slide-wood")
-    assert rows(saved, *only) == rows("HalfCheetah-v5", *only)
+    assert results(saved, *only) == results("HalfCheetah-v5", *only)
 
 
 def test_python_of_a_module_is_a_target(tmp_path):
@@ -163,6 +165,9 @@ def test_the_model_of_a_file_is_the_original_and_moves_alike(file, original):
     for name in f"{exact} tendon_lengthspring body_gravcomp key_qpos key_ctrl geom_friction".split():
         values = getattr(built, name), getattr(original, name)
         np.testing.assert_allclose(*values, atol=1e-12, err_msg=name)
+    # A weld has its anchor, the pose of its second body and the scale of its torque in eleven numbers.
+    welds = built.eq_data[:, :11], original.eq_data[:, :11]
+    np.testing.assert_allclose(*welds, atol=1e-12)
     ends = []
     for model in (original, built):
         data = mujoco.MjData(model)
@@ -203,7 +208,9 @@ def test_settings_of_other_stacks_become_plain(tmp_path):
 def test_options_of_genesis_are_read():
     rigid = {"iterations": 7, "constraint_timeconst": None, "integrator": 1}
     simulation = {"dt": 0.04, "substeps": 2}
-    tables = (Table(values, source="scene.json") for values in (simulation, rigid))
+    tables = (
+        NestedTable(values, source="scene.json") for values in (simulation, rigid)
+    )
     settings = options_settings(*tables)
     assert (settings["timestep_s"], settings["integrator"]) == (0.02, "implicitfast")
     # Genesis raises a shorter time constant to two steps.

@@ -22,57 +22,57 @@ from gauge_envs.pages.document import as_rows
 from gauge_envs.pages.terminal import Terminal
 from gauge_envs.tools import sanity
 from gauge_envs.tools.sanity import SanityWarning, SanityWrapper
-from gauge_envs.tools.sanity.model import (
+from gauge_envs.tools.sanity.report import sanity_document
+from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import (
     ChangePart,
     Fix,
     PartOutcome,
-    PhenomenonResult,
     Reality,
     Report,
-    TrainingConfiguration,
-    Verdict,
+    SanityResult,
+    SanityVerdict,
 )
-from gauge_envs.tools.sanity.report import sanity_document
 
 
-def part(value, verdict=Verdict.FAILED):
+def part(value, verdict=SanityVerdict.FAILED):
     """Return the part of a check whose interval is 0.5 wide on each side."""
     deviation = np.inf if value is None else abs(value) / 0.5
     return (PartOutcome(name="", value=value, verdict=verdict, deviation=deviation),)
 
 
-CREEP = PhenomenonResult(
-    phenomenon="creep-wood",
+CREEP = SanityResult(
+    id="creep-wood",
     title="creep of a <cube> [of wood]",
     experiment="GAUGE/SlopeSlider-1-wood",
     unit="mm/s",
     reality=Reality(0.0, tolerance=0.5, source="paper", rationale="cubes <rest>"),
     default=0.002,
     configured=-28.0,
-    verdict=Verdict.FAILED,
-    default_verdict=Verdict.PASSED,
+    verdict=SanityVerdict.FAILED,
+    default_verdict=SanityVerdict.PASSED,
     parts=part(-28.0),
 )
-SLIDE = replace(CREEP, phenomenon="slide", configured=1.1, verdict=Verdict.WARNING)
+SLIDE = replace(CREEP, id="slide", configured=1.1, verdict=SanityVerdict.WARNING)
 PERIOD = replace(
     CREEP,
-    phenomenon="period",
+    id="period",
     configured=0.1,
-    verdict=Verdict.PASSED,
-    parts=part(0.1, Verdict.PASSED),
+    verdict=SanityVerdict.PASSED,
+    parts=part(0.1, SanityVerdict.PASSED),
 )
 WALL = replace(
     CREEP,
-    phenomenon="wall",
+    id="wall",
     configured=None,
-    verdict=Verdict.NOT_MEASURED,
+    verdict=SanityVerdict.NOT_MEASURED,
     remark="'brick' is too heavy",
 )
-NOTHING = replace(WALL, phenomenon="slip", remark="no gravity", applies=False)
-ADVICE = replace(CREEP, phenomenon="rebound", advisory="no impact constant is given")
+NOTHING = replace(WALL, id="slip", remark="no gravity", applies=False)
+ADVICE = replace(CREEP, id="rebound", advisory="no impact constant is given")
 SPIN = replace(
     CREEP,
-    phenomenon="model-spin",
+    id="model-spin",
     experiment="",
     remark="box loses 62 % in 2 s, a refined run 0.1 %",
     place='body "box" (toss.xml:6)',
@@ -89,12 +89,16 @@ FIX = Fix(
 )
 
 
-def report(*rows, **attributes):
+def report(*results, **attributes):
     configuration = TrainingConfiguration(
         name="Robot-v0", source="a <model>", backend="mujoco", settings={}
     )
     return Report(
-        configuration=configuration, rows=rows, versions={}, wall_s=1.0, **attributes
+        configuration=configuration,
+        checks=results,
+        versions={},
+        wall_s=1.0,
+        **attributes,
     )
 
 
@@ -125,8 +129,8 @@ def test_the_screen_has_the_answer_then_the_model_then_objects_then_the_fix():
 
 
 def test_the_screen_fits_in_25_lines():
-    on_target = [replace(SPIN, phenomenon=f"model-{number}") for number in range(12)]
-    objects = [replace(CREEP, phenomenon=f"creep-{number}") for number in range(20)]
+    on_target = [replace(SPIN, id=f"model-{number}") for number in range(12)]
+    objects = [replace(CREEP, id=f"creep-{number}") for number in range(20)]
     checked = report(*on_target, *objects, PERIOD, WALL, fix=FIX, unstated="No limit.")
     assert len(screen(checked)) <= 25
     assert len(screen(checked, is_all=True, details=True)) > 40
@@ -176,7 +180,7 @@ def test_a_model_that_diverges_writes_no_log_and_no_warning_of_mujoco(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("rows", "options", "code"),
+    ("results", "options", "code"),
     [
         ((PERIOD, ADVICE, NOTHING), (), 0),
         ((SLIDE, PERIOD), (), 1),
@@ -189,8 +193,8 @@ def test_a_model_that_diverges_writes_no_log_and_no_warning_of_mujoco(tmp_path):
         ((NOTHING,), (), 3),
     ],
 )
-def test_exit_codes(monkeypatch, rows, options, code):
-    assert run(monkeypatch, report(*rows), *options).exit_code == code
+def test_exit_codes(monkeypatch, results, options, code):
+    assert run(monkeypatch, report(*results), *options).exit_code == code
 
 
 def test_a_check_that_is_requested_by_name_must_be_measured(monkeypatch):
@@ -207,13 +211,13 @@ def test_a_check_without_time_does_not_pass(gauge):
 
 def test_the_json_of_a_real_configuration(gauge):
     words = ["sanity", "HalfCheetah-v5", "--only", "rest-height", "--json"]
-    first, row = map(json.loads, gauge(*words).stdout.splitlines())
+    first, check = map(json.loads, gauge(*words).stdout.splitlines())
     assert first["configuration"]["name"] == "HalfCheetah-v5"
     assert first["worst"] == "failed"
     assert [*first["fix"]["fixed"]] == ["rest-height"]
     # solimp 0 0.8 0.01 lets a cube sink by millimetres; the preset holds it.
-    assert (row["verdict"], row["configured"] < -1.0) == ("failed", True)
-    assert abs(row["default"]) < 0.1
+    assert (check["verdict"], check["configured"] < -1.0) == ("failed", True)
+    assert abs(check["default"]) < 0.1
 
 
 # --- baseline --------------------------------------------------------------------------------------------------------
@@ -234,7 +238,7 @@ def baseline(folder):
         (-28.4, PERIOD, 0),
         (-29.0, PERIOD, 1),
         (None, PERIOD, 1),
-        (-28.0, replace(PERIOD, verdict=Verdict.WARNING, parts=part(1.0)), 1),
+        (-28.0, replace(PERIOD, verdict=SanityVerdict.WARNING, parts=part(1.0)), 1),
         (-28.0, WALL, 3),
     ],
 )
@@ -249,38 +253,10 @@ def test_a_baseline_compares_values_with_their_intervals(
 
 def test_a_baseline_of_another_kind_is_an_error(monkeypatch, tmp_path):
     before = tmp_path / "before.json"
-    before.write_text('{"phenomenon": "creep-wood"}')
+    before.write_text('{"id": "creep-wood"}')
     outcome = run(monkeypatch, report(CREEP), "--baseline", str(before))
     assert outcome.exit_code == 2
     assert "expected the output of this version" in outcome.stderr
-
-
-# --- names before 1.0 ------------------------------------------------------------------------------------------------
-
-
-def test_values_of_options_and_baselines_before_1_0_are_read(monkeypatch, tmp_path):
-    outcome = run(monkeypatch, report(SLIDE), "--fail-on", "wrong")
-    assert outcome.exit_code == 0 and "now --fail-on failed" in outcome.stderr
-    file = baseline(tmp_path)
-    file.write_text(file.read_text().replace('"failed"', '"wrong"'))
-    outcome = run(monkeypatch, report(CREEP), "--baseline", str(file))
-    assert outcome.exit_code == 0 and "before 1.0" in outcome.stderr
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "read"),
-    [
-        ("WRONG", "failed", lambda: Verdict.WRONG is Verdict.FAILED),
-        ("visible", "warning", lambda: Verdict("visible") is Verdict.WARNING),
-        ("cure", "fix", lambda: report(fix=FIX).cure is FIX),
-        ("Cure", "Fix", lambda: sanity.Cure is type(FIX)),
-    ],
-)
-def test_a_name_before_1_0_warns_at_the_line_that_uses_it(old, new, read):
-    message = f"`{old}` is now `{new}`; the old name is read until 1.2"
-    with pytest.warns(DeprecationWarning, match=message) as record:
-        assert read()
-    assert [warning.filename for warning in record] == [__file__]
 
 
 # --- in training -----------------------------------------------------------------------------------------------------
@@ -301,7 +277,7 @@ def test_the_wrapper_warns_of_a_failed_check_and_checks_once(monkeypatch):
         warnings.simplefilter("error", SanityWarning)
         env = SanityWrapper(gymnasium.make("CartPole-v1"), only=["good"])
     assert calls == [["bad"], ["good"]]
-    assert env.report.worst is Verdict.PASSED
+    assert env.report.worst is SanityVerdict.PASSED
 
 
 def test_the_action_never_puts_an_input_into_a_script():

@@ -7,122 +7,23 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
+from heap import heap
 from places import ROOT
 from quadruped import quadruped_xml
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
-from gauge_envs.backends.mujoco.contact_table import COLUMNS, contact_pairs
+from gauge_envs.backends.mujoco.contact_table import contact_pairs
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.itself.runs import start_data
-from gauge_envs.tools.sanity.model import Need
-from gauge_envs.tools.sanity.stacks import configuration
-from gauge_envs.tools.sanity.target_checks import control_row, gravity_row
-
-# Every rule by which MuJoCo lets geoms collide or mixes their constants; all of it lies in one heap.
-HEAP = """
-<mujoco model="heap">
-  <option {option}><flag {flag}/></option>
-  <worldbody>
-    <geom name="floor" type="plane" size="5 5 .1" solref=".01 1.2" margin=".002"/>
-    <geom name="step" type="box" size=".5 .5 .1" friction="1.5 .02 .003"/>
-    <body name="a"><freejoint/>
-      <geom name="a1" size=".2" solmix="3" solref=".04 .7" solimp=".5 .8 .01 .4 3" gap=".003"/>
-      <geom name="a2" size=".2" priority="2" condim="4" friction=".3 .05 .01" margin=".01"/>
-      <body name="a_child" pos=".01 0 0"><joint axis="0 1 0"/>
-        <geom name="child" size=".2" condim="6"/>
-        <body name="grandchild" pos="0 .01 0"><joint axis="1 0 0"/><geom name="grandchild" size=".2" condim="1"/></body>
-      </body>
-      <body name="a_welded" pos="0 0 .01"><geom name="welded" size=".2" solref="-500 -20"/></body>
-    </body>
-    <body name="b"><freejoint/><geom name="b" size=".2" priority="2" solref="-300 -40" friction="0 0 0"/></body>
-    <body name="c"><freejoint/><geom name="c" size=".2" solmix="0" solref=".03 1"/></body>
-    <body name="d"><freejoint/><geom name="d" size=".2" solmix="0" solref=".05 1" contype="2" conaffinity="1"/></body>
-    <body name="e"><freejoint/><geom name="e" size=".2" contype="0" conaffinity="0"/></body>
-    <body name="hand" mocap="true"><geom name="hand" size=".2"/></body>
-    <body name="post"><joint axis="0 0 1"/><geom name="post" size=".2"/></body>
-  </worldbody>
-  <contact>
-    <exclude body1="a" body2="c"/>
-    <pair geom1="e" geom2="c" condim="3" friction=".7 .8 .01 .002 .003" solref=".015 .9" solreffriction=".03 1.1"
-      solimp=".6 .7 .02 .3 4" margin=".004" gap=".001"/>
-    <pair geom1="b" geom2="a1" condim="4"/>
-  </contact>
-</mujoco>
-"""
+from gauge_envs.tools.sanity.model_checks import numbers
+from gauge_envs.tools.sanity.model_checks.runs import start_data
+from gauge_envs.tools.sanity.readers import configuration
+from gauge_envs.tools.sanity.training import Need
 
 
 def built(experiment, settings):
     """Return MuJoCo's simulation of an experiment with settings."""
     return backend("mujoco").build(load_experiment(experiment).scene, settings)
-
-
-def heap(*, option="", flag=""):
-    return mujoco.MjModel.from_xml_string(HEAP.format(option=option, flag=flag))
-
-
-def made_contacts(data):
-    """Constants of the contacts that MuJoCo makes, by their geoms, without those in which nothing can move."""
-    contacts = {}
-    for contact in data.contact:
-        if contact.exclude != 3:
-            constants = (
-                contact.friction,
-                contact.solref,
-                contact.solreffriction,
-                contact.solimp,
-            )
-            contacts[tuple(sorted(contact.geom.tolist()))] = np.hstack(
-                [contact.dim, *constants, contact.includemargin]
-            )
-    return contacts
-
-
-def read_contacts(model):
-    pairs = contact_pairs(model)
-    without_gap = pairs.constants[:, : COLUMNS["gap"].start]
-    return {
-        tuple(geoms): row
-        for geoms, row in zip(pairs.geoms.tolist(), without_gap, strict=True)
-    }
-
-
-@pytest.mark.parametrize(
-    ("option", "flag"),
-    [
-        ("", ""),
-        ("", "filterparent='disable'"),
-        (
-            "o_margin='.03' o_solref='.007 1.3' o_solimp='.1 .2 .3 .4 5' o_friction='.1 .2 .3 .4 .5'",
-            "override='enable'",
-        ),
-    ],
-)
-def test_pairs_are_those_that_mujoco_makes_of_a_heap(option, flag):
-    model = heap(option=option, flag=flag)
-    data = mujoco.MjData(model)
-    mujoco.mj_step(model, data)
-    made, read = made_contacts(data), read_contacts(model)
-    assert len(made) > 20
-    assert made.keys() == read.keys()
-    for geoms, constants in made.items():
-        np.testing.assert_allclose(
-            read[geoms], constants, rtol=1e-12, err_msg=str(geoms)
-        )
-
-
-def test_a_gap_is_the_sum_of_both():
-    # `includemargin` leaves the gap out; it shows in how far apart a contact is found.
-    xml = """<mujoco><worldbody><geom type="plane" size="1 1 1" gap=".03"/><body pos="0 0 {height}"><freejoint/>
-      <geom size=".1" gap=".02"/></body></worldbody></mujoco>"""
-    for height, count in ((0.149, 1), (0.151, 0)):
-        model = mujoco.MjModel.from_xml_string(xml.format(height=height))
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        assert data.ncon == count
-        assert contact_pairs(model).constants[
-            0, COLUMNS["gap"]
-        ].item() == pytest.approx(0.05)
 
 
 def test_half_cheetah():
@@ -351,10 +252,10 @@ def test_what_is_no_target_says_why(target, message):
 def test_a_warning_of_mujoco_on_the_users_file_is_a_note(tmp_path, capfd):
     (tmp_path / "a.xml").write_text("<mujoco><compiler settotalmass='2'/></mujoco>")
     with warnings.catch_warnings(action="error"):
-        notes = configuration(tmp_path / "a.xml").notes
+        warned = configuration(tmp_path / "a.xml").warnings
         configuration("HalfCheetah-v5")
     if mujoco.mj_version() >= 4_000_000:
-        assert notes[0].startswith("MuJoCo warns: compiler attribute 'settotalmass'")
+        assert warned[0].startswith("compiler attribute 'settotalmass'")
     assert capfd.readouterr().err == ""
 
 
@@ -363,12 +264,12 @@ def test_a_warning_of_mujoco_on_the_users_file_is_a_note(tmp_path, capfd):
 
 def test_an_action_takes_at_most_half_of_the_time_in_which_a_fall_grows_by_e():
     read = configuration(mujoco.MjModel.from_xml_string(quadruped_xml()))
-    row = control_row(replace(read, frame_skip=5))
+    result = numbers.action_time.result(replace(read, frame_skip=5))
     limit_ms = 500.0 * np.sqrt(read.robot.standing.height_m / 9.80665)
     # Five steps of 2 ms.
-    assert row.configured == pytest.approx(10.0)
-    assert row.reality.tolerance == pytest.approx(limit_ms)
-    assert row.deviation == pytest.approx(10.0 / limit_ms)
+    assert result.configured == pytest.approx(10.0)
+    assert result.reality.tolerance == pytest.approx(limit_ms)
+    assert result.deviation == pytest.approx(10.0 / limit_ms)
 
 
 @pytest.mark.parametrize(
@@ -383,4 +284,4 @@ def test_an_action_takes_at_most_half_of_the_time_in_which_a_fall_grows_by_e():
 )
 def test_gravity_is_that_of_the_earth_and_points_to_the_ground(gravity, verdict):
     read = replace(configuration("HalfCheetah-v5"), gravity_m_per_s2=gravity)
-    assert gravity_row(read).verdict == verdict
+    assert numbers.gravity.result(read).verdict == verdict

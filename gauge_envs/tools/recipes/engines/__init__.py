@@ -1,22 +1,26 @@
 """Contact settings of each engine, under the names of the engine."""
 
-from importlib import import_module
-
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.tools.recipes.engines.base import ContactSettings
+from gauge_envs.tools.recipes.engines.drake import DrakeSettings
+from gauge_envs.tools.recipes.engines.genesis import GenesisSettings
+from gauge_envs.tools.recipes.engines.mujoco import MuJoCoSettings
+from gauge_envs.tools.recipes.engines.newton import NewtonSettings
+from gauge_envs.tools.recipes.engines.physx import PhysXSettings
+from gauge_envs.tools.recipes.engines.pybullet import PyBulletSettings
+from gauge_envs.tools.recipes.engines.rapier import RapierSettings
 
 __all__ = ["engine_names", "engine_settings"]
 
-CLASSES = {
-    "mujoco": "MuJoCoSettings",
-    "newton": "NewtonSettings",
-    "physx": "PhysXSettings",
-    "pybullet": "PyBulletSettings",
-    "rapier": "RapierSettings",
-    "drake": "DrakeSettings",
-    "genesis": "GenesisSettings",
+CLASSES: dict[str, type[ContactSettings]] = {
+    "mujoco": MuJoCoSettings,
+    "newton": NewtonSettings,
+    "physx": PhysXSettings,
+    "pybullet": PyBulletSettings,
+    "rapier": RapierSettings,
+    "drake": DrakeSettings,
+    "genesis": GenesisSettings,
 }
-"""Class of each engine, in the module with the name of the engine. Modules are imported on use."""
 
 
 def engine_names() -> tuple[str, ...]:
@@ -32,4 +36,4 @@ def engine_settings(name: str) -> type[ContactSettings]:
     """
     if name not in CLASSES:
         raise UnknownNameError("engine", name, CLASSES)
-    return getattr(import_module(f"{__name__}.{name}"), CLASSES[name])
+    return CLASSES[name]

@@ -10,7 +10,9 @@ from gauge_envs.backends.mujoco.settings import SolImp, SolRef
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings, numbers
-from gauge_envs.tools.recipes.probes import PLATE_CONTACTS
+
+PLATE_CONTACTS = 4
+"""Number of corners on which the plate of the probes rests."""
 
 SETTLE_S = 0.2
 """Time constant for the return of a body to its depth at rest, after a one-step impact [s]."""

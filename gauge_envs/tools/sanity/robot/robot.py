@@ -1,4 +1,4 @@
-"""The target's own model: its robot, its measured properties, and a copy with changes as a user would paste them."""
+"""The target's own model: its robot and its measured properties."""
 
 from __future__ import annotations
 
@@ -8,38 +8,20 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeAlias, TypeVar
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.mujoco.contact_table import ContactPairs, PairKind
-from gauge_envs.backends.mujoco.model import set_option
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import Vector
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
-from gauge_envs.tools.sanity.model import Settings
-from gauge_envs.tools.sanity.robot.mjcf_text import ModelText
+from gauge_envs.tools.sanity.robot.model_text import ModelText
 
-GEOM_FIELDS = {
-    "contact_solref": "solref",
-    "contact_solimp": "solimp",
-    "contact_margin_m": "margin",
-    "contact_gap_m": "gap",
-    "condim": "condim",
-}
-"""Attributes of a geom by the names of settings."""
-
-ELEMENT_FIELDS = GEOM_FIELDS | {
-    "equality_solref": "solref",
-    "equality_solimp": "solimp",
-}
-"""Attributes of geoms and of equalities by the names of settings."""
-
-PAIRED = ("contact_solref", "contact_solimp")
-"""Settings that explicit pairs give instead of their geoms, in the same form."""
-
+Place: TypeAlias = tuple[str, int]
+"""Kind of an element of the model, such as `joint`, and its id in the compiled model."""
 
 STANDING = ("home", "stand", "standing")
 """Names of keyframes in which robots stand."""
@@ -103,7 +85,7 @@ class Robot:
         spec: The model before it was compiled; None when only the compiled one is known.
         pair: Names of two geoms whose constants count; None for all on the ground.
         file: File of the model; None when it is not known.
-        known: Results of measurements, by the id of a check, or by function and arguments; see `once`.
+        known: Results of measurements, by function and arguments; see `once`.
     """
 
     model: mujoco.MjModel
@@ -113,15 +95,9 @@ class Robot:
     spec: mujoco.MjSpec | None = None
     pair: tuple[str, str] | None = None
     file: Path | None = None
-    known: dict[Any, Any] = field(default_factory=dict, init=False)
+    known: dict[tuple[object, ...], Any] = field(default_factory=dict, init=False)
 
-    def finding(self, row: Any) -> Any:
-        """Return the `Finding` of a `Row` on this model, measured once."""
-        if row.id not in self.known:
-            self.known[row.id] = row.measure(self)
-        return self.known[row.id]
-
-    def place_text(self, place: tuple[str, int]) -> str:
+    def place_text(self, place: Place) -> str:
         """Return an element of the model as a text: its kind, its name or number, and its file and line."""
         kind, number = place
         name = getattr(self.model, kind)(number).name
@@ -229,76 +205,9 @@ class Robot:
         fits = np.where(is_hinge, parallel > 0.999, parallel < 1e-3)[is_part]
         return bool(fits.all() and np.abs(normal[:2]).max() > ALONG_AN_AXIS)
 
-    def reached_by_default(self, name: str) -> list[int]:
-        """Return geoms that take an attribute from the model's default class; none without a spec."""
-        field = GEOM_FIELDS.get(name)
-        if field is None or self.spec is None:
-            return []
-        default = getattr(self.spec.default.geom, field)
-        return [
-            geom.id
-            for geom in self.spec.geoms
-            if geom.id >= 0
-            and np.array_equal(getattr(geom, field), default)
-            and np.array_equal(getattr(geom.classname.geom, field), default)
-        ]
 
-    @cached_property
-    def grounded(self) -> set[int]:
-        """Geoms that can touch the ground, of the ground, of a hand and of its objects, without free balls."""
-        is_met = grasp_kinds(self.model, self.pairs) > 0
-        is_met[self.ground_rows] = True
-        geoms = np.unique(self.pairs.geoms[is_met])
-        return set(geoms[~free_balls(self.model)[geoms]].tolist())
-
-    def changed(
-        self, changes: Settings
-    ) -> tuple[mujoco.MjModel, dict[str, list[tuple[str, int]]]]:
-        """Return a copy of the model with changes, and for each attribute of elements those that change.
-
-        Options are set. Attributes of geoms change on geoms that can touch the ground, and on all geoms of their
-        default class. Attributes of equalities change on those with the constants of the equality that opens.
-        """
-        model = copy.copy(self.model)
-        places: dict[str, list[tuple[str, int]]] = {}
-        for name, value in changes.items():
-            field = ELEMENT_FIELDS.get(name)
-            if field is None:
-                set_option(model.opt, name, value)
-                continue
-            # The margins and gaps of two geoms add up.
-            new = value / 2 if field in ("margin", "gap") else value
-            places[name] = []
-            for kind, numbers in self._elements(name).items():
-                array = getattr(model, f"{kind.replace('equality', 'eq')}_{field}")
-                for number in numbers:
-                    if not np.array_equal(array[number], new):
-                        places[name].append((kind, number))
-                        array[number] = new
-            reached = self.reached_by_default(name)
-            if any(("geom", number) in places[name] for number in reached):
-                getattr(model, f"geom_{field}")[reached] = new
-        return model, places
-
-    def _elements(self, name: str) -> dict[str, list[int]]:
-        """Return the elements whose attribute changes, by their kind."""
-        if name in PAIRED:
-            model, ground = self.model, self.pairs.geoms[self.ground_rows]
-            pairs = np.sort(np.column_stack([model.pair_geom1, model.pair_geom2]))
-            is_ground = (pairs[:, None] == ground).all(axis=2).any(axis=1)
-            explicit = np.flatnonzero(is_ground).tolist()
-            return {"geom": sorted(self.grounded), "pair": explicit}
-        if name in GEOM_FIELDS:
-            return {"geom": sorted(self.grounded)}
-        place = getattr(self.known.get("model-constraints"), "place", None)
-        if place is None or place[0] != "equality":
-            return {}
-        constants = np.column_stack([self.model.eq_solref, self.model.eq_solimp])
-        alike = (constants == constants[place[1]]).all(axis=1)
-        return {"equality": np.flatnonzero(alike).tolist()}
-
-
-T = TypeVar("T")
+Result = TypeVar("Result")
+Arguments = ParamSpec("Arguments")
 
 
 @contextmanager
@@ -312,15 +221,19 @@ def mujoco_warnings() -> Iterator[list[str]]:
         mujoco.set_mju_user_warning(handler)
 
 
-def once(function: Callable[..., T]) -> Callable[..., T]:
+def once(
+    function: Callable[Concatenate[Robot, Arguments], Result],
+) -> Callable[Concatenate[Robot, Arguments], Result]:
     """Return a function that measures a robot once, and keeps its result in the robot."""
 
     @wraps(function)
-    def remembered(robot: Robot, *args: Any, **kwargs: Any) -> T:
+    def remembered(
+        robot: Robot, /, *args: Arguments.args, **kwargs: Arguments.kwargs
+    ) -> Result:
         key = (function, *args, *kwargs.items())
         if key not in robot.known:
             robot.known[key] = function(robot, *args, **kwargs)
-        result: T = robot.known[key]
+        result: Result = robot.known[key]
         return result
 
     return remembered
@@ -426,3 +339,30 @@ def random_poses(model: mujoco.MjModel, poses: int) -> Iterator[mujoco.MjData]:
         data.qpos[model.jnt_qposadr[moving]] = generator.uniform(*limits[moving].T)
         mujoco.mj_forward(model, data)
         yield data
+
+
+def root_of(model: mujoco.MjModel, body: int) -> int:
+    """Return the first body of the tree of a body."""
+    return int(model.tree_bodyadr[model.body_treeid[body]])
+
+
+@once
+def reaches_m(robot: Robot) -> FloatArray:
+    """Return the length of the limb from each body on, stretched, shape [nbody]: no pose reaches farther."""
+    model = robot.model
+    reaches = np.zeros(model.nbody)
+    ends = np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound
+    np.maximum.at(reaches, model.geom_bodyid, ends)
+    for body in range(model.nbody - 1, 0, -1):
+        parent = model.body_parentid[body]
+        arm = np.linalg.norm(model.body_pos[body]) + reaches[body]
+        reaches[parent] = max(reaches[parent], arm)
+    return reaches
+
+
+def free_objects(model: mujoco.MjModel) -> list[int]:
+    """Return bodies that move freely, and alone."""
+    bodies = model.jnt_bodyid[joints_of(model, "FREE")]
+    is_alone = model.body_subtreemass[bodies] == model.body_mass[bodies]
+    alone: list[int] = bodies[is_alone].tolist()
+    return alone

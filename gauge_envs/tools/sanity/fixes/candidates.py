@@ -1,0 +1,164 @@
+"""List documented changes of settings that may resolve failed checks, in a fixed order of cost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from gauge_envs.tools.sanity.readers.dialect import Dialect
+from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
+
+ELLIPTIC, MARGIN = {"cone": "elliptic"}, {"contact_margin_m": 0.0}
+DAMPED, ACCURATE = {"integrator": "implicitfast"}, {"integrator": "RK4"}
+STEP = {"timestep_s": 0.002}
+
+SOFT, FIRM, STIFF = (
+    {"contact_solref": (seconds, 1.0)} for seconds in (0.02, 0.01, 0.004)
+)
+"""Documented, medium and short time constant of contacts of MuJoCo.
+
+A time constant below ten steps makes bodies hop that slide fast; see `harm`.
+"""
+
+HARD_SOLIMP, HARDEST_SOLIMP = (
+    (ratio, ratio, 0.001, 0.5, 2.0) for ratio in (0.99, 0.999)
+)
+"""Impedances with which contacts and equalities of MuJoCo yield by a hundredth, or a thousandth, of a free motion."""
+
+HARD, HARDEST = ({"contact_solimp": solimp} for solimp in (HARD_SOLIMP, HARDEST_SOLIMP))
+
+STIFF_EQUALITY = {"equality_solref": STIFF["contact_solref"]}
+HARD_EQUALITY = {"equality_solimp": HARDEST_SOLIMP}
+
+SOLVED = {"iterations": 100, "ls_iterations": 50, "tolerance": 1e-8}
+"""Iterations of MuJoCo's solvers by default."""
+
+GRIPPING = HARD | {"impratio": 100.0}
+"""Contacts that creep by a hundredth of those with `impratio` 1."""
+
+CONTACTS = (SOFT, HARD, HARDEST, FIRM, SOFT | HARD, STIFF, GRIPPING)
+
+RECOMMENDED_MUJOCO: dict[str, Any] = {
+    **STEP,
+    **DAMPED,
+    **ELLIPTIC,
+    **HARD,
+    **SOFT,
+    **MARGIN,
+    **SOLVED,
+    "impratio": 10.0,
+    "refsafe": True,
+}
+"""Settings that this package recommends for a model of MuJoCo."""
+
+RECOMMENDED_PHYSX: Settings = {
+    "solver": "TGS",
+    "position_iterations": 10,
+    "velocity_iterations": 1,
+}
+"""The same for PhysX."""
+
+FEW_ITERATIONS = {"iterations": 4, "ls_iterations": 20}
+"""Fewest iterations of MuJoCo's Newton solver with which bodies slide by Coulomb's law."""
+
+CANDIDATES: Mapping[str, Sequence[Settings]] = {
+    "mujoco": (
+        FEW_ITERATIONS,
+        FEW_ITERATIONS | ELLIPTIC,
+        {"o_friction": None},
+        {"refsafe": True},
+        MARGIN,
+        {"condim": 3},
+        *CONTACTS,
+        *(ELLIPTIC | contact for contact in ({}, *CONTACTS)),
+        ELLIPTIC | {"impratio": 10.0},
+        ELLIPTIC | {"impratio": 10.0} | MARGIN,
+        DAMPED,
+        ACCURATE,
+        STEP,
+        STEP | DAMPED,
+        RECOMMENDED_MUJOCO,
+        RECOMMENDED_MUJOCO | STIFF,
+        RECOMMENDED_MUJOCO | FIRM | {"timestep_s": 0.001},
+    ),
+    "physx": (
+        {"bounce_threshold_m_per_s": 0.1},
+        {"link_linear_damping_per_s": 0.0},
+        {"solver": "TGS"},
+        {"position_iterations": 10},
+        RECOMMENDED_PHYSX,
+    ),
+}
+"""Changes that are tried, the cheapest first, by backend."""
+
+RAISED = ("iterations", "ls_iterations", "position_iterations", "velocity_iterations")
+"""Settings that a change only raises."""
+
+LOWERED = ("timestep_s", "condim", "tolerance", "sleep_tolerance")
+"""Settings that a change only lowers."""
+
+ABSENT = {"contact_margin_m": 0.0, "refsafe": True, "condim": 3}
+"""Effective values where a target gives none."""
+
+MODEL_CANDIDATES: Mapping[str, Sequence[Settings]] = {
+    "model-sleep": ({"sleep_tolerance": 1e-5}, {"sleep": False}),
+    "model-constraints": (
+        STIFF_EQUALITY,
+        HARD_EQUALITY,
+        STIFF_EQUALITY | HARD_EQUALITY,
+    ),
+    "model-overlap": (HARD, HARDEST),
+    "model-cloth-sink": (HARD, HARDEST),
+    "model-creep": (SOLVED, HARD, ELLIPTIC | GRIPPING),
+    "model-solver": (SOLVED, {"solver": "Newton"}, SOLVED | {"solver": "Newton"}),
+    **dict.fromkeys(
+        ("model-spin", "robot-energy", "robot-holds", "robot-drive"),
+        (DAMPED, ACCURATE),
+    ),
+}
+"""Changes that may resolve a check of the target's own model, the cheapest first; a smaller step may resolve each."""
+
+
+def candidates_of(
+    configuration: TrainingConfiguration, dialect: Dialect, check: str = ""
+) -> list[dict[str, Any]]:
+    """Return the changes that differ from the settings of a configuration and that its dialect can write.
+
+    Args:
+        configuration: The configuration.
+        dialect: Dialect of the target.
+        check: Id of the check of the target's own model that they are for; empty for those of measured objects.
+    """
+    sets = [configuration.settings, *configuration.contact_sets.values()]
+    candidates = MODEL_CANDIDATES.get(check, ())
+    if not check:
+        candidates = CANDIDATES.get(configuration.backend, ())
+        if sets[0].get("iterations", math.inf) < FEW_ITERATIONS["iterations"]:
+            # Other changes let a body slide that starts to move, and not one that has rested.
+            candidates = [FEW_ITERATIONS | {**change} for change in candidates]
+    if candidates and configuration.is_model:
+        step_s = configuration.settings["timestep_s"]
+        smaller = [{"timestep_s": step_s * factor} for factor in (0.5, 0.25)]
+        candidates = [*candidates, *smaller]
+    new_changes: list[dict[str, Any]] = []
+    for changes in candidates:
+        new = {
+            name: value
+            for name, value in changes.items()
+            if dialect.writes(name)
+            and any(_is_new(name, value, settings) for settings in sets)
+        }
+        if new and new not in new_changes:
+            new_changes.append(new)
+    return new_changes
+
+
+def _is_new(name: str, value: Any, settings: Settings) -> bool:
+    """Return whether a value differs from that of a setting, and is no step back."""
+    was = settings.get(name, ABSENT.get(name))
+    if name in RAISED:
+        return bool(value > (math.inf if was is None else was))
+    if name in LOWERED:
+        return was is None or bool(value < was)
+    return (tuple(was) if isinstance(was, list) else was) != value

@@ -1,0 +1,303 @@
+"""Find the fix: apply documented changes as a user would paste them, and run the checks again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from heapq import heapify, heappop, heappush
+from typing import Any
+
+from gauge_envs.errors import GaugeError
+from gauge_envs.names import first_names
+from gauge_envs.pages.text import counted, with_unit
+from gauge_envs.tools.sanity.fixes.candidates import candidates_of
+from gauge_envs.tools.sanity.fixes.change import applied
+from gauge_envs.tools.sanity.fixes.harm import (
+    hop_mm,
+    hops_more,
+    motion_harm,
+    speed_ratio,
+)
+from gauge_envs.tools.sanity.fixes.text_change import write_change
+from gauge_envs.tools.sanity.model_checks import TARGET_CHECKS
+from gauge_envs.tools.sanity.object_checks import object_check
+from gauge_envs.tools.sanity.object_checks.measure import (
+    Measurements,
+    applied_check,
+    worst_of,
+)
+from gauge_envs.tools.sanity.readers import dialect
+from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import (
+    WORSE_BY,
+    ChangePart,
+    Fix,
+    PartOutcome,
+    Report,
+    SanityResult,
+    SanityVerdict,
+)
+
+
+class FixSearch:
+    """Searches the smallest change of settings that resolves most checks without harm, by trial.
+
+    Args:
+        report: Report of all checks.
+        measurements: Measurements on the engine of the checks.
+    """
+
+    def __init__(self, report: Report, measurements: Measurements) -> None:
+        self.report, self.measurements = report, measurements
+        self.configuration = configuration = report.configuration
+        self.dialect = dialect(configuration.language)
+        changeable = [result for result in report.checks if _is_changeable(result.id)]
+        self._units = {result.id: result.unit for result in changeable}
+        # Short scenes come first, the target's own model last.
+        self._before = {
+            result.id: _outcome_of(result)
+            for result in sorted(changeable, key=lambda result: _seconds(result.id))
+            if result.is_flag or result.verdict is SanityVerdict.PASSED
+        }
+        self._flags = [result.id for result in changeable if result.is_flag]
+        self._applied: dict[str, TrainingConfiguration | None] = {}
+        self._known: dict[tuple[str, str], PartOutcome] = {}
+        self._tried: list[str] = []
+
+    def run(self) -> Report:
+        """Return the report with the fix, the other changes that were tried, and the trade.
+
+        The trade is the change that resolves most checks, with its price; it is empty where the fix resolves as many.
+
+        Raises:
+            TimeLimitError: The time is used up.
+        """
+        best_count, trade = 0, ""
+        for changes in self._ranked(self._candidates()):
+            resolved = self._resolved(changes)
+            harm = ""
+            if resolved:
+                for part in (self._smallest(changes, resolved), changes):
+                    harm = self._harm(part)
+                    if not harm:
+                        return self._found(part, best_count, trade)
+            text = f"{self.dialect.paste_text(changes)}: {self._effect(resolved)}"
+            if harm:
+                text += f", but {harm}"
+            self._tried.append(text)
+            if len(resolved) > best_count:
+                best_count, trade = len(resolved), text
+        if self._tried:
+            best = f"; best: {trade}" if trade else ""
+            trade = f"None of {len(self._tried)} changes of settings resolves a check without harm{best}"
+        return replace(self.report, tried=tuple(self._tried), trade=trade)
+
+    def _found(self, changes: Settings, best_count: int, trade: str) -> Report:
+        """Return the report with a change without harm; the trade counts where it resolves more checks."""
+        fix = self._fix(changes)
+        if best_count <= len(fix.fixed):
+            trade = ""
+        return replace(self.report, fix=fix, tried=tuple(self._tried), trade=trade)
+
+    def _candidates(self) -> list[dict[str, Any]]:
+        """Return the changes that may resolve checks."""
+        model_change = self._model_change()
+        candidates = [model_change] if model_change else []
+        if any(name not in TARGET_CHECKS for name in self._flags):
+            general = candidates_of(self.configuration, self.dialect)
+            candidates += [{**changes, **model_change} for changes in general]
+        return candidates
+
+    def _model_change(self) -> dict[str, Any]:
+        """Return a change that resolves checks of the target's own model; drop checks that no setting changes."""
+        change: dict[str, Any] = {}
+        for name in [name for name in self._flags if name in TARGET_CHECKS]:
+            values = {self._before[name].value}
+            for candidate in candidates_of(self.configuration, self.dialect, name):
+                changes = {**change, **candidate}
+                outcome = self._outcome(changes, name)
+                values.add(outcome.value)
+                if outcome.verdict is SanityVerdict.PASSED:
+                    change = changes
+                    break
+                text = self.dialect.paste_text(changes)
+                self._tried.append(f"{text}: {self._progress(name, changes)}")
+            if len(values) == 1:
+                self._flags.remove(name)
+                del self._before[name]
+        return change
+
+    # --- measurements ------------------------------------------------------------------------------------------------
+
+    def _changed(self, changes: Settings) -> TrainingConfiguration | None:
+        """Return the configuration with changes; None where it cannot have them."""
+        key = str(sorted(changes.items()))
+        if key not in self._applied:
+            try:
+                self._applied[key] = applied(self.configuration, changes)
+            except GaugeError:
+                self._applied[key] = None
+        return self._applied[key]
+
+    def _outcome(self, changes: Settings, name: str) -> PartOutcome:
+        """Return the outcome of a check after changes."""
+        key = str(sorted(changes.items())), name
+        if key not in self._known:
+            self._known[key] = self._measure(self._changed(changes), name)
+        return self._known[key]
+
+    def _measure(self, changed: TrainingConfiguration | None, name: str) -> PartOutcome:
+        unmeasured = PartOutcome(verdict=SanityVerdict.NOT_MEASURED)
+        if changed is None:
+            return unmeasured
+        if name in TARGET_CHECKS:
+            return _outcome_of(TARGET_CHECKS[name].result(changed))
+        outcomes = applied_check(self.measurements, changed, name).outcomes()
+        return worst_of(outcomes)[1] if outcomes else unmeasured
+
+    def _resolves(self, changes: Settings, name: str) -> bool:
+        return self._outcome(changes, name).verdict is SanityVerdict.PASSED
+
+    def _resolved(self, changes: Settings) -> list[str]:
+        return [name for name in self._flags if self._resolves(changes, name)]
+
+    def _ranked(self, candidates: Sequence[Settings]) -> Iterator[Settings]:
+        """Yield changes, those first that resolve most checks of measured objects.
+
+        Of equal changes, those with fewer settings come first, then the order of the candidates counts. A check runs
+        only while its candidate may still resolve the most.
+        """
+        objects = {*self._flags} - {*TARGET_CHECKS}
+        names = [name for name in self._before if name in objects]
+        queue = [(0, len(change), index, 0) for index, change in enumerate(candidates)]
+        heapify(queue)
+        while queue:
+            failed, size, index, count = heappop(queue)
+            if count == len(names):
+                yield candidates[index]
+                continue
+            failed += not self._resolves(candidates[index], names[count])
+            heappush(queue, (failed, size, index, count + 1))
+
+    def _harm(self, changes: Settings) -> str:
+        """Return which check a change makes worse, or whether the model or sliding bodies jump; empty if not."""
+        changed = self._changed(changes)
+        if changed is None:
+            return "the model does not take it"
+        if changed.backend == "mujoco":
+            before_mm = self._hop_mm(self.configuration)
+            after_mm = self._hop_mm(changed)
+            if hops_more(before_mm, after_mm):
+                return f"sliding bodies hop {before_mm:.2g} to {after_mm:.2g} mm"
+        robot = self.configuration.robot
+        if robot is not None and changed.robot is not None:
+            harm = motion_harm(robot, changed.robot)
+            if harm:
+                return harm
+        for name, before in self._before.items():
+            if _is_worse(before, self._outcome(changes, name)):
+                return self._progress(name, changes)
+        return ""
+
+    def _hop_mm(self, configuration: TrainingConfiguration) -> float:
+        """Return the largest hop of sliding bodies with the contacts of a configuration [mm]."""
+        sets = configuration.contact_sets.values()
+        return max(hop_mm(self.measurements, settings) for settings in sets)
+
+    # --- the chosen change -------------------------------------------------------------------------------------------
+
+    def _smallest(self, changes: Settings, resolved: Sequence[str]) -> Settings:
+        """Return a change without the settings that none of its resolved checks needs."""
+        smallest = dict(changes)
+        for name in changes:
+            fewer = {key: value for key, value in smallest.items() if key != name}
+            if fewer and all(self._resolves(fewer, check) for check in resolved):
+                smallest = fewer
+        return smallest
+
+    def _fix(self, changes: Settings) -> Fix:
+        """Return a change with what each of its settings resolves alone."""
+        resolved = self._resolved(changes)
+        pasted, effect = self.dialect.paste_text(changes), self._effect(resolved)
+        parts = [
+            ChangePart(
+                text=self.dialect.paste_text({name: value}),
+                corrects=tuple(self._resolved({name: value})),
+            )
+            for name, value in changes.items()
+        ]
+        fix = Fix(
+            changes=changes,
+            line=f"{pasted}: {effect}",
+            flag_count=len(self._flags),
+            fixed={name: self._outcome(changes, name).value for name in resolved},
+            parts=tuple(parts),
+        )
+        robot, changed = self.configuration.robot, self._changed(changes)
+        if robot is None or changed is None or changed.robot is None:
+            return fix
+        text, hidden = write_change(robot, self.dialect, changes)
+        lines, added = [], []
+        if text is not None:
+            lines = [text.short(f"{mark} {line}") for mark, line in text.diff]
+            added = [line for mark, line in text.diff if mark == "+"]
+        also = f", also in {first_names(hidden)}" if hidden else ""
+        return replace(
+            fix,
+            line=f"{' and '.join(added) or pasted}{also}: {effect}",
+            lines=tuple(lines),
+            speed_ratio=speed_ratio(robot, changed.robot),
+        )
+
+    # --- texts -------------------------------------------------------------------------------------------------------
+
+    def _progress(self, name: str, changes: Settings) -> str:
+        """Return the values of a check before and after changes, as a text."""
+        before = _value_text(self._before[name])
+        after = _value_text(self._outcome(changes, name))
+        return with_unit(f"{name} {before} to {after}", self._units[name])
+
+    def _effect(self, resolved: Sequence[str]) -> str:
+        """Return how many checks are resolved, and which are not, as a text."""
+        text = f"resolves {counted(len(resolved), 'check')}"
+        failing = [name for name in self._flags if name not in resolved]
+        return f"{text}, not {', '.join(failing)}" if failing and resolved else text
+
+
+def _value_text(outcome: PartOutcome) -> str:
+    return "not measured" if outcome.value is None else f"{outcome.value:.3g}"
+
+
+def _is_changeable(name: str) -> bool:
+    """Return whether a setting can change the result of a check."""
+    return name not in TARGET_CHECKS or TARGET_CHECKS[name].is_simulated
+
+
+def _seconds(name: str) -> float:
+    """Return the simulated time of a check; infinite on the target's own model."""
+    if name in TARGET_CHECKS:
+        return math.inf
+    return object_check(name).scenario.seconds
+
+
+def _outcome_of(result: SanityResult) -> PartOutcome:
+    return PartOutcome(
+        value=result.configured, deviation=result.deviation, verdict=result.verdict
+    )
+
+
+def _is_worse(before: PartOutcome, after: PartOutcome) -> bool:
+    """Return whether a check cannot be measured any more, has a worse verdict, or is farther from reality.
+
+    A check cannot be measured, for example, where a robot that stood at rest falls.
+    """
+    if after.verdict is SanityVerdict.NOT_MEASURED:
+        return True
+    if before.verdict is SanityVerdict.PASSED:
+        return after.verdict.is_off
+    is_failed = (
+        after.verdict is SanityVerdict.FAILED
+        and before.verdict is SanityVerdict.WARNING
+    )
+    return is_failed or after.deviation > before.deviation + WORSE_BY

@@ -1,0 +1,154 @@
+"""Find the harm of a change: cubes that slide fast must stay on the ground, and the model must not jump or fall.
+
+A soft contact damps the sliding speed like the normal speed. Where it stops a body within a step, friction mu lifts a
+body of speed v with mu v. The body then hops by mu^2 v^2 / (2 g): 54 mm at 4 m/s. At a step of 2 ms, a time constant of
+two steps hops by 58 mm. MuJoCo's default of ten steps hops by 5 mm, and this package's preset by 1 mm.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+
+import mujoco
+import numpy as np
+
+from gauge_envs.fixtures.parts import box, contact, ground, thrown
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
+from gauge_envs.tools.sanity.model_checks.ground import FELL, HOLD_S
+from gauge_envs.tools.sanity.object_checks.check import Scenario, lowest_m
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
+from gauge_envs.tools.sanity.robot.robot import Robot, once
+from gauge_envs.tools.sanity.training import Settings
+from gauge_envs.tools.sanity.verdict import PartOutcome, SanityVerdict
+
+FRICTION = 0.257
+"""Friction of the measured wooden cube (scoring/facts/slope_slider_30deg_summary.toml)."""
+
+SLOW_M_PER_S, FAST_M_PER_S = 1.0, 4.0
+"""Initial speeds of cubes [m/s]. Hops grow with the square of the speed."""
+
+CUBES = [
+    thrown(
+        box(
+            f"{speed} m/s, {edge} m",
+            (0.0, speed + 10.0 * edge, 0.5 * edge),
+            (edge,) * 3,
+            mass_kg=kg,
+        ),
+        (speed, 0.0, 0.0),
+    )
+    for speed, edge, kg in (
+        (SLOW_M_PER_S, 0.02, 0.05),
+        (SLOW_M_PER_S, 0.1, 5.0),
+        (FAST_M_PER_S, 0.02, 5.0),
+        (FAST_M_PER_S, 0.1, 0.05),
+    )
+]
+"""Cubes side by side: mass [kg] matters to springs of a fixed stiffness, and height [m] to bodies that tip."""
+
+NAMES = tuple(cube.name for cube in CUBES)
+
+SLIDE_S = 0.6
+"""Simulated time [s]: all hops reach their top in it, and the slower cubes stop after 0.4 s."""
+
+SLIDE = Scenario(
+    "slide-hop",
+    "SlopeSlider-2-wood",
+    SLIDE_S,
+    Scene(
+        bodies=(*CUBES, ground()),
+        contacts=(contact(NAMES, "ground", friction=FRICTION),),
+        duration_s=SLIDE_S,
+    ),
+    released=NAMES,
+)
+
+MIN_HOP_MM, HOP_SCATTER = 5.0, 2.0
+"""Hop of a quarter of the smaller cube [mm]; and ratio within which hops scatter for one time constant, with either
+cone and with `impratio` 1 to 100."""
+
+STOP_M, STOP_TOLERANCE = SLOW_M_PER_S**2 / (2.0 * FRICTION * G), 0.1
+"""Coulomb's stopping distance v^2 / (2 mu g) of the slower cubes [m], and its relative tolerance: the friction of real
+cubes scatters by up to 8 % (slope_slider_30deg)."""
+
+
+def hop_mm(measurements: Measurements, settings: Settings) -> float:
+    """Return the largest height that cubes gain while they slide with some settings [mm].
+
+    It is infinite where the simulation diverges or a slower cube does not stop where it must, and NaN where it is not
+    measured.
+    """
+    rollout = measurements.rollout(SLIDE, settings)
+    if isinstance(rollout, PartOutcome):
+        return math.nan if rollout.verdict is SanityVerdict.NOT_MEASURED else math.inf
+    stops_m = [rollout.displacement(name)[-1, 0] for name in NAMES[:2]]
+    if not np.allclose(stops_m, STOP_M, rtol=STOP_TOLERANCE):
+        return math.inf
+    heights_m = [lowest_m(rollout, cube.name, cube.shape.corners_m) for cube in CUBES]
+    return 1e3 * max(float((height - height[0]).max()) for height in heights_m)
+
+
+def hops_more(before_mm: float, after_mm: float) -> bool:
+    """Return whether sliding bodies hop visibly more after a change; False where a hop was not measured."""
+    return after_mm > max(MIN_HOP_MM, HOP_SCATTER * before_mm)
+
+
+# --- the target's own model ------------------------------------------------------------------------------------------
+
+SPEED_BLOCKS, BLOCK_S = 4, 0.02
+"""Number and shortest time [s] of the blocks in which the speed of a model is measured; the fastest one counts."""
+
+
+def motion_harm(before: Robot, after: Robot) -> str:
+    """Return how a change throws a model up from its start, or lets its robot fall; empty if it does not."""
+    rise_mm, stands = _motion(before)
+    new_rise_mm, stands_then = _motion(after)
+    if hops_more(rise_mm, new_rise_mm):
+        return f"the model jumps {new_rise_mm:.3g} mm from its start"
+    if stands and not stands_then:
+        return "the robot falls within 2 s, before it stands"
+    return ""
+
+
+@once
+def _motion(robot: Robot) -> tuple[float, bool]:
+    """Simulate 2 s from the start, with the controls of its keyframe.
+
+    Returns:
+        The largest rise of the centre of mass of a tree of bodies [mm], and whether the robot stands at the end.
+        The rise is at least the depth of the overlap at the start, and infinite for a state that diverges.
+    """
+    model, standing, up = robot.model, robot.standing, np.asarray(robot.up)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.ctrl[:] = robot.stance.qpos, robot.stance.ctrl
+    mujoco.mj_forward(model, data)
+    _, roots = np.unique(model.body_treeid, return_index=True)
+    first_m = data.subtree_com @ up
+    rise_m = -float(data.contact.dist.min(initial=0.0))
+    for _ in range(round(HOLD_S / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+        if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
+            return math.inf, False
+        rise_m = max(rise_m, float((data.subtree_com @ up - first_m)[roots].max()))
+    stands = False
+    if standing is not None:
+        last = float(data.subtree_com[standing.body] @ up) - standing.ground_m
+        first = float(first_m[standing.body]) - standing.ground_m
+        stands = last > FELL * first
+    return 1e3 * rise_m, stands
+
+
+def speed_ratio(before: Robot, after: Robot) -> float:
+    """Return the simulated time of a model in a second of the processor with a change, over that without."""
+    models = before.model, after.model
+    runs = [(model, mujoco.MjData(model), list[float]()) for model in models]
+    for _ in range(SPEED_BLOCKS):
+        for model, data, speeds in runs:
+            started, before_s, spent_s = time.process_time(), data.time, 0.0
+            while spent_s < BLOCK_S:
+                mujoco.mj_step(model, data, nstep=10)
+                spent_s = time.process_time() - started
+            speeds.append((data.time - before_s) / spent_s)
+    slow, fast = (max(speeds) for _, _, speeds in runs)
+    return fast / slow

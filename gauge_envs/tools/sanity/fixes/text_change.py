@@ -1,0 +1,230 @@
+"""Change attributes in the text of a model, so that a diff shows only these."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from gauge_envs.tools.sanity.fixes.change import (
+    ELEMENT_FIELDS,
+    changed_model,
+    reached_by_default,
+)
+from gauge_envs.tools.sanity.readers.dialect import Dialect
+from gauge_envs.tools.sanity.robot.model_text import ATTRIBUTE, Element, ModelText
+from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.tools.sanity.training import Settings
+
+FIRST = ("compiler", "option", "size", "statistic", "visual")
+"""Sections in front of which no other one is inserted."""
+
+SCREEN = 100
+"""Longest line that is shown with all of its attributes [characters]."""
+
+
+SECTION_TAGS = {"option": ("option",), "flag": ("option", "flag")}
+"""Tags of the sections of options; all other sections are defaults."""
+
+
+class TextChange:
+    """Changes of attributes in the text of a model file.
+
+    Args:
+        model: Texts of the model.
+    """
+
+    def __init__(self, model: ModelText) -> None:
+        self.model = model
+        self._values: dict[tuple[Element, str], str] = {}
+        self._inserted: list[tuple[int, int, str]] = []
+
+    def give(self, element: Element | None, kind: str, key: str, value: str) -> bool:
+        """Change an attribute where an element takes it from, and return whether the text has it.
+
+        Args:
+            element: The element; None for the default of all.
+            kind: Its tag in the default of all.
+            key: The attribute.
+            value: Its new value.
+        """
+        for source in self._sources(element, kind):
+            if key in source.values:
+                self._values[source, key] = value
+                return True
+        return False
+
+    def _sources(self, element: Element | None, kind: str) -> Iterator[Element]:
+        """Yield an element, those of its classes, the nearest first, and last those of the default of all."""
+        if element is not None:
+            yield element
+            names = (
+                outer.values.get("childclass" if step else "class")
+                for step, outer in enumerate(element.outer())
+            )
+            name = next(filter(None, names), None)
+            for default in self.model.root.inner():
+                if default.tag == "default" and default.values.get("class") == name:
+                    for above in default.outer():
+                        yield from reversed(above.at(kind))
+        yield from reversed(self.model.root.at("default", kind))
+
+    def put(self, tags: tuple[str, ...], values: Mapping[str, str]) -> None:
+        """Give a section attributes: in place, or in an inserted section.
+
+        Args:
+            tags: Tags of its parents and its own, such as `option` and `flag`.
+            values: The attributes.
+        """
+        root, file = self.model.root, self.model.file
+        is_default = tags[0] == "default"
+        sections, missing = root.at(*tags), dict(values)
+        for key in values:
+            present = [section for section in sections if key in section.values]
+            # A later section of the options counts; the default of all must stand in front of classes.
+            if present and (present[-1].file == file or is_default):
+                self._values[present[-1], key] = missing.pop(key)
+        section = sections[0 if is_default else -1] if sections else root
+        if section is not root and section.file == file:
+            self._values |= {(section, key): value for key, value in missing.items()}
+        elif missing:
+            self._insert(tags, missing, is_behind=not is_default)
+
+    def _insert(
+        self, tags: tuple[str, ...], values: Mapping[str, str], *, is_behind: bool
+    ) -> None:
+        """Insert a section behind the included files, if there are any, or in front of the other sections."""
+        file = self.model.file
+        children = [child for child in self.model.root.children if child.file == file]
+        includes = [child for child in children if child.tag == "include"]
+        later = [child for child in children if child.tag not in FIRST]
+        neighbour = (later or children)[0]
+        is_behind &= bool(includes)
+        if is_behind:
+            neighbour = includes[-1]
+        before = self.model.texts[file][: neighbour.start].rpartition("\n")[2]
+        gap = "\n" + before if before.isspace() else "\n"
+        text = "".join(f' {key}="{value}"' for key, value in values.items())
+        text = f"<{tags[-1]}{text}/>"
+        for tag in tags[-2::-1]:
+            text = f"<{tag}>{text}</{tag}>"
+        if is_behind:
+            self._inserted.append((neighbour.stop, neighbour.stop, gap + text))
+        else:
+            self._inserted.append((neighbour.start, neighbour.start, text + gap))
+
+    def move(self, folder: Path) -> None:
+        """Write included files and the folders of meshes and textures relative to another folder."""
+        source, target = self.model.file.parent.resolve(), folder.resolve()
+        if source == target:
+            return
+        folders = {"meshdir": "", "texturedir": ""}
+        has_files = False
+        for element in self.model.root.inner():
+            values = element.values
+            if element.tag == "compiler":
+                shared = values.get("assetdir")
+                for key, before in folders.items():
+                    folders[key] = values.get(key, shared or before)
+            elif element.tag == "include" and element.file == self.model.file:
+                path = os.path.relpath(source / values["file"], target)
+                self._values[element, "file"] = path
+            elif "file" in values:
+                has_files = True
+        if has_files:
+            relative = {
+                k: os.path.relpath(source / v, target) for k, v in folders.items()
+            }
+            self.put(("compiler",), relative)
+
+    @property
+    def elsewhere(self) -> list[str]:
+        """Changes of included files, as texts."""
+        return [
+            f'{key}="{value}" in {self.model.line(element)}'
+            for (element, key), value in self._values.items()
+            if element.file != self.model.file
+        ]
+
+    def text(self, file: Path) -> str:
+        """Return the text of a file with all changes."""
+        edits = [*self._inserted] if file == self.model.file else []
+        for (element, key), value in self._values.items():
+            if element.file == file:
+                spans = element.places.values()
+                tag_end = element.start + len(element.tag) + 1
+                end = max((stop for _, stop in spans), default=tag_end)
+                new = f'"{value}"' if key in element.places else f' {key}="{value}"'
+                edits.append((*element.places.get(key, (end, end)), new))
+        text = self.model.texts[file]
+        for start, stop, new in sorted(edits, key=lambda edit: edit[:2])[::-1]:
+            text = text[:start] + new + text[stop:]
+        return text
+
+    @property
+    def diff(self) -> list[tuple[str, str]]:
+        """Changed lines of all files: the mark of each, `-` or `+`, and its text."""
+        changes: list[tuple[str, str]] = []
+        for file, before in self.model.texts.items():
+            texts = before.splitlines(), self.text(file).splitlines()
+            # The first two lines name the files.
+            for line in [*difflib.unified_diff(*texts, n=0, lineterm="")][2:]:
+                if line[0] in "+-":
+                    changes.append((line[0], line[1:].strip()))
+        return changes
+
+    def short(self, line: str) -> str:
+        """Return a line; of one that is longer than the screen, its name, its class and what changes."""
+        if len(line) <= SCREEN:
+            return line
+        keys = {"name", "class", *(key for _, key in self._values)}
+
+        def shown(attribute: re.Match[str]) -> str:
+            return attribute[0] if attribute[1] in keys else "..."
+
+        return re.sub(r"\.\.\.(\s+\.\.\.)+", "...", ATTRIBUTE.sub(shown, line))
+
+
+# --- changes of settings ---------------------------------------------------------------------------------------------
+
+
+def write_change(
+    robot: Robot, dialect: Dialect, changes: Settings
+) -> tuple[TextChange | None, list[str]]:
+    """Return a change in the text of a model, and names of elements whose attributes the text does not show.
+
+    Each attribute is changed where the model gives it; others are added to the default.
+
+    Args:
+        robot: The robot before the change; without a text, there is none after it.
+        dialect: Dialect of the model.
+        changes: The change, as `changed_model` takes it.
+    """
+    text = None if robot.text is None else TextChange(robot.text)
+    hidden: list[str] = []
+    _, places = changed_model(robot, changes)
+    sections: dict[tuple[str, ...], dict[str, str]] = {}
+    for setting in dialect.settings:
+        if setting.name not in changes:
+            continue
+        value = dialect.value_text(setting, changes[setting.name])
+        is_missing = setting.name not in ELEMENT_FIELDS
+        reached = reached_by_default(robot, setting.name)
+        for kind, number in places.get(setting.name, ()):
+            element = None
+            if robot.text is not None:
+                element = robot.text.element(robot.model, kind, number)
+            is_default = kind == "geom" and number in reached
+            if text is not None and (element is not None or is_default):
+                is_missing |= not text.give(element, kind, setting.key, value)
+            elif not is_default:
+                hidden.append(robot.place_text((kind, number)))
+        if is_missing:
+            tags = SECTION_TAGS.get(setting.place, ("default", setting.place))
+            sections.setdefault(tags, {})[setting.key] = value
+    if text is not None:
+        for tags, values in sections.items():
+            text.put(tags, values)
+    return text, hidden

@@ -1,0 +1,282 @@
+"""Define a check of the target itself: its limits, source and texts stand above the function that measures it.
+
+Example:
+    ```python
+    @model_check(
+        "model-spin",
+        title="angular momentum that a free body loses in 2 s",
+        unit="1",
+        interval=(0.0, 0.02),
+        source="angular momentum of a free body is conserved",
+        consequence="What is thrown or falls stops turning in the air.",
+    )
+    def spin(robot: Robot) -> Finding: ...
+    ```
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import mujoco
+
+from gauge_envs.pages.text import quantity_text
+from gauge_envs.tools.sanity.robot.robot import Place, Robot, once
+from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import (
+    NotApplicableError,
+    PartOutcome,
+    Reality,
+    SanityResult,
+    SanityVerdict,
+)
+
+WHOLE = "the model"
+"""Part of a check of the model as a whole."""
+
+USUAL_MARGIN = 1.1
+"""Largest ratio to a usual limit, which is no law, that passes."""
+
+
+class NotMeasuredError(Exception):
+    """A check applies to a target and cannot be measured; the message is the reason."""
+
+
+# --- what a check measures -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What a check measures.
+
+    Attributes:
+        value: The value of the part that decides; not finite for a motion that diverges.
+        remark: What happens there, with its numbers and the names of the user's elements, in one phrase.
+        place: Element of the model that decides the value; None for the model as a whole.
+        parts: Value of each part that is checked, by its name; empty for the model as a whole.
+        is_usual: Whether the violated limit says what is usual: the verdict is then a warning at worst.
+        reality: The reality of this target; None for that of the check.
+        deviation: Distance from reality in half-widths, where the value alone does not decide it.
+    """
+
+    value: float
+    remark: str = ""
+    place: Place | None = None
+    parts: Mapping[str, float] = field(default_factory=dict)
+    is_usual: bool = False
+    reality: Reality | None = None
+    deviation: float | None = None
+
+
+class Case(NamedTuple):
+    """One part of a check.
+
+    Attributes:
+        ratio: Its value over the limit of its kind.
+        place: Element of the model.
+        name: Name of the part.
+        text: What happens there, with its numbers.
+        is_usual: Whether the limit says what is usual.
+    """
+
+    ratio: float
+    place: Place
+    name: str
+    text: str
+    is_usual: bool = False
+
+
+def worst_case(cases: Iterable[Case], limit: float = 1.0) -> Finding:
+    """Return the finding of the largest case, with the number of other parts beyond the limit."""
+    parts: dict[str, float] = {}
+    worst = Case(0.0, ("body", 0), "", "")
+    for case in cases:
+        ratio = float(case.ratio)
+        if case.is_usual and limit < ratio <= USUAL_MARGIN * limit:
+            ratio = limit
+        parts[case.name] = max(ratio, parts.get(case.name, 0.0))
+        if ratio > worst.ratio:
+            worst = case._replace(ratio=ratio)
+    if worst.ratio <= limit:
+        return Finding(value=worst.ratio, parts=parts)
+    more = sum(ratio > limit for ratio in parts.values()) - 1
+    others = f"; {more} more" if more else ""
+    return Finding(
+        value=worst.ratio,
+        remark=worst.text + others,
+        place=worst.place,
+        parts=parts,
+        is_usual=worst.is_usual,
+    )
+
+
+# --- checks ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TargetCheck:
+    """A check of the target itself, which runs none of the suite's experiments.
+
+    Attributes:
+        id: Its id.
+        title: Phrase that names the quantity.
+        unit: Unit of the value; `1` for a pure number.
+        reality: The limits of the value.
+        measure: Function that measures a target. It raises `NotApplicableError` or `NotMeasuredError` with a reason.
+        consequence: What a failure means for a policy, in one sentence; empty when the title says it.
+        is_usual: Whether the limits say what is usual: the verdict is then a warning at worst.
+        is_simulated: Whether it runs the target's own model, so that settings of the engine can change it.
+        default: Value with the backend's default; None when there is none.
+    """
+
+    id: str
+    title: str
+    unit: str
+    reality: Reality
+    measure: Callable[[TrainingConfiguration], Finding]
+    consequence: str = ""
+    is_usual: bool = False
+    is_simulated: bool = False
+    default: float | None = None
+
+    def deviation(self, value: float) -> float:
+        """Return the distance of a value from reality, in half-widths of its interval."""
+        return self.reality.deviation(value)
+
+    def result(self, configuration: TrainingConfiguration) -> SanityResult:
+        """Return the result for a target: a warning up to 2.5 times the limits, failed beyond."""
+        unmeasured = SanityResult(
+            id=self.id,
+            title=self.title,
+            unit=self.unit,
+            reality=self.reality,
+            verdict=SanityVerdict.NOT_MEASURED,
+        )
+        if self.default is not None:
+            unmeasured = replace(unmeasured, default_verdict=SanityVerdict.PASSED)
+        try:
+            finding = self.measure(configuration)
+        except (NotApplicableError, NotMeasuredError, mujoco.FatalError) as reason:
+            applies = not isinstance(reason, NotApplicableError)
+            return replace(unmeasured, remark=str(reason), applies=applies)
+        whole = self._part(WHOLE, finding.value, finding)
+        parts = [self._part(*part, finding) for part in finding.parts.items()]
+        place = ""
+        if finding.place is not None and configuration.robot is not None:
+            place = configuration.robot.place_text(finding.place)
+        return replace(
+            unmeasured,
+            reality=finding.reality or self.reality,
+            default=self.default,
+            configured=whole.value,
+            verdict=whole.verdict,
+            remark=finding.remark,
+            place=place,
+            consequence=self.consequence if whole.verdict.is_off else "",
+            parts=tuple(parts or [whole]),
+        )
+
+    def _part(self, name: str, value: float, finding: Finding) -> PartOutcome:
+        deviation = finding.deviation
+        if deviation is None:
+            deviation = self.deviation(value)
+        verdict = SanityVerdict.of(deviation)
+        if verdict.is_off and (self.is_usual or finding.is_usual):
+            verdict = SanityVerdict.WARNING
+        return PartOutcome(
+            name=name,
+            value=value if math.isfinite(value) else None,
+            verdict=verdict,
+            deviation=deviation,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModelCheck(TargetCheck):
+    """A check of the target's own model.
+
+    Attributes:
+        interval: Limits of the value.
+        finding: Function that measures a model, once.
+    """
+
+    interval: tuple[float, float]
+    finding: Callable[[Robot], Finding]
+
+    def deviation(self, value: float) -> float:
+        """Return the ratio of a value to the limit that it violates; 1 between them, infinite for another sign."""
+        low, high = self.interval
+        if value < min(low, 0.0) or not math.isfinite(value):
+            return math.inf
+        return max(1.0, low / max(value, 1e-12), value / high)
+
+
+def model_check(
+    name: str,
+    *,
+    title: str,
+    interval: tuple[float, float],
+    source: str,
+    consequence: str,
+    unit: str = "1",
+    is_usual: bool = False,
+    is_simulated: bool = False,
+) -> Callable[[Callable[[Robot], Finding]], ModelCheck]:
+    """Return a decorator that makes a check of a function; see `ModelCheck`.
+
+    Args:
+        name: Id of the check.
+        title: Phrase that names the quantity.
+        unit: Unit of the value; `1` for a pure number.
+        interval: Limits of the value.
+        source: Source of the limits.
+        consequence: What a failure means for a policy, in one sentence.
+        is_usual: Whether the limits say what is usual: the verdict is then a warning at worst.
+        is_simulated: Whether it runs the model, so that settings of the engine can change it.
+    """
+
+    def decorate(function: Callable[[Robot], Finding]) -> ModelCheck:
+        finding = once(function)
+
+        def measure(configuration: TrainingConfiguration) -> Finding:
+            if configuration.robot is None:
+                raise NotApplicableError("the target's own model is not read")
+            return finding(configuration.robot)
+
+        return ModelCheck(
+            id=name,
+            title=title,
+            unit=unit,
+            reality=_limits(interval, source, consequence),
+            measure=measure,
+            consequence=consequence,
+            is_usual=is_usual,
+            is_simulated=is_simulated,
+            interval=interval,
+            finding=finding,
+        )
+
+    return decorate
+
+
+def _limits(interval: tuple[float, float], source: str, consequence: str) -> Reality:
+    """Return limits of a value as the reality of a law."""
+    low, high = interval
+    low_text, high_text = map(quantity_text, interval)
+    if math.isinf(high):
+        limits = f"at least {low_text}"
+        return Reality(low, 1.0, source, consequence, limits=limits)
+    limits = f"{low_text} to {high_text}"
+    if low <= 0.0:
+        limits = f"at most {high_text}"
+    value, tolerance = 0.5 * (low + high), 0.5 * (high - low)
+    return Reality(value, tolerance, source, consequence, limits=limits)
+
+
+def leave_to(check: ModelCheck, robot: Robot) -> None:
+    """Raise `NotApplicableError` where another check has the cause of a fault."""
+    if check.deviation(check.finding(robot).value) > 1.0:
+        raise NotApplicableError(f"{check.id} has the cause")

@@ -1,0 +1,291 @@
+"""Checks of a finite state, conserved quantities of free motion, the solver, and values without effect."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.model_checks.check import Finding, leave_to, model_check
+from gauge_envs.tools.sanity.model_checks.runs import (
+    REST_S,
+    STATE,
+    finer_solver,
+    has_diverged,
+    refined,
+    rest,
+    seconds,
+    settled,
+    start_data,
+)
+from gauge_envs.tools.sanity.robot.robot import (
+    Place,
+    Robot,
+    disable_bit,
+    free_objects,
+    joints_of,
+    joints_of_motors,
+    name_of,
+)
+from gauge_envs.tools.sanity.verdict import NotApplicableError
+
+CONSERVED = 0.05
+"""Largest relative change of angular momentum that passes."""
+
+FLIGHT_S, OBJECT_RAD_PER_S, ROBOT_RAD_PER_S = 2.0, 2.0 * np.pi, 3.0
+"""Time of a flight [s], and the spin of an object, one turn in a second, and of a robot with joints [rad/s]."""
+
+
+def _in_flight(model: mujoco.MjModel, *features: str) -> mujoco.MjModel:
+    """Return a copy with an exact solver, without contact, some features and air, and without brakes of free joints."""
+    flying = finer_solver(model)
+    for feature in ("contact", *features):
+        flying.opt.disableflags |= disable_bit(feature)
+    flying.opt.density = flying.opt.viscosity = 0.0
+    is_free = joints_of(model, "FREE")
+    flying.jnt_stiffness[is_free] = 0.0
+    for name in ("damping", "armature", "frictionloss"):
+        getattr(flying, f"dof_{name}")[is_free[model.dof_jntid]] = 0.0
+    return flying
+
+
+def _flight(model: mujoco.MjModel, joints: list[int]) -> tuple[FloatArray, float]:
+    """Return changes of angular momentum in a flight, over its size, shape [joint_count], and its time [s]."""
+    data, roots = start_data(model), model.jnt_bodyid[joints]
+    data.qvel[:] = 0.0
+    is_alone = np.isin(roots, free_objects(model))
+    rates = np.where(is_alone, OBJECT_RAD_PER_S, ROBOT_RAD_PER_S) / np.sqrt(3.0)
+    data.qvel[model.jnt_dofadr[joints, None] + [3, 4, 5]] = rates[:, None]
+
+    def momenta() -> FloatArray:
+        mujoco.mj_forward(model, data)
+        mujoco.mj_subtreeVel(model, data)
+        return data.subtree_angmom[roots].copy()
+
+    before = momenta()
+    while not has_diverged(data) and data.time < seconds(model, FLIGHT_S):
+        mujoco.mj_step(model, data)
+    sizes = np.maximum(np.linalg.norm(before, axis=-1), 1e-12)
+    return np.linalg.norm(momenta() - before, axis=-1) / sizes, float(data.time)
+
+
+@model_check(
+    "model-spin",
+    title="relative change of angular momentum in a flight",
+    interval=(0.0, CONSERVED),
+    source="angular momentum of a free body is conserved; air takes a few percent of the spin of a thrown object",
+    consequence="What is thrown or jumps turns faster or slower than in reality.",
+    is_simulated=True,
+)
+def spin(robot: Robot) -> Finding:
+    """Return the change of angular momentum of free bodies without contact that a refined run does not show."""
+    model = robot.model
+    free = np.flatnonzero(joints_of(model, "FREE")).tolist()
+    if not free:
+        raise NotApplicableError("no body of the model is free")
+    flying = _in_flight(model, "gravity")
+    changes, flight_s = _flight(flying, free)
+    text = f"after {flight_s:.3g} s of flight with a step of {model.opt.timestep:g} s"
+    if flight_s < 0.99 * seconds(model, FLIGHT_S):
+        leave_to(holds, robot)
+        return Finding(value=np.inf, remark=f"the state diverges {text}")
+    number, change = int(changes.argmax()), float(changes.max())
+    body = int(model.jnt_bodyid[free[number]])
+    if change > CONSERVED and _flight(refined(flying), free)[0][number] > 0.5 * change:
+        raise NotApplicableError("other forces act on free bodies in flight")
+    return Finding(
+        value=change,
+        place=("body", body),
+        remark=f"angular momentum of {name_of(robot.model, 'body', body)} is {100.0 * change:.3g} % off {text}",
+    )
+
+
+SINE_S, SINE_SHARE, SINE_RAD = 1.0, 0.25, 0.2
+"""Period of sinusoidal commands [s]; their amplitude over the range of a command, and without a range [rad]."""
+
+
+@model_check(
+    "robot-holds",
+    title="time with a finite state, over that of the run",
+    interval=(1.0, np.inf),
+    source="a run of the model from its keyframe or initial pose, without actions and along sines",
+    consequence="Training meets NaN or is reset in each episode.",
+    is_simulated=True,
+)
+def holds(robot: Robot) -> Finding:
+    """Return the time for which the state stays finite at rest, then while its commands follow a sine."""
+    model = robot.model
+    diverged_s, motion = rest(robot, is_refined=False).diverged_s, "at rest"
+    data = start_data(model)
+    begin = data.ctrl.copy()
+    spans = SINE_SHARE * np.ptp(model.actuator_ctrlrange, axis=1)
+    sizes = np.where(model.actuator_ctrllimited, spans, SINE_RAD)
+    while np.isinf(diverged_s) and data.time < seconds(model, SINE_S):
+        data.ctrl[:] = begin + sizes * np.sin(2.0 * np.pi * data.time / SINE_S)
+        mujoco.mj_step(model, data)
+        if has_diverged(data):
+            diverged_s = max(float(data.time), float(model.opt.timestep))
+            motion = "on sines of its commands"
+    if np.isinf(diverged_s):
+        return Finding(value=1.0)
+    return Finding(
+        value=min(diverged_s / REST_S, 0.3),
+        remark=f"the state diverges after {diverged_s:.3g} s {motion}, with a step of {model.opt.timestep:g} s",
+    )
+
+
+ENERGY_S = 1.0
+"""Time of the free motion whose energy is read [s]."""
+
+
+@model_check(
+    "robot-energy",
+    title="energy that a free motion gains, over its kinetic",
+    interval=(0.0, 0.1),
+    source="without contact and motors, with the damping and friction of joints and servos, energy only falls",
+    consequence="The policy is paid for motions that the engine feeds.",
+    is_simulated=True,
+)
+def energy(robot: Robot) -> Finding:
+    """Return the growth of energy from the first tenth of a free motion to the tenth with the highest energy."""
+    leave_to(holds, robot)
+    bare = _in_flight(robot.model, "limit", "equality")
+    # MuJoCo's energy has no term for gravity compensation. Servos keep only their damping.
+    bare.body_gravcomp[:] = 0.0
+    bare.actuator_gainprm[:], bare.actuator_biasprm[:, :2] = 0.0, 0.0
+    bare.actuator_forcerange[:] = [-1e9, 1e9]
+    bare.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    data, values = start_data(bare), []
+    is_free = joints_of(bare, "FREE")[bare.dof_jntid]
+    rates = np.random.default_rng(0).uniform(-1.0, 1.0, bare.nv)
+    data.qvel[:] = np.where(is_free, 0.0, rates)
+    while data.time < seconds(bare, ENERGY_S) and not has_diverged(data):
+        mujoco.mj_step(bare, data)
+        values.append(data.energy.copy())
+    tenths = np.array_split(values, min(10, len(values)))
+    energies_j = np.array([tenth.mean(axis=0) for tenth in tenths])
+    totals_j, largest_j = energies_j.sum(axis=1), float(energies_j[:, 1].max())
+    gained_j = np.inf if has_diverged(data) else float(totals_j.max() - totals_j[0])
+    return Finding(
+        value=gained_j / max(largest_j, 1e-9),
+        remark=f"a free motion of its joints gains {gained_j:.3g} J; its kinetic energy is at most {largest_j:.3g} J",
+    )
+
+
+SOLVED_STATES = 20
+"""States of the run at rest in which the solver is compared."""
+
+
+@model_check(
+    "model-solver",
+    title="error of the solver's forces in the run at rest",
+    interval=(0.0, 0.05),
+    source="Newton's method with 1e-10 and a dense Jacobian: all solvers of MuJoCo minimize one convex function",
+    consequence="Contacts and joints push with forces that no model states.",
+    is_simulated=True,
+)
+def solver(robot: Robot) -> Finding:
+    """Return the error of constraint forces over their size, in the norm of the inverse mass matrix.
+
+    Both solvers get the same states and the same forces of the step before, so that no chaos counts.
+    """
+    model = robot.model
+    settled(robot)
+    exact = finer_solver(model)
+    data, rough, finer = start_data(model), mujoco.MjData(model), mujoco.MjData(exact)
+    state = np.zeros(mujoco.mj_stateSize(model, STATE))
+    steps = round(seconds(model, REST_S) / SOLVED_STATES / model.opt.timestep)
+    squares, mass = np.zeros(2), np.zeros((model.nv, model.nv))
+    for _ in range(SOLVED_STATES):
+        mujoco.mj_step(model, data, max(1, steps))
+        mujoco.mj_getState(model, data, state, STATE)
+        for target, solved in ((model, rough), (exact, finer)):
+            mujoco.mj_setState(target, solved, state, STATE)
+            mujoco.mj_forward(target, solved)
+        mujoco.mj_fullM(exact, finer, mass)
+        vectors = finer.qacc - [rough.qacc, finer.qacc_smooth]
+        squares += np.einsum("ni,ij,nj->n", vectors, mass, vectors)
+    # Forces that accelerate nothing by 1 % of gravity are noise.
+    minimum = 1e-4 * GRAVITY_M_PER_S2**2 * float(model.body_mass.sum()) * SOLVED_STATES
+    value = float(np.sqrt(max(squares[0], 0.0) / max(squares[1], minimum)))
+    name = mujoco.mjtSolver(model.opt.solver).name.removeprefix("mjSOL_")
+    return Finding(
+        value=value,
+        remark=f"forces of {name} with {model.opt.iterations} iterations and a "
+        f"{'sparse' if mujoco.mj_isSparse(model) else 'dense'} Jacobian are {100.0 * value:.3g} % off",
+    )
+
+
+ROLLING = 1e-4
+"""Default rolling friction of a geom [m]."""
+
+FLAT = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_MESH))
+"""Types of geoms that do not roll."""
+
+LINK_SHARE = 0.2
+"""Mass of a link over its parent's mass below which its weight needs no compensation."""
+
+
+@model_check(
+    "model-stated",
+    title="values of the file without effect",
+    interval=(0.0, 0.5),
+    source="MuJoCo: rolling friction acts with condim 6; gravcomp of a body does not reach its children",
+    consequence="The model does not do what its file says.",
+    is_usual=True,
+)
+def without_effect(robot: Robot) -> Finding:
+    """Return the number of elements with a value that has no effect."""
+    remarks = {**_idle_rolling(robot), **_half_carried(robot)}
+    return Finding(
+        value=float(len(remarks)),
+        place=next(iter(remarks), None),
+        remark="; ".join(remarks.values()),
+    )
+
+
+def _idle_rolling(robot: Robot) -> dict[Place, str]:
+    """Return geoms of round free bodies that have, or whose pairs have, a rolling friction without effect."""
+    model, condims = robot.model, np.zeros(robot.model.ngeom)
+    np.maximum.at(condims, robot.pairs.geoms, robot.pairs.constants[:, :1])
+    rolls = np.isin(model.geom_bodyid, free_objects(model))
+    flat = model.geom_bodyid[np.isin(model.geom_type, FLAT)]
+    rolls &= ~np.isin(model.geom_bodyid, flat)
+    text = "{} has rolling friction {:g}, which condim {:g} ignores"
+    idle: dict[Place, str] = {}
+    is_idle = (model.geom_friction[:, 2] > 2.0 * ROLLING) & np.isin(condims, (1, 3, 4))
+    for geom in np.flatnonzero(is_idle & rolls).tolist():
+        rolling_m, name = model.geom_friction[geom, 2], name_of(model, "geom", geom)
+        idle["geom", geom] = text.format(name, rolling_m, condims[geom])
+    rolling = model.pair_friction[:, 3:].max(axis=1, initial=0.0)
+    for pair in np.flatnonzero((rolling > 2.0 * ROLLING) & (model.pair_dim < 6)):
+        geoms = [int(model.pair_geom1[pair]), int(model.pair_geom2[pair])]
+        names = " and ".join(name_of(model, "geom", geom) for geom in geoms)
+        for geom in filter(rolls.__getitem__, geoms):
+            value = text.format(
+                f"the pair of {names}", rolling[pair], model.pair_dim[pair]
+            )
+            idle.setdefault(("geom", geom), value)
+    return idle
+
+
+def _half_carried(robot: Robot) -> dict[Place, str]:
+    """Return links without gravity compensation on driven hinges that carry their weight, next to a link that has it.
+
+    An upright hinge, the first one of many arms, carries no weight.
+    """
+    model, parents = robot.model, robot.model.body_parentid
+    joints, is_carried = joints_of_motors(model), model.body_gravcomp > 0.0
+    moments = np.cross(start_data(model).xaxis[joints], model.opt.gravity)
+    bends = joints_of(model, "HINGE")[joints] & (np.abs(moments).max(axis=1) > 0.1)
+    moved, idle = model.jnt_bodyid[joints], {}
+    for body in np.unique(moved[bends & ~is_carried[moved]]).tolist():
+        near = [parents[body], *moved[parents[moved] == body]]
+        link = next((int(link) for link in near if is_carried[link]), 0)
+        if link and model.body_mass[body] > LINK_SHARE * model.body_mass[link]:
+            idle["body", body] = (
+                f"gravcomp {model.body_gravcomp[link]:g} acts on {name_of(model, 'body', link)}, not on "
+                f"{name_of(robot.model, 'body', body)} ({model.body_mass[body]:.3g} kg)"
+            )
+    return idle

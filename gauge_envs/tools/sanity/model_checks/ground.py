@@ -1,0 +1,392 @@
+"""Check the contacts of a robot with the ground and with itself, and how it stands under its own servos."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from gauge_envs.backends.mujoco.contact_table import GROUND_TYPES
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.model_checks.check import (
+    Case,
+    Finding,
+    NotMeasuredError,
+    model_check,
+    worst_case,
+)
+from gauge_envs.tools.sanity.model_checks.drives import (
+    drives,
+    hold_position,
+    loads,
+    servos,
+    start,
+)
+from gauge_envs.tools.sanity.model_checks.masses import is_overweight
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    Standing,
+    chain_of,
+    geom_name,
+    joints_of,
+    name_of,
+    once,
+    random_poses,
+    switched_off,
+)
+from gauge_envs.tools.sanity.robot.standing import SOLE_WITHIN, STANDS_WITHIN, support_m
+from gauge_envs.tools.sanity.verdict import NotApplicableError
+
+
+def standing_of(robot: Robot) -> Standing:
+    """Return the robot that stands; checks that need one do not apply to a model without."""
+    if robot.standing is None:
+        raise NotApplicableError(
+            "no robot of the model stands on the ground under its own weight"
+        )
+    return robot.standing
+
+
+def floor_m(robot: Robot) -> float:
+    """Return the height of the highest plane under the feet [m]; over other ground the height of the lowest foot."""
+    touched = np.unique(robot.pairs.geoms[robot.foot_rows])
+    is_plane = robot.model.geom_type[touched] == mujoco.mjtGeom.mjGEOM_PLANE
+    heights_m = robot.stance.positions_m[touched[is_plane], 2]
+    return float(max(heights_m, default=standing_of(robot).ground_m))
+
+
+@model_check(
+    "robot-feet",
+    title="limbs in the ground that cannot touch it",
+    interval=(0.0, 0.5),
+    source="contype, conaffinity and pairs of the model; the lowest geoms in the pose in which it stands",
+    consequence="The limb passes through the ground: walking does without it.",
+)
+def feet(robot: Robot) -> Finding:
+    """Return the number of limbs that reach the ground and cannot touch it."""
+    model = robot.model
+    if (plane := _untouched_plane(robot)) is not None:
+        text = f"no geom of the robot can touch {geom_name(model, plane)}: it falls through it"
+        return Finding(value=1.0, remark=text, place=("geom", plane))
+    standing = standing_of(robot)
+    lows = {geom: point[2] for geom, point in standing.support_m.items()}
+    within_m = SOLE_WITHIN * standing.height_m
+    carrying = {
+        body for geom in lows for body in chain_of(model, int(model.geom_bodyid[geom]))
+    }
+    is_solid = (model.geom_contype | model.geom_conaffinity) != 0
+    lame: dict[int, int] = {}
+    for geom in np.flatnonzero(np.isin(model.geom_bodyid, robot.bodies)).tolist():
+        limb = chain_of(model, int(model.geom_bodyid[geom]))
+        low = support_m(robot, geom)[2]
+        near = [lows[sole] for sole in lows if model.geom_bodyid[sole] in limb[:2]]
+        # Drawn geoms of a limb that touches are no fault; colliding geoms below its contact are.
+        is_apart = limb[0] not in carrying and low <= standing.ground_m + within_m
+        if near:
+            is_apart = bool(is_solid[geom]) and low < min(near) - within_m
+        if geom not in lows and is_apart:
+            lame[limb[0]] = geom
+    names = [geom_name(model, geom) for geom in lame.values()]
+    if not lame:
+        return Finding(value=0.0)
+    return Finding(
+        value=float(len(lame)),
+        remark=f"{', '.join(names[:3])} reach the ground and cannot touch it",
+        place=("geom", next(iter(lame.values()))),
+        parts=dict.fromkeys(names, 1.0),
+    )
+
+
+def _untouched_plane(robot: Robot) -> int | None:
+    """Return the plane of the world that no geom of a free robot with motors can touch; None without one."""
+    model = robot.model
+    is_floor = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+    is_floor &= (model.geom_contype | model.geom_conaffinity) != 0
+    floors = np.flatnonzero(is_floor & (model.geom_bodyid == 0)).tolist()
+    is_free = joints_of(model, "FREE") & np.isin(model.jnt_bodyid, robot.bodies)
+    falls = model.opt.gravity.any() and not switched_off(model, "gravity", "contact")
+    is_touched = np.isin(robot.pairs.geoms, floors).any()
+    if is_touched or not (floors and is_free.any() and falls and drives(robot)):
+        return None
+    return int(floors[0])
+
+
+# --- friction --------------------------------------------------------------------------------------------------------
+
+LOW_FRICTION, HIGH_FRICTION = 0.05, 3.0
+"""Friction of feet: wet ice on rubber has 0.05 and more, racing tyres less than 3."""
+
+LOST_FRICTION = 2.0
+"""Friction of a foot's contact over the friction of its ground above which the latter has no effect."""
+
+
+@model_check(
+    "robot-friction",
+    title="friction of a foot, over the limit of real soles",
+    interval=(0.0, 1.0),
+    source="wet ice 0.05, racing tyres below 3; MuJoCo takes the greater one of two geoms of equal priority",
+    consequence="The foot slips or grips as on no real floor.",
+    is_usual=True,
+)
+def friction(robot: Robot) -> Finding:
+    """Return the foot whose friction most exceeds the limits."""
+    standing_of(robot)
+    return worst_case(
+        case for number in robot.foot_rows for case in _frictions(robot, number)
+    )
+
+
+def _frictions(robot: Robot, number: int) -> Iterator[Case]:
+    model = robot.model
+    condim, met = robot.pairs.constants[number, :2].tolist()
+    met *= condim > 1
+    # The pair is in the order of ids; the foot is on a body of the robot.
+    ground, foot = sorted(
+        robot.pairs.geoms[number].tolist(),
+        key=lambda geom: int(model.geom_bodyid[geom]) in robot.bodies,
+    )
+    name = geom_name(model, foot)
+    ratio = max(LOW_FRICTION / max(met, 1e-9), met / HIGH_FRICTION)
+    text = f"{name} has friction {met:g} on {geom_name(model, ground)}"
+    if condim == 1:
+        text += ", by condim 1"
+    yield Case(ratio, ("geom", foot), name, text, is_usual=True)
+    given = model.geom_friction[ground, 0]
+    # A friction that a geom takes from the default is not compared.
+    # Without a file, the most frequent friction stands for it.
+    values, counts = np.unique(model.geom_friction[:, 0], return_counts=True)
+    common = values[counts.argmax()]
+    if robot.spec is not None:
+        common = robot.spec.default.geom.friction[0]
+    is_equal = model.geom_priority[foot] == model.geom_priority[ground]
+    if given != common and is_equal and not model.npair:
+        ratio = met / max(given, 1e-3) / LOST_FRICTION
+        text = f"{geom_name(model, ground)} has friction {given:g}, {name} slides with {met:g}"
+        yield Case(ratio, ("geom", ground), name, text, is_usual=True)
+
+
+MIN_TIP_M = 0.0025
+"""Size of a geom below which it is a point of a larger pad [m]."""
+
+LEVER = 3.0
+"""Largest lever over the size of a geom: pads are up to three times as large as their geoms."""
+
+
+@model_check(
+    "robot-torsion",
+    title="lever of torsional friction, over size of a foot",
+    interval=(0.0, LEVER),
+    source="an even disc has a lever of two thirds of its radius, and no contact is larger than the part",
+    consequence="Feet and fingers hold as if glued: they neither turn nor roll.",
+)
+def torsion(robot: Robot) -> Finding:
+    """Return the geom of a robot whose friction against turning is largest for its size."""
+    model, cases = robot.model, []
+    is_felt = np.isin(model.geom_bodyid, robot.bodies)
+    is_felt &= model.geom_rbound > MIN_TIP_M
+    for number in robot.foot_rows or range(len(robot.pairs.geoms)):
+        condim, sliding, *levers = robot.pairs.constants[number, [0, 1, 3, 4, 5]]
+        geoms = [geom for geom in robot.pairs.geoms[number].tolist() if is_felt[geom]]
+        if condim < 4 or not geoms:
+            continue
+        lever_m = max(levers[: 1 if condim == 4 else 3])
+        geom = min(geoms, key=lambda number: model.geom_rbound[number])
+        size_m, name = model.geom_rbound[geom], geom_name(model, geom)
+        text = f"{name} of {1e3 * size_m:.3g} mm resists turning with a lever of {1e3 * lever_m:.3g} mm"
+        if lever_m > sliding:
+            text += ": friction is in the order sliding, torsion, rolling"
+        cases.append(Case(lever_m / size_m, ("geom", geom), name, text))
+    if not cases:
+        raise NotApplicableError("no contact of the robot has condim 4 or 6")
+    return worst_case(cases, limit=LEVER)
+
+
+# --- overlap ---------------------------------------------------------------------------------------------------------
+
+MIN_GAP_MM = 10.0
+"""Height of feet above or in the ground that a remark names [mm]: soft contacts of a standing robot sink by less."""
+
+OVERLAP_POSES = 32
+"""Number of random poses in which the overlap of two parts is checked."""
+
+
+@model_check(
+    "robot-overlap",
+    title="overlap of parts of the robot where it starts",
+    unit="mm",
+    interval=(0.0, 2.0),
+    source="rigid parts do not overlap; without a keyframe it counts where they do in half of all poses",
+    consequence="Contacts push parts apart or block their joint from the start.",
+)
+def overlap(robot: Robot) -> Finding:
+    """Return the deepest contact between parts of a robot, with what is fixed to the world, where it starts."""
+    model = robot.model
+    if switched_off(model, "contact", "constraint"):
+        raise NotApplicableError("contacts are switched off")
+    depths = _overlaps(robot, start(robot))
+    if depths and not model.nkey:
+        # Code rarely starts a robot in the pose of zeros.
+        poses = [_overlaps(robot, pose) for pose in random_poses(model, OVERLAP_POSES)]
+        for pair in list(depths):
+            if 2 * sum(pair in pose for pose in poses) < OVERLAP_POSES:
+                del depths[pair]
+    cases = []
+    for pair, (depth_m, push_n) in depths.items():
+        names = " and ".join(name_of(model, "body", body) for body in pair)
+        text = f"{names} overlap by {1e3 * depth_m:.3g} mm and push each other with {push_n:.3g} N"
+        cases.append(Case(1e3 * depth_m, ("body", pair[1]), names, text))
+    if robot.standing is not None and model.nkey and not cases:
+        depth_mm = 1e3 * (floor_m(robot) - robot.standing.ground_m)
+        # Code raises a robot from a deeper pose before it starts.
+        if MIN_GAP_MM < depth_mm < 1e3 * STANDS_WITHIN * robot.standing.height_m:
+            text = f"its feet start {depth_mm:.3g} mm in the ground, so that contacts push them out"
+            place = ("body", next(iter(robot.standing.feet)))
+            cases.append(Case(depth_mm, place, "feet", text, is_usual=True))
+    return worst_case(cases, limit=2.0)
+
+
+def _overlaps(
+    robot: Robot, data: mujoco.MjData
+) -> dict[tuple[int, int], tuple[float, float]]:
+    """Return depth [m] and normal force [N] of contacts between bodies of a robot, and with its fixed base."""
+    model, force = robot.model, np.zeros(6)
+    depths: dict[tuple[int, int], tuple[float, float]] = {}
+    free_roots = model.body_rootid[model.jnt_bodyid[joints_of(model, "FREE")]]
+    for number, contact in enumerate(data.contact):
+        first, second = sorted(model.geom_bodyid[contact.geom].tolist())
+        root = model.body_rootid[second]
+        # Overlapping objects are no robot; its base is fixed to the world.
+        is_part = model.body_rootid[first] == root or (
+            model.body_weldid[first] == 0
+            and root not in free_roots
+            and first in (0, *chain_of(model, second))
+        )
+        is_ground = np.isin(model.geom_type[contact.geom], GROUND_TYPES).any()
+        is_inside = contact.dist < 0.0 and not contact.exclude and not is_ground
+        if second in robot.bodies and is_part and is_inside:
+            mujoco.mj_contactForce(model, data, number, force)
+            depth_m, push_n = depths.get((first, second), (0.0, 0.0))
+            depth_m = max(depth_m, -contact.dist)
+            depths[first, second] = (depth_m, push_n + force[0])
+    return depths
+
+
+# --- standing --------------------------------------------------------------------------------------------------------
+
+HOLD_S, LATE_S = 2.0, 0.5
+"""Time for which servos hold the robot [s], and the end of this time, in which torques are read."""
+
+FELL, ROSE = 0.7, 1.3
+"""Ratios of the heights of the centre of mass at the end and at the start: a robot below fell, a robot above rose."""
+
+SATURATED = 0.99
+"""Share of its limit from which on a motor is saturated, so that the load is larger."""
+
+MIN_FEET = 3
+"""Smallest number of feet on which a robot stands without a policy."""
+
+
+@once
+def hold_pose(robot: Robot) -> tuple[float, FloatArray]:
+    """Simulate a robot whose servos hold the pose in which it stands.
+
+    Returns:
+        The ratio of the heights of its centre of mass at the end and at the start, and the mean late force of the
+        actuators in each degree of freedom [N m or N], shape [nv].
+
+    Raises:
+        NotApplicableError: It does not stand on three feet or more, or not all of its legs have servos.
+        NotMeasuredError: The state diverges.
+    """
+    standing, model = standing_of(robot), robot.model
+    if len(standing.feet) < MIN_FEET:
+        raise NotApplicableError(
+            "a robot with one foot or two balances with a policy alone"
+        )
+    servo = servos(model) & (model.actuator_gainprm[:, 0] != 0.0)
+    if not all(drive.kp for drive in drives(robot) if drive.is_leg) or not servo.any():
+        raise NotApplicableError("no servos hold the legs")
+    data = start(robot)
+    data.ctrl[:] = robot.stance.ctrl
+    if not data.ctrl.any():
+        hold_position(model, data)
+    steps, late = (
+        max(1, round(time_s / model.opt.timestep)) for time_s in (HOLD_S, LATE_S)
+    )
+    ground_m, up = floor_m(robot), np.asarray(robot.up)
+    first_m = data.subtree_com[standing.body] @ up - ground_m
+    forces = np.zeros(model.nv)
+    for step in range(steps):
+        mujoco.mj_step(model, data)
+        if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
+            raise NotMeasuredError(
+                f"the state diverges at {(step + 1) * model.opt.timestep:.3g} s"
+            )
+        if step >= steps - late:
+            forces += np.abs(data.qfrc_actuator) / late
+    last_m = data.subtree_com[standing.body] @ up - ground_m
+    return float(last_m / max(first_m, 1e-6)), forces
+
+
+@model_check(
+    "robot-torque",
+    title="force that holds a joint, over that of its motor",
+    interval=(0.0, 1.0),
+    source="inverse dynamics at rest in the pose of the keyframe; of a robot on feet, the mean torque as it falls",
+    consequence="The motors do not hold the robot's own weight.",
+    is_simulated=True,
+)
+def holding_force(robot: Robot) -> Finding:
+    """Return the joint whose motor is weakest where the robot rests."""
+    model = robot.model
+    limited = [
+        drive
+        for drive in drives(robot)
+        if np.isfinite(drive.limit) and not is_overweight(robot, drive.body)
+    ]
+    if not limited:
+        raise NotApplicableError("no motor of a joint has a torque limit")
+    if robot.standing is not None:
+        height_ratio, forces = hold_pose(robot)
+        needed = forces / SATURATED * (height_ratio <= FELL)
+        verb = "the robot falls while"
+    else:
+        kinds = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
+        if np.isin(model.eq_type, kinds).any():
+            raise NotApplicableError("closed chains share the weight")
+        data = start(robot)
+        carried = data.qfrc_bias - data.qfrc_passive - data.qfrc_constraint
+        needed = np.minimum(loads(model, data), np.abs(carried))
+        limited = [drive for drive in limited if model.nkey or drive.kp]
+        verb = "at rest"
+    return worst_case(
+        drive.case(
+            needed[drive.dof] / drive.limit,
+            f"{verb} {drive.name} takes {needed[drive.dof]:.3g} {drive.units[0]}; its motor makes {drive.limit:.3g}",
+        )
+        for drive in limited
+    )
+
+
+@model_check(
+    "robot-stands",
+    title="height after 2 s under servos, over the first",
+    interval=(FELL, ROSE),
+    source="the robot's own rollout: its pose, its controls and its settings, on three feet or more",
+    consequence="Episodes begin with a fall or jump that the policy has to undo.",
+    is_usual=True,
+    is_simulated=True,
+)
+def stands(robot: Robot) -> Finding:
+    """Return the height of a robot that its servos hold, over that at the start."""
+    if not robot.model.nkey:
+        raise NotApplicableError("the model has no keyframe")
+    (ratio, _), standing = hold_pose(robot), standing_of(robot)
+    gap_mm = 1e3 * (standing.ground_m - floor_m(robot))
+    text = ""
+    if not FELL <= ratio <= ROSE:
+        text = f"the robot is at {ratio:.2g} of its height"
+        if abs(gap_mm) > MIN_GAP_MM:
+            text += f": its feet start {abs(gap_mm):.3g} mm {'above' if gap_mm > 0.0 else 'in'} the ground"
+    return Finding(value=ratio, remark=text, place=("body", standing.body))

@@ -1,0 +1,323 @@
+"""Check what drives and brakes the joints of a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.geometry import length_of
+from gauge_envs.tools.sanity.model_checks.check import (
+    Case,
+    Finding,
+    model_check,
+    worst_case,
+)
+from gauge_envs.tools.sanity.model_checks.drives import (
+    Drive,
+    drags,
+    drives,
+    largest_loads,
+    servos,
+    start,
+)
+from gauge_envs.tools.sanity.model_checks.masses import is_overweight
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    acts_on_joints,
+    joints_of,
+    name_of,
+    reaches_m,
+    root_of,
+)
+from gauge_envs.tools.sanity.robot.standing import LIQUID_KG_PER_M3
+from gauge_envs.tools.sanity.verdict import NotApplicableError
+
+# --- friction, damping and armature ----------------------------------------------------------------------------------
+
+SLOW_PER_S, SLOW_PER_S2 = 0.1, 0.5
+"""Speed and acceleration that any joint reaches: 60 degrees in 10 s, from rest in 0.2 s [rad/s, rad/s^2]."""
+
+STEP_PER_S, STEP_PER_S2 = 3.0, 30.0
+"""Speed and acceleration of a leg that steps: half a radian in a swing of 0.2 s, from rest in 0.1 s."""
+
+FALL_PER_S = 1.0
+"""Speed at which a leg without power gives way under the whole robot [rad/s]: 1 m falls with 3 rad/s."""
+
+
+@model_check(
+    "robot-joint",
+    title="friction, damping and armature of a joint",
+    interval=(0.0, 1.0),
+    source="force balance of a slow motion: 0.1 rad/s from rest in 0.2 s, in a leg 3 rad/s in 0.1 s; a leg without "
+    "power gives way to the whole robot; a rotor is rarely heavier than the whole robot where no torque moves it",
+    consequence="The policy learns torques that no motor has.",
+)
+def joint_brakes(robot: Robot) -> Finding:
+    """Return the joint whose friction, damping or armature most exceeds what moves it."""
+    if not drives(robot):
+        raise NotApplicableError("no motor acts on a joint")
+    return worst_case(case for drive in drives(robot) for case in _brakes(drive))
+
+
+def _brakes(drive: Drive) -> Iterator[Case]:
+    robot, (force, angle), model = drive.robot, drive.units, drive.robot.model
+    root, reaches = root_of(model, drive.body), reaches_m(robot)
+    dry, damping, armature = drive.dry, drive.damping, drive.armature
+    brakes = f"{drive.name}: friction {dry:.3g}, damping {damping:.3g}, armature {armature:.3g}"
+    if min(dry, damping, armature) < 0.0:
+        yield drive.case(np.inf, f"{brakes}: a negative one feeds the motion")
+    speed, acceleration = (
+        (STEP_PER_S, STEP_PER_S2) if drive.is_leg else (SLOW_PER_S, SLOW_PER_S2)
+    )
+    brake = drags(robot, speed)[drive.dof] + armature * acceleration * drive.scale
+    yield drive.case(
+        brake / drive.push,
+        f"{brakes} take {brake:.3g} {force} at {speed * drive.scale:g} {angle}/s; its motor makes {drive.push:.3g}",
+    )
+    if not drive.is_hinge:
+        return
+    # Where a link is light, dry friction acts as a drag in the engine, which the motor may overcome.
+    lever = length_of(model.opt.gravity) * reaches[drive.body]
+    limb = model.body_subtreemass[drive.body] * lever
+    if drags(robot, FALL_PER_S)[drive.dof] > drive.push:
+        text = f"{drive.name} has friction {dry:.3g} N m; its motor makes {drive.push:.3g} and gravity {limb:.2g}"
+        yield drive.case(dry / (drive.push + limb), text)
+    weight = model.body_subtreemass[root] * lever
+    if drive.is_leg and weight:
+        fall = dry + damping * FALL_PER_S
+        yield drive.case(
+            fall / weight,
+            f"{brakes} take {fall:.3g} N m at {FALL_PER_S:g} rad/s; the whole robot makes {weight:.2g}",
+        )
+    # The rotor of a slide moves through a screw, whose gear makes it heavier than any robot.
+    if not np.isfinite(drive.limit):
+        whole = model.body_subtreemass[root] * reaches[root] ** 2
+        yield drive.case(
+            armature / whole,
+            f"{drive.name} has an armature of {armature:.3g} kg m^2 and no torque limit; the robot has {whole:.2g}",
+            True,
+        )
+
+
+# --- servos ----------------------------------------------------------------------------------------------------------
+
+MIN_ERROR_RAD = 0.005
+"""Smallest error at which a servo may saturate [rad].
+
+Models of makers have 6 mrad and more; gears and encoders of hobby servos have a play of 2 to 15 mrad.
+"""
+
+RINGING, RINGING_S = 0.05, 1.0
+"""Damping ratio and decay time of a servo that rings: at 0.05 a step overshoots by 85 %; makers have 0.089."""
+
+SLOW_S = 2.0
+"""Longest time in which a servo covers half of a small step [s]: 10 times the slowest hobby servo's."""
+
+SAG_RAD = 0.6
+"""Error at which a servo carries its limb [rad]: twice that of the softest model of a maker, TALOS with 0.296."""
+
+COMMANDS = 30.0
+"""Largest range of commands over the range of the joint: degrees are 57 times too large."""
+
+MIN_RATE_PER_S = 1.0
+"""Angular frequency below which a mode is of a free body and not of a servo [1/s]."""
+
+GROWTH, GROWTH_STEPS, MAX_RATIO = 3.0, 200, 1.05
+"""Growth of a small motion in a number of steps, and its cap in one step: a stable loop has no growth."""
+
+
+@model_check(
+    "robot-drive",
+    title="response of a servo, over the limit of a drive",
+    interval=(0.0, 1.0),
+    source="a slow motion without gravity and contact never grows; closed forms of a loop of second order for ringing, "
+    "lag and sag; the error at which a servo saturates; commands in degrees",
+    consequence="The joint does not do what the policy commands.",
+    is_simulated=True,
+)
+def servo_response(robot: Robot) -> Finding:
+    """Return the servo farthest beyond the limit of its kind."""
+    driven = [drive for drive in drives(robot) if drive.kp > 0.0]
+    if not driven and not servos(robot.model).any():
+        raise NotApplicableError("no servo holds a position")
+    # The check robot-joint names joints with too much friction, damping or armature.
+    braked = joint_brakes.finding(robot).parts if driven else {}
+    driven = [drive for drive in driven if braked.get(drive.name, 0.0) <= 1.0]
+    responses = (case for drive in driven for case in _response(drive))
+    return worst_case([*_modes(robot, driven), *_switches(driven), *responses])
+
+
+def _switches(driven: list[Drive]) -> Iterator[Case]:
+    """Yield servos that saturate at a tiny error, where at least half of all servos do.
+
+    A stiff gripper with a limited force is right: it grips with this force.
+    """
+    hinges = [drive for drive in driven if drive.is_hinge and np.isfinite(drive.limit)]
+    errors = [drive.limit / drive.kp for drive in hinges]
+    if not errors or np.median(errors) >= MIN_ERROR_RAD:
+        return
+    for drive, error in zip(hinges, errors, strict=True):
+        text = f"{drive.name} works like a switch: with kp {drive.kp:.4g}, {1e3 * error:.2g} mrad cause all of its "
+        yield drive.case(MIN_ERROR_RAD / error, f"{text}{drive.limit:.3g} N m", True)
+
+
+def _modes(robot: Robot, driven: list[Drive]) -> Iterator[Case]:
+    """Yield the small motions of a robot about its commands in the engine that grow or swing.
+
+    They are the modes of the transition matrix of a step where all servos are at rest. A mode belongs to the servo with
+    the largest share of its energy.
+    """
+    model = robot.without("contact", "gravity", "limit", "spring", "equality")
+    is_affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
+    if not driven:
+        return
+    if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
+        # MuJoCo differentiates no steps of RK4, which is as stable as this one.
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    data, nv = start(robot, model), model.nv
+    low, high = model.actuator_ctrlrange.T
+    data.ctrl[:] = np.clip(0.0, low, high) * (model.actuator_ctrllimited != 0)
+    gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
+    forces = gain * data.ctrl + bias[:, 1] * data.actuator_length
+    bias[is_affine, 0] = -forces[is_affine]
+    size = 2 * nv + model.na
+    transition = np.zeros((size, size))
+    mujoco.mjd_transitionFD(model, data, 1e-6, True, transition, None, None, None)
+    ratios, modes = np.linalg.eig(np.nan_to_num(transition))
+    for ratio, mode in zip(ratios, modes.T, strict=True):
+        energies = [drive.kp * abs(mode[drive.dof]) ** 2 for drive in driven]
+        drive = driven[int(np.argmax(energies))]
+        growth = min(np.abs(ratio), MAX_RATIO) ** GROWTH_STEPS
+        text = f"a small motion of {drive.name} grows by {np.abs(ratio) - 1.0:.2g} of itself in a step of "
+        yield drive.case(growth / GROWTH, f"{text}{1e3 * model.opt.timestep:g} ms")
+        rate = np.log(complex(ratio) or 1e-300) / model.opt.timestep
+        if growth < GROWTH and rate.imag > max(abs(rate.real), MIN_RATE_PER_S):
+            swing_hz, decay_s = rate.imag / (2.0 * np.pi), 1.0 / max(-rate.real, 1e-6)
+            text = f"{drive.name} swings about its command with {swing_hz:.2g} Hz for {decay_s:.2g} s"
+            ringing = RINGING * decay_s * abs(rate)
+            yield drive.case(min(ringing, decay_s / RINGING_S), text, True)
+
+
+def _response(drive: Drive) -> Iterator[Case]:
+    robot, (force, angle) = drive.robot, drive.units
+    damping, kp = drive.damping + drive.kv, drive.kp
+    servo = f"kp {kp:.3g} {force}/{angle}"
+    # Overdamped, a servo covers half of a step in ln(2) damping / kp.
+    half_s, limit_s = np.log(2.0) * damping / kp, SLOW_S
+    text = f"{drive.name} covers half of a small step in {half_s:.2g} s: {servo}, damping {damping:.3g}"
+    if drive.is_leg and robot.standing is not None:
+        limit_s = np.sqrt(robot.standing.height_m / GRAVITY_M_PER_S2)
+        text += f"; the robot falls in {limit_s:.2g} s"
+    yield drive.case(half_s / limit_s, text, True)
+    weight = largest_loads(robot)[drive.dof]
+    is_floating = (
+        robot.model.body_dofnum[root_of(robot.model, drive.body)] == 6 and kp != 1.0
+    )
+    if drive.is_hinge and not is_floating and not is_overweight(robot, drive.body):
+        text = f"{drive.name} sags by {weight / kp:.2g} rad: {servo} carries {weight:.3g} N m"
+        if kp == 1.0:
+            text += ", MuJoCo's default kp"
+        yield drive.case(weight / kp / SAG_RAD, text, True)
+    yield from _commands(drive)
+
+
+def _commands(drive: Drive) -> Iterator[Case]:
+    """Yield the range of commands of a servo over the range of its joint."""
+    model = drive.robot.model
+    if not (model.jnt_limited[drive.joint] and drive.is_hinge):
+        return
+    span = np.ptp(model.jnt_range[drive.joint])
+    is_its = acts_on_joints(model) & (model.actuator_trnid[:, 0] == drive.joint)
+    is_its &= servos(model) & (model.actuator_ctrllimited != 0)
+    gains = model.actuator_gainprm[is_its, 0] / model.actuator_biasprm[is_its, 1]
+    gains /= model.actuator_gear[is_its, 0]
+    spans = np.ptp(model.actuator_ctrlrange[is_its], axis=1) * np.abs(gains)
+    commands = spans.max(initial=0.0)
+    text = f"commands of {drive.name} span {commands:.3g} rad, its range {span:.3g}"
+    yield drive.case(commands / span / COMMANDS, text, True)
+
+
+# --- couplings and free joints ---------------------------------------------------------------------------------------
+
+YIELD_SHARE = 0.3
+"""Share of its range by which a coupling may yield.
+
+Stiff linkages in grippers of makers yield by 0.001 to 0.02, and MuJoCo's default solref by 0.14 to 0.23.
+"""
+
+
+@model_check(
+    "robot-coupling",
+    title="force of a motor, over that of a yielding coupling",
+    interval=(0.0, 1.0),
+    source="inverse dynamics of a coupling that has yielded by 30 % of the joint's range; stiff linkages yield by 2 %",
+    consequence="One finger gives way, so that a grasp holds less than the real one.",
+)
+def coupling_yield(robot: Robot) -> Finding:
+    """Return the coupling between joints that is weakest against the force of a motor."""
+    model = robot.without("contact", "limit", "frictionloss")
+    data, cases = start(robot, model), []
+    begin, pushes = data.qpos.copy(), np.zeros(model.nv)
+    for drive in drives(robot):
+        pushes[drive.dof] = drive.push if np.isfinite(drive.push) else 0.0
+    is_coupling = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
+    is_coupling &= (model.eq_obj2id >= 0) & (model.eq_active0 != 0)
+    for number in np.flatnonzero(is_coupling).tolist():
+        joints = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
+        dofs, (place, leader) = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
+        lead = begin[leader] - model.qpos0[leader]
+        coupled = np.polyval(model.eq_data[number, 4::-1], lead) + model.qpos0[place]
+        span = np.ptp(model.jnt_range[joints[0]]) or 1.0
+        data.qpos[:] = begin
+        data.qpos[place], data.qacc[:] = coupled + YIELD_SHARE * span, 0.0
+        mujoco.mj_inverse(model, data)
+        load, force = pushes[dofs].max(), abs(data.qfrc_constraint[dofs[0]])
+        at, name = ("equality", number), name_of(model, "joint", joints[0])
+        text = f"{name}, {100 * YIELD_SHARE:g} % of its range off its coupling, is pushed back by {force:.3g}; "
+        text += f"its motor makes {load:.3g}"
+        cases.append(Case(load / max(force, 1e-9), at, name, text, True))
+        off = abs(coupled - begin[place])
+        text = f"{name} starts {off:.2g} off its coupling; its range is {span:.3g}"
+        cases.append(Case(off / span / YIELD_SHARE, at, name, text))
+    if not cases:
+        raise NotApplicableError("no equality couples joints")
+    return worst_case(cases)
+
+
+FREE_SHARE = 0.05
+"""Share of its speed that a free base may lose in 1 s: air takes less from anything heavier than a balloon."""
+
+
+@model_check(
+    "robot-free",
+    title="share of its speed that a free joint takes in 1 s",
+    interval=(0.0, FREE_SHARE),
+    source='nothing holds a base in the air; defaults of joints apply to <joint type="free"> and not to <freejoint>',
+    consequence="The policy learns to turn and fall slower than the robot does.",
+)
+def free_joint_drag(robot: Robot) -> Finding:
+    """Return the free joint with the largest friction, damping or armature."""
+    model = robot.model
+    # A ball may be braked to keep it from rolling: only robots count.
+    bases = {root_of(model, drive.body) for drive in drives(robot)}
+    is_base = joints_of(model, "FREE") & np.isin(model.jnt_bodyid, list(bases))
+    if not is_base.any() or model.opt.density > LIQUID_KG_PER_M3:
+        raise NotApplicableError("no robot is free in air")
+    matrix = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, start(robot), matrix)
+    damping = np.atleast_2d(model.dof_damping.T)[0]
+    dry, armature = model.dof_frictionloss, model.dof_armature
+    brakes, inertia = np.maximum(damping + dry, armature), np.diag(matrix) - armature
+    cases = []
+    for joint in np.flatnonzero(is_base).tolist():
+        first = model.jnt_dofadr[joint]
+        six = slice(first, first + 6)
+        name = name_of(model, "body", int(model.jnt_bodyid[joint]))
+        text = f"{name} is braked in the air by damping {damping[first]:g}, friction {dry[first]:g}, "
+        text += f"armature {armature[first]:g}"
+        share = (brakes[six] / inertia[six]).max()
+        cases.append(Case(share, ("joint", joint), name, text))
+    return worst_case(cases, limit=FREE_SHARE)

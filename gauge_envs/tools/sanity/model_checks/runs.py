@@ -1,0 +1,195 @@
+"""Runs of the target's own model: at rest from its start, and the same with a tenth of the step and a finer solver.
+
+The start is the keyframe `home` or the first one, else the model's initial pose. Actuators are at rest: they get the
+controls of the keyframe, else position servos the command that holds the start, and all others 0.
+"""
+
+from __future__ import annotations
+
+import copy
+
+import mujoco
+import numpy as np
+
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.model_checks.drives import hold_position
+from gauge_envs.tools.sanity.robot.robot import Robot, disable_bit, once
+from gauge_envs.tools.sanity.verdict import NotApplicableError
+
+REST_S = 2.0
+"""Time of a run at rest [s]: a body dropped by 0.1 m falls for 0.14 s, and a default contact settles in 0.1 s."""
+
+MAX_STEPS = 4000
+"""Steps after which a run of a model with a step below 0.5 ms ends."""
+
+SAMPLES, LATE = 100, 25
+"""Samples of a run, and of its end, in which motion at rest is read."""
+
+REFINEMENT, SMALL_NV, LARGE_NV, FINE_S = 10, 60, 100, 5e-5
+"""Refinement of step and solver; degrees of freedom from which on a step is refined by 4, and not at all.
+
+The refined step is at least 50 us [s], or half of the step if that is smaller.
+"""
+
+RESOLVED_RAD = 0.2
+"""Angle by which the stiffest contact with a given stiffness swings in a refined step [rad].
+
+A semi-implicit step h holds a swing of angular frequency w up to h w = 2. Several contacts carry a body, each with a
+stiffness over an impedance below 1, so that w is a few times as high.
+"""
+
+SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+"""Components of the state on which a step depends."""
+
+
+class Run:
+    """A run at rest.
+
+    Attributes:
+        model: The model that ran.
+        data: The state at the end.
+        points_m: Three points of each body, at its radius of gyration, in each sample [m], shape
+            [sample_count, nbody, 3, 3].
+        is_awake: Whether each body was awake, shape [sample_count, nbody].
+        stretches: Largest strain of the inextensible edges of each flex, shape [sample_count, nflex].
+        sinks_m: Largest depth of each flex in what it touches [m], shape [sample_count, nflex].
+        late_state: State at the start of the last quarter, of MuJoCo's kind `mjSTATE_INTEGRATION`.
+        sample_s: Time between samples [s].
+        diverged_s: Time at which the state diverged [s]; infinite when it did not.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        sample_s: float,
+        state: FloatArray | None = None,
+        samples: int = SAMPLES,
+    ) -> None:
+        """Run a model from its start, or some samples from a state."""
+        self.model, self.data = model, start_data(model)
+        data = self.data
+        if state is not None:
+            mujoco.mj_setState(model, data, state, STATE)
+            data.time = 0.0
+        self.points_m = np.full((samples, model.nbody, 3, 3), np.nan)
+        self.is_awake = np.ones((samples, model.nbody), bool)
+        self.stretches, self.sinks_m = np.zeros((2, samples, model.nflex))
+        self.late_state = np.zeros(mujoco.mj_stateSize(model, STATE))
+        self.sample_s, self.diverged_s = sample_s, np.inf
+        squares = model.body_inertia.max(axis=1) / np.maximum(model.body_mass, 1e-12)
+        radii_m = np.sqrt(squares)[:, None, None]
+        for sample in range(samples):
+            until_s = (sample + 1) * sample_s - 0.5 * model.opt.timestep
+            while data.time < until_s:
+                mujoco.mj_step(model, data)
+                if has_diverged(data):
+                    self.diverged_s = max(until_s, sample_s)
+                    return
+            axes = data.ximat.reshape(-1, 3, 3).transpose(0, 2, 1)
+            self.points_m[sample] = data.xipos[:, None] + radii_m * axes
+            self.is_awake[sample] = data.body_awake != 0
+            self._add_flexes(sample)
+            if sample == samples - LATE:
+                mujoco.mj_getState(model, data, self.late_state, STATE)
+
+    def _add_flexes(self, sample: int) -> None:
+        """Add strain and depth of the flexes."""
+        model, data = self.model, self.data
+        is_judged = (model.flex_edgeequality != 0) & (model.flex_rigid == 0)
+        of_edge = np.repeat(np.arange(model.nflex), model.flex_edgenum)
+        edges = np.flatnonzero(is_judged[of_edge])
+        ratios = data.flexedge_length[edges] / model.flexedge_length0[edges]
+        np.maximum.at(self.stretches[sample], of_edge[edges], np.abs(ratios - 1.0))
+        low, high = np.sort(data.contact.flex, axis=1).T
+        rigid = np.flatnonzero((low < 0) & (high >= 0) & (data.contact.exclude == 0))
+        depths_m = -data.contact.dist[rigid]
+        np.maximum.at(self.sinks_m[sample], high[rigid], depths_m)
+
+    @property
+    def speeds_mm_per_s(self) -> FloatArray:
+        """Root mean square of the speeds of the bodies in the last eighth [mm/s], shape [nbody]."""
+        velocities = np.diff(self.points_m[-LATE // 2 :], axis=0) / self.sample_s
+        return 1e3 * np.sqrt((velocities**2).sum(-1).mean((0, 2)))
+
+
+def seconds(model: mujoco.MjModel, maximum_s: float) -> float:
+    """Return the time of a run, which is shorter with small steps [s]."""
+    return min(maximum_s, MAX_STEPS * float(model.opt.timestep))
+
+
+def has_diverged(data: mujoco.MjData) -> bool:
+    """Return whether MuJoCo has met a position, velocity, acceleration or control that is not finite."""
+    return bool(data.warning.number[int(mujoco.mjtWarning.mjWARN_BADQPOS) :].any())
+
+
+def start_data(model: mujoco.MjModel) -> mujoco.MjData:
+    """Return the state from which a model starts, with its actuators at rest."""
+    data = mujoco.MjData(model)
+    if model.nkey:
+        home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
+        mujoco.mj_resetDataKeyframe(model, data, max(home, 0))
+    data.time = 0.0
+    mujoco.mj_forward(model, data)
+    if not data.ctrl.any():
+        hold_position(model, data)
+        mujoco.mj_forward(model, data)
+    return data
+
+
+def finer_solver(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a copy of a model whose solver is exact to rounding; all solvers of MuJoCo minimize one function."""
+    finer = copy.copy(model)
+    option = finer.opt
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    option.iterations, option.ls_iterations = 1000, 500
+    option.noslip_iterations *= REFINEMENT
+    option.ccd_iterations *= REFINEMENT
+    option.tolerance = option.ls_tolerance = option.noslip_tolerance = 1e-10
+    option.ccd_tolerance = min(option.ccd_tolerance, 1e-6)
+    option.enableflags &= ~SLEEP
+    return finer
+
+
+def refined(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a copy of a model with a tenth of the step or less, an exact solver, and the constants of constraints.
+
+    MuJoCo raises time constants of constraints to two steps, unless `refsafe` is off: they stay as the step of the
+    model raises them. A negative constant is a stiffness in 1/s^2, the square of an angular frequency.
+    """
+    if model.nv > LARGE_NV:
+        raise NotApplicableError(
+            f"a refined run of {model.nv} degrees of freedom takes long"
+        )
+    finer, step_s = finer_solver(model), float(model.opt.timestep)
+    arrays = [getattr(finer, name) for name in dir(finer) if "solref" in name]
+    constants_s = [array.reshape(-1, 2)[:, 0] for array in arrays]
+    factor = REFINEMENT if model.nv <= SMALL_NV else 4
+    stiffness = -min(array.min(initial=0.0) for array in constants_s)
+    factor = max(factor, step_s * np.sqrt(stiffness) / RESOLVED_RAD)
+    finer.opt.timestep = step_s / np.clip(round(step_s / FINE_S), 2, factor)
+    if not model.opt.disableflags & disable_bit("refsafe"):
+        for times_s in [*constants_s, finer.opt.o_solref[:1]]:
+            times_s[(times_s > 0.0) & (times_s < 2.0 * step_s)] = 2.0 * step_s
+    return finer
+
+
+@once
+def rest(robot: Robot, *, is_refined: bool) -> Run:
+    """Return the run of the model as it is, or of the refined model from the same start."""
+    if not robot.model.nv:
+        raise NotApplicableError("the model has no joint")
+    model = refined(robot.model) if is_refined else robot.model
+    return Run(model, seconds(robot.model, REST_S) / SAMPLES)
+
+
+def settled(robot: Robot, *, is_refined: bool = False) -> Run:
+    """Return such a run; checks at rest do not apply where it diverges."""
+    run = rest(robot, is_refined=is_refined)
+    if np.isfinite(run.diverged_s):
+        raise NotApplicableError(
+            f"the state diverges at {run.diverged_s:.3g} s with a step of {run.model.opt.timestep:g} s"
+        )
+    return run

@@ -1,0 +1,116 @@
+"""Training stacks: the targets of a check, their readers, and the dialects in which changes are written."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity.readers import probe, settings
+from gauge_envs.tools.sanity.readers.dialect import TOML, Dialect
+from gauge_envs.tools.sanity.readers.documents import file_value
+from gauge_envs.tools.sanity.readers.genesis import GENESIS
+from gauge_envs.tools.sanity.readers.gymnasium_env import (
+    Target,
+    read_id,
+    read_object,
+    read_task,
+)
+from gauge_envs.tools.sanity.readers.isaac_lab import (
+    ISAAC_LAB,
+    ISAAC_LAB_3,
+    file_of_run,
+    read_file,
+)
+from gauge_envs.tools.sanity.readers.maniskill import MANISKILL
+from gauge_envs.tools.sanity.readers.mjcf import MJCF, GeomPair, read_model_file
+from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
+from gauge_envs.tools.sanity.training import TrainingConfiguration
+
+__all__ = ["Dialect", "configuration", "dialect"]
+
+
+def _read_toml(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
+    """Return the configuration of a settings file or a task file."""
+    values = file_value(path, tomllib.loads)
+    if "family" in values:
+        return read_task(path)
+    return settings.read_settings(path, values)
+
+
+def _read_usd(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
+    """Raise an error that names the command for a USD layer."""
+    raise TargetError(
+        f"{path}: a USD layer has no settings of a solver: gauge run ID --asset {path.name} simulates it"
+    )
+
+
+READERS = {
+    **dict.fromkeys((".xml", ".mjcf", ".urdf"), read_model_file),
+    **dict.fromkeys((".yaml", ".yml"), read_file),
+    **dict.fromkeys((".usd", ".usda", ".usdc"), _read_usd),
+    ".toml": _read_toml,
+    ".json": probe.read_file,
+}
+"""Function that reads a file, by its suffix."""
+
+DIALECTS = (TOML, MJCF, GENESIS, MANISKILL, ISAAC_LAB, ISAAC_LAB_3)
+
+
+@mujoco_warnings()
+def configuration(
+    target: Target | TrainingConfiguration, *, pair: GeomPair | None = None
+) -> TrainingConfiguration:
+    """Return the training configuration of a target.
+
+    Args:
+        target: One of
+            a Gymnasium id (`HalfCheetah-v5`) whose environment has a `mujoco.MjModel` as `unwrapped.model`;
+            an id of this suite, with its own settings;
+            a model file that MuJoCo reads;
+            a task file of an experiment;
+            a settings file: `backend`, optionally `preset`, and a table `settings`;
+            a backend, with or without a preset (`mujoco:out_of_box`, `newton`);
+            the `params/env.yaml` of a training run with Isaac Lab, or the folder of the run;
+            the saved options of a Genesis scene;
+            a file that the probe writes in the Python of another stack (`NAME.gaugeprobe.json`);
+            a `mujoco.MjModel`, a pair of it and its `mujoco.MjData`, in whose pose checks of the model start, or a
+            `gymnasium.Env`;
+            a configuration, which is returned unchanged.
+        pair: Names of two geoms of a model whose contact constants the experiments get, instead of all sets of moving
+            geoms on the ground.
+
+    Raises:
+        TargetError: The target cannot be read, or has no such pair of geoms.
+        UnknownNameError: There is no such backend or preset.
+        ParameterError: A setting does not exist or has an impossible value.
+        MissingExtraError: The backend's engine is not installed.
+    """
+    if isinstance(target, TrainingConfiguration):
+        return target
+    is_text = isinstance(target, str | Path)
+    read = _read_text(target, pair) if is_text else read_object(target, pair)
+    if pair is not None and not read.is_model:
+        raise TargetError(
+            f"{target}: a pair of geoms needs a MuJoCo model, which the target has not"
+        )
+    return read
+
+
+def _read_text(target: Target, pair: GeomPair | None) -> TrainingConfiguration:
+    """Return the configuration of a file, a folder of a run, a backend or a Gymnasium id."""
+    path = Path(str(target))
+    if path.is_dir():
+        path = file_of_run(path)
+    if reader := READERS.get(path.suffix.lower()):
+        return reader(path, pair)
+    if backend := settings.read_backend(str(target)):
+        return backend
+    if path.is_dir():
+        raise TargetError(f"{path}: has no params/env.yaml: give the file of a model")
+    return read_id(str(target), pair)
+
+
+def dialect(name: str) -> Dialect:
+    """Return a dialect by the language of a `TrainingConfiguration`."""
+    return next(dialect for dialect in DIALECTS if dialect.name == name)

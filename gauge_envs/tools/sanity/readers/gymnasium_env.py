@@ -1,0 +1,146 @@
+"""Gymnasium environments, by id or as an object: those of this suite, and those with a MuJoCo model."""
+
+import warnings
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import gymnasium
+import mujoco
+import numpy as np
+
+from gauge_envs.backends import Simulation
+from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.errors import MissingExtraError, NoRewardWarning, TargetError
+from gauge_envs.scene import ContactMode
+from gauge_envs.tools.sanity.readers.mjcf import GeomPair, model_name, read_model
+from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
+from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
+from gauge_envs.tools.sanity.training import Need, Settings, TrainingConfiguration
+
+Target: TypeAlias = (
+    str
+    | Path
+    | mujoco.MjModel
+    | tuple[mujoco.MjModel, mujoco.MjData]
+    | gymnasium.Env
+    | Settings
+)
+"""A target of a sanity check; see `gauge_envs.tools.sanity.configuration`."""
+
+ACCEPTED = (
+    "a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a model file (.xml, .mjcf, .urdf), a mujoco.MjModel or a "
+    "pair (model, data), an env, a probe file (NAME.gaugeprobe.json, see gauge sanity probe), the params/env.yaml of "
+    "Isaac Lab, options of a Genesis scene (options.json), a settings file (.toml, .json), or a backend with or "
+    "without a preset (mujoco:out_of_box)"
+)
+"""Targets that can be checked, as a text."""
+
+UNDECLARED = ("imageio", "packaging")
+"""Packages that Gymnasium's MuJoCo environments import without declaring them."""
+
+
+def read_object(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
+    """Return the configuration of a model, of a pair of model and data, or of an environment."""
+    if isinstance(target, gymnasium.Env):
+        spec = target.spec
+        name = type(target.unwrapped).__name__ if spec is None else spec.id
+        return _read_env(target, name, pair)
+    model, data = target if isinstance(target, tuple) else (target, None)
+    if isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData | None):
+        return read_model(model, data, pair)
+    raise TargetError(f"{type(target).__name__} cannot be checked; give {ACCEPTED}")
+
+
+def read_id(name: str, pair: GeomPair | None) -> TrainingConfiguration:
+    """Return the configuration of an environment by its id."""
+    suite_id = f"GAUGE/{name}"
+    try:
+        with mujoco_warnings() as warned, warnings.catch_warnings():
+            warnings.simplefilter("ignore", NoRewardWarning)
+            env = gymnasium.make(suite_id if suite_id in gymnasium.registry else name)
+    except Exception as error:  # Other environments raise exceptions of any kind.
+        if isinstance(error, ImportError) and error.name in UNDECLARED:
+            raise MissingExtraError(name, "sanity", error) from error
+        cause = " ".join(str(error).split())
+        raise TargetError(
+            f"{name!r}: gymnasium.make fails: {cause} ({type(error).__name__}); give {ACCEPTED}"
+        ) from error
+    with closing(env):
+        read = _read_env(env, name, pair)
+    # A file of Gymnasium is not the user's.
+    is_users = not type(env.unwrapped).__module__.startswith("gymnasium.")
+    return replace(read, warnings=tuple(warned)) if is_users else read
+
+
+def read_task(path: Path) -> TrainingConfiguration:
+    """Return the configuration of an experiment by its task file: the settings of its scene."""
+    with closing(GaugeEnv(str(path))) as env:
+        return _read_env(env, path.name, None)
+
+
+def _read_env(
+    env: gymnasium.Env, name: str, pair: GeomPair | None
+) -> TrainingConfiguration:
+    inner: Any = env.unwrapped
+    # A control task has a simulation of its own, any other environment of this suite that of its rollout.
+    simulation = getattr(getattr(inner, "rollout", inner), "simulation", None)
+    if isinstance(simulation, Simulation):
+        return _suite_configuration(inner, simulation, name)
+    model = getattr(inner, "model", None)
+    if not isinstance(model, mujoco.MjModel):
+        kind = f"{type(inner).__module__}.{type(inner).__qualname__}"
+        raise TargetError(
+            f"{name} is {kind}, which has no MuJoCo model; give {ACCEPTED}"
+        )
+    path = getattr(inner, "fullpath", None)
+    file = None if path is None else Path(path)
+    return mujoco_configuration(
+        model,
+        name=name,
+        source=f"Gymnasium environment, model {model_name(model)!r}, MuJoCo {mujoco.__version__}",
+        pair=pair,
+        frame_skip=getattr(inner, "frame_skip", None),
+        spec=None if file is None else _spec_of(file, model),
+        file=file,
+    )
+
+
+def _suite_configuration(
+    env: Any, simulation: Simulation, name: str
+) -> TrainingConfiguration:
+    """Return the configuration of an environment of this suite."""
+    settings = dict(simulation.settings)
+    settings.pop("drive_interval_s", None)
+    scene = env.experiment.scene
+    rigid = {body.name for body in scene.bodies}
+    modes = {
+        contact.mode
+        for contact in scene.contacts
+        if rigid.intersection(contact.first) and rigid.intersection(contact.second)
+    }
+    inapplicable = {}
+    if not modes:
+        inapplicable[Need.CONTACT] = "no rigid bodies touch in its scene"
+    if modes <= {ContactMode.SUSTAINED}:
+        inapplicable[Need.REBOUND] = "nothing rebounds in its scene"
+    return TrainingConfiguration(
+        name=name,
+        source="environment of this suite",
+        backend=env.arguments.backend,
+        settings=settings,
+        origins=dict.fromkeys(settings, f"settings of {name}"),
+        inapplicable=inapplicable,
+    )
+
+
+def _spec_of(file: Path, model: mujoco.MjModel) -> mujoco.MjSpec | None:
+    """Return the model of an environment before it was compiled; None when its file gives another one."""
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            spec = mujoco.MjSpec.from_file(str(file))
+            compiled = spec.compile()
+    except ValueError:
+        return None
+    return spec if np.array_equal(compiled.geom_bodyid, model.geom_bodyid) else None

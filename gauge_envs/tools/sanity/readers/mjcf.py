@@ -1,0 +1,172 @@
+"""MuJoCo models: a model file, or a compiled model in this process.
+
+Changes are elements of MJCF: `<option cone="elliptic"/>`, `<default><geom solref="0.02 1"/></default>`.
+"""
+
+from __future__ import annotations
+
+import copy
+import warnings
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+
+from gauge_envs.backends.mujoco.model import (
+    DISABLE_FLAGS,
+    ENABLE_FLAGS,
+    SAME_NAME_OPTIONS,
+)
+from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity.readers.dialect import (
+    Dialect,
+    Entries,
+    Setting,
+    number_text,
+    settings_of,
+)
+from gauge_envs.tools.sanity.readers.documents import file_text
+from gauge_envs.tools.sanity.readers.gauge_probe import mjcf_root
+from gauge_envs.tools.sanity.readers.mjcf_errors import sentence
+from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
+from gauge_envs.tools.sanity.training import TrainingConfiguration
+
+GeomPair = tuple[str, str]
+"""Names of two geoms of a model."""
+
+
+ATTRIBUTES = """
+timestep_s       option   timestep value
+contact_solref   geom     solref   value
+contact_solimp   geom     solimp   value
+contact_margin_m geom     margin   value
+contact_gap_m    geom     gap      value
+condim           geom     condim   value
+equality_solref  equality solref   value
+equality_solimp  equality solimp   value
+"""
+"""Element and attribute of settings that have another name in MJCF."""
+
+OPTIONS = ("integrator", "cone", "solver", *SAME_NAME_OPTIONS)
+"""Settings that are called as in MJCF."""
+
+
+def _switch(is_on: bool) -> str:
+    return "enable" if is_on else "disable"
+
+
+MODEL_SETTINGS = (
+    *settings_of(ATTRIBUTES, {}),
+    *(Setting(name, "option", name) for name in OPTIONS),
+    *(
+        Setting(name, "flag", name, text=_switch)
+        for name in (*DISABLE_FLAGS, *ENABLE_FLAGS)
+    ),
+    # Disabling the override restores the contacts of all geoms.
+    Setting("o_friction", "flag", "override", text=lambda value: "disable"),
+)
+"""Attributes of `<option>`, of its `<flag>`, and of the defaults."""
+
+
+def _attribute(value: Any) -> str:
+    values = value if isinstance(value, list | tuple) else [value]
+    return " ".join(map(number_text, values))
+
+
+def _elements(entries: Entries) -> str:
+    """Return `<option>` with its flags, the defaults, and settings that are no attributes."""
+    option, flags = (" ".join(entries.get(place, ())) for place in ("option", "flag"))
+    end = f"><flag {flags}/></option>" if flags else "/>"
+    parts = [f"<option {option}".rstrip() + end] if option or flags else []
+    parts += [
+        f"<default><{kind} {' '.join(entries[kind])}/></default>"
+        for kind in ("geom", "equality")
+        if kind in entries
+    ]
+    return " and ".join([*parts, *entries.get("", ())])
+
+
+MJCF = Dialect(
+    name="mjcf",
+    settings=MODEL_SETTINGS,
+    pattern='{key}="{value}"',
+    text=_attribute,
+    join=_elements,
+)
+
+
+def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration:
+    """Return the configuration of a model file that MuJoCo reads.
+
+    Raises:
+        TargetError: MuJoCo cannot load it; the message has the file, the line and what to do.
+    """
+    text = file_text(path)
+    try:
+        with warnings.catch_warnings(record=True, action="always") as caught:
+            if path.suffix == ".mjcf":
+                # MuJoCo reads a file of another name than .xml and .urdf from its text alone.
+                spec = mujoco.MjSpec.from_string(text)
+                spec.modelfiledir = str(path.parent)
+            else:
+                spec = mujoco.MjSpec.from_file(str(path))
+            _drop_pictures(spec)
+            model = spec.compile()
+    except ValueError as error:
+        raise TargetError(sentence(path, text, str(error))) from None
+    read = mujoco_configuration(
+        model,
+        name=path.name,
+        source=f"model file {path}",
+        pair=pair,
+        spec=spec,
+        file=path,
+    )
+    warned = {str(warning.message) for warning in caught}
+    return replace(read, warnings=tuple(warned))
+
+
+def _drop_pictures(spec: mujoco.MjSpec) -> None:
+    """Replace the pictures of textures by a pixel: they can be 30 times as large as the model."""
+    for texture in spec.textures:
+        texture.file, texture.cubefiles = "", [""] * 6
+        texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_FLAT
+        texture.width = texture.height = 1
+
+
+def read_model(
+    model: mujoco.MjModel,
+    data: mujoco.MjData | None = None,
+    pair: GeomPair | None = None,
+) -> TrainingConfiguration:
+    """Return the configuration of a compiled model; with data, checks of the model start in its state."""
+    return mujoco_configuration(
+        model if data is None else _with_start(model, data),
+        name=model_name(model),
+        source="mujoco.MjModel",
+        pair=pair,
+    )
+
+
+def _with_start(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjModel:
+    """Return a copy of a model whose keyframes are the state of data; a model without a keyframe gets one."""
+    if model.nkey:
+        started = copy.copy(model)
+    else:
+        root = mjcf_root(model)
+        keyframe = ET.SubElement(root, "keyframe")
+        ET.SubElement(keyframe, "key", name="data")
+        text = ET.tostring(root, encoding="unicode")
+        started = mujoco.MjModel.from_xml_string(text)
+    for name in ("qpos", "qvel", "act", "ctrl"):
+        getattr(started, f"key_{name}")[:] = getattr(data, name)
+    started.key_mpos[:] = data.mocap_pos.ravel()
+    started.key_mquat[:] = data.mocap_quat.ravel()
+    return started
+
+
+def model_name(model: mujoco.MjModel) -> str:
+    """Return the name of a model, or `unnamed model`."""
+    return model.names.split(b"\0", 1)[0].decode() or "unnamed model"

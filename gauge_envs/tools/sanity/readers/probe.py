@@ -1,0 +1,99 @@
+"""Files in JSON: files of the probe in another stack's Python, options of Genesis, and settings of this package.
+
+The program that `gauge sanity probe` prints writes a model of MuJoCo as MJCF, and other stacks as their settings.
+Nothing of a file is run.
+"""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+
+from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity.readers import genesis, isaac_lab, maniskill
+from gauge_envs.tools.sanity.readers.documents import file_value
+from gauge_envs.tools.sanity.readers.gauge_probe import FORMAT, VERSION
+from gauge_envs.tools.sanity.readers.mjcf import GeomPair
+from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
+from gauge_envs.tools.sanity.readers.settings import read_settings
+from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
+
+STACKS = {
+    "isaac_lab": isaac_lab.isaac_lab_configuration,
+    "maniskill": maniskill.maniskill_configuration,
+    "genesis": genesis.genesis_configuration,
+}
+"""Function that reads the settings of a probe file, by its kind."""
+
+
+def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration:
+    """Return the configuration of a file in JSON.
+
+    Raises:
+        TargetError: The file is none of the kinds, or of another version of the probe.
+    """
+    file = file_value(path, json.loads)
+    if not isinstance(file, dict) or "format" not in file:
+        if isinstance(file, dict) and "sim" in file and "rigid" in file:
+            source = f"options file {path}"
+            return STACKS["genesis"](file, name=path.name, source=source)
+        return read_settings(path, file)
+    if (file["format"], file.get("version")) != (FORMAT, VERSION):
+        raise TargetError(
+            f"{path}: version {file.get('version')} of the probe, and this gauge-envs reads version {VERSION}: run "
+            "gauge sanity probe here, and its program again where the policy is trained"
+        )
+    name = path.name.removesuffix(".json").removesuffix(".gaugeprobe")
+    source = f"probe file {path.name}: {file['source']}"
+    if file["kind"] in STACKS:
+        return STACKS[file["kind"]](file["data"], name=name, source=source)
+    return _read_model(path, file, name, source, pair)
+
+
+def _read_model(
+    path: Path, file: Settings, name: str, source: str, pair: GeomPair | None
+) -> TrainingConfiguration:
+    trained, here = file["mujoco"], mujoco.__version__
+    text, notes = _known(file["data"])
+    try:
+        model = mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        cause = " ".join(str(error).split())
+        raise TargetError(
+            f"{path}: MuJoCo {here} cannot load the model of MuJoCo {trained}: {cause}"
+        ) from None
+    if trained != here:
+        notes.append(
+            f"training runs with MuJoCo {trained}; the checks run with MuJoCo {here}"
+        )
+    if file["engine"] != "MuJoCo":
+        notes.append(
+            f"training runs on {file['engine']}; the checks run with MuJoCo's C engine"
+        )
+    read = mujoco_configuration(
+        model,
+        name=name,
+        source=source,
+        pair=pair,
+        frame_skip=file["frame_skip"],
+    )
+    return replace(read, notes=(*read.notes, *notes, *file["notes"]))
+
+
+def _known(text: str) -> tuple[str, list[str]]:
+    """Return a model without attributes that the installed MuJoCo lacks, and a note on each that has an effect."""
+    root, notes = ET.fromstring(text), {}
+    known = set(mujoco.mj_printSchema(False, False).split())
+    for element in root.iter():
+        for name in element.attrib.keys() - known:
+            value, tag = element.attrib.pop(name), element.tag
+            # An unknown flag is at its default there, or off.
+            if tag != "flag" and value != "0":
+                notes[tag, name] = (
+                    f"MuJoCo {mujoco.__version__} has no {name} of <{tag}>, which is {value} in training"
+                )
+    return ET.tostring(root, encoding="unicode"), [*notes.values()]

@@ -1,0 +1,121 @@
+"""Define what is checked: the numerical settings that a policy is trained with, and its model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any, TypeAlias
+
+from gauge_envs.scene import Vector
+from gauge_envs.tools.sanity.robot.foot import FootGeometry
+from gauge_envs.tools.sanity.robot.robot import Robot
+
+Settings: TypeAlias = Mapping[str, Any]
+"""Settings by name. A value is a number, a truth value, a text, a list, or None for what is not set."""
+
+
+class Need(StrEnum):
+    """What a target must have for a check of measured objects to apply to it."""
+
+    GRAVITY = "gravity"
+    CONTACT = "contact"
+    FRICTION = "friction"
+    FOOT = "foot"
+    SPACE = "space"
+    """Motion in space, not in a plane along an axis of the world."""
+    REBOUND = "rebound"
+    """A restitution; without it, checks of impacts are advice."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactGroup:
+    """Pairs of geoms of a model that collide with the same constants.
+
+    Attributes:
+        geoms: Description of the geoms, such as `floor with torso, bthigh and 6 more`.
+        pair_count: Number of pairs of geoms.
+        constants: Effective constants of a contact by MuJoCo's names: `condim`, `friction`, `solref`, ...
+        is_used: Whether the experiments run with these constants.
+        is_held: Whether a hand grasps a body with these constants.
+        is_point: Whether the fingertips that grasp it are round, and touch it at a point each.
+        settings: Settings of the backend that give all contacts these constants.
+    """
+
+    geoms: str
+    pair_count: int
+    constants: Settings
+    is_used: bool = False
+    is_held: bool = False
+    is_point: bool = False
+    settings: Settings = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingConfiguration:
+    """Numerical settings that a policy is trained with.
+
+    Attributes:
+        name: Name that the user gave, such as `HalfCheetah-v5`.
+        source: Description of what it was read from.
+        backend: Name of the physics engine.
+        settings: Settings of that backend for every scene; other settings are the backend's default.
+        origins: Origin of each setting by its name, such as `option` or `floor with torso, ...`.
+        frame_skip: Steps of the engine for one action; None when unknown.
+        contact_groups: Contact constants of a model: those on ground first, then by the number of pairs.
+        notes: Properties that are not carried over, or that need attention.
+        warnings: MuJoCo's warnings on the user's file, which are shown even where all checks pass.
+        inapplicable: Needs of checks that the target does not meet, with the reason.
+        gravity_m_per_s2: Gravity of the target [m/s^2], shape [3]; None when it is unknown.
+        up: Unit vector away from the ground, shape [3].
+        is_model: Whether it was read from a MuJoCo model, for which this package recommends settings as a whole.
+        foot_geometry: Foot of the robot; None when the target has none, or does not describe it.
+        language: Name of the dialect in which changes are written; see `gauge_envs.tools.sanity.readers`.
+        robot: The target's own model, which JSON leaves out; None when it is unknown.
+    """
+
+    name: str
+    source: str
+    backend: str
+    settings: Settings
+    origins: Mapping[str, str] = field(default_factory=dict)
+    frame_skip: int | None = None
+    contact_groups: tuple[ContactGroup, ...] = ()
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    inapplicable: Mapping[Need, str] = field(default_factory=dict)
+    gravity_m_per_s2: Vector | None = None
+    up: Vector = (0.0, 0.0, 1.0)
+    is_model: bool = False
+    foot_geometry: FootGeometry | None = None
+    language: str = "toml"
+    robot: Robot | None = field(default=None, compare=False)
+
+    def of_hand(self, *, is_flat: bool) -> TrainingConfiguration | None:
+        """Return the configuration with the contacts of a hand alone in use; unchanged without a hand.
+
+        Args:
+            is_flat: Whether only contacts of flat pads count; the result is None for a hand without them.
+        """
+        if not any(group.is_held for group in self.contact_groups):
+            return self
+        groups = tuple(
+            replace(group, is_used=group.is_held and not (is_flat and group.is_point))
+            for group in self.contact_groups
+        )
+        is_any = any(group.is_used for group in groups)
+        return replace(self, contact_groups=groups) if is_any else None
+
+    @property
+    def contact_sets(self) -> dict[str, dict[str, Any]]:
+        """Settings of each set of contact constants that is checked, by its geoms, which may be unknown."""
+        sets: dict[str, dict[str, Any]] = {}
+        contact = {name for group in self.contact_groups for name in group.settings}
+        options = {
+            name: value for name, value in self.settings.items() if name not in contact
+        }
+        for group in self.contact_groups:
+            settings = {**options, **group.settings}
+            if group.is_used and settings not in sets.values():
+                sets[group.geoms] = settings
+        return sets or {"": dict(self.settings)}

@@ -1,0 +1,329 @@
+"""Define what a check says: its reality, its verdict and its result, and the report of all checks with the best fix."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, asdict, dataclass, field, replace
+from enum import StrEnum
+from typing import Any
+
+from gauge_envs.files import json_ready
+from gauge_envs.scoring.interval import student_t
+from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
+
+MAX_PASSED = 1.0
+"""Largest deviation of a check that passes, in half-widths of the interval of reality."""
+
+MAX_WARNING = 2.5
+"""Largest deviation of a warning, in half-widths of the interval of reality."""
+
+WORSE_BY = 1.0
+"""Growth of a deviation that makes a failed check or a warning worse, in half-widths of the interval of reality."""
+
+COVERAGE = 0.95
+"""Share of further real trials that the interval of a measured quantity covers."""
+
+RECORDING_FACTOR = 2.0
+"""Half-width of the interval of a single recording, in standard uncertainties."""
+
+
+class SanityVerdict(StrEnum):
+    """Distance between a measured value and reality, in half-widths of the interval of reality."""
+
+    PASSED = "passed"
+    """In the interval: a real trial could give this value, or the law is met within its tolerance."""
+    WARNING = "warning"
+    """Outside of the interval, by at most 2.5 half-widths from its centre: a careful observer sees the difference."""
+    FAILED = "failed"
+    """Farther away, or a failure of another kind, such as divergence."""
+    NOT_MEASURED = "not measured"
+    """The check does not apply to the target, or cannot run; `SanityResult.applies` tells which."""
+
+    @property
+    def is_off(self) -> bool:
+        """Whether it is a warning or a failure."""
+        return self in (SanityVerdict.WARNING, SanityVerdict.FAILED)
+
+    @classmethod
+    def of(cls, deviation: float) -> SanityVerdict:
+        """Return the verdict of a distance from reality, in half-widths of its interval."""
+        if deviation <= MAX_PASSED:
+            return cls.PASSED
+        return cls.WARNING if deviation <= MAX_WARNING else cls.FAILED
+
+
+class NotApplicableError(Exception):
+    """A check does not apply to a target; the message is the reason."""
+
+
+class RealityKind(StrEnum):
+    """What a check compares with."""
+
+    MEASURED = "measured"
+    """Real trials: their mean, scatter and number."""
+    LAW = "law"
+    """A law of mechanics, with a tolerance and its reason."""
+
+
+@dataclass(frozen=True)
+class Reality:
+    """Real value of a checked quantity, and the interval in which a simulation is as good as a real trial.
+
+    Attributes:
+        value: Mean of real trials, or value from a law, in the unit of the check.
+        tolerance: Half-width of the interval, in the same unit.
+        source: Source of the value.
+        rationale: Reason for the tolerance.
+        kind: Whether real trials or a law give the value.
+        scatter: Standard deviation of real trials, or standard uncertainty of a single recording; None for a law.
+        trial_count: Number of real trials; 0 for a law.
+        limits: The interval as a text, where a value has a limit on one side; empty for centre and half-width.
+    """
+
+    value: float
+    tolerance: float
+    source: str
+    rationale: str
+    _: KW_ONLY
+    kind: RealityKind = RealityKind.LAW
+    scatter: float | None = None
+    trial_count: int = 0
+    limits: str = ""
+
+    @classmethod
+    def measured(
+        cls, value: float, scatter: float, trial_count: int, source: str
+    ) -> Reality:
+        """Return what real trials gave, with the interval that covers 95 % of further trials.
+
+        Args:
+            value: Mean of the trials.
+            scatter: Standard deviation of the trials; for one trial, the standard uncertainty of its measurement.
+            trial_count: Number of trials.
+            source: Source of the trials.
+        """
+        if trial_count == 1:
+            factor, rationale = (
+                RECORDING_FACTOR,
+                "two standard uncertainties of one recording",
+            )
+        else:
+            quantile = student_t(trial_count - 1, COVERAGE)
+            factor = quantile * (1.0 + 1.0 / trial_count) ** 0.5
+            rationale = f"covers {COVERAGE:.0%} of further trials, from the scatter of {trial_count} trials"
+        return cls(
+            value,
+            factor * scatter,
+            source,
+            rationale,
+            kind=RealityKind.MEASURED,
+            scatter=scatter,
+            trial_count=trial_count,
+        )
+
+    def deviation(self, value: float) -> float:
+        """Return the distance of a value from the real one, in half-widths of the interval."""
+        return abs(value - self.value) / self.tolerance
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartOutcome:
+    """Outcome of a check for one part: a set of contact constants, or a joint, a link or a pair of geoms of the robot.
+
+    Attributes:
+        name: The part; for contact constants, the geoms that touch with them.
+        value: Measured value; None when nothing was measured.
+        verdict: The verdict.
+        deviation: Distance from reality, in half-widths of its interval or as the ratio to a limit.
+        remark: Why nothing was measured, or a failure of another kind; empty otherwise.
+    """
+
+    name: str = ""
+    value: float | None = None
+    verdict: SanityVerdict
+    deviation: float = math.inf
+    remark: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SanityResult:
+    """Result of one check.
+
+    Attributes:
+        id: Id, such as `creep-wood`.
+        title: Title, such as `creep of a cube of wood on 10 degrees`.
+        experiment: Gymnasium id of the experiment; empty when nothing is simulated.
+        unit: Unit of the values; `1` for a pure number.
+        reality: Value for real objects.
+        default: Value with the backend's default; None when not measured.
+        configured: Value in this configuration; None when not measured.
+        verdict: SanityVerdict of this configuration.
+        default_verdict: SanityVerdict of the backend's default.
+        remark: Why it was not measured, or how it failed; empty otherwise.
+        advisory: Why the verdict does not count for the whole configuration; empty when it counts.
+        applies: Whether the check applies to the target.
+        geoms: Geoms whose contact constants decide the verdict; empty when all contacts have the same.
+        parts: Outcome for each part that is checked; empty when nothing was measured.
+        consequence: What a failure means for a policy, in one sentence; empty when the title says it.
+        place: Element of the target's own model that decides the verdict, with file and line; empty otherwise.
+    """
+
+    id: str
+    title: str
+    experiment: str = ""
+    unit: str
+    reality: Reality
+    default: float | None = None
+    configured: float | None = None
+    verdict: SanityVerdict
+    default_verdict: SanityVerdict = SanityVerdict.NOT_MEASURED
+    remark: str = ""
+    advisory: str = ""
+    applies: bool = True
+    geoms: str = ""
+    parts: tuple[PartOutcome, ...] = ()
+    consequence: str = ""
+    place: str = ""
+
+    @property
+    def is_on_target(self) -> bool:
+        """Whether the check is on the target itself, and runs none of the suite's experiments."""
+        return not self.experiment
+
+    @property
+    def is_flag(self) -> bool:
+        """Whether the check is a warning or failed, and counts."""
+        return self.verdict.is_off and not self.advisory
+
+    @property
+    def deviation(self) -> float:
+        """Distance of the worst part from reality, in half-widths of its interval; 0 if nothing was measured."""
+        return max((part.deviation for part in self.parts), default=0.0)
+
+
+# --- the report ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChangePart:
+    """A part of a fix, such as an attribute.
+
+    Attributes:
+        text: The part in the target's language, such as `<option cone="elliptic"/>`.
+        corrects: Ids of the failed checks and warnings that pass after this part alone.
+    """
+
+    text: str
+    corrects: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fix:
+    """The change of a few settings that resolves most failed checks and warnings, as measured.
+
+    Attributes:
+        changes: Changed settings with their new values.
+        line: The change in the target's language, and what it resolves.
+        flag_count: Number of failed checks and warnings before the change.
+        fixed: Value of each of these checks that passes after the change; None where it was not measured.
+        lines: The change as lines of a diff, which start with `- ` or `+ `.
+        parts: The parts of the change, each with what it resolves alone.
+        speed_ratio: Simulated time of the target in a second after the change, over that before; None if not measured.
+    """
+
+    changes: Settings
+    line: str
+    flag_count: int
+    fixed: Mapping[str, float | None] = field(default_factory=dict)
+    lines: tuple[str, ...] = ()
+    parts: tuple[ChangePart, ...] = ()
+    speed_ratio: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """Result of a sanity check.
+
+    Attributes:
+        configuration: The checked configuration.
+        checks: Result of each check, in a fixed order.
+        versions: Versions of the engine's packages, of gauge-envs and of its dependencies.
+        wall_s: Time that the check took [s].
+        fix: The change that resolves most failed checks and warnings; None when no change resolves one.
+        tried: Changes that were tried and not chosen, and how far each came.
+        trade: The best of these with its price, when no change resolves a check without harm; empty otherwise.
+        unstated: Properties that the target's model leaves open, in one sentence; empty for none.
+        notes: What limits the check, such as an expired time limit.
+        asked: Ids of checks that were requested by their full id.
+    """
+
+    configuration: TrainingConfiguration
+    checks: tuple[SanityResult, ...]
+    versions: Mapping[str, str]
+    wall_s: float = 0.0
+    fix: Fix | None = None
+    tried: tuple[str, ...] = ()
+    trade: str = ""
+    unstated: str = ""
+    notes: tuple[str, ...] = ()
+    asked: tuple[str, ...] = ()
+
+    @property
+    def flags(self) -> dict[str, SanityResult]:
+        """Failed checks and warnings that count, by id."""
+        return {result.id: result for result in self.checks if result.is_flag}
+
+    @property
+    def _missing(self) -> list[SanityResult]:
+        missing = SanityVerdict.NOT_MEASURED
+        return [result for result in self.checks if result.verdict is missing]
+
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """Ids of checks that apply, or were requested by id, and were not measured; all ids when none was measured."""
+        is_all = len(self._missing) == len(self.checks)
+        return tuple(
+            result.id
+            for result in self._missing
+            if is_all or result.applies or result.id in self.asked
+        )
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Numbers of checks that were measured, that apply and were not measured, and that do not apply."""
+        missing = len(self._missing)
+        inapplicable = sum(not result.applies for result in self._missing)
+        return {
+            "measured": len(self.checks) - missing,
+            "not_measured": missing - inapplicable,
+            "not_applicable": inapplicable,
+        }
+
+    @property
+    def worst(self) -> SanityVerdict:
+        """The worst verdict of all checks that count; `not measured` only when nothing was measured."""
+        order = (SanityVerdict.FAILED, SanityVerdict.WARNING, SanityVerdict.PASSED)
+        verdicts = {
+            SanityVerdict.PASSED if result.advisory else result.verdict
+            for result in self.checks
+        }
+        return next(filter(verdicts.__contains__, order), SanityVerdict.NOT_MEASURED)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all attributes, JSON-ready, without the target's own model."""
+        bare = replace(self, configuration=replace(self.configuration, robot=None))
+        values: dict[str, Any] = json_ready(asdict(bare))
+        del values["configuration"]["robot"]
+        return values | {
+            "worst": self.worst.value,
+            "unmeasured": list(self.unmeasured),
+            "counts": self.counts,
+        }
+
+
+def flags_text(results: Sequence[SanityResult]) -> str:
+    """Return what failed checks and warnings are called together, such as `failed checks`."""
+    verdicts = {result.verdict for result in results}
+    nouns = {SanityVerdict.FAILED: "failed checks", SanityVerdict.WARNING: "warnings"}
+    return " and ".join(noun for verdict, noun in nouns.items() if verdict in verdicts)

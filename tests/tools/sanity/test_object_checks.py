@@ -1,0 +1,300 @@
+"""Checks of measured objects: realities, readings against closed forms, rollouts at a configuration's own step."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from sanity_cases import CHEETAH, moved
+
+from gauge_envs.backends import backend
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+from gauge_envs.fixtures.recording import DivergedError, UnsupportedError
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.tools.sanity.object_checks import GRASP, RIGID, SLOW, object_check
+from gauge_envs.tools.sanity.object_checks.check import run_scenario
+from gauge_envs.tools.sanity.object_checks.measure import (
+    Measurements,
+    applied_check,
+    judged,
+)
+from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import Reality, SanityVerdict
+
+MUJOCO = backend("mujoco")
+ALONG, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+
+REALITIES = """
+foot-creep         0         1.4111
+foot-push          0.48192   0.082014
+foot-slide         2.7194    0.082014
+foot-landing-depth 0         9
+foot-rebound       0         0.2
+foot-rest          0         0.2
+creep-wood         0         1.4111
+creep-plastic      0         2.5323
+creep-metal        0         1.7037
+rest-height        0         0.5
+release            0         0.5
+slide-wood         2.7194    0.082014
+slide-plastic      2.8979    0.16123
+slide-metal        2.6029    0.17345
+slide-turned       2.7194    0.082014
+rebound            0.73693   0.0047673
+rebound-slow       0.73693   0.02
+momentum           0.9302    0.052974
+period             1.2303    0.012303
+energy             0         0.01
+carry-wood         0         2.0236
+carry-plastic      0         2.6013
+carry-metal        0         2.9526
+seam               6.5       1
+point              0         1
+grasp-creep        0         10
+grasp-sink         0         200
+grasp-torsion      0.545     0.16845
+rolling            0         7
+wall-sag           0         1
+wall-drift         0         1
+cloth-carry        0.2       16
+cloth-sag          1.12      0.22401
+fling-lag          17.1      6.8
+foam-stretch       2.7       5
+foam-compress      -5.5      5
+rope-length        0         2
+foot-lag           2.5       2.8868
+"""
+"""Id, value and half-width of the interval of each check.
+
+The creep bound is sqrt(24 * 0.01 mm * E_RMSE) in 8 frames of 1/30 s, with E_RMSE = 0.59 mm for wood (paper, Table 5).
+"""
+
+
+def test_the_values_of_reality_and_their_intervals_stay():
+    table = [line.split() for line in REALITIES.strip().splitlines()]
+    expected = {name: pytest.approx([float(v), float(w)], 1e-4) for name, v, w in table}
+    checks = [object_check(name) for name in (*RIGID, *GRASP, *SLOW)]
+    assert {
+        check.id: [check.reality.value, check.reality.tolerance] for check in checks
+    } == expected
+
+
+def read(name, times, **displacements_m):
+    """Outcome of a check for given displacements [m]."""
+    check = object_check(name)
+    return judged(check, moved(check.scenario, times, **displacements_m))
+
+
+def on_board(name, axis):
+    """Return an axis of the board's frame in the world."""
+    return object_check(name).scenario.scene.body("board").pose.rotation.apply(axis)
+
+
+# --- rollouts --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("step", "interval"), [(0.01, 0.01), (0.0007, 0.0014)])
+def test_a_scene_runs_at_the_step_of_the_configuration(step, interval):
+    scenario = replace(object_check("rebound").scenario, seconds=0.2)
+    settings = {"timestep_s": step, "integrator": "Euler"}
+    rollout = run_scenario(MUJOCO, scenario, settings)
+    steps = np.round(rollout.times_s / step)
+    fall = -rollout.displacement("ball-2")[:, 2]
+    assert rollout.interval_s == pytest.approx(interval)
+    assert rollout.times_s[-1] == pytest.approx(0.2, abs=step)
+    # A semi-implicit step falls by g h^2 (1 + 2 + ... + n).
+    np.testing.assert_allclose(fall, 0.5 * G * step**2 * steps * (steps + 1), atol=1e-9)
+
+
+def test_rejected_settings_and_divergence_are_outcomes():
+    check = object_check("creep-wood")
+    with pytest.raises(UnsupportedError, match="unknown setting"):
+        run_scenario(MUJOCO, check.scenario, {"colour": "red"})
+    with pytest.raises(
+        UnsupportedError, match="a step of 2 s is too long for a scene of"
+    ):
+        run_scenario(MUJOCO, check.scenario, {"timestep_s": 2.0})
+    loose = CHEETAH | {"contact_solref": (0.002, 1.0), "refsafe": False}
+    with pytest.raises(DivergedError, match="m/s"):
+        run_scenario(MUJOCO, check.scenario, loose)
+    measured = Measurements(MUJOCO).measure(check, loose)
+    assert (measured.verdict, measured.value) == (SanityVerdict.FAILED, None)
+    assert measured.remark.startswith("diverged")
+
+
+def test_an_engine_that_raises_fails(monkeypatch):
+    def give_up(simulation, names):
+        raise MemoryError("full")
+
+    monkeypatch.setattr(SimulationMuJoCo, "body_states", give_up)
+    measured = Measurements(MUJOCO).measure(object_check("rebound"), {})
+    assert (measured.verdict, measured.value) == (SanityVerdict.FAILED, None)
+    assert measured.remark.startswith("the engine raised MemoryError: full")
+
+
+# --- readings of known motions ---------------------------------------------------------------------------------------
+
+
+def test_creep_counts_after_settling():
+    times = np.linspace(0.0, 1.0, 401)
+    path = 0.002 * (1.0 - np.exp(-times / 0.02)) + 0.007 * times
+    cube = np.outer(path, on_board("creep-wood", ALONG))
+    assert read("creep-wood", times, cube=cube).value == pytest.approx(7.0, abs=1e-3)
+
+
+def test_resting_height_is_along_the_normal():
+    times = np.linspace(0.0, 1.0, 101)
+    sunk = np.outer(np.where(times > 0.0, -0.0012, 0.0), on_board("rest-height", UP))
+    flat = read("rest-height", times).value
+    assert flat == pytest.approx(0.0, abs=2e-3)
+    assert read("rest-height", times, cube=sunk).value - flat == pytest.approx(-1.2)
+
+
+def test_a_slide_is_read_as_acceleration_without_speed():
+    times = np.linspace(0.0, 0.5, 126)
+    law = object_check("slide-wood").reality.value
+    for share, speed in ((1.0, 0.06), (1.2, 0.0)):
+        path = speed * times + 0.5 * share * law * times**2
+        cube = np.outer(path, on_board("slide-wood", ALONG))
+        value = read("slide-wood", times, cube=cube).value
+        assert value == pytest.approx(share * law)
+    # Real slides show a friction of 0.257, and the cube has it.
+    assert law == pytest.approx(G * (0.5 - 0.257145 * np.sqrt(0.75)), rel=2e-3)
+
+
+@pytest.mark.parametrize(("restitution", "interval"), [(0.2, 0.002), (0.9, 0.01)])
+def test_rebound_of_an_ideal_ball(restitution, interval):
+    times = np.arange(0.0, 0.85, interval)
+    scene = object_check("rebound").scenario.scene
+    ground_m = scene.body("ground").pose.position_m[2] + 0.03
+    displacements = {}
+    for ball in scene.dynamic_bodies:
+        drop = ball.pose.position_m[2] - ground_m
+        rise = _bounces_m(times, drop, restitution) - drop
+        displacements[ball.name.replace("-", "_")] = np.outer(rise, UP)
+    outcome = read("rebound", times, **displacements)
+    assert outcome.value == pytest.approx(restitution, rel=2e-3)
+
+
+def _bounces_m(times_s, drop_m, restitution):
+    """Height above contact of a ball that loses 1 - e of its speed in an instant."""
+    heights = drop_m - 0.5 * G * times_s**2
+    start, speed = np.sqrt(2.0 * drop_m / G), restitution * np.sqrt(2.0 * G * drop_m)
+    for _ in range(10):
+        since = times_s - start
+        heights = np.where(since >= 0.0, speed * since - 0.5 * G * since**2, heights)
+        start, speed = start + 2.0 * speed / G, restitution * speed
+    return heights
+
+
+def test_a_ball_that_stays_down_is_a_failure():
+    reading = read("rebound", np.linspace(0.0, 0.85, 400))
+    text = "5 of 5 drops do not leave the ground again"
+    assert (reading.value, reading.remark) == (0.0, text)
+
+
+def test_only_the_last_ball_may_leave():
+    times = np.linspace(0.0, 0.55, 276)
+    after = np.clip(times - 0.25, 0.0, None)
+    swing = np.outer(0.1 * np.sin(np.pi * after / 0.3) ** 2, UP)
+    fallen = np.outer(np.where(times > 0.2, -0.138251, 0.0), UP)
+    good = read("momentum", times, ball_1=fallen, ball_5=swing)
+    assert good.value == pytest.approx(np.sqrt(0.1 / 0.138251), rel=1e-4)
+    bad = read("momentum", times, ball_1=fallen, ball_4=0.5 * swing, ball_5=swing)
+    assert not good.remark and bad.remark.startswith("2 of 5 balls swing out")
+    # The momentum alone would be as in reality.
+    assert (bad.value, bad.verdict) == (good.value, SanityVerdict.FAILED)
+
+
+def test_depth_of_a_point_in_the_recess():
+    scene = object_check("point").scenario.scene
+    tip = scene.body("pyramid").pose.to_world(np.array([0.0, 0.0, -0.075]))
+    floor = scene.body("squarebase").pose.position_m[2] - 0.0125
+    fall = np.outer([0.0, 1.0], (floor - tip[2] - 0.0031) * UP)
+    assert read("point", np.array([0.0, 0.1]), pyramid=fall).value == pytest.approx(3.1)
+
+
+# --- reality ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_interval_covers_95_percent_of_further_trials():
+    """Student's t has a quantile of 2.4469 for 6 degrees of freedom and 97.5 %."""
+    reality = Reality.measured(5.0, 0.3, 7, "normal")
+    assert reality.tolerance == pytest.approx(0.3 * 2.4469 * np.sqrt(8 / 7), 1e-4)
+    assert Reality.measured(5.0, 0.3, 1, "a recording").tolerance == 0.6
+
+
+@pytest.mark.parametrize(
+    ("deviation", "verdict"),
+    [(1.0, "passed"), (1.01, "warning"), (2.5, "warning"), (2.51, "failed")],
+)
+def test_the_verdict_of_a_deviation(deviation, verdict):
+    assert SanityVerdict.of(deviation) == verdict
+
+
+@pytest.mark.parametrize(
+    ("solref", "has_rebound"),
+    [
+        ((0.02, 1.0), False),
+        ((0.02, 0.5), True),
+        # Stiffness 1e4 and damping b have the damping ratio b / (2 sqrt 1e4).
+        ((-1e4, -100.0), True),
+        ((-1e4, -300.0), False),
+    ],
+)
+def test_an_impact_counts_where_contacts_are_not_damped_critically(solref, has_rebound):
+    target = TrainingConfiguration(
+        name="a", source="", backend="mujoco", settings={"contact_solref": solref}
+    )
+    applied = applied_check(Measurements(MUJOCO), target, "rebound")
+    assert (applied.advisory == "") is has_rebound
+
+
+# --- engines ---------------------------------------------------------------------------------------------------------
+
+
+def test_creep_of_half_cheetah_is_mujocos():
+    """The creep of a plain MJCF model of the same cube, on a plane in tilted gravity."""
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option timestep="0.01" gravity="{G * np.sin(np.radians(10))} 0 {-G * np.cos(np.radians(10))}"/>
+        <default><geom friction="0.273673 0 0" solimp="0 0.8 0.01" solref="0.02 1"/></default>
+        <worldbody><geom type="plane" size="1 1 1"/>
+        <body pos="0 0 0.025"><freejoint/><geom type="box" size="0.025 0.025 0.025" mass="0.0903"/></body>
+        </worldbody></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, nstep=50)
+    early = float(data.qpos[0])
+    mujoco.mj_step(model, data, nstep=50)
+    plain = 1e3 * (float(data.qpos[0]) - early) / 0.5
+    measured = Measurements(MUJOCO).measure(object_check("creep-wood"), CHEETAH)
+    assert measured.value == pytest.approx(plain, rel=0.02)
+    assert 50.0 < plain < 65.0
+
+
+def test_a_friction_that_is_four_percent_too_small_is_a_warning():
+    slide = object_check("slide-wood")
+    measured = Measurements(MUJOCO).measure(slide, {"friction_scale": 0.96})
+    faster = 0.04 * 0.257145 * G * np.sqrt(0.75)
+    assert measured.value == pytest.approx(slide.reality.value + faster, rel=0.002)
+    assert measured.verdict is SanityVerdict.WARNING
+
+
+LONGER = ("energy", "period", "carry-plastic", "carry-metal")
+
+
+@pytest.mark.parametrize(
+    ("name", "skipped"),
+    [
+        ("mujoco", LONGER),
+        pytest.param("mujoco", (), marks=pytest.mark.slow),
+        pytest.param("newton", (), marks=pytest.mark.slow),
+    ],
+)
+def test_the_preset_of_an_engine_passes(name, skipped):
+    pytest.importorskip(name)
+    measurements = Measurements(backend(name))
+    checks = [object_check(name) for name in RIGID if name not in skipped]
+    outcomes = {check.id: measurements.measure(check, {}) for check in checks}
+    failed = [name for name in outcomes if outcomes[name].verdict.is_off]
+    assert len(checks) > 15 and failed == []

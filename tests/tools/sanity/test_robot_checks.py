@@ -1,0 +1,144 @@
+"""Checks of robots: right robots pass, and each check detects the mistakes that are planted for it."""
+
+import pytest
+from robot_faults import FAULTS, faulty_xml, good_xml
+
+from gauge_envs.tools.sanity import configuration
+from gauge_envs.tools.sanity.model_checks import MODEL_CHECKS, TARGET_CHECKS
+from gauge_envs.tools.sanity.model_checks.drives import drives, unstated
+
+NAMES = [
+    check.id
+    for check in MODEL_CHECKS
+    if check.id.startswith("robot-") and check.id not in ("robot-holds", "robot-energy")
+]
+
+
+def read(xml, tmp_path, suffix="xml"):
+    file = tmp_path / f"robot.{suffix}"
+    file.write_text(xml)
+    return configuration(str(file))
+
+
+def flags_of(target):
+    results = [TARGET_CHECKS[name].result(target) for name in NAMES]
+    return {result.id: result.remark for result in results if result.verdict.is_off}
+
+
+def test_a_right_quadruped_passes(tmp_path):
+    target = read(good_xml(), tmp_path)
+    assert flags_of(target) == {}
+    assert unstated(target.robot) == "The model has no delay of actions."
+    inapplicable = {
+        name for name in NAMES if not TARGET_CHECKS[name].result(target).applies
+    }
+    assert inapplicable == {"robot-coupling", "robot-torsion"}
+
+
+@pytest.mark.parametrize("key", FAULTS)
+def test_a_mistake_is_detected_and_named(key, tmp_path):
+    name, words = key
+    flags = flags_of(read(faulty_xml(key), tmp_path))
+    assert words in flags[name], flags
+    # All joints with armature and damping are one finding.
+    assert words != "7 more" or len(flags) == 1
+
+
+ARM = """<mujoco><option timestep="{step}"/><worldbody>{world}<body name="arm" pos="0 0 1"{body}>
+  <joint name="elbow" axis="0 1 0" {joint}/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" {geom}/>{more}</body>
+  </worldbody>{end}</mujoco>"""
+MOTOR = '<actuator><position joint="elbow" {}/></actuator>'
+PENDULUM = """<robot name="furuta"><link name="base"/><link name="arm">{0}</link><link name="rod">{0}</link>
+  <joint name="yaw" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/></joint>
+  <joint name="swing" type="continuous"><parent link="arm"/><child link="rod"/><origin xyz=".1 0 0"/>
+  <axis xyz="1 0 0"/></joint></robot>"""
+LINK = """<inertial><mass value=".1"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-5" ixy="0" ixz="0" iyz="0"/></inertial>
+  <visual><geometry><box size=".02 .02 .1"/></geometry></visual>"""
+
+
+def arm(
+    step=0.002,
+    world="",
+    body="",
+    joint='damping=".5" armature=".01"',
+    geom="",
+    more="",
+    end="",
+):
+    return ARM.format(
+        step=step, world=world, body=body, joint=joint, geom=geom, more=more, end=end
+    )
+
+
+RIGHT = {
+    "gravity compensation": arm(
+        body=' gravcomp="1"', end=MOTOR.format('kp="50" kv="2" forcerange="-20 20"')
+    ),
+    "free play": arm(
+        more='<body pos=".3 0 0"><joint name="play" range="-1 1"/><geom size=".02"/></body>',
+        end=MOTOR.format('kp="50" kv="2" forcerange="-20 20"'),
+    ),
+    "loose box": arm(
+        world='<body><freejoint/><geom type="box" size=".05 .05 .05" mass="60"/></body>'
+    ),
+    "no joint": '<mujoco><worldbody><geom type="box" size="1 1 .1"/></worldbody></mujoco>',
+    "furuta": PENDULUM.format(LINK),
+}
+
+
+@pytest.mark.parametrize("name", RIGHT)
+def test_right_models_pass(name, tmp_path):
+    suffix = "urdf" if name == "furuta" else "xml"
+    assert flags_of(read(RIGHT[name], tmp_path, suffix)) == {}
+
+
+def test_forces_and_gains_of_a_servo_pass_its_gear(tmp_path):
+    """A gear of 3 gives the joint 3 times the force, and 9 times stiffness and damping."""
+    servo = MOTOR.format('gear="3" kp="50" kv="2" forcerange="-20 20"')
+    (drive,) = drives(read(arm(end=servo), tmp_path).robot)
+    assert (drive.limit, drive.kp, drive.kv) == pytest.approx((60.0, 450.0, 18.0))
+
+
+WRONG = {
+    "base": (
+        arm(
+            world='<geom name="base" size=".06" pos="0 0 1"/>',
+            end=MOTOR.format('kp="50" kv="2"'),
+        ),
+        ("robot-overlap", "world and arm overlap by 90 mm"),
+    ),
+    "hobby servo": (
+        arm(joint='damping="1" armature="5"', end=MOTOR.format('kp="1000"')),
+        ("robot-joint", "no torque limit"),
+    ),
+    "no kp": (
+        arm(end=MOTOR.format("")),
+        ("robot-drive", "MuJoCo's default kp"),
+    ),
+    "dense link": (
+        arm(
+            geom='density="50000"',
+            more='<body><joint/><geom size=".02"/></body>',
+            end=MOTOR.format('kp="300" kv="9"'),
+        ),
+        ("robot-mass", "arm weighs 48.1 kg"),
+    ),
+    "weak motor": (
+        arm(end=MOTOR.format('kp="50" kv="2" forcerange="-1 1"')),
+        ("robot-torque", "its motor makes 1"),
+    ),
+    "commands in degrees": (
+        arm(
+            joint='damping=".5" range="-90 90"',
+            end=MOTOR.format('kp="50" kv="2" ctrlrange="-90 90"'),
+        ),
+        ("robot-drive", "commands of elbow span 180 rad"),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_arm_is_named(name, tmp_path):
+    xml, (check, words) = WRONG[name]
+    flags = flags_of(read(xml, tmp_path))
+    assert words in flags.get(check, ""), flags
