@@ -13,6 +13,7 @@ from gauge_envs.backends.settings import settings_record
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.envs.initial_states import InitialState, InitialStates
 from gauge_envs.envs.rollout import Rollout
+from gauge_envs.envs.world_references import WorldReferences
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready
@@ -54,22 +55,21 @@ def run_episodes(request: RunRequest) -> list[Result]:
     experiment = request.experiment()
     initial_states = _initial_states(request, experiment)
     engine_versions = versions_of(request.backend)
-    bands = [reference_band(experiment)] * request.repeats
-    rollout = request.rollout([experiment] * request.repeats, bands)
+    rollout = request.rollout([experiment] * request.repeats)
+    references = WorldReferences(rollout)
     try:
         wall_s, cpu_s = time.perf_counter(), time.process_time()
         rollout.reset(initial_states, request.seed)
+        references.start()
         rollout.play()
         wall_s = (time.perf_counter() - wall_s) / request.repeats
         cpu_s = (time.process_time() - cpu_s) / request.repeats
-        # The score adds later samples to the trajectory.
-        scores = [rollout.score(world) for world in range(request.repeats)]
         return [
             _with_episode(
                 _without_run(request, experiment, seed=seed, start=start.record),
                 rollout,
                 world,
-                scores[world],
+                references.score(world),
                 versions_of_engine=engine_versions,
                 times_s=(wall_s, cpu_s),
             )
@@ -235,7 +235,7 @@ def _with_episode(
         versions_of_engine: Versions of the engine's packages.
         times_s: Wall and CPU time of the episode [s], if they were measured.
     """
-    recorded = rollout.trajectory(world)
+    recorded = rollout.recording.trajectory(world)
     reason = rollout.diverged.get(world)
     return replace(
         result,
@@ -253,7 +253,8 @@ def _with_episode(
         error=None,
         trajectory=RecordedTrajectory.of(
             rollout.experiment_of(world),
-            *recorded.dense,
+            times_s=recorded.times_s,
+            samples=recorded.samples,
             markers_m=recorded.markers_m,
         ),
     )

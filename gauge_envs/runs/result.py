@@ -64,8 +64,6 @@ class RecordedTrajectory:
         coordinates: Names of the coordinates, as `cube.x`.
         times_s: Times [s], 180 a second, shape [sample_count].
         samples: g(t) at those times, shape [sample_count, coordinate_count].
-        later_times_s: Times after the last frame [s], for the time alignment, shape [later_count].
-        later_samples: g(t) at those times, shape [later_count, coordinate_count].
         markers_mm: x, y, z of each marker at the 30 Hz frames [mm], shape [frame_count, 3 marker_count]; empty without
             markers.
     """
@@ -74,19 +72,15 @@ class RecordedTrajectory:
     coordinates: list[str]
     times_s: Times
     samples: Rows
-    later_times_s: Times = field(default_factory=lambda: np.empty(0))
-    later_samples: Rows = field(default_factory=lambda: _NO_ROWS)
     markers_mm: Rows = field(default_factory=lambda: _NO_ROWS)
 
     def __post_init__(self) -> None:
-        width = len(self.coordinates)
-        for prefix in ("", "later_"):
-            times_s = np.array(getattr(self, f"{prefix}times_s"), dtype=np.float64)
-            samples = _rows(getattr(self, f"{prefix}samples"), width)
-            if len(samples) != len(times_s):
-                raise ValueError(f"{len(times_s)} times but {len(samples)} samples")
-            object.__setattr__(self, f"{prefix}times_s", times_s)
-            object.__setattr__(self, f"{prefix}samples", samples)
+        times_s = np.array(self.times_s, dtype=np.float64)
+        samples = _rows(self.samples, len(self.coordinates))
+        if len(samples) != len(times_s):
+            raise ValueError(f"{len(times_s)} times but {len(samples)} samples")
+        object.__setattr__(self, "times_s", times_s)
+        object.__setattr__(self, "samples", samples)
         object.__setattr__(self, "markers_mm", _rows(self.markers_mm))
 
     def __eq__(self, other: object) -> bool:
@@ -104,7 +98,7 @@ class RecordedTrajectory:
         samples: FloatArray,
         markers_m: FloatArray | None = None,
     ) -> RecordedTrajectory:
-        """Return the record of a generalized trajectory, split at the last frame.
+        """Return the record of a generalized trajectory.
 
         Args:
             experiment: The experiment of the trajectory.
@@ -112,18 +106,14 @@ class RecordedTrajectory:
             samples: g(t) at those times in the unit of the observable, shape [sample_count, coordinate_count].
             markers_m: Markers at the frames [m], shape [frame_count, marker_count, 3]; None or empty without markers.
         """
-        duration_s = (experiment.frame_count - 1) / FRAME_RATE_HZ
-        count = int(np.searchsorted(times_s, duration_s + ROUNDING_S))
         markers_mm = _NO_ROWS
         if markers_m is not None and markers_m.size:
             markers_mm = 1e3 * markers_m.reshape(len(markers_m), -1)
         return cls(
             unit=experiment.score.observable.unit,
             coordinates=list(experiment.coordinates),
-            times_s=times_s[:count],
-            samples=samples[:count],
-            later_times_s=times_s[count:],
-            later_samples=samples[count:],
+            times_s=times_s,
+            samples=samples,
             markers_mm=np.round(markers_mm, MARKER_DECIMALS),
         )
 
@@ -138,18 +128,9 @@ class RecordedTrajectory:
             return None
         return 1e-3 * self.markers_mm.reshape(len(self.markers_mm), -1, 3)
 
-    def arrays(self, *, later: bool = False) -> tuple[FloatArray, FloatArray]:
-        """Return times [s], shape [sample_count], and g(t), shape [sample_count, coordinate_count].
-
-        Args:
-            later: Whether to add the samples after the last frame.
-        """
-        if not later:
-            return self.times_s, self.samples
-        return (
-            np.concatenate([self.times_s, self.later_times_s]),
-            np.concatenate([self.samples, self.later_samples]),
-        )
+    def arrays(self) -> tuple[FloatArray, FloatArray]:
+        """Return times [s], shape [sample_count], and g(t), shape [sample_count, coordinate_count]."""
+        return self.times_s, self.samples
 
 
 def _rows(values: ArrayLike, width: int | None = None) -> FloatArray:

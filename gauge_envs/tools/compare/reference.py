@@ -100,8 +100,8 @@ class Reference:
         if offset_s is None or not is_aligned(result):
             times_s, samples = recorded.arrays()
             return times_s, self.band.project(samples)
-        times_s, samples = recorded.arrays(later=True)
-        shown_s = np.array(recorded.times_s)
+        times_s, samples = recorded.arrays()
+        shown_s = times_s[times_s - offset_s <= times_s[-1]]
         projected = self.band.project(samples)
         return shown_s, interpolated(shown_s - offset_s, times_s, projected)
 

@@ -104,7 +104,9 @@ class Deviations:
                 shared = (np.nan_to_num(band.uncertainty) * axes)[:, known] / size
         return cls(
             seeds=tuple(seeds),
-            vectors=np.array([deviation[known] for deviation in deviations]) / size,
+            vectors=np.array(
+                [_scaled(deviation, compared) / scale for deviation in deviations]
+            ),
             trials=trials,
             shared=shared,
             uncertainty=band.standard_uncertainty / scale,
@@ -127,6 +129,17 @@ class Deviations:
         std_of_mean = math.sqrt(variance * (1.0 + lag) / (1.0 - lag))
         shared = length_of(self.shared @ direction)
         return student_t(count - 1) * math.hypot(std_of_mean, shared)
+
+
+def _scaled(deviation: FloatArray, band: Band) -> FloatArray:
+    """Return the known entries of a deviation, scaled so that their norm is the distance, shape [entry_count].
+
+    An aligned motion may end some frames before the band. The distance does not compare these, and their entries are 0.
+    """
+    is_compared = band.known & np.isfinite(deviation).any(axis=1)
+    number_count = max(int(is_compared.sum()) * band.marker_count, 1)
+    entries = np.nan_to_num(deviation[np.isfinite(band.mean)])
+    return entries / math.sqrt(number_count)
 
 
 def _errors_of_mean(trials: FloatArray) -> FloatArray:

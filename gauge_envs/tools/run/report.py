@@ -21,7 +21,7 @@ from gauge_envs.pages.text import (
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.scoring.estimates import Measured
+from gauge_envs.scoring.estimates import ComparedQuantity
 from gauge_envs.scoring.score import OVER_U, Score, ScoreVerdict
 
 MAX_EXPLAINED = 5
@@ -53,7 +53,6 @@ COLUMNS = (
 PHRASES = {
     "friction": "slides as with friction {}",
     "restitution": "rebounds with restitution {}",
-    "period": "swings in {}",
     "pd": "swings in {}",
     "frequency": "swings at {}",
     "swing_frequency_hz": "swings at {}",
@@ -149,7 +148,7 @@ def motion_text(score: Score) -> str | None:
     return f"{text}; {owner} {_real_text(quantity)}"
 
 
-def _deviation(quantity: Measured) -> float:
+def _deviation(quantity: ComparedQuantity) -> float:
     """Return the deviation from the real value, divided by its standard uncertainty; 0 if unknown."""
     if quantity.real is None or not quantity.real_uncertainty:
         return 0.0
@@ -158,7 +157,7 @@ def _deviation(quantity: Measured) -> float:
     return abs(quantity.value - quantity.real) / quantity.real_uncertainty
 
 
-def _real_text(quantity: Measured) -> str:
+def _real_text(quantity: ComparedQuantity) -> str:
     """Return the real value with its standard uncertainty."""
     text = digits_text(quantity.real)
     if quantity.real_uncertainty:

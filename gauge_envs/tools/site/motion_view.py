@@ -109,7 +109,7 @@ def _run_again(result: Result, backend: str) -> MotionView:
         initial_states.of_reset(options, seeded=True), seed
     )
     with engine_call(backend, "run"):
-        rollout = arguments.rollout([experiment], [None])
+        rollout = arguments.rollout([experiment])
         try:
             rollout.reset([initial_state], seed)
             return _recorded(rollout)
@@ -124,11 +124,12 @@ def _recorded(rollout: Rollout) -> MotionView:
         views_per_frame = 1
     samples_per_view = SAMPLES_PER_FRAME // views_per_frame
     # The initial state is the first view.
-    views = [(rollout.poses(), rollout.nodes_m())]
+    recording = rollout.recording
+    views = [(recording.poses(), recording.nodes_m())]
     while not rollout.is_over[0]:
         for sample in rollout.substeps():
             if (sample + 1) % samples_per_view == 0:
-                views.append((rollout.poses(), rollout.nodes_m()))
+                views.append((recording.poses(), recording.nodes_m()))
     bodies, softs = views[0]
     poses = np.array([[*poses.values()] for poses, _ in views])
     return MotionView(
@@ -138,7 +139,7 @@ def _recorded(rollout: Rollout) -> MotionView:
         nodes_m={
             name: np.array([nodes_m[name] for _, nodes_m in views]) for name in softs
         },
-        markers_m=rollout.trajectory().markers_m,
+        markers_m=recording.trajectory().markers_m,
     )
 
 

@@ -17,7 +17,7 @@ from gauge_envs.runs.result_file import (
     result_file_name,
     write_result,
 )
-from gauge_envs.scoring.estimates import Measured
+from gauge_envs.scoring.estimates import ComparedQuantity
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import Score, score_trajectory
 from gauge_envs.tools.compare.comparison import compare
@@ -140,13 +140,9 @@ def altered(result, scale, **changes):
     """Return a result with scaled displacements and a new score."""
     trajectory = result.trajectory
     start = trajectory.samples[0]
-    moved = replace(
-        trajectory,
-        samples=start + scale * (trajectory.samples - start),
-        later_samples=start + scale * (trajectory.later_samples - start),
-    )
+    moved = replace(trajectory, samples=start + scale * (trajectory.samples - start))
     experiment = recorded_experiment(result)
-    times_s, values = moved.arrays(later=True)
+    times_s, values = moved.arrays()
     band = reference_band(experiment)
     score = score_trajectory(experiment, band, times_s=times_s, values=values)
     return replace(result, trajectory=moved, score=score, **changes)
@@ -283,7 +279,7 @@ def write(folder, *results):
 
 
 def test_the_tables_show_each_outcome(gauge, tmp_path):
-    loss = Measured(value=0.19, unit="s", real=0.38)
+    loss = ComparedQuantity(value=0.19, unit="s", real=0.38)
     write(
         tmp_path,
         made(rmse=0.41),
