@@ -32,7 +32,7 @@ from gauge_envs.tools.control import ids
 
 if TYPE_CHECKING:
     from gauge_envs.envs.env import GaugeEnv as GaugeEnv
-    from gauge_envs.envs.rollout import Trajectory as Trajectory
+    from gauge_envs.envs.recording import Trajectory as Trajectory
     from gauge_envs.envs.wrappers import (
         LogScore as LogScore,
         ScoreEpisode as ScoreEpisode,
@@ -54,7 +54,7 @@ else:
         __name__,
         {
             ".envs.env": ["GaugeEnv"],
-            ".envs.rollout": ["Trajectory"],
+            ".envs.recording": ["Trajectory"],
             ".envs.wrappers": ["LogScore", "ScoreEpisode"],
             ".experiments.experiment": ["Experiment"],
             ".experiments.resolve": ["load_experiment", "load_experiment_from_asset"],

@@ -7,7 +7,6 @@ value moved by more than its tolerance since the earlier release.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +14,7 @@ import pytest
 
 if TYPE_CHECKING:
     from gauge_envs.runs.workers import Worker
-    from gauge_envs.tools.conformance.model import CheckResult
-    from gauge_envs.tools.conformance.results import EngineColumn, Expected
+    from gauge_envs.tools.conformance.expectations import Expectation
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -44,22 +42,15 @@ class CheckItem(pytest.Item):
 
     Args:
         worker: Process in which the engine runs.
-        expected: Failures and unsupported checks that are expected; None if no file lists them.
-        baseline: Results of earlier releases; empty if no file has them.
+        expectation: Results that are expected; None for passed checks.
     """
 
     def __init__(
-        self,
-        *,
-        worker: Worker,
-        expected: Expected | None,
-        baseline: Sequence[EngineColumn],
-        **kwargs: Any,
+        self, *, worker: Worker, expectation: Expectation | None, **kwargs: Any
     ) -> None:
         super().__init__(**kwargs)
         self._worker = worker
-        self._expected = expected
-        self._baseline = baseline
+        self._expectation = expectation
 
     def runtest(self) -> None:
         """Run the check."""
@@ -72,35 +63,17 @@ class CheckItem(pytest.Item):
             (key, facts[key])
             for key in ("measured", "expected", "fingerprint", "versions", "gauge_envs")
         ]
-        if failure := self._failure(result):
-            pytest.fail(f"{self.name} {failure}", pytrace=False)
+        difference = None
+        if self._expectation is not None:
+            difference = self._expectation.difference(result)
+        elif result.is_bad:
+            difference = f"fails: {result.diagnosis}"
+        if difference is not None:
+            pytest.fail(f"{self.name} {difference}", pytrace=False)
         if result.is_bad:
             pytest.xfail(result.diagnosis)
         if result.missing:
             pytest.skip("; ".join(result.missing))
-
-    def _failure(self, result: CheckResult) -> str:
-        """Return why the test fails, in words; empty if it passes."""
-        if self._expected is not None:
-            return self._expected.surprise(result)
-        if self._baseline:
-            return self._difference(result)
-        return f"fails: {result.diagnosis}" if result.is_bad else ""
-
-    def _difference(self, result: CheckResult) -> str:
-        """Return how a result became worse or moved since the baseline, in words; empty if it did not."""
-        from gauge_envs.tools.conformance.results import EngineColumn, changes
-
-        column = EngineColumn(backend=result.backend, name="default", settings={})
-        column.results[result.check] = result
-        for change in changes([column], self._baseline):
-            if change.kind != "fixed":
-                before, after = (
-                    f"{outcome.status}, {outcome.measured}"
-                    for outcome in (change.before, change.after)
-                )
-                return f"{change.kind}: {before} before, {after} now"
-        return ""
 
     def reportinfo(self) -> tuple[Path, int | None, str]:
         """Return where it is listed."""
@@ -113,30 +86,24 @@ def pytest_collection_modifyitems(
 ) -> None:
     """Add a test for each check."""
     engine = config.getoption("--gauge-engine")
-    files = {
-        option: config.getoption(option)
-        for option in ("--gauge-expected", "--gauge-baseline")
-    }
-    given = [option for option, file in files.items() if file is not None]
+    expected = config.getoption("--gauge-expected")
+    baseline = config.getoption("--gauge-baseline")
     if engine is None:
-        if given:
-            raise pytest.UsageError(f"{given[0]} needs --gauge-engine NAME")
+        if expected or baseline:
+            option = "--gauge-expected" if expected else "--gauge-baseline"
+            raise pytest.UsageError(f"{option} needs --gauge-engine NAME")
         return
-    if len(given) == 2:
-        raise pytest.UsageError(f"give one of {' and '.join(given)}")
     from gauge_envs.backends.registry import versions_of
     from gauge_envs.errors import GaugeError
     from gauge_envs.runs.workers import Worker
     from gauge_envs.tools.conformance import checks
     from gauge_envs.tools.conformance.command import CHECK_LIMIT_S
-    from gauge_envs.tools.conformance.results import read_columns, read_expected
+    from gauge_envs.tools.conformance.expectations import expectation_of
 
-    expected_file, baseline_file = files.values()
     worker = Worker(CHECK_LIMIT_S)
     config.add_cleanup(worker.close)
     try:
-        expected = read_expected(expected_file) if expected_file else None
-        baseline = read_columns(baseline_file) if baseline_file else []
+        expectation = expectation_of(engine, expected, baseline)
         worker.call(versions_of, engine)
     except GaugeError as error:
         raise pytest.UsageError(str(error)) from None
@@ -146,7 +113,6 @@ def pytest_collection_modifyitems(
             name=check.id,
             nodeid=f"gauge::{check.id}",
             worker=worker,
-            expected=expected,
-            baseline=baseline,
+            expectation=expectation,
         )
         items.append(item)

@@ -2,6 +2,7 @@
 
 python -m scripts build               writes the generated pages, after a task or an engine has changed
 python -m scripts build NAME ...      writes those of some builders, as `assets`, `pictures` and `cheat_sheet`
+python -m scripts conformance FILE ... joins results of `gauge backend check --out` in `scoring/conformance.json`
 python -m scripts matrix ENTRY ...    tests the wheel on several versions of Python
 python -m scripts release             rehearses a release
 """
@@ -65,6 +66,8 @@ def parser() -> argparse.ArgumentParser:
     commands = result.add_subparsers(dest="command", required=True)
     pages = commands.add_parser("build", help="write generated files")
     pages.add_argument("names", nargs="*", choices=[[], *PAGES, *DRAWN], metavar="NAME")
+    results = commands.add_parser("conformance", help="join results of checks")
+    results.add_argument("files", nargs="+", type=Path, metavar="FILE")
     matrix = commands.add_parser("matrix", help="test the wheel on versions of Python")
     matrix.add_argument("entries", nargs="+", metavar="VERSION:RESOLUTION")
     matrix.add_argument("--tests", nargs="+", required=True)
@@ -83,6 +86,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     if options.command == "matrix":
         return test_matrix.main(options.entries, options.tests, options.rigid_tests)
+    if options.command == "conformance":
+        build_conformance.join(options.files)
+        return 0
     if options.command == "release":
         return release.main()
     build(options.names or list(PAGES))

@@ -1,53 +1,36 @@
 """Write the table of `docs/engines/conformance.md` from `scoring/conformance.json`: the checks that an engine fails.
 
-    gauge backend check '*:default' '*:out_of_box' --out scoring/conformance.json
+    gauge backend check '*:default' '*:out_of_box' --out engines.json
+    python -m scripts conformance engines.json genesis.json
     python -m scripts build conformance
 
-Engines that need environments of their own are joined by `gauge backend check ONE.json TWO.json --out ...`.
+Engines that need environments of their own have files of their own, which the second command joins.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from gauge_envs.tools.conformance import Status, checks
-from gauge_envs.tools.conformance.report import expected_text, verdict_text
-from gauge_envs.tools.conformance.results import EngineColumn, levels, read_columns
+from gauge_envs.tools.conformance.report import comparison
+from gauge_envs.tools.conformance.results import read_columns, write_columns
 from scripts.generated import ROOT, SCORING, markdown_table, page_part
 
 PAGE = ROOT / "docs" / "engines" / "conformance.md"
-FAILURES = {Status.FAIL, Status.ERROR}
+RESULTS = SCORING / "conformance.json"
 SCRIPT = f"scripts/{Path(__file__).name}"
 
 
-def verdicts(columns: Sequence[EngineColumn]) -> Iterator[str]:
-    """Yield the lines of the table: counts and levels, then a row for each check that an engine fails."""
-    default = [column for column in columns if column.name == "default"]
-    rows = [["passed", "", *map(_passed, default)]]
-    engine_levels = [levels([*column.results.values()]) for column in default]
-    for level in engine_levels[0]:
-        verdict_cells = [verdicts.get(level, "-") for verdicts in engine_levels]
-        rows.append([f"level {level}", "", *verdict_cells])
-    for check in checks():
-        results = [column.results.get(check.id) for column in default]
-        measured = [result for result in results if result is not None]
-        if any(result.status in FAILURES for result in measured):
-            expected = next(filter(None, map(expected_text, measured)), "")
-            rows.append([f"`{check.id}`", expected, *map(verdict_text, results)])
-    engines = [column.backend for column in default]
-    yield from markdown_table(["check", "expected", *engines], rows)
-
-
-def _passed(column: EngineColumn) -> str:
-    statuses = [result.status for result in column.results.values()]
-    ran = sum(status is not Status.UNSUPPORTED for status in statuses)
-    return f"{statuses.count(Status.PASS)} of {ran}"
+def join(files: Sequence[Path]) -> None:
+    """Write the results of files of `gauge backend check --out` to `scoring/conformance.json`."""
+    write_columns([column for file in files for column in read_columns(file)], RESULTS)
 
 
 def contents() -> dict[Path, str]:
     """Return the pages with their generated parts replaced."""
-    columns = read_columns(SCORING / "conformance.json")
+    columns = read_columns(RESULTS)
     pairs = {pair for column in columns for pair in column.versions.items()}
     versions = ", ".join(f"{name} {text}" for name, text in sorted(pairs))
     days = ", ".join(sorted({column.made for column in columns}))
-    lines = [f"Run on {days} with {versions}.", "", *verdicts(columns)]
+    table = comparison([column for column in columns if column.name == "default"])
+    head = [column.title for column in table.columns]
+    lines = [f"Run on {days} with {versions}.", "", *markdown_table(head, table.rows)]
     return page_part(PAGE, "matrix", SCRIPT, "\n".join(lines))

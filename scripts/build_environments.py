@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -27,10 +28,9 @@ from gauge_envs.rendering.reference_path import reference_path, reference_words
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from scripts.environment_page import (
     READING,
-    Families,
+    Members,
     described_families,
     family_document,
-    reading_document,
 )
 from scripts.generated import ROOT, markdown_table
 
@@ -122,19 +122,17 @@ def picture_of(family: str) -> Path:
 
 def captions() -> dict[str, str]:
     """Return the caption of each picture as it was drawn, by family."""
-    known: dict[str, str] = (
-        json.loads(CAPTIONS.read_text(encoding="utf-8")) if CAPTIONS.is_file() else {}
-    )
+    known: dict[str, str] = {}
+    if CAPTIONS.is_file():
+        known = json.loads(CAPTIONS.read_text(encoding="utf-8"))
     return known
 
 
 def stride_of(entry: Entry, frame_count: int) -> tuple[int, int]:
     """Return the last frame that a picture shows, and the frames between two of its frames."""
-    last = (
-        frame_count - 1
-        if entry.to_s is None
-        else min(round(FRAME_RATE_HZ * entry.to_s), frame_count - 1)
-    )
+    last = frame_count - 1
+    if entry.to_s is not None:
+        last = min(round(FRAME_RATE_HZ * entry.to_s), last)
     return last, math.ceil(last / MAX_FRAMES)
 
 
@@ -143,9 +141,11 @@ def caption_of(entry: Entry, experiment: Experiment, band: Band | None) -> str:
     last, stride = stride_of(entry, experiment.frame_count)
     end_s = last / FRAME_RATE_HZ
     reference = reference_text(experiment, band, end_s=end_s)
-    red = f"; red: {reference}" if reference else ""
     speed = stride * FPS / FRAME_RATE_HZ
-    return f"{entry.name}, {end_s:.2f} s, speed x {speed:.2g}{red}."
+    caption = f"{entry.name}, {end_s:.2f} s, speed x {speed:.2g}"
+    if reference:
+        caption += f"; red: {reference}"
+    return f"{caption}."
 
 
 def reference_text(experiment: Experiment, band: Band | None, *, end_s: float) -> str:
@@ -159,11 +159,9 @@ def reference_text(experiment: Experiment, band: Band | None, *, end_s: float) -
     path = reference_path(experiment, band)
     if band is None or path is None:
         return ""
-    text = (
-        reference_words(band.kind, band.trial_count)
-        if experiment.trial is None
-        else f"real trial {experiment.trial}"
-    )
+    text = reference_words(band.kind, band.trial_count)
+    if experiment.trial is not None:
+        text = f"real trial {experiment.trial}"
     if not path.is_full:
         text += ", in the measured directions"
     known = np.isfinite(path.places_m).all(axis=2)
@@ -186,11 +184,9 @@ def draw(entry: Entry, file: Path) -> str:
     )
     env.reset(seed=0)
     last, stride = stride_of(entry, env.experiment.frame_count)
-    zero = (
-        0
-        if isinstance(env.action_space, spaces.Discrete)
-        else np.zeros(env.action_space.shape)
-    )
+    zero: Any = 0
+    if not isinstance(env.action_space, spaces.Discrete):
+        zero = np.zeros(env.action_space.shape)
     pictures, durations_ms = [], []
     for frame in range(last + 1):
         if frame:
@@ -240,26 +236,24 @@ def contents() -> dict[Path, str]:
     """Return every page with its text."""
     families = described_families()
     shown = captions()
-    pages = {
-        PAGES / "index.md": enclosed(index_text(families)),
-        PAGES / READING: enclosed(as_markdown(reading_document(families))),
-    }
-    for family in families:
+    pages = {PAGES / "index.md": enclosed(index_text(families))}
+    for family, members in families.items():
         picture = f"../images/environments/{family}.webp"
         caption = shown.get(family, "")
-        document = family_document(family, families, picture=picture, caption=caption)
+        document = family_document(family, members, picture=picture, caption=caption)
         pages[PAGES / f"{family}.md"] = enclosed(as_markdown(document))
     return pages
 
 
-def index_text(families: Families) -> str:
+def index_text(families: Mapping[str, Members]) -> str:
     """Return the list of all families with their pictures."""
     lines = ["# Experiments", "", INTRODUCTION, ""]
     for title, entries in GROUPS.items():
         lines += [f"## {title}", ""]
-        cells = [
-            index_cell(find_variant(entry.name).family, families) for entry in entries
-        ]
+        cells = []
+        for entry in entries:
+            family = find_variant(entry.name).family
+            cells.append(index_cell(family, families[family]))
         rows = [
             cells[first : first + COLUMNS] for first in range(0, len(cells), COLUMNS)
         ]
@@ -269,8 +263,8 @@ def index_text(families: Families) -> str:
     return "\n".join([*lines, "```{toctree}", ":hidden:", "", *names, "```", ""])
 
 
-def index_cell(family: str, families: Families) -> str:
+def index_cell(family: str, members: Members) -> str:
     """Return picture, name and numbers of a family, with a link to its page."""
-    kinds = Counter(Kind(values["reference"]["kind"]) for values in families[family])
+    kinds = Counter(Kind(values["reference"]["kind"]) for values in members.values())
     count = ", ".join(f"{kinds[kind]} x {kind.value}" for kind in Kind if kinds[kind])
     return f"[![{family}](../images/environments/{family}.webp)]({family}.md) [{family}]({family}.md): {count}"

@@ -330,6 +330,16 @@ class _NotFinite(Planted):
         return states
 
 
+class _Leaks(Planted):
+    """Keep 0.1 MB at each reset."""
+
+    kept: tuple[np.ndarray, ...] = ()
+
+    def reset(self, starts=None, seed=0):
+        self.kept = (*self.kept, np.ones(12_500))
+        super().reset(starts, seed)
+
+
 class _Noisy(Planted):
     """Add noise of 1 um that does not depend on the seed."""
 
@@ -526,6 +536,11 @@ FAULTS = {
         says="before the first step and after reset",
         simulation=_NoReset,
     ),
+    "reset keeps memory": Fault(
+        caught_by="life",
+        says="reset() makes objects that nothing frees",
+        simulation=_Leaks,
+    ),
     "starts ignored": Fault(
         caught_by="starts-free",
         says="reset(starts) must write pose and velocities of each body",
@@ -538,7 +553,7 @@ FAULTS = {
     ),
     "all worlds start as the first": Fault(
         caught_by="worlds-single",
-        says="worlds have the start or the driven motion of another world",
+        says="it has the course of start 0",
         worlds=_StartsAsFirst,
     ),
     "all worlds driven as the first": Fault(

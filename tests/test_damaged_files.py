@@ -18,7 +18,7 @@ from gauge_envs.formats.usd.reader import from_usd
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result
-from gauge_envs.scoring.trajectory_file import read_trajectory
+from gauge_envs.scoring.user_file.trajectory_file import read_trajectory
 from gauge_envs.tools.conformance.results import read_columns
 from gauge_envs.tools.run.spec import load_sweep_file
 from gauge_envs.tools.sanity import configuration

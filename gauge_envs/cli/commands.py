@@ -65,7 +65,7 @@ BUNDLED_COMMANDS = {
     ),
     "plot": CommandInfo("Draw results: experiments over real bands, or a comparison."),
     "report": CommandInfo(
-        "Write results as a static site: engines, phenomena, curves, errors and 3D replays."
+        "Write results as a static site: figures and tables of scores, and 3D views of the motions."
     ),
     "sweep": CommandInfo(
         "Run engines, settings and experiments in all combinations; continue an earlier run.",
@@ -92,10 +92,10 @@ BUNDLED_COMMANDS = {
     "list materials": CommandInfo(version=3),
     "backend check": CommandInfo(
         "Check engines against closed forms, with the most likely cause of each failure.",
-        version=4,
+        version=5,
     ),
     "list backends": CommandInfo(),
-    "list checks": CommandInfo(),
+    "list checks": CommandInfo(version=2),
     "backend versions": CommandInfo(
         "Compare releases of MuJoCo on your model, settings or engines: what changed, and which side is right.",
         version=5,

@@ -97,14 +97,11 @@ class EnvArguments:
             asset=self.asset,
         )
 
-    def rollout(
-        self, experiments: Sequence[Experiment], bands: Sequence[Band | None]
-    ) -> Rollout:
+    def rollout(self, experiments: Sequence[Experiment]) -> Rollout:
         """Return the rollout of a new simulation.
 
         Args:
             experiments: The experiment of each world, which may differ in constants.
-            bands: Band of each world, or None.
 
         Raises:
             UnsupportedSceneError: The backend cannot build a scene.
@@ -113,7 +110,6 @@ class EnvArguments:
         return Rollout(
             experiments,
             self.simulation(experiments),
-            bands=bands,
             marker_proxy=self.proxy,
         )
 

@@ -17,12 +17,13 @@ from gauge_envs.envs.pictures import (
     Rendered,
     rollout_picture,
 )
-from gauge_envs.envs.rollout import Trajectory
+from gauge_envs.envs.recording import Trajectory
 from gauge_envs.envs.spaces import (
     Observation,
     action_space_of,
     observation_space_of,
 )
+from gauge_envs.envs.world_references import WorldReferences
 from gauge_envs.errors import EpisodeError
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
@@ -30,7 +31,6 @@ from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.band import Band
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.reference import reference_band
 
 if TYPE_CHECKING:
     from gauge_envs.scoring.score import Score
@@ -157,8 +157,8 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         )
         self.experiment = self.arguments.experiment()
         self._initial_states = InitialStates(self.experiment, jitter)
-        band = reference_band(self.experiment)
-        self.rollout = self.arguments.rollout([self.experiment], [band])
+        self.rollout = self.arguments.rollout([self.experiment])
+        self.references = WorldReferences(self.rollout)
         self.versions = versions_of(self.arguments.backend)
         self.seed_used: int | None = None
         self.action_space = action_space_of(self.experiment)
@@ -168,7 +168,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
     @property
     def band(self) -> Band | None:
         """Reference of the rewards and the score of the episode, or None."""
-        return self.rollout.bands[0]
+        return self.references.bands[0]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -198,8 +198,9 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         self.seed_used = self._initial_states.seed_of(seed, draw, self.np_random)
         start = self._initial_states.sample(draw, self.seed_used)
         self.rollout.reset([start], self.seed_used)
+        self.references.start()
         self._show()
-        return self._observation(), self.rollout.info(0)
+        return self._observation(), self._info()
 
     def step(
         self, action: Any
@@ -219,11 +220,15 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         self._show()
         terminated = 0 in rollout.diverged
         truncated = rollout.is_complete and not terminated
-        reward = float(rollout.rewards()[0])
-        return self._observation(), reward, terminated, truncated, rollout.info(0)
+        reward = float(self.references.rewards()[0])
+        return self._observation(), reward, terminated, truncated, self._info()
 
     def _observation(self) -> Observation:
-        return {name: rows[0] for name, rows in self.rollout.observation().items()}
+        observations = self.rollout.recording.observation()
+        return {name: rows[0] for name, rows in observations.items()}
+
+    def _info(self) -> dict[str, Any]:
+        return {**self.rollout.info(0), "reference": self.references.kind(0)}
 
     def trajectory(self) -> Trajectory:
         """Return the recorded motion of the current episode so far.
@@ -231,18 +236,19 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         Raises:
             EpisodeError: The environment was not reset.
         """
-        return self.rollout.trajectory()
+        if self.rollout.frame is None:
+            raise EpisodeError(f"{self.experiment.id}: no trajectory before reset")
+        return self.rollout.recording.trajectory()
 
     def score(self) -> Score | None:
         """Return the score of the episode, or None before it is over.
 
-        If the motion starts with a release, it first simulates 10 more frames for the time alignment. The score of a
-        diverged episode has no numbers.
+        The score of a diverged episode has no numbers.
         """
         self._check_open("score")
         if self.rollout.frame is None or not self.rollout.is_over[0]:
             return None
-        return self.rollout.score()
+        return self.references.score()
 
     def render(self) -> Rendered | None:
         """Return a picture of the scene in the form of the render mode; None without a mode and with a window.
@@ -254,7 +260,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         if self.render_mode is None:
             return None
         self._check_started("render")
-        return rollout_picture(self._pictures, self.rollout)
+        return rollout_picture(self._pictures, self.rollout, self.references.bands)
 
     def close(self) -> None:
         """Free the simulation and the renderer. A second call does nothing."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -147,23 +147,27 @@ class Pictures:
 
 
 def rollout_picture(
-    pictures: Pictures, rollout: Rollout, world: int = 0
+    pictures: Pictures,
+    rollout: Rollout,
+    bands: Sequence[Band | None],
+    world: int = 0,
 ) -> Rendered | None:
     """Return a picture of a world in the form of the render mode, with an overlay if the pictures have one.
 
     Args:
         pictures: Renderer; camera and shapes stay those of the first call until it is closed.
         rollout: The episodes, which have begun.
+        bands: Reference of each world, or None; the camera shows the first one.
         world: Number of the world.
     """
     overlay = None
     if pictures.has_overlay:
         from gauge_envs.rendering.overlay import tracked_overlay
 
-        trajectory = rollout.trajectory(world)
+        trajectory = rollout.recording.trajectory(world)
         overlay = tracked_overlay(
             rollout.experiment,
-            rollout.bands[world],
+            bands[world],
             time_s=float(trajectory.times_s[-1]),
             samples=trajectory.samples,
             markers_m=trajectory.markers_m[-1],
@@ -171,8 +175,8 @@ def rollout_picture(
     return pictures.draw(
         rollout.experiment,
         rollout.rest_nodes_m,
-        band=rollout.bands[0],
-        poses=rollout.poses(world),
-        nodes_m=rollout.nodes_m(world),
+        band=bands[0],
+        poses=rollout.recording.poses(world),
+        nodes_m=rollout.recording.nodes_m(world),
         overlay=overlay,
     )

@@ -36,6 +36,7 @@ from gauge_envs.envs.spaces import (
     action_space_of,
     observation_space_of,
 )
+from gauge_envs.envs.world_references import WorldReferences
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
@@ -43,9 +44,7 @@ from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.reference import reference_band, refusal
 from gauge_envs.scoring.score import Score
-from gauge_envs.scoring.worlds import score_worlds
 
 Step = tuple[
     Observation,
@@ -170,16 +169,16 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
             asset=asset,
         )
         self.experiment = experiment = self.arguments.experiment()
-        self.band = reference_band(experiment)
-        experiments, bands = [experiment] * num_envs, [self.band] * num_envs
+        experiments = [experiment] * num_envs
         for world, constants in enumerate(world_parameters or ()):
             if constants:
                 changed = dict(experiment.overrides) | dict(constants)
                 varied = replace(self.arguments, parameters=changed)
                 experiments[world] = varied.experiment()
-                bands[world] = reference_band(experiments[world])
         self._initial_states = InitialStates(experiment, jitter)
-        self.rollout = self.arguments.rollout(experiments, bands)
+        self.rollout = self.arguments.rollout(experiments)
+        self.references = WorldReferences(self.rollout)
+        self.band = self.references.bands[0]
         self.versions = versions_of(self.arguments.backend)
         self.seeds_used: tuple[int, ...] = ()
         self._randoms: list[np.random.Generator] = []
@@ -222,7 +221,9 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         self.rollout.reset(
             [sampler.sample(draw, world_seed) for world_seed in seeds], seeds[0]
         )
-        return self.rollout.observation(), self._infos(range(self.num_envs))
+        self.references.start()
+        observations = self.rollout.recording.observation()
+        return observations, self._infos(range(self.num_envs))
 
     def _seeds(self, seed: int | Sequence[int | None]) -> list[int | None]:
         """Return the seed of each world; a single seed grows by one per world."""
@@ -250,8 +251,9 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         rollout.step(self._checked(actions, running))
         terminated = rollout.terminated.copy()
         truncated = rollout.is_over & ~terminated
-        infos = self._infos(running)
-        return rollout.observation(), rollout.rewards(), terminated, truncated, infos
+        rewards, infos = self.references.rewards(), self._infos(running)
+        observations = rollout.recording.observation()
+        return observations, rewards, terminated, truncated, infos
 
     def _checked(self, actions: Any, running: Sequence[int]) -> FloatArray:
         """Return the actions of all worlds, shape [num_envs, motion_count]; 0 for worlds that have ended."""
@@ -277,7 +279,11 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         # Nearly all worlds have the same entries.
         same: dict[tuple[tuple[str, Any], ...], list[int]] = {}
         for world in worlds:
-            entries = tuple(self.rollout.info(world).items())
+            info = {
+                **self.rollout.info(world),
+                "reference": self.references.kind(world),
+            }
+            entries = tuple(info.items())
             same.setdefault(entries, []).append(world)
         for entries, members in same.items():
             infos = self._add_info(infos, dict(entries), members[0])
@@ -290,7 +296,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         """Return the score of each world's episode, None before its end; see `GaugeEnv.score`."""
         is_over = self.rollout.is_over
         return tuple(
-            self.rollout.score(world) if is_over[world] else None
+            self.references.score(world) if is_over[world] else None
             for world in range(self.num_envs)
         )
 
@@ -305,30 +311,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
             raise EpisodeError(
                 f"{self.experiment.id}: it has no reference, so it has no scores"
             )
-        rollout = self.rollout
-        rollout.run_on()
-        times_s, samples = rollout.trajectories()
-        scores: dict[str, FloatArray] = {}
-        # Worlds may replay different trials; each reference scores its worlds in one pass.
-        for band in {id(band): band for band in rollout.bands if band}.values():
-            rows = [
-                world
-                for world in np.flatnonzero(rollout.is_over).tolist()
-                if rollout.bands[world] is band
-                and world not in rollout.diverged
-                and refusal(
-                    rollout.experiment_of(world),
-                    band,
-                    is_moved=rollout.initial_states[world].is_scattered,
-                )
-                is None
-            ]
-            band_scores = score_worlds(
-                self.experiment, band, times_s=times_s, values=samples[rows]
-            )
-            for key, values in band_scores.items():
-                scores.setdefault(key, np.full(self.num_envs, np.nan))[rows] = values
-        return scores
+        return self.references.score_arrays()
 
     def render(self) -> tuple[Any, ...] | None:
         """Return a picture of each world in the form of the render mode, or None without one."""
@@ -336,7 +319,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
             return None
         self._check_started("render")
         return tuple(
-            rollout_picture(self._pictures, self.rollout, world)
+            rollout_picture(self._pictures, self.rollout, self.references.bands, world)
             for world in range(self.num_envs)
         )
 

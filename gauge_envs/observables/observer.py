@@ -90,7 +90,6 @@ class ObserverMarkers:
         proxy: Marker proxy.
 
     Attributes:
-        largest_distance_m: Distance of the worst marker from its proxy at rest.
         indices: Nodes of each marker, shape [marker_count, k]; not set if the engine tracks material points.
         weights: Weights of these nodes, of the same shape.
     """
@@ -125,10 +124,8 @@ class ObserverMarkers:
             self.indices, self.weights = material_points(targets_m, rest, deformables)
         if self._track is None:
             self._columns = np.flatnonzero(self.weights.any(axis=0)).tolist()
-        g, markers_m = self.observe(self.read(simulation)[None])
+        g, _ = self.observe(self.read(simulation)[None])
         self.width = g.shape[2]
-        offsets_m = markers_m[0, 0] - targets_m
-        self.largest_distance_m = float(np.linalg.norm(offsets_m, axis=1).max())
 
     def markers(self, simulation: Simulation) -> FloatArray:
         """Return the markers now [m], shape [N, marker_count, 3]."""

@@ -101,17 +101,29 @@ Shown: TypeAlias = Document | Part
 
 def document_of(shown: Shown) -> Document:
     """Return a part as a document; a document stays as it is."""
-    return shown if isinstance(shown, Document) else Document(parts=(shown,))
+    if isinstance(shown, Document):
+        return shown
+    return Document(parts=(shown,))
 
 
 def as_rows(shown: Shown) -> list[dict[str, Any]]:
     """Return the JSON-ready objects of a document."""
     document = document_of(shown)
-    rows: Iterable[Any] | None = document.rows
-    if rows is None:
-        tables = [part for part in document.parts if isinstance(part, Table)]
-        rows = [row for table in tables for row in table.rows]
-    return json_ready([row if isinstance(row, Mapping) else vars(row) for row in rows])
+    rows: list[Any] = []
+    if document.rows is not None:
+        rows += document.rows
+    else:
+        for part in document.parts:
+            if isinstance(part, Table):
+                rows += part.rows
+    return json_ready([_as_mapping(row) for row in rows])
+
+
+def _as_mapping(row: Any) -> Mapping[str, Any]:
+    """Return a row as a mapping: an object as its attributes."""
+    if isinstance(row, Mapping):
+        return row
+    return vars(row)
 
 
 def save_file(path: Path, content: str | bytes) -> Path:

@@ -8,12 +8,9 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from gauge_envs.optional import needs_extra
 from gauge_envs.pages.document import save_file
 from gauge_envs.pages.html import Html, element
-from gauge_envs.scene.geometry import BoolArray
 from gauge_envs.text import printable
 
 if TYPE_CHECKING:
@@ -29,8 +26,6 @@ def color_of(index: int) -> tuple[str, bool]:
     """Return the colour of a configuration, and whether its lines are dashed, which starts at the seventh."""
     return OURS[index % len(OURS)], index % (2 * len(OURS)) >= len(OURS)
 
-
-ENGINES = ("#8c8c8c", "#b0b0b0", "#d0d0d0")
 
 REAL = "#303030"
 
@@ -82,13 +77,6 @@ def _drawn(figure: Figure, form: str) -> bytes:
     return stream.getvalue()
 
 
-def runs(flags: BoolArray) -> list[tuple[int, int]]:
-    """Return half-open ranges of true flags."""
-    edges = np.diff(np.concatenate([[False], flags, [False]]).astype(int))
-    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    return list(zip(starts.tolist(), ends.tolist(), strict=True))
-
-
 def tidy_axis(axis: Axes) -> None:
     """Remove the upper and right border, and draw a grid behind the curves."""
     axis.spines[["top", "right"]].set_visible(False)
@@ -101,9 +89,8 @@ def legend_above(axis: Axes) -> None:
     handles, texts = axis.get_legend_handles_labels()
     labels = [fill(text, MAX_LABEL_WIDTH) for text in texts]
     # A legend that is wider than its panel would make the panel narrower.
-    longest = max(
-        (len(line) for label in labels for line in label.split("\n")), default=0
-    )
+    lines = "\n".join(labels).split("\n")
+    longest = max(map(len, lines))
     columns = min(3, max(1, LEGEND_WIDTH // (longest + KEY_WIDTH)))
     place: dict[str, Any] = {
         "loc": "lower left",

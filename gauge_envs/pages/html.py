@@ -37,11 +37,11 @@ def element(name: str, /, *content: Text | Html, **attributes: Text | bool) -> H
     """
     parts = [name]
     for key, value in attributes.items():
-        if value is not None and value is not False:
-            title = key.rstrip("_").replace("_", "-")
-            parts.append(
-                title if value is True else f'{title}="{escape(_plain(value))}"'
-            )
+        title = key.rstrip("_").replace("_", "-")
+        if value is True:
+            parts.append(title)
+        elif value is not None and value is not False:
+            parts.append(f'{title}="{escape(_plain(value))}"')
     start = " ".join(parts)
     if name in VOID and not content:
         return Html(f"<{start}/>")
@@ -50,34 +50,28 @@ def element(name: str, /, *content: Text | Html, **attributes: Text | bool) -> H
 
 def join(parts: Iterable[Text | Html], between: str = "") -> Html:
     """Return the concatenation of texts and markup."""
-    texts = (
-        part if isinstance(part, Html) else escape(_plain(part))
-        for part in parts
-        if part is not None
-    )
+    texts: list[str] = []
+    for part in parts:
+        if isinstance(part, Html):
+            texts.append(part)
+        elif part is not None:
+            texts.append(escape(_plain(part)))
     return Html(escape(between).join(texts))
 
 
-def _plain(value: Text | Html | bool) -> str:
+def _plain(value: Text) -> str:
     # HTML does not allow control characters.
-    return printable(value) if isinstance(value, str) else str(value)
+    return printable(str(value))
 
 
-def listed(lines: Iterable[Text | Html], **attributes: Text | bool) -> Html:
+def listed(lines: Iterable[Text | Html]) -> Html:
     """Return a list with an entry for each line."""
-    return element("ul", *(element("li", line) for line in lines), **attributes)
+    return element("ul", *(element("li", line) for line in lines))
 
 
-def folded(
-    summary: Text | Html, *content: Text | Html, **attributes: Text | bool
-) -> Html:
+def folded(summary: str, *content: Html) -> Html:
     """Return content that unfolds below its summary."""
-    return element("details", element("summary", summary), *content, **attributes)
-
-
-def below(*texts: Text | Html) -> Html:
-    """Return a quiet line below a text."""
-    return element("span", *texts, class_="quiet block")
+    return element("details", element("summary", summary), *content)
 
 
 def script_value(value: Any) -> str:

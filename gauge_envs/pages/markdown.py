@@ -10,14 +10,16 @@ from gauge_envs.pages.document import (
     Shown,
     document_of,
 )
-from gauge_envs.pages.table import Facts, Table
+from gauge_envs.pages.table import Column, Facts, Table
 from gauge_envs.pages.text import markdown_text
 
 
 def as_markdown(shown: Shown) -> str:
     """Return a document as GitHub Markdown, with an empty line between its parts."""
     document = document_of(shown)
-    parts = document.parts if document.markdown is None else document.markdown
+    parts = document.parts
+    if document.markdown is not None:
+        parts = document.markdown
     return "\n\n".join(filter(None, map(_markdown, parts))).rstrip() + "\n"
 
 
@@ -29,8 +31,10 @@ def _markdown(part: Part) -> str:
         case Paragraph(text):
             return markdown_text(text)
         case Bullets(entries, title):
-            listed = "\n".join(f"- {line}" for line in entries)
-            return f"{title}:\n\n{listed}" if title else listed
+            lines = [f"- {line}" for line in entries]
+            if title:
+                lines[:0] = [f"{title}:", ""]
+            return "\n".join(lines)
         case Facts(pairs):
             facts = (markdown_text(f"{key}: {text}") for key, text in pairs.items())
             return "\n".join(f"- {fact}" for fact in facts)
@@ -40,11 +44,12 @@ def _markdown(part: Part) -> str:
 
 
 def _table(table: Table) -> str:
-    columns = table.saved_columns
-    lines = [f"**{markdown_text(table.title)}**", ""] if table.title else []
+    columns = table.columns
+    lines = []
+    if table.title:
+        lines += [f"**{markdown_text(table.title)}**", ""]
     lines.append(_row([column.label for column in columns]))
-    marks = ["---:" if column.is_number else "---" for column in columns]
-    lines.append(f"| {' | '.join(marks)} |")
+    lines.append(f"| {' | '.join(map(_alignment, columns))} |")
     lines += [_row([column.text(row) for column in columns]) for row in table.rows]
     if table.notes:
         lines.append("")
@@ -55,3 +60,9 @@ def _table(table: Table) -> str:
 
 def _row(cells: Sequence[str]) -> str:
     return f"| {' | '.join(map(markdown_text, cells))} |"
+
+
+def _alignment(column: Column) -> str:
+    if column.is_number:
+        return "---:"
+    return "---"

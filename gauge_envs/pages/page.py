@@ -1,6 +1,6 @@
 """Documents as pages in HTML."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from importlib.resources import files
 
 from gauge_envs.pages.document import Bullets, Heading, Paragraph, Part, Tone
@@ -17,46 +17,26 @@ CLASSES = {
 """Class of a paragraph."""
 
 
-def stylesheet() -> str:
-    """Return the style of all pages, in CSS."""
-    return (files("gauge_envs.pages") / "style.css").read_text(encoding="utf-8")
-
-
-def page(
-    title: str,
-    parts: Iterable[Part],
-    *,
-    above: Html | None = None,
-    style: str | None = None,
-    scripts: Sequence[str] = (),
-    look: str | None = None,
-) -> str:
-    """Return a page in HTML.
+def page(title: str, parts: Iterable[Part], *, look: str | None = None) -> str:
+    """Return a page in HTML with its style.
 
     Args:
         title: Its title, above the parts and for the browser.
         parts: Its content.
-        above: Markup above the title, as links.
-        style: File of the style, relative to the page; None writes the style into the page.
-        scripts: Script files in the order in which they run.
         look: Class of the body.
     """
-    head = [
+    style = files("gauge_envs.pages") / "style.css"
+    head = element(
+        "head",
         element("meta", charset="utf-8"),
         element("title", title),
         element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        *(element("script", Html(""), src=file, defer=True) for file in scripts),
-    ]
-    if style is None:
-        head.append(element("style", Html(stylesheet())))
-    else:
-        head.append(element("link", rel="icon", href="data:,"))
-        head.append(element("link", rel="stylesheet", href=style))
-    body = join([above, *map(as_html, [Heading(title, 1), *parts])], "\n")
-    whole = element(
-        "html", element("head", *head), element("body", body, class_=look), lang="en"
+        element("link", rel="icon", href="data:,"),
+        element("style", Html(style.read_text(encoding="utf-8"))),
     )
-    return f"<!DOCTYPE html>\n{whole}\n"
+    content = join(map(as_html, [Heading(title, 1), *parts]), "\n")
+    body = element("body", content, class_=look)
+    return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
 
 
 def as_html(part: Part) -> Html:
@@ -67,8 +47,7 @@ def as_html(part: Part) -> Html:
         case Paragraph(text, tone):
             return element("p", text, class_=CLASSES[tone])
         case Bullets(entries, title):
-            heading = element("h3", title) if title else None
-            return join([heading, listed(entries)])
+            return join([_title(title), listed(entries)])
         case Facts(pairs):
             return _table(grid(("what", "value"), list(pairs.items())))
         case Table():
@@ -77,36 +56,46 @@ def as_html(part: Part) -> Html:
 
 
 def _table(table: Table) -> Html:
-    columns = table.saved_columns
-    cells_columns = [column for column in columns if column.place is not Place.BELOW]
-    below = [column for column in columns if column.place is Place.BELOW]
-    head = [
+    cells = table.placed(Place.CELL)
+    titles = [
         element("th", column.label, scope="col", class_=_class(column))
-        for column in cells_columns
+        for column in cells
     ]
-    body = []
+    body: list[Html] = []
+    last_heading = ""
     for row in table.rows:
-        cells = (
-            element(
-                "td", column.markup(row), class_=_class(column, column.style_of(row))
-            )
-            for column in cells_columns
-        )
-        body.append(element("tr", *cells))
-        for text in filter(None, (column.markup(row) for column in below)):
-            cell = element("td", text, colspan=len(cells_columns))
-            body.append(element("tr", cell, class_="more"))
-    whole = element(
-        "table",
-        element("thead", element("tr", *head)),
-        element("tbody", *body),
-        class_=table.look or None,
-    )
-    title = element("h3", table.title) if table.title else None
+        heading = table.heading_of(row)
+        if heading != last_heading:
+            body.append(_wide_row("th", heading, len(cells)))
+            last_heading = heading
+        texts = [
+            element("td", column.text(row), class_=_class(column)) for column in cells
+        ]
+        body.append(element("tr", *texts))
+        for column in table.placed(Place.BELOW):
+            text = column.text(row)
+            if text:
+                body.append(_wide_row("td", text, len(cells)))
+    head = element("thead", element("tr", *titles))
+    whole = element("table", head, element("tbody", *body))
     notes = (element("p", note, class_="small") for note in table.notes)
-    return join([title, element("div", whole, class_="scroll"), *notes])
+    return join([_title(table.title), element("div", whole, class_="scroll"), *notes])
 
 
-def _class(column: Column, style: str = "") -> str | None:
-    """Return the classes of a cell."""
-    return " ".join(filter(None, ("n" if column.is_number else "", style))) or None
+def _title(text: str) -> Html:
+    """Return a title above a table or a list; nothing for an empty one."""
+    if not text:
+        return Html("")
+    return element("h3", text)
+
+
+def _wide_row(name: str, text: str, width: int) -> Html:
+    """Return a row with one cell over all columns."""
+    return element("tr", element(name, text, colspan=width), class_="more")
+
+
+def _class(column: Column) -> str | None:
+    """Return the class of a cell of numbers."""
+    if column.is_number:
+        return "n"
+    return None

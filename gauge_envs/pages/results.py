@@ -1,6 +1,8 @@
 """Texts of results: labels of configurations, and metrics of scores."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from typing import Any
 
 from gauge_envs.observables.observer import MarkerProxy
@@ -23,12 +25,14 @@ def configuration_labels(configurations: Sequence[RunConfiguration]) -> list[str
     labels = _labels(configurations, digits=4)
     if len(set(labels)) < len(labels):
         labels = _labels(configurations, digits=17)
-    return [
-        label
-        if labels.count(label) == 1
-        else f"{label} ({labels[:index].count(label) + 1})"
-        for index, label in enumerate(labels)
-    ]
+    seen: Counter[str] = Counter()
+    numbered = []
+    for label in labels:
+        seen[label] += 1
+        if labels.count(label) > 1:
+            label = f"{label} ({seen[label]})"
+        numbered.append(label)
+    return numbered
 
 
 def _labels(configurations: Sequence[RunConfiguration], *, digits: int) -> list[str]:
@@ -36,25 +40,20 @@ def _labels(configurations: Sequence[RunConfiguration], *, digits: int) -> list[
         configuration_parts(configuration, digits=17)
         for configuration in configurations
     ]
-    rounded = [
-        configuration_parts(configuration, digits=digits)
-        for configuration in configurations
-    ]
-    left_out = set.intersection(*map(set, exact)) | {PLAIN} if len(exact) > 1 else set()
-    versions = [
-        (configuration.backend, versions_text(configuration))
-        for configuration in configurations
-    ]
-    engines_of_versions = [backend for backend, _ in set(versions)]
+    left_out: set[tuple[str, str]] = set()
+    if len(exact) > 1:
+        left_out = set(exact[0]).intersection(*exact[1:]) | {PLAIN}
+    versions = {(item.backend, versions_text(item)) for item in configurations}
+    version_counts = Counter(backend for backend, _ in versions)
     labels = []
-    for parts, shown, (backend, text) in zip(exact, rounded, versions, strict=True):
-        kept = [
-            words
-            for part, (kind, words) in zip(parts, shown, strict=True)
-            if kind == "engine" or part not in left_out
-        ]
-        if engines_of_versions.count(backend) > 1:
-            kept.append(text)
+    for index, configuration in enumerate(configurations):
+        shown = configuration_parts(configuration, digits=digits)
+        kept = []
+        for part, (kind, text) in zip(exact[index], shown, strict=True):
+            if kind == "engine" or part not in left_out:
+                kept.append(text)
+        if version_counts[configuration.backend] > 1:
+            kept.append(versions_text(configuration))
         labels.append(", ".join(kept))
     return labels
 
@@ -63,28 +62,31 @@ def configuration_parts(
     configuration: RunConfiguration, *, digits: int = 4
 ) -> list[tuple[str, str]]:
     """Return the parts of a configuration as kind and text, with numbers rounded to the digits."""
-
-    def assignments(values: Mapping[str, Any]) -> list[str]:
-        return [
-            f"{key}={f'{v:.{digits}g}' if isinstance(v, float) else value_text(v)}"
-            for key, v in values.items()
-        ]
-
     named, asset = configuration.parameters, configuration.asset
-    constants = named if isinstance(named, str) else ",".join(assignments(named))
-    parts = [("engine", configuration.backend or "file"), ("parameters", constants)]
-    parts += [
-        ("setting", setting) for setting in assignments(configuration.settings_given)
-    ]
+    if not isinstance(named, str):
+        named = ",".join(_assignments(named, digits))
+    parts = [("engine", configuration.backend or "file"), ("parameters", named)]
+    for setting in _assignments(configuration.settings_given, digits):
+        parts.append(("setting", setting))
     if configuration.jitter:
-        parts.append(
-            ("jitter", f"jitter {' '.join(assignments(configuration.jitter))}")
-        )
+        noise = " ".join(_assignments(configuration.jitter, digits))
+        parts.append(("jitter", f"jitter {noise}"))
     if configuration.marker_proxy != MarkerProxy.MATERIAL:
         parts.append(("markers", f"markers by {configuration.marker_proxy}"))
     if asset:
         parts.append(("asset", f"edited scene {asset['file']} ({asset['sha256'][:8]})"))
     return parts
+
+
+def _assignments(values: Mapping[str, Any], digits: int) -> list[str]:
+    """Return `key=value` of each value, with numbers rounded to the digits."""
+    texts = []
+    for key, value in values.items():
+        text = value_text(value)
+        if isinstance(value, float):
+            text = f"{value:.{digits}g}"
+        texts.append(f"{key}={text}")
+    return texts
 
 
 def versions_text(configuration: RunConfiguration) -> str:
@@ -104,9 +106,9 @@ VERIFIED = Metric(key=OVER_U, title="distance from the solution", unit=None)
 
 SCORE_METRICS: Mapping[str, Metric] = {
     metric.key: metric
-    for is_event in (False, True)
-    for metric in (*METRICS.values(), ALIGNED, VERIFIED)
-    if metric.is_event is is_event
+    for metric in sorted(
+        (*METRICS.values(), ALIGNED, VERIFIED), key=attrgetter("is_event")
+    )
 }
 """Metrics of a score by key, in the order of tables: first those that need a reference motion, then events."""
 
@@ -117,7 +119,9 @@ def raw_score(score: Score, metric: str) -> float | None:
         event = score.events.get(metric)
         return None if event is None else event.value
     if metric == OVER_U:
-        return score.distance if score.primary == OVER_U else None
+        if score.primary != OVER_U:
+            return None
+        return score.distance
     value: float | None = getattr(score, metric)
     return value
 
@@ -135,4 +139,6 @@ def normalized_score(score: Score, metric: str) -> float | None:
 
 def score_interval(score: Score, metric: str) -> tuple[float, float] | None:
     """Return the 95 % interval of the normalized metric; None if it is not the primary one."""
-    return score.primary_interval if metric == score.primary else None
+    if metric != score.primary:
+        return None
+    return score.primary_interval

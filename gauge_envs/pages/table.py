@@ -8,12 +8,11 @@ from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from typing import Any
 
-from gauge_envs.pages.html import Html
 from gauge_envs.pages.text import value_text
 
 
 class Place(StrEnum):
-    """Place of a column in a terminal. Markdown has only columns; pages also have `BELOW`."""
+    """Place of a column in a terminal and on a page. Markdown has only columns."""
 
     CELL = "cell"
     """In the row."""
@@ -34,10 +33,8 @@ class Column:
         unit: Unit of all values, in brackets after the title.
         is_number: Whether the texts are aligned on the right.
         wide_only: Whether a terminal shows the column only with `--format wide`.
-        narrow_only: Whether only a terminal without `--format wide` shows the column.
         place: Place of the column in a terminal.
-        style: Rich style of a value, also the class of its cell on a page; None for plain text.
-        html: Markup of a value on a page; None for its text.
+        style: Rich style of a value in a terminal; None for plain text.
     """
 
     key: str
@@ -47,15 +44,15 @@ class Column:
     unit: str = ""
     is_number: bool = False
     wide_only: bool = False
-    narrow_only: bool = False
     place: Place = Place.CELL
     style: Callable[[Any], str] | None = None
-    html: Callable[[Any], Html | str] | None = None
 
     @property
     def label(self) -> str:
         """Title with the unit."""
-        return f"{self.title} [{self.unit}]" if self.unit else self.title
+        if not self.unit:
+            return self.title
+        return f"{self.title} [{self.unit}]"
 
     def value(self, row: Any) -> Any:
         """Return the value of a row; None for a missing one."""
@@ -72,17 +69,17 @@ class Column:
     def text(self, row: Any) -> str:
         """Return the text of a row; a missing value is a dash in a cell and empty elsewhere."""
         value = self.value(row)
-        if value is None:
-            return "-" if self.place is Place.CELL else ""
-        return self.format(value)
+        if value is not None:
+            return self.format(value)
+        if self.place is Place.CELL:
+            return "-"
+        return ""
 
     def style_of(self, row: Any) -> str:
         """Return the rich style of a row."""
-        return "" if self.style is None else self.style(self.value(row))
-
-    def markup(self, row: Any) -> Html | str:
-        """Return the markup or text of a row on a page."""
-        return self.text(row) if self.html is None else self.html(self.value(row))
+        if self.style is None:
+            return ""
+        return self.style(self.value(row))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +92,6 @@ class Table:
         title: Line above the table; empty for none.
         notes: Lines below the table.
         wide_only: Whether a terminal shows the table only with `--format wide`.
-        look: Class of the table on a page: empty, or `matrix`, whose first column stays in view.
     """
 
     columns: tuple[Column, ...]
@@ -103,12 +99,17 @@ class Table:
     title: str = ""
     notes: tuple[str, ...] = ()
     wide_only: bool = False
-    look: str = ""
 
-    @property
-    def saved_columns(self) -> list[Column]:
-        """Columns of Markdown and of pages."""
-        return [column for column in self.columns if not column.narrow_only]
+    def placed(self, place: Place) -> list[Column]:
+        """Return the columns with a place."""
+        return [column for column in self.columns if column.place is place]
+
+    def heading_of(self, row: Any) -> str:
+        """Return the line above consecutive rows: the first value without a title, the others after their titles."""
+        headings = self.placed(Place.HEADING)
+        texts = [column.text(row) for column in headings[:1]]
+        texts += [f"{column.title} {column.text(row)}" for column in headings[1:]]
+        return "  ".join(texts)
 
 
 @dataclass(frozen=True)
@@ -119,22 +120,17 @@ class Facts:
 
 
 def grid(
-    titles: Sequence[str],
-    rows: Iterable[Sequence[str]],
-    *,
-    number_from: int = 99,
-    look: str = "",
+    titles: Sequence[str], rows: Iterable[Sequence[str]], *, number_from: int = 99
 ) -> Table:
-    """Return a table of cells that are already texts or markup.
+    """Return a table of cells that are already texts.
 
     Args:
-        titles: Titles of the columns, texts or markup.
+        titles: Titles of the columns.
         rows: The cells.
         number_from: First column of numbers.
-        look: Class of the table on a page.
     """
-    columns = (
-        Column(str(index), title, lambda cell: cell, is_number=index >= number_from)
+    columns = [
+        Column(str(index), title, is_number=index >= number_from)
         for index, title in enumerate(titles)
-    )
-    return Table(columns=tuple(columns), rows=list(rows), look=look)
+    ]
+    return Table(columns=tuple(columns), rows=list(rows))

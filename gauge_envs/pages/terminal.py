@@ -4,7 +4,7 @@ Cells wrap between words. Columns that do not fit side by side move below their 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from textwrap import TextWrapper
 from typing import Literal
 
@@ -77,14 +77,17 @@ def _lines(part: Part, width: int, *, wide: bool) -> Iterator[RenderableType]:
 
 def _facts(pairs: Mapping[str, str]) -> Iterator[RenderableType]:
     """Yield names with their texts; a long name has its own line."""
-    short = [key for key in pairs if len(key) <= MAX_KEY_WIDTH]
+    lengths = [len(key) for key in pairs if len(key) <= MAX_KEY_WIDTH]
+    width = max(lengths, default=0)
     for key, text in pairs.items():
-        if key not in short:
+        name = key
+        if len(key) > MAX_KEY_WIDTH:
             yield Text(key, style="cyan")
+            name = ""
         line = rich.table.Table.grid(padding=(0, GAP, 0, 0))
-        line.add_column(style="cyan", width=max(map(len, short), default=0))
+        line.add_column(style="cyan", width=width)
         line.add_column(overflow="fold")
-        line.add_row(Text(key if key in short else ""), Text(text))
+        line.add_row(Text(name), Text(text))
         yield line
 
 
@@ -101,25 +104,20 @@ def _table(table: Table, width: int, *, wide: bool) -> Iterator[RenderableType]:
 
 def _rows(table: Table, width: int, *, wide: bool) -> Iterator[RenderableType]:
     """Yield titles, headings, and rows, each with its lines below."""
-    chosen = [
-        column
-        for column in table.columns
-        if not (column.narrow_only if wide else column.wide_only)
-    ]
-    headings = [column for column in chosen if column.place is Place.HEADING]
-    cells = [column for column in chosen if column.place is Place.CELL]
-    below = [column for column in chosen if column.place is Place.BELOW]
-    indent = GAP if headings else 0
+    if not wide:
+        narrow = tuple(column for column in table.columns if not column.wide_only)
+        table = replace(table, columns=narrow)
+    cells = table.placed(Place.CELL)
+    indent = 0
+    if table.placed(Place.HEADING):
+        indent = GAP
     widths = _widths(cells, table.rows, width - indent)
     shown, spilled = cells[: len(widths)], cells[len(widths) :]
     titles = [Text(column.label, style="dim") for column in shown]
     yield Padding.indent(_line(shown, widths, titles, vertical="bottom"), indent)
     last_heading = ""
     for row in table.rows:
-        # The first value has no title; the others follow their titles.
-        texts = [column.text(row) for column in headings[:1]]
-        texts += [f"{column.title} {column.text(row)}" for column in headings[1:]]
-        heading = "  ".join(texts)
+        heading = table.heading_of(row)
         if heading != last_heading:
             yield Text(heading, style="bold")
             last_heading = heading
@@ -129,11 +127,20 @@ def _rows(table: Table, width: int, *, wide: bool) -> Iterator[RenderableType]:
             line[0] = Text("")
         if any(line):
             yield Padding.indent(_line(shown, widths, line), indent)
-        rest = [(column.label, column.text(row)) for column in spilled]
-        known = [f"{title}: {text}" for title, text in rest if text not in ("", "-")]
-        for text in (*(column.text(row) for column in below), "; ".join(known)):
-            if text:
-                yield Padding.indent(Text(text), 2 * GAP)
+        texts = [column.text(row) for column in table.placed(Place.BELOW)]
+        texts.append(_spilled_text(spilled, row))
+        for text in filter(None, texts):
+            yield Padding.indent(Text(text), 2 * GAP)
+
+
+def _spilled_text(columns: Sequence[Column], row: object) -> str:
+    """Return the known values of columns that do not fit, each after its title."""
+    known = []
+    for column in columns:
+        text = column.text(row)
+        if text not in ("", "-"):
+            known.append(f"{column.label}: {text}")
+    return "; ".join(known)
 
 
 def _line(
@@ -146,15 +153,13 @@ def _line(
     """Return texts in columns of given widths [characters]."""
     line = rich.table.Table.grid(padding=(0, GAP, 0, 0))
     for column, width in zip(columns, widths, strict=True):
+        line.add_column(width=width, overflow="fold", vertical=vertical)
+        if column.is_number:
+            line.columns[-1].justify = "right"
+    if not columns[-1].is_number:
         # A fixed width of the last column would add trailing blanks.
-        is_last = column is columns[-1] and not column.is_number
-        line.add_column(
-            justify="right" if column.is_number else "left",
-            width=None if is_last else width,
-            max_width=width,
-            overflow="fold",
-            vertical=vertical,
-        )
+        line.columns[-1].width = None
+        line.columns[-1].max_width = widths[-1]
     line.add_row(*texts)
     return line
 
@@ -162,21 +167,25 @@ def _line(
 def _widths(columns: Sequence[Column], rows: Sequence[object], width: int) -> list[int]:
     """Return the widths of the columns that fit side by side; cells wrap between words where they must."""
     wrapper = TextWrapper(TITLE_WIDTH, break_long_words=False, break_on_hyphens=False)
-    lines = [
-        [*wrapper.wrap(column.label), *(column.text(row) for row in rows)]
-        for column in columns
-    ]
-    widths = [max(map(cell_len, texts)) for texts in lines]
-    min_widths = [
-        max(map(cell_len, " ".join(texts).split()), default=1) for texts in lines
-    ]
+    widths: list[int] = []
+    min_widths: list[int] = []
+    for column in columns:
+        lines = [*wrapper.wrap(column.label), *map(column.text, rows)]
+        words = " ".join(lines).split()
+        widths.append(max(map(cell_len, lines)))
+        min_widths.append(max(map(cell_len, words), default=1))
     # A longer name of a row gets its own line, so that fewer columns move below their rows.
     min_widths[0] = min(min_widths[0], MIN_NAME_WIDTH)
-    while len(min_widths) > 1 and sum(min_widths) + GAP * (len(min_widths) - 1) > width:
+    while len(min_widths) > 1 and _total(min_widths) > width:
         del min_widths[-1], widths[-1]
-    while sum(widths) + GAP * (len(widths) - 1) > width:
+    while _total(widths) > width:
         spare = [size - word for size, word in zip(widths, min_widths, strict=True)]
         if max(spare) <= 0:
             break
         widths[spare.index(max(spare))] -= 1
     return widths
+
+
+def _total(widths: Sequence[int]) -> int:
+    """Return the width of columns with the gaps between them."""
+    return sum(widths) + GAP * (len(widths) - 1)

@@ -10,13 +10,11 @@ from gauge_envs.text import printable
 
 METRIC_TITLES = {key: metric.title for key, metric in METRICS.items()}
 
+MAX_ENTRIES = 4
+"""Largest number of entries of a list that are written."""
 
-QUESTIONS = {
-    "validation": "Validation: is the motion like reality?",
-    "verification": "Verification: does the engine solve the calibrated scene?",
-}
-"""Questions that references answer. No table, axis or rank mixes the two."""
-
+MAX_NAMES = 6
+"""Largest number of names that are all written."""
 KIND_NOTES = {
     Kind.TRIALS: "mean and standard deviation of the real trials at each frame",
     Kind.RECORDING: "one recorded real trial, with the published scatter",
@@ -36,16 +34,15 @@ def digits_text(value: float | None) -> str:
     """Return a number with three digits; a dash for None."""
     if value is None:
         return "-"
-    return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
+    if abs(value) < 1000.0:
+        return f"{value:.3g}"
+    return f"{value:.0f}"
 
 
 def pairs_text(values: Mapping[str, Any], *, skip: Sequence[str] = ()) -> str:
     """Return `key = value, key = value`, without some keys."""
-    return ", ".join(
-        f"{key} = {value_text(value)}"
-        for key, value in values.items()
-        if key not in skip
-    )
+    shown = {key: value for key, value in values.items() if key not in skip}
+    return ", ".join(f"{key} = {value_text(value)}" for key, value in shown.items())
 
 
 def value_text(value: Any) -> str:
@@ -55,7 +52,10 @@ def value_text(value: Any) -> str:
     if isinstance(value, Mapping):
         return f"({pairs_text(value)})"
     if isinstance(value, list):
-        return f"[{', '.join(map(value_text, value[:4]))}{f', ... {len(value)} in all' if len(value) > 4 else ''}]"
+        texts = [value_text(entry) for entry in value[:MAX_ENTRIES]]
+        if len(value) > MAX_ENTRIES:
+            texts.append(f"... {len(value)} in all")
+        return f"[{', '.join(texts)}]"
     return str(value)
 
 
@@ -66,39 +66,42 @@ def short_id(name: str) -> str:
 
 def shortened(names: Sequence[str]) -> str:
     """Return names in a line; if there are more than six, the first three and the last."""
-    return (
-        ", ".join(names)
-        if len(names) <= 6
-        else f"{', '.join(names[:3])}, ... {names[-1]} ({len(names)})"
-    )
+    if len(names) <= MAX_NAMES:
+        return ", ".join(names)
+    return f"{', '.join(names[:3])}, ... {names[-1]} ({len(names)})"
 
 
 def plus_minus_text(mean: float, std: float | None, unit: str) -> str:
     """Return `mean +- std unit`."""
-    return with_unit(f"{mean:g}" + ("" if std is None else f" +- {std:g}"), unit)
+    text = f"{mean:g}"
+    if std is not None:
+        text += f" +- {std:g}"
+    return with_unit(text, unit)
 
 
 def with_unit(text: str, unit: str) -> str:
     """Return a text with its unit; the unit `1` is not written."""
-    return text if unit == "1" else f"{text} {unit}"
+    if unit == "1":
+        return text
+    return f"{text} {unit}"
 
 
 def counted(number: int, noun: str) -> str:
     """Return a number with its noun: `1 check`, `2 checks`."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
+    if number == 1:
+        return f"{number} {noun}"
+    return f"{number} {noun}s"
 
 
 def score_text(value: float | None) -> str:
     """Return a score to two decimals, or to two digits below 0.1; a dash for None."""
     if value is None:
         return "-"
-    return (
-        f"{value:.2f}"
-        if 0.1 <= abs(value) < 100
-        else f"{value:.2g}"
-        if abs(value) < 0.1
-        else f"{value:.3g}"
-    )
+    if abs(value) < 0.1:
+        return f"{value:.2g}"
+    if abs(value) < 100.0:
+        return f"{value:.2f}"
+    return f"{value:.3g}"
 
 
 def interval_text(
@@ -107,12 +110,10 @@ def interval_text(
     text: Callable[[float | None], str] = score_text,
 ) -> str:
     """Return a score with its 95 % interval, `0.41 [0.17, 1.43]`; a dash for None."""
-    ends = (
-        ""
-        if value is None or interval is None
-        else f" [{text(interval[0])}, {text(interval[1])}]"
-    )
-    return text(value) + ends
+    if value is None or interval is None:
+        return text(value)
+    low, high = map(text, interval)
+    return f"{text(value)} [{low}, {high}]"
 
 
 def quantity_text(value: float) -> str:
@@ -120,7 +121,9 @@ def quantity_text(value: float) -> str:
     size = abs(value)
     if 1e3 <= size < 1e5:
         return f"{value:.0f}"
-    return f"{value:.3g}" if size >= 1e-3 or size == 0.0 else f"{value:.1e}"
+    if 0.0 < size < 1e-3:
+        return f"{value:.1e}"
+    return f"{value:.3g}"
 
 
 class Markdown(str):

@@ -13,6 +13,7 @@ from gauge_envs.backends.settings import settings_record
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.envs.initial_states import InitialStates
 from gauge_envs.envs.rollout import Rollout
+from gauge_envs.envs.world_references import WorldReferences
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready
@@ -56,23 +57,26 @@ def run_episodes(request: RunRequest) -> list[Result]:
     draw = sampler.of_reset(None, seeded=True)
     initial_states = [sampler.sample(draw, seed) for seed in request.seeds]
     versions = versions_of(request.backend)
-    bands = [reference_band(experiment)] * request.repeats
-    rollout = request.rollout([experiment] * request.repeats, bands)
+    rollout = request.rollout([experiment] * request.repeats)
+    references = WorldReferences(rollout)
     try:
         wall_s, cpu_s = time.perf_counter(), time.process_time()
         rollout.reset(initial_states, request.seed)
+        references.start()
         rollout.play()
         wall_s = (time.perf_counter() - wall_s) / request.repeats
         cpu_s = (time.process_time() - cpu_s) / request.repeats
-        # The score adds later samples to the trajectory.
-        scores = [rollout.score(world) for world in range(request.repeats)]
         results = []
         for world, start in enumerate(initial_states):
             planned = _without_run(
                 request, experiment, seed=request.seeds[world], start=start.record
             )
             result = _with_episode(
-                planned, rollout, world, scores[world], versions_of_engine=versions
+                planned,
+                rollout,
+                world,
+                references.score(world),
+                versions_of_engine=versions,
             )
             results.append(replace(result, wall_s=wall_s, cpu_s=cpu_s))
         return results
@@ -214,7 +218,7 @@ def _with_episode(
         score: Its score.
         versions_of_engine: Versions of the engine's packages.
     """
-    recorded = rollout.trajectory(world)
+    recorded = rollout.recording.trajectory(world)
     reason = rollout.diverged.get(world)
     return replace(
         result,
@@ -230,7 +234,8 @@ def _with_episode(
         error=None,
         trajectory=RecordedTrajectory.of(
             rollout.experiment_of(world),
-            *recorded.dense,
+            times_s=recorded.times_s,
+            samples=recorded.samples,
             markers_m=recorded.markers_m,
         ),
     )

@@ -71,8 +71,6 @@ class RecordedTrajectory:
         coordinates: Names of the coordinates, as `cube.x`.
         times_s: Times [s], 180 a second, shape [sample_count].
         samples: g(t) at those times, shape [sample_count, coordinate_count].
-        later_times_s: Times after the last frame [s], for the time alignment, shape [later_count].
-        later_samples: g(t) at those times, shape [later_count, coordinate_count].
         markers_mm: x, y, z of each marker at the 30 Hz frames [mm], shape [frame_count, 3 marker_count]; empty without
             markers.
     """
@@ -81,21 +79,14 @@ class RecordedTrajectory:
     coordinates: list[str]
     times_s: StoredArray
     samples: StoredArray
-    later_times_s: StoredArray = field(default_factory=lambda: np.empty(0))
-    later_samples: StoredArray = field(default_factory=lambda: np.empty((0, 0)))
     markers_mm: StoredArray = field(default_factory=lambda: np.empty((0, 0)))
 
     def __post_init__(self) -> None:
-        for times_s, samples in (
-            (self.times_s, self.samples),
-            (self.later_times_s, self.later_samples),
-        ):
-            if len(samples) != len(times_s):
-                raise ValueError(f"{len(times_s)} times but {len(samples)} samples")
-            if len(samples) and samples.shape[1:] != (len(self.coordinates),):
-                raise ValueError(
-                    f"a sample does not have {len(self.coordinates)} coordinates"
-                )
+        count, width = len(self.times_s), len(self.coordinates)
+        if len(self.samples) != count:
+            raise ValueError(f"{count} times but {len(self.samples)} samples")
+        if count and self.samples.shape != (count, width):
+            raise ValueError(f"a sample does not have {width} coordinates")
 
     def __eq__(self, other: object) -> bool:
         """Return whether all values are the same; NaN equals NaN."""
@@ -112,7 +103,7 @@ class RecordedTrajectory:
         samples: FloatArray,
         markers_m: FloatArray | None = None,
     ) -> RecordedTrajectory:
-        """Return the record of a generalized trajectory, split at the last frame.
+        """Return the record of a generalized trajectory.
 
         Args:
             experiment: The experiment of the trajectory.
@@ -120,24 +111,20 @@ class RecordedTrajectory:
             samples: g(t) at those times in the unit of the observable, shape [sample_count, coordinate_count].
             markers_m: Markers at the frames [m], shape [frame_count, marker_count, 3]; None or empty without markers.
         """
-        duration_s = (experiment.frame_count - 1) / FRAME_RATE_HZ
-        count = int(np.searchsorted(times_s, duration_s + ROUNDING_S))
         markers_mm = np.empty((0, 0))
         if markers_m is not None and markers_m.size:
             markers_mm = 1e3 * markers_m.reshape(len(markers_m), -1)
         return cls(
             unit=experiment.score.observable.unit,
             coordinates=list(experiment.coordinates),
-            times_s=times_s[:count],
-            samples=rows_of(samples[:count]),
-            later_times_s=times_s[count:],
-            later_samples=rows_of(samples[count:]),
+            times_s=times_s,
+            samples=rows_of(samples),
             markers_mm=np.round(markers_mm, MARKER_DECIMALS),
         )
 
     @cached_property
     def frames(self) -> tuple[NDArray[np.int64], FloatArray]:
-        """StoredArray of the 30 Hz frames with finite samples, and g(t) there; see `recorded_frames`."""
+        """Numbers of the 30 Hz frames with finite samples, and g(t) there; see `recorded_frames`."""
         return recorded_frames(*self.arrays())
 
     def markers_m(self) -> FloatArray | None:
@@ -146,18 +133,9 @@ class RecordedTrajectory:
             return None
         return 1e-3 * self.markers_mm.reshape(len(self.markers_mm), -1, 3)
 
-    def arrays(self, *, later: bool = False) -> tuple[FloatArray, FloatArray]:
-        """Return times [s], shape [sample_count], and g(t), shape [sample_count, coordinate_count].
-
-        Args:
-            later: Whether to add the samples after the last frame.
-        """
-        if not later or not len(self.later_times_s):
-            return self.times_s, self.samples
-        return (
-            np.concatenate([self.times_s, self.later_times_s]),
-            np.concatenate([self.samples, self.later_samples]),
-        )
+    def arrays(self) -> tuple[FloatArray, FloatArray]:
+        """Return times [s], shape [sample_count], and g(t), shape [sample_count, coordinate_count]."""
+        return self.times_s, self.samples
 
 
 def recorded_frames(

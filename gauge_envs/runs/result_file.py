@@ -32,7 +32,7 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.references.user_data import BUNDLED_DATA, OWN_TASKS, DataSource
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.diff import scene_changes
-from gauge_envs.scoring.trajectory_file import LARGEST
+from gauge_envs.scoring.user_file.trajectory_file import LARGEST
 from gauge_envs.text import json_document
 from gauge_envs.validation import first_fault
 
@@ -163,7 +163,7 @@ def _check_trajectory(result: Result) -> None:
         raise ValueError("it has no trajectory")
     if not trajectory.samples.size:
         raise ValueError("trajectory: it has no samples")
-    times_s, samples = trajectory.arrays(later=True)
+    times_s, samples = trajectory.arrays()
     # A comparison with NaN is false.
     if not (np.diff(times_s) > 0.0).all():
         raise ValueError("trajectory.times_s: increasing times are expected")

@@ -14,17 +14,17 @@ from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import load_result, recorded_experiment, result_of
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.likely_mistakes import (
+from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, frame_index
+from gauge_envs.scoring.reference import reference_band
+from gauge_envs.scoring.score import score_trajectory
+from gauge_envs.scoring.user_file.likely_mistakes import (
     START_TOLERANCE_MM,
     marker_mistake,
     start_values,
     value_mistake,
 )
-from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, frame_index
-from gauge_envs.scoring.motion_checks import unusual_motion
-from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.score import score_trajectory
-from gauge_envs.scoring.trajectory_file import (
+from gauge_envs.scoring.user_file.motion_checks import unusual_motion
+from gauge_envs.scoring.user_file.trajectory_file import (
     FileOrigin,
     file_origin,
     read_trajectory,
@@ -44,7 +44,7 @@ def score_file(
     parameters: Parameters | None = None,
     reference: DataSource | str = DataSource.BUNDLED,
 ) -> tuple[Result, tuple[str, ...]]:
-    """Score a trajectory file of a user's own simulator; see `scoring.trajectory_file` for the formats.
+    """Score a trajectory file of a user's own simulator; see `scoring.user_file.trajectory_file` for the formats.
 
     Args:
         file: CSV, NPZ or JSON file.

@@ -1,4 +1,4 @@
-"""Estimate friction, restitution, period and ringing, of a simulation and of real trials by the same method."""
+"""Estimate friction, restitution and ringing, of a simulation and of real trials by the same method."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from gauge_envs.scoring.estimators import (
     first_bounce,
     slide_friction,
 )
-from gauge_envs.scoring.events import PUBLISHED_TRIALS, oscillation_period
 
 MIN_SAMPLES = 4
 """Smallest number of frames for an acceleration with its uncertainty."""
@@ -59,7 +58,7 @@ PADDING = 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured:
+class ComparedQuantity:
     """One quantity of a simulated motion, with its value in real trials.
 
     Attributes:
@@ -100,10 +99,10 @@ RealValue = tuple[float | None, float | None]
 
 def _measured(
     real: RealValue | None, value: float, uncertainty: float, unit: str
-) -> Measured:
+) -> ComparedQuantity:
     """Return a quantity with nine digits; the last bits of a fit depend on the alignment of memory."""
     mean, error = real or (None, None)
-    return Measured(
+    return ComparedQuantity(
         value=float(f"{value:.9g}"),
         unit=unit,
         uncertainty=float(f"{uncertainty:.9g}"),
@@ -118,7 +117,7 @@ def estimates(
     *,
     times_s: FloatArray,
     values: FloatArray,
-) -> dict[str, Measured]:
+) -> dict[str, ComparedQuantity]:
     """Return the constants that follow from the motion of one undriven body, or from the ringing of markers.
 
     Args:
@@ -128,7 +127,7 @@ def estimates(
         values: g(t) at those times [mm], shape [S, D].
 
     Returns:
-        `friction`, `restitution`, `period`, or `frequency`, `decay_rate` and `droop`, by name; empty for other motions.
+        `friction`, `restitution`, or `frequency`, `decay_rate` and `droop`, by name; empty for other motions.
     """
     observable, score = experiment.score.observable, experiment.score
     if experiment.scene.drivers:
@@ -137,8 +136,6 @@ def estimates(
         return {} if band is None else _ringing(band, times_s, values)
     if observable is not Observable.POSITION or len(experiment.recorded) != 1:
         return {}
-    if score.period_axis is not None or "pd" in score.metrics:
-        return _period(experiment, times_s, values)
     if band is None or experiment.scene.joints:
         return {}
     last_s = float(np.flatnonzero(band.known)[-1]) / FRAME_RATE_HZ
@@ -148,7 +145,7 @@ def estimates(
 
 def _of_free_body(
     experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray
-) -> dict[str, Measured]:
+) -> dict[str, ComparedQuantity]:
     """Return the restitution of a rebound, or the friction of a slide."""
     projected = band.project(values)
     contacts = [
@@ -204,7 +201,7 @@ def _of_trials(values: list[float]) -> tuple[float, float] | None:
 
 def _friction(
     experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray
-) -> dict[str, Measured]:
+) -> dict[str, ComparedQuantity]:
     """Return the friction of a slide: mu = (g sin - a) / (g cos), with the slope of the path."""
     path = values[-1] - values[0]
     direction = path / np.linalg.norm(path)
@@ -327,36 +324,12 @@ def _real_restitution(band: Band) -> RealValue | None:
     return _of_trials(restitutions)
 
 
-# --- swing -----------------------------------------------------------------------------------------------------------
-
-
-def _period(
-    experiment: Experiment, times_s: FloatArray, values: FloatArray
-) -> dict[str, Measured]:
-    """Return the period of a swing about a hinge, with the published mean of real trials."""
-    if not experiment.scene.joints:
-        return {}
-    axis = "xyz".index(experiment.score.period_axis or "x")
-    swing = values[:, axis] - 1e3 * experiment.scene.joints[0].anchor_m[axis]
-    if np.ptp(swing) == 0.0:
-        return {}
-    baseline = experiment.baselines.get("pd")
-    frames = experiment.frame_count if baseline is None else baseline.frames
-    seen = times_s <= (frames - 1) / FRAME_RATE_HZ + 1e-6
-    step_s = float(np.median(np.diff(times_s)))
-    period_s = oscillation_period(swing[seen], frame_rate_hz=1.0 / step_s)
-    real = None
-    if baseline is not None and baseline.std is not None:
-        real = baseline.mean, baseline.std / math.sqrt(PUBLISHED_TRIALS)
-    return {"period": _measured(real, period_s, 0.0, "s")}
-
-
 # --- ringing ---------------------------------------------------------------------------------------------------------
 
 
 def _ringing(
     band: Band, times_s: FloatArray, values: FloatArray
-) -> dict[str, Measured]:
+) -> dict[str, ComparedQuantity]:
     """Return frequency, decay rate and droop of the first coordinate of the band."""
     seen = times_s <= (len(band.mean) - 1) / FRAME_RATE_HZ + 1e-6
     heights_mm = band.project(values[seen])[:, 0]

@@ -5,6 +5,7 @@ NaN is a value that was not measured. Only the real mean may have NaN.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,19 +21,22 @@ FRAME_TOLERANCE_S = 1e-4
 """Largest time between a 30 Hz frame and the sample that stands for it [s]."""
 
 OFFSET_STEP_S = 1 / 360
-"""Step of the grid of time shifts [s]; the best one is refined."""
+"""Step of the grid of time shifts [s]; the search refines the best one."""
 
-OFFSET_REFINEMENT = 16
-"""Ratio of the steps of successive grids; the import of SciPy's minimizers takes 0.1 s."""
+OFFSET_TOLERANCE_S = 1e-9
+"""Tolerance of a refined time shift [s]."""
 
-OFFSET_TOLERANCE_S = 1e-7
-"""Largest error of a refined time shift [s]."""
+MIN_OVERLAP = 0.6
+"""Smallest share of the known frames that a time shift compares, as for real trials."""
+
+ROUNDING_S = 1e-9
+"""Rounding error of a time [s]."""
 
 BLOCK_SIZE = 30_000
 """Numbers in a block of deviations, 240 kB."""
 
 TIE = 1e-12
-"""Relative difference of two path costs that count as equal: the order of a sum changes a total by less."""
+"""Relative difference of two path costs, or of two RMSE, that count as equal; a sum in another order changes less."""
 
 
 def trajectory_rmse(simulated: ArrayLike, real_mean: ArrayLike) -> float:
@@ -131,18 +135,23 @@ def _optimal_path(local: FloatArray) -> IntArray:
 
 
 def time_offset(
-    times_s: ArrayLike, simulated: ArrayLike, real_mean: ArrayLike
+    times_s: ArrayLike,
+    simulated: ArrayLike,
+    real_mean: ArrayLike,
+    *,
+    earliest_s: float = -MAX_TIME_OFFSET_S,
 ) -> tuple[float, float]:
     """Return the constant time shift of the simulation that minimises its RMSE, and the RMSE after the shift.
 
     A real object is released some frames after the recording starts, and a simulated one at time 0. After a shift by s,
-    frame k shows the simulated state at time k / 30 Hz - s. The state is linear between samples and constant before the
-    first. A simulation that ends at the last frame is not shifted to earlier times.
+    frame k shows the simulated state at time k / 30 Hz - s, see `shifted_frames`. The RMSE compares the frames that
+    both motions have, at least 60 % of the known ones. The distances of real trials follow the same rule.
 
     Args:
         times_s: Sample times of the simulation, strictly ascending, time 0 is frame 0, shape [sample_count], s.
         simulated: g(t) at these times, shape [sample_count, coordinate_count].
         real_mean: Mean over real trials at the 30 Hz frames, shape [frame_count, coordinate_count].
+        earliest_s: Smallest shift [s].
 
     Returns:
         The offset [s] and the RMSE after the shift. The offset is positive if the real object is released later than
@@ -156,39 +165,73 @@ def time_offset(
     times = np.asarray(times_s, dtype=np.float64)
     if not (np.diff(times) > 0).all():
         raise ShapeError("times_s: strictly ascending times are needed")
-    measured = ~np.isnan(real)
-    is_known = measured.any(axis=1)
+    is_known = ~np.isnan(real).all(axis=1)
     if not is_known.any():
         raise ShapeError("simulated and real_mean share no measured entry")
-    known_mean = np.where(measured, real, 0.0)
-    frames_s = np.arange(len(real)) / FRAME_RATE_HZ
+    known = np.flatnonzero(is_known)
+    needed = known[math.ceil(MIN_OVERLAP * len(known)) - 1]
+    earliest_s = max(earliest_s, needed / FRAME_RATE_HZ - float(times[-1]))
 
-    def shifted_rmse(offsets_s: FloatArray) -> FloatArray:
-        shifted = interpolated(frames_s - offsets_s[:, None], times, values)
-        deviation = (shifted - known_mean) * measured
-        squares = np.einsum("ofc,ofc->o", deviation, deviation)
-        return np.asarray(np.sqrt(squares / np.count_nonzero(is_known)))
+    def shifted_rmse(offset_s: FloatArray) -> FloatArray:
+        shifted = shifted_frames(times, values, offset_s, frame_count=len(real))
+        deviation = shifted - real
+        counts = (~np.isnan(deviation).all(axis=-1)).sum(axis=-1)
+        squares = np.nansum(np.square(deviation), axis=(-2, -1))
+        return np.asarray(np.sqrt(squares / counts))
 
-    step_count = math.ceil(MAX_TIME_OFFSET_S / OFFSET_STEP_S)
-    last_s = frames_s[np.flatnonzero(is_known)[-1]]
-    min_s = -min(max(float(times[-1] - last_s), 0.0), MAX_TIME_OFFSET_S)
-    grid_s = np.linspace(-MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S, 2 * step_count + 1)
-    grid_s = np.concatenate([[min_s, 0.0], grid_s[grid_s >= min_s]])
-    # Sort by size: of equal minima, argmin takes the first, which is the smallest shift.
-    grid_s = grid_s[np.lexsort((grid_s, np.abs(grid_s)))]
+    return _best_offset(shifted_rmse, earliest_s)
+
+
+def _best_offset(
+    shifted_rmse: Callable[[FloatArray], FloatArray], earliest_s: float
+) -> tuple[float, float]:
+    """Return the time shift with the smallest RMSE, from a grid and a search next to its best shift, and the RMSE."""
+    from scipy.optimize import minimize_scalar
+
+    step_count = round(MAX_TIME_OFFSET_S / OFFSET_STEP_S)
+    grid_s = OFFSET_STEP_S * np.arange(-step_count, step_count + 1, dtype=np.float64)
+    grid_s = np.append(grid_s[grid_s > earliest_s], earliest_s)
+    # Of equal minima, the first is the smallest shift.
+    grid_s = grid_s[np.argsort(np.abs(grid_s))]
     grid_rmse = shifted_rmse(grid_s)
-    best = int(grid_rmse.argmin())
+    best = int(np.argmax(grid_rmse <= grid_rmse.min() * (1.0 + TIE)))
     offset_s, rmse = float(grid_s[best]), float(grid_rmse[best])
-    width_s = OFFSET_STEP_S
-    while width_s > OFFSET_TOLERANCE_S:
-        near_s = offset_s + width_s * np.linspace(-1.0, 1.0, 2 * OFFSET_REFINEMENT + 1)
-        near_s = np.clip(near_s, min_s, MAX_TIME_OFFSET_S)
-        near_rmse = shifted_rmse(near_s)
-        best = int(near_rmse.argmin())
-        if near_rmse[best] < rmse:
-            offset_s, rmse = float(near_s[best]), float(near_rmse[best])
-        width_s /= OFFSET_REFINEMENT
+    # Samples and frames are on the grid, so the RMSE is smooth on each side of its best shift.
+    for side_s in (-OFFSET_STEP_S, OFFSET_STEP_S):
+        ends_s = np.sort([grid_s[best], grid_s[best] + side_s])
+        minimum = minimize_scalar(
+            shifted_rmse,
+            bounds=np.clip(ends_s, earliest_s, MAX_TIME_OFFSET_S),
+            method="bounded",
+            options={"xatol": OFFSET_TOLERANCE_S},
+        )
+        if minimum.fun < rmse * (1.0 - TIE):
+            offset_s, rmse = float(minimum.x), float(minimum.fun)
     return offset_s, rmse
+
+
+def shifted_frames(
+    times_s: FloatArray,
+    values: FloatArray,
+    offset_s: ArrayLike,
+    *,
+    frame_count: int,
+) -> FloatArray:
+    """Return the 30 Hz frames of a motion after a time shift, shape [..., frame_count, C].
+
+    A body rests before its release, so earlier frames have the first sample. Frames after the last sample are NaN.
+
+    Args:
+        times_s: Times of the samples [s], strictly ascending, shape [sample_count].
+        values: Samples, shape [sample_count, C].
+        offset_s: Delays of the motion [s], any shape.
+        frame_count: Number of frames.
+    """
+    delays_s = np.asarray(offset_s)[..., None]
+    queries_s = np.arange(frame_count) / FRAME_RATE_HZ - delays_s
+    frames = interpolated(queries_s, times_s, values)
+    frames[queries_s > times_s[-1] + ROUNDING_S] = np.nan
+    return frames
 
 
 def z_scores(

@@ -21,8 +21,8 @@ from gauge_envs.scoring.events import oscillation_period, swing_times
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion:
-    """Motion of one episode.
+class SampledMotion:
+    """SampledMotion of one episode.
 
     Attributes:
         scene: Scene of the episode.
@@ -50,13 +50,13 @@ def _angles_deg(start_m: FloatArray, end_m: FloatArray) -> FloatArray:
     return np.degrees(np.arctan2(line_m[:, 1], -line_m[:, 2]))
 
 
-def _swinging_deg(motion: Motion) -> FloatArray:
+def _swinging_deg(motion: SampledMotion) -> FloatArray:
     """Return the angles of the line between two markers at the frames from 0.24 to 1.41 s after the release."""
     seen = (motion.frames_s > 0.24) & (motion.frames_s < 1.41)
     return _angles_deg(*motion.markers_m[seen][:, motion.markers].swapaxes(0, 1))
 
 
-def _lag_mm(motion: Motion, *, from_s: float, until_s: float) -> float:
+def _lag_mm(motion: SampledMotion, *, from_s: float, until_s: float) -> float:
     """Return the mean lag of the first point of g(t) behind the driver's translation over a span of time."""
     seen = (motion.times_s >= from_s) & (motion.times_s <= until_s)
     drive = motion.scene.drivers[0].motions[0]
@@ -65,7 +65,7 @@ def _lag_mm(motion: Motion, *, from_s: float, until_s: float) -> float:
     return float(np.mean((driven_mm - moved_mm) * np.sign(driven_mm)))
 
 
-def _cradle_s(motion: Motion, *, times: str, number: int) -> float:
+def _cradle_s(motion: SampledMotion, *, times: str, number: int) -> float:
     """Return when the ball that starts at rest leaves or returns for the nth time, or how long it then rests."""
     heights_mm = motion.samples[:, 2]
     swings = swing_times(motion.times_s, heights_mm, rest_height_mm=heights_mm[0])
@@ -75,7 +75,7 @@ def _cradle_s(motion: Motion, *, times: str, number: int) -> float:
     )
 
 
-def _slide_acceleration_m_per_s2(motion: Motion) -> float:
+def _slide_acceleration_m_per_s2(motion: SampledMotion) -> float:
     """Return the acceleration of a slide from rest, from 2 to 90 mm of its path."""
     path_mm = np.linalg.norm(motion.samples - motion.samples[0], axis=1)
     seen = np.logical_and.accumulate(path_mm < 90.0) & (path_mm > 2.0)
@@ -85,7 +85,7 @@ def _slide_acceleration_m_per_s2(motion: Motion) -> float:
     return float(2.0 * slope**2)
 
 
-def _turning_ratio(motion: Motion) -> float:
+def _turning_ratio(motion: SampledMotion) -> float:
     """Return the third turning angle of a pendulum over its angle at the release."""
     anchor_m = np.array(motion.scene.joints[0].anchor_m)
     string_m = 1e-3 * motion.samples - anchor_m
@@ -95,7 +95,7 @@ def _turning_ratio(motion: Motion) -> float:
 
 
 def _chord_deg(
-    motion: Motion, extreme: Callable[..., float], from_s: float, until_s: float
+    motion: SampledMotion, extreme: Callable[..., float], from_s: float, until_s: float
 ) -> float:
     """Return an extreme angle, over a span of time, of the chord from a driven rod to the lowest row of markers."""
     (driver,) = motion.scene.drivers
@@ -107,14 +107,14 @@ def _chord_deg(
     return float(extreme(chords[seen]))
 
 
-def _deformation(motion: Motion, name: str) -> float:
+def _deformation(motion: SampledMotion, name: str) -> float:
     """Return a quantity of `deformation` at the last frame."""
     used = motion.markers or range(motion.markers_m.shape[1])
     rest_m, last_m = motion.markers_m[[0, -1]][:, used]
     return deformation(rest_m, last_m, solid_axes(motion.scene))[name]
 
 
-EVENTS: dict[str, Callable[[Motion], float]] = {
+EVENTS: dict[str, Callable[[SampledMotion], float]] = {
     "swing_frequency_hz": lambda motion: (
         1.0 / oscillation_period(_swinging_deg(motion))
     ),

@@ -16,7 +16,7 @@ from gauge_envs.scene import Box, Cloth, Deformable, RigidBody, Scene
 from gauge_envs.scene.diff import Change, ChangeKind, scene_changes
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.states import nominal_states, scene_at
-from gauge_envs.scoring.likely_mistakes import START_TOLERANCE_MM
+from gauge_envs.scoring.user_file.likely_mistakes import START_TOLERANCE_MM
 
 SOLUTION_ALLOWS = frozenset({ChangeKind.SETTING, ChangeKind.LABEL})
 """Changes with which a solution of the calibrated scene still scores a scene."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
+from enum import StrEnum
 from functools import cache
 from typing import Any
 
@@ -19,22 +20,22 @@ from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import Baseline
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.estimates import Measured, estimates
+from gauge_envs.scoring.estimates import ComparedQuantity, estimates
 from gauge_envs.scoring.events import PUBLISHED_TRIALS, event_values
 from gauge_envs.scoring.interval import distance_interval, trials_interval
-from gauge_envs.scoring.likely_mistakes import value_mistake
 from gauge_envs.scoring.metrics import (
     MAX_TIME_OFFSET_S,
     frame_index,
-    interpolated,
+    shifted_frames,
     signed_error,
     time_offset,
     trajectory_dtw,
     trajectory_rmse,
     z_scores,
 )
-from gauge_envs.scoring.recorded_events import EVENTS, Motion
+from gauge_envs.scoring.recorded_events import EVENTS, SampledMotion
 from gauge_envs.scoring.reference import has_real_structure, refusal
+from gauge_envs.scoring.user_file.likely_mistakes import value_mistake
 
 COVERAGE_FACTOR = 1.96
 """Half width of a 95 % interval over the standard uncertainty."""
@@ -42,7 +43,23 @@ COVERAGE_FACTOR = 1.96
 OVER_U = "over_uncertainty"
 """Value of `Score.primary` for a solution."""
 
+EVENT_WORDS = {
+    "lsd": "longest rest",
+    "mte": "momentum transfer",
+    "pd": "period",
+    "el": "energy loss",
+}
+"""Words for the events of the paper, by name."""
+
 Interval = tuple[float, float]
+
+
+class ScoreVerdict(StrEnum):
+    """Whether a motion is as close to its reference as real trials are, or within the uncertainty of a solution."""
+
+    INSIDE = "inside"
+    OUTSIDE = "outside"
+    NO_REFERENCE = "no reference"
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -70,8 +87,8 @@ class Score:
     | `compared_frames` | | frames that the reference knows |
     | `over_uncertainty` | 1 | distance over the standard uncertainty u of a solution |
     | `marker_rmse_mm` | mm | distance of the markers of cloth and foam; `over_uncertainty` divides it by u |
-    | `events` | each | `lsd`, `mte`, `pd`, `el` and recorded events, by name (`Measured`) |
-    | `estimates` | each | friction, restitution, period of this motion and of the real trials, by name (`Measured`) |
+    | `events` | each | `lsd`, `mte`, `pd`, `el` and recorded events, by name (`ComparedQuantity`) |
+    | `estimates` | each | friction, restitution, ringing of this motion and of real trials (`ComparedQuantity`) |
     | `refused` | | why the reference cannot score this motion, one sentence |
     """
 
@@ -96,8 +113,8 @@ class Score:
     compared_frames: int | None = None
     over_uncertainty: float | None = None
     marker_rmse_mm: float | None = None
-    events: Mapping[str, Measured] = field(default_factory=dict, hash=False)
-    estimates: Mapping[str, Measured] = field(default_factory=dict, hash=False)
+    events: Mapping[str, ComparedQuantity] = field(default_factory=dict, hash=False)
+    estimates: Mapping[str, ComparedQuantity] = field(default_factory=dict, hash=False)
     refused: str | None = None
 
     @property
@@ -137,7 +154,7 @@ class Score:
         return ends[0] * ratio / distance, ends[1] * ratio / distance
 
     @property
-    def verdict(self) -> str:
+    def verdict(self) -> ScoreVerdict:
         """`inside`, `outside` or `no reference`.
 
         The motion is inside if at least one real trial is as far from the mean of the other trials. Without single
@@ -145,24 +162,26 @@ class Score:
         the limit is 1.96 u. Without a reference motion, each event with a real value must be within 1.96 u.
         """
         if self.refused is not None:
-            return "no reference"
+            return ScoreVerdict.NO_REFERENCE
         if self.over_uncertainty is not None:
-            return _word(self.over_uncertainty <= COVERAGE_FACTOR)
+            return _verdict(self.over_uncertainty <= COVERAGE_FACTOR)
         if self.percentile is not None:
-            return _word(self.percentile < 100.0)
+            return _verdict(self.percentile < 100.0)
         if self.primary_normalized is not None:
-            return _word(self.primary_normalized <= 2.0)
+            return _verdict(self.primary_normalized <= 2.0)
         if self.rmse_95 is not None:
-            return _word(self.rmse_95[0] == 0.0)
+            return _verdict(self.rmse_95[0] == 0.0)
         verdicts = [event.is_inside for event in self.events.values()]
         known_verdicts = [is_inside for is_inside in verdicts if is_inside is not None]
-        return _word(all(known_verdicts)) if known_verdicts else "no reference"
+        if not known_verdicts:
+            return ScoreVerdict.NO_REFERENCE
+        return _verdict(all(known_verdicts))
 
     def summary(self) -> str:
         """Return the score in one sentence."""
         if self.refused is not None:
             return f"{self.refused[0].upper()}{self.refused[1:]}."
-        parts = [self.verdict]
+        parts = [self.verdict.value]
         if self.distance is not None:
             parts[0] += f": {_text(self.distance)} {self.distance_unit}"
         if self.primary_normalized is not None:
@@ -197,7 +216,9 @@ class Score:
             for field in fields(self)
             if field.name not in left_out and getattr(self, field.name) is not None
         ]
-        rows = [", ".join(numbers[start : start + 4]) for start in range(0, 24, 4)]
+        rows = [
+            ", ".join(numbers[start : start + 4]) for start in range(0, len(numbers), 4)
+        ]
         lines = [self.summary(), *rows, "; ".join(self._measured_texts[:8])]
         inner = "\n".join(f"    {line}" for line in lines if line)
         return f"Score(\n{inner}\n)"
@@ -231,8 +252,8 @@ def _score_adapter() -> TypeAdapter[Score]:
     return TypeAdapter(Score)
 
 
-def _word(is_inside: bool) -> str:
-    return "inside" if is_inside else "outside"
+def _verdict(is_inside: bool) -> ScoreVerdict:
+    return ScoreVerdict.INSIDE if is_inside else ScoreVerdict.OUTSIDE
 
 
 def _text(value: float) -> str:
@@ -247,22 +268,20 @@ def _value_text(value: Any) -> str:
     return _text(value) if isinstance(value, float) else str(value)
 
 
-def _compared_text(name: str, measured: Measured) -> str:
+def _compared_text(name: str, quantity: ComparedQuantity) -> str:
     """Return a quantity with its real value, as `friction 0.273 (real 0.257 +- 0.006)`."""
-    unit = "" if measured.unit == "1" else f" {measured.unit}"
-    value = (
-        "does not happen"
-        if measured.value is None
-        else f"{_text(measured.value)}{unit}"
-    )
-    if measured.real is None:
-        return f"{name} {value}"
-    spread = (
-        ""
-        if measured.real_uncertainty is None
-        else f" +- {measured.real_uncertainty:.2g}{unit}"
-    )
-    return f"{name} {value} (real {_text(measured.real)}{spread})"
+    unit = "" if quantity.unit == "1" else f" {quantity.unit}"
+    text = f"{EVENT_WORDS.get(name, name)} "
+    if quantity.value is None:
+        text += "does not happen"
+    else:
+        text += f"{_text(quantity.value)}{unit}"
+    if quantity.real is None:
+        return text
+    real = _text(quantity.real)
+    if quantity.real_uncertainty is not None:
+        real += f" +- {quantity.real_uncertainty:.2g}{unit}"
+    return f"{text} (real {real})"
 
 
 def score_trajectory(
@@ -282,7 +301,7 @@ def score_trajectory(
         band: Reference to score against. With None, the score holds only numbers that need no reference.
         times_s: Times of the samples since the first frame [s], strictly increasing, shape [sample_count]. Each 30 Hz
             frame has a sample within 0.1 ms. More samples make the time offset more precise. Samples after the last
-            frame allow shifts to earlier times.
+            frame are ignored.
         values: g(t) at those times, shape [sample_count, coordinate_count].
         markers_m: Markers at the frames [m], shape [frame_count, marker_count, 3]; None if they are not known.
             Solutions of cloth and foam compare the markers.
@@ -294,28 +313,38 @@ def score_trajectory(
             starts elsewhere than the scene.
     """
     index = frame_index(times_s, experiment.frame_count, name=experiment.name)
-    frames = values[index]
+    end = index[-1] + 1
+    times_s, values, frames = times_s[:end], values[:end], values[index]
     if not is_checked and np.isfinite(frames[0]).all():
         fault = value_mistake(experiment, frames)
         if fault is not None:
             raise ShapeError(f"{experiment.name}: {fault}")
-    numbers: dict[str, Any] = {}
     reason = refusal(experiment, band, is_moved=is_moved)
-    if band is not None and reason is None:
-        numbers = _distances(experiment, band, times_s, values, frames, markers_m)
-        # The exact solution has the nominal start.
-        if not is_moved and not experiment.edited:
-            numbers["exact"] = band.exact.get(experiment.parameters)
-        if band.kind.is_solution and "over_uncertainty" not in numbers:
-            reason = "no verdict: the reference compares markers, which are not given; RMSE and DTW compare g(t)"
-    return Score(
+    score = Score(
         kind=(Kind.NONE if band is None else band.kind).value,
         unit=experiment.score.observable.unit,
         refused=reason,
         events=_events(experiment, times_s, values, frames, markers_m),
         estimates=estimates(experiment, band, times_s=times_s, values=values),
-        **numbers,
     )
+    if band is None or reason is not None:
+        return score
+    motion = _ComparedMotion(
+        experiment=experiment,
+        band=band,
+        times_s=times_s,
+        samples=band.project(values),
+        frames=band.project(frames),
+        markers_m=markers_m,
+    )
+    score = _with_distances(score, motion)
+    # The exact solution has the nominal start.
+    if not is_moved and not experiment.edited:
+        score = replace(score, exact=band.exact.get(experiment.parameters))
+    if band.kind.is_solution and score.over_uncertainty is None:
+        reason = "no verdict: the reference compares markers, which are not given; RMSE and DTW compare g(t)"
+        score = replace(score, refused=reason)
+    return score
 
 
 def normalizing_baselines(experiment: Experiment, band: Band) -> Mapping[str, Baseline]:
@@ -330,108 +359,143 @@ def normalizing_baselines(experiment: Experiment, band: Band) -> Mapping[str, Ba
     }
 
 
-def _distances(
-    experiment: Experiment,
-    band: Band,
-    times_s: FloatArray,
-    values: FloatArray,
-    frames: FloatArray,
-    markers_m: FloatArray | None,
-) -> dict[str, Any]:
-    """Return the distances of g(t) and of markers from a reference, by field of `Score`."""
-    simulated = band.project(frames)
-    known = band.known
-    distances: dict[str, Any] = {
-        "rmse": trajectory_rmse(simulated, band.mean),
-        # A recording may end before the episode. DTW would warp frames without a mean onto its last frame.
-        "dtw": trajectory_dtw(simulated[known], band.mean[known]),
-        "compared_frames": int(known.sum()),
-        "signed_error": tuple(signed_error(simulated, band.mean).tolist()),
-    }
-    if band.kind.is_solution:
-        return distances | _over_uncertainty(
-            band, simulated - band.mean, distances["rmse"], markers_m
-        )
-    distances |= _over_real_trials(
-        experiment,
-        band,
-        distances,
-        times_s,
-        band.project(values),
-        simulated - band.mean,
+@dataclass(frozen=True, kw_only=True)
+class _ComparedMotion:
+    """Motion of an episode in the coordinates of its reference.
+
+    Attributes:
+        experiment: Experiment that was simulated.
+        band: The reference.
+        times_s: Times of the samples [s], shape [S].
+        samples: The motion at those times, shape [S, C].
+        frames: The motion at the 30 Hz frames, shape [T, C].
+        markers_m: Markers at the frames [m], shape [T, M, 3]; None if they are not known.
+    """
+
+    experiment: Experiment
+    band: Band
+    times_s: FloatArray
+    samples: FloatArray
+    frames: FloatArray
+    markers_m: FloatArray | None
+
+    @property
+    def deviation(self) -> FloatArray:
+        """Motion minus reference at the frames, shape [T, C]."""
+        return self.frames - self.band.mean
+
+    @property
+    def compared_deviation(self) -> FloatArray | None:
+        """Deviation of the coordinates that a verdict compares; None if these are unknown markers."""
+        points = self.band.points
+        if points is None:
+            return self.deviation
+        if self.markers_m is None or not self.markers_m.size:
+            return None
+        markers_mm = 1e3 * self.markers_m.reshape(len(self.markers_m), -1)
+        motion_mm = np.full(points.mean.shape, np.nan)
+        count = min(len(markers_mm), len(motion_mm))
+        motion_mm[:count] = markers_mm[:count]
+        return motion_mm - points.mean
+
+
+def _with_distances(score: Score, motion: _ComparedMotion) -> Score:
+    """Return a score with the distances of a motion from its reference."""
+    band, frames = motion.band, motion.frames
+    rmse = trajectory_rmse(frames, band.mean)
+    # A recording may end before the episode. DTW would warp frames without a mean onto its last frame.
+    dtw = trajectory_dtw(frames[band.known], band.mean[band.known])
+    score = replace(
+        score,
+        rmse=rmse,
+        dtw=dtw,
+        compared_frames=int(band.known.sum()),
+        signed_error=tuple(signed_error(frames, band.mean).tolist()),
     )
-    return distances | _in_scatter(band, simulated)
+    if band.kind.is_solution:
+        return _over_uncertainty(score, motion, rmse)
+    published = normalizing_baselines(motion.experiment, band)
+    score = replace(
+        score,
+        rmse_normalized=_over_published(rmse, published.get("rmse")),
+        dtw_normalized=_over_published(dtw, published.get("dtw")),
+    )
+    return _in_scatter(_over_real_trials(score, motion, rmse), motion)
 
 
-def _over_uncertainty(
-    band: Band, deviation: FloatArray, rmse: float, markers_m: FloatArray | None
-) -> dict[str, Any]:
-    """Return the distance from a solution over its standard uncertainty, by field of `Score`."""
-    distances: dict[str, Any] = {"primary": OVER_U}
-    compared = _marker_deviation(band, deviation, markers_m)
-    if compared is not None:
-        distance = band.compared.length(compared)
-        distances["over_uncertainty"] = distance / band.standard_uncertainty
-        if band.compared.marker_count > 1:
-            distances["marker_rmse_mm"] = distance
+def _over_published(distance: float, published: Baseline | None) -> float | None:
+    """Return a distance over the published mean of real trials; None without one."""
+    return None if published is None else distance / published.mean
+
+
+def _over_uncertainty(score: Score, motion: _ComparedMotion, rmse: float) -> Score:
+    """Return a score with the distance from a solution over its standard uncertainty."""
+    band = motion.band
+    score = replace(score, primary=OVER_U)
     if band.points is None:
-        distances["rmse_95"] = distance_interval(rmse, band.standard_uncertainty)
-    return distances
+        interval = distance_interval(rmse, band.standard_uncertainty)
+        score = replace(score, rmse_95=interval)
+    deviation = motion.compared_deviation
+    if deviation is None:
+        return score
+    distance = band.compared.length(deviation)
+    if band.compared.marker_count > 1:
+        score = replace(score, marker_rmse_mm=distance)
+    return replace(score, over_uncertainty=distance / band.standard_uncertainty)
 
 
-def _over_real_trials(
-    experiment: Experiment,
-    band: Band,
-    distances: Mapping[str, Any],
-    times_s: FloatArray,
-    projected: FloatArray,
-    deviation: FloatArray,
-) -> dict[str, Any]:
-    """Return the distances over the distances of real trials, raw and after a time shift, by field of `Score`."""
-    ratios: dict[str, Any] = {"primary": "rmse"}
-    ratios["rmse_95"] = _real_interval(band, distances["rmse"], deviation)
-    for metric, row in normalizing_baselines(experiment, band).items():
-        if metric in distances:
-            ratios[f"{metric}_normalized"] = distances[metric] / row.mean
-    of_trials, distance = band.trial_rmse, distances["rmse"]
+def _over_real_trials(score: Score, motion: _ComparedMotion, rmse: float) -> Score:
+    """Return a score with the interval of its primary distance, and its place among real trials."""
+    band, experiment = motion.band, motion.experiment
+    score = replace(
+        score, primary="rmse", rmse_95=_real_interval(band, rmse, motion.deviation)
+    )
+    distance, of_trials = rmse, band.trial_rmse
     if band.has_release and experiment.trial is None:
-        ratios |= _aligned(band, times_s, projected)
+        offset_s, aligned = time_offset(motion.times_s, motion.samples, band.mean)
+        score = _aligned(score, motion, offset_s, aligned)
         if not experiment.scene.drivers:
-            ratios["primary"] = "rmse_aligned"
-            of_trials, distance = band.trial_rmse_aligned, ratios["rmse_aligned"]
-    if of_trials is not None:
-        ratios["percentile"] = 100.0 * float(np.mean(of_trials < distance))
-    return ratios
+            score = replace(score, primary="rmse_aligned")
+            distance, of_trials = aligned, band.trial_rmse_aligned
+    if of_trials is None:
+        return score
+    return replace(score, percentile=100.0 * float(np.mean(of_trials < distance)))
 
 
-def _in_scatter(band: Band, simulated: FloatArray) -> dict[str, float]:
-    """Return where a motion lies in the scatter of real trials at measured frames, by field of `Score`."""
-    # Extrapolated frames have a usable mean. Their scatter was not measured.
-    sigma = np.where(band.measured[:, None], band.sigma, np.nan)
-    z = np.abs(z_scores(simulated, band.mean, sigma))
-    z = z[np.isfinite(z)]
-    if not z.size:
-        return {}
-    return {
-        "mean_abs_z": float(z.mean()),
-        "inside_1sigma": float(np.mean(z <= 1.0)),
-        "inside_2sigma": float(np.mean(z <= 2.0)),
-    }
+def _aligned(
+    score: Score, motion: _ComparedMotion, offset_s: float, rmse: float
+) -> Score:
+    """Return a score with the distance after the best time shift."""
+    band, frame_count = motion.band, len(motion.band.mean)
+    shifted = shifted_frames(
+        motion.times_s, motion.samples, offset_s, frame_count=frame_count
+    )
+    velocity = None
+    # At the bound, the shift cannot follow an error of the mean.
+    if abs(offset_s) < MAX_TIME_OFFSET_S - 1e-6:
+        velocity = shifted_frames(
+            motion.times_s,
+            np.gradient(motion.samples, motion.times_s, axis=0),
+            offset_s,
+            frame_count=frame_count,
+        )
+        # The simulation rests before its start.
+        velocity[np.arange(frame_count) / FRAME_RATE_HZ < offset_s] = 0.0
+    return replace(
+        score,
+        time_offset_s=offset_s,
+        rmse_aligned=rmse,
+        rmse_aligned_95=_real_interval(band, rmse, shifted - band.mean, velocity),
+        rmse_aligned_normalized=_over_trials(rmse, band),
+    )
 
 
-def _marker_deviation(
-    band: Band, deviation: FloatArray, markers_m: FloatArray | None
-) -> FloatArray | None:
-    """Return the deviation of the compared coordinates; None if these are unknown markers."""
-    if band.points is None:
-        return deviation
-    if markers_m is None or not markers_m.size:
+def _over_trials(rmse_aligned: float, band: Band) -> float | None:
+    """Return an aligned distance over the mean of the same distance of real trials; None without a mean."""
+    if band.trial_rmse_aligned is None:
         return None
-    motion_mm = 1e3 * markers_m.reshape(len(markers_m), -1)
-    whole = np.full(band.points.mean.shape, np.nan)
-    count = min(len(motion_mm), len(whole))
-    whole[:count] = motion_mm[:count]
-    return whole - band.points.mean
+    mean = float(band.trial_rmse_aligned.mean())
+    return rmse_aligned / mean if 0.0 < mean < math.inf else None
 
 
 def _real_interval(
@@ -448,27 +512,21 @@ def _real_interval(
     )
 
 
-def _aligned(band: Band, times_s: FloatArray, projected: FloatArray) -> dict[str, Any]:
-    """Return the distance after the time shift with the smallest RMSE, by field of `Score`."""
-    offset_s, rmse = time_offset(times_s, projected, band.mean)
-    queries_s = np.arange(len(band.mean)) / FRAME_RATE_HZ - offset_s
-    shifted = interpolated(queries_s, times_s, projected)
-    velocity = interpolated(queries_s, times_s, np.gradient(projected, times_s, axis=0))
-    # The simulation rests before its start. At the bound, the shift cannot follow an error of the mean.
-    velocity[queries_s < 0.0] = 0.0
-    is_free = abs(offset_s) < MAX_TIME_OFFSET_S - 1e-6
-    distances = {
-        "time_offset_s": offset_s,
-        "rmse_aligned": rmse,
-        "rmse_aligned_95": _real_interval(
-            band, rmse, shifted - band.mean, velocity if is_free else None
-        ),
-    }
-    if band.trial_rmse_aligned is not None:
-        mean = float(band.trial_rmse_aligned.mean())
-        if 0.0 < mean < math.inf:
-            distances["rmse_aligned_normalized"] = rmse / mean
-    return distances
+def _in_scatter(score: Score, motion: _ComparedMotion) -> Score:
+    """Return a score with the place of a motion in the scatter of real trials at measured frames."""
+    band = motion.band
+    # Extrapolated frames have a usable mean. Their scatter was not measured.
+    sigma = np.where(band.measured[:, None], band.sigma, np.nan)
+    z = np.abs(z_scores(motion.frames, band.mean, sigma))
+    z = z[np.isfinite(z)]
+    if not z.size:
+        return score
+    return replace(
+        score,
+        mean_abs_z=float(z.mean()),
+        inside_1sigma=float(np.mean(z <= 1.0)),
+        inside_2sigma=float(np.mean(z <= 2.0)),
+    )
 
 
 def _events(
@@ -477,7 +535,7 @@ def _events(
     values: FloatArray,
     frames: FloatArray,
     markers_m: FloatArray | None,
-) -> dict[str, Measured]:
+) -> dict[str, ComparedQuantity]:
     """Return the events of an episode with the published and the recorded values."""
     if not has_real_structure(experiment):
         return {}
@@ -494,7 +552,7 @@ def _events(
     if markers_m is None and experiment.scene.markers is not None:
         return events
     for event in recorded_events(experiment.name):
-        motion = Motion(
+        motion = SampledMotion(
             scene=experiment.scene,
             times_s=times_s,
             samples=values,
@@ -512,9 +570,9 @@ def _events(
 
 def _event(
     value: float, *, unit: str, real: float | None, real_uncertainty: float | None
-) -> Measured:
+) -> ComparedQuantity:
     """Return an event with its real value; NaN is an event that does not happen."""
     known = None if math.isnan(value) else value
-    return Measured(
+    return ComparedQuantity(
         value=known, unit=unit, real=real, real_uncertainty=real_uncertainty
     )

@@ -23,7 +23,7 @@ def score_worlds(
         band: Its reference.
         times_s: Times of the samples [s], 180 a second from 0, shape [sample_count].
         values: g(t) of each world in the band's unit, shape [world_count, sample_count, coordinate_count]. A world with
-            NaN at a frame has no distance. NaN after the last frame shortens the range of time shifts.
+            NaN at a frame has no distance.
 
     Returns:
         Arrays of shape [world_count] by field of `Score`, NaN for a world without a distance: `rmse`; and, where they
@@ -39,8 +39,8 @@ def score_worlds(
             f"values have shape {values.shape}; [world_count, {max(len(times_s), last + 1)}, {width}] is needed, "
             "with a time for each sample"
         )
-    projected = values @ band.projection.T
-    deviation = projected[:, : last + 1 : SAMPLES_PER_FRAME] - band.mean
+    times_s, projected = times_s[: last + 1], values[:, : last + 1] @ band.projection.T
+    deviation = projected[:, ::SAMPLES_PER_FRAME] - band.mean
     squares = np.where(np.isfinite(band.mean), np.square(deviation), 0.0).sum(
         axis=(1, 2)
     )
@@ -48,11 +48,7 @@ def score_worlds(
     if band.has_release and experiment.trial is None:
         aligned = np.full((len(values), 2), np.nan)
         for number in np.flatnonzero(np.isfinite(scores["rmse"])):
-            known = np.isfinite(projected[number]).all(axis=1)
-            count = len(known) if known.all() else int(known.argmin())
-            aligned[number] = time_offset(
-                times_s[:count], projected[number, :count], band.mean
-            )
+            aligned[number] = time_offset(times_s, projected[number], band.mean)
         scores["time_offset_s"], scores["rmse_aligned"] = aligned.T
     published = normalizing_baselines(experiment, band).get("rmse")
     if published is not None:

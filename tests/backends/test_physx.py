@@ -312,17 +312,18 @@ def test_published_scores_of_isaac_sim_follow_if_frames_are_late(name, parameter
     paper = {"preset": "paper"}
     request = RunRequest(name, backend="physx", parameters=parameters, settings=paper)
     trajectory, experiment = run_episode(request).trajectory, request.experiment()
-    times_s = np.array([*trajectory.times_s, *trajectory.later_times_s])
-    values = np.array([*trajectory.samples, *trajectory.later_samples])
+    times_s, values = trajectory.arrays()
+    # The sample after the last frame continues the last step.
+    after = 2.0 * values[-1] - values[-2]
     on_time, late = (
         score_trajectory(
             experiment,
             reference_band(experiment),
-            times_s=times_s[: len(times_s) - steps_late],
-            values=values[steps_late:],
+            times_s=times_s,
+            values=samples,
             is_checked=True,
         ).rmse_normalized
-        for steps_late in (0, 1)
+        for samples in (values, np.vstack([values[1:], after]))
     )
     assert late == pytest.approx(published, rel=0.03)
     assert on_time != pytest.approx(published, rel=0.03)

@@ -210,15 +210,14 @@ def test_a_missing_extra_is_in_the_message(gauge, monkeypatch):
     assert "pip install 'gauge-envs[plot]'" in result.stderr
 
 
-@pytest.mark.parametrize("suffix", [".json", ".html"])
 def test_an_output_that_cannot_be_written_stops_before_the_checks(
-    gauge, monkeypatch, suffix, tmp_path
+    gauge, monkeypatch, tmp_path
 ):
     def fail(*_):
         raise AssertionError("a check ran")
 
     monkeypatch.setattr("gauge_envs.tools.conformance.results.run_column", fail)
-    folder = tmp_path / f"a{suffix}"
+    folder = tmp_path / "a.json"
     folder.mkdir()
     result = gauge("backend", "check", "mujoco", "--out", folder)
     assert result.exit_code == 2

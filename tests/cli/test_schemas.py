@@ -166,7 +166,7 @@ def test_json_takes_every_number():
 def test_the_command_prints_the_schema(gauge):
     shown = json.loads(gauge("show", "backend check", "--schema").stdout)
     assert shown == output_schema("backend check")
-    assert shown["$id"] == "urn:gauge-envs:backend-check:4"
+    assert shown["$id"] == "urn:gauge-envs:backend-check:5"
     unknown = gauge("show", "lst", "--schema")
     assert (unknown.exit_code, unknown.stdout) == (2, "")
     assert "did you mean list?" in unknown.stderr

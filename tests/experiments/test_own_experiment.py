@@ -44,9 +44,9 @@ def test_the_crate_and_its_band_slide_as_coulomb_says(example):
     env = GaugeEnv("crate.toml")
     _, info = run_to_end(env)
     assert info["reference"] == "analytic"
-    times_s, samples = env.trajectory().dense
-    path_m = 1e-3 * samples @ DOWNHILL
-    course = 0.5 * times_s**2
+    trajectory = env.trajectory()
+    path_m = 1e-3 * trajectory.samples @ DOWNHILL
+    course = 0.5 * trajectory.times_s**2
     fitted = course @ (path_m - path_m[0]) / (course @ course)
     assert fitted == pytest.approx(ACCELERATION, rel=1e-3)
     assert env.score().over_uncertainty < 1.96

@@ -180,7 +180,7 @@ def test_a_diverged_episode_has_a_result_without_a_score(monkeypatch, tmp_path):
         ("trajectory", None, "no trajectory"),
         ("trajectory.samples", [], "times but 0 samples"),
         ("id", "GAUGE/../../x", "unknown experiment"),
-        ("trajectory.later_samples", [[1e308] * 3] * 60, "amounts of at most 1e+12"),
+        ("trajectory.samples", [[1e308] * 3] * 109, "amounts of at most 1e+12"),
     ],
 )
 def test_a_damaged_result_raises_an_error(key, value, reason, result, tmp_path):

@@ -100,15 +100,22 @@ def test_the_time_shift_of_a_late_release_is_found(offset_s):
     assert rmse == pytest.approx(3.0)
 
 
-@pytest.mark.parametrize(("later_s", "expected_s"), [(0.0, 0.0), (0.1, -0.1), (1, -1)])
-def test_no_shift_assumes_motion_after_the_end_or_a_shift_of_more_than_10_frames(
-    later_s, expected_s
+@pytest.mark.parametrize(
+    ("frame_count", "early_s", "expected_s"),
+    [(31, 0.1, -0.1), (31, 1.0, -MAX_TIME_OFFSET_S), (11, 1.0, -4 / 30)],
+)
+def test_a_shift_to_earlier_times_compares_the_frames_that_both_motions_have(
+    frame_count, early_s, expected_s
 ):
-    """Two slides of the same acceleration, the real one a second earlier: the shift ends where the simulation ends."""
-    times_s = np.arange(round(180 * (1.0 + later_s)) + 1) / 180
-    real = 500 * 3.0 * np.square(FRAMES_S + 1.0)[:, None]
-    shift_s, _ = time_offset(times_s, 500 * 3.0 * np.square(times_s)[:, None], real)
-    assert shift_s == pytest.approx(max(expected_s, -MAX_TIME_OFFSET_S), abs=1e-6)
+    """Two slides of the same acceleration, the real one earlier: at most 10 frames, and 7 of 11 are compared."""
+    times_s = np.arange(6 * frame_count - 5) / 180
+    real = 500 * 3.0 * np.square(FRAMES_S[:frame_count] + early_s)[:, None]
+    simulated = 500 * 3.0 * np.square(times_s)[:, None]
+    shift_s, rmse = time_offset(times_s, simulated, real)
+    assert shift_s == pytest.approx(expected_s, abs=1e-6)
+    assert (rmse == pytest.approx(0.0, abs=1e-2)) == (expected_s == -early_s)
+    unshifted_s, _ = time_offset(times_s, simulated, real, earliest_s=0.0)
+    assert unshifted_s == 0.0
 
 
 def test_the_time_shift_of_an_object_at_rest_is_zero():

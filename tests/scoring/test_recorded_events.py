@@ -7,7 +7,7 @@ import pytest
 
 from gauge_envs import load_experiment, variants
 from gauge_envs.references.band import recorded_events
-from gauge_envs.scoring.recorded_events import EVENTS, Motion
+from gauge_envs.scoring.recorded_events import EVENTS, SampledMotion
 
 TIMES_S = np.arange(600) / 180.0
 FRAMES_S = np.arange(90) / 30.0
@@ -16,7 +16,7 @@ FRAMES_S = np.arange(90) / 30.0
 def events_of(variant, *names, samples=None, markers_m=None, markers=()):
     """Return events of a scene from made samples at 180 Hz or markers at 30 Hz; the other does not move."""
     samples = np.zeros((1, 3)) if samples is None else samples
-    motion = Motion(
+    motion = SampledMotion(
         scene=load_experiment(variant).scene,
         times_s=np.arange(len(samples)) / 180.0,
         samples=samples,

@@ -9,10 +9,10 @@ from places import first_of_each_kind
 
 from gauge_envs import Score, load_experiment, reference_band, variants
 from gauge_envs.references.published import published_baselines
-from gauge_envs.scoring.estimates import Measured
-from gauge_envs.scoring.likely_mistakes import start_values
+from gauge_envs.scoring.estimates import ComparedQuantity
 from gauge_envs.scoring.reference import refusal
 from gauge_envs.scoring.score import score_trajectory
+from gauge_envs.scoring.user_file.likely_mistakes import start_values
 
 NAMES = [variant.name for variant in variants()]
 
@@ -164,7 +164,7 @@ def test_a_scene_that_the_reference_cannot_score_has_a_reason(name, parameters, 
         assert (score.rmse, score.verdict) == (None, "no reference")
 
 
-EVENT = Measured(value=1.19, unit="s", real=1.0, real_uncertainty=0.1)
+EVENT = ComparedQuantity(value=1.19, unit="s", real=1.0, real_uncertainty=0.1)
 
 
 def test_an_event_is_inside_within_1_96_of_its_uncertainty():

@@ -86,15 +86,12 @@ def to_usd(scene: Scene, path: str | Path) -> None:
         raise ResultFileError(f"{path}: cannot be written: {error}") from error
 
 
-def scene_stage(
-    scene: Scene, *, samples_per_frame: int = 1, later_frames: int = 0
-) -> Usd.Stage:
+def scene_stage(scene: Scene, *, samples_per_frame: int = 1) -> Usd.Stage:
     """Return a scene as a USD stage in memory.
 
     Args:
         scene: A scene with unique body names and at most one driver per body.
         samples_per_frame: Time samples of driven bodies per 30 Hz frame.
-        later_frames: Frames after the last one for which driven bodies have time samples.
     """
     stage = Usd.Stage.CreateInMemory("scene.usda")
     target = Target(stage, scene)
@@ -104,7 +101,7 @@ def scene_stage(
         _write_contact(target, index, contact)
     for body in scene.bodies:
         _write_body(target, body)
-    sample_count = (last_frame + later_frames) * samples_per_frame + 1
+    sample_count = last_frame * samples_per_frame + 1
     codes = np.arange(sample_count) / samples_per_frame
     times_s = np.arange(sample_count) / (FRAME_RATE_HZ * samples_per_frame)
     for index, driver in enumerate(scene.drivers):

@@ -24,18 +24,15 @@ def usd_layer_text(experiment: Experiment) -> str:
 
 
 def experiment_stage(
-    experiment: Experiment, *, samples_per_frame: int = 1, later_frames: int = 0
+    experiment: Experiment, *, samples_per_frame: int = 1
 ) -> Usd.Stage:
     """Return the scene of a variant as a stage in memory, with the variant, its parameters and its source.
 
     Args:
         experiment: Variant with its parameters.
         samples_per_frame: Time samples of driven bodies per 30 Hz frame.
-        later_frames: Frames after the last one for which driven bodies have time samples.
     """
-    stage = scene_stage(
-        experiment.scene, samples_per_frame=samples_per_frame, later_frames=later_frames
-    )
+    stage = scene_stage(experiment.scene, samples_per_frame=samples_per_frame)
     variant = experiment.variant
     layer = stage.GetRootLayer()
     layer.documentation = f"{experiment.spec.title}: {variant.id}"

@@ -17,7 +17,6 @@ from gauge_envs.backends.shared.pair_values import (
     body_values,
     pair_values,
 )
-from gauge_envs.envs.rollout import LATER_FRAMES
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.formats.usd import record_follower, write
@@ -54,9 +53,7 @@ def isaac_sim_stage(experiment: Experiment) -> Usd.Stage:
             )
     rate_hz = steps_per_second(scene)
     stage = experiment_stage(
-        experiment,
-        samples_per_frame=round(rate_hz / FRAME_RATE_HZ),
-        later_frames=LATER_FRAMES,
+        experiment, samples_per_frame=round(rate_hz / FRAME_RATE_HZ)
     )
     prims = {
         prim.GetAttribute("gauge:name").Get(): prim
@@ -74,7 +71,7 @@ def isaac_sim_stage(experiment: Experiment) -> Usd.Stage:
     recorded = [str(prims[name].GetPath()) for name in experiment.recorded]
     data["gauge"]["isaac_sim"] = {
         "steps_per_second": rate_hz,
-        "frame_count": experiment.frame_count + LATER_FRAMES,
+        "frame_count": experiment.frame_count,
         "observable": experiment.score.observable.value,
         "unit": experiment.score.observable.unit,
         "coordinates": Vt.StringArray(experiment.coordinates),

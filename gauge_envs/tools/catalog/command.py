@@ -64,27 +64,25 @@ def list_(
 def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bool:
     """Print the experiments that match patterns, and return whether a task file was skipped."""
     from gauge_envs.experiments.variants import (
+        Variant,
         matching_variants,
         unreadable_task_files,
     )
     from gauge_envs.pages.document import Document, Paragraph
     from gauge_envs.pages.text import counted
+    from gauge_envs.references.kind import Kind
     from gauge_envs.tools.catalog.listing import list_rows
     from gauge_envs.tools.catalog.report import family_table, list_table
 
     faults = unreadable_task_files()
     for fault in faults:
         message(fault, "skipped")
-    variants = dict.fromkeys(
-        variant
-        for pattern in patterns or ["*"]
-        for variant in matching_variants(pattern)
-    )
-    rows = [
-        row
-        for row in list_rows(variants, notify=note)
-        if not scored or row["kind"] != "none"
-    ]
+    variants: list[Variant] = []
+    for pattern in patterns or ["*"]:
+        variants += matching_variants(pattern)
+    rows = list_rows(dict.fromkeys(variants), notify=note)
+    if scored:
+        rows = [row for row in rows if row["kind"] != Kind.NONE]
     table, lines = list_table(rows), [counted(len(rows), "id")]
     if not patterns and not scored:
         lines = [f"{lines[0]}; for the ids of a family: gauge list 'SlopeSlider-*'"]
@@ -168,5 +166,7 @@ def show(
     )
     if experiment.unused_restitution:
         note(experiment.unused_restitution)
-    document = experiment_document if form is Format.TEXT else full_document
+    document = full_document
+    if form is Format.TEXT:
+        document = experiment_document
     print_document(document(description(experiment)), form)

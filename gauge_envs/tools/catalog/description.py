@@ -5,7 +5,6 @@
 
 import csv
 import dataclasses
-import re
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -18,7 +17,7 @@ from gauge_envs.references.band import band_file, read_band_file, recorded_event
 from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.imported import load_imported
 from gauge_envs.references.user_data import DataSource
-from gauge_envs.scene import Deformable, RigidBody
+from gauge_envs.scene import Deformable, Hinge, RigidBody, Tether
 from gauge_envs.scoring.reference import reference_band, reference_kind
 from gauge_envs.text import toml_document
 from gauge_envs.tools.catalog.listing import engine_rows
@@ -40,6 +39,7 @@ def description(experiment: Experiment) -> dict[str, Any]:
     """Return the complete description of an experiment, JSON-ready, with the source of each number."""
     spec, variant, scene = experiment.spec, experiment.variant, experiment.scene
     bodies = (*scene.bodies, *scene.deformables)
+    constants = [name for name in spec.constants if name in spec.bodies_of(variant)]
     return json_ready(
         {
             "id": experiment.id,
@@ -48,30 +48,9 @@ def description(experiment: Experiment) -> dict[str, Any]:
             "group": spec.group.value,
             "evaluates": spec.evaluates,
             "source": spec.source.model_dump(exclude_none=True),
-            "constants": {
-                name: _constants(experiment, name)
-                for name in spec.constants
-                if any(
-                    re.fullmatch(rf"{re.escape(name)}(-\d+)?", body.name)
-                    for body in bodies
-                )
-            },
-            "parameter_sets": {
-                "calibrated": {
-                    "summary": "calibrated constants of the metadata",
-                    "values": {},
-                },
-                **{
-                    name: {
-                        "summary": chosen.summary,
-                        "values": dict(load_experiment(variant, name).overrides),
-                    }
-                    for name, chosen in spec.parameters.items()
-                },
-            },
-            "subtask": spec.subtasks[variant.subtask].title
-            if variant.subtask
-            else None,
+            "constants": {name: _constants(experiment, name) for name in constants},
+            "parameter_sets": _parameter_sets(experiment),
+            "subtask": variant.subtask and spec.subtasks[variant.subtask].title,
             "provenance": spec.provenance,
             "decisions": spec.decisions,
             "asset": experiment.asset and experiment.asset.to_dict(),
@@ -84,10 +63,7 @@ def description(experiment: Experiment) -> dict[str, Any]:
             },
             "bodies": [_body(body, experiment) for body in bodies],
             "contacts": list(map(dataclasses.asdict, scene.contacts)),
-            "joints": [
-                {"kind": type(joint).__name__.lower(), **dataclasses.asdict(joint)}
-                for joint in scene.joints
-            ],
+            "joints": list(map(_with_kind, scene.joints)),
             "attachments": list(map(dataclasses.asdict, scene.attachments)),
             "drivers": _drivers(experiment),
             "gravity_m_per_s2": scene.gravity_m_per_s2,
@@ -97,27 +73,52 @@ def description(experiment: Experiment) -> dict[str, Any]:
             "observation": observation_rows(experiment),
             "reference": _reference(experiment),
             "baselines": list(map(dataclasses.asdict, experiment.baselines.values())),
-            "engines": [
-                row | {"convergence": convergence_rows(row["engine"], experiment.name)}
-                for row in engine_rows(experiment)
-            ],
-            "limits": [
-                {"text": limit["text"], "study": limit.get("study")}
-                for limit in all_limits()
-                if any(
-                    fnmatchcase(experiment.name, pattern)
-                    for pattern in limit["variants"]
-                )
-            ],
+            "engines": _engines(experiment),
+            "limits": _limits(experiment.name),
         }
     )
+
+
+def _parameter_sets(experiment: Experiment) -> dict[str, dict[str, Any]]:
+    """Return the summary and the values of each parameter set by name."""
+    summary = "calibrated constants of the metadata"
+    sets: dict[str, dict[str, Any]] = {"calibrated": {"summary": summary, "values": {}}}
+    for name, chosen in experiment.spec.parameters.items():
+        values = dict(load_experiment(experiment.variant, name).overrides)
+        sets[name] = {"summary": chosen.summary, "values": values}
+    return sets
+
+
+def _engines(experiment: Experiment) -> list[dict[str, Any]]:
+    """Return the support of an experiment by each engine, and how far its step is from convergence."""
+    rows = []
+    for row in engine_rows(experiment):
+        convergence = convergence_rows(row["engine"], experiment.name)
+        rows.append(row | {"convergence": convergence})
+    return rows
+
+
+def _limits(name: str) -> list[dict[str, str | None]]:
+    """Return the known limits of a variant, each with its study."""
+    limits = []
+    for limit in all_limits():
+        if any(fnmatchcase(name, pattern) for pattern in limit["variants"]):
+            limits.append({"text": limit["text"], "study": limit.get("study")})
+    return limits
+
+
+def _with_kind(part: Hinge | Tether) -> dict[str, Any]:
+    """Return the fields of a joint with its kind."""
+    return {"kind": type(part).__name__.lower(), **dataclasses.asdict(part)}
 
 
 def _constants(experiment: Experiment, name: str) -> dict[str, dict[str, Any]]:
     """Return value and source of each constant of a body."""
     spec, variant = experiment.spec, experiment.variant
     tables = spec.constants[name]
-    material = variant.material if variant.material in tables else next(iter(tables))
+    material = variant.material
+    if material not in tables:
+        material = next(iter(tables))
     values = spec.constants_of(name, material, variant.subtask)
     described = {}
     for key, constant in tables[material].items():
@@ -137,29 +138,31 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
     source = experiment.reference_source
     band = reference_band(experiment)
     file = band_file(experiment.name, source)
-    facts = None if file is None else read_band_file(file)
+    facts = file and read_band_file(file)
+    described = band or facts
+    exact = {}
+    if band is not None:
+        exact = dict(band.exact)
+    disputed = [row.disputed for row in experiment.baselines.values() if row.disputed]
     return {
         "kind": reference_kind(experiment.name, source).value,
         "unit": band and band.compared.unit,
-        "source": band.source if band is not None else facts and facts.source,
+        "compared": band and band.compared.coordinates,
+        "source": described and described.source,
         "licence": band and band.licence,
         "trial_count": band and band.trial_count,
         "single_shot": experiment.trial is not None,
         "known_frames": band and int(band.compared.known.sum()),
         "standard_uncertainty": band and band.standard_uncertainty,
         "zero_motion_distance": band and band.zero_motion_distance,
-        "exact": {} if band is None else dict(band.exact),
+        "exact": exact,
         "exact_source": facts and facts.exact_source,
         "events": [
             event.model_dump() for event in recorded_events(experiment.name, source)
         ],
         "sees": planted_errors(experiment.name),
         "imported": source is DataSource.IMPORTED,
-        "impossible": "; ".join(
-            dict.fromkeys(
-                row.disputed for row in experiment.baselines.values() if row.disputed
-            )
-        ),
+        "impossible": "; ".join(dict.fromkeys(disputed)),
         "reward": reward_text(band, is_bounded=is_reward_bounded(experiment)),
     }
 
@@ -167,15 +170,14 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
 def planted_errors(variant: str) -> list[dict[str, Any]]:
     """Return the scores of MuJoCo with planted errors in a variant, a row for each metric."""
     file = data_folder("scoring") / "sees.csv"
+    rows: list[dict[str, Any]] = []
     with file.open(encoding="utf-8", newline="") as stream:
-        rows = [row for row in csv.DictReader(stream) if row.pop("id") == variant]
-    return [
-        {
-            key: text if key in ("metric", "unit") else float(text or "nan")
-            for key, text in row.items()
-        }
-        for row in rows
-    ]
+        for texts in csv.DictReader(stream):
+            if texts.pop("id") == variant:
+                names = {key: texts.pop(key) for key in ("metric", "unit")}
+                scores = {key: float(text or "nan") for key, text in texts.items()}
+                rows.append(names | scores)
+    return rows
 
 
 def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any]:
@@ -195,27 +197,36 @@ def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any
     }
 
 
+def _imported_drivers(name: str) -> set[str]:
+    """Return the driven bodies whose motion is imported."""
+    trials = load_imported(name)
+    if trials is None:
+        return set()
+    return {record.body for record in trials.facts.drivers}
+
+
 def _drivers(experiment: Experiment) -> list[dict[str, Any]]:
     """Return the driven bodies with their motions and sources."""
     drivers = experiment.scene.drivers
     notes = ["from the asset"] * len(drivers)
     imported: set[str] = set()
     if experiment.asset is None:
-        specs = experiment.spec.drivers_of(experiment.variant)
-        notes = [spec.note for spec in specs]
+        notes = [spec.note for spec in experiment.spec.drivers_of(experiment.variant)]
         if experiment.drivers is DataSource.IMPORTED:
-            trials = load_imported(experiment.name)
-            records = trials.facts.drivers if trials else ()
-            imported = {record.body for record in records}
-    return [
-        {
-            "body": driver.body,
-            "provenance": driver.provenance,
-            "imported": driver.body in imported,
-            "note": "mean motion in the imported trials"
-            if driver.body in imported
-            else note,
-            "motions": list(map(dataclasses.asdict, driver.motions)),
-        }
-        for driver, note in zip(drivers, notes, strict=True)
-    ]
+            imported = _imported_drivers(experiment.name)
+    rows = []
+    for driver, note in zip(drivers, notes, strict=True):
+        is_imported = driver.body in imported
+        if is_imported:
+            note = "mean motion in the imported trials"
+        motions = list(map(dataclasses.asdict, driver.motions))
+        rows.append(
+            {
+                "body": driver.body,
+                "provenance": driver.provenance,
+                "imported": is_imported,
+                "note": note,
+                "motions": motions,
+            }
+        )
+    return rows

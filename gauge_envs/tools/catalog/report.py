@@ -1,4 +1,7 @@
-"""Report the list of experiments, and an experiment on one screen or completely."""
+"""Report the list of experiments, and an experiment on one screen or completely.
+
+The pages of the documentation print the same facts as `gauge show`.
+"""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -6,7 +9,14 @@ from typing import Any
 
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Tone
+from gauge_envs.pages.document import (
+    Bullets,
+    Document,
+    Heading,
+    Paragraph,
+    Part,
+    Tone,
+)
 from gauge_envs.pages.table import Column, Facts, Table, grid
 from gauge_envs.pages.text import (
     KIND_NOTES,
@@ -33,9 +43,11 @@ PLANTED_ERRORS = {
 }
 """Planted errors in the scene of MuJoCo, by column of `scoring/sees.csv`."""
 
+UNCHANGED = "unchanged"
+"""Name of the scene without a planted error."""
+
 UNDETECTABLE_SHARE = 0.1
 """Largest undetectable change of a score, divided by the standard uncertainty u."""
-
 
 SECTIONS = {
     "parameter_sets": "Parameter sets",
@@ -62,14 +74,10 @@ def family_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     for row in rows:
         kinds.setdefault(row["family"], Counter())[row["kind"]] += 1
         evaluated[row["family"]] = load_experiment(row["id"]).spec.evaluates
-    cells = [
-        (
-            family,
-            ", ".join(f"{count} {kind}" for kind, count in counts.items()),
-            ", ".join(evaluated[family]),
-        )
-        for family, counts in kinds.items()
-    ]
+    cells = []
+    for family, counts in kinds.items():
+        kinds_text = ", ".join(f"{count} {kind}" for kind, count in counts.items())
+        cells.append((family, kinds_text, ", ".join(evaluated[family])))
     return grid(("family", "ids by kind of reference", "evaluates"), cells)
 
 
@@ -96,56 +104,77 @@ def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def experiment_document(values: Mapping[str, Any]) -> Document:
-    """Return observable, reference, detected errors, engines and constants of an experiment.
+    """Return the facts of an experiment and its constants.
 
     Args:
         values: Result of `description`.
     """
+    hidden = ["sources, scene, spaces, decisions: --format wide"]
+    if values["limits"]:
+        hidden.insert(0, counted(len(values["limits"]), "known limit"))
+    note = Paragraph(", ".join(hidden), Tone.NOTE)
+    return Document(parts=[*_screen(values), note], rows=[values])
+
+
+def _screen(values: Mapping[str, Any]) -> list[Part]:
+    """Return title, summary, facts and constants of an experiment."""
+    facts = motion_facts(values) | _support_facts(values) | constants_facts(values)
+    return [
+        Paragraph(f"{values['id']}  {values['title']}", Tone.ANSWER),
+        Paragraph(values["summary"]),
+        Paragraph(""),
+        Facts(facts),
+    ]
+
+
+def motion_facts(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return observable, reference, spaces and prescribed motions of an experiment; empty texts are left out."""
     observable, reference = values["observable"], values["reference"]
     measured = f"{observable['kind'].replace('_', ' ')} [{observable['unit']}]"
     measured += f" of {shortened(observable['coordinates'])}"
-    exact = ", ".join(
-        f"{score:.2f} ({name})" for name, score in reference["exact"].items()
-    )
     facts = {
-        "measured": f"{measured}; {values['frames']} frames at 30 Hz",
+        "measured": measured,
+        "frames": f"{values['frames']} at 30 Hz",
         "reference": reference_text(reference, frames=values["frames"]),
-        "exact solution": f"scores {exact}, divided by real trials" if exact else "",
+        "source": reference["source"],
+        "exact solution": _exact_text(reference["exact"]),
         "real events": events_text(reference["events"]),
         "planted errors": planted_errors_text(reference),
         "reward": reference["reward"],
-        "action": "; ".join(
-            f"{row['meaning']} ({row['unit']})"
-            for row in values["action"]
-            if row["unit"] != "1"
-        )
-        or "none",
-        "observation": ", ".join(
-            dict.fromkeys(
-                f"{row['entry']} {shape_text(row['whole'])}"
-                for row in values["observation"]
-            )
-        ),
-        "engines": _engines_text(values["engines"]),
-        "published wrongly": reference["impossible"],
+        "action": _action_text(values["action"]),
+        "observation": _observation_text(values["observation"]),
     }
-    if asset := values["asset"]:
+    for driver in values["drivers"]:
+        motion = f"{driver['note']} ({driver['provenance']})"
+        facts[f"motion of {driver['body']}"] = motion
+    return {name: text for name, text in facts.items() if text}
+
+
+def _support_facts(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return the engines of an experiment, impossible published scores, and the changes of an edited scene."""
+    facts = {"engines": _engines_text(values["engines"])}
+    if values["reference"]["impossible"]:
+        facts["published wrongly"] = values["reference"]["impossible"]
+    asset = values["asset"]
+    if asset:
         facts["asset"] = f"{asset['file']}, sha256 {asset['sha256'][:8]}"
         facts["gravity"] = f"{values['gravity_m_per_s2']:g} m/s^2"
         facts["edited"] = "; ".join(asset["changes"]) or "no: the calibrated scene"
-    facts |= {body: _constants(table) for body, table in values["constants"].items()}
-    limits = [counted(len(values["limits"]), "known limit")] if values["limits"] else []
-    hidden = ", ".join([*limits, "sources, scene, spaces, decisions: --format wide"])
-    return Document(
-        parts=(
-            Paragraph(f"{values['id']}  {values['title']}", Tone.ANSWER),
-            Paragraph(values["summary"]),
-            Paragraph(""),
-            Facts({name: text for name, text in facts.items() if text}),
-            Paragraph(hidden, Tone.NOTE),
-        ),
-        rows=[values],
-    )
+    return facts
+
+
+def constants_facts(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return the constants of each body with their sources."""
+    facts = {}
+    for body, table in values["constants"].items():
+        by_source: dict[str, dict[str, Any]] = {}
+        for key, constant in table.items():
+            by_source.setdefault(constant["source"], {})[key] = constant["value"]
+        texts = [
+            f"{pairs_text(group)} ({source})" for source, group in by_source.items()
+        ]
+        facts[body] = "; ".join(texts)
+    return facts
 
 
 def reference_text(reference: Mapping[str, Any], *, frames: int) -> str:
@@ -156,10 +185,8 @@ def reference_text(reference: Mapping[str, Any], *, frames: int) -> str:
     if reference["trial_count"]:
         parts.append(counted(reference["trial_count"], "trial"))
     if reference["unit"] is not None:
-        uncertainty, zero_motion = (
-            f"{quantity_text(reference[key])} {reference['unit']}"
-            for key in ("standard_uncertainty", "zero_motion_distance")
-        )
+        uncertainty = distance_text(reference, "standard_uncertainty")
+        zero_motion = distance_text(reference, "zero_motion_distance")
         parts.append(f"standard uncertainty u = {uncertainty}")
         parts.append(f"a scene without motion is {zero_motion} away")
         if reference["known_frames"] < frames:
@@ -167,13 +194,43 @@ def reference_text(reference: Mapping[str, Any], *, frames: int) -> str:
     return "; ".join(parts)
 
 
+def distance_text(reference: Mapping[str, Any], key: str) -> str:
+    """Return a distance of a reference with its unit; a dash without a reference motion."""
+    if reference["unit"] is None:
+        return "-"
+    return f"{quantity_text(reference[key])} {reference['unit']}"
+
+
+def _exact_text(exact: Mapping[str, float]) -> str:
+    """Return the scores of an exact solution by parameter set; empty without one."""
+    if not exact:
+        return ""
+    scores = ", ".join(f"{score:.2f} ({name})" for name, score in exact.items())
+    return f"scores {scores}, divided by real trials"
+
+
 def events_text(events: Sequence[Mapping[str, Any]]) -> str:
     """Return events with their real values and standard uncertainties; empty without events."""
-    return "; ".join(
-        f"{event_title(event['name'])}: "
-        f"{plus_minus_text(event['value'], event['standard_uncertainty'], event['unit'])}"
-        for event in events
+    texts = []
+    for event in events:
+        uncertainty = event["standard_uncertainty"]
+        value = plus_minus_text(event["value"], uncertainty, event["unit"])
+        texts.append(f"{event_title(event['name'])}: {value}")
+    return "; ".join(texts)
+
+
+def _action_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the meaning of each entry of the action that has an effect."""
+    texts = [f"{row['meaning']} ({row['unit']})" for row in rows if row["unit"] != "1"]
+    return "; ".join(texts) or "none"
+
+
+def _observation_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the entries of the observation with their shapes; several rows may describe one entry."""
+    entries = dict.fromkeys(
+        f"{row['entry']} {shape_text(row['whole'])}" for row in rows
     )
+    return ", ".join(entries)
 
 
 def planted_errors_text(reference: Mapping[str, Any]) -> str:
@@ -194,45 +251,44 @@ def planted_error_scores(
 ) -> Iterator[tuple[str, dict[str, str]]]:
     """Yield each metric with its unit, and the score of each planted error by name; empty if undetectable.
 
-    An error is undetectable if the score changes by less than a tenth of u, or not within three digits.
+    An error is undetectable if the score changes by less than a tenth of u, or not within three digits. The score of
+    the unchanged scene has the name `UNCHANGED`.
     """
     for row in reference["sees"]:
-        has_uncertainty = row["unit"] == reference["unit"]
-        uncertainty = reference["standard_uncertainty"] if has_uncertainty else 0.0
-        unchanged = row["nominal"]
-        scores = {"unchanged": digits_text(unchanged)}
+        resolution = 0.0
+        if row["unit"] == reference["unit"]:
+            resolution = UNDETECTABLE_SHARE * reference["standard_uncertainty"]
+        unchanged = digits_text(row["nominal"])
+        scores = {UNCHANGED: unchanged}
         for key, title in PLANTED_ERRORS.items():
             score = row[key]
             if score is None:
                 continue
-            is_small = abs(score - unchanged) < UNDETECTABLE_SHARE * uncertainty
-            is_equal = digits_text(score) == digits_text(unchanged)
-            scores[title] = "" if is_small or is_equal else digits_text(score)
-        unit = "" if row["unit"] == "1" else f" [{row['unit']}]"
-        yield f"{event_title(row['metric'])}{unit}", scores
+            scores[title] = digits_text(score)
+            is_small = abs(score - row["nominal"]) < resolution
+            if is_small or scores[title] == unchanged:
+                scores[title] = ""
+        metric = event_title(row["metric"])
+        if row["unit"] != "1":
+            metric += f" [{row['unit']}]"
+        yield metric, scores
 
 
 def _engines_text(engines: Sequence[Mapping[str, Any]]) -> str:
     """Return the engines that run here, that do not run here, and that cannot build the scene."""
     groups: dict[str, list[str]] = {"run it": [], "not here": [], "cannot build it": []}
     for row in engines:
-        is_default = row["engine"] == EnvArguments.backend
-        name = f"{row['engine']} (default)" if is_default else row["engine"]
-        title = "not here" if row["fault"] else "run it"
-        groups["cannot build it" if row["missing"] else title].append(name)
-    return "; ".join(
-        f"{title}: {', '.join(names)}" for title, names in groups.items() if names
-    )
-
-
-def _constants(table: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the constants of a body with their sources."""
-    by_source: dict[str, dict[str, Any]] = {}
-    for key, constant in table.items():
-        by_source.setdefault(constant["source"], {})[key] = constant["value"]
-    return "; ".join(
-        f"{pairs_text(group)} ({source})" for source, group in by_source.items()
-    )
+        name = row["engine"]
+        if name == EnvArguments.backend:
+            name += " (default)"
+        title = "run it"
+        if row["missing"]:
+            title = "cannot build it"
+        elif row["fault"]:
+            title = "not here"
+        groups[title].append(name)
+    texts = [f"{title}: {', '.join(names)}" for title, names in groups.items() if names]
+    return "; ".join(texts)
 
 
 # --- complete description ---------------------------------------------------------------------------------------------
@@ -240,22 +296,16 @@ def _constants(table: Mapping[str, Mapping[str, Any]]) -> str:
 
 def full_document(values: Mapping[str, Any]) -> Document:
     """Return the screen of an experiment, followed by limits, decisions, and the entries of `SECTIONS`."""
+    parts = _screen(values)
     limits = [limit["text"] for limit in values["limits"]]
-    lists = {"Known limits": limits, "Decisions": values["decisions"]}
-    sections = {title: _entries(values[key]) for key, title in SECTIONS.items()}
-    return Document(
-        parts=(
-            *experiment_document(values).parts[:-1],
-            *(Bullets(entries, title) for title, entries in lists.items() if entries),
-            *(
-                part
-                for title, facts in sections.items()
-                if facts
-                for part in (Heading(title), Facts(facts))
-            ),
-        ),
-        rows=[values],
-    )
+    for title, lines in (("Known limits", limits), ("Decisions", values["decisions"])):
+        if lines:
+            parts.append(Bullets(lines, title))
+    for key, title in SECTIONS.items():
+        facts = _entries(values[key])
+        if facts:
+            parts += [Heading(title), Facts(facts)]
+    return Document(parts=parts, rows=[values])
 
 
 def _entries(
@@ -267,10 +317,13 @@ def _entries(
     texts = {}
     for number, entry in enumerate(part or (), 1):
         name = entry.get("name") or entry.get("engine") or str(number)
-        nonzero = {
-            key: value
-            for key, value in entry.items()
-            if (any(value) if isinstance(value, list) else value)
-        }
+        nonzero = {key: value for key, value in entry.items() if not _is_zero(value)}
         texts[name] = pairs_text(nonzero, skip=("name", "engine", "entry", "whole"))
     return texts
+
+
+def _is_zero(value: Any) -> bool:
+    """Return whether a value is empty or zero, as the entries of a list are."""
+    if isinstance(value, list):
+        return not any(value)
+    return not value

@@ -37,14 +37,25 @@ class ListLine(TypedDict):
 
 
 class SchemaLine(TypedDict):
-    """A JSON Schema; `gauge show NAME --schema` prints it."""
+    """A JSON Schema; `gauge show NAME --schema` prints it.
+
+    Attributes:
+        name: Words of the command whose output it describes.
+        version: Version of the output.
+    """
 
     name: str
     version: int
 
 
 class ObservableFacts(TypedDict):
-    """Quantity g(t), its unit, and the names of its coordinates."""
+    """Quantity g(t).
+
+    Attributes:
+        kind: Name of the quantity.
+        unit: Unit of its values.
+        coordinates: Names of its coordinates.
+    """
 
     kind: str
     unit: str
@@ -57,6 +68,7 @@ class ReferenceFacts(TypedDict):
     Attributes:
         kind: Kind of the reference motion.
         unit: Unit of `standard_uncertainty` and `zero_motion_distance`.
+        compared: Coordinates of the distance and of the reward.
         source: Source of the numbers, or the reason for a missing reference.
         licence: Licence of the data.
         trial_count: Number of real trials.
@@ -75,6 +87,7 @@ class ReferenceFacts(TypedDict):
 
     kind: Kind
     unit: str | None
+    compared: Sequence[str] | None
     source: str | None
     licence: str | None
     trial_count: int | None
@@ -109,7 +122,7 @@ class ShowLine(TypedDict):
         asset: File of the scene, with its changes; null for the task file.
         frames: Number of frames of 1/30 s.
         duration_s: Duration [s].
-        observable: Quantity g(t).
+        observable: What is compared with the reference.
         bodies: Bodies: `name`, `kind`, `recorded`, pose, and the fields of their class in `gauge_envs.scene`.
         contacts: Constants of pairs of bodies.
         joints: Joints, with the fields of their class in `gauge_envs.scene`.

@@ -1,6 +1,6 @@
 """Describe the action and observation spaces of an experiment as rows of tables."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,15 +35,13 @@ def action_rows(experiment: Experiment) -> list[dict[str, Any]]:
     space = action_space_of(experiment)
     if isinstance(space, spaces.Discrete):
         return [_row("action", np.zeros(()), np.zeros(()), "1", "nothing is driven")]
-    motions = [
-        (driver.body, motion)
-        for driver in experiment.scene.drivers
-        for motion in driver.motions
-    ]
-    return [
-        _row(f"action[{index}]", -np.ones(()), np.ones(()), *_driven(body, motion))
-        for index, (body, motion) in enumerate(motions)
-    ]
+    rows: list[dict[str, Any]] = []
+    for driver in experiment.scene.drivers:
+        for motion in driver.motions:
+            unit, meaning = _driven(driver.body, motion)
+            name = f"action[{len(rows)}]"
+            rows.append(_row(name, -np.ones(()), np.ones(()), unit, meaning))
+    return rows
 
 
 def _driven(body: str, motion: DriverMotion) -> tuple[str, str]:
@@ -54,7 +52,9 @@ def _driven(body: str, motion: DriverMotion) -> tuple[str, str]:
     if not scale:
         return "1", f"no effect on {body}"
     axis = " ".join(f"{value:.3g}" for value in motion.axis)
-    relation = "added to the motion of" if motion.profiles else "of"
+    relation = "of"
+    if motion.profiles:
+        relation = "added to the motion of"
     return f"times {scale:.3g} {unit}", f"{kind} ({axis}), {relation} {body}"
 
 
@@ -63,7 +63,9 @@ def observation_rows(experiment: Experiment) -> list[dict[str, Any]]:
     space = observation_space_of(experiment)
     assert isinstance(space, spaces.Dict)
     scene, observable = experiment.scene, experiment.score.observable
-    marked = ", ".join(scene.markers.bodies) if scene.markers else ""
+    marked = ""
+    if scene.markers:
+        marked = ", ".join(scene.markers.bodies)
     meanings = {
         "observable": (observable.unit, f"g(t): {OBSERVED[observable]}"),
         "bodies": experiment.recorded,
@@ -77,21 +79,30 @@ def observation_rows(experiment: Experiment) -> list[dict[str, Any]]:
             continue
         box = space[key]
         assert isinstance(box, spaces.Box)
-        if key not in ("bodies", "driver"):
-            rows.append(_row(key, box.low, box.high, *meaning))
-            continue
-        for columns, unit, part in STATE:
-            name = f"{key}[:, {columns.start}:{columns.stop}]"
-            text = part if columns.start else f"{part} of {shortened(meaning)}"
-            row = _row(name, box.low[:, columns], box.high[:, columns], unit, text)
-            rows.append(row | {"entry": key, "whole": list(box.shape)})
+        if key in ("bodies", "driver"):
+            rows += _state_rows(key, box, meaning)
+        else:
+            unit, text = meaning
+            rows.append(_row(key, box.low, box.high, unit, text))
     return rows
+
+
+def _state_rows(
+    key: str, box: spaces.Box, bodies: Sequence[str]
+) -> Iterator[dict[str, Any]]:
+    """Yield a row for each quantity in the states of bodies; the first row names the bodies."""
+    for columns, unit, part in STATE:
+        name = f"{key}[:, {columns.start}:{columns.stop}]"
+        if columns.start == 0:
+            part += f" of {shortened(bodies)}"
+        row = _row(name, box.low[:, columns], box.high[:, columns], unit, part)
+        yield row | {"entry": key, "whole": list(box.shape)}
 
 
 def _row(
     name: str,
-    low: NDArray[np.floating],
-    high: NDArray[np.floating],
+    low: NDArray[Any],
+    high: NDArray[Any],
     unit: str,
     meaning: str,
 ) -> dict[str, Any]:
@@ -110,4 +121,6 @@ def _row(
 
 def shape_text(shape: Sequence[int]) -> str:
     """Return a shape, for example `[1, 3]`; empty for a number."""
-    return str(list(shape)) if shape else ""
+    if not shape:
+        return ""
+    return str(list(shape))

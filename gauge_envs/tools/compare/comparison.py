@@ -30,7 +30,12 @@ from gauge_envs.runs.configuration import RunConfiguration, group_by_configurati
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.score import OVER_U, Interval, normalizing_baselines
+from gauge_envs.scoring.score import (
+    OVER_U,
+    Interval,
+    ScoreVerdict,
+    normalizing_baselines,
+)
 from gauge_envs.tools.compare.distance import Distance, trajectory_distance
 from gauge_envs.tools.compare.ranks import (
     KindComparison,
@@ -63,7 +68,9 @@ class Cell:
 
     def values(self, metric: str, *, normalized: bool) -> list[float | None]:
         """Return the metric of each repeat, None for a repeat without it."""
-        value_of = normalized_score if normalized else raw_score
+        value_of = raw_score
+        if normalized:
+            value_of = normalized_score
         return [value_of(result.score, metric) for result in self.results]
 
     def spread(self, metric: str, *, normalized: bool) -> ScoreSpread | None:
@@ -72,7 +79,8 @@ class Cell:
 
     def interval_95(self, metric: str) -> Interval | None:
         """Return the 95 % interval of the mean normalized metric; None if a repeat with the metric has no interval."""
-        values, intervals = [], []
+        values: list[float] = []
+        intervals: list[Interval] = []
         for result in self.results:
             value = normalized_score(result.score, metric)
             if value is None:
@@ -90,17 +98,29 @@ class Cell:
         spread = ScoreSpread.of(result.score.percentile for result in self.results)
         return None if spread is None else spread.mean
 
-    @property
-    def verdict(self) -> str:
-        """Verdict of the finished repeats: a word, or the count of each; empty without finished repeats."""
-        counts = Counter(
+    @cached_property
+    def verdicts(self) -> Counter[ScoreVerdict]:
+        """Number of finished repeats with each verdict."""
+        return Counter(
             result.score.verdict
             for result in self.results
             if result.outcome is Outcome.FINISHED
         )
-        if len(counts) < 2:
-            return "".join(counts)
-        return ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether a finished repeat was compared with a reference."""
+        return any(
+            verdict is not ScoreVerdict.NO_REFERENCE for verdict in self.verdicts
+        )
+
+    @property
+    def verdict_text(self) -> str:
+        """The verdict of the finished repeats, or the count of each."""
+        if len(self.verdicts) == 1:
+            return next(iter(self.verdicts)).value
+        counts = [f"{count} {verdict}" for verdict, count in self.verdicts.items()]
+        return ", ".join(counts)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,12 +131,12 @@ class ExperimentComparison:
         id: Gymnasium id.
         kind: Kind of the reference; `none` also if the reference scores none of the results.
         unit: Unit of the observable.
-        cells: Results in the order of `Comparison.configurations`; None for a configuration without this experiment.
+        cells: Results of each configuration, in the order of the comparison; None without this experiment.
         baselines: Published scatter of real trials and scores of three engines, by metric.
     """
 
     id: str
-    kind: str
+    kind: Kind
     unit: str
     cells: tuple[Cell | None, ...]
     baselines: Mapping[str, Baseline]
@@ -129,7 +149,7 @@ class ExperimentComparison:
     @property
     def is_solution(self) -> bool:
         """Whether the reference is a solution of the scene, not real trials."""
-        return Kind(self.kind).is_solution
+        return self.kind.is_solution
 
     @property
     def present(self) -> list[tuple[int, Cell]]:
@@ -151,24 +171,23 @@ class ExperimentComparison:
     def distances(self) -> tuple[Distance, ...]:
         """Distance between each pair of configurations that ran the experiment, computed on first access."""
         baseline = self.baselines.get("rmse")
-        pairs = combinations(self.present, 2)
-        distances = (
-            trajectory_distance(
+        distances = []
+        for (first, first_cell), (second, second_cell) in combinations(self.present, 2):
+            distance = trajectory_distance(
                 (first, second), first_cell.results, second_cell.results, baseline
             )
-            for (first, first_cell), (second, second_cell) in pairs
-        )
-        return tuple(filter(None, distances))
+            if distance is not None:
+                distances.append(distance)
+        return tuple(distances)
 
     def metrics(self, among: Iterable[str] = tuple(SCORE_METRICS)) -> list[str]:
         """Return the metrics with a score or comparable published scores, the primary metric first."""
-        scores = [result.score for result in self.results]
-        names = [
-            name
-            for name in among
-            if self.published(name) is not None
-            or any(raw_score(score, name) is not None for score in scores)
-        ]
+        names = []
+        for name in among:
+            values = [raw_score(result.score, name) for result in self.results]
+            is_known = any(value is not None for value in values)
+            if is_known or self.published(name) is not None:
+                names.append(name)
         return sorted(names, key=lambda name: name != self.primary)
 
     def shown_metrics(self, among: Iterable[str] = tuple(SCORE_METRICS)) -> list[str]:
@@ -182,9 +201,7 @@ class ExperimentComparison:
     def unit_of(self, metric: str) -> str:
         """Return the unit of a metric before normalization."""
         if metric == OVER_U:
-            return next(
-                (result.score.distance_unit for result in self.results), self.unit
-            )
+            return self.results[0].score.distance_unit
         return SCORE_METRICS[metric].unit_of(self.unit)
 
     def published(self, metric: str) -> Mapping[str, float | None] | None:
@@ -193,28 +210,22 @@ class ExperimentComparison:
         The paper scores trajectories against the mean of real trials: RMSE and DTW need the kind `trials`.
         Event metrics do not depend on the reference.
         """
-        baseline = self.baselines.get(metric)
-        is_comparable = self.kind == Kind.TRIALS or SCORE_METRICS[metric].is_event
-        return baseline.engines if baseline is not None and is_comparable else None
+        is_comparable = self.kind is Kind.TRIALS or SCORE_METRICS[metric].is_event
+        if not is_comparable or metric not in self.baselines:
+            return None
+        return self.baselines[metric].engines
 
     def scored(self) -> ScoredExperiment:
         """Return the scores of this experiment for ranking within its kind."""
-        return ScoredExperiment(
-            id=self.id,
-            deviations={
-                index: cell.deviations
-                for index, cell in self.present
-                if cell.deviations
-            },
-            intervals={
-                index: cell.interval_95(self.primary) for index, cell in self.present
-            },
-        )
+        deviations = {
+            index: cell.deviations for index, cell in self.present if cell.deviations
+        }
+        return ScoredExperiment(id=self.id, deviations=deviations)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
-    """Comparison of configurations.
+class ScoreComparison:
+    """ScoreComparison of configurations.
 
     Attributes:
         configurations: The tested configurations.
@@ -234,25 +245,16 @@ class Comparison:
     @cached_property
     def kinds(self) -> tuple[KindComparison, ...]:
         """Ranks within each kind of reference; experiments with several references are left out."""
-        groups = (
-            [
-                experiment
-                for experiment in self.experiments
-                if experiment.kind == kind and _is_ranked(experiment)
-            ]
-            for kind in Kind
-        )
-        return tuple(kind for group in groups for kind in self.compare_within(group))
-
-    def compare_within(
-        self, experiments: Sequence[ExperimentComparison]
-    ) -> tuple[KindComparison, ...]:
-        """Return the ranks in experiments of one kind, for each set of constants."""
-        if not experiments:
-            return ()
-        scored = [experiment.scored() for experiment in experiments]
         constants = [_constants(configuration) for configuration in self.configurations]
-        return compare_kind(experiments[0].kind, scored, constants)
+        comparisons: list[KindComparison] = []
+        for kind in Kind:
+            scored = [
+                experiment.scored()
+                for experiment in self.experiments
+                if experiment.kind is kind and _is_ranked(experiment)
+            ]
+            comparisons += compare_kind(kind, scored, constants)
+        return tuple(comparisons)
 
 
 def _constants(configuration: RunConfiguration) -> str:
@@ -263,15 +265,11 @@ def _constants(configuration: RunConfiguration) -> str:
 
 def _is_ranked(experiment: ExperimentComparison) -> bool:
     """Return whether all results of an experiment are scored against the same reference."""
-    references = {
-        (result.score.kind, *sorted(result.dataset.items()))
-        for result in experiment.results
-        if result.error is None
-    }
-    return len(references) <= 1
+    ran = [result for result in experiment.results if result.error is None]
+    return len(set(map(_reference_of, ran))) <= 1
 
 
-def compare(results: Iterable[Result]) -> Comparison:
+def compare(results: Iterable[Result]) -> ScoreComparison:
     """Compare results of any experiments, engines, parameters, settings and seeds.
 
     The newest revision of each experiment counts, and the latest result of each configuration and seed. Notes name the
@@ -279,47 +277,61 @@ def compare(results: Iterable[Result]) -> Comparison:
     """
     given = sorted(results, key=lambda result: result.revision)
     newest = {result.id: result.revision for result in given}
-    kept = [result for result in given if result.revision == newest[result.id]]
-    older = dict.fromkeys(
-        result.id for result in given if result.revision < newest[result.id]
-    )
+    kept: list[Result] = []
+    older: set[str] = set()
+    for result in given:
+        if result.revision == newest[result.id]:
+            kept.append(result)
+        else:
+            older.add(result.id)
     notes = [
         f"{short_id(name)}: results of an older revision are left out; compare them separately"
-        for name in older
+        for name in sorted(older)
     ]
     groups = group_by_configuration(kept)
-    # In the order of `gauge list`; experiments of files follow by name.
-    places = {variant.id: place for place, variant in enumerate(variants())}
     experiments = []
-    for name in sorted(newest, key=lambda name: (places.get(name, len(places)), name)):
-        repeats_of = [
-            [result for result in members if result.id == name] for _, members in groups
-        ]
-        cells = [_cell(repeats, notes) if repeats else None for repeats in repeats_of]
+    for name in sorted(newest, key=_list_position):
+        cells: list[Cell | None] = []
+        for _, members in groups:
+            repeats = [result for result in members if result.id == name]
+            cells.append(_cell(repeats, notes))
         experiments.append(_experiment(name, cells))
-    return Comparison(
+    notes += _mismatches(kept)
+    return ScoreComparison(
         configurations=tuple(configuration for configuration, _ in groups),
         experiments=tuple(experiments),
-        notes=tuple(dict.fromkeys([*notes, *_mismatches(kept)])),
+        notes=tuple(dict.fromkeys(notes)),
     )
+
+
+def _list_position(name: str) -> tuple[int, str]:
+    """Return the position of an experiment in `gauge list`; experiments of files follow by name."""
+    places = {variant.id: place for place, variant in enumerate(variants())}
+    return places.get(name, len(places)), name
 
 
 def _experiment(name: str, cells: Sequence[Cell | None]) -> ExperimentComparison:
     """Return an experiment in all configurations."""
-    results = [result for cell in cells if cell is not None for result in cell.results]
+    results: list[Result] = []
+    for cell in filter(None, cells):
+        results += cell.results
     ran = [result for result in results if result.error is None] or results
-    is_refused = all(result.score.refused is not None for result in ran)
+    kind = Kind(ran[0].score.kind)
+    if all(result.score.refused is not None for result in ran):
+        kind = Kind.NONE
     return ExperimentComparison(
         id=name,
-        kind=Kind.NONE.value if is_refused else ran[0].score.kind,
+        kind=kind,
         unit=ran[0].score.unit,
         cells=tuple(cells),
         baselines=published_baselines(short_id(name)),
     )
 
 
-def _cell(results: Sequence[Result], notes: list[str]) -> Cell:
-    """Return the latest result of each seed; add a note if results are left out."""
+def _cell(results: Sequence[Result], notes: list[str]) -> Cell | None:
+    """Return the latest result of each seed, None without a result; add a note if results are left out."""
+    if not results:
+        return None
     by_seed = {
         result.seed: result
         for result in sorted(results, key=lambda result: result.created)
@@ -380,12 +392,11 @@ def _mismatches(results: Sequence[Result]) -> Iterator[str]:
     by_id: dict[str, list[Result]] = {}
     for result in results:
         by_id.setdefault(result.id, []).append(result)
-    stale = [
-        short_id(name)
-        for name, group in by_id.items()
-        if {result.task_sha256 for result in group}
-        != {task_sha256(find_variant(name).family)}
-    ]
+    stale = []
+    for name, group in by_id.items():
+        installed = task_sha256(find_variant(name).family)
+        if any(result.task_sha256 != installed for result in group):
+            stale.append(short_id(name))
     if stale:
         yield f"the task file differs from the installed one: {', '.join(stale)}"
     packages = {
@@ -395,11 +406,12 @@ def _mismatches(results: Sequence[Result]) -> Iterator[str]:
         yield f"scored by different versions of gauge-envs: {', '.join(sorted(packages))}"
     for name, group in sorted(by_id.items()):
         reasons = {result.score.refused for result in group} - {None}
-        yield from (
-            f"{short_id(name)}: {reason}" for reason in sorted(map(str, reasons))
-        )
-        sources = {
-            (result.score.kind, *sorted(result.dataset.items())) for result in group
-        }
-        if len(sources) > 1:
+        for reason in sorted(map(str, reasons)):
+            yield f"{short_id(name)}: {reason}"
+        if len(set(map(_reference_of, group))) > 1:
             yield f"{short_id(name)}: the references or the prescribed motions of its results differ"
+
+
+def _reference_of(result: Result) -> tuple[object, ...]:
+    """Return what identifies the reference of a score: its kind and the sources of its data."""
+    return result.score.kind, *sorted(result.dataset.items())

@@ -50,7 +50,7 @@ class Distance:
 
 
 @dataclass(frozen=True, eq=False)
-class Gap:
+class TrajectoryGap:
     """Two trajectories at their common frames.
 
     Attributes:
@@ -83,12 +83,13 @@ def trajectory_distance(
     if rms is None:
         return None
     motion_rms = float(np.mean([gap.motion_rms for gap in gaps]))
-    threshold = MOTION_SHARE * motion_rms if baseline is None else baseline.mean
-    apart_s = [
-        float(gap.times_s[is_apart.argmax()])
-        for gap in gaps
-        if (is_apart := gap.distances > threshold).any()
-    ]
+    threshold = MOTION_SHARE * motion_rms
+    if baseline is not None:
+        threshold = baseline.mean
+    apart_s = []
+    for gap in gaps:
+        times_s = gap.times_s[gap.distances > threshold]
+        apart_s += times_s[:1].tolist()
     pairs = list(_pairs(first_results, second_results))
     return Distance(
         first=configurations[0],
@@ -100,13 +101,13 @@ def trajectory_distance(
         threshold_is_scatter=baseline is not None,
         apart_at_s=min(apart_s, default=None),
         frames=min(len(gap.times_s) for gap in gaps),
-        diverged=any(result.diverged for pair in pairs for result in pair),
+        diverged=any(first.diverged or second.diverged for first, second in pairs),
     )
 
 
 def trajectory_gaps(
     first_results: Sequence[Result], second_results: Sequence[Result]
-) -> list[Gap]:
+) -> list[TrajectoryGap]:
     """Return the distance over time of each pair of repeats with common frames."""
     gaps = []
     for result, other_result in _pairs(first_results, second_results):
@@ -124,7 +125,7 @@ def trajectory_gaps(
             moved = np.concatenate((first - first[0], second - second[0]))
             motion_rms = _root_mean_square(np.linalg.norm(moved, axis=1))
             apart = np.linalg.norm(first - second, axis=1)
-            gaps.append(Gap(common / FRAME_RATE_HZ, apart, motion_rms))
+            gaps.append(TrajectoryGap(common / FRAME_RATE_HZ, apart, motion_rms))
     return gaps
 
 
@@ -136,13 +137,15 @@ def _pairs(
     first_results: Sequence[Result], second_results: Sequence[Result]
 ) -> Iterator[tuple[Result, Result]]:
     """Yield pairs of results with trajectories: those with the same seed, or all pairs without a common seed."""
-    first, second = (
-        {result.seed: result for result in results if result.trajectory is not None}
-        for results in (first_results, second_results)
-    )
+    first, second = _by_seed(first_results), _by_seed(second_results)
     # Results with the same seed have the same initial-state noise, so only the configuration differs.
     common = first.keys() & second.keys()
     if common:
         yield from ((first[seed], second[seed]) for seed in first if seed in common)
     else:
         yield from product(first.values(), second.values())
+
+
+def _by_seed(results: Sequence[Result]) -> dict[int | None, Result]:
+    """Return the results with a trajectory, by seed."""
+    return {result.seed: result for result in results if result.trajectory is not None}

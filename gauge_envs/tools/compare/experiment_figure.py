@@ -21,7 +21,7 @@ from gauge_envs.pages.figures import (
     tidy_axis,
 )
 from gauge_envs.pages.results import configuration_labels
-from gauge_envs.pages.text import KIND_NOTES, QUESTIONS, short_id
+from gauge_envs.pages.text import KIND_NOTES, short_id
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.configuration import group_by_configuration
@@ -64,6 +64,10 @@ MAX_RANGE = 10.0
 
 NARROW, WIDE = "#c4c4c4", "#e3e3e3"
 
+VALIDATION = "Validation: is the motion like reality?"
+VERIFICATION = "Verification: does the engine solve the calibrated scene?"
+"""Questions that references answer. No table, axis or rank mixes the two."""
+
 
 @dataclass(frozen=True)
 class Series:
@@ -74,6 +78,11 @@ class Series:
     is_dashed: bool
     width: float
     results: tuple[Result, ...]
+
+    @property
+    def has_aligned(self) -> bool:
+        """Whether a result is scored after release alignment."""
+        return any(map(is_aligned, self.results))
 
     @property
     def legend(self) -> str:
@@ -87,21 +96,20 @@ class Series:
             parts.append(f"{len(self.results)} repeats")
         if is_aligned(self.results[0]) and shift_s is not None:
             parts.append(f"shifted by {shift_s:+.3f} s")
-        if diverged := sum(result.diverged for result in self.results):
+        diverged = sum(result.diverged for result in self.results)
+        if diverged:
             parts.append(f"{diverged} diverged")
         return ", ".join(filter(None, parts))
 
     @property
     def style(self) -> dict[str, Any]:
         """Matplotlib style of the curves."""
-        is_single = len(self.results) == 1
-        return {
-            "color": self.color,
-            "ls": "--" if self.is_dashed else "-",
-            "lw": self.width if is_single else 0.8,
-            "alpha": 1.0 if is_single else 0.7,
-            "zorder": 4,
-        }
+        style = {"color": self.color, "ls": "-", "lw": self.width, "zorder": 4}
+        if self.is_dashed:
+            style["ls"] = "--"
+        if len(self.results) > 1:
+            style |= {"lw": 0.8, "alpha": 0.7}
+        return style
 
 
 def save_figures(results: Sequence[Result], folder: Path) -> Iterator[Path]:
@@ -156,25 +164,28 @@ def draw_experiment(
     _draw_distances(figure.add_subplot(grid[0, :]), series, reference)
     axes = []
     for place, column in enumerate(sorted(order.tolist())):
-        axes.append(figure.add_subplot(grid[1, place]))
-        _draw_coordinate(axes[-1], series, reference, column)
-        title = f"{coordinate_words(reference.band.coordinates[column])} [{reference.band.unit}]"
-        if len(shares) > 1 and shares.any():
-            title += f": {shares[column]:.0%} of the squared distance"
-        axes[-1].set_title(title, loc="left", fontsize=9)
+        axis = figure.add_subplot(grid[1, place])
+        _draw_coordinate(axis, series, reference, column)
+        title = _coordinate_title(reference, shares, column)
+        axis.set_title(title, loc="left", fontsize=9)
+        axes.append(axis)
     # The band of real trials fills a panel. The band of a solution may be narrower than rounding errors.
     if not reference.band.kind.is_real:
         _widen(axes)
-    notes = wrap(" ".join(_notes(experiment, reference)), 195)
-    figure.suptitle(
-        f"{results[0].id}: {experiment.title}\n{_question(reference)}",
-        x=0.01,
-        ha="left",
-        fontsize=12,
-        fontweight="bold",
-    )
-    figure.supxlabel("\n".join(notes), x=0.01, ha="left", fontsize=8, color="#505050")
+    title = f"{results[0].id}: {experiment.title}\n{_question(reference)}"
+    figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+    notes = "\n".join(wrap(" ".join(_notes(experiment, reference)), 195))
+    figure.supxlabel(notes, x=0.01, ha="left", fontsize=8, color="#505050")
     return figure
+
+
+def _coordinate_title(reference: Reference, shares: FloatArray, column: int) -> str:
+    """Return a coordinate with its unit, and its share of the squared distance if there are several."""
+    words = coordinate_words(reference.band.coordinates[column])
+    title = f"{words} [{reference.band.unit}]"
+    if len(shares) > 1 and shares.any():
+        title += f": {shares[column]:.0%} of the squared distance"
+    return title
 
 
 def _series(results: Sequence[Result], among: Sequence[Result]) -> list[Series]:
@@ -182,22 +193,26 @@ def _series(results: Sequence[Result], among: Sequence[Result]) -> list[Series]:
     labels = configuration_labels([configuration for configuration, _ in groups])
     shown = {id(result) for result in results}
     series: list[Series] = []
-    for index, (label, (_, members)) in enumerate(zip(labels, groups, strict=True)):
+    for index, (_, members) in enumerate(groups):
         drawn = tuple(result for result in members if id(result) in shown)
         if drawn:
             # Later curves are thinner, so that equal ones do not hide each other.
             width = max(1.2, 2.6 - 0.3 * len(series))
-            series.append(Series(label, *color_of(index), width, drawn))
+            color, is_dashed = color_of(index)
+            series.append(Series(labels[index], color, is_dashed, width, drawn))
     return series
 
 
 def _shares(reference: Reference, results: Sequence[Result]) -> FloatArray:
     """Return the mean share of each coordinate in the squared distance, shape [C]; 0 without a distance."""
-    sums = [
-        np.nansum(np.square(reference.deviation(result)), axis=0) for result in results
-    ]
-    known = [squares / squares.sum() for squares in sums if 0 < squares.sum() < np.inf]
-    return np.mean(known or [np.zeros(len(reference.band.coordinates))], axis=0)
+    shares = []
+    for result in results:
+        squares = np.nansum(np.square(reference.deviation(result)), axis=0)
+        if 0 < squares.sum() < np.inf:
+            shares.append(squares / squares.sum())
+    if not shares:
+        return np.zeros(len(reference.band.coordinates))
+    return np.mean(shares, axis=0)
 
 
 def _question(reference: Reference) -> str:
@@ -208,14 +223,17 @@ def _question(reference: Reference) -> str:
     kind, count = reference.band.kind, reference.band.marker_count
     if count > 1:
         distance += f", root mean square over {count} markers"
-    question = QUESTIONS["verification" if kind.is_solution else "validation"]
-    return f"{question} {distance}"
+    if kind.is_solution:
+        return f"{VERIFICATION} {distance}"
+    return f"{VALIDATION} {distance}"
 
 
 def _notes(experiment: Experiment, reference: Reference) -> Iterator[str]:
     """Yield the meaning of curves and shades, and the source of the reference."""
     band, scored = reference.band, reference.scored
-    kind = Kind.NONE if scored is None else scored.kind
+    kind = Kind.NONE
+    if scored is not None:
+        kind = scored.kind
     if not reference.is_start:
         yield f"Black: {reference.name}, known until {reference.end_s:.3g} s."
     if kind.is_solution:
@@ -240,13 +258,14 @@ def _draw_distances(axis: Axes, series: Sequence[Series], reference: Reference) 
     if is_between:
         _draw_gaps(axis, series)
     else:
-        results = [result for entry in series for result in entry.results]
-        _draw_spread(axis, reference, any(map(is_aligned, results)))
+        are_aligned = any(entry.has_aligned for entry in series)
+        _draw_spread(axis, reference, are_aligned)
         for entry in series:
-            for number, result in enumerate(entry.results):
+            curves = []
+            for result in entry.results:
                 lengths = reference.lengths(reference.deviation(result))
-                label = None if number else entry.legend
-                axis.plot(reference.times_s, lengths, label=label, **entry.style)
+                curves += axis.plot(reference.times_s, lengths, **entry.style)
+            curves[0].set_label(entry.legend)
     axis.set_ylabel(f"distance [{reference.band.unit}]")
     axis.set_xlabel("time [s]")
     axis.set_xlim(0.0, reference.end_s)
@@ -260,7 +279,9 @@ def _draw_spread(axis: Axes, reference: Reference, aligned: bool) -> None:
     times_s, scored = reference.times_s, reference.scored
     if scored is None:
         return
-    of_trials = scored.trial_rmse_aligned if aligned else scored.trial_rmse
+    of_trials = scored.trial_rmse
+    if aligned:
+        of_trials = scored.trial_rmse_aligned
     if of_trials is not None:
         label = "score 1: mean distance of a real trial from the mean of the rest"
         height = np.full(len(times_s), of_trials.mean())
@@ -268,15 +289,12 @@ def _draw_spread(axis: Axes, reference: Reference, aligned: bool) -> None:
         return
     spread, factor = reference.lengths(reference.spread), reference.spread_factor
     is_solution = reference.band.kind.is_solution
-    name = "u of the solution" if is_solution else "standard deviations of real trials"
+    name = "standard deviations of real trials"
+    if is_solution:
+        name = "u of the solution"
     for multiple, shade in ((factor, WIDE), (1.0, NARROW)):
-        axis.fill_between(
-            times_s,
-            multiple * spread,
-            facecolor=shade,
-            label=f"{multiple:g} {name}",
-            zorder=1,
-        )
+        label, height = f"{multiple:g} {name}", multiple * spread
+        axis.fill_between(times_s, height, facecolor=shade, label=label, zorder=1)
     if is_solution:
         mean = reference.band.mean
         start = mean[int(reference.band.known.argmax())]
@@ -289,9 +307,11 @@ def _draw_gaps(axis: Axes, series: Sequence[Series]) -> None:
     """Draw the distance of each configuration from the first, and the published distance of real trials."""
     first, *rest = series
     for entry in rest:
-        for number, gap in enumerate(trajectory_gaps(first.results, entry.results)):
-            label = None if number else entry.legend
-            axis.plot(gap.times_s, gap.distances, label=label, **entry.style)
+        curves = []
+        for gap in trajectory_gaps(first.results, entry.results):
+            curves += axis.plot(gap.times_s, gap.distances, **entry.style)
+        if curves:
+            curves[0].set_label(entry.legend)
     baseline = published_baselines(short_id(first.results[0].id)).get("rmse")
     if baseline is not None:
         label = "published distance of real trials from their mean"
@@ -323,7 +343,9 @@ def _draw_coordinate(
 ) -> None:
     """Draw a coordinate of all results over its reference."""
     end_s = reference.end_s
-    start_s = end_s - WINDOW_S if end_s > MAX_MOTION_S else 0.0
+    start_s = 0.0
+    if end_s > MAX_MOTION_S:
+        start_s = end_s - WINDOW_S
     limits = (-np.inf, np.inf)
     if not reference.is_start:
         _draw_mean(axis, reference, column)
@@ -348,9 +370,9 @@ def _draw_mean(axis: Axes, reference: Reference, column: int) -> None:
     band, times_s = reference.band, reference.times_s
     mean, spread = band.mean[:, column], reference.spread[:, column]
     # Curves of simulations cover a solution, so its line is wide and below them. A measured mean is above them.
-    is_real = band.kind.is_real
-    look: dict[str, Any] = {"color": REAL, "lw": 1.1 if is_real else 3.0}
-    look["zorder"] = 5 if is_real else 2
+    look: dict[str, Any] = {"color": REAL, "lw": 3.0, "zorder": 2}
+    if band.kind.is_real:
+        look |= {"lw": 1.1, "zorder": 5}
     # An extrapolated part extends to the neighbouring measured frames.
     extrapolated = np.convolve(~band.measured, [1, 1, 1], "same") > 0
     for factor, shade in ((reference.spread_factor, WIDE), (1.0, NARROW)):

@@ -12,8 +12,8 @@ from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scoring.score import COVERAGE_FACTOR, OVER_U
 from gauge_envs.tools.compare.comparison import (
-    Comparison,
     ExperimentComparison,
+    ScoreComparison,
     compare,
 )
 from gauge_envs.tools.compare.experiment_figure import save_figures
@@ -28,6 +28,7 @@ OVERVIEW = "overview"
 
 PRIMARY = "primary"
 """Panel of the primary scores, compared with real trials."""
+PRIMARY_TITLE = "primary score"
 
 MARKERS = dict(zip(PUBLISHED_ENGINES, "s^D", strict=True))
 PUBLISHED_STYLE: dict[str, Any] = {"mfc": "none", "mec": "#707070", "ls": ""}
@@ -54,7 +55,7 @@ def save_comparison(
 
 
 def draw_overview(
-    comparison: Comparison, *, metric: str | None = None
+    comparison: ScoreComparison, *, metric: str | None = None
 ) -> Figure | None:
     """Draw the normalized score of every experiment as a dot with its 95 % interval.
 
@@ -69,23 +70,23 @@ def draw_overview(
     Returns:
         The picture; None if no experiment has a score of this metric.
     """
-    panels = [PRIMARY, "rmse", OVER_U] if metric is None else [metric]
-    experiments = [
-        experiment
-        for experiment in comparison.experiments
-        if _has_diverged(experiment)
-        or any(_has_score(experiment, panel) for panel in panels)
-    ]
-    panels = [
-        panel
-        for panel in panels
-        if any(_has_score(experiment, panel) for experiment in experiments)
-    ]
-    if not panels:
+    panels = [PRIMARY, "rmse", OVER_U]
+    if metric is not None:
+        panels = [metric]
+    experiments = []
+    shown: set[str] = set()
+    for experiment in comparison.experiments:
+        scored = [panel for panel in panels if _has_score(experiment, panel)]
+        if scored or _has_diverged(experiment):
+            experiments.append(experiment)
+            shown.update(scored)
+    if not shown:
         return None
-    figure = new_figure(max(10.0, 4.0 * len(panels)), 0.3 * len(experiments) + 2.2)
-    axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    for axis, panel in zip(axes, panels, strict=True):
+    width_in, height_in = max(10.0, 4.0 * len(shown)), 0.3 * len(experiments) + 2.2
+    figure = new_figure(width_in, height_in)
+    axes = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+    ordered = [panel for panel in panels if panel in shown]
+    for axis, panel in zip(axes, ordered, strict=True):
         _draw_panel(axis, experiments, panel)
     names = [f"{experiment.name}  ({experiment.kind})" for experiment in experiments]
     axes[0].set_yticks(range(len(names)), names, fontsize=8)
@@ -98,7 +99,9 @@ def _metric_of(experiment: ExperimentComparison, panel: str) -> str | None:
     """Return the metric that a panel shows for an experiment; None for a solution in the panel of real trials."""
     if panel != PRIMARY:
         return panel
-    return None if experiment.is_solution else experiment.primary
+    if experiment.is_solution:
+        return None
+    return experiment.primary
 
 
 def _published(experiment: ExperimentComparison, panel: str) -> dict[str, float]:
@@ -111,59 +114,64 @@ def _published(experiment: ExperimentComparison, panel: str) -> dict[str, float]
 
 def _has_score(experiment: ExperimentComparison, panel: str) -> bool:
     metric = _metric_of(experiment, panel)
-    cells = [
-        cell for cell in experiment.cells if cell is not None and metric is not None
-    ]
-    scores = [cell.spread(metric or "", normalized=True) for cell in cells]
-    return any(scores) or bool(_published(experiment, panel))
+    if metric is not None:
+        for _, cell in experiment.present:
+            if cell.spread(metric, normalized=True) is not None:
+                return True
+    return bool(_published(experiment, panel))
 
 
 def _has_diverged(experiment: ExperimentComparison) -> bool:
-    return any(
-        cell is not None and cell.count(Outcome.DIVERGED) for cell in experiment.cells
-    )
+    return any(cell.count(Outcome.DIVERGED) for _, cell in experiment.present)
 
 
 def _draw_panel(
     axis: Axes, experiments: Sequence[ExperimentComparison], panel: str
 ) -> None:
-    is_solution = panel == OVER_U
     # A logarithmic axis has no 0: an interval that ends at 0 extends to the edge.
     axis.set_xscale("log", nonpositive="clip")
     axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    line = COVERAGE_FACTOR if is_solution else 1.0
+    line, label = _scale_of(panel)
     axis.axvline(line, color=REAL, lw=1.2, ls="--", zorder=1)
+    axis.set_xlabel(label, fontsize=9)
     for place, experiment in enumerate(experiments):
         for engine, value in _published(experiment, panel).items():
             axis.plot(value, place, MARKERS[engine], **PUBLISHED_STYLE)
         _draw_scores(axis, place, experiment, _metric_of(experiment, panel))
-    is_ratio = panel in ("lsd", "mte", "pd")
-    label = f"divided by real trials, log scale;\n{'1 is ideal' if is_ratio else 'lower is closer'}; bars: 95 %"
-    if is_solution:
-        label = f"divided by u of the solution, log scale;\nup to {line} u is inside"
-    axis.set_xlabel(label, fontsize=9)
-    title = "primary score" if panel == PRIMARY else SCORE_METRICS[panel].title
+    title = PRIMARY_TITLE
+    if panel != PRIMARY:
+        title = SCORE_METRICS[panel].title
     title = f"{title[0].upper()}{title[1:]}"
     axis.set_title(title, loc="left", fontsize=12, fontweight="bold")
     tidy_axis(axis)
     axis.tick_params(axis="y", length=0)
 
 
+def _scale_of(panel: str) -> tuple[float, str]:
+    """Return the score of a motion at its limit or of a real trial, and the label of the axis."""
+    if panel == OVER_U:
+        limit = f"up to {COVERAGE_FACTOR} u is inside"
+        return COVERAGE_FACTOR, f"divided by u of the solution, log scale;\n{limit}"
+    ideal = "lower is closer"
+    if panel in ("lsd", "mte", "pd"):
+        ideal = "1 is ideal"
+    return 1.0, f"divided by real trials, log scale;\n{ideal}; bars: 95 %"
+
+
 def _draw_scores(
     axis: Axes, place: int, experiment: ExperimentComparison, metric: str | None
 ) -> None:
     """Draw the scores of an experiment, one configuration below the other, so that equal scores stay visible."""
-    for index, cell in enumerate(experiment.cells):
-        if cell is None:
-            continue
+    for index, cell in experiment.present:
         color = OURS[index % len(OURS)]
         height = place + 0.5 * ((index + 0.5) / len(experiment.cells) - 0.5)
-        spread = metric and cell.spread(metric, normalized=True)
-        interval = metric and cell.interval_95(metric)
-        if interval:
-            axis.hlines(height, *interval, color=color, lw=1.2, zorder=3)
-        if spread and spread.mean > 0.0:
-            axis.plot(spread.mean, height, "o", ms=5.5, color=color, zorder=4)
+        if metric is not None:
+            interval = cell.interval_95(metric)
+            if interval is not None:
+                axis.hlines(height, *interval, color=color, lw=1.2, zorder=3)
+            spread = cell.spread(metric, normalized=True)
+            if spread is not None and spread.mean > 0.0:
+                axis.plot(spread.mean, height, "o", ms=5.5, color=color, zorder=4)
         if cell.count(Outcome.DIVERGED):
             edge = axis.get_yaxis_transform()
             axis.plot(0.985, height, color=color, transform=edge, **CROSS)

@@ -29,10 +29,10 @@ def plot(
     from gauge_envs.tools.compare.overview_figure import save_comparison
     from gauge_envs.tools.compare.report import check_metrics
 
-    if kind == "experiments":
-        for option, is_given in (("metric", metric), ("no-corrected", not corrected)):
-            if is_given:
-                raise ParameterError(f"--{option} needs --kind compare")
+    if kind == "experiments" and metric:
+        raise ParameterError("--metric needs --kind compare")
+    if kind == "experiments" and not corrected:
+        raise ParameterError("--no-corrected needs --kind compare")
     names = check_metrics(metric or ())
     if len(names) > 1:
         raise ParameterError(

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from operator import attrgetter
 
 import numpy as np
 
@@ -29,7 +30,12 @@ PUBLISHED = "calibrated"
 
 @dataclass(frozen=True, kw_only=True)
 class Mean:
-    """A mean with its 95 % interval."""
+    """A mean with its interval.
+
+    Attributes:
+        value: Mean.
+        interval_95: 95 % interval.
+    """
 
     value: float
     interval_95: Interval
@@ -37,17 +43,22 @@ class Mean:
 
 @dataclass(frozen=True, kw_only=True)
 class KindScore:
-    """Mean rank and score of one configuration over the experiments of a kind that all configurations share.
+    """Mean rank of one configuration over the experiments of a kind that all configurations share.
 
     Attributes:
         configuration: Index of the configuration.
         mean_rank: Mean of the ranks in the experiments; None without common experiments.
-        mean: Mean of the primary scores. Large scores of one experiment dominate it, so it does not order engines.
     """
 
     configuration: int
     mean_rank: Mean | None = None
-    mean: Mean | None = None
+
+    @property
+    def order(self) -> float:
+        """Value by which scores are sorted: the mean rank, 0 without one."""
+        if self.mean_rank is None:
+            return 0.0
+        return self.mean_rank.value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,12 +68,10 @@ class ScoredExperiment:
     Attributes:
         id: Gymnasium id.
         deviations: Deviations of the configurations with a score, by index.
-        intervals: 95 % interval of the primary score of each configuration, by index; None without an interval.
     """
 
     id: str
     deviations: Mapping[int, Deviations]
-    intervals: Mapping[int, Interval | None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +86,7 @@ class KindComparison:
         ranks: Ranks in each experiment with a score, by id and index of the configuration.
     """
 
-    kind: str
+    kind: Kind
     constants: str
     ids: tuple[str, ...]
     scores: tuple[KindScore, ...]
@@ -86,25 +95,18 @@ class KindComparison:
     @property
     def ranked(self) -> list[KindScore]:
         """The scores, lowest mean rank first."""
-        return sorted(
-            self.scores,
-            key=lambda score: score.mean_rank.value if score.mean_rank else 0.0,
-        )
-
-    @property
-    def is_solution(self) -> bool:
-        """Whether the references are solutions of the scenes, not real trials."""
-        return Kind(self.kind).is_solution
+        return sorted(self.scores, key=attrgetter("order"))
 
     @property
     def name(self) -> str:
         """Kind, with the constants unless they are the published ones."""
-        is_published = self.constants == PUBLISHED
-        return self.kind if is_published else f"{self.kind}, {self.constants}"
+        if self.constants == PUBLISHED:
+            return self.kind.value
+        return f"{self.kind}, {self.constants}"
 
 
 def compare_kind(
-    kind: str, experiments: Sequence[ScoredExperiment], constants: Sequence[str]
+    kind: Kind, experiments: Sequence[ScoredExperiment], constants: Sequence[str]
 ) -> tuple[KindComparison, ...]:
     """Return the ranks for each set of constants, the published constants first.
 
@@ -122,34 +124,22 @@ def compare_kind(
 
 
 def _compared(
-    kind: str,
+    kind: Kind,
     constants: str,
     experiments: Sequence[ScoredExperiment],
     members: Sequence[int],
 ) -> KindComparison:
     """Return the ranks of configurations with the same constants."""
     ranks = {experiment.id: _ranks(experiment, members) for experiment in experiments}
-    common = [
-        experiment
-        for experiment in experiments
-        if len(ranks[experiment.id]) == len(members)
-    ]
-    scores = [KindScore(configuration=index) for index in members]
-    if common:
-        scores = [
-            KindScore(
-                configuration=index,
-                mean_rank=_mean_rank(
-                    [ranks[experiment.id][index] for experiment in common]
-                ),
-                mean=_mean_score(common, index),
-            )
-            for index in members
-        ]
+    common = [name for name, places in ranks.items() if len(places) == len(members)]
+    scores = []
+    for index in members:
+        places = [ranks[name][index] for name in common]
+        scores.append(KindScore(configuration=index, mean_rank=_mean_rank(places)))
     return KindComparison(
         kind=kind,
         constants=constants,
-        ids=tuple(experiment.id for experiment in common),
+        ids=tuple(common),
         scores=tuple(scores),
         ranks={name: places for name, places in ranks.items() if places},
     )
@@ -177,24 +167,10 @@ def _ranks(experiment: ScoredExperiment, members: Sequence[int]) -> dict[int, Me
     }
 
 
-def _mean_rank(ranks: Sequence[Mean]) -> Mean:
+def _mean_rank(ranks: Sequence[Mean]) -> Mean | None:
+    """Return the mean of ranks and of their best and worst values; None without ranks."""
+    if not ranks:
+        return None
     best, worst = np.mean([rank.interval_95 for rank in ranks], axis=0)
     value = float(np.mean([rank.value for rank in ranks]))
     return Mean(value=value, interval_95=(float(best), float(worst)))
-
-
-def _mean_score(experiments: Sequence[ScoredExperiment], index: int) -> Mean:
-    """Return the mean over experiments. References are independent, so interval widths add in quadrature."""
-    scores = [
-        float(experiment.deviations[index].scores.mean()) for experiment in experiments
-    ]
-    mean = float(np.mean(scores))
-    # A score without an interval counts as exact.
-    intervals = [
-        experiment.intervals[index] or (score, score)
-        for experiment, score in zip(experiments, scores, strict=True)
-    ]
-    widths = np.subtract(intervals, np.transpose([scores]))
-    below, above = np.linalg.norm(widths, axis=0) / len(scores)
-    low = max(mean - float(below), 0.0)
-    return Mean(value=mean, interval_95=(low, mean + float(above)))

@@ -45,13 +45,16 @@ class Reference:
     @property
     def spread(self) -> FloatArray:
         """Scatter of real trials, or u of the solution, shape [frame_count, C]; 0 without a scored reference."""
-        uncertainty = self.band.uncertainty if self.band.kind.is_solution else None
-        return self.band.sigma if uncertainty is None else uncertainty
+        if self.band.kind.is_solution and self.band.uncertainty is not None:
+            return self.band.uncertainty
+        return self.band.sigma
 
     @property
     def spread_factor(self) -> float:
         """Half width of the wide shaded area divided by `spread`: two standard deviations, or the 95 % factor of u."""
-        return COVERAGE_FACTOR if self.band.kind.is_solution else 2.0
+        if self.band.kind.is_solution:
+            return COVERAGE_FACTOR
+        return 2.0
 
     @property
     def end_s(self) -> float:
@@ -85,19 +88,20 @@ class Reference:
         width = len(self.band.coordinates)
         nothing = np.zeros(0), np.zeros((0, width))
         if self.scored is None:
-            is_comparable = recorded.coordinates == list(self.band.coordinates)
-            return recorded.arrays() if is_comparable else nothing
+            if recorded.coordinates != list(self.band.coordinates):
+                return nothing
+            return recorded.arrays()
         if self.scored.points is not None:
             markers_mm = recorded.markers_mm
             if markers_mm.shape[1] != width:
                 return nothing
             return np.arange(len(markers_mm)) / FRAME_RATE_HZ, markers_mm
-        offset_s = result.score.time_offset_s if is_aligned(result) else None
-        if offset_s is None:
+        offset_s = result.score.time_offset_s
+        if offset_s is None or not is_aligned(result):
             times_s, samples = recorded.arrays()
             return times_s, self.band.project(samples)
-        times_s, samples = recorded.arrays(later=True)
-        shown_s = np.array(recorded.times_s)
+        times_s, samples = recorded.arrays()
+        shown_s = times_s[times_s - offset_s <= times_s[-1]]
         projected = self.band.project(samples)
         return shown_s, interpolated(shown_s - offset_s, times_s, projected)
 
@@ -108,7 +112,9 @@ class Reference:
         numbers, rows = recorded_frames(*self.motion(result))
         is_inside = numbers < len(values)
         values[numbers[is_inside]] = rows[is_inside]
-        return values - (values[:1] if self.is_start else mean)
+        if self.is_start:
+            return values - values[:1]
+        return values - mean
 
 
 def choose_reference(
@@ -144,8 +150,9 @@ def choose_reference(
 
 def judging_band(experiment: Experiment, results: Iterable[Result]) -> Band | None:
     """Return the reference band of an experiment; None without one, or if it scores none of the results."""
-    refused = all(result.score.refused is not None for result in results)
-    return None if refused else reference_band(experiment)
+    if all(result.score.refused is not None for result in results):
+        return None
+    return reference_band(experiment)
 
 
 def is_aligned(result: Result) -> bool:
@@ -166,18 +173,15 @@ def recorded_of(result: Result) -> RecordedTrajectory:
 
 def coordinate_words(name: str) -> str:
     """Return a coordinate name in words: `marker 3, z` for `marker-3.z`."""
-    stem, dot, axis = name.rpartition(".")
-    plain = (
-        (stem or name).replace("face_area", "face").replace("line_curvature", "bend")
-    )
-    text = plain.replace("_", " ").replace("-", " ")
-    return f"{text}, {axis}" if dot else text
+    plain = name.replace("face_area", "face").replace("line_curvature", "bend")
+    return plain.replace("_", " ").replace("-", " ").replace(".", ", ")
 
 
 def _name(band: Band) -> str:
     if band.kind in NAMES:
         return NAMES[band.kind]
+    if band.trial_count is None:
+        return "the mean of real trials"
     if band.trial_count == 1:
         return "the real trial"
-    count = "" if band.trial_count is None else f"{band.trial_count} "
-    return f"the mean of {count}real trials"
+    return f"the mean of {band.trial_count} real trials"

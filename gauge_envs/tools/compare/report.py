@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
-from itertools import chain
 from typing import Any
 
 from gauge_envs.errors import UnknownNameError
@@ -27,10 +26,14 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome
-from gauge_envs.scoring.score import OVER_U
-from gauge_envs.tools.compare.comparison import Cell, Comparison, ExperimentComparison
+from gauge_envs.scoring.score import OVER_U, ScoreVerdict
+from gauge_envs.tools.compare.comparison import (
+    Cell,
+    ExperimentComparison,
+    ScoreComparison,
+)
 from gauge_envs.tools.compare.distance import MOTION_SHARE, Distance
-from gauge_envs.tools.compare.ranks import NEGLIGIBLE, Mean
+from gauge_envs.tools.compare.ranks import NEGLIGIBLE, KindComparison, Mean
 
 ALL_METRICS = tuple(SCORE_METRICS)
 
@@ -88,7 +91,7 @@ def check_metrics(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def comparison_document(
-    comparison: Comparison,
+    comparison: ScoreComparison,
     metrics: Sequence[str] = (),
     *,
     is_wide: bool = False,
@@ -104,24 +107,41 @@ def comparison_document(
         is_wide: Whether a terminal shows the same as Markdown: all metrics, published engines, and all mean ranks.
         with_rows: Whether the document has JSON rows, which need the distance between each pair of configurations.
     """
-    answers = [Paragraph(answer, Tone.ANSWER) for answer in _answers(comparison)]
-    distances = distance_tables(comparison.experiments, comparison.labels)
-    short: list[Part] = [*answers, *short_tables(comparison, metrics), *distances]
-    full: list[Part] = [
-        *answers,
-        _score_table(comparison, metrics or ALL_METRICS, is_full=True),
-        *_mean_rank_tables(comparison),
-        *distances,
-    ]
     rows: list[dict[str, Any]] = []
     if with_rows:
-        scores = comparison_rows(comparison, metrics or ALL_METRICS)
-        rows = [{"record": "experiment", **row} for row in scores]
-        rows += _kind_rows(comparison)
-    return Document(parts=full if is_wide else short, rows=rows, markdown=full)
+        rows += comparison_rows(comparison, metrics or ALL_METRICS)
+        rows += [_kind_row(comparison, kind) for kind in comparison.kinds]
+    return Document(
+        parts=compared_parts(comparison, metrics, is_full=is_wide),
+        rows=rows,
+        markdown=compared_parts(comparison, metrics, is_full=True),
+    )
 
 
-def short_tables(comparison: Comparison, metrics: Sequence[str] = ()) -> list[Table]:
+def compared_parts(
+    comparison: ScoreComparison, metrics: Sequence[str] = (), *, is_full: bool = False
+) -> list[Part]:
+    """Return the answer, the tables of scores and mean ranks, and distances between engines without a reference.
+
+    Args:
+        comparison: The comparison.
+        metrics: Metrics to show; empty for all in a full report, and for the primary metrics in a short one.
+        is_full: Whether to show verdicts in words, published engines, and the mean ranks of few experiments.
+    """
+    parts: list[Part] = [
+        Paragraph(answer, Tone.ANSWER) for answer in _answers(comparison)
+    ]
+    if is_full:
+        parts.append(_score_table(comparison, metrics or ALL_METRICS, is_full=True))
+        parts += _mean_rank_tables(comparison)
+    else:
+        parts += short_tables(comparison, metrics)
+    return [*parts, *_distance_tables(comparison)]
+
+
+def short_tables(
+    comparison: ScoreComparison, metrics: Sequence[str] = ()
+) -> list[Table]:
     """Return the score of each experiment, and mean ranks within kinds of `MIN_RANKED` or more experiments.
 
     Args:
@@ -132,75 +152,94 @@ def short_tables(comparison: Comparison, metrics: Sequence[str] = ()) -> list[Ta
     return [_score_table(comparison, metrics), *ranks]
 
 
-def _answers(comparison: Comparison) -> Iterator[str]:
+def _answers(comparison: ScoreComparison) -> Iterator[str]:
     """Yield on how many experiments the best configuration is distinguishable, for each set of constants."""
     rankings: dict[str, list[Mapping[int, Mean]]] = {}
     for kind in comparison.kinds:
         ranked = [ranks for ranks in kind.ranks.values() if len(ranks) > 1]
-        rankings.setdefault(kind.constants, []).extend(ranked)
-    if not any(rankings.values()):
+        if ranked:
+            rankings.setdefault(kind.constants, []).extend(ranked)
+    if not rankings:
         yield NO_RANKS
-    for ranked in filter(None, rankings.values()):
-        firsts = Counter(
-            comparison.labels[index]
-            for ranks in ranked
-            for index, rank in ranks.items()
-            if rank.interval_95 == (1.0, 1.0)
-        )
-        labels = [comparison.labels[index] for index in sorted(set(chain(*ranked)))]
-        answer = f"{' and '.join(labels)} are not distinguishable"
-        if len(labels) > 2:
-            answer = f"None of {len(labels)} configurations ranks first"
-        shared = len(ranked) - firsts.total()
-        answer += f" on {shared} of {counted(len(ranked), 'experiment')}"
-        wins = [f"{label} ranks first on {count}" for label, count in firsts.items()]
-        yield f"{'; '.join([answer, *wins])}."
+    for ranked in rankings.values():
+        yield _answer(ranked, comparison.labels)
+
+
+def _answer(rankings: Sequence[Mapping[int, Mean]], all_labels: Sequence[str]) -> str:
+    """Return on how many experiments each configuration ranks first.
+
+    Args:
+        rankings: Ranks of each experiment, by index of the configuration.
+        all_labels: Label of each configuration.
+    """
+    firsts: Counter[str] = Counter()
+    members: set[int] = set()
+    for ranks in rankings:
+        members.update(ranks)
+        for index, rank in ranks.items():
+            if rank.interval_95 == (1.0, 1.0):
+                firsts[all_labels[index]] += 1
+    labels = [all_labels[index] for index in sorted(members)]
+    answer = f"{' and '.join(labels)} are not distinguishable"
+    if len(labels) > 2:
+        answer = f"None of {len(labels)} configurations ranks first"
+    shared = len(rankings) - firsts.total()
+    answer += f" on {shared} of {counted(len(rankings), 'experiment')}"
+    wins = [f"{label} ranks first on {count}" for label, count in firsts.items()]
+    return f"{'; '.join([answer, *wins])}."
 
 
 # --- JSON ------------------------------------------------------------------------------------------------------------
 
 
 def comparison_rows(
-    comparison: Comparison, metrics: Sequence[str]
+    comparison: ScoreComparison, metrics: Sequence[str]
 ) -> list[dict[str, Any]]:
     """Return a JSON-ready object for each experiment and metric.
 
     An experiment without these metrics has one object with `metric` None.
     """
-    labels = comparison.labels
     rows = []
     for experiment in comparison.experiments:
-        distances = [
-            asdict(distance)
-            | {"first": labels[distance.first], "second": labels[distance.second]}
-            for distance in experiment.distances
-        ]
-        names: list[str | None] = [*experiment.metrics(metrics)]
-        for metric in names or [None]:
-            baseline = experiment.baselines.get(metric or "")
-            rows.append(
-                {
-                    "id": experiment.id,
-                    "kind": experiment.kind,
-                    "metric": metric,
-                    "unit": metric and experiment.unit_of(metric),
-                    "real": baseline and {"mean": baseline.mean, "std": baseline.std},
-                    "published": metric and experiment.published(metric),
-                    "configurations": [
-                        {"label": label, **asdict(configuration)}
-                        | _cell_row(cell or Cell(results=()), metric)
-                        for label, configuration, cell in zip(
-                            labels,
-                            comparison.configurations,
-                            experiment.cells,
-                            strict=True,
-                        )
-                    ],
-                    "distances": distances,
-                    "notes": comparison.notes,
-                }
-            )
+        distances = []
+        for distance in experiment.distances:
+            names = {
+                "first": comparison.labels[distance.first],
+                "second": comparison.labels[distance.second],
+            }
+            distances.append(asdict(distance) | names)
+        shared = {"distances": distances, "notes": comparison.notes}
+        shown: list[str | None] = [*experiment.metrics(metrics)]
+        for metric in shown or [None]:
+            rows.append(_experiment_row(comparison, experiment, metric) | shared)
     return json_ready(rows)
+
+
+def _experiment_row(
+    comparison: ScoreComparison, experiment: ExperimentComparison, metric: str | None
+) -> dict[str, Any]:
+    """Return the scores of an experiment by a metric."""
+    row: dict[str, Any] = {
+        "record": "experiment",
+        "id": experiment.id,
+        "kind": experiment.kind.value,
+        "metric": metric,
+        "unit": None,
+        "real": None,
+        "published": None,
+    }
+    if metric is not None:
+        row["unit"] = experiment.unit_of(metric)
+        row["published"] = experiment.published(metric)
+        baseline = experiment.baselines.get(metric)
+        if baseline is not None:
+            row["real"] = {"mean": baseline.mean, "std": baseline.std}
+    row["configurations"] = []
+    for index, configuration in enumerate(comparison.configurations):
+        cell = experiment.cells[index] or Cell(results=())
+        facts = {"label": comparison.labels[index], **asdict(configuration)}
+        row["configurations"].append(facts | _cell_row(cell, metric))
+    return row
 
 
 def _cell_row(cell: Cell, metric: str | None) -> dict[str, Any]:
@@ -216,7 +255,7 @@ def _cell_row(cell: Cell, metric: str | None) -> dict[str, Any]:
         "normalized": _spread_row(cell, metric, normalized=True),
         "normalized_95": metric and cell.interval_95(metric),
         "percentile": cell.percentile,
-        "verdicts": [result.score.verdict for result in cell.results],
+        "verdicts": [result.score.verdict.value for result in cell.results],
         "settings": ran and ran.settings,
         "versions": ran and ran.versions,
     }
@@ -226,37 +265,41 @@ def _spread_row(
     cell: Cell, metric: str | None, *, normalized: bool
 ) -> dict[str, Any] | None:
     """Return mean, scatter and values of a metric over the repeats."""
-    spread = metric and cell.spread(metric, normalized=normalized)
-    if not metric or not spread:
+    if metric is None:
+        return None
+    spread = cell.spread(metric, normalized=normalized)
+    if spread is None:
         return None
     return asdict(spread) | {"values": cell.values(metric, normalized=normalized)}
 
 
-def _kind_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    """Yield the ranks within each kind."""
-    for kind in comparison.kinds:
-        configurations = []
-        for score in kind.scores:
-            index, mean = score.configuration, score.mean_rank
-            configurations.append(
-                {
-                    "label": comparison.labels[index],
-                    "mean_rank": mean and mean.value,
-                    "mean_rank_95": mean and mean.interval_95,
-                    "ranks": {
-                        name: asdict(ranks[index])
-                        for name, ranks in kind.ranks.items()
-                        if index in ranks
-                    },
-                }
-            )
-        yield {
-            "record": "kind",
-            "kind": kind.kind,
-            "constants": kind.constants,
-            "ids": kind.ids,
-            "configurations": configurations,
+def _kind_row(comparison: ScoreComparison, kind: KindComparison) -> dict[str, Any]:
+    """Return the ranks within a kind."""
+    configurations = []
+    for score in kind.scores:
+        index = score.configuration
+        ranks = {
+            name: asdict(places[index])
+            for name, places in kind.ranks.items()
+            if index in places
         }
+        facts: dict[str, Any] = {
+            "label": comparison.labels[index],
+            "mean_rank": None,
+            "mean_rank_95": None,
+            "ranks": ranks,
+        }
+        if score.mean_rank is not None:
+            facts["mean_rank"] = score.mean_rank.value
+            facts["mean_rank_95"] = score.mean_rank.interval_95
+        configurations.append(facts)
+    return {
+        "record": "kind",
+        "kind": kind.kind.value,
+        "constants": kind.constants,
+        "ids": kind.ids,
+        "configurations": configurations,
+    }
 
 
 # --- scores ----------------------------------------------------------------------------------------------------------
@@ -271,10 +314,12 @@ def score_cell_text(cell: Cell, metric: str, unit: str) -> str:
         unit: Unit of a score without normalization.
     """
     spread = cell.spread(metric, normalized=True)
-    if spread is not None:
-        unit = "u" if metric == OVER_U else "1"
-    else:
+    if spread is None:
         spread = cell.spread(metric, normalized=False)
+    elif metric == OVER_U:
+        unit = "u"
+    else:
+        unit = "1"
     if spread is None:
         return ""
     text = interval_text(spread.mean, cell.interval_95(metric))
@@ -284,7 +329,7 @@ def score_cell_text(cell: Cell, metric: str, unit: str) -> str:
 
 
 def _score_table(
-    comparison: Comparison, metrics: Sequence[str], *, is_full: bool = False
+    comparison: ScoreComparison, metrics: Sequence[str], *, is_full: bool = False
 ) -> Table:
     """Return a table with a row for each experiment and metric, and a column for each configuration.
 
@@ -293,172 +338,190 @@ def _score_table(
         metrics: Metrics to show; empty for the primary metric of each experiment.
         is_full: Whether to show verdicts in words and published engines as columns.
     """
-    kinds = list(Kind)
     rows = []
-    for experiment in sorted(
-        comparison.experiments,
-        key=lambda experiment: kinds.index(Kind(experiment.kind)),
-    ):
-        names: list[str | None] = [*experiment.shown_metrics(metrics or ALL_METRICS)]
-        shown = names if metrics else names[:1]
-        rows += [
-            _score_row(experiment, name, is_full=is_full) for name in shown or [None]
-        ]
-    columns = _label_columns(comparison, "scores")
-    if is_full:
-        columns += [
-            Column(f"published.{engine}", f"{title}, paper", score_text, is_number=True)
-            for engine, title in PUBLISHED_ENGINES.items()
-        ]
-    cells = [REFERENCE, NAME]
+    for kind in Kind:
+        for experiment in comparison.experiments:
+            if experiment.kind is kind:
+                rows += _score_rows(experiment, metrics, is_full=is_full)
+    columns = [REFERENCE, NAME]
     if is_full or not all(row["is_primary"] for row in rows):
-        cells.append(Column("metric", "metric"))
+        columns.append(Column("metric", "metric"))
+    for index, label in enumerate(comparison.labels):
+        columns.append(Column(f"scores.{index}", label, is_number=True))
+    if is_full:
+        for engine, title in PUBLISHED_ENGINES.items():
+            key, paper_title = f"published.{engine}", f"{title}, paper"
+            columns.append(Column(key, paper_title, score_text, is_number=True))
     return Table(
         title="Scores, with 95 % intervals",
-        columns=(*cells, *columns),
+        columns=tuple(columns),
         rows=rows,
         notes=tuple(_score_notes(comparison)),
     )
 
 
+def _score_rows(
+    experiment: ExperimentComparison, metrics: Sequence[str], *, is_full: bool
+) -> list[dict[str, Any]]:
+    """Return a row for each shown metric of an experiment; an experiment without a score has one row."""
+    names = experiment.shown_metrics(metrics or ALL_METRICS)
+    if not metrics:
+        names = names[:1]
+    if not names:
+        return [_score_row(experiment, None, is_full=is_full)]
+    return [_score_row(experiment, name, is_full=is_full) for name in names]
+
+
 def _score_row(
     experiment: ExperimentComparison, metric: str | None, *, is_full: bool
 ) -> dict[str, Any]:
-    title = "-" if metric is None else SCORE_METRICS[metric].title
-    return {
-        "kind": f"{experiment.kind}: {KIND_NOTES[Kind(experiment.kind)]}",
+    row = {
+        "kind": f"{experiment.kind}: {KIND_NOTES[experiment.kind]}",
         "name": experiment.name,
-        "metric": title,
+        "metric": "-",
         "is_primary": metric in (experiment.primary, None),
         "scores": [
-            _score_text(experiment, cell, metric, is_full) for cell in experiment.cells
+            _score_text(experiment, cell, metric, is_full=is_full)
+            for cell in experiment.cells
         ],
-        "published": metric and experiment.published(metric),
+        "published": None,
     }
+    if metric is not None:
+        row["metric"] = SCORE_METRICS[metric].title
+        row["published"] = experiment.published(metric)
+    return row
 
 
 def _score_text(
     experiment: ExperimentComparison,
     cell: Cell | None,
     metric: str | None,
+    *,
     is_full: bool,
 ) -> str:
     """Return the score of a configuration, or the reason for a missing score."""
     if cell is None:
         return "-"
-    parts = (
-        [score_cell_text(cell, metric, experiment.unit_of(metric))] if metric else []
-    )
-    for outcome in (Outcome.DIVERGED, Outcome.FAILED, Outcome.UNSUPPORTED):
-        count = cell.count(outcome)
-        is_all = count == len(cell.results)
-        parts.append(f"{'' if is_all else f'{count} '}{outcome}" if count else "")
-    text = ", ".join(filter(None, parts))
-    if metric not in (experiment.primary, None) or cell.verdict in ("", "no reference"):
+    texts = _outcome_texts(cell)
+    if metric is not None:
+        texts.insert(0, score_cell_text(cell, metric, experiment.unit_of(metric)))
+    text = ", ".join(filter(None, texts))
+    is_primary = metric in (experiment.primary, None)
+    if not is_primary or not cell.is_judged:
         return text or "no score"
     if is_full or not text:
-        return f"{text} {cell.verdict}".strip()
-    return f"{text} *" if "outside" in cell.verdict else text
+        return f"{text} {cell.verdict_text}".strip()
+    if cell.verdicts[ScoreVerdict.OUTSIDE]:
+        return f"{text} *"
+    return text
 
 
-def _label_columns(comparison: Comparison, key: str) -> list[Column]:
-    """Return a column for each configuration; each row has a list of texts under `key`."""
-    return [
-        Column(f"{key}.{index}", label, is_number=True)
-        for index, label in enumerate(comparison.labels)
-    ]
+def _outcome_texts(cell: Cell) -> list[str]:
+    """Return each outcome without a score, with its count unless all repeats have it."""
+    texts = []
+    for outcome in (Outcome.DIVERGED, Outcome.FAILED, Outcome.UNSUPPORTED):
+        count = cell.count(outcome)
+        if count == len(cell.results):
+            texts.append(outcome.value)
+        elif count:
+            texts.append(f"{count} {outcome}")
+    return texts
 
 
-def _score_notes(comparison: Comparison) -> Iterator[str]:
+def _score_notes(comparison: ScoreComparison) -> Iterator[str]:
     """Yield the notes of the table of scores."""
     yield SCALE_NOTE
     yield INTERVAL_NOTE
     yield from _configuration_notes(comparison.configurations)
-    yield from (f"Note: {note}." for note in comparison.notes)
+    for note in comparison.notes:
+        yield f"Note: {note}."
 
 
 def _configuration_notes(configurations: Sequence[RunConfiguration]) -> Iterator[str]:
     """Yield the common parts of all configurations, and the versions and physics of the engines."""
-    exact = [
-        configuration_parts(configuration, digits=17)
-        for configuration in configurations
-    ]
-    if len(exact) > 1:
+    if len(configurations) > 1:
+        exact = [
+            configuration_parts(configuration, digits=17)
+            for configuration in configurations
+        ]
+        common = set(exact[0]).intersection(*exact[1:])
+        shown = configuration_parts(configurations[0])
         shared = [
             text
-            for part, (_, text) in zip(
-                exact[0], configuration_parts(configurations[0]), strict=True
-            )
-            if all(part in parts for parts in exact)
+            for part, (_, text) in zip(exact[0], shown, strict=True)
+            if part in common
         ]
         if shared:
             yield f"All configurations: {', '.join(shared)}."
-    engines = dict.fromkeys(
-        f"{versions_text(item) or item.backend or 'file'} {PHYSICS[item.physics]}".strip()
-        for item in configurations
-    )
+    engines = dict.fromkeys(map(_engine_text, configurations))
     yield f"Engines: {'; '.join(engines)}."
+
+
+def _engine_text(configuration: RunConfiguration) -> str:
+    """Return the versions of an engine with a note on its physics."""
+    name = versions_text(configuration) or configuration.backend or "file"
+    return f"{name} {PHYSICS[configuration.physics]}".strip()
 
 
 # --- ranks and distances ----------------------------------------------------------------------------------------------
 
 
 def _mean_rank_tables(
-    comparison: Comparison, *, min_experiments: int = 1
+    comparison: ScoreComparison, *, min_experiments: int = 1
 ) -> list[Table]:
     """Return the table of mean ranks within each kind of reference; empty without ranks."""
-    rows = [
-        {
-            "kind": f"{kind.name}, {counted(len(kind.ids), 'experiment')}",
-            "label": comparison.labels[score.configuration],
-            "mean_rank": score.mean_rank,
-        }
-        for kind in comparison.kinds
-        if len(kind.ids) >= min_experiments
-        for score in kind.ranked
-        if len(kind.scores) > 1 and score.mean_rank is not None
+    rows = []
+    for kind in comparison.kinds:
+        if len(kind.ids) < min_experiments or len(kind.scores) < 2:
+            continue
+        title = f"{kind.name}, {counted(len(kind.ids), 'experiment')}"
+        for score in kind.ranked:
+            if score.mean_rank is not None:
+                label = comparison.labels[score.configuration]
+                row = {"kind": title, "label": label, "mean_rank": score.mean_rank}
+                rows.append(row)
+    if not rows:
+        return []
+    rank = Column("mean_rank", "mean rank", _mean_rank_text, is_number=True)
+    return [
+        Table(
+            title="Mean rank within each kind of reference",
+            columns=(REFERENCE, Column("label", "configuration"), rank),
+            rows=rows,
+            notes=(RANK_NOTE,),
+        )
     ]
-    rank = Column("mean_rank", "mean rank", mean_rank_text, is_number=True)
-    return _unless_empty(
-        title="Mean rank within each kind of reference",
-        columns=(REFERENCE, Column("label", "configuration"), rank),
-        rows=rows,
-        notes=(RANK_NOTE,),
-    )
 
 
-def _unless_empty(**content: Any) -> list[Table]:
-    """Return a table of this content; empty without rows."""
-    return [Table(**content)] if content["rows"] else []
-
-
-def mean_rank_text(mean: Mean) -> str:
+def _mean_rank_text(mean: Mean) -> str:
     """Return a mean rank with its interval."""
-    return interval_text(mean.value, mean.interval_95, lambda rank: f"{rank:.1f}")
+    low, high = mean.interval_95
+    return f"{mean.value:.1f} [{low:.1f}, {high:.1f}]"
 
 
-def distance_tables(
-    experiments: Iterable[ExperimentComparison], labels: Sequence[str]
-) -> list[Table]:
+def _distance_tables(comparison: ScoreComparison) -> list[Table]:
     """Return the table of distances between engines in experiments without a reference; empty without distances."""
-    rows = [
-        {
-            "name": experiment.name,
-            "between": f"{labels[distance.first]} : {labels[distance.second]}",
-            **_distance_texts(distance),
-        }
-        for experiment in experiments
-        if experiment.kind == Kind.NONE
-        for distance in experiment.distances
-    ]
+    rows = []
+    for experiment in comparison.experiments:
+        if experiment.kind is not Kind.NONE:
+            continue
+        for distance in experiment.distances:
+            first = comparison.labels[distance.first]
+            second = comparison.labels[distance.second]
+            row = {"name": experiment.name, "between": f"{first} : {second}"}
+            rows.append(row | _distance_texts(distance))
+    if not rows:
+        return []
     titles = ("distance", "motion", "threshold", "first exceeded")
     numbers = (Column(title, title, is_number=True) for title in titles)
-    return _unless_empty(
-        title="Distances between engines, without a reference",
-        columns=(NAME, Column("between", "between"), *numbers),
-        rows=rows,
-        notes=(DISTANCE_NOTE,),
-    )
+    return [
+        Table(
+            title="Distances between engines, without a reference",
+            columns=(NAME, Column("between", "between"), *numbers),
+            rows=rows,
+            notes=(DISTANCE_NOTE,),
+        )
+    ]
 
 
 def _distance_texts(distance: Distance) -> dict[str, str]:

@@ -12,14 +12,23 @@ from gauge_envs.tools.compare.statistics import ScoreSpread
 
 
 class RealFacts(TypedDict):
-    """Mean and standard deviation of real trials, as published."""
+    """Published scores of real trials.
+
+    Attributes:
+        mean: Mean.
+        std: Standard deviation; null if it was not published.
+    """
 
     mean: float
     std: float | None
 
 
 class Values(TypedDict):
-    """Value of each repeat; null for a repeat without the metric."""
+    """Values of the repeats.
+
+    Attributes:
+        values: Value of each repeat; null for a repeat without the metric.
+    """
 
     values: Sequence[float | None]
 
@@ -61,7 +70,12 @@ CellLine = Annotated[RunConfiguration, Form(more=CellFacts)]
 
 
 class Between(TypedDict):
-    """Names of the two configurations in tables."""
+    """The two configurations.
+
+    Attributes:
+        first: Name of the first configuration in tables.
+        second: Name of the second configuration in tables.
+    """
 
     first: str
     second: str

@@ -46,7 +46,9 @@ class ScoreSpread:
         known = [value for value in values if value is not None]
         if not known:
             return None
-        std = float(np.std(known, ddof=1)) if len(known) > 1 else None
+        std = None
+        if len(known) > 1:
+            std = float(np.std(known, ddof=1))
         return cls(mean=float(np.mean(known)), std=std, count=len(known))
 
 
@@ -102,7 +104,9 @@ class Deviations:
                 shared = (np.nan_to_num(band.uncertainty) * axes)[:, known] / size
         return cls(
             seeds=tuple(seeds),
-            vectors=np.array([deviation[known] for deviation in deviations]) / size,
+            vectors=np.array(
+                [_scaled(deviation, compared) / scale for deviation in deviations]
+            ),
             trials=trials,
             shared=shared,
             uncertainty=band.standard_uncertainty / scale,
@@ -125,6 +129,17 @@ class Deviations:
         std_of_mean = math.sqrt(variance * (1.0 + lag) / (1.0 - lag))
         shared = length_of(self.shared @ direction)
         return student_t(count - 1) * math.hypot(std_of_mean, shared)
+
+
+def _scaled(deviation: FloatArray, band: Band) -> FloatArray:
+    """Return the known entries of a deviation, scaled so that their norm is the distance, shape [entry_count].
+
+    An aligned motion may end some frames before the band. The distance does not compare these, and their entries are 0.
+    """
+    is_compared = band.known & np.isfinite(deviation).any(axis=1)
+    number_count = max(int(is_compared.sum()) * band.marker_count, 1)
+    entries = np.nan_to_num(deviation[np.isfinite(band.mean)])
+    return entries / math.sqrt(number_count)
 
 
 def _errors_of_mean(trials: FloatArray) -> FloatArray:
@@ -168,18 +183,22 @@ def difference_interval(first: Deviations, second: Deviations) -> Interval:
     Repeats are paired by seed; repeats without a partner are left out. Without a common seed, all pairs count.
     """
     places = {seed: place for place, seed in enumerate(second.seeds)}
-    pairs = [(i, places[seed]) for i, seed in enumerate(first.seeds) if seed in places]
+    pairs = [
+        (place, places[seed])
+        for place, seed in enumerate(first.seeds)
+        if seed in places
+    ]
     is_paired = bool(pairs)
     if not is_paired:
         pairs = [*product(range(len(first.seeds)), range(len(second.seeds)))]
     rows, columns = np.transpose(pairs)
     scores, other_scores = first.scores[rows], second.scores[columns]
     differences = scores - other_scores
-    half_of_repeats = (
-        mean_half_width(differences)
-        if is_paired
-        else math.hypot(mean_half_width(first.scores), mean_half_width(second.scores))
-    )
+    if is_paired:
+        half_of_repeats = mean_half_width(differences)
+    else:
+        halves = mean_half_width(first.scores), mean_half_width(second.scores)
+        half_of_repeats = math.hypot(*halves)
     sums = np.maximum(scores + other_scores, SMALLEST)
     apart = first.vectors[rows] - second.vectors[columns]
     direction = (2.0 / sums) @ apart / len(pairs)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from contextlib import closing, suppress
 from itertools import product
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,25 +14,27 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.states import nominal_states
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, push
-from gauge_envs.tools.conformance.model import COUNT, Tolerance, check
+from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, push, ratio
+from gauge_envs.tools.conformance.model import COUNT, Checks, Level, Tolerance
+from gauge_envs.tools.conformance.repeats import gaps
 from gauge_envs.tools.conformance.restart import (
     BOUNCE,
     CARRIED,
     HUNG,
     aside,
     cloths,
-    gaps,
     shifted_states,
     widest,
 )
+
+check = Checks(Level.RIGID)
+
 
 WORLDS = range(16)
 SINGLES = (0, 1, 5, 10, 14, 15)
 """Worlds that are compared with single simulations; the reversed order has the same worlds."""
 INTERVALS = 36
 ALONE = Tolerance("single precision, in another order, over one rebound", absolute=1e-4)
-BATCH = "contract (Backend.build_worlds, Simulation.reset, Simulation.drive)"
 
 
 def _rigid(lab: Lab) -> Scene:
@@ -92,7 +94,6 @@ def _course(
     "worlds-shapes",
     title="arrays of worlds",
     law="shape = [N, ...], new arrays, inputs unchanged",
-    source="contract (gauge_envs.backends.simulation)",
     tolerance=COUNT,
     cause="arrays have the world as first axis, and belong to the caller",
 )
@@ -101,68 +102,78 @@ def worlds_shapes(lab: Lab) -> Measurement:
 
     Number of faults: shapes of what is returned, arrays that change later, arrays of starts that `reset` changes or
     needs later, a nominal start that not all worlds have, `diverged` that names healthy worlds.
+
+    Source: contract (gauge_envs.backends.simulation).
     """
-    faults: dict[str, None] = {}
+    faults: set[str] = set()
     for scene in (_rigid(lab), *lab.once(cloths)):
-        names = [body.name for body in scene.bodies]
         for count in (1, 3):
-            initial_states = _initial_states(scene, range(count))
-            given = initial_states.copy()
             with closing(lab.build(scene, count)) as simulation:
-                simulation.reset(initial_states, 0)
-                states = simulation.body_states(names)
-                first, unchanged = (
-                    np.array(states),
-                    np.array_equal(initial_states, given),
-                )
-                initial_states[:] = np.nan
-                _drive(simulation, scene, range(count), 0)
-                simulation.advance(SAMPLE_INTERVAL_S)
-                later, reasons = _read(simulation, scene), dict(simulation.diverged())
-                simulation.reset(None, 0)
-                nominal = _read(simulation, scene)
-                right = {
-                    f"world_count is {simulation.world_count}": simulation.world_count
-                    == count,
-                    f"body_states has shape {first.shape}": first.shape
-                    == (count, len(names), 13),
-                    f"an array has shape {later.shape}": later.shape
-                    == (count, *later.shape[-2:]),
-                    "body_states returns an array that changes later": np.array_equal(
-                        states, first
-                    ),
-                    "reset() changes the array of starts": unchanged,
-                    "reset() keeps the array of starts": np.isfinite(later).all(),
-                    f"diverged() is {reasons}": not reasons,
-                    "worlds differ right after reset()": not np.ptp(nominal, 0).any(),
-                }
-            faults |= {text: None for text, fine in right.items() if not fine}
-    return Measurement(measured=len(faults), hint="; ".join(faults))
+                faults.update(_faults(simulation, scene, count))
+    return Measurement(measured=len(faults), hint="; ".join(sorted(faults)))
 
 
-TOGETHER, THREADS, AGAIN = "world", "in threads simulation", "after the reset world"
-Runs = dict[str, tuple[Sequence[int], FloatArray]]
-"""Kind of run -> numbers of the initial states, and courses, shape [interval_count, world_count, ...]."""
+def _faults(simulation: Simulation, scene: Scene, count: int) -> list[str]:
+    """Return the faults of the arrays of a simulation with a number of worlds."""
+    names = [body.name for body in scene.bodies]
+    initial_states = _initial_states(scene, range(count))
+    given = initial_states.copy()
+    simulation.reset(initial_states, 0)
+    states = simulation.body_states(names)
+    first = np.array(states)
+    is_kept = np.array_equal(initial_states, given)
+    initial_states[:] = np.nan
+    _drive(simulation, scene, range(count), 0)
+    simulation.advance(SAMPLE_INTERVAL_S)
+    later, reasons = _read(simulation, scene), dict(simulation.diverged())
+    simulation.reset(None, 0)
+    nominal = _read(simulation, scene)
+    is_right = {
+        f"world_count is {simulation.world_count}": simulation.world_count == count,
+        f"body_states has shape {first.shape}": first.shape == (count, len(names), 13),
+        f"an array has shape {later.shape}": len(later) == count and later.ndim == 3,
+        "body_states returns an array that changes later": np.array_equal(
+            states, first
+        ),
+        "reset() changes the array of starts": is_kept,
+        "reset() keeps the array of starts": np.isfinite(later).all(),
+        f"diverged() is {reasons}": not reasons,
+        "worlds differ right after reset()": not np.ptp(nominal, 0).any(),
+    }
+    return [text for text, fine in is_right.items() if not fine]
 
 
-def _batches(lab: Lab) -> list[tuple[Scene, dict[int, FloatArray], Runs]]:
-    """Return scenes, the courses of single simulations by number of their initial state, and the courses of batches."""
+TOGETHER = "the world of start"
+THREADS = "the simulation in threads of start"
+AGAIN = "the reset world of start"
+Courses = dict[int, FloatArray]
+"""States after each interval, by the number of the initial state."""
+
+
+def _courses(simulation: Simulation, scene: Scene, numbers: Sequence[int]) -> Courses:
+    """Return the course of each world of a simulation."""
+    courses = _course(simulation, scene, numbers)
+    return {number: courses[:, world] for world, number in enumerate(numbers)}
+
+
+def _batches(lab: Lab) -> list[tuple[Scene, Courses, dict[str, Courses]]]:
+    """Return two scenes, the courses of single simulations, and those of each kind of batch."""
     batches = []
     for scene in (_rigid(lab), *lab.once(cloths)):
-        runs: Runs = {}
-        worlds = SINGLES[:3] if scene.deformables else WORLDS
+        runs: dict[str, Courses] = {}
+        compared = SINGLES[:3] if scene.deformables else SINGLES
+        worlds = compared if scene.deformables else WORLDS
+        singles: Courses = {}
         with closing(lab.build(scene)) as simulation:
-            singles = {
-                n: _course(simulation, scene, [n])[:, 0] for n in SINGLES if n in worlds
-            }
+            for number in compared:
+                singles |= _courses(simulation, scene, [number])
             if simulation.releases_gil:
-                with closing(
-                    LoopedSimulation([lab.build(scene) for _ in SINGLES])
-                ) as threaded:
-                    runs[THREADS] = SINGLES, _course(threaded, scene, SINGLES)
+                copies = [lab.build(scene) for _ in SINGLES]
+                with closing(LoopedSimulation(copies)) as threaded:
+                    runs[THREADS] = _courses(threaded, scene, SINGLES)
         with closing(lab.build(scene, len(worlds))) as batch:
-            for what, numbers in ((TOGETHER, worlds), (AGAIN, worlds[::-1])):
-                runs[what] = numbers, _course(batch, scene, numbers)
+            runs[TOGETHER] = _courses(batch, scene, worlds)
+            runs[AGAIN] = _courses(batch, scene, worlds[::-1])
         batches.append((scene, singles, runs))
     return batches
 
@@ -173,37 +184,38 @@ def _gap(here: FloatArray, there: FloatArray) -> FloatArray:
     return np.nan_to_num(gap, nan=1e9, posinf=1e9)
 
 
+def _first_gap(scene: Scene, gap: FloatArray) -> str:
+    """Return the first interval with a difference, and the body that differs most in it."""
+    is_off = (gap > ALONE.absolute).reshape(len(gap), -1).any(axis=1)
+    interval = int(is_off.argmax())
+    row = int(gap[interval].max(axis=-1).argmax())
+    name = "cloth" if scene.deformables else scene.bodies[row].name
+    return f"first the {name} in interval {interval + 1}"
+
+
 def _compared(lab: Lab, *kinds: str) -> Measurement:
     """Measure the largest difference of courses from single simulations, and name its world, body and interval."""
-    worst = Measurement(measured=0.0)
+    errors: dict[str, float] = {}
+    mistakes: dict[str, dict[str, float]] = {}
     for scene, singles, runs in lab.once(_batches):
-        for what, number in product(kinds, singles):
-            if what not in runs:
+        for kind, number in product(kinds, singles):
+            if kind not in runs:
                 continue
-            numbers, courses = runs[what]
-            here = courses[:, numbers.index(number)]
-            gap = _gap(here, singles[number])
-            if gap.max() <= worst.measured:
-                continue
-            hint = f"{what} {numbers.index(number)} differs by {gap.max():.3g}"
-            when = int(
-                (gap > ALONE.absolute).reshape(len(gap), -1).any(axis=1).argmax()
-            )
-            body = int(gap[when].max(axis=-1).argmax())
-            name = "cloth" if scene.deformables else scene.bodies[body].name
-            hint += f", first the {name} in interval {when + 1}"
-            for twin, course in singles.items():
-                if twin != number and _gap(here, course).max() < 0.01 * gap.max():
-                    hint += f"; it has the course of world {numbers.index(twin)}"
-            worst = Measurement(measured=float(gap.max()), hint=hint)
-    return worst
+            course = runs[kind][number]
+            gap = _gap(course, singles[number])
+            case = f"{kind} {number}, {_first_gap(scene, gap)},"
+            errors[case] = float(gap.max())
+            mistakes[case] = {
+                f"it has the course of start {twin}": float(_gap(course, single).max())
+                for twin, single in singles.items()
+            }
+    return largest(errors, "", mistakes)
 
 
 @check(
     "worlds-single",
     title="a world of a batch is a single simulation",
     law="a world is that of its start and of its driven motion",
-    source=BATCH,
     tolerance=ALONE,
     cause="worlds have the start or the driven motion of another world, or one step for all is another step",
 )
@@ -212,6 +224,8 @@ def worlds_single(lab: Lab) -> Measurement:
 
     Largest difference of a state or node within 0.2 s from single simulations; the worlds start and move differently.
     Simulations of engines with `releases_gil` also advance in threads at once.
+
+    Source: contract (Backend.build_worlds, Simulation.reset, Simulation.drive).
     """
     return _compared(lab, TOGETHER, THREADS)
 
@@ -220,7 +234,6 @@ def worlds_single(lab: Lab) -> Measurement:
     "worlds-reset",
     title="reset of all worlds to other starts",
     law="a world is that of its start and of its driven motion",
-    source=BATCH,
     tolerance=ALONE,
     cause="reset(starts) must write the starts of all worlds, and forget their contacts, forces and earlier starts",
 )
@@ -228,15 +241,19 @@ def worlds_reset(lab: Lab) -> Measurement:
     """The worlds of `worlds-single` after 0.2 s, reset to their starts in the reversed order.
 
     Largest difference of a state or node within 0.2 s after the reset from single simulations.
+
+    Source: contract (Backend.build_worlds, Simulation.reset, Simulation.drive).
     """
     return _compared(lab, AGAIN)
+
+
+WRENCH = ("force x", "force y", "force z", "torque x", "torque y", "torque z")
 
 
 @check(
     "worlds-wrench",
     title="a wrench in each world",
     law="v = F t / m, w = M t / I",
-    source="Newton, Euler; contract (Simulation.apply_wrench)",
     tolerance=Tolerance("a constant force has no model error", relative=1e-3),
     cause="worlds have the wrench of another world or of another call, or lose it",
     optional=True,
@@ -246,6 +263,8 @@ def worlds_wrench(lab: Lab) -> Measurement:
 
     Gain of velocity or spin in ten intervals over force times time through mass, or torque times time through moment of
     inertia, in the world and call that are farthest off.
+
+    Source: Newton, Euler; contract (Simulation.apply_wrench).
     """
     floating = ball("ball", (0.0, 0.0, 0.0))
     inertia = 0.4 * floating.mass_kg * 0.03**2
@@ -259,26 +278,27 @@ def worlds_wrench(lab: Lab) -> Measurement:
             for _ in range(10):
                 simulation.advance(SAMPLE_INTERVAL_S)
             speeds.append(_read(simulation, scene)[:, 0, 7:])
-    gains = np.diff(speeds, axis=0)
-    expected = wrenches * 10 * SAMPLE_INTERVAL_S
-    expected /= np.repeat([floating.mass_kg, inertia], 3)
-    ratios = gains / expected
-    errors = np.nan_to_num(np.abs(ratios - 1.0), nan=np.inf)
-    call, world, axis = np.unravel_index(errors.argmax(), errors.shape)
-    what, part = ("force", slice(3)) if axis < 3 else ("torque", slice(3, 6))
-    ratio = float(ratios[call, world, axis])
-    hint = f"{ratio:.3g} times the {what} of call {call + 1} acts in world {world}"
-    alike = np.isclose(expected[..., part], gains[call, world, part], rtol=5e-3)
-    for other_call, other_world in np.argwhere(alike.all(axis=-1)):
-        hint += f"; it is that of call {other_call + 1} in world {other_world}"
-    return Measurement(measured=ratio, expected=1.0, hint=hint)
+    laws = wrenches * 10 * SAMPLE_INTERVAL_S
+    laws /= np.repeat([floating.mass_kg, inertia], 3)
+    ratios = {}
+    for (call, world, axis), share in np.ndenumerate(np.diff(speeds, axis=0) / laws):
+        part = WRENCH[axis]
+        ratios[f"the {part} of call {call + 1} in world {world}"] = float(share)
+    return ratio(ratios, "the gain of velocity")
+
+
+class _Run(NamedTuple):
+    """Numbers of the initial states of worlds, other initial states, and wrenches on the stick."""
+
+    numbers: Sequence[int]
+    initial_states: FloatArray | None = None
+    wrenches: FloatArray | None = None
 
 
 @check(
     "worlds-neighbours",
     title="worlds do not feel their neighbours",
     law="a world is that of its start and of its driven motion",
-    source="contract (Backend.build_worlds, Simulation.diverged)",
     tolerance=ALONE,
     cause="worlds share forces, contacts, solver steps or a limit of their number",
 )
@@ -286,29 +306,29 @@ def worlds_neighbours(lab: Lab) -> Measurement:
     """Five worlds, of which the first, third and fifth change what they do: start, motion, wrench, and divergence.
 
     Largest difference of a state of the second and fourth world within 0.2 s from the run before these changes.
+
+    Source: contract (Backend.build_worlds, Simulation.diverged).
     """
     scene, numbers = _rigid(lab), range(5)
     watched, changed = [1, 3], [0, 2, 4]
     wrenches, fast = np.zeros((5, 6)), _initial_states(scene, numbers)
     wrenches[changed] = [0.3, -0.2, 0.4, 0.001, 0.002, -0.003]
     fast[changed, 0, 7] = 1e12
-    cases: tuple[tuple[str, Sequence[int], Any, Any], ...] = (
-        ("are as before", numbers, None, None),
-        ("start and move otherwise", (9, 1, 11, 3, 13), None, None),
-        ("are pushed", numbers, None, wrenches),
-        ("diverge", numbers, fast, None),
-        ("have diverged", numbers, None, None),
-    )
-    results = {}
+    cases = {
+        "start and move otherwise": _Run((9, 1, 11, 3, 13)),
+        "are pushed": _Run(numbers, wrenches=wrenches),
+        "diverge": _Run(numbers, fast),
+        "have diverged": _Run(numbers),
+    }
+    errors, mistakes = {}, {}
     with aside(), lab.running(scene, 5) as five:
-        for what, *how in cases:
+        before = _course(five, scene, *_Run(numbers))[:, watched]
+        for what, run in cases.items():
             with suppress(UnsupportedError):
-                courses = _course(five, scene, *how)[:, watched]
-                if what == "are as before":
-                    before = courses
-                is_lost = not five.diverged().keys().isdisjoint(watched)
-                gap = 1e9 if is_lost else float(_gap(courses, before).max())
-                text = f"world 1 or 3, where worlds 0, 2 and 4 {what},"
-                left = 0.0 if is_lost else gap
-                results[text] = {"": gap, "diverged() names it": left}
-    return largest(results)
+                courses = _course(five, scene, *run)[:, watched]
+                case = f"world 1 or 3, where worlds 0, 2 and 4 {what},"
+                errors[case] = float(_gap(courses, before).max())
+                if not five.diverged().keys().isdisjoint(watched):
+                    errors[case] = 1e9
+                    mistakes[case] = {"diverged() names it": 0.0}
+    return largest(errors, "", mistakes)

@@ -47,7 +47,10 @@ from gauge_envs.tools.conformance.deformable import (
     worst_law,
 )
 from gauge_envs.tools.conformance.lab import Lab, Measurement, ratio
-from gauge_envs.tools.conformance.model import Tolerance, check
+from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
+
+check = Checks(Level.CLOTH)
+
 
 LIGHT_FABRIC = fabric(0.2, 110.0, 1e-4)
 """Fabric of sheets whose stiffness does not matter."""
@@ -70,6 +73,8 @@ def _cloth_start(lab: Lab) -> Measurement:
     """Three sheets of cloth of different sizes, at three places and orientations.
 
     Largest distance of the box of the nodes of a sheet at the start, in its frame, from the sheet's edges.
+
+    Source: contract (Simulation.nodes).
     """
     return start_error(lab, SHEETS)
 
@@ -138,6 +143,8 @@ def _cloth_pinned_edge(lab: Lab) -> Measurement:
 
     Largest distance of an attached node from its place on the frame, or of a deeper node that keeps its place from
     the clamp.
+
+    Source: contract (scene.Attachment, scene.Region).
     """
     return attachment_error(lab.once(_hanging))
 
@@ -146,7 +153,6 @@ def _cloth_pinned_edge(lab: Lab) -> Measurement:
     "cloth-stretch",
     title="cloth, stretch stiffness K_s",
     law="u(s) = rho g (L s - s^2 / 2) / K_s",
-    source="uniaxial tension with free transverse edges (scene.Cloth)",
     tolerance=Tolerance(
         "laws differ by the largest strain: 0.5 % in equilibrium, 1 % at the lowest point",
         relative=0.02,
@@ -157,6 +163,8 @@ def _cloth_stretch(lab: Lab) -> Measurement:
     """Three strips of three fabrics, 0.3 m by 0.075 m, that hang on a frame at rest, which then moves up with 2 m/s.
 
     K_s from the mean sag, at rest and on the moving frame, over that of the scene; the worst.
+
+    Source: uniaxial tension with free transverse edges (scene.Cloth).
     """
     rollout = lab.once(_hanging)
     return worst_law(rollout, stretch_stiffness, "K_s", HANG_SETTLED_S, HANG_S)
@@ -196,7 +204,6 @@ def shear_stiffness(
     "cloth-shear",
     title="cloth, shear stiffness K_sh",
     law="w(s) = rho g (L s - s^2) / (2 K_sh)",
-    source="simple shear of a wide sheet (scene.Cloth)",
     tolerance=Tolerance(
         "free edges and the mesh's diagonals contribute a few per cent", relative=0.05
     ),
@@ -206,6 +213,8 @@ def _cloth_shear(lab: Lab) -> Measurement:
     """Three upright sheets, 0.1 m by 0.4 m, clamped along both upright edges to a frame at rest, which then moves.
 
     K_sh from the mean sag at middle height, at rest and on the moving frame, over that of the scene; the worst.
+
+    Source: simple shear of a wide sheet (scene.Cloth).
     """
     scenes = (
         upright_sheet(fabric(0.25, 27.5, 5e-5)),
@@ -280,7 +289,6 @@ def bending_stiffness(
     "cloth-bending",
     title="cloth, bending stiffness",
     law="D w'' = rho g (L - s)^2 / 2",
-    source="heavy elastica at small slope; D = K_theta on a square grid (scene/fabrics.py)",
     tolerance=Tolerance(
         "triangulations distribute K_theta differently: the paper's mapping gives 0.88 along grid lines",
         relative=0.2,
@@ -291,6 +299,8 @@ def _cloth_bending(lab: Lab) -> Measurement:
     """Three horizontal strips, 0.15 m free, clamped to a frame at rest, which then moves; a fifth of gravity.
 
     Bending stiffness per width from the mean droop, at rest and on the moving frame, over that of the scene; the worst.
+
+    Source: heavy elastica at small slope; D = K_theta on a square grid (scene/fabrics.py).
     """
     light, heavy = fabric(0.15, 140.0, 4.65e-3), fabric(0.8, 400.0, 2.48e-2)
     scenes = (
@@ -311,7 +321,6 @@ SLAB_M, FRICTION = (1.0, 0.4, 0.02), 0.3
     "cloth-slide",
     title="friction of cloth",
     law="a = g (sin 30 - mu cos 30) on the slope, a = mu g on the driven slab",
-    source="Coulomb",
     tolerance=Tolerance(
         "the many light contacts of a sheet flutter, and some are open", relative=0.05
     ),
@@ -321,6 +330,8 @@ def _cloth_slide(lab: Lab) -> Measurement:
     """A sheet on a fixed slab that leans by 30 degrees, and on a level slab that is driven by 10 m/s^2.
 
     Friction from the mean acceleration of the nodes, quadratic fit, over that of the scene; the worse.
+
+    Source: Coulomb.
     """
     profile = ramp(0.9, start_s=0.0, duration_s=0.6, ramp_s=0.3)
     pull = driver("slab", "translate", (-1.0, 0.0, 0.0), profile)
@@ -354,6 +365,8 @@ def _cloth_rests_on(lab: Lab) -> Measurement:
     """Three sheets, h = 2, 6 and 12 mm thick: on fixed slabs, and on a driven one that stands still.
 
     Mean height of the lowest node over the slab in the last quarter of 1.3 s, minus half the thickness; the worst.
+
+    Source: contact (scene.Contact).
     """
     return rest_error(lab, SHEETS, 1.3)
 
@@ -363,6 +376,8 @@ def _cloth_strike(lab: Lab) -> Measurement:
     """Three sheets of different fabrics without gravity, each struck by a free block across its surface.
 
     Momentum of sheet and block over that of the block at the start after the impact; the worst.
+
+    Source: Newton.
     """
     return momentum_ratio(lab, SHEETS, 1.3)
 
@@ -379,7 +394,6 @@ SUPPLE_FABRIC = fabric(0.2, 110.0, 1e-6, 3e-3)
     "cloth-touches-itself",
     title="cloth touches itself",
     law="height = thickness",
-    source="contact (scene.Contact), thickness (scene.Cloth)",
     unit="mm",
     tolerance=Tolerance(
         "twice the real trials' scatter; without contact it hangs 22 mm below",
@@ -391,6 +405,8 @@ def _cloth_touches_itself(lab: Lab) -> Measurement:
     """A strip of cloth, one half clamped level; a driven rod lays the end of the other half over it, with slack.
 
     Mean height of the lowest node of the upper half over the clamped half in the last 0.2 s, minus 3 mm of thickness.
+
+    Source: contact (scene.Contact), thickness (scene.Cloth).
     """
     cloth = sheet(SUPPLE_FABRIC, LEVEL, (2.0 * HALF_M, 0.05))
     middle = (0.5 * (HALF_M + EDGE_M[0]), 0.0, LEVEL_M + 0.5 * EDGE_M[1])
@@ -425,7 +441,6 @@ WIND_M_PER_S, INCIDENCE_DEG, BLOWN_S = 2.0, 40.0, 0.6
     "air-pressure",
     title="air: pressure, friction and lift",
     law="du/dt = -k u_n^2 n, -k u_t^2 t, or lift k |u_n u_t| perpendicular to u; k = rho C / (2 m / A)",
-    source="quadratic drag, Newton's law of resistance (scene.air)",
     tolerance=Tolerance(
         "4 % of a coefficient, less than is known; explicit steps of 1 ms are off by 0.7 %",
         relative=0.02,
@@ -437,6 +452,8 @@ def _air_pressure(lab: Lab) -> Measurement:
     """Free flat sheets of cloth in a wind of 2 m/s at 40 degrees to their plane, no gravity, one coefficient each.
 
     Displacement after 0.6 s, along the edge by friction, else along the normal, over that of the law; the worst.
+
+    Source: quadratic drag, Newton's law of resistance (scene.air).
     """
     k = 0.5 * AIR_DENSITY * AIR_COEFFICIENT / AIR_FABRIC.areal_density_kg_per_m2
     incidence = math.radians(INCIDENCE_DEG)

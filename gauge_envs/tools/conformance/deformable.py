@@ -229,10 +229,8 @@ def stiffness(load: float, slope: float, expected: float) -> Measurement:
         slope: Coefficient of the deformation; when it is not positive, the stiffness is infinite.
         expected: Expected stiffness.
     """
-    if not slope > 0.0:
-        hint = "its weight does not deform it"
-        return Measurement(measured=math.inf, expected=expected, hint=hint)
-    return Measurement(measured=load / slope, expected=expected)
+    measured = load / slope if slope > 0.0 else math.inf
+    return Measurement(measured=measured, expected=expected)
 
 
 Law = Callable[[Recording, str, float, float], Measurement]
@@ -302,7 +300,6 @@ def worst_law(
 
 START: dict[str, Any] = {
     "law": "the nodes span size_m or length_m about the pose",
-    "source": "contract (Simulation.nodes)",
     "unit": "mm",
     "tolerance": Tolerance("a float's rounding at 1 m is 0.1 um", absolute=0.01),
     "cause": "nodes() returns world positions in metres; size, pose and axis are those of the scene",
@@ -336,23 +333,23 @@ def start_error(
     scene = Scene(
         bodies=(FRAME, *BYSTANDERS), deformables=tuple(turned), duration_s=0.1
     )
-    cases = {}
+    errors, mistakes = {}, {}
     with lab.running(scene) as simulation:
         for body in turned:
             local_m = body.pose.to_body(simulation.nodes(body.name)[0])
             half_m = 0.5 * extent_m(body)
             edges_m = [local_m.min(axis=0) + half_m, local_m.max(axis=0) - half_m]
-            cases[body.name] = {"": 1e3 * float(np.abs(edges_m).max())}
+            errors[body.name] = 1e3 * float(np.abs(edges_m).max())
             is_line = isinstance(body, Rope | Rod)
             if is_line and (np.diff(local_m @ half_m) <= 0.0).any():
-                disorder = {"": 1e3, "the nodes are not in order along the axis": 0.0}
-                cases[body.name] = disorder
-    return largest(cases, "mm")
+                errors[body.name] = 1e3
+                disorder = "the nodes are not in order along the axis"
+                mistakes[body.name] = {disorder: 0.0}
+    return largest(errors, "mm", mistakes)
 
 
 ATTACHED: dict[str, Any] = {
     "law": "nodes within Region.depth_m of the side keep their places on the frame, and no others",
-    "source": "contract (scene.Attachment, scene.Region)",
     "unit": "mm",
     "tolerance": Tolerance("a tenth of the real trials' scatter", absolute=0.1),
     "cause": "attached nodes lag, hang on soft springs or do not turn with the body, or an attachment is missing",
@@ -370,7 +367,7 @@ def attachment_error(rollout: Recording) -> Measurement:
     """
     (moves,) = rollout.scene.drivers
     poses = [moves.pose(FRAME.pose, float(time_s)) for time_s in rollout.times_s]
-    cases = {}
+    errors, mistakes = {}, {}
     for body, attachment in zip(
         rollout.scene.deformables, rollout.scene.attachments, strict=True
     ):
@@ -383,12 +380,13 @@ def attachment_error(rollout: Recording) -> Measurement:
         # The mesh may leave out the clamped material, and begin at the end of the clamp.
         inside = depth_m < PLACE_TOLERANCE_M + max(depth_m.min(), region.depth_m)
         off_mm = 1e3 * np.linalg.norm(nodes_m - carried_m, axis=2).max(axis=0)
-        cases[body.name] = {"": float(off_mm[inside].max())}
+        errors[body.name] = float(off_mm[inside].max())
         attached_m = depth_m[off_mm < CLAMPED_MM].max(initial=0.0)
         beyond_mm = 1e3 * float(attached_m - region.depth_m)
         if beyond_mm > BEYOND_MM:
-            cases[body.name] = {"": beyond_mm, "deeper nodes are attached": 0.0}
-    return largest(cases, "mm")
+            errors[body.name] = beyond_mm
+            mistakes[body.name] = {"deeper nodes are attached": 0.0}
+    return largest(errors, "mm", mistakes)
 
 
 # --- contact ---------------------------------------------------------------------------------------------------------
@@ -396,7 +394,6 @@ def attachment_error(rollout: Recording) -> Measurement:
 SLAB_M = (0.2, 0.2, 0.04)
 
 REST: dict[str, Any] = {
-    "source": "contact (scene.Contact)",
     "unit": "mm",
     "tolerance": Tolerance("the real trials' scatter is about 1 mm", absolute=1.0),
     "cause": "the thickness or radius in contact is another one, or the contact has a margin (scene.Contact)",
@@ -438,21 +435,20 @@ def rest_error(
         laid.append(placed(body, place_m + np.multiply(above_m, UP)))
     scene = _paired(laid, slabs, duration_s=duration_s)
     rollout = lab.rollout(scene).cut(0.75 * duration_s, duration_s)
-    cases = {}
+    errors, mistakes = {}, {}
     for body, slab in zip(laid, slabs, strict=True):
         surface_m = 0.0 if isinstance(body, SoftBody) else _half_height_m(body)
         bottom_m = rollout.nodes_m[body.name][:, :, 2].min(axis=1) - surface_m
         error_mm = 1e3 * float(bottom_m.mean() - LEVEL_M - 0.5 * SLAB_M[2])
-        cases[f"the height of {body.name} on a {slab.motion} slab"] = {
-            "": abs(error_mm),
-            "it falls through: the pair has no contact": 13.0 + error_mm,
-        }
-    return largest(cases, "mm")
+        case = f"the height of {body.name} on a {slab.motion} slab"
+        errors[case] = abs(error_mm)
+        falls = "it falls through: the pair has no contact"
+        mistakes[case] = {falls: 13.0 + error_mm}
+    return largest(errors, "mm", mistakes)
 
 
 STRIKE: dict[str, Any] = {
     "law": "m v + M w = const",
-    "source": "Newton",
     "tolerance": Tolerance(
         "no force acts from outside; a mesh has the mass at its nodes to 1 %",
         relative=0.01,
@@ -497,8 +493,12 @@ def momentum_ratio(
         moved_m = (nodes_m - nodes_m[0])[:, :, 2]
         ahead_m = block_m[-1] - moved_m[-1].mean()
         if ahead_m / speed_m_per_s > 0.5 * duration_s:
-            hint = f"the block passes through {body.name}: the pair has no contact"
-            return Measurement(measured=math.nan, expected=1.0, hint=hint)
+            return Measurement(
+                measured=math.nan,
+                expected=1.0,
+                hint=f"the block passes through {body.name}",
+                cause="the pair has no contact",
+            )
         moment = moved_m @ node_masses_kg(body, nodes_m[0]) + block.mass_kg * block_m
         momentum = (moment[-1] - moment[STRUCK]) / seconds
         ratios[body.name] = momentum / (block.mass_kg * speed_m_per_s)

@@ -28,7 +28,10 @@ from gauge_envs.tools.conformance.deformable import (
     worst_law,
 )
 from gauge_envs.tools.conformance.lab import Lab, Measurement
-from gauge_envs.tools.conformance.model import Tolerance, check
+from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
+
+check = Checks(Level.FOAM)
+
 
 EDGE_M, LENGTH_M = 0.04, 0.2
 
@@ -68,6 +71,8 @@ def _foam_start(lab: Lab) -> Measurement:
     """Two blocks of foam of different sizes, at two places and orientations.
 
     Largest distance of the box of the nodes of a block at the start, in its frame, from its faces.
+
+    Source: contract (Simulation.nodes).
     """
     # Engines mesh boxes along the axes of the world.
     return start_error(lab, BLOCKS, turn_deg=(90.0, 0.0, -90.0))
@@ -93,6 +98,8 @@ def _foam_pinned_face(lab: Lab) -> Measurement:
 
     Largest distance of an attached node from its place on the frame, or of a deeper node that keeps its place from
     the clamp.
+
+    Source: contract (scene.Attachment, scene.Region).
     """
     return attachment_error(lab.once(_hanging))
 
@@ -131,7 +138,6 @@ def poisson(rollout: Recording, name: str, start_s: float, end_s: float) -> Meas
     "foam-tension",
     title="foam, Young's modulus and Poisson's ratio",
     law="u_z = rho g (z^2 + nu r^2 - L^2) / (2 E), u_x = -nu rho g z x / E",
-    source="prismatic bar under its weight (Timoshenko and Goodier)",
     tolerance=Tolerance(
         "laws differ by the largest strain: 2 % in equilibrium, 4 % at the lowest point",
         relative=0.05,
@@ -143,6 +149,8 @@ def _foam_tension(lab: Lab) -> Measurement:
 
     E from the mean sag, and Poisson's ratio from contraction over stretch, at rest and on the moving frame, over those
     of the scene; the worst.
+
+    Source: prismatic bar under its weight (Timoshenko and Goodier).
     """
     measurements = (
         worst_law(lab.once(_hanging), law, what, SETTLED_S, HUNG_S)
@@ -156,6 +164,8 @@ def _foam_rests_on(lab: Lab) -> Measurement:
     """Two blocks of foam: on a fixed slab, and on a driven slab that stands still.
 
     Mean height of the lowest node over the slab from 60 to 80 ms; the worst.
+
+    Source: contact (scene.Contact).
     """
     # Without contact, a block falls by 18 mm within 60 ms.
     return rest_error(lab, BLOCKS, 0.08)
@@ -166,5 +176,7 @@ def _foam_strike(lab: Lab) -> Measurement:
     """Two blocks of different foams without gravity, each struck by a free block.
 
     Momentum of foam and block over that of the block at the start, from 0.05 to 0.2 s; the worst.
+
+    Source: Newton.
     """
     return momentum_ratio(lab, BLOCKS, 0.2)

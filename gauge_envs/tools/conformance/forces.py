@@ -19,7 +19,10 @@ from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.conformance.free_motion import DIRECTION, centre_m, solids
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, push, ratio
-from gauge_envs.tools.conformance.model import Tolerance, check
+from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
+
+check = Checks(Level.RIGID)
+
 
 PUSH_S = 0.1
 RATE_RAD_PER_S2 = 0.4
@@ -55,7 +58,6 @@ def _gained(rollout: Recording, name: str) -> FloatArray:
     "wrench-force",
     title="force on a free body",
     law="m a = F",
-    source="Newton; contract (Simulation.apply_wrench)",
     tolerance=Tolerance("0.1 % allows for a step at the end", absolute=1e-3),
     cause="apply_wrench acts in the world frame until another call replaces it; raise BackendError if there is none",
     optional=True,
@@ -64,6 +66,8 @@ def wrench_force(lab: Lab) -> Measurement:
     """Floating turned solids of 0.1 g to 100 kg; each gets a torque and a force of 0.1 N for each kg.
 
     Distance of the acceleration of the centre of mass in 0.1 s from the law, over that by the law.
+
+    Source: Newton; contract (Simulation.apply_wrench).
     """
     rollout = lab.once(_pushed)
     cases = {}
@@ -95,7 +99,6 @@ BY_PUSH = Tolerance("0.5 % of inertia, a force within 0.02 mm", absolute=5e-3)
     "inertia",
     title="inertia and centre of mass of all solids",
     law="torque = I alpha about the centre of mass; I = integral of density (r^2 1 - r r')",
-    source="Euler; uniform density (RigidBody)",
     tolerance=BY_PUSH,
     cause="inertia does not follow from shape and mass, a force acts beside the centre of mass, or a torque otherwise",
     optional=True,
@@ -104,6 +107,8 @@ def inertia(lab: Lab) -> Measurement:
     """The solids of wrench-force.
 
     Inertia about each principal axis over that of the solid, the worst. A force beside the centre of mass changes it.
+
+    Source: Euler; uniform density (RigidBody).
     """
     return _inertia(lab.once(_pushed))
 
@@ -112,7 +117,6 @@ def inertia(lab: Lab) -> Measurement:
     "stated-inertia",
     title="inertia that the scene gives",
     law="torque = I alpha",
-    source="Euler; RigidBody.inertia_kg_m2",
     tolerance=BY_PUSH,
     cause="read RigidBody.inertia_kg_m2, or leave Feature.STATED_INERTIA out",
     optional=True,
@@ -121,6 +125,8 @@ def stated_inertia(lab: Lab) -> Measurement:
     """The solids of `inertia`, each with an inertia of 1 g m^2 for each kg about every axis.
 
     As for `inertia`.
+
+    Source: Euler; RigidBody.inertia_kg_m2.
     """
     bodies = [replace(each, inertia_kg_m2=1e-3 * each.mass_kg) for each in solids(lab)]
     return _inertia(_push(lab, bodies))
@@ -146,7 +152,6 @@ PAIRS = {
     "contact-force",
     title="contact forces at rest, in a slide and in an impact",
     law="mean of F = m (dv / dt - g)",
-    source="Newton; contract (Simulation.contact_forces)",
     tolerance=Tolerance("as for the acceleration of a slide", absolute=0.01),
     cause="the force is that on the first body, of all points with friction, in the world frame, the mean of advance",
     optional=True,
@@ -155,6 +160,8 @@ def contact_force(lab: Lab) -> Measurement:
     """A brick that rests on a slab, one that slides with friction 0.3, and one that falls flat by 0.1 m.
 
     Force on a brick less its change of momentum in an interval of 1/180 s, over the largest force on it; the worst.
+
+    Source: Newton; contract (Simulation.contact_forces).
     """
     slab = fixed_box("slab", (0.0, 0.0, -0.05), (4.0, 3.0, 0.1))
     touching = tuple(contact(*pair, friction=0.3) for pair in PAIRS)

@@ -33,7 +33,10 @@ from gauge_envs.tools.conformance.lab import (
     largest_mm,
     ratio,
 )
-from gauge_envs.tools.conformance.model import Tolerance, check
+from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
+
+check = Checks(Level.RIGID)
+
 
 # --- solids ----------------------------------------------------------------------------------------------------------
 
@@ -117,7 +120,6 @@ def _glide(lab: Lab) -> Recording:
     "glide-speed",
     title="free bodies keep velocity and spin, fast, slow and late",
     law="r = v t, angle = omega t",
-    source="Newton, Euler",
     tolerance=Tolerance("single precision of orientations in 2.6 s", absolute=4e-3),
     cause="a limit of speed, damping of free bodies, or sleep of slow bodies",
 )
@@ -125,6 +127,8 @@ def glide_speed(lab: Lab) -> Measurement:
     """Free balls without gravity for 2.6 s, thrown with 1 mm/s to 20 m/s or with a spin of 0.05 to 200 rad/s.
 
     Displacement or rotation over the law, in the first 0.8 s, to 1.8 s and after 2.1 s; the worst.
+
+    Source: Newton, Euler.
     """
     rollout = lab.once(_glide)
     ratios = {}
@@ -149,7 +153,6 @@ def _tumble(lab: Lab) -> Recording:
     "glide-reports",
     title="reported velocities are those of the motion",
     law="v = dx/dt, omega = dR/dt R^T",
-    source="contract (Simulation.body_states)",
     unit="%",
     tolerance=Tolerance("20 m/s at 50 m in single precision: 0.1 %", absolute=1.0),
     cause="columns 7 to 12 are the velocity of the body's origin and the angular velocity, in the world frame",
@@ -158,6 +161,8 @@ def glide_reports(lab: Lab) -> Measurement:
     """The balls of glide-speed; and thrown, spinning solids, some with their origin beside their centre of mass.
 
     Largest difference of a reported rate from the central difference of poses, over the largest rate.
+
+    Source: contract (Simulation.body_states).
     """
     cases = {}
     for rollout in (lab.once(_glide), lab.once(_tumble)):
@@ -198,7 +203,6 @@ def _flight(lab: Lab, gravity: float, speed: float, spin: float) -> Recording:
     "free-fall",
     title="free fall of all solids",
     law="a = g downward",
-    source="Galilei; contract (Scene.gravity_m_per_s2)",
     tolerance=Tolerance("0.1 % is 0.4 mm at the first impact of a ball", absolute=1e-3),
     cause="gravity is not the scene's in size or sign, or bodies are damped",
 )
@@ -207,6 +211,8 @@ def free_fall(lab: Lab) -> Measurement:
 
     Acceleration by a quadratic fit, downward and sideways, over the law; 9.80665 m/s^2 more counts 1
     without gravity.
+
+    Source: Galilei; contract (Scene.gravity_m_per_s2).
     """
     ratios = {}
     for gravity, share in FALLS:
@@ -228,7 +234,6 @@ def free_fall(lab: Lab) -> Measurement:
     "start-velocity-of-origin",
     title="start velocity is that of the body's origin",
     law="r_c = r_c0 + (v0 + omega0 x R c) t",
-    source="Newton; contract (RigidBody.linear_velocity_m_per_s)",
     unit="mm",
     tolerance=Tolerance("half the scatter of real trials", absolute=0.5),
     cause="the centre of mass does not follow from the shape, or the engine gives it the start velocity of the origin",
@@ -237,6 +242,8 @@ def start_velocity_of_origin(lab: Lab) -> Measurement:
     """Thrown, spinning solids without gravity for 0.5 s, some with their origin beside their centre of mass.
 
     Largest distance of a centre of mass from its straight line.
+
+    Source: Newton; contract (RigidBody.linear_velocity_m_per_s).
     """
     rollout = lab.once(_tumble)
     cases = {}
@@ -254,7 +261,6 @@ def start_velocity_of_origin(lab: Lab) -> Measurement:
     "spin-momentum",
     title="free rotation of all solids",
     law="R I R' omega = const",
-    source="Euler; angular momentum",
     unit="%",
     tolerance=Tolerance("the turn of a tumbling body within 2 degrees", absolute=1.0),
     cause="the start spin, the gyroscopic term, the inertia or its frame is wrong, or the body is damped",
@@ -263,6 +269,8 @@ def spin_momentum(lab: Lab) -> Measurement:
     """Thrown, spinning solids of all kinds without gravity, each turned and thrown another way, for 0.5 s.
 
     Largest change of the angular momentum from that of the scene's start spin, over the latter; the worst.
+
+    Source: Euler; angular momentum.
     """
     rollout = lab.once(_tumble)
     cases = {}

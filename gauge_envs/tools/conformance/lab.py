@@ -36,19 +36,24 @@ class Measurement:
     Attributes:
         measured: The measured value.
         expected: The value of the closed form, in the same unit.
-        hint: Meaning of this value; may be empty. With a colon, as in `it falls through: the pair has no contact`, it
-            explains the failure. Otherwise the cause of the check follows.
+        hint: Meaning of this value, as `it falls through`; may be empty.
+        cause: Why the value is wrong, as `the pair has no contact`; empty for the most likely cause of the check.
         width: Largest admissible difference if it depends on the engine; None for the tolerance of the check.
     """
 
     measured: float
     expected: float = 0.0
     hint: str = ""
+    cause: str = ""
     width: float | None = None
 
 
 class ContractError(GaugeError):
     """The engine breaks the contract of `gauge_envs.backends`, so that nothing can be measured."""
+
+
+class RejectedSettingsError(UnsupportedError):
+    """The engine rejects the settings for a scene."""
 
 
 class Lab:
@@ -122,7 +127,8 @@ class Lab:
             changes: Settings that replace settings of the lab.
 
         Raises:
-            UnsupportedError: The engine reports that it cannot build the scene, or rejects the settings for it.
+            UnsupportedError: The engine reports that it cannot build the scene, or rejects the settings for it (a
+                `RejectedSettingsError`).
             ContractError: `build` fails although `supports` was true.
         """
         self.effective_settings = {}
@@ -140,7 +146,7 @@ class Lab:
         except Exception as error:
             if settings and isinstance(error, ParameterError | UnsupportedSceneError):
                 # `supports` answers for the default settings; a preset for other scenes is not a fault of the engine.
-                raise UnsupportedError(
+                raise RejectedSettingsError(
                     (f"the settings are rejected: {error}",)
                 ) from error
             raise ContractError(
@@ -249,27 +255,28 @@ def ratio(ratios: Mapping[str, float], what: str) -> Measurement:
 
 
 def largest(
-    cases: Mapping[str, float | Mapping[str, float]], unit: str = ""
+    errors: Mapping[str, float],
+    unit: str = "",
+    mistakes: Mapping[str, Mapping[str, float]] = {},
 ) -> Measurement:
-    """Measure the largest error of some cases; a hint names its case, and the known mistake that explains it.
+    """Measure the largest of some errors; a hint names its case, and the cause is a known mistake that explains it.
 
     Args:
-        cases: Error of each case; or its error, and the remaining error by the text of each known mistake. A mistake
-            explains an error if 3 % or less of it remain.
+        errors: Error of each case.
         unit: Unit of the errors.
+        mistakes: Remaining error of a case by the text of each known mistake. A mistake explains an error if 3 % or
+            less of it remain.
     """
-    known = {
-        case: left if isinstance(left, Mapping) else {"": left}
-        for case, left in cases.items()
-    }
-    errors = {case: next(iter(left.values())) for case, left in known.items()}
     worst = max(errors, key=lambda case: np.nan_to_num(errors[case], nan=np.inf))
     error = errors[worst]
-    hint = f"{worst} is off by {error:.3g} {unit}".rstrip()
-    mistake = min(known[worst], key=lambda text: known[worst][text])
-    if known[worst][mistake] <= 0.03 * error:
-        hint += f": {mistake}"
-    return Measurement(measured=error, hint=hint)
+    left = mistakes.get(worst, {})
+    nearest = min(left, key=lambda text: left[text], default="")
+    is_explained = nearest in left and left[nearest] <= 0.03 * error
+    return Measurement(
+        measured=error,
+        hint=f"{worst} is off by {error:.3g} {unit}".rstrip(),
+        cause=nearest if is_explained else "",
+    )
 
 
 def largest_mm(vectors_m: ArrayLike) -> float:

@@ -5,37 +5,24 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
-import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from enum import StrEnum
-from fnmatch import fnmatchcase
-from importlib import import_module
 from typing import Any
 
-from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.files import json_ready
 from gauge_envs.registry import package_versions
 from gauge_envs.tools.conformance.lab import Lab, Measurement
 
-PHENOMENA = {
-    "contract": "rigid",
-    "free_motion": "rigid",
-    "forces": "rigid",
-    "hinge": "rigid",
-    "restart": "rigid",
-    "batches": "rigid",
-    "slide": "contact",
-    "drive": "contact",
-    "rest": "contact",
-    "impact": "contact",
-    "cloth": "cloth",
-    "foam": "foam",
-    "rope": "rope",
-}
-"""Modules of the checks, from simple to compound, and the level of each."""
 
-LEVELS = tuple(dict.fromkeys(PHENOMENA.values()))
+class Level(StrEnum):
+    """Group of checks that an engine passes as a whole, from simple to compound."""
+
+    RIGID = "rigid"
+    CONTACT = "contact"
+    CLOTH = "cloth"
+    FOAM = "foam"
+    ROPE = "rope"
 
 
 class Status(StrEnum):
@@ -49,11 +36,6 @@ class Status(StrEnum):
     """The engine raised an exception, its process died, or it exceeded a limit."""
     UNSUPPORTED = "unsupported"
     """The engine reports that it cannot build the scene. This is not a failure."""
-
-    @classmethod
-    def _missing_(cls, value: object) -> Status | None:
-        # Files of gauge-envs before 1.0; accepted until 1.2.
-        return cls.UNSUPPORTED if value == "declined" else None
 
 
 @dataclass(frozen=True)
@@ -86,119 +68,90 @@ class Check:
 
     Attributes:
         id: Stable name.
+        level: Level that the check belongs to.
         title: Subject, in a few words.
-        scene: The scene that is built.
-        measures: The measured quantity and the method.
+        description: The scene, the measured quantity, the method, and the source of the law.
         law: Formula of the expected value.
-        source: Origin of the law.
         unit: Unit of the measured value; "1" for a pure number.
         tolerance: Largest admissible difference.
         cause: Most likely cause of a failure, one sentence.
-        phenomenon: Key of `PHENOMENA`.
         is_optional: Whether a level does not need it.
+        revision: Number that an author raises when the scene, the law or the measurement changes.
         measure: Function that builds the scene in a `Lab` and measures.
     """
 
     id: str
+    level: Level
     title: str
-    scene: str
-    measures: str
+    description: str
     law: str
-    source: str
     unit: str
     tolerance: Tolerance
     cause: str
-    phenomenon: str
     is_optional: bool
+    revision: int
     measure: Callable[[Lab], Measurement]
 
     @property
-    def level(self) -> str:
-        """Level that the check belongs to."""
-        return PHENOMENA.get(self.phenomenon, self.phenomenon)
-
-    @property
     def fingerprint(self) -> str:
-        """Digest of the meaning of the number: scene, measured quantity, law, unit and tolerance, without code."""
+        """Digest of what decides the result: id, revision, unit and tolerance, without any text."""
         width = [self.tolerance.absolute, self.tolerance.relative]
-        parts = [self.id, self.scene, self.measures, self.law, self.unit, width]
+        parts = [self.id, self.revision, self.unit, width]
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:12]
 
 
-_CHECKS: dict[str, Check] = {}
+Measure = Callable[[Lab], Measurement]
 
 
-def check(
-    id: str,
-    *,
-    title: str,
-    law: str,
-    source: str,
-    tolerance: Tolerance,
-    cause: str,
-    unit: str = "1",
-    optional: bool = False,
-) -> Callable[[Callable[[Lab], Measurement]], Callable[[Lab], Measurement]]:
-    """Return a decorator that registers a function of a lab as a check; see `Check` for the arguments.
+class Checks:
+    """Decorator that registers the checks of one module, in their order in the file.
 
-    The last paragraph of the docstring of the function is the measured quantity with its method, the rest the scene.
+    Args:
+        level: Level of the checks.
 
-    Raises:
-        ParameterError: A check with this id exists already.
+    Attributes:
+        registered: The checks.
     """
 
-    def register(
-        measure: Callable[[Lab], Measurement],
-    ) -> Callable[[Lab], Measurement]:
-        if id in _CHECKS:
-            raise ParameterError(f"check {id!r} exists already; choose another id")
-        text = textwrap.dedent(inspect.getdoc(measure) or "")
-        scene, _, measures = text.rpartition("\n\n")
-        _CHECKS[id] = Check(
-            id=id,
-            title=title,
-            scene=" ".join(scene.split()),
-            measures=" ".join(measures.split()),
-            law=law,
-            source=source,
-            unit=unit,
-            tolerance=tolerance,
-            cause=cause,
-            phenomenon=measure.__module__.rpartition(".")[2],
-            is_optional=optional,
-            measure=measure,
-        )
-        return measure
+    def __init__(self, level: Level) -> None:
+        self._level = level
+        self.registered: list[Check] = []
 
-    return register
+    def __call__(
+        self,
+        id: str,
+        *,
+        title: str,
+        law: str,
+        tolerance: Tolerance,
+        cause: str,
+        unit: str = "1",
+        optional: bool = False,
+        revision: int = 1,
+    ) -> Callable[[Measure], Measure]:
+        """Return a decorator that registers a function of a lab as a check; see `Check` for the arguments.
 
+        The docstring of the function is the description: the scene, the measured quantity with its method, the source.
+        """
 
-def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
-    """Return all checks from simple to compound, or those whose id matches one of the patterns.
+        def register(measure: Measure) -> Measure:
+            entry = Check(
+                id=id,
+                level=self._level,
+                title=title,
+                description=" ".join((inspect.getdoc(measure) or "").split()),
+                law=law,
+                unit=unit,
+                tolerance=tolerance,
+                cause=cause,
+                is_optional=optional,
+                revision=revision,
+                measure=measure,
+            )
+            self.registered.append(entry)
+            return measure
 
-    Raises:
-        UnknownNameError: A pattern matches no check.
-    """
-    for phenomenon in PHENOMENA:
-        import_module(f"gauge_envs.tools.conformance.{phenomenon}")
-    order = [*PHENOMENA]
-    # Modules may have been imported in another order.
-    known = sorted(
-        _CHECKS.values(),
-        key=lambda check: (
-            order.index(check.phenomenon)
-            if check.phenomenon in PHENOMENA
-            else len(order)
-        ),
-    )
-    for pattern in only:
-        if not any(fnmatchcase(name, pattern) for name in _CHECKS):
-            raise UnknownNameError("check", pattern, [check.id for check in known])
-    return tuple(
-        check
-        for check in known
-        if not only or any(fnmatchcase(check.id, pattern) for pattern in only)
-    )
+        return register
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,14 +161,14 @@ class CheckResult:
     Attributes:
         of: The check.
         backend: Name of the engine.
+        configuration: Solver or preset of the engine; `default` for its own choice.
         status: Pass, fail, error or unsupported.
         expected: Value of the closed form; None when nothing was measured.
         measured: The measured value; None when nothing was measured. Infinity and NaN fail.
         width: Largest admissible difference; None when nothing was measured.
         diagnosis: Meaning of a failure and its most likely cause, or the text of the exception; empty otherwise.
         missing: Features that the engine lacks, if the check is unsupported.
-        wall_s: Time that the check took [s]; checks that share a recording count it once.
-        cpu_s: CPU time over the same span [s]; None if it is not known, as for a process that died.
+        rejects_settings: Whether the check is unsupported since the engine rejects the settings.
         settings: Effective numerical settings in the last scene of the check.
         versions: Versions of the engine's packages.
     """
@@ -223,13 +176,13 @@ class CheckResult:
     of: Check
     backend: str
     status: Status
+    configuration: str = "default"
     expected: float | None = None
     measured: float | None = None
     width: float | None = None
     diagnosis: str = ""
     missing: tuple[str, ...] = ()
-    wall_s: float = 0.0
-    cpu_s: float | None = None
+    rejects_settings: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
 
@@ -245,7 +198,7 @@ class CheckResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result and the texts of its check, JSON-ready; a number that is not finite becomes null."""
-        texts = ("title", "measures", "law", "source", "unit")
+        texts = ("title", "description", "law", "unit")
         values = {
             "check": self.check,
             "fingerprint": self.of.fingerprint,

@@ -1,30 +1,19 @@
 """Reports of conformance checks: lists of engines and checks, the results of one engine and of several."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from textwrap import shorten
 from typing import Any
 
 from gauge_envs.backends import backend_names, versions_of
 from gauge_envs.errors import GaugeError
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
-from gauge_envs.pages.html import Html, element
-from gauge_envs.pages.page import page
-from gauge_envs.pages.table import Column, Place, Table
-from gauge_envs.pages.text import pairs_text, with_unit
+from gauge_envs.pages.table import Column, Place, Table, grid
+from gauge_envs.pages.text import with_unit
 from gauge_envs.runs.workers import call_engine
-from gauge_envs.tools.conformance.model import (
-    Check,
-    CheckResult,
-    Status,
-    checks as all_checks,
-)
-from gauge_envs.tools.conformance.results import (
-    Change,
-    EngineColumn,
-    counts_text,
-    levels,
-)
+from gauge_envs.tools.conformance.catalog import checks as all_checks
+from gauge_envs.tools.conformance.model import Check, CheckResult, Status
+from gauge_envs.tools.conformance.results import EngineColumn, counts_text, levels
 
 QUERY_LIMIT_S = 60.0
 """Time for which an engine outside this package may answer [s]."""
@@ -36,14 +25,9 @@ SIGNS = {
     Status.ERROR: "✗ error",
 }
 STYLES = {Status.PASS: "green", Status.FAIL: "bold red", Status.ERROR: "bold red"}
-CLASSES = {Status.PASS: "inside", Status.UNSUPPORTED: "unsupported"}
-"""Classes of outcomes on a page; all others are `wrong`."""
 
 MAX_FAILURES = 6
 """Largest number of failures of one engine on a screen, each with its cause."""
-
-MAX_ROWS = 14
-"""Largest number of checks in the table of several engines on a screen."""
 
 
 def backends_table() -> Table:
@@ -61,25 +45,27 @@ def backends_table() -> Table:
         except GaugeError as error:
             rows.append({"name": name, "versions": {}, "error": str(error)})
     engine = Column(
-        "",
-        "engine",
-        lambda row: row["error"] or pairs_text(row["versions"]).replace(" = ", " "),
+        "", "engine", lambda row: row["error"] or versions_text(row["versions"])
     )
     return Table(columns=(Column("name", "backend"), engine), rows=rows)
 
 
-CHECK_TEXTS = ("id", "title", "scene", "measures", "law", "source", "unit")
+def versions_text(versions: dict[str, str]) -> str:
+    """Return versions of packages, as `newton 1.8.0, warp-lang 1.19.0`."""
+    return ", ".join(f"{name} {text}" for name, text in versions.items())
+
+
+CHECK_TEXTS = ("id", "title", "description", "law", "unit")
 
 
 def checks_table(checks: Sequence[Check]) -> Table:
-    """Return the checks with their scenes, measured quantities and laws."""
+    """Return the checks with their descriptions and laws."""
     return Table(
         columns=(
             Column("id", "check"),
             Column("law", "law"),
             Column("unit", "unit", wide_only=True),
-            Column("scene", "scene", place=Place.BELOW),
-            Column("measures", "measures", place=Place.BELOW),
+            Column("description", "description", place=Place.BELOW),
         ),
         rows=[{key: getattr(check, key) for key in CHECK_TEXTS} for check in checks],
     )
@@ -93,42 +79,27 @@ def engine_document(results: Sequence[CheckResult]) -> Document:
 
     The wide form and Markdown have all checks.
     """
-    versions = ", ".join(f"{key} {text}" for key, text in results[0].versions.items())
-    answer = f"{results[0].backend} ({versions}): {counts_text(results)}"
+    answer = f"{results[0].backend} ({versions_text(dict(results[0].versions))}): {counts_text(results)}"
     parts: list[Part] = [Paragraph(answer, Tone.ANSWER)]
     verdicts = ", ".join(f"{level} {text}" for level, text in levels(results).items())
     if verdicts:
         parts.append(Paragraph(f"Levels: {verdicts}."))
     failures = sorted((result for result in results if result.is_bad), key=_urgency)
+    columns = (
+        Column("", "check", lambda result: f"{result.of.title} ({result.check})"),
+        Column("", "expected", expected_text),
+        Column(
+            "",
+            "measured",
+            lambda result: f"{_measured_text(result)} {result.status}".lstrip(),
+            style=lambda result: STYLES.get(result.status, ""),
+        ),
+        Column("", "", _reason, place=Place.BELOW),
+    )
     if failures:
-        columns = (
-            Column("check", "check"),
-            Column(
-                "",
-                "measured",
-                lambda result: _measured_text(result) or result.status.value,
-                style=lambda _: "bold red",
-            ),
-            Column("", "expected", expected_text),
-            Column("", "", _message, place=Place.BELOW),
-        )
         parts.append(Table(columns=columns, rows=failures[:MAX_FAILURES]))
     parts += [Paragraph(note, Tone.NOTE) for note in _notes(results, failures)]
-    everything = Table(
-        columns=(
-            Column("", "check", lambda result: f"{result.of.title} ({result.check})"),
-            Column("", "expected", expected_text),
-            Column(
-                "",
-                "measured",
-                lambda result: f"{_measured_text(result)} {result.status}".lstrip(),
-                style=lambda result: STYLES.get(result.status, ""),
-            ),
-            Column("", "", _reason, place=Place.BELOW),
-        ),
-        rows=results,
-        wide_only=True,
-    )
+    everything = Table(columns=columns, rows=results, wide_only=True)
     rows = (result.to_dict() for result in results)
     return Document(parts=(*parts, everything), rows=rows)
 
@@ -137,18 +108,11 @@ def _urgency(result: CheckResult) -> int:
     """Return the rank of a failure; failures that make other results worthless come first."""
     if result.check == "determinism":
         return 0
-    if result.diagnosis.startswith("not finite"):
-        return 1
-    return 2 if result.status is Status.ERROR else 3
+    return 1 if result.status is Status.ERROR else 2
 
 
 def _reason(result: CheckResult) -> str:
     return "; ".join(result.missing) or result.diagnosis
-
-
-def _message(result: CheckResult) -> str:
-    title = result.of.title
-    return f"{title[:1].upper()}{title[1:]}: {result.diagnosis}"
 
 
 def _notes(
@@ -187,142 +151,31 @@ def _measured_text(result: CheckResult) -> str:
 # --- several engines -------------------------------------------------------------------------------------------------
 
 
-def columns_document(
-    columns: Sequence[EngineColumn], *, is_wide: bool = False
-) -> Document:
-    """Return the results of several engines and configurations: failed checks, counts, and a row for each check.
-
-    Args:
-        columns: Engines and configurations.
-        is_wide: Whether a terminal shows all checks, as Markdown does, instead of the first failed checks.
-    """
-    known = {name for column in columns for name in column.results}
-    rows = [check for check in all_checks() if check.id in known]
-    bad = {
-        result.check
-        for column in columns
-        for result in column.results.values()
-        if result.is_bad
-    }
-    failed = [check for check in rows if check.id in bad]
-    ran = [column for column in columns if column.results]
-    answer = f"{len(failed)} of {len(rows)} checks fail in at least one of {len(ran)} engines"
-    short: list[Part] = [Paragraph(answer, Tone.ANSWER), _columns_table(columns)]
-    full = [*short, _verdicts_table(ran, rows)]
-    if failed:
-        short.append(_verdicts_table(ran, failed[:MAX_ROWS]))
-    if len(failed) > MAX_ROWS:
-        more = f"{len(failed) - MAX_ROWS} more failed checks: see --format wide"
-        short.append(Paragraph(more, Tone.NOTE))
-    return Document(parts=full if is_wide else short, markdown=full)
+def comparison(columns: Sequence[EngineColumn]) -> Table:
+    """Return a column for each engine: counts, levels, and the checks that one of the engines fails."""
+    rows = [["passed", "", *map(_passed, columns)]]
+    verdicts = [levels([*column.results.values()]) for column in columns]
+    for level in verdicts[0]:
+        cells = [of_engine.get(level, "-") for of_engine in verdicts]
+        rows.append([f"level {level}", "", *cells])
+    for check in all_checks():
+        results = [column.results.get(check.id) for column in columns]
+        measured = [result for result in results if result is not None]
+        if any(result.is_bad for result in measured):
+            expected = next(filter(None, map(expected_text, measured)), "")
+            rows.append([check.id, expected, *map(_verdict_text, results)])
+    return grid(["check", "expected", *(column.title for column in columns)], rows)
 
 
-def _columns_table(columns: Sequence[EngineColumn]) -> Table:
-    def counts(column: EngineColumn) -> str:
-        text = counts_text([*column.results.values()])
-        if column.outdated:
-            text += f"; ⚠ {len(column.outdated)} of another version, not counted"
-        return column.reason or text
-
-    return Table(
-        columns=(
-            Column("title", "engine"),
-            Column("", "checks", counts),
-            Column(
-                "", "CPU time", lambda column: f"{column.cpu_s:.3g} s", is_number=True
-            ),
-            Column("settings", "settings", pairs_text, wide_only=True),
-            Column("versions", "versions", pairs_text, wide_only=True),
-        ),
-        rows=columns,
-    )
+def _passed(column: EngineColumn) -> str:
+    statuses = [result.status for result in column.results.values()]
+    ran = len(statuses) - statuses.count(Status.UNSUPPORTED)
+    return f"{statuses.count(Status.PASS)} of {ran}"
 
 
-def _verdicts_table(columns: Sequence[EngineColumn], rows: Sequence[Check]) -> Table:
-    """Return a row for each check and a column for each engine: sign, and the value of a failure."""
-
-    def cell(column: EngineColumn) -> Callable[[Check], str]:
-        return lambda check: verdict_text(column.results.get(check.id))
-
-    def markup(column: EngineColumn) -> Callable[[Check], Html]:
-        def badge_of(check: Check) -> Html:
-            result = column.results.get(check.id)
-            kind = (
-                "unsupported" if result is None else CLASSES.get(result.status, "wrong")
-            )
-            hint = "" if result is None else _reason(result)
-            text = verdict_text(result)
-            return element("span", text, class_=f"badge {kind}", title=hint or None)
-
-        return badge_of
-
-    def expected(check: Check) -> str:
-        results = (column.results.get(check.id) for column in columns)
-        texts = (expected_text(result) for result in results if result)
-        return next(filter(None, texts), "")
-
-    return Table(
-        columns=(
-            Column("id", "check"),
-            Column("", "expected", expected),
-            *(
-                Column("", column.title, cell(column), html=markup(column))
-                for column in columns
-            ),
-        ),
-        rows=rows,
-        look="matrix",
-    )
-
-
-def verdict_text(result: CheckResult | None) -> str:
+def _verdict_text(result: CheckResult | None) -> str:
     """Return the sign of a result, with the value of a failure; `-` if the check did not run."""
     if result is None:
         return "-"
     value = _measured_text(result) if result.status is Status.FAIL else ""
     return f"{SIGNS[result.status]} {value}".rstrip()
-
-
-def changes_table(changes: Iterable[Change]) -> Table:
-    """Return the checks whose result differs from the result of an earlier version of the engine."""
-
-    def text(result: CheckResult) -> str:
-        return f"{SIGNS[result.status]} {_measured_text(result)}".rstrip()
-
-    return Table(
-        columns=(
-            Column("column", "engine"),
-            Column("after.check", "check"),
-            Column("kind", "change"),
-            Column("before", "before", text),
-            Column("after", "now", text),
-            Column("after", "expected", expected_text),
-            Column("after.diagnosis", "", place=Place.BELOW),
-        ),
-        rows=list(changes),
-    )
-
-
-def conformance_page(columns: Sequence[EngineColumn], command: str) -> str:
-    """Return the self-contained page of the results of engines.
-
-    Args:
-        columns: Engines and configurations.
-        command: Command that wrote the page.
-    """
-    checks = {
-        name: result.of for column in columns for name, result in column.results.items()
-    }
-    described = Table(
-        title="Checks",
-        columns=tuple(
-            Column(key, key) for key in (*CHECK_TEXTS, "tolerance.rationale", "cause")
-        ),
-        rows=list(checks.values()),
-    )
-    parts = [
-        *columns_document(columns, is_wide=True).parts,
-        described,
-        element("p", element("code", command)),
-    ]
-    return page("Conformance of physics engines", parts, look="full")

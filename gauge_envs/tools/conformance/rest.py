@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product, repeat
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,7 +33,10 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest_mm
-from gauge_envs.tools.conformance.model import COUNT, Tolerance, check
+from gauge_envs.tools.conformance.model import COUNT, Checks, Level, Tolerance
+
+check = Checks(Level.CONTACT)
+
 
 SCATTER_MM = 0.5
 SCATTER = Tolerance("half the scatter of the real trials", absolute=SCATTER_MM)
@@ -93,71 +97,94 @@ SUPPORTS = {
     "convex solid": SOLIDS["convex solid"],
     "turned solid": _Solid(PRISM, 0.0175, UPSIDE_DOWN, (0.005, 0.0025, -0.0075)),
 }
-Case = tuple[str, str]
-"""A body, and the motion and shape of its support."""
 REST_S, SHIFT_MM = 0.2, 0.2
 FALL_M = 0.5 * G * REST_S**2
 
 
-def _cases() -> list[Case]:
+class _Pair(NamedTuple):
+    """A body on a support: keys of `SOLIDS` and `SUPPORTS`, and the motion of the support."""
+
+    solid: str
+    support: str
+    motion: Motion
+
+    @property
+    def top(self) -> str:
+        """Name of the body."""
+        return f"{self.solid} on {self.motion.value} {self.support}"
+
+    @property
+    def carrier(self) -> str:
+        """Name of its support, unless it is the plane."""
+        return f"{self.motion.value} {self.support} under {self.solid}"
+
+    @property
+    def other(self) -> str:
+        """Name of the body above them, which has no contact."""
+        return f"{self.solid} over {self.motion.value} {self.support}"
+
+
+def _pairs() -> list[_Pair]:
     """Return all pairs; the plane is fixed, the block is free, the other supports are fixed and driven in turn."""
-    cases = []
-    for (i, kind), (j, support) in product(enumerate(SOLIDS), enumerate(SUPPORTS)):
+    pairs = []
+    for (i, solid), (j, support) in product(enumerate(SOLIDS), enumerate(SUPPORTS)):
         motion = (Motion.FIXED, Motion.KINEMATIC)[(i + j) % 2]
         motion = {"plane": Motion.FIXED, "block": Motion.DYNAMIC}.get(support, motion)
-        cases.append((kind, f"{motion.value} {support}"))
-    return cases
+        pairs.append(_Pair(solid, support, motion))
+    return pairs
 
 
-def _heights(cases: Sequence[Case], has_others: bool = False) -> Scene:
+def _heights(pairs: Sequence[_Pair], has_others: bool = False) -> Scene:
     """Return bodies on supports, each pair in a separate column, with or without bodies without contacts above them."""
     bodies, drivers = [ground()], []
     groups: list[tuple[list[str], list[str]]] = [([], ["ground"]), ([], ["ground"])]
     stay = ramp(0.0, start_s=0.0, duration_s=0.1, ramp_s=0.03)
-    for index, (kind, support) in enumerate(cases):
-        motion, what = support.split(" ", 1)
+    for index, pair in enumerate(pairs):
         x, y, z = 0.4 * (index % 8), 0.4 * (index // 8), 0.0
         tops, carriers = groups[index // 2 % 2]
-        if what != "plane":
-            z = 0.0 if motion == Motion.DYNAMIC else 0.5
-            carrier = f"{support} under {kind}"
-            carrier_body = SUPPORTS[what].on(carrier, (x, y, z), 1.0)
-            bodies.append(replace(carrier_body, motion=Motion(motion)))
-            carriers.append(carrier)
-            z += 2.0 * SUPPORTS[what].half_m
-            if motion == Motion.DYNAMIC:
-                tops.append(carrier)
-            if motion == Motion.KINEMATIC:
-                drivers.append(driver(carrier, "translate", (1.0, 0.0, 0.0), stay))
-        tops.append(f"{kind} on {support}")
-        bodies.append(SOLIDS[kind].on(tops[-1], (x, y, z), 0.2))
+        support = SUPPORTS[pair.support]
+        if pair.support != "plane":
+            z = 0.0 if pair.motion is Motion.DYNAMIC else 0.5
+            carrier = support.on(pair.carrier, (x, y, z), 1.0)
+            bodies.append(replace(carrier, motion=pair.motion))
+            carriers.append(pair.carrier)
+            z += 2.0 * support.half_m
+            if pair.motion is Motion.DYNAMIC:
+                tops.append(pair.carrier)
+            if pair.motion is Motion.KINEMATIC:
+                drivers.append(driver(pair.carrier, "translate", (1.0, 0.0, 0.0), stay))
+        tops.append(pair.top)
+        bodies.append(SOLIDS[pair.solid].on(pair.top, (x, y, z), 0.2))
         if has_others:
-            name = f"{kind} over {support}"
-            bodies.append(SOLIDS[kind].on(name, (x, y, z + 0.1), 0.2))
-    pairs = [tuple(map(tuple, group)) for group in groups if group[0]]
+            other = SOLIDS[pair.solid].on(pair.other, (x, y, z + 0.1), 0.2)
+            bodies.append(other)
+    touching = [tuple(map(tuple, group)) for group in groups if group[0]]
     return Scene(
         bodies=tuple(bodies),
         contacts=tuple(
-            contact(*pair[:: 1 - 2 * index], friction=0.5)
-            for index, pair in enumerate(pairs)
+            contact(*names[:: 1 - 2 * index], friction=0.5)
+            for index, names in enumerate(touching)
         ),
         drivers=tuple(drivers),
         duration_s=REST_S,
     )
 
 
-def _rest(lab: Lab) -> list[Recording]:
+def _rest(lab: Lab) -> list[tuple[Sequence[_Pair], Recording]]:
     """Return recordings of all pairs, which are at rest, and of some pairs below bodies without contacts."""
-    cases = lab.buildable(_cases(), _heights)
-    scenes = _heights(cases[::2]), _heights(cases[1::2]), _heights(cases[::7], True)
-    return [lab.rollout(scene) for scene in scenes]
+    pairs = lab.buildable(_pairs(), _heights)
+    even, odd, some = pairs[::2], pairs[1::2], pairs[::7]
+    return [
+        (even, lab.rollout(_heights(even))),
+        (odd, lab.rollout(_heights(odd))),
+        (some, lab.rollout(_heights(some, has_others=True))),
+    ]
 
 
 @check(
     "contact-listed",
     title="listed pairs collide, others pass",
     law="height = const for a listed pair, height = -g t^2 / 2 for others",
-    source="contract (scene.Contact)",
     tolerance=COUNT,
     cause="the collision filter does not follow Scene.contacts: see colliding_pairs",
 )
@@ -168,33 +195,35 @@ def contact_listed(lab: Lab) -> Measurement:
 
     Number of listed pairs that fall by more than half of a free fall within 0.2 s, and of unlisted bodies that fall by
     less than nine tenths of it.
+
+    Source: contract (scene.Contact).
     """
     missing: set[str] = set()
     extra: set[str] = set()
-    for rollout in lab.once(_rest):
+    for pairs, rollout in lab.once(_rest):
+        others = {pair.other for pair in pairs}
         for solid in rollout.scene.dynamic_bodies:
             fall = -float(rollout.displacement(solid.name)[-1, 2]) / FALL_M
-            if " over " not in solid.name and fall > 0.5:
-                missing.add(solid.name)
-            if " over " in solid.name and fall < 0.9:
+            if solid.name in others and fall < 0.9:
                 extra.add(solid.name)
+            if solid.name not in others and fall > 0.5:
+                missing.add(solid.name)
     texts = {
         "listed pairs have no contact, the bodies fall through": missing,
         "bodies without a contact are stopped": extra,
     }
-    hints = [
+    causes = [
         f"{len(names)} {text}: {', '.join(sorted(names)[:4])}"
         for text, names in texts.items()
         if names
     ]
-    return Measurement(measured=len(missing) + len(extra), hint="; ".join(hints))
+    return Measurement(measured=len(missing) + len(extra), cause="; ".join(causes))
 
 
 @check(
     "rest-heights",
     title="every shape rests at its height",
     law="height = const",
-    source="sizes of both shapes (scene.Shape)",
     unit="mm",
     tolerance=Tolerance(
         "a fifth of the real trials' scatter; margins of collision shapes are 0.5 to 40 mm",
@@ -209,18 +238,18 @@ def rest_heights(lab: Lab) -> Measurement:
     and a turned convex solid.
 
     Mean displacement upward 0.14 to 0.2 s after the start, the worst of all pairs that the engine builds.
+
+    Source: sizes of both shapes (scene.Shape).
     """
     errors_mm = {}
-    for rollout in lab.once(_rest):
+    for pairs, rollout in lab.once(_rest):
         last = rollout.between(0.14, REST_S)
-        for solid in rollout.scene.dynamic_bodies:
-            kind, on, support = solid.name.partition(" on ")
-            if on:
-                up_m = rollout.displacement(solid.name)[last, 2]
-                errors_mm[kind, support] = 1e3 * float(up_m.mean())
-    wrong = sorted(errors_mm, key=lambda case: -abs(errors_mm[case]))
+        for pair in pairs:
+            up_m = rollout.displacement(pair.top)[last, 2]
+            errors_mm[pair.top] = 1e3 * float(up_m.mean())
+    wrong = sorted(errors_mm, key=lambda name: -abs(errors_mm[name]))
     count = sum(abs(mm) > SHIFT_MM for mm in errors_mm.values())
-    worst = ", ".join(f"{' on '.join(c)} {errors_mm[c]:.3g} mm" for c in wrong[:4])
+    worst = ", ".join(f"{name} {errors_mm[name]:.3g} mm" for name in wrong[:4])
     hint = f"{count} of {len(wrong)} pairs are off their heights, {worst}"
     return Measurement(measured=errors_mm[wrong[0]], hint=hint)
 
@@ -267,18 +296,18 @@ def _stands(
     down_mm = -1e3 * rollout.displacement(worst)[-1, 2]
     hint = f"{len(moving)} of {len(moved_mm)} boxes move, {worst} moves by {moved_mm[worst]:.3g} mm"
     hint += f", {down_mm:.3g} mm of it downward"
+    cause = ""
     if down_mm > 400.0 * G * rollout.times_s[-1] ** 2:
-        hint += (
-            ": it falls, so contacts are missing; an engine drops those beyond a limit"
+        cause = (
+            "it falls, so contacts are missing; an engine drops those beyond a limit"
         )
-    return Measurement(measured=moved_mm[worst], hint=hint)
+    return Measurement(measured=moved_mm[worst], hint=hint, cause=cause)
 
 
 @check(
     "tower-stands",
     title="tower stands",
     law="r = const",
-    source="statics",
     unit="mm",
     tolerance=SCATTER,
     cause="contacts yield under the weight of many bodies, or a solver ends before the forces of all layers balance",
@@ -287,6 +316,8 @@ def tower_stands(lab: Lab) -> Measurement:
     """A tower of twenty boxes on a plane, as wide as two of them are high.
 
     Largest displacement of a box, or of a point 50 mm from its middle by rotation, 0.8 to 1 s after the start.
+
+    Source: statics.
     """
     places = [(0.0, 0.0, BOX_M[2] * (i + 0.5)) for i in range(20)]
     return _stands(_boxes_at(lab, places, 1.0), 0.8)
@@ -296,7 +327,6 @@ def tower_stands(lab: Lab) -> Measurement:
     "mass-ratio",
     title="heavy body on a light body",
     law="height = const",
-    source="statics: rigid bodies carry any weight",
     unit="mm",
     tolerance=SCATTER,
     cause="contacts of a light body are too soft for the weight on it, or the solver ends before its forces balance",
@@ -306,6 +336,8 @@ def mass_ratio(lab: Lab) -> Measurement:
 
     Largest displacement up or down of a box, or of a point 50 mm from its middle by rotation, 0.2 to 0.3 s after the
     start.
+
+    Source: statics: rigid bodies carry any weight.
     """
     boxes: list[tuple[Vector, float]] = []
     for index, light_kg in enumerate((0.1, 0.1, 1.0)):
@@ -324,7 +356,6 @@ BRICK_M = (0.04, 0.02, 0.015)
     "wall",
     title="wall of many bricks stands",
     law="r = const",
-    source="statics",
     unit="mm",
     tolerance=SCATTER,
     cause="contacts of many bodies are too soft, or exceed a limit of the engine, which drops the rest",
@@ -333,6 +364,8 @@ def wall(lab: Lab) -> Measurement:
     """A wall of 45 loose bricks in running bond on a plane, with some 400 points of contact.
 
     Largest displacement of a brick, or of a point 50 mm from its middle by rotation, within 0.1 s.
+
+    Source: statics.
     """
     length, _, height = BRICK_M
     places = [
@@ -347,7 +380,6 @@ def wall(lab: Lab) -> Measurement:
     "rest-long",
     title="bodies at rest do not creep",
     law="r = const, R = const",
-    source="statics",
     unit="mm",
     tolerance=Tolerance("a fifth of the real trials' scatter", absolute=0.2),
     cause="contacts leave a velocity in each step, as a correction of penetration does",
@@ -356,6 +388,8 @@ def rest_long(lab: Lab) -> Measurement:
     """A box that stands on another box on a plane, 20 mm off its middle.
 
     Largest displacement of a box, or of a point 50 mm from its middle by rotation, within 2.3 s.
+
+    Source: statics.
     """
     places = ((0.0, 0.0, 0.025), (0.02, 0.0, 0.075))
     return _stands(_boxes_at(lab, places, 2.3))

@@ -33,7 +33,10 @@ from gauge_envs.tools.conformance.deformable import (
     worst_law,
 )
 from gauge_envs.tools.conformance.lab import Lab, Measurement, ratio
-from gauge_envs.tools.conformance.model import Tolerance, check
+from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
+
+check = Checks(Level.ROPE)
+
 
 LEVEL_ROD = Pose.from_euler_deg(LEVEL.position_m, (0.0, 90.0, 0.0))
 
@@ -79,6 +82,8 @@ def _rope_start(lab: Lab) -> Measurement:
     """Three ropes and three rods of different lengths, at three places and orientations.
 
     Largest distance of the ends of the nodes from those of the axis, x of a rope and z of a rod; 1 m for a wrong order.
+
+    Source: contract (Simulation.nodes).
     """
     return start_error(lab, _lines(lab))
 
@@ -90,7 +95,6 @@ LENGTHS_M = (0.3, 0.2, 0.25)
     "rope-length",
     title="rope does not stretch",
     law="length = L",
-    source="inextensible (scene.Rope)",
     tolerance=Tolerance("1 % of the length is 0.5 % of the period", relative=0.01),
     cause="distance constraints are too soft, or the rope does not hold the block that it is attached to",
 )
@@ -98,6 +102,8 @@ def _rope_length(lab: Lab) -> Measurement:
     """Three horizontal ropes between a fixed body and a free block at their end, which fall and swing for 0.6 s.
 
     Length along the nodes to the block over that of the scene, at its largest error; the worst.
+
+    Source: inextensible (scene.Rope).
     """
     ratios = {}
     for length_m in LENGTHS_M:
@@ -121,6 +127,8 @@ def _rope_rests_on(lab: Lab) -> Measurement:
     """Three ropes and three rods of r = 4, 6 and 10 mm: on fixed slabs, and on driven ones that stand still.
 
     Mean height of the lowest node over the slab in the last quarter of 1 s, minus the radius; the worst.
+
+    Source: contact (scene.Contact).
     """
     return rest_error(lab, _lines(lab), 1.0)
 
@@ -130,6 +138,8 @@ def _rope_strike(lab: Lab) -> Measurement:
     """Three ropes and three rods of different masses without gravity, each struck across its length by a free block.
 
     Momentum of line and block over that of the block at the start, after the impact; the worst.
+
+    Source: Newton.
     """
     return momentum_ratio(lab, _lines(lab), 1.3)
 
@@ -168,7 +178,6 @@ def rod_stiffness(
     "rod-bending",
     title="rod, bending stiffness",
     law="E I w'' = rho A g (L - s)^2 / 2, I = pi r^4 / 4",
-    source="Euler and Bernoulli",
     tolerance=Tolerance(
         "a mesh's clamp is off by half a segment, 3 % of the length", relative=0.1
     ),
@@ -178,6 +187,8 @@ def _rod_bending(lab: Lab) -> Measurement:
     """Three horizontal rods of 0.15 m, clamped to a frame at rest, which then moves up with 2 m/s; a fifth of gravity.
 
     E I from the mean droop, at rest and on the moving frame, over that of the scene; the worst.
+
+    Source: Euler and Bernoulli.
     """
     rollout = lab.rollout(
         side_by_side([*map(clamped_rod, BENT_RODS)], BENT_S - ROD_SETTLED_S)

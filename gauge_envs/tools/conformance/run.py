@@ -1,11 +1,9 @@
 """Run checks on an engine."""
 
 import math
-import pickle
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import partial
 from typing import Any
 
 from gauge_envs.backends import Backend, backend as find_backend
@@ -13,14 +11,22 @@ from gauge_envs.backends.registry import checked_versions, versions_of
 from gauge_envs.errors import GaugeError
 from gauge_envs.fixtures.recording import NotFiniteError, UnsupportedError, raised_at
 from gauge_envs.runs.workers import CrashError, Worker
-from gauge_envs.tools.conformance.lab import ContractError, Lab
-from gauge_envs.tools.conformance.model import Check, CheckResult, Status, checks
+from gauge_envs.tools.conformance.catalog import checks
+from gauge_envs.tools.conformance.lab import (
+    ContractError,
+    Lab,
+    Measurement,
+    RejectedSettingsError,
+)
+from gauge_envs.tools.conformance.model import Check, CheckResult, Status
+
+Settings = Mapping[str, Any] | None
 
 
 def run_checks(
     backend: Backend | str,
     *,
-    settings: Mapping[str, Any] | None = None,
+    settings: Settings = None,
     only: Sequence[str] = (),
     worker: Worker | None = None,
 ) -> Iterator[CheckResult]:
@@ -39,98 +45,102 @@ def run_checks(
         GaugeError: An engine cannot be imported in the other process, or its `versions` returns no versions.
     """
     chosen = checks(only)
+    run: Callable[[Check], CheckResult]
     if worker is not None and isinstance(backend, str):
-        task = pickle.dumps((backend, settings))
-        try:
-            versions = worker.call(versions_of, backend)
-        except CrashError as error:
-            raise CrashError(
-                f"backend {backend!r} cannot be imported: {error}"
-            ) from None
-        run = lambda check: _run_there(worker, task, check, versions)  # noqa: E731
+        versions = _versions_there(worker, backend)
+        run = partial(_run_there, worker, backend, settings)
     else:
         engine = find_backend(backend) if isinstance(backend, str) else backend
-        versions = checked_versions(engine)
-        lab = Lab(engine, settings)
-        run = lambda check: run_check(lab, check)  # noqa: E731
-    return _results(run, chosen, dict(versions))
+        versions = dict(checked_versions(engine))
+        run = partial(run_check, Lab(engine, settings))
+    return (replace(run(check), versions=versions) for check in chosen)
 
 
-def _results(
-    run: Callable[[Check], CheckResult],
-    chosen: Sequence[Check],
-    versions: Mapping[str, str],
-) -> Iterator[CheckResult]:
-    for check in chosen:
-        started_s = time.perf_counter()
-        result = run(check)
-        wall_s = time.perf_counter() - started_s
-        yield replace(result, versions=versions, wall_s=wall_s)
+# --- in another process ----------------------------------------------------------------------------------------------
+
+
+def _versions_there(worker: Worker, backend: str) -> Mapping[str, str]:
+    """Import an engine in another process, and return its versions."""
+    try:
+        return worker.call(versions_of, backend)
+    except CrashError as error:
+        raise CrashError(f"backend {backend!r} cannot be imported: {error}") from None
 
 
 def _run_there(
-    worker: Worker, task: bytes, check: Check, versions: Mapping[str, str]
+    worker: Worker, backend: str, settings: Settings, check: Check
 ) -> CheckResult:
     """Run a check in another process."""
-    name, _ = pickle.loads(task)
     try:
-        values = worker.call(_run_of_task, task, check.id)
+        return worker.call(_run_here, backend, settings, check)
     except GaugeError as error:  # The process died, or the engine raised an error.
         return CheckResult(
-            of=check, backend=name, status=Status.ERROR, diagnosis=str(error)
+            of=check, backend=backend, status=Status.ERROR, diagnosis=str(error)
         )
-    return CheckResult(of=check, **values)
 
 
-def _run_of_task(task: bytes, name: str) -> dict[str, Any]:
-    """Return the fields of a result except its check, which cannot be pickled."""
-    (check,) = checks([name])
-    result = run_check(_lab_of_task(task), check)
-    return {key: value for key, value in vars(result).items() if key != "of"}
+_labs: list[tuple[str, Settings, Lab]] = []
+"""Labs of this process by engine and settings. They last, so that checks share recordings."""
 
 
-@cache
-def _lab_of_task(task: bytes) -> Lab:
-    """Return a lab that lasts as long as the process, so that checks share recordings."""
-    backend, settings = pickle.loads(task)
-    return Lab(find_backend(backend), settings)
+def _run_here(backend: str, settings: Settings, check: Check) -> CheckResult:
+    """Run a check in the lab of this process."""
+    for name, used, lab in _labs:
+        if (name, used) == (backend, settings):
+            return run_check(lab, check)
+    lab = Lab(find_backend(backend), settings)
+    _labs.append((backend, settings, lab))
+    return run_check(lab, check)
+
+
+# --- one check -------------------------------------------------------------------------------------------------------
 
 
 def run_check(lab: Lab, check: Check) -> CheckResult:
     """Run one check in a lab."""
-    started_s = time.process_time()
     result = CheckResult(of=check, backend=lab.backend.name, status=Status.ERROR)
     try:
         measurement = check.measure(lab)
         lab.check_scenes()
     except UnsupportedError as reason:
-        result = replace(result, status=Status.UNSUPPORTED, missing=reason.missing)
+        result = replace(
+            result,
+            status=Status.UNSUPPORTED,
+            missing=reason.missing,
+            rejects_settings=isinstance(reason, RejectedSettingsError),
+        )
     except KeyboardInterrupt:
         raise
     # Any error of an engine is a result, and the next check may still pass. A panic of Rust is not an `Exception`.
     except BaseException as error:
         result = replace(result, diagnosis=_error_text(error))
     else:
-        expected, measured = float(measurement.expected), float(measurement.measured)
-        width = measurement.width
-        if width is None:
-            width = check.tolerance.width(expected)
-        passed = math.isfinite(measured) and abs(measured - expected) <= width
-        result = replace(
-            result,
-            status=Status.PASS if passed else Status.FAIL,
-            expected=expected,
-            measured=measured,
-            width=width,
-            diagnosis="" if passed else _message(measurement.hint, check.cause),
-        )
-    cpu_s = time.process_time() - started_s
-    return replace(result, cpu_s=cpu_s, settings=lab.effective_settings)
+        result = _judged(result, measurement)
+    return replace(result, settings=lab.effective_settings)
 
 
-def _message(hint: str, cause: str) -> str:
-    """Return the hint of a failure, and the most likely cause if the hint does not explain it."""
-    return hint if ":" in hint else "; ".join(filter(None, (hint, cause)))
+def _judged(result: CheckResult, measurement: Measurement) -> CheckResult:
+    """Return a result with a measurement and its verdict."""
+    expected, measured = float(measurement.expected), float(measurement.measured)
+    width = measurement.width
+    if width is None:
+        width = result.of.tolerance.width(expected)
+    passed = math.isfinite(measured) and abs(measured - expected) <= width
+    return replace(
+        result,
+        status=Status.PASS if passed else Status.FAIL,
+        expected=expected,
+        measured=measured,
+        width=width,
+        diagnosis="" if passed else _diagnosis(measurement, result.of.cause),
+    )
+
+
+def _diagnosis(measurement: Measurement, usual_cause: str) -> str:
+    """Return the meaning of a failure, and its cause: that of the measurement, or the most likely one of the check."""
+    if measurement.cause:
+        return ": ".join(filter(None, (measurement.hint, measurement.cause)))
+    return "; ".join(filter(None, (measurement.hint, usual_cause)))
 
 
 def _error_text(error: BaseException) -> str:

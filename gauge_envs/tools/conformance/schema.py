@@ -1,7 +1,7 @@
 """JSON lines of `gauge backend check`, `gauge list backends` and `gauge list checks`."""
 
 from collections.abc import Mapping
-from typing import Annotated, NotRequired, TypedDict
+from typing import Annotated, TypedDict
 
 from gauge_envs.cli.schemas import Form
 from gauge_envs.tools.conformance.model import CheckResult
@@ -26,16 +26,14 @@ class CheckTexts(TypedDict):
 
     Attributes:
         title: Subject of the check.
-        measures: The measured quantity and the method.
+        description: The scene, the measured quantity, the method, and the source of the law.
         law: Formula of the expected value.
-        source: Origin of the law.
         unit: Unit of the measured value; 1 for a pure number.
     """
 
     title: str
-    measures: str
+    description: str
     law: str
-    source: str
     unit: str
 
 
@@ -44,30 +42,26 @@ class CheckLine(CheckTexts):
 
     Attributes:
         id: Its name.
-        scene: The scene that is built.
     """
 
     id: str
-    scene: str
 
 
-class FindingTexts(CheckTexts):
+class ResultTexts(CheckTexts):
     """Texts of the check of a result.
 
     Attributes:
         rationale: Reason for the width.
-        fingerprint: Digest of the scene, law and tolerance of the check.
+        fingerprint: Digest of the revision, unit and tolerance of the check.
         gauge_envs: Version of gauge-envs.
-        configuration: Solver or preset of the engine; absent for the default.
     """
 
     rationale: str
     fingerprint: str
     gauge_envs: str
-    configuration: NotRequired[str]
 
 
-FindingLine = Annotated[
-    CheckResult, Form(without=("of",), properties=("check",), more=FindingTexts)
+CheckResultLine = Annotated[
+    CheckResult, Form(without=("of",), properties=("check",), more=ResultTexts)
 ]
 """Result of one check on one engine."""

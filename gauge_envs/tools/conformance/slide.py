@@ -31,7 +31,10 @@ from gauge_envs.scene.geometry import vector
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.conformance.drive import CUBE_M, unless_off, worst_friction
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest_mm, ratio
-from gauge_envs.tools.conformance.model import Tolerance, check
+from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
+
+check = Checks(Level.CONTACT)
+
 
 FRICTION = Tolerance(
     "single real slides are 5 to 14 % from the published coefficient; an engine must be well below that",
@@ -57,7 +60,6 @@ PUCKS: dict[str, tuple[float, float, float, float, Shape]] = {
     "pucks-friction",
     title="friction in all directions, at all speeds, in both orders, of all shapes",
     law="a = mu g, in each direction and at each speed",
-    source="Coulomb",
     tolerance=FRICTION,
     cause="friction is not Contact.friction; where some directions are right, it is a pyramid in place of a cone (0.71 "
     "or 1.41 times), or depends on speed, shape or the order of the pair",
@@ -66,6 +68,8 @@ def pucks_friction(lab: Lab) -> Measurement:
     """Six flat boxes and a ball without spin that slide on a fixed, level slab, which is turned by 25 degrees.
 
     Deceleration over mu g, quadratic fit over 0.4 s, the worst of them; a ball slides until its speed is 5/7.
+
+    Source: Coulomb.
     """
     bodies = [
         fixed_box(
@@ -156,7 +160,6 @@ def _boxes(lab: Lab) -> Recording:
     "hold",
     title="friction holds",
     law="r = const if tan(slope) < mu",
-    source="Coulomb",
     unit="mm",
     tolerance=Tolerance(
         "real cubes that hold scatter by 0.6 mm; creep must be small beside it",
@@ -168,15 +171,17 @@ def hold(lab: Lab) -> Measurement:
     """Boxes on fixed boards: two with friction 0.25 on 10 degrees (tan = 0.18), one with 1.2 on 47.5 degrees (1.09).
 
     Largest displacement of a box within 0.3 s.
+
+    Source: Coulomb.
     """
     rollout = lab.once(_boxes).cut(0.0, 0.3)
     moved_mm = {name: largest_mm(rollout.displacement(name)) for name in HOLDING}
     worst = max(moved_mm, key=lambda name: moved_mm[name])
-    hint = f"the {worst} moves by {moved_mm[worst]:.3g} mm"
+    hint, cause = f"the {worst} moves by {moved_mm[worst]:.3g} mm", ""
     # After half the time a body that slides is at a quarter, and one that creeps at a half.
     if largest_mm(rollout.displacement(worst)[:28]) < 0.35 * moved_mm[worst]:
-        hint += ": it slides, so that its friction is less than that of the pair"
-    measurement = Measurement(measured=moved_mm[worst], hint=hint)
+        cause = "it slides, so that its friction is less than that of the pair"
+    measurement = Measurement(measured=moved_mm[worst], hint=hint, cause=cause)
     return unless_off(measurement, rollout, {worst: HOLDING[worst][1]})
 
 
@@ -193,7 +198,6 @@ def _frictions(rollout: Recording, names: Iterable[str]) -> Measurement:
     "slide",
     title="slides on 30 degrees",
     law="a = g (sin 30 - mu cos 30)",
-    source="Coulomb; contract (Contact.friction is the pair's)",
     tolerance=FRICTION,
     cause="check how the friction of two surfaces is combined, the friction cone, and regularized friction",
 )
@@ -201,6 +205,8 @@ def slide(lab: Lab) -> Measurement:
     """Cubes with frictions of 0.1 to 0.3 on two fixed boards of 30 degrees; four have their rear face at a board's end.
 
     Friction from the acceleration downhill over that of the pair, quadratic fit over 0.5 s; the worst of the cubes.
+
+    Source: Coulomb; contract (Contact.friction is the pair's).
     """
     return _frictions(lab.once(_boxes), SLIDING)
 
@@ -209,7 +215,6 @@ def slide(lab: Lab) -> Measurement:
     "slide-between",
     title="friction between two moving bodies",
     law="mu = (g sin 30 - a) / (g cos 30)",
-    source="Coulomb",
     tolerance=FRICTION,
     cause="where slide passes: check the friction of a pair of two dynamic bodies",
 )
@@ -217,6 +222,8 @@ def slide_between(lab: Lab) -> Measurement:
     """A cube with friction 0.1 on a slab of 1 kg, which slides with friction 0.3 down a fixed board of 30 degrees.
 
     Friction of the cube over that of the pair, from its acceleration downhill by a quadratic fit over 0.5 s.
+
+    Source: Coulomb.
     """
     return _frictions(lab.once(_boxes), ["cube on the slab"])
 
@@ -230,7 +237,6 @@ SPIN_RAD_PER_S = 20.0
     "spin-on-point",
     title="a point does not resist spin",
     law="omega = const: a point has no friction torque",
-    source="Coulomb; contract (scene.Contact)",
     unit="rad/s",
     tolerance=Tolerance("as for a slide", absolute=0.2),
     cause="torsional friction or angular damping is not 0",
@@ -239,6 +245,8 @@ def spin_on_point(lab: Lab) -> Measurement:
     """A ball that spins about the vertical with 20 rad/s on a plane, with friction 0.5.
 
     Angular velocity about the vertical after 0.5 s.
+
+    Source: Coulomb; contract (scene.Contact).
     """
     rollout = lab.rollout(turning_scene(0.5, 0.0, (0.0, 0.0, SPIN_RAD_PER_S)))
     measured = float(rollout.angular_velocity("ball")[-1, 2])
@@ -257,7 +265,6 @@ ROLLERS: dict[str, tuple[Shape, float]] = {
     "roll-ball",
     title="ball and cylinder roll without rolling friction",
     law="a = 5/7 g sin(slope), 2/3 g sin(slope)",
-    source="rolling without slip; contract (Contact.friction is no rolling friction)",
     tolerance=Tolerance(
         "as for a slide; a rolling friction of 0.01 takes 10 %", absolute=0.01
     ),
@@ -267,6 +274,8 @@ def roll_ball(lab: Lab) -> Measurement:
     """A ball and a cylinder of 0.1 kg and radius 30 mm on a fixed plane that leans by 3.6 degrees about a diagonal.
 
     Acceleration downhill over that of the law, quadratic fit from 0.1 to 0.6 s; the worse of both.
+
+    Source: rolling without slip; contract (Contact.friction is no rolling friction).
     """
     slope = Slope.of(LEANING)
     # A cylinder lies across the slope.
@@ -290,7 +299,6 @@ def roll_ball(lab: Lab) -> Measurement:
     "torsion",
     title="torsional and rolling friction",
     law="2/5 m r^2 omega' = -m g torsion; 7/5 m r^2 omega' = -m g rolling",
-    source="contract (Contact.torsion_m, Contact.rolling_m)",
     tolerance=Tolerance("as for a slide", absolute=0.01),
     cause="check the unit (a length, or a share of the friction), and that contacts resist spin and rolling",
     optional=True,
@@ -299,6 +307,8 @@ def torsion(lab: Lab) -> Measurement:
     """A ball that spins at 20 rad/s with a torsional friction of 0.2 mm; one that rolls at 0.3 m/s with 1 mm of it.
 
     Torque over the normal force from the loss of spin, linear fit over 0.5 s, over that length; the worse one.
+
+    Source: contract (Contact.torsion_m, Contact.rolling_m).
     """
     cases = {
         "torsion_m": (2e-4, SPIN, 0.0, (0.0, 0.0, SPIN_RAD_PER_S)),

@@ -211,7 +211,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         self.experiment = replace(experiment, scene=scene, frame_count=self.steps + 1)
         self.gravity_m_per_s2 = scene.gravity_m_per_s2
         self._initial_states = InitialStates(self.experiment, jitter)
-        self.rollout = self.arguments.rollout([self.experiment], [None])
+        self.rollout = self.arguments.rollout([self.experiment])
         self.simulation = self.rollout.simulation
         self._frame: int | None = None
         self._ending: Ending | None = None
@@ -423,7 +423,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """Return a picture of the scene in the form of the render mode; None without one, and with a window."""
         if self.render_mode is None:
             return None
-        return rollout_picture(self._pictures, self.rollout)
+        return rollout_picture(self._pictures, self.rollout, [None])
 
 
 # --- episodes of policies ---

@@ -102,7 +102,7 @@ class FlingLimit(ControlEnv):
 
     def _seen_m(self) -> FloatArray:
         """Return y and z of centre and lines relative to the rod [m], shape [1 + line_count, 2]."""
-        (nodes_m,) = self.rollout.nodes_m().values()
+        (nodes_m,) = self.rollout.recording.nodes_m().values()
         return (self._weights @ nodes_m)[:, 1:] - [self._stage.offset[0], 0.0]
 
     def _after_interval(self) -> Ending | None:

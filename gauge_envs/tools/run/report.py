@@ -26,8 +26,8 @@ from gauge_envs.pages.text import (
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.scoring.estimates import Measured
-from gauge_envs.scoring.score import OVER_U, Score
+from gauge_envs.scoring.estimates import ComparedQuantity
+from gauge_envs.scoring.score import OVER_U, Score, ScoreVerdict
 from gauge_envs.tools.run.plan import PlannedRun, episode_count
 
 MAX_EXPLAINED = 5
@@ -59,7 +59,6 @@ COLUMNS = (
 PHRASES = {
     "friction": "slides as with friction {}",
     "restitution": "rebounds with restitution {}",
-    "period": "swings in {}",
     "pd": "swings in {}",
     "frequency": "swings at {}",
     "swing_frequency_hz": "swings at {}",
@@ -166,7 +165,7 @@ def motion_text(score: Score) -> str | None:
     return f"{text}; {owner} {_real_text(quantity)}"
 
 
-def _deviation(quantity: Measured) -> float:
+def _deviation(quantity: ComparedQuantity) -> float:
     """Return the deviation from the real value, divided by its standard uncertainty; 0 if unknown."""
     if quantity.real is None or not quantity.real_uncertainty:
         return 0.0
@@ -175,7 +174,7 @@ def _deviation(quantity: Measured) -> float:
     return abs(quantity.value - quantity.real) / quantity.real_uncertainty
 
 
-def _real_text(quantity: Measured) -> str:
+def _real_text(quantity: ComparedQuantity) -> str:
     """Return the real value with its standard uncertainty."""
     text = digits_text(quantity.real)
     if quantity.real_uncertainty:
@@ -190,7 +189,7 @@ def cause_text(score: Score) -> str | None:
         return None
     if abs(engine - exact) <= EQUAL_SHARE * max(engine, exact, 1.0):
         cause = "the constants, not the engine"
-        if score.verdict == "inside":
+        if score.verdict is ScoreVerdict.INSIDE:
             cause = "the engine agrees with the exact solution"
     elif engine > exact:
         cause = "the engine differs from an exact solution"

@@ -10,13 +10,10 @@ from gauge_envs.files import os_errors
 from gauge_envs.pages.document import Paragraph, Part, Tone, save_file
 from gauge_envs.pages.figures import color_of
 from gauge_envs.pages.html import Html, element, script_value, slug
-from gauge_envs.pages.page import stylesheet
 from gauge_envs.runs.result import Result
 from gauge_envs.tools.compare import ExperimentComparison, compare
-from gauge_envs.tools.site.experiment_page import experiment_page
-from gauge_envs.tools.site.model import Site, first_results, page_file
-from gauge_envs.tools.site.overview import overview_page
-from gauge_envs.tools.site.replay import replay_data
+from gauge_envs.tools.site.motion_view import motion_view_data
+from gauge_envs.tools.site.pages import Site, experiment_page, overview_page, page_file
 
 MARK = "gauge-report-site.txt"
 """File that marks a folder as a site; a later site may replace it."""
@@ -35,26 +32,27 @@ def save_site(
     results: Mapping[Path, Result],
     out: Path,
     *,
-    replays: bool = True,
+    motion_views: bool = True,
     command: str = "gauge report",
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[str, ...]:
-    """Write the site of results into a folder: an overview, a page for each experiment, and replays.
+    """Write the site of results into a folder: an overview, a page for each experiment, and 3D views of the motions.
 
     The pages are written to a temporary folder that then replaces the folder, so an interruption keeps the old site.
 
     Args:
         results: Result files and their contents, one or more.
         out: Folder of the site. It must be new, empty, or a site.
-        replays: Whether to run the episodes again for their poses; see `gauge_envs.tools.site.replay`.
+        motion_views: Whether to run the episodes again for their poses; see `gauge_envs.tools.site.motion_view`.
         command: Command of the site, shown on its first page.
         progress: Receives the name of each experiment before its page is written.
 
     Returns:
-        A sentence for each configuration without a replay in an experiment, as on the page.
+        A sentence for each configuration without a 3D view in an experiment, as on the page.
 
     Raises:
         ResultFileError: There is no result, or the folder has other content or cannot be written.
+        MissingExtraError: Matplotlib is not installed.
     """
     if not results:
         raise ResultFileError("no result is left to report; gauge run writes them")
@@ -70,11 +68,15 @@ def save_site(
         with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as folder:
             new = Path(folder) / "new"
             copytree(ASSETS, new / "assets")
-            save_file(new / "assets" / "site.css", stylesheet())
             save_file(new / MARK, MARK_TEXT)
             for experiment in site.comparison.experiments:
                 progress(experiment.name)
-                notes += _save_experiment(site, experiment, new, replays=replays)
+                views: list[Part] = []
+                if motion_views:
+                    views, missing = _save_motion_views(site, experiment, new)
+                    notes += missing
+                page = experiment_page(site, experiment, views)
+                save_file(new / page_file(experiment), page)
             save_file(new / "index.html", overview_page(site))
             if out.exists():
                 out.replace(Path(folder) / "old")
@@ -96,32 +98,40 @@ def check_replaceable(out: Path) -> None:
             )
 
 
-def _save_experiment(
-    site: Site, experiment: ExperimentComparison, out: Path, *, replays: bool
-) -> list[str]:
-    """Write the page of an experiment and its replays; return the reasons for missing replays."""
+def _save_motion_views(
+    site: Site, experiment: ExperimentComparison, out: Path
+) -> tuple[list[Part], list[str]]:
+    """Write the data of the 3D views of an experiment.
+
+    Returns:
+        The parts of its page, and the reasons for missing views.
+    """
     entries: list[dict[str, str]] = []
-    ghosts, notes = [], []
-    for index, result in first_results(experiment).items() if replays else ():
-        label, (color, _) = site.labels[index], color_of(index)
-        try:
-            data = replay_data(result)
-        except GaugeError as error:
-            notes.append(f"{label} has no replay: {error}.")
+    ghosts: list[str] = []
+    missing: list[str] = []
+    for index, cell in experiment.present:
+        ran = [result for result in cell.results if result.error is None]
+        if not ran:
             continue
-        ghosts += [data["ghost"]["text"]] if data["ghost"] else []
+        label = site.comparison.labels[index]
+        try:
+            data = motion_view_data(ran[0])
+        except GaugeError as error:
+            missing.append(f"{label} has no 3D view: {error}.")
+            continue
+        if data["ghost"] is not None:
+            ghosts.append(data["ghost"]["text"])
         key = f"{slug(experiment.name)}.{index}-{slug(label)}"
-        call = f"gaugeReplay({script_value(key)},{script_value(data)});\n"
+        call = f"gaugeMotionView({script_value(key)},{script_value(data)});\n"
         save_file(out / "data" / f"{key}.js", call)
+        color, _ = color_of(index)
         entries.append({"key": key, "label": label, "color": color})
     parts: list[Part] = []
     if entries:
         # The script draws pictures into the element.
         stage = Html((ASSETS / "stage.html").read_text(encoding="utf-8"))
-        data_replays = script_value(entries)
-        parts.append(element("div", stage, class_="replay", data_replays=data_replays))
+        data_views = script_value(entries)
+        parts.append(element("div", stage, class_="motion-view", data_views=data_views))
         parts.append(Paragraph(" ".join([HELP, *ghosts[:1]]), Tone.NOTE))
-    parts += [Paragraph(note, Tone.WARNING) for note in notes]
-    page = experiment_page(site, experiment, parts)
-    save_file(out / page_file(experiment), page)
-    return notes
+    parts += [Paragraph(reason, Tone.WARNING) for reason in missing]
+    return parts, missing

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import shlex
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Progress, echo, message
 from gauge_envs.cli.results import loaded_results
+from gauge_envs.optional import needs_extra
 from gauge_envs.pages.text import counted
 
 
@@ -19,18 +21,18 @@ def report(
     out: Annotated[
         Path, arguments.folder("Folder for the site; a site in it is replaced.")
     ] = Path("site"),
-    replay: Annotated[
+    motion_view: Annotated[
         bool,
         arguments.option(
             arguments.OUTPUT,
-            "3D replays.",
-            "--replay/--no-replay",
+            "3D views of the motions.",
+            "--motion-view/--no-motion-view",
         ),
     ] = True,
 ) -> bool:
-    """Write results as a static site: engines, phenomena, curves, errors and 3D replays.
+    """Write results as a static site: figures and tables of scores, and 3D views of the motions.
 
-    Open index.html from the folder. A replay runs the episode again, with the versions of the result. Exit code 1: a
+    Open index.html from the folder. A 3D view runs the episode again, with the versions of the result. Exit code 1: a
     file was skipped because it is damaged or of another revision of its experiment.
     """
     from gauge_envs.tools.site import save_site
@@ -38,17 +40,19 @@ def report(
 
     # Check before the runs, which may take minutes.
     check_replaceable(out)
+    with needs_extra("gauge report", "plot"):
+        import_module("matplotlib")
     results, skipped = loaded_results(sources, with_scene=True, corrected=corrected)
     with Progress("pages", len({result.id for result in results.values()})) as progress:
         notes = save_site(
             results,
             out,
-            replays=replay,
+            motion_views=motion_view,
             command=shlex.join(["gauge", *sys.argv[1:]]),
             progress=progress.advance,
         )
     if notes:
-        missing = counted(len(notes), "replay")
+        missing = counted(len(notes), "3D view")
         message(f"{missing} missing; the pages give the reasons", "warning")
     message(counted(len(results), "result"))
     echo(out / "index.html")

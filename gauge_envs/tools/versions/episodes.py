@@ -9,7 +9,7 @@ from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import RecordedTrajectory, Result
 from gauge_envs.runs.result_file import parse_result
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.compare import Comparison as ScoreComparison, compare
+from gauge_envs.tools.compare import ScoreComparison, compare
 from gauge_envs.tools.versions.comparison import MIN_LIMIT, NOISE_FACTOR
 from gauge_envs.tools.versions.environments import work
 from gauge_envs.tools.versions.schema import (

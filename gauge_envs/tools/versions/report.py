@@ -7,7 +7,7 @@ from typing import Any
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import counted, quantity_text, value_text
-from gauge_envs.tools.compare import Comparison as ScoreComparison, short_tables
+from gauge_envs.tools.compare import ScoreComparison, short_tables
 from gauge_envs.tools.versions.schema import (
     Comparison,
     MotionComparison,

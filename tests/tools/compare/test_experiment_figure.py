@@ -6,13 +6,17 @@ from matplotlib.colors import to_hex
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.pages.figures import OURS
-from gauge_envs.pages.text import QUESTIONS
 from gauge_envs.references.kind import Kind
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.scoring.score import Score
-from gauge_envs.tools.compare.experiment_figure import draw_experiment, save_figures
+from gauge_envs.tools.compare.experiment_figure import (
+    VALIDATION,
+    VERIFICATION,
+    draw_experiment,
+    save_figures,
+)
 
 
 def drifting(name, *, speed=1.0, refused=None, **changes):
@@ -63,7 +67,7 @@ def test_the_curve_of_a_result_is_its_distance(name, tmp_path):
     figure = draw_experiment([result])
     assert figure.get_figheight() * 120 <= 1600
     is_solution = name == "Turntable-1-wood"
-    question = QUESTIONS["verification" if is_solution else "validation"]
+    question = VERIFICATION if is_solution else VALIDATION
     assert question in figure.get_suptitle()
     (curve,) = curves_of(figure)
     root_mean_square = np.sqrt(np.nanmean(np.square(curve)))

@@ -9,6 +9,7 @@ from faults import FAULTS, Fault, Faulty, Planted
 
 from gauge_envs.backends import Repeatability, Support, backend
 from gauge_envs.errors import BackendError, UnknownNameError
+from gauge_envs.scene import Box, Motion
 from gauge_envs.tools.conformance import Status, checks, run_checks
 from gauge_envs.tools.conformance.results import levels
 
@@ -42,14 +43,13 @@ def test_a_check_names_the_mistake(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FAULTS)
 def test_no_earlier_check_fails(name):
-    ids = [check.id for check in checks()]
-    earlier = ids[: ids.index(FAULTS[name].caught_by)]
-    if earlier:
-        assert [
-            result.check
-            for result in run_checks(planted(name), only=earlier)
-            if result.is_bad
-        ] == []
+    """Checks run in their order, so that the first failure is the cause of those after it."""
+    caught_by = FAULTS[name].caught_by
+    for result in run_checks(planted(name)):
+        if result.is_bad:
+            assert result.check == caught_by
+            return
+    pytest.fail("no check fails")
 
 
 class OtherSign(Planted):
@@ -190,3 +190,58 @@ def test_a_level_passes_where_each_check_passes_that_is_not_optional():
         changed = {**passed, name: replace(passed[name], status=status)}
         level = passed[name].of.level
         assert levels([*changed.values()])[level].startswith(verdict)
+
+
+def test_each_check_has_an_id_of_its_own_and_a_description():
+    ids = [check.id for check in checks()]
+    assert len(set(ids)) == len(ids)
+    assert [check.id for check in checks() if not check.description] == []
+
+
+def test_texts_do_not_change_a_fingerprint_but_numbers_and_revisions_do():
+    (check,) = checks(["slide"])
+    prose = {"title": "", "description": "", "law": "", "cause": ""}
+    wider = replace(check.tolerance, absolute=0.02)
+    reason = replace(check.tolerance, rationale="")
+    assert replace(check, tolerance=reason, **prose).fingerprint == check.fingerprint
+    for changed in ({"tolerance": wider}, {"unit": "mm"}, {"revision": 2}):
+        assert replace(check, **changed).fingerprint != check.fingerprint
+
+
+class NoContact(Faulty):
+    """Leaves the pairs of driven bodies out."""
+
+    def build(self, scene, settings=None):
+        driven = {driver.body for driver in scene.drivers}
+        kept = [
+            contact
+            for contact in scene.contacts
+            if driven.isdisjoint((*contact.first, *contact.second))
+        ]
+        return super().build(replace(scene, contacts=tuple(kept)), settings)
+
+
+class SmallerPlates(Faulty):
+    """Builds driven bodies 10 mm thinner, on which bodies settle."""
+
+    def build(self, scene, settings=None):
+        bodies = []
+        for body in scene.bodies:
+            if body.motion is Motion.KINEMATIC and isinstance(body.shape, Box):
+                x, y, z = body.shape.size_m
+                body = replace(body, shape=Box(size_m=(x, y, 0.5 * z)))
+            bodies.append(body)
+        return super().build(replace(scene, bodies=tuple(bodies)), settings)
+
+
+@pytest.mark.parametrize(
+    ("engine", "hint"),
+    [
+        (NoContact, "falls through the plate at 2 mm/s: the pair has no contact"),
+        (SmallerPlates, "leaves the plate at 2 mm/s: one of them has another size"),
+    ],
+)
+def test_a_body_that_falls_is_told_from_one_that_settles(engine, hint):
+    """A free fall of 0.9 s is 4 m, and a plate that is 10 mm thinner lets a cube settle by 5 mm."""
+    (result,) = run_checks(engine(MUJOCO, Fault()), only=["driven-slow"])
+    assert hint in result.diagnosis

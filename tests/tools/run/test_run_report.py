@@ -7,7 +7,7 @@ from rich.console import Console
 
 from gauge_envs.pages.terminal import Terminal
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.scoring.estimates import Measured
+from gauge_envs.scoring.estimates import ComparedQuantity
 from gauge_envs.scoring.score import Score
 from gauge_envs.tools.run.report import cause_text, motion_text, summary_document
 
@@ -23,7 +23,7 @@ SLIDE = Score(
     rmse_aligned_normalized=4.95,
     percentile=100.0,
     estimates={
-        "friction": Measured(
+        "friction": ComparedQuantity(
             value=0.27318, unit="1", real=0.25702, real_uncertainty=0.0061
         )
     },
@@ -36,9 +36,9 @@ SWING = Score(
     rmse=86.3,
     over_uncertainty=6.1,
     events={
-        "pd": Measured(value=1.23, unit="s", real=1.14, real_uncertainty=0.015),
-        "el": Measured(value=0.0, unit="1", real=0.0),
-        "turning_ratio": Measured(
+        "pd": ComparedQuantity(value=1.23, unit="s", real=1.14, real_uncertainty=0.015),
+        "el": ComparedQuantity(value=0.0, unit="1", real=0.0),
+        "turning_ratio": ComparedQuantity(
             value=1.0, unit="1", real=0.925, real_uncertainty=0.034
         ),
     },
@@ -71,17 +71,19 @@ def test_the_summary_shows_the_quantity_farthest_from_reality(score, text):
 
 
 def test_the_summary_shows_events_of_recordings_and_missing_events():
-    swing = Measured(value=2.5, unit="Hz", real=1.68, real_uncertainty=0.08)
+    swing = ComparedQuantity(value=2.5, unit="Hz", real=1.68, real_uncertainty=0.08)
     score = replace(NONE, events={"swing_frequency_hz": swing})
     assert motion_text(score) == "swings at 2.5 Hz; the recording 1.68 +- 0.08 Hz"
-    absent = Measured(value=None, unit="mm", real=9.8, real_uncertainty=3.9)
+    absent = ComparedQuantity(value=None, unit="mm", real=9.8, real_uncertainty=3.9)
     score = replace(NONE, events={**SWING.events, "cube_lag_mm": absent})
     assert motion_text(score) == "cube lag does not happen; the recording 9.8 +- 3.9 mm"
-    droop = Measured(value=15.084, unit="mm", real=16.158, real_uncertainty=0.009)
+    droop = ComparedQuantity(
+        value=15.084, unit="mm", real=16.158, real_uncertainty=0.009
+    )
     score = replace(NONE, estimates={"droop": droop})
     text = "droops by 15.1 mm; real trials 16.2 +- 0.009 mm"
     assert motion_text(score) == text
-    alone = Measured(value=0.387, unit="1", uncertainty=1e-4)
+    alone = ComparedQuantity(value=0.387, unit="1", uncertainty=1e-4)
     score = replace(NONE, estimates={"friction": alone})
     assert motion_text(score) == "slides as with friction 0.387"
 

@@ -16,7 +16,7 @@ from gauge_envs.runs.result_file import load_result, recorded_experiment
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.site import save_site
-from gauge_envs.tools.site.replay import replay, replay_data
+from gauge_envs.tools.site.motion_view import motion_view, motion_view_data
 
 SLIDE = "SlopeSlider-2-wood"
 SETTINGS = {"timestep_s": 1 / 900}
@@ -97,7 +97,7 @@ def test_links_lead_to_files_of_the_site_and_pages_load_nothing_else(site):
         assert Page(page).links
         for link in Page(page).links:
             assert (site / link).is_file(), f"{page.name}: {link}"
-    for file in (*pages, site / "assets" / "site.css", site / "assets" / "replay.js"):
+    for file in (*pages, site / "assets" / "motion_view.js"):
         text = re.sub(r"base64,[^\"]*", "", file.read_text())
         assert not re.search(r"https?://|//[a-z]+\.[a-z]|@import|url\(", text)
 
@@ -109,9 +109,9 @@ def test_configurations_with_the_same_constants_are_ranked(is_same, tmp_path, sl
     changes = same if is_same else {"parameters": {"cube.friction": 0.05}}
     rerun = run_episode(RunRequest(SLIDE, **changes))
     files = {tmp_path / "a.json": slide, tmp_path / "b.json": rerun}
-    save_site(files, tmp_path / "site", replays=False)
-    overview = Page(tmp_path / "site" / "index.html").text
-    assert ("1.5 [1.0, 2.0] of 2" in overview) == is_same
+    save_site(files, tmp_path / "site", motion_views=False)
+    page = Page(tmp_path / "site" / f"experiment-{SLIDE}.html").text
+    assert ("1.5 [1.0, 2.0]" in page) == is_same
 
 
 def test_texts_of_a_result_file_are_escaped(slide, tmp_path):
@@ -124,7 +124,7 @@ def test_texts_of_a_result_file_are_escaped(slide, tmp_path):
         score=replace(slide.score, unit=script),
     )
     out = tmp_path / "site"
-    save_site({tmp_path / "a.json": hostile}, out, replays=False, command=script)
+    save_site({tmp_path / "a.json": hostile}, out, motion_views=False, command=script)
     for file in out.glob("*.html"):
         assert "script" not in dict(Page(file).elements)
     assert script in Page(out / "index.html").text
@@ -136,15 +136,15 @@ def test_texts_of_a_result_file_are_escaped(slide, tmp_path):
 def test_a_folder_with_other_content_is_rejected(results, tmp_path):
     (tmp_path / "thesis.txt").write_text("mine")
     with pytest.raises(ResultFileError, match="not a site of gauge report"):
-        save_site(results, tmp_path, replays=False)
+        save_site(results, tmp_path, motion_views=False)
     assert (tmp_path / "thesis.txt").read_text() == "mine"
 
 
 def test_only_a_complete_site_replaces_the_old_site(results, tmp_path):
     out = tmp_path / "site"
-    save_site(results, out, replays=False)
+    save_site(results, out, motion_views=False)
     file = next(iter(results))
-    save_site({file: results[file]}, out, replays=False)
+    save_site({file: results[file]}, out, motion_views=False)
     pages = sorted(out.rglob("*"))
     assert len(list(out.glob("experiment-*.html"))) == 1
 
@@ -153,12 +153,12 @@ def test_only_a_complete_site_replaces_the_old_site(results, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        save_site(results, out, replays=False, progress=interrupt)
+        save_site(results, out, motion_views=False, progress=interrupt)
     assert sorted(out.rglob("*")) == pages
     assert [path.name for path in tmp_path.iterdir()] == ["site"]
 
 
-# --- replays ---
+# --- 3D views ---
 
 
 @pytest.mark.parametrize(
@@ -169,9 +169,9 @@ def test_only_a_complete_site_replaces_the_old_site(results, tmp_path):
         ({"asset": {"file": "slide.xml", "kind": "model"}}, r"slide\.xml"),
     ],
 )
-def test_a_run_that_cannot_be_repeated_has_no_replay(changes, message, slide):
+def test_a_run_that_cannot_be_repeated_has_no_3d_view(changes, message, slide):
     with pytest.raises(GaugeError, match=message):
-        replay(replace(slide, **changes))
+        motion_view(replace(slide, **changes))
 
 
 def unpacked(packed):
@@ -179,11 +179,11 @@ def unpacked(packed):
 
 
 def test_the_data_have_the_slope_of_the_cube_and_real_values_as_ghost(slide):
-    data = replay_data(slide)
+    data = motion_view_data(slide)
     cosine = unpacked(data["turns"])[3]
     assert np.degrees(2.0 * np.arccos(abs(cosine))) == pytest.approx(30.0, abs=0.1)
     places_mm = 1e3 * unpacked(data["positions"]).reshape(-1, 3)
-    # The result has 180 samples per second, and the replay has 60 views per second.
+    # The result has 180 samples per second, and the 3D view has 60 views per second.
     assert data["rate"] == 60.0
     _, values = slide.trajectory.arrays()
     np.testing.assert_allclose(places_mm, values[::3], atol=0.02)
@@ -195,8 +195,8 @@ def test_the_data_have_the_slope_of_the_cube_and_real_values_as_ghost(slide):
     np.testing.assert_allclose((places_mm - places_mm[0]) @ across.T, 0.0, atol=1e-6)
 
 
-def test_a_replay_has_the_initial_state_of_its_repeat():
+def test_a_3d_view_has_the_initial_state_of_its_repeat():
     noise = Jitter(position_m=0.0015, angle_rad=0.01)
     for result in run_many([RunRequest(SLIDE, repeats=2, seed=1, jitter=noise)]):
-        start_mm = 1e3 * replay(result).poses[0, 0, :3]
+        start_mm = 1e3 * motion_view(result).poses[0, 0, :3]
         np.testing.assert_allclose(start_mm, result.trajectory.samples[0], atol=1e-9)

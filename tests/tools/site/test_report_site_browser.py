@@ -1,4 +1,4 @@
-"""In a browser, every page opens from its folder without a message and draws its replays."""
+"""In a browser, every page opens from its folder without a message and draws its 3D views."""
 
 import re
 import shutil

@@ -14,7 +14,7 @@ from gauge_envs import (
     variants,
 )
 from gauge_envs.errors import ShapeError
-from gauge_envs.scoring.likely_mistakes import (
+from gauge_envs.scoring.user_file.likely_mistakes import (
     start_values,
     value_mistake,
 )

@@ -1,6 +1,6 @@
-// 3D replays of recorded poses, side by side. It needs the global THREE of three.min.js.
+// 3D views of recorded poses, side by side. It needs the global THREE of three.min.js.
 //
-// Pages in a folder load neither modules nor JSON. So each replay is a script that hands its data to `gaugeReplay`.
+// Pages in a folder load neither modules nor JSON. So the data of each view are a script that hands them to `gaugeMotionView`.
 "use strict";
 
 (function () {
@@ -9,7 +9,7 @@
   const rotation = new THREE.Quaternion();
   const waiting = {};
 
-  window.gaugeReplay = (key, data) => waiting[key](data);
+  window.gaugeMotionView = (key, data) => waiting[key](data);
 
   // --- data ---
 
@@ -233,7 +233,7 @@
   // --- page ---
 
   function begin(root) {
-    const entries = JSON.parse(root.dataset.replays);
+    const entries = JSON.parse(root.dataset.views);
     const stage = root.querySelector(".stage");
     const part = (name) => root.querySelector(`[name=${name}]`);
     const [button, slider, speed, output, reset, ghosts] = ["play", "time", "speed", "now", "view", "ghost"].map(part);
@@ -248,7 +248,7 @@
     try {
       renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true });
     } catch (error) {
-      root.replaceChildren("This browser has no WebGL, so there is no replay. The curves show the same motion.");
+      root.replaceChildren("This browser has no WebGL, so there is no 3D view. The curves show the same motion.");
       return;
     }
     const camera = new THREE.PerspectiveCamera();
@@ -348,7 +348,7 @@
       redraw();
     }
 
-    const fail = (error) => root.replaceChildren("The replay cannot be shown: " + error.message + ".");
+    const fail = (error) => root.replaceChildren("The 3D view cannot be shown: " + error.message + ".");
     for (const box of boxes) box.addEventListener("change", () => choose().catch(fail));
     ghosts.addEventListener("change", redraw);
     button.addEventListener("click", play);
@@ -363,5 +363,5 @@
     choose().catch(fail);
   }
 
-  for (const root of document.querySelectorAll(".replay")) begin(root);
+  for (const root of document.querySelectorAll(".motion-view")) begin(root);
 })();

@@ -1,4 +1,4 @@
-"""3D replays of results: run each episode again, and write its poses as data of a page.
+"""3D views of results: run each episode again, and write its poses as data of a page.
 
 A result file has only the generalized trajectory g(t), and all inputs of the run: scene, engine, settings, parameters,
 initial state and seed.
@@ -40,15 +40,15 @@ MAX_COUNT = 32767
 """Largest stored integer."""
 
 
-class ReplayError(GaugeError, RuntimeError):
-    """An episode has no replay; the message gives the reason."""
+class MotionViewError(GaugeError, RuntimeError):
+    """An episode has no 3D view; the message gives the reason."""
 
 
 # --- the run ---
 
 
 @dataclass(frozen=True, kw_only=True)
-class Replay:
+class MotionView:
     """Positions of the bodies of an episode.
 
     Attributes:
@@ -67,7 +67,7 @@ class Replay:
     markers_m: FloatArray
 
 
-def replay(result: Result) -> Replay:
+def motion_view(result: Result) -> MotionView:
     """Run the episode of a result again, and return the positions of its bodies.
 
     An engine outside this package runs in another process.
@@ -76,20 +76,22 @@ def replay(result: Result) -> Replay:
         result: The result.
 
     Raises:
-        ReplayError: The result lacks inputs of the run, or other versions are installed.
+        MotionViewError: The result lacks inputs of the run, or other versions are installed.
         GaugeError: The engine cannot run the episode.
     """
     if result.backend is None or result.trajectory is None:
-        raise ReplayError("the result comes from a trajectory file, not from an engine")
+        raise MotionViewError(
+            "the result comes from a trajectory file, not from an engine"
+        )
     return call_engine(result.backend, _run_again, result, result.backend)
 
 
-def _run_again(result: Result, backend: str) -> Replay:
+def _run_again(result: Result, backend: str) -> MotionView:
     """Run the episode of a result on its engine, and return the positions of its bodies."""
     if difference := result.version_difference(versions_of(backend)):
-        raise ReplayError(difference)
+        raise MotionViewError(difference)
     if result.asset.get("kind") == AssetKind.MODEL:
-        raise ReplayError(
+        raise MotionViewError(
             f"the scene is in the file {result.asset['file']}, not in the result"
         )
     experiment = recorded_experiment(result)
@@ -107,7 +109,7 @@ def _run_again(result: Result, backend: str) -> Replay:
         initial_states.of_reset(options, seeded=True), seed
     )
     with engine_call(backend, "run"):
-        rollout = arguments.rollout([experiment], [None])
+        rollout = arguments.rollout([experiment])
         try:
             rollout.reset([initial_state], seed)
             return _recorded(rollout)
@@ -115,41 +117,42 @@ def _run_again(result: Result, backend: str) -> Replay:
             rollout.simulation.close()
 
 
-def _recorded(rollout: Rollout) -> Replay:
+def _recorded(rollout: Rollout) -> MotionView:
     """Run an episode to its end with zero actions, and return its views."""
     views_per_frame = RIGID_VIEWS_PER_FRAME
     if rollout.experiment.scene.deformables:
         views_per_frame = 1
     samples_per_view = SAMPLES_PER_FRAME // views_per_frame
     # The initial state is the first view.
-    views = [(rollout.poses(), rollout.nodes_m())]
+    recording = rollout.recording
+    views = [(recording.poses(), recording.nodes_m())]
     while not rollout.is_over[0]:
         for sample in rollout.substeps():
             if (sample + 1) % samples_per_view == 0:
-                views.append((rollout.poses(), rollout.nodes_m()))
+                views.append((recording.poses(), recording.nodes_m()))
     bodies, softs = views[0]
     poses = np.array([[*poses.values()] for poses, _ in views])
-    return Replay(
+    return MotionView(
         rate_hz=FRAME_RATE_HZ * views_per_frame,
         bodies=tuple(bodies),
         poses=poses.reshape(len(views), len(bodies), 7),
         nodes_m={
             name: np.array([nodes_m[name] for _, nodes_m in views]) for name in softs
         },
-        markers_m=rollout.trajectory().markers_m,
+        markers_m=recording.trajectory().markers_m,
     )
 
 
-# --- data of a replay, JSON-ready ---
+# --- data of a view, JSON-ready ---
 
 
-def replay_data(result: Result) -> dict[str, Any]:
-    """Run the episode of a result again, and return its replay; reference positions become the ghost.
+def motion_view_data(result: Result) -> dict[str, Any]:
+    """Run the episode of a result again, and return the data of its 3D view; reference positions become the ghost.
 
     Raises:
-        GaugeError: The episode has no replay; see `replay`.
+        GaugeError: The episode has no 3D view; see `motion_view`.
     """
-    episode = replay(result)
+    episode = motion_view(result)
     experiment = recorded_experiment(result)
     if "trial" in result.jitter:
         experiment = replace(experiment, trial=int(result.jitter["trial"]))
@@ -230,8 +233,10 @@ def _pose(pose: Pose) -> list[float]:
 def _solids(shape: Any, pose: Pose) -> list[dict[str, Any]]:
     """Return the solids of a shape, with attributes and pose in the body frame."""
     if isinstance(shape, Compound):
-        parts = (_solids(part.shape, part.pose) for part in shape.parts)
-        return [solid for solids in parts for solid in solids]
+        solids: list[dict[str, Any]] = []
+        for part in shape.parts:
+            solids += _solids(part.shape, part.pose)
+        return solids
     sizes = asdict(shape)
     if isinstance(shape, ConvexUnion):
         hulls = [hull_triangles(np.asarray(piece)) for piece in shape.pieces_m]
@@ -262,16 +267,16 @@ def _ghost(experiment: Experiment, band: Band | None) -> dict[str, Any] | None:
     )
     if not path.is_full:
         text += " Directions without measurements keep the initial position of the simulation."
-    radii: list[float | None] = [None] * len(path.names)
-    if experiment.score.observable is Observable.POSITION:
-        shapes = (experiment.scene.body(name).shape for name in path.names)
-        radii = [
-            shape.radius_m if isinstance(shape, Sphere) else None for shape in shapes
-        ]
-    return {
-        "text": text,
-        "radii": radii,
-        "places": [
-            row.tolist() if np.isfinite(row).all() else None for row in path.places_m
-        ],
-    }
+    is_of_bodies = experiment.score.observable is Observable.POSITION
+    radii: list[float | None] = []
+    for name in path.names:
+        radius_m = None
+        if is_of_bodies:
+            shape = experiment.scene.body(name).shape
+            radius_m = shape.radius_m if isinstance(shape, Sphere) else None
+        radii.append(radius_m)
+    places_m: list[list[list[float]] | None] = []
+    for row in path.places_m:
+        is_known = np.isfinite(row).all()
+        places_m.append(row.tolist() if is_known else None)
+    return {"text": text, "radii": radii, "places": places_m}

@@ -11,9 +11,8 @@ face areas. Columns are the coordinates of g(t) in the order of `coordinate_name
 A CSV header with names of coordinates (`cube.x` or `cube.x [mm]`) may list them in any order. Any other header is
 skipped. Without times, rows are the 30 Hz frames. With times, the first is 0. A sample counts as a frame if it is
 within 0.5 ms and within a tenth of the sample spacing. Other frames are interpolated linearly from samples within half
-a frame, as those of a clock that jitters by up to 5 ms; `interpolated_frames` counts them. The time alignment uses
-samples of up to 10 frames after the last published one. A file that ends with the last frame is not shifted to earlier
-times. Later samples are ignored; without times they raise an error, because they suggest another rate.
+a frame, as those of a clock that jitters by up to 5 ms; `interpolated_frames` counts them. Samples after the last frame
+are ignored; without times they raise an error, because they suggest another rate.
 """
 
 from __future__ import annotations
@@ -33,9 +32,9 @@ from gauge_envs.files import npz_arrays, os_errors
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, frame_index, interpolated
-from gauge_envs.scoring.motion_checks import likely_rate_hz, lost_marker
+from gauge_envs.scoring.metrics import frame_index, interpolated
 from gauge_envs.scoring.reference import reference_band
+from gauge_envs.scoring.user_file.motion_checks import likely_rate_hz, lost_marker
 from gauge_envs.text import csv_text, json_document
 
 FILE_TOLERANCE_S = 5e-4
@@ -43,9 +42,6 @@ FILE_TOLERANCE_S = 5e-4
 
 MAX_JITTER_S = 5e-3
 """Largest time of the first sample, and between the last one and the last frame, by a clock that jitters [s]."""
-
-LATER_FRAMES = 10
-"""Number of frames after the last one that the time alignment uses."""
 
 TIME = "time_s"
 """Name of the column of times."""
@@ -59,7 +55,7 @@ class UserTrajectory:
     """A generalized trajectory that covers every frame of its experiment.
 
     Attributes:
-        times_s: Strictly increasing times from 0 to the last frame or later [s], the 30 Hz frames among them, shape
+        times_s: Strictly increasing times from 0 to the last frame [s], the 30 Hz frames among them, shape
             [sample_count].
         values: g(t) at those times in the observable's unit, shape [sample_count, coordinate_count].
         interpolated_frames: Number of frames without a sample in the file.
@@ -144,9 +140,7 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
         raise TrajectoryFileError(f"{file}: {lost}")
     missing_s = np.setdiff1d(frames_s, times_s)
     all_times_s = np.union1d(times_s, frames_s)
-    # The time alignment does not use later samples.
-    last_s = frames_s[-1] + MAX_TIME_OFFSET_S + FILE_TOLERANCE_S
-    all_times_s = all_times_s[(all_times_s >= 0.0) & (all_times_s <= last_s)]
+    all_times_s = all_times_s[(all_times_s >= 0.0) & (all_times_s <= frames_s[-1])]
     # A clock may start up to 5 ms late or stop up to 5 ms early: lines go on there.
     values = make_interp_spline(times_s, samples.values, k=1)(all_times_s)
     markers_m = None
@@ -269,13 +263,7 @@ def _read_json(file: Path, experiment: Experiment) -> _Samples:
         return _of_rows(
             file, experiment, rows=content.get("g"), times_s=content.get(TIME)
         )
-    # It is a result file: add the samples after the last frame for the time alignment.
-    joined = {}
-    for name, later in (("samples", "later_samples"), ("times_s", "later_times_s")):
-        parts = recorded.get(name), recorded.get(later)
-        joined[name] = [
-            sample for part in parts if isinstance(part, list) for sample in part
-        ]
+    # It is a result file.
     markers_m = None
     if recorded.get("markers_mm"):
         markers_mm = np.asarray(recorded["markers_mm"], dtype=np.float64)
@@ -283,8 +271,8 @@ def _read_json(file: Path, experiment: Experiment) -> _Samples:
     return _of_rows(
         file,
         experiment,
-        rows=joined["samples"],
-        times_s=joined["times_s"],
+        rows=recorded.get("samples"),
+        times_s=recorded.get("times_s"),
         markers_m=markers_m,
     )
 
@@ -413,9 +401,7 @@ def _times_at_frames(
     needed = (
         f"{frame_count} frames are needed, 30 a second from 0 to {frames_s[-1]:.4f} s"
     )
-    # Twice as many rows look like frames at 60 Hz.
-    largest_count = min(frame_count + LATER_FRAMES, 2 * frame_count - 2)
-    if samples.times_s is None and row_count > largest_count:
+    if samples.times_s is None and row_count > frame_count:
         rate = "another rate" if rate_hz is None else f"{rate_hz} Hz"
         raise TrajectoryFileError(
             f"{file}: {row_count} rows without {TIME} look like {rate}; {needed}. Add a column {TIME} [s]"

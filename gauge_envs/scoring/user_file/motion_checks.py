@@ -138,9 +138,11 @@ def _misfit(band: Band, projected: FloatArray, rate_hz: float) -> float:
     count = min(len(squares), int(times_s[-1] * FRAME_RATE_HZ + 1e-9) + 1)
     if squares[:count].sum() <= MIN_COVERED * squares.sum():
         return np.inf
-    # Without later rows, the motion is not shifted to earlier times.
     times_s = times_s[times_s < count / FRAME_RATE_HZ]
-    _, rmse = time_offset(times_s, projected[: len(times_s)], band.mean[:count])
+    # A shift to earlier times would leave out frames, and resemble a lower rate.
+    _, rmse = time_offset(
+        times_s, projected[: len(times_s)], band.mean[:count], earliest_s=0.0
+    )
     return rmse / float(np.sqrt(squares[:count].mean()))
 
 

@@ -1,0 +1,1 @@
+"""Trajectories of other simulators: their files, likely mistakes in them, and lost markers."""
