@@ -29,8 +29,8 @@ from gauge_envs.tools.replay.schema import (
     JointReport,
     Prediction,
     ReplayLine,
+    ReplayVerdict,
     Value,
-    Verdict,
 )
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ FIGURE_HORIZON_S = 0.25
 
 
 @dataclass(frozen=True)
-class Replay:
+class ReplayResult:
     """What a log and a model say of each other.
 
     Attributes:
@@ -66,7 +66,7 @@ class Replay:
     change: Fit | None
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> ReplayVerdict:
         """What explains the difference."""
         return self.line.verdict
 
@@ -77,7 +77,7 @@ def replay(
     against: Path | None = None,
     mapped: LogMap | None = None,
     advance: Callable[[str], None] = lambda _: None,
-) -> Replay:
+) -> ReplayResult:
     """Return what explains the difference between a log and a model, or between two logs.
 
     Args:
@@ -129,14 +129,14 @@ def replay(
         joints=joints,
         conditions=conditions,
         candidates=tuple(alone),
-        alike=tuple(explanation.alike),
+        indistinguishable=tuple(explanation.indistinguishable),
         several=tuple(together),
         paste={},
     )
-    named = () if line.verdict is Verdict.NOTHING else line.named
+    named = () if line.verdict is ReplayVerdict.NOTHING else line.named
     paste = paste_lines(named, compiled.opt.timestep)
     line = replace(line, sentence=_sentence(line), paste=paste)
-    return Replay(line, problem, explanation.change)
+    return ReplayResult(line, problem, explanation.change)
 
 
 def _rms(values: FloatArray) -> Any:
@@ -209,7 +209,7 @@ def _explained(problem: Problem, fit: Fit) -> list[Explained]:
     explained, step_s = [], problem.replayer.log.command_interval_s
     half = np.nan * fit.numbers if fit.half_width is None else fit.half_width
     trials = (fit.numbers, fit.numbers - half, fit.numbers + half)
-    for terms in zip(*map(fit.parts, trials), strict=True):
+    for terms in zip(*map(fit.split, trials), strict=True):
         cause, group = terms[0][0]
         columns = [cause.present, *(cause.values(group, trial) for _, trial in terms)]
         rows, values = np.transpose(columns), []
@@ -289,7 +289,7 @@ def _sentence(line: ReplayLine) -> str:
     remains = (
         f"; the remaining error is {times:.0f} times the noise" if times > 2.0 else ""
     )
-    if line.verdict is Verdict.NOISE:
+    if line.verdict is ReplayVerdict.NOISE:
         text = f"The model predicts {line.log} within its noise: nothing is left to explain"
         if (line.baseline_over_noise or 1.0) > 1.5:
             text = f"The model predicts {line.log} as badly as {line.baseline}: the logs do not differ"
@@ -301,10 +301,10 @@ def _sentence(line: ReplayLine) -> str:
         together = f"{_percent(several[-1].share)} %"
         names = " and ".join(each.cause for each in several)
         texts = " and ".join(each.text for each in several)
-    if line.verdict is Verdict.SEVERAL:
+    if line.verdict is ReplayVerdict.SEVERAL:
         alone = f"best alone: {best.cause}, {share}"
         text = f"{texts} together explain {together} of the difference ({alone})"
-    elif line.verdict is Verdict.NOTHING:
+    elif line.verdict is ReplayVerdict.NOTHING:
         more = f"; together {names}, {together}" if several else ""
         text = f"Nothing in the list explains it (best: {best.text}, {share}{more})"
     return f"{text}{remains}."
@@ -313,9 +313,9 @@ def _sentence(line: ReplayLine) -> str:
 def replay_document(line: ReplayLine) -> Document:
     """Return the answer, a table by joint, a table by cause, and the lines to paste."""
     warnings = [f"Log: {text}." for text in line.findings]
-    if line.alike:
+    if line.indistinguishable:
         best = " and ".join(each.cause for each in line.named)
-        others = ", ".join(line.alike)
+        others = ", ".join(line.indistinguishable)
         warnings.insert(0, f"The log cannot tell {best} from: {others}.")
     numbers = {
         "noise": ("noise", _milli),
@@ -346,7 +346,7 @@ def replay_document(line: ReplayLine) -> Document:
     if len(line.conditions) > 1:
         texts = [f"{name} {value:.3g}" for name, value in line.conditions.items()]
         parts.append(Paragraph(f"Error over noise after 0.1 s: {', '.join(texts)}."))
-    if line.several and line.verdict is not Verdict.CAUSE:
+    if line.several and line.verdict is not ReplayVerdict.CAUSE:
         parts.append(_cause_table("Together", line.several))
     if line.candidates:
         parts.append(_cause_table("Alone", line.candidates[:MAX_CAUSES]))
@@ -384,7 +384,7 @@ def _cause_table(title: str, causes: Sequence[Explained]) -> Table:
     )
 
 
-def replay_figure(replay: Replay) -> Figure:
+def replay_figure(replay: ReplayResult) -> Figure:
     """Return a figure with a row for each of the joints that differ most.
 
     A row has the log, predictions from recorded states before and after the change, and the time at which they part.
@@ -393,7 +393,7 @@ def replay_figure(replay: Replay) -> Figure:
     log, rows = replayer.log, replay.line.joints[:MAX_FIGURE_ROWS]
     setups = {"model": problem.setup}
     if replay.change is not None:
-        setups["after the change"] = problem.changed(replay.change)
+        setups["after the change"] = problem.setup_of(replay.change)
     pieces = replayer.pieces(FIGURE_HORIZON_S, FIGURE_PREDICTIONS)
     samples = pieces[:, 1:]
     deviations = [
