@@ -1,4 +1,4 @@
-"""The causes that can make a model and a log part: a row each, with values, bounds, change, and lines to paste."""
+"""The causes that can make a model and a log part: a row each, with values, bounds and change."""
 
 from __future__ import annotations
 
@@ -13,75 +13,6 @@ from scipy.optimize import linear_sum_assignment
 
 from gauge_envs.tools.replay.log import FloatArray
 from gauge_envs.tools.replay.model import IntArray, Replayer, Setup
-
-SNIPPETS = {
-    "kp": {
-        "MJCF": '<position joint="{name}" kp="{value:.4g}"/>',
-        "Isaac Lab": "stiffness={numbers}",
-        "mjlab": "stiffness={numbers}",
-        "Playground": "m.actuator({name!r}).gainprm[0] = {value:.4g}; m.actuator({name!r}).biasprm[1] = -{value:.4g}",
-    },
-    "kd": {
-        "MJCF": '<position joint="{name}" kv="{value:.4g}"/>',
-        "Isaac Lab": "damping={numbers}",
-        "mjlab": "damping={numbers}",
-        "Playground": "m.actuator({name!r}).biasprm[2] = -{value:.4g}",
-    },
-    "effort limit": {
-        "MJCF": '<position joint="{name}" forcerange="-{value:.4g} {value:.4g}"/>',
-        "Isaac Lab": "effort_limit_sim={numbers}",
-        "mjlab": "effort_limit={numbers}",
-        "Playground": "m.actuator({name!r}).forcerange[:] = -{value:.4g}, {value:.4g}",
-    },
-    "armature": {
-        "MJCF": '<joint name="{name}" armature="{value:.4g}"/>',
-        "Isaac Lab": "armature={numbers}",
-        "mjlab": "armature={numbers}",
-        "Playground": "m.joint({name!r}).armature[:] = {value:.4g}",
-    },
-    "dry friction": {
-        "MJCF": '<joint name="{name}" frictionloss="{value:.4g}"/>',
-        "Isaac Lab": "friction={numbers}",
-        "mjlab": "frictionloss={numbers}",
-        "Playground": "m.joint({name!r}).frictionloss[:] = {value:.4g}",
-    },
-    "damping": {
-        "MJCF": '<joint name="{name}" damping="{value:.4g}"/>',
-        "Isaac Lab": "damping={numbers}",
-        "mjlab": "damping={numbers}",
-        "Playground": "m.joint({name!r}).damping[0] = {value:.4g}",
-    },
-    "action scale": {
-        "Isaac Lab": "JointPositionActionCfg: scale={numbers}",
-        "mjlab": "JointPositionActionCfg: scale={numbers}",
-        "Playground": "action_scale of {name} = {value:.4g}",
-    },
-    "action offset": {
-        "Isaac Lab": "JointPositionActionCfg: offset={numbers}",
-        "mjlab": "JointPositionActionCfg: offset={numbers}",
-    },
-    "delay": {
-        "MJCF": '<position delay="{value:.4g}" nsample="{samples}"/>',
-        "Isaac Lab": "DelayedPDActuatorCfg(min_delay={steps}, max_delay={steps})",
-        "mjlab": "BuiltinPositionActuatorCfg(delay_min_lag={steps}, delay_max_lag={steps})",
-    },
-    "gravity or tilt": {
-        "MJCF": '<option gravity="{together}"/>',
-        "Playground": "m.opt.gravity[:] = {together}",
-    },
-    "mass or centre of a link": {"MJCF": "<inertial .../> of {name}: {value:.4g}"},
-    "payload": {
-        "MJCF": '<geom type="sphere" size="0.01" mass="{value:.4g}"/> in the body {name}'
-    },
-    "joint limit": {"MJCF": '<joint range="..."/>: {name} {value:.4g}'},
-    "floor friction": {
-        "MJCF": '<geom friction="..."/>: first number times {value:.4g}'
-    },
-    "contact softness": {
-        "MJCF": '<geom solref="..."/>: first number times {value:.4g}'
-    },
-}
-"""Line to paste for a value of each cause, by stack. In Playground m is `self._mj_model`."""
 
 DELAY_S = 0.02
 """Delay that matters."""
@@ -121,16 +52,16 @@ class ParameterGroup:
     selection: FloatArray
 
 
-def alone(count: int, size: int = 1) -> list[ParameterGroup]:
+def groups_of_one(count: int, size: int = 1) -> list[ParameterGroup]:
     """Return a group of each value, or of `size` neighbours with a number each."""
     label = "all" if size == 1 else "each"
     selections = np.split(np.eye(count), count // size, axis=1)
     return [ParameterGroup(label, selection) for selection in selections]
 
 
-def alone_and_common(count: int) -> list[ParameterGroup]:
+def groups_of_one_and_all(count: int) -> list[ParameterGroup]:
     """Return a group of each value, and one of all by a common number."""
-    groups = alone(count)
+    groups = groups_of_one(count)
     if count > 1:
         groups.append(ParameterGroup("all", np.ones((count, 1))))
     return groups
@@ -138,7 +69,7 @@ def alone_and_common(count: int) -> list[ParameterGroup]:
 
 def all_groups(count: int) -> list[ParameterGroup]:
     """Return a group of each value, one of all by a common number, and one of all by a number each."""
-    groups = alone_and_common(count)
+    groups = groups_of_one_and_all(count)
     if count > 1:
         groups.append(ParameterGroup("each", np.eye(count)))
     return groups
@@ -331,7 +262,7 @@ def _bodies(setup: Setup) -> list[Cause]:
             present=mass,
             typical=MIN_SCALE,
             apply=set_mass,
-            groups=alone_and_common(count),
+            groups=groups_of_one_and_all(count),
         ),
         Cause(
             name="mass or centre of a link",
@@ -340,7 +271,7 @@ def _bodies(setup: Setup) -> list[Cause]:
             present=model.body_ipos[axes],
             typical=np.repeat(size, 3),
             apply=set_center,
-            groups=alone(3 * count, 3),
+            groups=groups_of_one(3 * count, 3),
             is_positive=False,
         ),
         Cause(
@@ -351,7 +282,7 @@ def _bodies(setup: Setup) -> list[Cause]:
             # A payload may be heavier than the link that carries it.
             typical=0.02 * model.body_mass.sum(),
             apply=add_payload,
-            groups=alone(len(ends)),
+            groups=groups_of_one(len(ends)),
         ),
     ]
 
@@ -373,7 +304,7 @@ def _stops(replayer: Replayer, setup: Setup) -> Cause:
         present=setup.model.jnt_range[places],
         typical=STOP,
         apply=set_range,
-        groups=alone(2 * len(joints)),
+        groups=groups_of_one(2 * len(joints)),
         is_positive=False,
         starts=STOPS,
         origin=np.percentile(replayer.log.position, (2.0, 98.0), axis=0).ravel(),
@@ -438,7 +369,7 @@ def _commands(
             present=np.array([setup.delay_s]),
             typical=DELAY_S,
             apply=set_delay,
-            groups=alone(1),
+            groups=groups_of_one(1),
             is_positive=False,
             starts=DELAYS,
             origin=0.0,
@@ -580,7 +511,7 @@ def _contacts(setup: Setup) -> list[Cause]:
             present=np.ones(1),
             typical=1.0,
             apply=apply,
-            groups=alone(1),
+            groups=groups_of_one(1),
             starts=CONTACTS,
         )
         for name, apply in changes.items()

@@ -12,12 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares, lsq_linear
 from scipy.stats import t as student, wilcoxon
 
-from gauge_envs.tools.replay.causes import (
-    FAR,
-    Cause,
-    ParameterGroup,
-    alone as alone_groups,
-)
+from gauge_envs.tools.replay.causes import FAR, Cause, ParameterGroup, groups_of_one
 from gauge_envs.tools.replay.log import FloatArray
 from gauge_envs.tools.replay.model import Replayer, Setup
 from gauge_envs.tools.replay.schema import ReplayVerdict
@@ -255,36 +250,41 @@ def try_cause(problem: Problem, cause: Cause) -> list[Fit]:
     A cause without starts begins at the present values. The changes of single values are added, as for linear
     residuals.
     """
-    before, count = problem.before, len(cause.parameters)
-
-    def change(group: ParameterGroup, numbers: FloatArray) -> FloatArray:
-        fit = replace(before, terms=((cause, group),))
-        return problem.predict_training(fit, numbers).training - before.training
-
-    if not count:
+    if not cause.parameters:
         (group,) = cause.groups
-        training = change(group, NO_NUMBERS)
-        return [replace(before, terms=((cause, group),), training=training)]
+        return [_change(problem, cause, group, NO_NUMBERS)]
     grid = np.sort(cause.starts or (0.0, THRESHOLDS.slope_step))
-    moved = np.zeros((len(grid), *before.training.shape, count))
-    for column, group in enumerate(alone_groups(count)):
-        for row in np.flatnonzero(grid).tolist():
-            moved[row, ..., column] = change(group, grid[[row]])
+    singles = groups_of_one(len(cause.parameters))
+    moved = np.zeros((len(grid), *problem.before.training.shape, len(singles)))
+    for row in np.flatnonzero(grid).tolist():
+        for column, group in enumerate(singles):
+            single = _change(problem, cause, group, grid[[row]])
+            moved[row, ..., column] = single.training
     slopes, reach = np.gradient(moved, grid, axis=0), np.gradient(grid)
     if not cause.starts:
-        grid, reach = grid[:1], np.array([np.inf])
+        grid, reach = np.zeros(1), np.full(1, np.inf)
     fits = []
     for row, group in product(range(len(grid)), cause.groups):
-        numbers = np.ones(group.selection.shape[1])
+        count = group.selection.shape[1]
         fit = Fit(
             terms=((cause, group),),
-            numbers=grid[row] * numbers,
+            numbers=np.full(count, grid[row]),
             training=moved[row] @ group.selection.sum(axis=1),
             slopes=slopes[row] @ group.selection,
-            reach=reach[row] * numbers,
+            reach=np.full(count, reach[row]),
         )
         fits.append(fit)
     return fits
+
+
+def _change(
+    problem: Problem, cause: Cause, group: ParameterGroup, numbers: FloatArray
+) -> Fit:
+    """Return a fit whose training residuals are the change by one cause."""
+    before = problem.before
+    fit = replace(before, terms=((cause, group),))
+    fit = problem.predict_training(fit, numbers)
+    return replace(fit, training=fit.training - before.training)
 
 
 class _Descent:

@@ -14,7 +14,7 @@ from scipy.interpolate import make_interp_spline
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.figures import OURS, REAL, legend_above, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Table
-from gauge_envs.tools.replay.causes import SNIPPETS, Cause, candidates
+from gauge_envs.tools.replay.causes import Cause, candidates
 from gauge_envs.tools.replay.fit import Fit, Problem, explain
 from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, read_log
 from gauge_envs.tools.replay.model import (
@@ -24,6 +24,7 @@ from gauge_envs.tools.replay.model import (
     joint_names,
     load_model,
 )
+from gauge_envs.tools.replay.paste import paste_lines
 from gauge_envs.tools.replay.schema import (
     Explained,
     JointReport,
@@ -249,38 +250,6 @@ def _text(cause: Cause, label: str, values: Sequence[Value], step_s: float) -> s
         return f"{name} of {label}: {min(numbers):.2g} to {max(numbers):.2g}{unit}"
     texts = [f"{each.parameter} {each.fitted:.3g}" for each in values]
     return f"{name}: {', '.join(texts)}{unit}"
-
-
-def paste_lines(causes: Sequence[Explained], step_s: float) -> dict[str, str]:
-    """Return the lines for each stack; values whose interval has the present one are left out.
-
-    Args:
-        causes: What was named.
-        step_s: Physics step of the model, in which Isaac Lab and mjlab count a delay.
-    """
-    pasted: dict[str, list[str]] = {}
-    for cause in causes:
-        # Four digits are more than a log tells.
-        changed = {
-            value.parameter: float(f"{value.fitted:.4g}")
-            for value in cause.values
-            if value.changes
-        }
-        together = " ".join(f"{value.fitted:.4g}" for value in cause.values)
-        for name, number in changed.items():
-            steps = round(number / step_s)
-            for stack, template in SNIPPETS[cause.cause].items():
-                text = template.format(
-                    name=name,
-                    value=number,
-                    numbers=changed,
-                    together=together,
-                    steps=steps,
-                    samples=steps + 2,
-                )
-                pasted.setdefault(stack, []).append(text)
-    # Values that share a line have it once.
-    return {stack: "\n".join(dict.fromkeys(texts)) for stack, texts in pasted.items()}
 
 
 def _sentence(line: ReplayLine) -> str:
