@@ -124,9 +124,7 @@ class Cause:
         base = np.where(is_moved, self.zero, self.present)
         return base + self.scale * (group.selection @ numbers)
 
-    def changed(
-        self, setup: Setup, group: ParameterGroup, numbers: FloatArray
-    ) -> Setup:
+    def change(self, setup: Setup, group: ParameterGroup, numbers: FloatArray) -> Setup:
         """Return a changed copy of a setup."""
         after = copy.deepcopy(setup)
         self.apply(after, self.values(group, numbers))

@@ -31,7 +31,6 @@ class Thresholds:
         piece_s: Length of the predictions that are fitted [s].
         piece_count: Number of these pieces; every other one is held out.
         max_noise_error: Error below which nothing is left to explain.
-        max_residual: Residual at which a prediction that flies off is cut, in standard deviations of the noise.
         min_share: Smallest share of the excess that a named cause explains.
         max_excess: Largest excess of a named cause, unless it leads.
         min_lead: Excess of every other cause over that of a cause that leads.
@@ -57,7 +56,6 @@ class Thresholds:
     piece_s: float = 0.25
     piece_count: int = 28
     max_noise_error: float = 1.3
-    max_residual: float = 1e4
     min_share: float = 0.9
     max_excess: float = 8.0
     min_lead: float = 5.0
@@ -209,14 +207,13 @@ class Problem:
         """Return the setup of a fit."""
         setup = self.setup
         for (cause, group), numbers in fit.split(fit.numbers):
-            setup = cause.changed(setup, group, numbers)
+            setup = cause.change(setup, group, numbers)
         return setup
 
     def _residuals(self, fit: Fit, half: int) -> FloatArray:
         deviation = self.replayer.predict(self.setup_of(fit), self._halves[half])
         columns = deviation.reshape(len(deviation), -1, 1)
-        residuals = (self.whiteners[half] @ columns)[..., 0]
-        return np.clip(residuals, -THRESHOLDS.max_residual, THRESHOLDS.max_residual)
+        return (self.whiteners[half] @ columns)[..., 0]
 
     def predict_training(self, fit: Fit, numbers: FloatArray) -> Fit:
         """Return a fit with other numbers, and its residuals of the training pieces."""
@@ -477,7 +474,7 @@ class Explanation:
         return self.several
 
 
-def _indistinguishable(problem: Problem, fits: Sequence[Fit]) -> list[str]:
+def _find_indistinguishable(problem: Problem, fits: Sequence[Fit]) -> list[str]:
     """Return the causes that the held-out pieces cannot tell from the first one (signed ranks, 5 %)."""
     best, *others = fits
     small = 1e-3 * (problem.before.error - problem.floor)
@@ -558,7 +555,7 @@ def explain(
     if problem.excess(fits[0]) > THRESHOLDS.near_noise:
         problem, fits = _update_noise(problem, fits)
     alone = _few_by_cause(problem, fits, 1)
-    names = _indistinguishable(problem, alone)
+    names = _find_indistinguishable(problem, alone)
     limit = THRESHOLDS.near_noise
     if problem.share(alone[0]) > THRESHOLDS.enough_share:
         limit = THRESHOLDS.max_excess_of_several
@@ -570,5 +567,5 @@ def explain(
         several = together[0]
     verdict = _verdict(problem, alone, several)
     if verdict is ReplayVerdict.SEVERAL:
-        names = _indistinguishable(problem, together)
+        names = _find_indistinguishable(problem, together)
     return Explanation(problem, verdict, alone, names, several)

@@ -120,12 +120,12 @@ class ControlMap(BaseModel, extra="forbid"):
 
     def of(self, joint: str) -> dict[str, Any]:
         """Return the values for a joint by field; the default of a field whose table lacks the joint."""
-        return {
-            name: value.get(joint, getattr(ControlMap(), name))
-            if isinstance(value, dict)
-            else value
-            for name, value in self
-        }
+        values: dict[str, Any] = {}
+        for name, value in self:
+            if isinstance(value, dict):
+                value = value.get(joint, getattr(ControlMap(), name))
+            values[name] = value
+        return values
 
 
 class LogMap(BaseModel, extra="forbid"):
@@ -140,13 +140,14 @@ class LogMap(BaseModel, extra="forbid"):
 
     def check_joints(self, known: Mapping[str, Any]) -> None:
         """Raise an error for a joint of the map that a log lacks."""
-        for table in (self.joints, *dict(self.control).values()):
-            for name in table if isinstance(table, dict) else ():
-                if name not in known:
-                    reason = (
-                        f"the log has no such joint; it has {first_names([*known])}"
-                    )
-                    raise FileError("--map", name, reason)
+        tables = [self.joints, *dict(self.control).values()]
+        for table in tables:
+            names = [*table] if isinstance(table, dict) else []
+            for name in names:
+                if name in known:
+                    continue
+                reason = f"the log has no such joint; it has {first_names([*known])}"
+                raise FileError("--map", name, reason)
 
 
 @dataclass

@@ -160,6 +160,16 @@ def test_a_urdf_model_predicts_a_swing_of_the_closed_form(tmp_path):
     assert "no commands" in line.findings[0]
 
 
+def test_the_longest_name_of_a_column_counts(tmp_path):
+    """`command_rad_hip` is the command of `hip`, not of a joint `rad_hip`."""
+    file = tmp_path / "log.csv"
+    rows = [f"{0.02 * k},{0.01 * k},{0.02 * k}" for k in range(30)]
+    file.write_text("\n".join(["time_s,position_rad_hip,command_rad_hip", *rows]))
+    log = read_log(file)
+    assert (log.joints, log.command_kind) == (("hip",), "target")
+    assert log.command_names == ("hip",)
+
+
 def test_a_log_in_parquet_is_read(tmp_path):
     pyarrow = pytest.importorskip("pyarrow")
     from pyarrow import parquet
