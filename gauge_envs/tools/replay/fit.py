@@ -312,7 +312,8 @@ class _Descent:
         for fit in self._tried[1:]:
             step = fit.numbers - self.fit.numbers
             gap = fit.training - self.fit.training - slopes @ step
-            slopes = slopes + gap[..., None] * step / (step @ step)
+            if step.any():
+                slopes = slopes + gap[..., None] * step / (step @ step)
         return self._use(slopes)
 
     def measure_slopes(self, change: FloatArray) -> FloatArray:
@@ -334,11 +335,13 @@ class _Descent:
     def minimize(self, slopes: Callable[[FloatArray], FloatArray]) -> Fit:
         """Return the fit at the optimum, with slopes of one of the methods."""
         start = self._start
+        # A present value may be below the smallest one that is fitted, as no friction.
+        lower = np.minimum(start.lower - start.numbers, 0.0)
         least_squares(
             self.residuals,
             np.zeros(len(start.numbers)),
             slopes,
-            bounds=(start.lower - start.numbers, FAR - start.numbers),
+            bounds=(lower, FAR - start.numbers),
             method="dogbox",
             # The first step is at most so long.
             x_scale=np.maximum(np.abs(start.step), 1.0),
@@ -351,12 +354,12 @@ class _Descent:
 
 def _refine(problem: Problem, fit: Fit) -> Fit:
     """Return a fit at the optimum of the training pieces, with all its residuals."""
-    start = np.clip(fit.numbers, fit.lower, FAR)
-    fit = problem.predict_training(fit, start).linearize()
+    fit = problem.predict_training(fit, fit.numbers).linearize()
     if fit.linear_error < (1.0 - THRESHOLDS.min_gain) * fit.training_error:
         descent = _Descent(problem, fit)
         fit = descent.minimize(descent.update_slopes)
-    return problem.predict_held_out(replace(fit, reach=np.full(len(start), np.inf)))
+    reach = np.full(len(fit.numbers), np.inf)
+    return problem.predict_held_out(replace(fit, reach=reach))
 
 
 def _polish(problem: Problem, fit: Fit) -> Fit:

@@ -88,6 +88,22 @@ def test_the_constants_of_a_servo_are_fitted_together(tmp_path):
     assert values["kp"].low < 12.0 < values["kp"].high
 
 
+def test_values_that_are_zero_in_the_model_are_fitted_together(tmp_path):
+    """Without armature and damping, the present values are below the smallest ones of the fit."""
+    robot = SERVO.replace('armature="0.01" damping="0.3"', "")
+    log, model = record(tmp_path, robot=robot, change=set_servo, delay_s=0.01)
+    line = replay(log, model).line
+    losses = ("armature", "damping", "dry friction")
+    fitted = [
+        value.fitted
+        for each in line.candidates
+        for value in each.values
+        if each.cause in losses
+    ]
+    assert len(fitted) == len(losses)
+    assert min(fitted) >= 0.0
+
+
 FLOOR = '<worldbody><geom type="plane" size="1 1 1" pos="0 0 -0.53"/>'
 
 
