@@ -133,16 +133,6 @@ def _recorded(variant: Variant, scene: Scene) -> tuple[str, ...]:
     return tuple(body.name for body in recorded)
 
 
-def load_experiment_from_asset(
-    variant: str | Variant,
-    asset: str | PathLike[str],
-    *,
-    reference: DataSource | str = DataSource.BUNDLED,
-) -> Experiment:
-    """Load one variant with the scene of a file; see `load_experiment`."""
-    return load_experiment(variant, reference=reference, asset=asset)
-
-
 def _check_arguments_of_asset(
     asset: Path, parameters: Parameters, drivers: DataSource | str
 ) -> None:

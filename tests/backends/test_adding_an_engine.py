@@ -286,7 +286,6 @@ class Old(Simulation):
     ("source", "message"),
     [
         (OLD, r"Old\.reset has no parameter 'starts'.*reset\(starts, seed\)"),
-        ("from gauge_envs.backends import World", r"belongs to the engine contract"),
     ],
 )
 def test_an_engine_of_0_3_gets_instructions(source, message):

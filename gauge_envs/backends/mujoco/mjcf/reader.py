@@ -25,7 +25,6 @@ import mujoco
 import numpy as np
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.backends.mujoco.contact_table import option_settings
 from gauge_envs.backends.mujoco.flex import flex_table
 from gauge_envs.backends.mujoco.mjcf.diff import (
     is_same,
@@ -38,6 +37,7 @@ from gauge_envs.backends.mujoco.mjcf.writer import (
     driver_rows,
 )
 from gauge_envs.backends.mujoco.model import START_KEY, build_model
+from gauge_envs.backends.mujoco.options import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.mujoco.versions import sparse_advice

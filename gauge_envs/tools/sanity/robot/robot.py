@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.mujoco.contact_table import ContactPairs, PairKind
-from gauge_envs.backends.mujoco.model import set_option
+from gauge_envs.backends.mujoco.options import set_option
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import Vector
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
