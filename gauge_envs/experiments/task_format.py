@@ -34,7 +34,7 @@ NO_ORIGIN = "not stated"
 """Origin of a number without an entry in `[provenance]`."""
 
 
-class Group(StrEnum):
+class Matter(StrEnum):
     """Kind of matter in an experiment."""
 
     RIGID = "rigid"
@@ -270,7 +270,7 @@ class TaskSpec(FileModel):
     collection: Collection = Collection.GAUGE
     revision: int = Field(1, ge=1)
     title: str
-    group: Group
+    group: Matter
     summary: str
     evaluates: tuple[str, ...]
     materials: tuple[Name, ...] = Field(min_length=1)

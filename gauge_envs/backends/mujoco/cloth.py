@@ -73,14 +73,19 @@ class ClothPartMuJoCo(FlexPart):
         )
         stiffness[: len(membrane), :6] = membrane
 
-        edge = model.flex_edgeadr[flex]
-        edge_count = model.flex_edgenum[flex]
-        ends_m = self.grid.plane_m[model.flex_edge[edge : edge + edge_count]]
+        weights = self.fold_weights(model)
+        forms = flex_table(model, "flex_bending", flex).reshape(-1, BENDING_PER_EDGE)
+        forms[: len(weights)] *= weights[:, None]
+
+    def fold_weights(self, model: mujoco.MjModel) -> FloatArray:
+        """Return the factor on MuJoCo's bending stiffness of each edge, shape [edge_count]."""
+        first, count = (
+            int(numbers[self.flex.id])
+            for numbers in (model.flex_edgeadr, model.flex_edgenum)
+        )
+        ends_m = self.grid.plane_m[model.flex_edge[first : first + count]]
         is_diagonal = (np.abs(ends_m[:, 1] - ends_m[:, 0]) > 1e-9).all(axis=1)
-        forms = flex_table(model, "flex_bending", flex).reshape(-1, BENDING_PER_EDGE)[
-            :edge_count
-        ]
-        forms[is_diagonal] *= _diagonal_weight(*self.grid.cell_m)
+        return np.where(is_diagonal, _diagonal_weight(*self.grid.cell_m), 1.0)
 
 
 def add_cloth(

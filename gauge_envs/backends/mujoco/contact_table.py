@@ -174,15 +174,15 @@ def _share(first: FloatArray, second: FloatArray) -> FloatArray:
 def _explicit_constants(model: mujoco.MjModel, rows: IntArray) -> FloatArray:
     """Return constants of explicit pairs, shape [pair_count, 17]."""
     columns = (
-        *(
-            model.pair_dim[:, None],
-            model.pair_friction,
-            model.pair_solref,
-            model.pair_solreffriction,
-        ),
-        *(model.pair_solimp, model.pair_margin[:, None], model.pair_gap[:, None]),
+        model.pair_dim,
+        model.pair_friction,
+        model.pair_solref,
+        model.pair_solreffriction,
+        model.pair_solimp,
+        model.pair_margin,
+        model.pair_gap,
     )
-    return np.hstack(columns).astype(np.float64)[rows].reshape(-1, 17)
+    return np.column_stack(columns)[rows].reshape(-1, 17)
 
 
 def _override(model: mujoco.MjModel, constants: FloatArray) -> None:

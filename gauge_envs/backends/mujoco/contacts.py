@@ -13,7 +13,7 @@ IMPEDANCE_SHAPE = (0.5, 2.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContactConstants:
+class ContactConstantsMuJoCo:
     """MuJoCo's constants of a contact, under MuJoCo's names.
 
     Attributes:
@@ -54,7 +54,9 @@ class ContactConstants:
             setattr(geom, key, value)
 
 
-def contact_constants(contact: Contact, settings: SettingsMuJoCo) -> ContactConstants:
+def contact_constants(
+    contact: Contact, settings: SettingsMuJoCo
+) -> ContactConstantsMuJoCo:
     """Return the constants of a contact between rigid bodies."""
     recipe: dict[str, Any] = {"solreffriction": (0.0, 0.0), "margin": 0.0, "gap": 0.0}
     recipe |= (
@@ -71,7 +73,7 @@ def contact_constants(contact: Contact, settings: SettingsMuJoCo) -> ContactCons
     # A contact without friction has no tangential constraints, which is exact and cheap.
     minimum = 6 if contact.rolling_m else 4 if contact.torsion_m else 3
     condim = max(settings.condim or 3, minimum) if friction[0] > 0.0 else 1
-    return ContactConstants(
+    return ContactConstantsMuJoCo(
         condim=condim, friction=friction, **recipe | given_constants(settings)
     )
 

@@ -131,7 +131,7 @@ def import_trials(
     for variant, paths in layout.files.items():
         # Project recorded motion on the motions of the task file, not of an earlier import.
         experiment = load_experiment(variant)
-        trials: dict[str, _Sample] = {}
+        trials: dict[str, _TrialData] = {}
         findings: list[ImportFinding] = []
         for path in paths:
             file = printable(path.relative_to(layout.root).as_posix())
@@ -148,7 +148,7 @@ def import_trials(
 
 
 @dataclass(frozen=True, eq=False)
-class _Sample:
+class _TrialData:
     """Data of one trial.
 
     Attributes:
@@ -173,7 +173,7 @@ def _read(
     experiment: Experiment,
     defaults: Mapping[str, Any] | None,
     file_of: Mapping[str, str],
-) -> _Sample:
+) -> _TrialData:
     """Return the data of a trial file.
 
     Args:
@@ -209,13 +209,13 @@ def _read(
         tracks = [driver_track(driver, trial, experiment) for driver in drivers]
     except TrialError as error:
         fault = error
-    return _Sample(sha256, trajectory, quaternions, events, tracks, fault)
+    return _TrialData(sha256, trajectory, quaternions, events, tracks, fault)
 
 
 def _imported(
     experiment: Experiment,
     revision: str | None,
-    trials: Mapping[str, _Sample],
+    trials: Mapping[str, _TrialData],
     findings: list[ImportFinding],
 ) -> ImportedTrials:
     """Store the trials of a variant, and return the outcome of the import."""
@@ -267,7 +267,7 @@ def _imported(
 
 def _spreads(
     experiment: Experiment,
-    trials: Mapping[str, _Sample],
+    trials: Mapping[str, _TrialData],
     trajectories: FloatArray,
     mean: FloatArray,
 ) -> dict[str, SpreadRecord]:
@@ -310,7 +310,7 @@ def _band(experiment: Experiment, trajectories: FloatArray, source: str) -> Band
 
 
 def _mean_drivers(
-    experiment: Experiment, trials: Mapping[str, _Sample]
+    experiment: Experiment, trials: Mapping[str, _TrialData]
 ) -> tuple[dict[str, FloatArray], list[DriverRecord]]:
     """Return the mean coordinates of recorded driven bodies, and their quality."""
     values, records = {}, []

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
+from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo
 from gauge_envs.backends.mujoco.flex import flex_table
 from gauge_envs.backends.mujoco.model import START_KEY
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
@@ -168,9 +169,10 @@ def _add_flex_tables(simulation: SimulationMuJoCo) -> Iterator[str]:
             place = f"model.{table}[{start} : {start + values.size}]"
             title = f"{table}/{body}"
             rows = values.reshape(row_count, -1)
-            if table == "flex_bending":
-                weights = _weights(rows, compiled.reshape(rows.shape))
-                _add_numeric(simulation, f"{title}/weight", weights.tolist())
+            part = simulation.parts[body]
+            if table == "flex_bending" and isinstance(part, ClothPartMuJoCo):
+                weights = part.fold_weights(model).tolist()
+                _add_numeric(simulation, f"{title}/weight", weights)
                 yield (
                     f"Cloth {body!r}: weigh the folds about the diagonals of its mesh, after loading:\n"
                     f"        rows = {place}.reshape(-1, {rows.shape[1]})\n"
@@ -198,19 +200,6 @@ def _row_counts(model: mujoco.MjModel, index: int) -> dict[str, int]:
         "flex_stiffness": int(cells if model.flex_interp[index] else elements),
         "flex_bending": int(model.flex_edgenum[index]),
     }
-
-
-def _weights(rows: FloatArray, compiled: FloatArray) -> FloatArray:
-    """Return the factor on each compiled row that gives the desired row bit for bit, shape [row_count]."""
-    largest = (np.arange(len(rows)), np.abs(compiled).argmax(axis=1))
-    divisors = compiled[largest]
-    weights = np.divide(
-        rows[largest], divisors, out=np.ones(len(rows)), where=divisors != 0.0
-    )
-    # A quotient may differ in its last bit from the factor that gives the row.
-    for weight in np.unique(weights):
-        weights[(compiled * weight == rows).all(axis=1)] = weight
-    return weights
 
 
 # --- exact XML -------------------------------------------------------------------------------------------------------
