@@ -174,8 +174,7 @@ def flex_table(model: mujoco.MjModel, table: str, index: int) -> FloatArray:
     """
     addresses, values = getattr(model, f"{table}adr").tolist(), getattr(model, table)
     start = addresses[index]
-    return (
-        values[start : min((a for a in addresses if a > start), default=len(values))]
-        if start >= 0
-        else values[:0]
-    )
+    if start < 0:
+        return values[:0]
+    end = min((address for address in addresses if address > start), default=None)
+    return values[start:end]

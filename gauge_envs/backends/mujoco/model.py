@@ -44,6 +44,13 @@ STIFF_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """MuJoCo's `solimp` of strings."""
 
 
+ROUND = {
+    Cylinder: mujoco.mjtGeom.mjGEOM_CYLINDER,
+    Capsule: mujoco.mjtGeom.mjGEOM_CAPSULE,
+}
+"""MuJoCo's types of shapes with an axis."""
+
+
 def add_geoms(
     spec: mujoco.MjSpec,
     body: mujoco.MjsBody,
@@ -88,13 +95,7 @@ def _primitive(
     if isinstance(shape, Sphere):
         return mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius_m, 0.0, 0.0]
     if isinstance(shape, Cylinder | Capsule):
-        is_capsule = isinstance(shape, Capsule)
-        kind = (
-            mujoco.mjtGeom.mjGEOM_CAPSULE
-            if is_capsule
-            else mujoco.mjtGeom.mjGEOM_CYLINDER
-        )
-        return kind, [shape.radius_m, 0.5 * shape.length_m, 0.0]
+        return ROUND[type(shape)], [shape.radius_m, 0.5 * shape.length_m, 0.0]
     if isinstance(shape, Ellipsoid):
         return mujoco.mjtGeom.mjGEOM_ELLIPSOID, list(shape.radii_m)
     return mujoco.mjtGeom.mjGEOM_PLANE, [0.0, 0.0, 0.05]
