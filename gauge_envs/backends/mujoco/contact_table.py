@@ -166,9 +166,9 @@ def _mixed_constants(
 
 def _share(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the weight of the first geom's solref and solimp in the mean, from both geoms' solmix."""
-    both = (first >= MIN_SOLMIX) & (second >= MIN_SOLMIX)
-    alone = np.where(first >= MIN_SOLMIX, 1.0, np.where(second >= MIN_SOLMIX, 0.0, 0.5))
-    return np.where(both, first / np.where(both, first + second, 1.0), alone)
+    known = np.where(first >= MIN_SOLMIX, first, 0.0)
+    total = known + np.where(second >= MIN_SOLMIX, second, 0.0)
+    return np.divide(known, total, out=np.full(len(total), 0.5), where=total > 0.0)
 
 
 def _explicit_constants(model: mujoco.MjModel, rows: IntArray) -> FloatArray:

@@ -70,12 +70,6 @@ class BackendNewton(BundledBackend):
             return Repeatability()
         return Repeatability(kind="statistical", start_error=1e-6)
 
-    def build(
-        self, scene: Scene, settings: Mapping[str, Any] | None = None
-    ) -> Simulation:
-        """Build a scene; settings are the fields of the settings class of the preset's solver."""
-        return self.build_worlds(scene, 1, settings)
-
     def build_worlds(
         self,
         scene: Scene,

@@ -87,7 +87,10 @@ class BackendMJCF(BackendMuJoCo):
         self._path = path
 
     def compiled(
-        self, scene: Scene, world_count: int, settings: Mapping[str, Any] | None
+        self,
+        scene: Scene,
+        world_count: int = 1,
+        settings: Mapping[str, Any] | None = None,
     ) -> SimulationMuJoCo:
         """Build worlds of the model of the file.
 
@@ -133,7 +136,7 @@ def read_model(path: Path, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
     Raises:
         AssetError: The file cannot be read, or does not fit the scene.
     """
-    simulation = BackendMuJoCo().build(scene)
+    simulation = BackendMuJoCo().compiled(scene)
     _, model = _compiled(path)
     _settings(path, model)
     placed = _placed_scene(path, model, simulation.model, scene)
