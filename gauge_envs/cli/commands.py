@@ -221,6 +221,7 @@ BUNDLED = (
         "list scenes",
         "assets.commands:list_scenes",
         line="assets.commands:SceneLine",
+        version=2,
         extra="usd",
     ),
     Command(

@@ -7,6 +7,7 @@ import mujoco
 
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
 from gauge_envs.scene import Contact, ContactMode
+from gauge_envs.scene.bodies import friction_dimension
 
 IMPEDANCE_SHAPE = (0.5, 2.0)
 """Midpoint and power of the impedance curve, MuJoCo's defaults; they have no effect on a constant impedance."""
@@ -70,11 +71,8 @@ def contact_constants(
     if settings.contact_solreffriction is not None:
         recipe["solreffriction"] = settings.contact_solreffriction
     friction = _friction(contact, settings)
-    condim = settings.condim or 3
-    if contact.rolling_m:
-        condim = 6
-    elif contact.torsion_m:
-        condim = max(condim, 4)
+    dimension = friction_dimension(contact.torsion_m, contact.rolling_m)
+    condim = max(settings.condim or 3, dimension)
     if friction[0] == 0.0:
         # A contact without friction has no tangential constraints, which is exact and cheap.
         condim = 1

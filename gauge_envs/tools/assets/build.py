@@ -121,7 +121,7 @@ def asset_rows(folder: Path) -> list[dict[str, Any]]:
             {
                 "file": f"{path.parent.name}/{path.name}",
                 "bytes": path.stat().st_size,
-                "of": ", ".join(bodies),
+                "of": bodies,
             }
         )
     return rows
