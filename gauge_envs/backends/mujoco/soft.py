@@ -21,6 +21,7 @@ from gauge_envs.backends.mujoco.flex import (
     free_joint_views,
     make_firm,
     rotation_matrix,
+    slide_addresses,
 )
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.cells import grid_points
@@ -80,9 +81,7 @@ class Grip:
         self._force = data.xfrc_applied[driven.id]
         self._mass_kg = float(driven.mass[0])
         self._nodes = np.array([model.body(name).id for name in self.names])
-        joints = model.body_jntadr[self._nodes][:, None] + np.arange(3)
-        self._addresses = model.jnt_qposadr[joints]
-        self._freedoms = model.jnt_dofadr[joints]
+        self._addresses, self._freedoms = slide_addresses(model, self._nodes)
         self._rest_m = model.body_pos[self._nodes]
         self._masses_kg = model.body_mass[self._nodes, None]
         # Positions of the nodes in the frame of the driven body.
