@@ -14,7 +14,6 @@ from pxr import Usd, UsdPhysics
 
 from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.backends.mujoco.mjcf import NUMBER
 from gauge_envs.errors import ResultFileError
 from gauge_envs.experiments.variants import variants
 from gauge_envs.formats.usd import from_usd
@@ -23,7 +22,7 @@ from gauge_envs.scene.geometry import pose_distance
 from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets import build as assets
-from gauge_envs.tools.assets.build import assets_folder, solid_shapes
+from gauge_envs.tools.assets.build import NUMBER, assets_folder, solid_shapes
 from gauge_envs.tools.assets.export import mjcf_text
 
 ALL = tuple(variant.name for variant in variants())

@@ -4,7 +4,6 @@ MuJoCo's public XML writer prints six significant digits and omits the compiled 
 module restores the digits from the editable model and adds the tables as custom numbers.
 """
 
-import re
 from collections.abc import Iterable, Iterator
 from typing import Any
 from xml.etree import ElementTree
@@ -30,15 +29,8 @@ DRIVER_PREFIX = "driver/"
 DRIVER_COLUMNS = 19
 """Number of columns of driven motion: qpos 7, qvel 6, xfrc_applied 6."""
 
-NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
-
 TABLE_TOLERANCE = 1e-9
 """Relative difference below which a compiled table equals the backend's: sums in another order differ by rounding."""
-
-KINDS = re.compile(
-    r'<numeric name="(?P<name>[^"]+)/kinds" size="\d+" data="(?P<kinds>[^"]*)" />\s*'
-    r'<numeric name="(?P=name)/kind" size="\d+" data="(?P<kind>[^"]*)" />'
-)
 
 
 def scene_mjcf_text(
@@ -82,17 +74,6 @@ def scene_mjcf_text(
     element.tail = "\n\n  "
     root.insert(0, element)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
-
-
-def expanded(text: str) -> str:
-    """Return a file's text with all table rows written out, since bitwise equality of rows depends on the machine."""
-
-    def rows(match: re.Match[str]) -> str:
-        kind = np.array(match["kind"].split(), dtype=int)
-        kinds = np.array(match["kinds"].split()).reshape(kind.max() + 1, -1)
-        return "\n".join(map(" ".join, kinds[kind]))
-
-    return KINDS.sub(rows, text)
 
 
 def _add_numeric(
@@ -263,10 +244,14 @@ def _restore_digits(element: ElementTree.Element, source: Any) -> None:
     aliases = ALIASES.get(element.tag, {})
     for key, text in element.items():
         exact = getattr(source, aliases.get(key, key), None)
-        if exact is None or not NUMBER.fullmatch(text.split(" ")[0]):
+        if exact is None or isinstance(exact, str):
+            continue
+        try:
+            written = np.array(text.split(), dtype=np.float64)
+        except ValueError:
+            # These are words, such as `true` or names.
             continue
         is_mesh = element.tag == "mesh" and key == "vertex"
-        written = np.array(text.split(), dtype=np.float64)
         # MuJoCo omits trailing defaults.
         values = np.atleast_1d(np.asarray(exact, np.float32 if is_mesh else None))
         values = values[: written.size]
