@@ -204,7 +204,9 @@ def friction_dimension(torsion_m: float, rolling_m: float) -> int:
     """Return the dimension of a contact: 3 with sliding friction alone, 4 with torsional, 6 with rolling friction."""
     if rolling_m:
         return 6
-    return 4 if torsion_m else 3
+    if torsion_m:
+        return 4
+    return 3
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -70,15 +70,20 @@ class PrescribedMotion:
             start_poses: Pose of the body in each world before anything moves, shape [N, 7]; None is the nominal pose.
         """
         nominal_drivers, nominal_poses = self._nominal
-        self._drivers = list(nominal_drivers if drivers is None else drivers)
-        chosen = nominal_poses if start_poses is None else start_poses
-        self._start = np.array(chosen, dtype=np.float64)
+        if drivers is None:
+            drivers = nominal_drivers
+        if start_poses is None:
+            start_poses = nominal_poses
+        self._drivers = list(drivers)
+        self._start = np.array(start_poses, dtype=np.float64)
         self._start[:, 3:] = unit_quaternions(self._start[:, 3:])
         self._offsets = np.zeros((len(self._start), self.motion_count))
         # If all worlds have the same motion, they share it, and the axis of worlds has length 1.
         is_shared = all(driver is self._drivers[0] for driver in self._drivers)
         is_shared = is_shared and (self._start == self._start[0]).all()
-        worlds = range(1 if is_shared else len(self._drivers))
+        worlds = range(len(self._drivers))
+        if is_shared:
+            worlds = range(1)
         recorded = [
             _recorded(
                 self._drivers[world],
@@ -107,8 +112,7 @@ class PrescribedMotion:
         part = slice(first, first + count + 1)
         if not (self._offsets.any() or rates.any()):
             recorded = self._targets[first : first + count]
-            shape = (count, len(rates), 19)
-            return recorded if len(rates) == 1 else np.broadcast_to(recorded, shape)
+            return np.broadcast_to(recorded, (len(recorded), len(rates), 19))
         offsets = self._offsets + self._times_s[: count + 1] * rates
         self._offsets = offsets[-1]
         if self._axes is not None:
