@@ -222,6 +222,7 @@ BUNDLED = (
         "list scenes",
         "assets.commands:list_scenes",
         line="assets.commands:SceneLine",
+        version=2,
         extra="usd",
     ),
     Command(
