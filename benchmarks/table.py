@@ -29,9 +29,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import dtw
+import episode_cost
 import gymnasium
 import numpy as np
-import replay
 
 from gauge_envs.processors import processor_count
 from gauge_envs.scoring.metrics import trajectory_dtw
@@ -140,7 +140,9 @@ def _comparing(result: dict[str, object]) -> Row:
         files = [Path(folder) / f"{seed}.json" for seed in range(RESULT_COUNT)]
         for seed, file in enumerate(files):
             file.write_text(json.dumps(result | {"seed": seed}), encoding="utf-8")
-        read_s = replay.process_s(lambda: [json.loads(f.read_bytes()) for f in files])
+        read_s = episode_cost.process_s(
+            lambda: [json.loads(f.read_bytes()) for f in files]
+        )
         compare_s = child_s("-m", "gauge_envs", "compare", folder)
     return Row(f"gauge compare, {RESULT_COUNT} results / json", compare_s / read_s, 10)
 
@@ -149,16 +151,16 @@ def episodes() -> Iterator[Row]:
     """Yield the cost of an episode over the bare engine."""
     for preset, limit in PRESETS.items():
         for name in EPISODES:
-            ratio = replay.episode_ratio(name, preset, budget_s=2.0)
+            ratio = episode_cost.episode_ratio(name, preset, budget_s=2.0)
             yield Row(f"episode / engine, {preset}, {name}", ratio, limit)
 
 
 def many_worlds() -> Iterator[Row]:
     """Yield the Python time of a step per world of many worlds, as a multiple of that of a single environment."""
     name = "SlopeSlider-3-wood"
-    single_s = replay.python_s(name, 0, 40, budget_s=2.0)
+    single_s = episode_cost.python_s(name, 0, 40, budget_s=2.0)
     for count, steps in ((64, 10), (1024, 1)):
-        ratio = replay.python_s(name, count, steps, budget_s=1.0) / single_s
+        ratio = episode_cost.python_s(name, count, steps, budget_s=1.0) / single_s
         yield Row(f"Python, {count} worlds / one, {name}", ratio, 0.5)
 
 

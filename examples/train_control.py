@@ -3,8 +3,8 @@
     python examples/train_control.py --task Throw-Limit-rubber --seed 0
 
 It needs the extra `rl`, trains PPO on one core, and writes OUT/TASK-SEED.zip (Stable-Baselines3), OUT/TASK-SEED.pkl
-(the statistics that scale observations) and OUT/TASK-SEED.csv (the learning curve). `replay_policy.py` replays the
-first two on another engine.
+(the statistics that scale observations) and OUT/TASK-SEED.csv (the learning curve). `policy_on_two_engines.py` runs
+the first two on another engine.
 """
 
 from __future__ import annotations

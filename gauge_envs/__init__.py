@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from gauge_envs.experiments.experiment import Experiment as Experiment
     from gauge_envs.experiments.resolve import (
         load_experiment as load_experiment,
-        load_experiment_from_asset as load_experiment_from_asset,
     )
     from gauge_envs.experiments.task_reader import load_task as load_task
     from gauge_envs.scene.jitter import Jitter as Jitter
@@ -57,7 +56,7 @@ else:
             ".envs.recording": ["Trajectory"],
             ".envs.wrappers": ["LogScore", "ScoreEpisode"],
             ".experiments.experiment": ["Experiment"],
-            ".experiments.resolve": ["load_experiment", "load_experiment_from_asset"],
+            ".experiments.resolve": ["load_experiment"],
             ".experiments.task_reader": ["load_task"],
             ".scene.jitter": ["Jitter"],
             ".scoring.reference": ["reference_band"],

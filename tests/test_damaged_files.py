@@ -12,7 +12,6 @@ from places import ROOT
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.errors import AssetError, GaugeError
-from gauge_envs.experiments.resolve import load_experiment_from_asset
 from gauge_envs.experiments.task_reader import load_task
 from gauge_envs.formats.usd.reader import from_usd
 from gauge_envs.runs.episodes import run_episode
@@ -89,4 +88,4 @@ def test_a_time_step_that_is_not_positive_is_rejected(step, tmp_path):
     file = tmp_path / "step.xml"
     file.write_text(f'<mujoco><option timestep="{step}"/></mujoco>')
     with pytest.raises(AssetError, match=r"timestep|MuJoCo cannot load"):
-        load_experiment_from_asset(ID, file)
+        load_experiment(ID, asset=file)

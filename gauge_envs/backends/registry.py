@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 from gauge_envs.backends.base import Backend, scene_support
@@ -23,6 +24,11 @@ def backend_names() -> tuple[str, ...]:
     return tuple(sorted({point.name for point in engine_points()}))
 
 
+def _entry_point(name: str) -> EntryPoint | None:
+    """Return the entry point of a backend, or None if no installed package provides it."""
+    return next((point for point in engine_points() if point.name == name), None)
+
+
 @cache
 def backend(name: str) -> Backend:
     """Return the backend of a name. The first call imports it.
@@ -32,30 +38,29 @@ def backend(name: str) -> Backend:
         MissingExtraError: Its engine is not installed.
         BackendError: Its package cannot be imported for another reason, or its class is not a backend of that name.
     """
-    for point in engine_points():
-        if point.name == name:
-            place = f"backend {name!r} ({point.value})"
-            with _as_backend_error(place):
-                engine = point.load()()
-            if not isinstance(engine, Backend):
-                raise BackendError(
-                    f"{place}: the entry point gives a {type(engine).__name__}, expected a Backend"
-                )
-            if engine.name != name:
-                raise BackendError(
-                    f"{place}: the class has the name {engine.name!r}. "
-                    "Give the key of the entry point and the attribute `name` of the class the same text."
-                )
-            return engine
-    raise UnknownNameError(
-        "backend", name, backend_names(), ISAAC_SIM if "isaac" in name.lower() else ""
-    )
+    point = _entry_point(name)
+    if point is None:
+        hint = ISAAC_SIM if "isaac" in name.lower() else ""
+        raise UnknownNameError("backend", name, backend_names(), hint)
+    place = f"backend {name!r} ({point.value})"
+    with _as_backend_error(place):
+        engine = point.load()()
+    if not isinstance(engine, Backend):
+        raise BackendError(
+            f"{place}: the entry point gives a {type(engine).__name__}, expected a Backend"
+        )
+    if engine.name != name:
+        raise BackendError(
+            f"{place}: the class has the name {engine.name!r}. "
+            "Give the key of the entry point and the attribute `name` of the class the same text."
+        )
+    return engine
 
 
 def is_bundled(name: str) -> bool:
     """Return whether the backend of a name is part of this package."""
-    values = [point.value for point in engine_points() if point.name == name]
-    return bool(values) and values[0].startswith(BUNDLED)
+    point = _entry_point(name)
+    return point is not None and point.value.startswith(BUNDLED)
 
 
 def backend_class(name: str) -> type[Backend]:
@@ -63,12 +68,12 @@ def backend_class(name: str) -> type[Backend]:
 
     The attributes of the class are the same whether or not its engine is installed.
     """
-    for point in engine_points():
-        if point.name == name:
-            with suppress(GaugeError), _as_backend_error(name):
-                loaded = point.load()
-                if isinstance(loaded, type) and issubclass(loaded, Backend):
-                    return loaded
+    point = _entry_point(name)
+    if point is not None:
+        with suppress(GaugeError), _as_backend_error(name):
+            loaded = point.load()
+            if isinstance(loaded, type) and issubclass(loaded, Backend):
+                return loaded
     return Backend
 
 

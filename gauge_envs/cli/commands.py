@@ -113,7 +113,7 @@ BUNDLED_COMMANDS = {
     "data isaac-sim": CommandInfo(
         "Write experiments as USD layers that Isaac Sim simulates.", extra="usd"
     ),
-    "list scenes": CommandInfo(extra="usd"),
+    "list scenes": CommandInfo(version=2, extra="usd"),
     "video prompts": CommandInfo(
         "Fetch the first frame and the prompt of each task of the benchmark (3 MB).",
         extra="video",

@@ -5,6 +5,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gauge_envs.errors import ParameterError, TaskFileError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.scene_builder import (
@@ -133,16 +135,6 @@ def _recorded(variant: Variant, scene: Scene) -> tuple[str, ...]:
     return tuple(body.name for body in recorded)
 
 
-def load_experiment_from_asset(
-    variant: str | Variant,
-    asset: str | PathLike[str],
-    *,
-    reference: DataSource | str = DataSource.BUNDLED,
-) -> Experiment:
-    """Load one variant with the scene of a file; see `load_experiment`."""
-    return load_experiment(variant, reference=reference, asset=asset)
-
-
 def _check_arguments_of_asset(
     asset: Path, parameters: Parameters, drivers: DataSource | str
 ) -> None:
@@ -226,11 +218,11 @@ def with_trial(experiment: Experiment, trial: int) -> Experiment:
     if shots is None:
         raise ParameterError(f"{experiment.id} has no single-trial recordings")
     shot = shots.shot(trial)
-    w, x, y, z = shot.quaternions[0].tolist()
+    start = np.concatenate([shot.positions_m[0], shot.quaternions[0]])
     scene = experiment.scene
     started = replace(
         scene.body(shot.body),
-        pose=Pose(position_m=vector(shot.positions_m[0]), quaternion=(w, x, y, z)),
+        pose=Pose.of_state(start),
         linear_velocity_m_per_s=vector(shot.velocity_m_per_s),
         angular_velocity_rad_per_s=vector(shot.angular_velocity_rad_per_s),
     )

@@ -212,10 +212,12 @@ class SceneBuilder:
                 f"Those that change the scene: {', '.join(near or sorted(self.read))}"
             )
 
-    def _read(self, name: str, constant: str) -> float | None:
-        """Return a constant, or None, and add it to `read`."""
+    def _read(
+        self, name: str, constant: str, *, has_effect: bool = True
+    ) -> float | None:
+        """Return a constant, or None, and add it to `read` if the motion depends on it."""
         constants = self.constants.get(name, {})
-        if constant in constants:
+        if has_effect and constant in constants:
             self.read.add(f"{name}.{constant}")
         return constants.get(constant)
 
@@ -268,20 +270,21 @@ class SceneBuilder:
         )
 
     def _rigid_bodies(self, name: str, body: BodySpec) -> Iterator[RigidBody]:
-        mass_kg = self.constants.get(name, {}).get("mass_kg")
-        inertia_kg_m2 = self.constants.get(name, {}).get("inertia_kg_m2")
-        if body.motion is Motion.DYNAMIC:
-            mass_kg = self._read(name, "mass_kg")
-            inertia_kg_m2 = self._read(name, "inertia_kg_m2")
+        is_dynamic = body.motion is Motion.DYNAMIC
+        mass_kg = self._read(name, "mass_kg", has_effect=is_dynamic)
+        inertia_kg_m2 = self._read(name, "inertia_kg_m2", has_effect=is_dynamic)
         poses = self.placements[name].poses()
-        if len(poses) != (body.count or 1):
+        names = [name]
+        if body.count:
+            names = [f"{name}-{index + 1}" for index in range(body.count)]
+        if len(poses) != len(names):
             raise ValueError(
-                f"initial.{name}: {len(poses)} positions for {body.count or 1} bodies"
+                f"initial.{name}: {len(poses)} positions for {len(names)} bodies"
             )
         linear, angular = self._velocities(name, poses[0])
-        for index, pose in enumerate(poses):
+        for body_name, pose in zip(names, poses, strict=True):
             yield RigidBody(
-                name=f"{name}-{index + 1}" if body.count else name,
+                name=body_name,
                 shape=body.shape,
                 motion=body.motion,
                 pose=pose,
@@ -319,13 +322,11 @@ class SceneBuilder:
                 f"{name!r} is deformable and starts at rest: remove its start velocity"
             )
         values: dict[str, Any] = {"name": name, "pose": placement.poses()[0]}
-        # The mass of a cloth follows from its size, so it has no effect of its own.
-        kept = {"mass_kg"} if isinstance(body, ClothSpec) else set()
-        for constant, value in self.constants[name].items():
-            if constant in kept:
-                values[constant] = value
-            elif constant not in OF_NO_FABRIC:
-                values[constant] = self._read(name, constant)
+        for constant in self.constants[name]:
+            if constant not in OF_NO_FABRIC:
+                # The mass of a cloth follows from its size, so it has no effect of its own.
+                is_free = not isinstance(body, ClothSpec) or constant != "mass_kg"
+                values[constant] = self._read(name, constant, has_effect=is_free)
         if isinstance(body, ClothSpec):
             return Cloth(size_m=body.size_m, **values)
         if isinstance(body, SoftBodySpec):
@@ -379,11 +380,9 @@ class SceneBuilder:
         if number is not None:
             return number
         owner = str(spec.constants_of)
-        number = self.constants.get(owner, {}).get(constant)
+        number = self._read(owner, constant, has_effect=is_effective)
         if number is None:
             raise ValueError(f"contacts: {owner!r} has no {constant}")
-        if is_effective:
-            self.read.add(f"{owner}.{constant}")
         return number
 
     def _markers(self) -> Markers | None:

@@ -42,10 +42,8 @@ Provenance = Literal["metadata", "paper", "video", "mocap", "derived", "nominal"
 def _solid(union: ConvexUnion) -> ConvexUnion:
     for index, piece in enumerate(union.pieces_m):
         points = np.asarray(piece)
-        if (
-            len(piece) < 4
-            or np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-9) < 3
-        ):
+        # Fewer than four vertices have a smaller rank too.
+        if np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-9) < 3:
             raise ValueError(
                 f"piece {index} is flat or has fewer than four vertices: it encloses no volume"
             )
@@ -73,24 +71,16 @@ class PlateWithHoleSpec(FileModel):
         radius = self.hole_radius_m / np.cos(np.pi / self.hole_segments)
         directions = np.column_stack([np.cos(angles), np.sin(angles)])
         inner = radius * directions
-        outer = (
-            directions
-            * np.minimum(
-                half_x / np.maximum(np.abs(directions[:, 0]), 1e-12),
-                half_y / np.maximum(np.abs(directions[:, 1]), 1e-12),
-            )[:, None]
-        )
+        # The ray of each direction ends at the nearer side.
+        widths = np.maximum(np.abs(directions), 1e-12)
+        outer = directions * ([half_x, half_y] / widths).min(axis=1)[:, None]
+        following = np.roll(inner, -1, axis=0), np.roll(outer, -1, axis=0)
+        outlines = np.stack([inner, outer, following[1], following[0]], axis=1)
         pieces = []
-        for i in range(len(angles)):
-            j = (i + 1) % len(angles)
-            outline = [inner[i], outer[i], outer[j], inner[j]]
-            pieces.append(
-                tuple(
-                    (float(p[0]), float(p[1]), z)
-                    for z in (-half_z, half_z)
-                    for p in outline
-                )
-            )
+        for outline in outlines.tolist():
+            low = [(x, y, -half_z) for x, y in outline]
+            high = [(x, y, half_z) for x, y in outline]
+            pieces.append((*low, *high))
         return ConvexUnion(pieces_m=tuple(pieces))
 
 

@@ -34,7 +34,7 @@ NO_ORIGIN = "not stated"
 """Origin of a number without an entry in `[provenance]`."""
 
 
-class Group(StrEnum):
+class Matter(StrEnum):
     """Kind of matter in an experiment."""
 
     RIGID = "rigid"
@@ -270,7 +270,7 @@ class TaskSpec(FileModel):
     collection: Collection = Collection.GAUGE
     revision: int = Field(1, ge=1)
     title: str
-    group: Group
+    group: Matter
     summary: str
     evaluates: tuple[str, ...]
     materials: tuple[Name, ...] = Field(min_length=1)
@@ -298,25 +298,20 @@ class TaskSpec(FileModel):
     @model_validator(mode="after")
     def _names_are_defined(self) -> TaskSpec:
         """Raise an error for the name of a body without a table; contacts may use patterns of names."""
-        known = [
-            *self.names,
-            *(
-                f"{name}-{index + 1}"
-                for name, body in self.bodies.items()
-                for index in range(body.count or 0)
-            ),
-        ]
-        used = [*(self.markers.bodies if self.markers else ()), *self.constants]
-        for subtask in self.subtasks.values():
-            used += [*subtask.bodies, *subtask.motion]
+        known = [*self.names]
+        for name, body in self.bodies.items():
+            known += [f"{name}-{index + 1}" for index in range(body.count or 0)]
+        used = [*self.constants]
+        if self.markers is not None:
+            used += self.markers.bodies
         for attachment in self.attachments:
             used += [attachment.deformable, attachment.to]
-        for contacts in (
-            self.contacts,
-            *(subtask.contacts for subtask in self.subtasks.values()),
-        ):
-            for contact in contacts or ():
-                used += contact.bodies
+        contacts = [*self.contacts]
+        for subtask in self.subtasks.values():
+            used += [*subtask.bodies, *subtask.motion]
+            contacts += subtask.contacts or ()
+        for contact in contacts:
+            used += contact.bodies
         for name in used:
             if not fnmatch.filter(known, name):
                 raise ValueError(
@@ -372,20 +367,24 @@ class TaskSpec(FileModel):
     def contacts_of(self, variant: Variant) -> tuple[ContactSpec, ...]:
         """Return the contacts of a variant."""
         subtask = self.subtask_of(variant)
-        replaced = None if subtask is None else subtask.contacts
-        return self.contacts if replaced is None else replaced
+        if subtask is None or subtask.contacts is None:
+            return self.contacts
+        return subtask.contacts
 
     def drivers_of(self, variant: Variant) -> tuple[DriverSpec, ...]:
         """Return the driven motions of a variant."""
         subtask = self.subtask_of(variant)
-        replaced = None if subtask is None else subtask.drivers
-        return self.drivers if replaced is None else replaced
+        if subtask is None or subtask.drivers is None:
+            return self.drivers
+        return subtask.drivers
 
     def placements_of(self, variant: Variant) -> dict[str, Placement]:
         """Return the placement of each body of a variant."""
-        subtask = self.subtask_of(variant)
+        tables = [self.initial]
+        if subtask := self.subtask_of(variant):
+            tables.append(subtask.initial)
         merged: dict[str, Placement] = {}
-        for initial in (self.initial, subtask.initial if subtask else {}):
+        for initial in tables:
             for material in ("all", variant.material):
                 merged |= initial.get(material, {})
         return merged
@@ -419,16 +418,11 @@ class TaskSpec(FileModel):
         counts.
         """
         parts = key.split(".")
-        for length in range(len(parts), 0, -1):
-            prefix = ".".join(parts[:length])
-            matching = [
-                pattern
-                for pattern in self.provenance
-                if pattern.count(".") == length - 1
-                and fnmatch.fnmatchcase(prefix, pattern)
-            ]
-            if matching:
-                return self.provenance[
-                    min(matching, key=lambda pattern: pattern.count("*"))
-                ]
-        return NO_ORIGIN
+        matching = []
+        for pattern in self.provenance:
+            dots = pattern.count(".")
+            if fnmatch.fnmatchcase(".".join(parts[: dots + 1]), pattern):
+                matching.append((dots, -pattern.count("*"), pattern))
+        if not matching:
+            return NO_ORIGIN
+        return self.provenance[max(matching)[2]]

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
-from pydantic import PositiveInt
+from pydantic import PositiveInt, model_validator
 
 from gauge_envs.references.metrics import MetricKey
 from gauge_envs.references.tables import FileModel, read_rows, scoring_folder
@@ -16,8 +15,7 @@ PUBLISHED_ENGINES = {"isaacsim": "Isaac Sim", "genesis": "Genesis", "newton": "N
 """Titles of the engines whose scores were published, by column of the file."""
 
 
-@dataclass(frozen=True)
-class Baseline:
+class Baseline(FileModel):
     """One row of the published results (paper, Table 5): scores of real trials and of three engines.
 
     Attributes:
@@ -33,13 +31,28 @@ class Baseline:
     """
 
     variant: str
-    metric: str
-    frames: int
+    metric: MetricKey
+    frames: PositiveInt
     unit: str
     mean: float
     std: float | None
-    engines: Mapping[str, float | None]
+    engines: dict[str, float | None]
     disputed: str
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_row(cls, row: dict[str, Any]) -> dict[str, Any]:
+        """Return the fields of a row of `engine_results.csv`, with percentages as ratios."""
+        fields = dict(row)
+        fields["mean"] = fields.pop("baseline_mean")
+        fields["std"] = fields.pop("baseline_std")
+        fields["engines"] = {engine: fields.pop(engine) for engine in PUBLISHED_ENGINES}
+        fields["disputed"] = fields["disputed"] or ""
+        if fields["unit"] == "percent":
+            fields["unit"] = "1"
+            for name in ("mean", "std"):
+                fields[name] = float(fields[name]) / 100
+        return fields
 
 
 def published_baselines(variant: str) -> dict[str, Baseline]:
@@ -47,40 +60,10 @@ def published_baselines(variant: str) -> dict[str, Baseline]:
     return dict(_all_baselines(scoring_folder("published")).get(variant, {}))
 
 
-class _BaselineRow(FileModel):
-    """One row of `engine_results.csv`; its fields are the columns."""
-
-    variant: str
-    frames: PositiveInt
-    metric: MetricKey
-    unit: str
-    baseline_mean: float
-    baseline_std: float | None
-    isaacsim: float | None
-    genesis: float | None
-    newton: float | None
-    disputed: str | None
-
-    def baseline(self) -> Baseline:
-        """Return the row with percentages as ratios."""
-        percent = self.unit == "percent"
-        mean, std = self.baseline_mean, self.baseline_std
-        return Baseline(
-            variant=self.variant,
-            metric=self.metric,
-            frames=self.frames,
-            unit="1" if percent else self.unit,
-            mean=mean / 100 if percent else mean,
-            std=std / 100 if percent and std is not None else std,
-            engines={engine: getattr(self, engine) for engine in PUBLISHED_ENGINES},
-            disputed=self.disputed or "",
-        )
-
-
 @cache
 def _all_baselines(folder: Path) -> dict[str, dict[str, Baseline]]:
     file = folder / "engine_results.csv"
     table: dict[str, dict[str, Baseline]] = {}
-    for row in read_rows(file, _BaselineRow):
-        table.setdefault(row.variant, {})[row.metric] = row.baseline()
+    for row in read_rows(file, Baseline):
+        table.setdefault(row.variant, {})[row.metric] = row
     return table

@@ -15,7 +15,7 @@ from pydantic import (
 )
 
 from gauge_envs.errors import ReferenceFileError
-from gauge_envs.files import data_folder
+from gauge_envs.files import data_folder, os_errors
 from gauge_envs.scene.geometry import Vector, length_of
 from gauge_envs.text import csv_text, toml_document
 from gauge_envs.validation import first_fault
@@ -49,14 +49,10 @@ def scoring_folder(name: str) -> Path:
 
 def read_content(file: Path) -> bytes:
     """Return the content of a file of reference data."""
-    try:
+    with os_errors(
+        lambda cause: ReferenceFileError(file, None, f"cannot be read: {cause}")
+    ):
         return file.read_bytes()
-    except FileNotFoundError:
-        raise ReferenceFileError(file, None, "the file is missing") from None
-    except OSError as error:
-        raise ReferenceFileError(
-            file, None, f"cannot be read: {error.strerror or error}"
-        ) from None
 
 
 @contextmanager

@@ -71,14 +71,10 @@ def reference_words(kind: Kind, trial_count: int | None) -> str:
         kind: Kind of the reference.
         trial_count: Number of its trials; None is unknown.
     """
+    if kind is Kind.TRIALS and trial_count == 1:
+        return "one real trial"
     if kind is Kind.TRIALS:
-        if trial_count == 1:
-            return "one real trial"
-        return (
-            f"the mean of {trial_count} real trials"
-            if trial_count
-            else "the mean of the real trials"
-        )
+        return f"the mean of {trial_count or 'the'} real trials"
     names = {
         Kind.RECORDING: "one recorded real trial",
         Kind.NUMERICAL: "the refined solution of the scene, not a real trial",

@@ -200,6 +200,15 @@ class Contact:
     rolling_m: NonNegative = field(default=0.0, repr=False)
 
 
+def friction_dimension(torsion_m: float, rolling_m: float) -> int:
+    """Return the dimension of a contact: 3 with sliding friction alone, 4 with torsional, 6 with rolling friction."""
+    if rolling_m:
+        return 6
+    if torsion_m:
+        return 4
+    return 3
+
+
 @dataclass(frozen=True, kw_only=True)
 class Markers:
     """Motion-capture markers attached to deformable bodies, in the published order.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -27,6 +28,12 @@ TOUCHING_M = 1e-5
 """Largest gap between two faces in contact [m]; published positions have six decimals."""
 
 PartShape = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
+
+Piece = tuple[FloatArray, FloatArray]
+"""Corners [m], shape [corner_count, 3], and planes of flat faces, shape [face_count, 4], of a convex solid.
+
+A plane is an outward normal and an offset: minus the distance from the origin along the normal [m].
+"""
 
 PARALLEL = 1.0 - 1e-9
 """Smallest cosine between normals that count as parallel."""
@@ -60,20 +67,14 @@ class ContactFaces:
     def __init__(
         self, bodies: Iterable[RigidBody], colliding: Iterable[tuple[str, str]]
     ) -> None:
-        named = {body.name: body for body in bodies}
-        pieces = {
-            name: [*_pieces(body.shape, body.pose)] for name, body in named.items()
-        }
+        pieces = {body.name: [*_pieces(body.shape, body.pose)] for body in bodies}
         self._normals: dict[frozenset[str], list[FloatArray]] = {}
         for first, second in colliding:
             pair = frozenset((first, second))
-            if pair <= named.keys() and pair not in self._normals:
-                first_body, second_body = (
-                    (named[first], pieces[first]),
-                    (named[second], pieces[second]),
-                )
-                if normals := [*_touching(*first_body, *second_body)]:
-                    self._normals[pair] = normals
+            if pair in self._normals or not pair <= pieces.keys():
+                continue
+            if normals := [*_touching(pieces[first], pieces[second])]:
+                self._normals[pair] = normals
 
     def groups(self, bodies: Sequence[RigidBody]) -> dict[str, TouchingGroup]:
         """Return the group of touching bodies of each body, by its name; bodies outside `bodies` join no group."""
@@ -137,68 +138,53 @@ def face_normal(pose: Pose) -> FloatArray:
     return axes[int(np.abs(axes[:, 2]).argmax())]
 
 
-def _pieces(
-    shape: Shape | PartShape, pose: Pose
-) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield corners [m] and planes of flat faces, shape [face_count, 4], of the pieces of a shape, in the world.
-
-    A plane is an outward normal and an offset: minus the distance from the origin along the normal [m].
-    """
+def _pieces(shape: Shape | PartShape, pose: Pose) -> Iterator[Piece]:
+    """Yield the pieces of a shape with flat faces; a plane has no corners."""
     from scipy.spatial import ConvexHull
 
+    axes = pose.matrix.T
+    position_m = np.asarray(pose.position_m)
     if isinstance(shape, Compound):
         for part in shape.parts:
             place = vector(pose.to_world(np.asarray(part.pose.position_m)))
-            yield from _pieces(
-                part.shape,
-                Pose.from_rotation(place, pose.rotation * part.pose.rotation),
-            )
+            rotation = pose.rotation * part.pose.rotation
+            yield from _pieces(part.shape, Pose.from_rotation(place, rotation))
     elif isinstance(shape, ConvexUnion):
         for piece in shape.pieces_m:
             corners = pose.to_world(np.asarray(piece))
             yield corners, np.unique(ConvexHull(corners).equations.round(9), axis=0)
+    elif isinstance(shape, Plane):
+        yield np.zeros((0, 3)), np.array([[*axes[2], -axes[2] @ position_m]])
     elif isinstance(shape, Box | Cylinder):
-        size_m = (
-            shape.size_m if isinstance(shape, Box) else (np.inf, np.inf, shape.length_m)
-        )
-        axes = pose.matrix.T
+        size_m = np.array([np.inf, np.inf, 0.0])
+        if isinstance(shape, Cylinder):
+            size_m[2] = shape.length_m
+        else:
+            size_m[:] = shape.size_m
         flat = np.isfinite(size_m)
         normals = np.concatenate([axes[flat], -axes[flat]])
-        heights = np.tile(0.5 * np.asarray(size_m)[flat], 2)
-        offsets = -(normals @ np.asarray(pose.position_m)) - heights
+        heights = np.tile(0.5 * size_m[flat], 2)
+        offsets = -(normals @ position_m) - heights
         yield pose.to_world(shape.corners_m), np.column_stack([normals, offsets])
 
 
-def _touching(
-    first: RigidBody,
-    first_pieces: Sequence[tuple[FloatArray, FloatArray]],
-    second: RigidBody,
-    second_pieces: Sequence[tuple[FloatArray, FloatArray]],
-) -> Iterator[FloatArray]:
+def _touching(first: Sequence[Piece], second: Sequence[Piece]) -> Iterator[FloatArray]:
     """Yield the normals of the faces at which the pieces of two bodies touch."""
-    for plane, corners in ((first, second_pieces), (second, first_pieces)):
-        if isinstance(plane.shape, Plane):
-            normal = np.asarray(plane.pose.rotation.apply([0.0, 0.0, 1.0]))
-            gaps = [
-                ((piece - np.asarray(plane.pose.position_m)) @ normal).min()
-                for piece, _ in corners
-            ]
-            if gaps and abs(min(gaps)) <= TOUCHING_M:
-                yield normal
-            return
-    for corners_m, planes in first_pieces:
-        for second_corners_m, second_planes in second_pieces:
-            # If two convex bodies touch at a face, the plane of this face separates them with the largest gap.
-            candidates = [
-                (float(gaps.max()), faces[int(gaps.argmax()), :3])
-                for faces, points in (
-                    (planes, second_corners_m),
-                    (second_planes, corners_m),
-                )
-                if len(faces)
-                for gaps in [(points @ faces[:, :3].T + faces[:, 3]).min(axis=0)]
-            ]
-            if candidates:
-                gap, normal = max(candidates, key=lambda candidate: candidate[0])
-                if abs(gap) <= TOUCHING_M:
-                    yield normal / np.linalg.norm(normal)
+    for (first_m, first_faces), (second_m, second_faces) in product(first, second):
+        # If two convex bodies touch at a face, the plane of this face separates them with the largest gap.
+        gap_m, normal = max(
+            _separation(first_faces, second_m),
+            _separation(second_faces, first_m),
+            key=lambda separation: separation[0],
+        )
+        if abs(gap_m) <= TOUCHING_M:
+            yield normal / np.linalg.norm(normal)
+
+
+def _separation(faces: FloatArray, corners_m: FloatArray) -> tuple[float, FloatArray]:
+    """Return the largest gap between a face of a piece and the corners of another [m], and the normal of the face."""
+    if not (len(faces) and len(corners_m)):
+        return -np.inf, np.zeros(3)
+    gaps_m = (corners_m @ faces[:, :3].T + faces[:, 3]).min(axis=0)
+    widest = int(gaps_m.argmax())
+    return float(gaps_m[widest]), faces[widest, :3]

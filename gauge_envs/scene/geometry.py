@@ -11,20 +11,13 @@ import numpy as np
 from annotated_types import Ge, Gt, MinLen
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.optional import needs_extra
-
 if TYPE_CHECKING:
-    # The import takes 0.2 s, and only pictures need it.
-    import trimesh
     from scipy.spatial.transform import Rotation
 
 Vector = tuple[float, float, float]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 BoolArray = NDArray[np.bool_]
-
-PLATE_SIZE_M = (2.0, 2.0, 0.002)
-"""Size of the plate that shows a plane in pictures [m]."""
 
 # Bounds of numbers. Pydantic checks them when it reads a file; a constructor called by code does not.
 Positive = Annotated[float, Gt(0.0)]
@@ -171,6 +164,11 @@ CORNER_SIGNS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
 """Sides of a box on which its corners lie, shape [8, 3]."""
 
 
+def _box_corners_m(*half_edges_m: float) -> FloatArray:
+    """Return the corners of a box about the origin from half of its edges along x, y, z [m], shape [8, 3]."""
+    return CORNER_SIGNS * np.array(half_edges_m)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Box:
     """Box centred on the body origin; edge lengths [m] along body x, y, z."""
@@ -186,12 +184,7 @@ class Box:
     @cached_property
     def corners_m(self) -> FloatArray:
         """Corners in the body frame [m], shape [8, 3]."""
-        return 0.5 * CORNER_SIGNS * np.asarray(self.size_m)
-
-    def mesh(self) -> trimesh.Trimesh:
-        """Return a closed mesh for pictures, in the body frame."""
-        trimesh = _trimesh()
-        return trimesh.creation.box(extents=self.size_m)
+        return _box_corners_m(*(0.5 * edge for edge in self.size_m))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,12 +202,7 @@ class Sphere:
     @cached_property
     def corners_m(self) -> FloatArray:
         """Corners of the bounding box in the body frame [m], shape [8, 3]."""
-        return Box(size_m=(2 * self.radius_m,) * 3).corners_m
-
-    def mesh(self) -> trimesh.Trimesh:
-        """Return a closed mesh for pictures, in the body frame."""
-        trimesh = _trimesh()
-        return trimesh.creation.icosphere(radius=self.radius_m)
+        return _box_corners_m(self.radius_m, self.radius_m, self.radius_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,14 +221,7 @@ class Cylinder:
     @cached_property
     def corners_m(self) -> FloatArray:
         """Corners of the bounding box in the body frame [m], shape [8, 3]."""
-        return Box(
-            size_m=(2 * self.radius_m, 2 * self.radius_m, self.length_m)
-        ).corners_m
-
-    def mesh(self) -> trimesh.Trimesh:
-        """Return a closed mesh for pictures, in the body frame."""
-        trimesh = _trimesh()
-        return trimesh.creation.cylinder(radius=self.radius_m, height=self.length_m)
+        return _box_corners_m(self.radius_m, self.radius_m, 0.5 * self.length_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -258,11 +239,6 @@ class Plane:
     def corners_m(self) -> FloatArray:
         """The body origin, shape [1, 3]."""
         return np.zeros((1, 3))
-
-    def mesh(self) -> trimesh.Trimesh:
-        """Return a thin plate below the plane as a mesh for pictures, in the body frame."""
-        plate = Box(size_m=PLATE_SIZE_M).mesh()
-        return plate.apply_translation((0.0, 0.0, -0.5 * PLATE_SIZE_M[2]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -291,13 +267,6 @@ class ConvexUnion:
         """All vertices in the body frame [m], shape [vertex_count, 3]."""
         return np.concatenate([np.asarray(piece) for piece in self.pieces_m])
 
-    def mesh(self) -> trimesh.Trimesh:
-        """Return a closed mesh for pictures, in the body frame."""
-        trimesh = _trimesh()
-        return trimesh.util.concatenate(
-            [trimesh.convex.convex_hull(np.asarray(piece)) for piece in self.pieces_m]
-        )
-
 
 @dataclass(frozen=True, kw_only=True)
 class Capsule:
@@ -319,13 +288,8 @@ class Capsule:
     @cached_property
     def corners_m(self) -> FloatArray:
         """Corners of the bounding box in the frame of the capsule [m], shape [8, 3]."""
-        width = 2.0 * self.radius_m
-        return Box(size_m=(width, width, self.length_m + width)).corners_m
-
-    def mesh(self) -> trimesh.Trimesh:
-        """Return a closed mesh for pictures, in the body frame."""
-        trimesh = _trimesh()
-        return trimesh.creation.capsule(radius=self.radius_m, height=self.length_m)
+        half_length_m = 0.5 * self.length_m + self.radius_m
+        return _box_corners_m(self.radius_m, self.radius_m, half_length_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -342,12 +306,7 @@ class Ellipsoid:
     @cached_property
     def corners_m(self) -> FloatArray:
         """Corners of the bounding box in the frame of the ellipsoid [m], shape [8, 3]."""
-        x, y, z = self.radii_m
-        return Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z)).corners_m
-
-    def mesh(self) -> trimesh.Trimesh:
-        """Return a closed mesh for pictures, in the body frame."""
-        return Sphere(radius_m=1.0).mesh().apply_scale(self.radii_m)
+        return _box_corners_m(*self.radii_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -379,24 +338,8 @@ class Compound:
             [part.pose.to_world(part.shape.corners_m) for part in self.parts]
         )
 
-    def mesh(self) -> trimesh.Trimesh:
-        """Return a closed mesh for pictures, in the body frame."""
-        trimesh = _trimesh()
-        meshes = []
-        for part in self.parts:
-            mesh = part.shape.mesh()
-            mesh.vertices = part.pose.to_world(mesh.vertices)
-            meshes.append(mesh)
-        return trimesh.util.concatenate(meshes)
-
 
 Shape = Box | Sphere | Cylinder | Plane | ConvexUnion | Compound
-
-
-def _trimesh() -> Any:
-    with needs_extra("a mesh of a shape", "usd"):
-        import trimesh
-    return trimesh
 
 
 def pose_distance(first: Pose, second: Pose) -> float:

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from gauge_envs.scene.drivers import Driver, DriverMotion, recorded_coordinates
+from gauge_envs.scene.drivers import Driver, recorded_coordinates
 from gauge_envs.scene.geometry import (
     FloatArray,
     quaternion_products,
@@ -70,21 +70,20 @@ class PrescribedMotion:
             start_poses: Pose of the body in each world before anything moves, shape [N, 7]; None is the nominal pose.
         """
         nominal_drivers, nominal_poses = self._nominal
-        self._drivers = list(nominal_drivers if drivers is None else drivers)
-        chosen = nominal_poses if start_poses is None else start_poses
-        self._start = np.array(chosen, dtype=np.float64)
+        if drivers is None:
+            drivers = nominal_drivers
+        if start_poses is None:
+            start_poses = nominal_poses
+        self._drivers = list(drivers)
+        self._start = np.array(start_poses, dtype=np.float64)
         self._start[:, 3:] = unit_quaternions(self._start[:, 3:])
         self._offsets = np.zeros((len(self._start), self.motion_count))
         # If all worlds have the same motion, they share it, and the axis of worlds has length 1.
         is_shared = all(driver is self._drivers[0] for driver in self._drivers)
         is_shared = is_shared and (self._start == self._start[0]).all()
-        self._rotation = None
-        motions = self._drivers[0].motions
-        if is_shared and [motion.kind for motion in motions] == ["rotate"]:
-            self._rotation = _rotation(
-                motions[0], self._start[0].tobytes(), self._interval_s
-            )
-        worlds = range(1 if is_shared else len(self._drivers))
+        worlds = range(len(self._drivers))
+        if is_shared:
+            worlds = range(1)
         recorded = [
             _recorded(
                 self._drivers[world],
@@ -113,8 +112,7 @@ class PrescribedMotion:
         part = slice(first, first + count + 1)
         if not (self._offsets.any() or rates.any()):
             recorded = self._targets[first : first + count]
-            shape = (count, len(rates), 19)
-            return recorded if len(rates) == 1 else np.broadcast_to(recorded, shape)
+            return np.broadcast_to(recorded, (len(recorded), len(rates), 19))
         offsets = self._offsets + self._times_s[: count + 1] * rates
         self._offsets = offsets[-1]
         if self._axes is not None:
@@ -124,69 +122,8 @@ class PrescribedMotion:
             targets[:, :, 7:10] += rates @ self._axes
             return targets
         values, part_rates = self._values[part] + offsets, self._rates[part] + rates
-        if self._rotation is not None:
-            return self._rotation.targets(values[..., 0], part_rates[..., 0])
         states = _states(self._drivers, self._start, values, part_rates)
         return uniformly_accelerated(states, self._interval_s)
-
-
-class AxisRotation:
-    """Targets of a body that only rotates about one axis: products of few functions of the angle with a matrix.
-
-    The arm a leads from the axis to the body, and b = axis x a. At the angle t and the rate w, the position is
-    centre + a cos t + b sin t, the velocity is w (b cos t - a sin t), and the quaternion is q cos(t / 2) + p sin(t / 2)
-    with p = (0, axis) q.
-
-    Args:
-        motion: The rotation.
-        start: Pose before anything moves, position [m] and unit quaternion w x y z, shape [7].
-        interval_s: Length of an interval [s].
-    """
-
-    def __init__(
-        self, motion: DriverMotion, start: FloatArray, interval_s: float
-    ) -> None:
-        across = (start[:3] - motion.point_m) @ motion.cross_product
-        arm = -across @ motion.cross_product
-        self._constant = np.zeros(19)
-        self._constant[:3] = start[:3] - arm
-        # A row for each function in `targets`: of its values at the starts of intervals, then of its gains.
-        values, gains = np.zeros((2, 8, 19))
-        values[0, :3], values[1, :3] = arm, across
-        values[2, 3:7], values[3, 3:7] = (
-            start[3:],
-            start[3:] @ motion.quaternion_product,
-        )
-        means, accelerations = gains[:, 7:13], gains[:, 13:]
-        means[0, :3], means[1, :3] = arm / interval_s, across / interval_s
-        means[7, 3:] = np.array(motion.axis) / interval_s
-        accelerations[4, :3], accelerations[5, :3] = means[0, :3], means[1, :3]
-        accelerations[6, 3:] = means[7, 3:]
-        # The mean velocity of the interval minus half of its gain is the velocity at its start.
-        means -= 0.5 * interval_s * accelerations
-        self._matrix = np.concatenate([values, gains])
-
-    def targets(
-        self, angles_rad: FloatArray, rates_rad_per_s: FloatArray
-    ) -> FloatArray:
-        """Return the targets of intervals, shape [count, N, 19], from ends of intervals, shape [count + 1, N]."""
-        cosines, sines = np.cos(angles_rad), np.sin(angles_rad)
-        functions = np.empty((*angles_rad.shape, 8))
-        functions[..., 0], functions[..., 1] = cosines, sines
-        functions[..., 2] = np.cos(0.5 * angles_rad)
-        functions[..., 3] = np.sin(0.5 * angles_rad)
-        functions[..., 4] = -rates_rad_per_s * sines
-        functions[..., 5] = rates_rad_per_s * cosines
-        functions[..., 6], functions[..., 7] = rates_rad_per_s, angles_rad
-        before, after = functions[:-1], functions[1:]
-        features = np.concatenate([before, after - before], axis=-1)
-        return np.asarray(features @ self._matrix + self._constant)
-
-
-@lru_cache(maxsize=64)
-def _rotation(motion: DriverMotion, start: bytes, interval_s: float) -> AxisRotation:
-    """Return the rotation from a pose, which all episodes share."""
-    return AxisRotation(motion, np.frombuffer(start), interval_s)
 
 
 def prescribed_motions(

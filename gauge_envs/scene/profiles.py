@@ -161,11 +161,9 @@ class SampledProfile:
 
     def rate(self, time_s: float) -> float:
         """Return the rate at a time [m/s or rad/s]; 0 before the first and after the last sample."""
-        return (
-            float(self._slope(time_s))
-            if self.times_s[0] <= time_s < self.times_s[-1]
-            else 0.0
-        )
+        if not self.times_s[0] <= time_s < self.times_s[-1]:
+            return 0.0
+        return float(self._slope(time_s))
 
 
 class _ByKind:

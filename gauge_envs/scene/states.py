@@ -41,17 +41,17 @@ def bodies_at(scene: Scene, states: FloatArray) -> tuple[RigidBody, ...]:
         scene: The scene.
         states: Initial states of one world, shape [body_count, 13].
     """
-    return tuple(
-        body
-        if body.motion is Motion.FIXED
-        else replace(
-            body,
-            pose=Pose.of_state(state),
-            linear_velocity_m_per_s=vector(state[7:10]),
-            angular_velocity_rad_per_s=vector(state[10:]),
-        )
-        for body, state in zip(scene.bodies, states, strict=False)
-    )
+    bodies = []
+    for body, state in zip(scene.bodies, states, strict=False):
+        if body.motion is not Motion.FIXED:
+            body = replace(
+                body,
+                pose=Pose.of_state(state),
+                linear_velocity_m_per_s=vector(state[7:10]),
+                angular_velocity_rad_per_s=vector(state[10:]),
+            )
+        bodies.append(body)
+    return tuple(bodies)
 
 
 def scene_at(scene: Scene, states: FloatArray) -> Scene:

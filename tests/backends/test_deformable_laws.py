@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
 from gauge_envs.backends.shared.soft_rows import (
-    SoftRow,
     TetrahedralMesh,
     lame_constants,
+    soft_rows,
 )
 from gauge_envs.errors import ShapeError
 from gauge_envs.fixtures.parts import ball, contact, driven_box, fixed_box
@@ -380,7 +380,8 @@ def test_a_cantilever_of_foam_droops_like_the_beam_of_timoshenko(
 @pytest.mark.parametrize("cell_m", [0.05, 0.02])
 def test_tetrahedra_of_a_block_fill_it_and_have_a_closed_surface(cell_m):
     bar = load_experiment("FoamStretching-soft").scene.deformables[0]
-    mesh = TetrahedralMesh.of(SoftRow.of([bar], {}), [], cell_m)
+    (row,) = soft_rows(Scene(bodies=(), deformables=(bar,), duration_s=1.0))
+    mesh = TetrahedralMesh.of(row, [], cell_m)
     surface = trimesh.Trimesh(mesh.points_m, mesh.surface(), process=False)
     assert surface.is_watertight and surface.is_winding_consistent
     x, y, z = bar.shape.size_m

@@ -12,12 +12,8 @@ from scipy.optimize import curve_fit
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
-from gauge_envs.backends.shared.attachments import (
-    attachments_by_body,
-    bonded_soft_bodies,
-)
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
-from gauge_envs.backends.shared.soft_rows import SoftRow
+from gauge_envs.backends.shared.soft_rows import soft_rows
 from gauge_envs.errors import ParameterError
 from gauge_envs.fixtures.parts import contact
 from gauge_envs.fixtures.recording import DivergedError, record
@@ -215,8 +211,8 @@ def test_a_bar_has_its_modulus_and_poisson_ratio(law, preset):
 
 
 def row_of_foam():
-    (bodies,) = bonded_soft_bodies(FOAM)
-    return SoftRow.of(bodies, attachments_by_body(FOAM, bodies))
+    (row,) = soft_rows(FOAM)
+    return row
 
 
 def test_grid_planes_lie_at_the_faces_of_both_grips():

@@ -3,16 +3,14 @@
 Expected values follow from Coulomb's law, from symmetry, and from MuJoCo's release notes.
 """
 
-from dataclasses import replace
-
 import mujoco
 import numpy as np
 import pytest
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
-from gauge_envs.backends.mujoco import versions
-from gauge_envs.backends.mujoco.versions import FEATURES, UNSTEADY_BOXES, constants_of
+from gauge_envs.backends.mujoco.options import constants_of
+from gauge_envs.backends.mujoco.versions import LATER_SETTINGS, UNSTEADY_BOXES
 from gauge_envs.errors import ParameterError
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
@@ -81,8 +79,6 @@ def test_a_state_that_mujoco_resets_counts_as_diverged():
 def older(monkeypatch):
     """MuJoCo 3.11, as far as this package asks for it."""
     monkeypatch.setattr(mujoco, "__version__", "3.11.0")
-    absent = tuple(replace(feature, constant="mjABSENT") for feature in FEATURES)
-    monkeypatch.setattr(versions, "FEATURES", absent)
 
 
 @pytest.mark.usefixtures("older")
@@ -120,9 +116,9 @@ def test_features_are_installed_from_their_first_version_on():
     installed = [int(part) for part in mujoco.__version__.split(".")[:2]]
     assert MUJOCO.supports(RIGID)
     assert bool(MUJOCO.supports(CLOTH)) is (installed >= [4, 0])
-    for feature in FEATURES:
-        since = [int(part) for part in feature.since.split(".")]
-        assert feature.is_installed is (installed >= since)
-    names = {"Euler": "mjINT_EULER", "later": "mjINT_LATER"}
-    euler = mujoco.mjtIntegrator.mjINT_EULER
-    assert constants_of("mjtIntegrator", names) == {"Euler": euler}
+    has_discrete = hasattr(mujoco.mjtIntegrator, "mjINT_DISCRETE")
+    has_speculative = hasattr(mujoco.mjtEnableBit, "mjENBL_SPECULATIVE")
+    installed_settings = [later.is_installed for later in LATER_SETTINGS]
+    assert installed_settings == [has_discrete, has_speculative]
+    euler = constants_of(mujoco.mjtIntegrator, "mjINT_", ("Euler", "later"))
+    assert euler == {"Euler": int(mujoco.mjtIntegrator.mjINT_EULER)}

@@ -100,7 +100,7 @@ def elastic_j(simulation, pose):
 
     The energy is of fourth order in the displacement, so two points of Gauss integrate its slope exactly.
     """
-    part, model = simulation._parts["textile"], simulation.model
+    part, model = simulation.parts["textile"], simulation.model
     free, dofs, addresses = (
         part.points.free,
         part.points.dofs,
@@ -137,7 +137,7 @@ def test_a_flung_cloth_gets_its_energy_from_the_rod_alone(name, frames):
     scene = load_experiment(f"TextileFlinging-{name}").scene
     simulation = MUJOCO.build(scene)
     (motion,) = prescribed_motions(scene, scene.duration_s)
-    points = simulation._parts["textile"].points
+    points = simulation.parts["textile"].points
     masses_kg = simulation.model.body_mass[points._bodies]
     rod_kg, step_s = 1e3, simulation.timestep_s
     work_j, unpaid_j = 0.0, []
@@ -234,7 +234,7 @@ def test_a_fold_is_found_although_flat_cloth_is_not_searched_for_contacts(monkey
         simulation = MUJOCO.build(scene)
         nodes_m, points = (
             simulation.nodes("textile")[0],
-            simulation._parts["textile"].points,
+            simulation.parts["textile"].points,
         )
         below_m = (nodes_m[:, 2].max() - nodes_m[:, 2])[points.free]
         simulation.data.qvel[points.dofs[:, 2]] = 7.0 * below_m
@@ -262,7 +262,7 @@ def test_vertices_receive_the_force_and_the_power_of_the_air_on_the_triangles():
     """The vertices on the moving and turning rod are included; MuJoCo integrates their positions."""
     simulation = MUJOCO.build(load_experiment("TextileFlinging-satin", "air").scene)
     model, data = simulation.model, simulation.data
-    (air,), part = simulation._air, simulation._parts["textile"]
+    (air,), part = simulation._air, simulation.parts["textile"]
     data.qvel[:] = np.random.default_rng(1).normal(size=model.nv)
     before_m, speeds = part.points.positions(), part.points.velocities()
     forces_n = air.triangle_forces_n()
@@ -408,7 +408,7 @@ def test_torsion_of_a_square_bar_follows_saint_venant():
 def test_mass_and_points_follow_the_elements():
     foam = block(poisson=0.3)
     simulation = MUJOCO.build(gripped(foam))
-    model, data, part = simulation.model, simulation.data, simulation._parts["foam"]
+    model, data, part = simulation.model, simulation.data, simulation.parts["foam"]
     free_m = 0.2 - 2.0 * GRIP_M
     # A layer of nodes at the end of four elements has a sixth of the mass of one, by Simpson's rule.
     expected_kg = DENSITY_KG_PER_M3 * AREA_M2 * free_m * (1.0 - 2.0 / (4.0 * 6.0))

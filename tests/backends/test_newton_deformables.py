@@ -23,7 +23,7 @@ from scipy.sparse.linalg import spsolve
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
-from gauge_envs.backends.shared.soft_rows import SoftRow
+from gauge_envs.backends.shared.soft_rows import soft_rows
 from gauge_envs.errors import ParameterError
 from gauge_envs.fixtures.parts import ball, contact, fixed_box
 from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Motion, Pose, Region, Rod
@@ -34,8 +34,8 @@ from gauge_envs.backends.newton.contacts import surface_contacts  # noqa: E402
 from gauge_envs.backends.newton.line import add_line  # noqa: E402
 from gauge_envs.backends.newton.mpm import fitted_voxel_m  # noqa: E402
 from gauge_envs.backends.newton.settings import (  # noqa: E402
+    SettingsImplicitMPM,
     SettingsLines,
-    SettingsMPM,
     longest_timestep_s,
     settings_for,
 )
@@ -459,9 +459,9 @@ def material_points(voxel_m, step_s):
 def test_voxels_end_at_the_grips():
     """Planes of the grid lie half a voxel off its multiples, within a share of a voxel of both faces."""
     foam, depth_m = block(centre_m=(0.41, 0.39, 0.13)), 0.01285
-    grips = [attachment_of(side, Motion.FIXED, depth_m) for side in ("low", "high")]
-    settings = SettingsMPM(preset="test", timestep_s=1 / 180, cell_m=0.018)
-    voxel_m = fitted_voxel_m(SoftRow.of([foam], {"foam": grips}), settings)
+    (row,) = soft_rows(gripped(foam, depth_m=depth_m))
+    settings = SettingsImplicitMPM(preset="test", timestep_s=1 / 180, cell_m=0.018)
+    voxel_m = fitted_voxel_m(row, settings)
     faces_m = 0.13 + np.array([-1.0, 1.0]) * (0.1 - depth_m)
     planes = faces_m / voxel_m - 0.5
     assert np.abs(planes - planes.round()).max() < 0.15

@@ -35,7 +35,7 @@ from gauge_envs.scene.geometry import vector
 pytest.importorskip("pybullet")
 
 from gauge_envs.backends.pybullet.deformables import SOFT_MARGIN_M
-from gauge_envs.backends.pybullet.model import Model
+from gauge_envs.backends.pybullet.model import ModelPyBullet
 
 ENGINE = backend("pybullet")
 G = GRAVITY_M_PER_S2
@@ -294,5 +294,5 @@ def test_out_of_box_has_bullets_defaults(monkeypatch):
 
     given = rollout()
     assert rollout(warm_starting=0.85) != pytest.approx(given, abs=1e-9)
-    monkeypatch.setattr(Model, "_set_parameters", without_parameters)
+    monkeypatch.setattr(ModelPyBullet, "_set_parameters", without_parameters)
     assert rollout() == pytest.approx(given, abs=1e-9)

@@ -13,7 +13,7 @@ import pytest
 from places import first_of_each_kind
 from pxr import Gf, Sdf, Usd, UsdUtils, Vt
 
-from gauge_envs import load_experiment, load_experiment_from_asset
+from gauge_envs import load_experiment
 from gauge_envs.errors import AssetError, ParameterError
 from gauge_envs.experiments.variants import variants
 from gauge_envs.runs.episodes import run_episode, run_episodes
@@ -80,7 +80,7 @@ def slippery(edited):
     ),
 )
 def test_the_shipped_layer_is_the_scene_of_the_task_file(name):
-    layer = load_experiment_from_asset(name, shipped(name))
+    layer = load_experiment(name, asset=shipped(name))
     assert layer.scene == load_experiment(name).scene
     assert (layer.asset.edited, layer.asset.changes) == (False, ())
     assert layer.asset.sha256 == hashlib.sha256(shipped(name).read_bytes()).hexdigest()
@@ -149,7 +149,7 @@ def test_an_edited_mesh_changes_the_shape(edited):
         points.Set(Vt.Vec3fArray(stretched))
 
     before = load_experiment(name).scene.body("pyramid").shape
-    layer = load_experiment_from_asset(name, edited(name, taller))
+    layer = load_experiment(name, asset=edited(name, taller))
     after = layer.scene.body("pyramid").shape
     assert after.volume_m3 > 1.001 * before.volume_m3
     assert "numbers differ, by up to" in str(layer.asset.changes[0])
@@ -206,7 +206,7 @@ def test_a_result_of_an_edited_scene_is_read_back(slippery, tmp_path):
     assert again.is_edited
     assert str(tmp_path) not in file.read_text()
     experiment = recorded_experiment(again)
-    assert experiment.scene == load_experiment_from_asset(SLIDE, slippery).scene
+    assert experiment.scene == load_experiment(SLIDE, asset=slippery).scene
     assert score_file(file)[0].score.rmse == pytest.approx(result.score.rmse)
 
 
@@ -238,7 +238,7 @@ def test_the_hash_covers_every_file_of_the_stage(tmp_path):
         (folder / name).write_text(text)
 
     def digest(path):
-        asset = load_experiment_from_asset(SLIDE, path).asset
+        asset = load_experiment(SLIDE, asset=path).asset
         assert not asset.changes
         return asset.sha256
 
@@ -321,7 +321,7 @@ def test_a_layer_that_does_not_fit_the_id_raises_an_error(
     name, change, message, edited
 ):
     with pytest.raises(AssetError, match=message) as caught:
-        load_experiment_from_asset(name, edited(name, change))
+        load_experiment(name, asset=edited(name, change))
     assert f"{name}.usda" in str(caught.value)
 
 

@@ -12,7 +12,7 @@ import pytest
 from places import first_of_each_kind
 from texts import changed_text
 
-from gauge_envs import load_experiment, load_experiment_from_asset, reference_band
+from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends import backend, backend_for
 from gauge_envs.backends.mujoco.mjcf.diff import model_changes
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
@@ -47,7 +47,7 @@ def edited(tmp_path):
     "name", first_of_each_kind(IDS, lambda name: name.split("-")[0])
 )
 def test_the_shipped_file_is_the_scene_of_the_task_file(name):
-    experiment = load_experiment_from_asset(name, shipped(name))
+    experiment = load_experiment(name, asset=shipped(name))
     assert experiment.asset.changes == ()
     assert experiment.scene == load_experiment(name).scene
 
@@ -139,7 +139,7 @@ def test_a_reference_scores_a_file_with_the_structure_of_its_scene(
     old, new, trials_score, solution_scores, edited
 ):
     for name, is_scored in ((SLIDE, trials_score), (TILTED, solution_scores)):
-        file = load_experiment_from_asset(name, edited(name, (old, new)))
+        file = load_experiment(name, asset=edited(name, (old, new)))
         assert (refusal(file, reference_band(file)) is None) == is_scored, name
 
 
@@ -147,7 +147,7 @@ def test_an_edited_table_of_stiffness_is_a_change(edited):
     table = r'name="flex_bending/textile/weight" size="\d+" data="'
     start = re.search(table, shipped(CLOTH).read_text()).group(0)
     path = edited(CLOTH, (start, f"{start}7"))
-    (change,) = load_experiment_from_asset(CLOTH, path).asset.changes
+    (change,) = load_experiment(CLOTH, asset=path).asset.changes
     assert (change.field, change.kind) == (("flex_bending",), ChangeKind.CONSTANT)
 
 
@@ -206,7 +206,7 @@ def test_a_start_velocity_replays_in_plain_mujoco(tmp_path):
 def test_a_start_velocity_of_a_file_is_read_into_the_scene(name, body, start, tmp_path):
     thrown = load_experiment(name, start)
     (tmp_path / "thrown.xml").write_text(mjcf_text(thrown))
-    file = load_experiment_from_asset(name, tmp_path / "thrown.xml")
+    file = load_experiment(name, asset=tmp_path / "thrown.xml")
     rates = [
         [*thrown_body.linear_velocity_m_per_s, *thrown_body.angular_velocity_rad_per_s]
         for thrown_body in (thrown.scene.body(body), file.scene.body(body))
@@ -287,7 +287,7 @@ def keyframe(values):
 )
 def test_a_missing_part_of_a_file_raises_an_error(name, replacement, message, edited):
     with pytest.raises(AssetError, match=message) as caught:
-        load_experiment_from_asset(name, edited(name, replacement))
+        load_experiment(name, asset=edited(name, replacement))
     assert str(caught.value).startswith(f"{caught.value.file}: ")
 
 

@@ -33,7 +33,7 @@ STEPS = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContactConstants:
+class ContactConstantsDrake:
     """Constants of one contact of the scene, which all its bodies and therefore all its pairs have.
 
     Drake combines the stiffness of two bodies in series, k1 k2 / (k1 + k2). A stiffness of mass times frequency squared
@@ -56,7 +56,7 @@ class ContactConstants:
 
 def contact_constants(
     scene: Scene, contact: Contact, settings: SettingsDrake
-) -> ContactConstants:
+) -> ContactConstantsDrake:
     """Return the constants of a contact of the scene.
 
     Impacts against fixed and driven bodies are assumed to be vertical. Gravity reduces their rebound, so the
@@ -79,7 +79,7 @@ def contact_constants(
             law, contact.restitution, settings.impact_rate, weight
         )
         dissipation = relaxation_steps / speed
-    return ContactConstants(
+    return ContactConstantsDrake(
         friction=contact.friction,
         frequency_rad_per_s=rate / step_s,
         relaxation_s=relaxation_steps * step_s,

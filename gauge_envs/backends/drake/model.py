@@ -29,7 +29,7 @@ from pydrake.systems.framework import DiagramBuilder
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
-from gauge_envs.backends.drake.contacts import ContactConstants, contact_constants
+from gauge_envs.backends.drake.contacts import ContactConstantsDrake, contact_constants
 from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import (
@@ -63,7 +63,7 @@ UNMOVED_KG = 1e9
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model:
+class ModelDrake:
     """A scene in Drake.
 
     Attributes:
@@ -84,7 +84,7 @@ def rigid_transform(pose: Pose) -> RigidTransform:
     return RigidTransform(RotationMatrix(pose.matrix), np.asarray(pose.position_m))
 
 
-def build_model(scene: Scene, settings: SettingsDrake) -> Model:
+def build_model(scene: Scene, settings: SettingsDrake) -> ModelDrake:
     """Build a diagram with a discrete plant."""
     # Unlike `AddMultibodyPlantSceneGraph` of pydrake 1.51, this frees the plant with the diagram.
     builder = DiagramBuilder()
@@ -108,7 +108,7 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
             for pair in scene.colliding_pairs(contact):
                 allowed.AllowBetween(*(GeometrySet(geometries[name]) for name in pair))
     scene_graph.collision_filter_manager().Apply(allowed)
-    return Model(diagram=builder.Build(), plant=plant, bodies=bodies, names=names)
+    return ModelDrake(diagram=builder.Build(), plant=plant, bodies=bodies, names=names)
 
 
 def _config(settings: SettingsDrake) -> MultibodyPlantConfig:
@@ -174,7 +174,7 @@ def _add_geometries(
     plant: Any, scene: Scene, bodies: dict[str, Any], settings: SettingsDrake
 ) -> Groups:
     """Add the shapes of all bodies, once for each group of contacts, so that every pair has its own constants."""
-    contacts: dict[ContactConstants, list[Contact]] = defaultdict(list)
+    contacts: dict[ContactConstantsDrake, list[Contact]] = defaultdict(list)
     for contact in scene.contacts:
         contacts[contact_constants(scene, contact, settings)].append(contact)
     groups: Groups = []
@@ -233,7 +233,7 @@ def _shapes(shape: Shape) -> list[geometry.Shape]:
 
 
 def _proximity_properties(
-    body: RigidBody, constants: ContactConstants, settings: SettingsDrake
+    body: RigidBody, constants: ContactConstantsDrake, settings: SettingsDrake
 ) -> geometry.ProximityProperties:
     """Return the contact properties of a body in one contact of the scene."""
     properties = geometry.ProximityProperties()

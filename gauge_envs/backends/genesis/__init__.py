@@ -49,12 +49,6 @@ class BackendGenesis(BundledBackend):
         """Yield one sentence for each feature of a scene that Genesis does not support."""
         return unsupported_features(scene, settings_for(scene))
 
-    def build(
-        self, scene: Scene, settings: Mapping[str, Any] | None = None
-    ) -> Simulation:
-        """Build a scene; settings are the fields of `SettingsGenesis`, or of the class of the preset's solver."""
-        return self.build_worlds(scene, 1, settings)
-
     def build_worlds(
         self,
         scene: Scene,

@@ -20,7 +20,7 @@ from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.fabrics import pbd_constants
 from gauge_envs.backends.genesis.parts import (
     DeformablePart,
-    Pin,
+    PinGenesis,
     particle_positions_m,
 )
 from gauge_envs.backends.genesis.settings import (
@@ -275,13 +275,13 @@ class ClothPart(DeformablePart):
                 sheet.entity.set_particles_pos(pose.to_world(local_m))
 
     def pin_motion(
-        self, pin: Pin, path_m: FloatArray, spin: FloatArray
+        self, pin: PinGenesis, path_m: FloatArray, spin: FloatArray
     ) -> tuple[FloatArray, ...]:
         """Place the particles, and return the velocities that move them with their body in each step."""
         pin.entity.set_particles_pos(path_m[0], pin.nodes)
         return (np.diff(path_m, axis=0) / self._settings.timestep_s,)
 
-    def hold_pin(self, pin: Pin, *arrays: NDArray[Any]) -> None:
+    def hold_pin(self, pin: PinGenesis, *arrays: NDArray[Any]) -> None:
         """Give the particles their velocities."""
         pin.entity.set_particles_vel(*arrays, pin.nodes)
 

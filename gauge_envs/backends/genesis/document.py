@@ -31,6 +31,7 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
 )
+from gauge_envs.scene.bodies import friction_dimension
 from gauge_envs.scene.meshes import body_mass_properties
 
 CONTACT_LIMIT = 30
@@ -371,7 +372,7 @@ def _add_geoms(
             contype=layer.offers,
             conaffinity=layer.accepts,
             friction=(constants.friction, *constants.turning),
-            condim=6 if constants.turning[1] else 4 if constants.turning[0] else 3,
+            condim=friction_dimension(*constants.turning),
             solref=constants.solref,
             solimp=constants.solimp,
             # Geoms of this group are not rendered.

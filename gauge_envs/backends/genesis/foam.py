@@ -20,15 +20,15 @@ from numpy.typing import NDArray
 from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.parts import (
     DeformablePart,
-    Pin,
+    PinGenesis,
     particle_positions_m,
 )
 from gauge_envs.backends.genesis.settings import (
     COURANT_LIMIT,
     SOFT_CELL_M,
     VOXEL_M,
+    SettingsExplicitMPM,
     SettingsFEM,
-    SettingsMPM,
     sound_time_s,
 )
 from gauge_envs.backends.shared.bundled import replaced
@@ -109,7 +109,10 @@ class SoftPart(DeformablePart):
     """
 
     def __init__(
-        self, scene: Scene, settings: SettingsFEM | SettingsMPM, rows: Sequence[_Row]
+        self,
+        scene: Scene,
+        settings: SettingsFEM | SettingsExplicitMPM,
+        rows: Sequence[_Row],
     ) -> None:
         self._row_of = {name: row for row in rows for name in row.soft_row.names}
         self._softness_m = settings.contact_softness_m
@@ -256,12 +259,12 @@ class FEMPart(SoftPart):
             field.from_numpy(values.astype(gs.np_float))
 
     def pin_motion(
-        self, pin: Pin, path_m: FloatArray, spin: FloatArray
+        self, pin: PinGenesis, path_m: FloatArray, spin: FloatArray
     ) -> tuple[FloatArray, ...]:
         """Return the positions of pinned nodes at the end of each step."""
         return (path_m[1:],)
 
-    def hold_pin(self, pin: Pin, *arrays: NDArray[Any]) -> None:
+    def hold_pin(self, pin: PinGenesis, *arrays: NDArray[Any]) -> None:
         """Set the positions of the nodes at the end of the step."""
         pin.entity.update_constraint_targets(pin.nodes, *arrays)
 
@@ -364,7 +367,7 @@ class _MPMRow(_Row):
 class MPMPart(SoftPart):
     """All soft bodies of a scene as material points."""
 
-    def __init__(self, scene: Scene, settings: SettingsMPM) -> None:
+    def __init__(self, scene: Scene, settings: SettingsExplicitMPM) -> None:
         self._settings = settings
         rows = soft_rows(scene)
         self.voxel_m = fitted_voxel_m(rows, settings.cell_m or VOXEL_M)
@@ -445,7 +448,7 @@ class MPMPart(SoftPart):
                 self.pin(entity, np.arange(len(points_m)), attachment, points_m)
 
     def pin_motion(
-        self, pin: Pin, path_m: FloatArray, spin: FloatArray
+        self, pin: PinGenesis, path_m: FloatArray, spin: FloatArray
     ) -> tuple[FloatArray, ...]:
         """Return the positions of gripped points, and the velocity and spin of their body."""
         step_s = self._settings.timestep_s
@@ -454,7 +457,7 @@ class MPMPart(SoftPart):
         velocities = np.diff(path_m, axis=0) / step_s + weight
         return path_m[:-1], velocities, 0.5 * (spin[:-1] + spin[1:])
 
-    def hold_pin(self, pin: Pin, *arrays: NDArray[Any]) -> None:
+    def hold_pin(self, pin: PinGenesis, *arrays: NDArray[Any]) -> None:
         """Place the points, and give them the motion of their body."""
         self._kernels.hold(pin.entity.particle_start, *arrays)
 

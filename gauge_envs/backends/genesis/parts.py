@@ -19,7 +19,7 @@ from gauge_envs.scene.geometry import FloatArray, IntArray, rotation_matrices
 
 
 @dataclass(frozen=True, eq=False)
-class Pin:
+class PinGenesis:
     """Nodes that move with a rigid body.
 
     Attributes:
@@ -48,7 +48,7 @@ class DeformablePart(ABC):
     def __init__(self, scene: Scene, names: Sequence[str]) -> None:
         self.names = tuple(names)
         self._scene = scene
-        self._pins: list[Pin] = []
+        self._pins: list[PinGenesis] = []
         self._planned: list[tuple[NDArray[Any], ...]] = []
 
     @abstractmethod
@@ -108,7 +108,7 @@ class DeformablePart(ABC):
     ) -> None:
         """Let nodes of an entity, given by their start positions [m], move with a rigid body."""
         places_m = attachment.pose.to_body(points_m)
-        self._pins.append(Pin(entity, nodes, attachment, places_m))
+        self._pins.append(PinGenesis(entity, nodes, attachment, places_m))
 
     def plan(self, targets: Mapping[str, FloatArray], times_s: FloatArray) -> None:
         """Compute how pinned nodes move in an interval.
@@ -142,7 +142,7 @@ class DeformablePart(ABC):
 
     @abstractmethod
     def pin_motion(
-        self, pin: Pin, path_m: FloatArray, spin: FloatArray
+        self, pin: PinGenesis, path_m: FloatArray, spin: FloatArray
     ) -> tuple[FloatArray, ...]:
         """Return the arguments of `hold_pin` in each step of an interval, arrays whose first axis is the step.
 
@@ -153,7 +153,7 @@ class DeformablePart(ABC):
         """
 
     @abstractmethod
-    def hold_pin(self, pin: Pin, *arrays: NDArray[Any]) -> None:
+    def hold_pin(self, pin: PinGenesis, *arrays: NDArray[Any]) -> None:
         """Prescribe nodes in the next step."""
 
     @abstractmethod

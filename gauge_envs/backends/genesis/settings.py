@@ -140,7 +140,7 @@ class SettingsFEM(SettingsGenesis):
     contact_softness_m: float = Field(default=5e-4, gt=0.0)
 
 
-class SettingsMPM(SettingsGenesis):
+class SettingsExplicitMPM(SettingsGenesis):
     """Settings of Genesis's explicit material point method.
 
     Attributes:
@@ -167,7 +167,7 @@ def soft_presets(scene: Scene) -> Mapping[str, SettingsGenesis]:
     )
     # Genesis's defaults: 64 voxels per metre and points of 10 mm. Its default step of 10 ms does not divide the drive
     # interval, so a step takes one interval.
-    out_of_box = SettingsMPM(
+    out_of_box = SettingsExplicitMPM(
         preset="out_of_box",
         timestep_s=DRIVE_INTERVAL_S,
         precision=32,
@@ -176,7 +176,7 @@ def soft_presets(scene: Scene) -> Mapping[str, SettingsGenesis]:
     )
     return {
         "default": SettingsFEM(preset="default", timestep_s=1 / 900),
-        "mpm": SettingsMPM(preset="mpm", timestep_s=DRIVE_INTERVAL_S / steps),
+        "mpm": SettingsExplicitMPM(preset="mpm", timestep_s=DRIVE_INTERVAL_S / steps),
         # The paper states 900 Hz, and that all other settings are defaults.
         "paper": out_of_box.model_copy(
             update={"preset": "paper", "timestep_s": 1 / 900}

@@ -11,9 +11,9 @@ from gauge_envs.backends.genesis.engine import claim, engine, release
 from gauge_envs.backends.genesis.foam import FEMPart, MPMPart
 from gauge_envs.backends.genesis.model import build_model
 from gauge_envs.backends.genesis.settings import (
+    SettingsExplicitMPM,
     SettingsFEM,
     SettingsGenesis,
-    SettingsMPM,
     SettingsPBD,
 )
 from gauge_envs.backends.shared.rigid import (
@@ -34,7 +34,7 @@ from gauge_envs.scene.states import nominal_states
 PARTS: dict[type[SettingsGenesis], Any] = {
     SettingsPBD: ClothPart,
     SettingsFEM: FEMPart,
-    SettingsMPM: MPMPart,
+    SettingsExplicitMPM: MPMPart,
 }
 """Deformable bodies of each solver, by its settings."""
 

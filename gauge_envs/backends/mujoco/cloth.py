@@ -73,14 +73,19 @@ class ClothPartMuJoCo(FlexPart):
         )
         stiffness[: len(membrane), :6] = membrane
 
-        edge = model.flex_edgeadr[flex]
-        edge_count = model.flex_edgenum[flex]
-        ends_m = self.grid.plane_m[model.flex_edge[edge : edge + edge_count]]
+        weights = self.fold_weights(model)
+        forms = flex_table(model, "flex_bending", flex).reshape(-1, BENDING_PER_EDGE)
+        forms[: len(weights)] *= weights[:, None]
+
+    def fold_weights(self, model: mujoco.MjModel) -> FloatArray:
+        """Return the factor on MuJoCo's bending stiffness of each edge, shape [edge_count]."""
+        first, count = (
+            int(numbers[self.flex.id])
+            for numbers in (model.flex_edgeadr, model.flex_edgenum)
+        )
+        ends_m = self.grid.plane_m[model.flex_edge[first : first + count]]
         is_diagonal = (np.abs(ends_m[:, 1] - ends_m[:, 0]) > 1e-9).all(axis=1)
-        forms = flex_table(model, "flex_bending", flex).reshape(-1, BENDING_PER_EDGE)[
-            :edge_count
-        ]
-        forms[is_diagonal] *= _diagonal_weight(*self.grid.cell_m)
+        return np.where(is_diagonal, _diagonal_weight(*self.grid.cell_m), 1.0)
 
 
 def add_cloth(
@@ -240,7 +245,7 @@ def _rest_m(before: FloatArray, after: FloatArray) -> float:
     moves -= moves.sum(axis=0) / len(moves)
     # The rotation w of points of equal mass: I w = sum(r x d), with the inertia I = sum(r.r) 1 - sum(r r').
     inertia = np.eye(3) * np.vdot(arms, arms) - arms.T @ arms
-    x, y, z = np.linalg.solve(inertia, _cross(arms, moves).sum(axis=0)).tolist()
+    x, y, z = np.linalg.solve(inertia, np.cross(arms, moves).sum(axis=0)).tolist()
     moves -= arms @ ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))
     return float(np.sqrt(np.max(np.einsum("ij,ij->i", moves, moves))))
 
@@ -281,7 +286,7 @@ class AirOnCloth:
         """Return the forces on the triangles in the current state [N], shape [triangle_count, 3]."""
         places = self._points.positions()
         corner = places[self._first]
-        areas = 0.5 * _cross(
+        areas = 0.5 * np.cross(
             places[self._second] - corner, places[self._third] - corner
         )
         return self._air.forces_n(areas, self._to_triangles @ self._points.velocities())
@@ -314,13 +319,3 @@ def check_air_step(
                 f"to the air, and the scene allows {fastest:.3g} m/s: reduce timestep_s to "
                 f"{timestep_s * stable / fastest:.3g} s or less, or reduce the density or the coefficients of the air"
             )
-
-
-def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return cross products, shape [count, 3]; `numpy.cross` takes three times as long on short arrays."""
-    product = np.empty_like(first)
-    for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
-        np.subtract(
-            first[:, i] * second[:, j], first[:, j] * second[:, i], out=product[:, axis]
-        )
-    return product

@@ -1,4 +1,4 @@
-"""Read settings of this backend from a compiled MuJoCo model: its options, and the contact constants of its pairs.
+"""Contact constants of the pairs of geoms of a compiled MuJoCo model, and the settings that reproduce them.
 
 The rules for colliding pairs of geoms and for their constants follow MuJoCo's documentation ("Collision detection" and
 "Contact parameters"). They are applied to all pairs together.
@@ -13,14 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.mujoco.model import (
-    CONES,
-    DISABLE_FLAGS,
-    ENABLE_FLAGS,
-    INTEGRATORS,
-    SAME_NAME_OPTIONS,
-    SOLVERS,
-)
+from gauge_envs.backends.mujoco.options import overrides_contacts
 from gauge_envs.backends.mujoco.settings import PRESETS
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 
@@ -173,23 +166,23 @@ def _mixed_constants(
 
 def _share(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the weight of the first geom's solref and solimp in the mean, from both geoms' solmix."""
-    both = (first >= MIN_SOLMIX) & (second >= MIN_SOLMIX)
-    alone = np.where(first >= MIN_SOLMIX, 1.0, np.where(second >= MIN_SOLMIX, 0.0, 0.5))
-    return np.where(both, first / np.where(both, first + second, 1.0), alone)
+    known = np.where(first >= MIN_SOLMIX, first, 0.0)
+    total = known + np.where(second >= MIN_SOLMIX, second, 0.0)
+    return np.divide(known, total, out=np.full(len(total), 0.5), where=total > 0.0)
 
 
 def _explicit_constants(model: mujoco.MjModel, rows: IntArray) -> FloatArray:
     """Return constants of explicit pairs, shape [pair_count, 17]."""
     columns = (
-        *(
-            model.pair_dim[:, None],
-            model.pair_friction,
-            model.pair_solref,
-            model.pair_solreffriction,
-        ),
-        *(model.pair_solimp, model.pair_margin[:, None], model.pair_gap[:, None]),
+        model.pair_dim,
+        model.pair_friction,
+        model.pair_solref,
+        model.pair_solreffriction,
+        model.pair_solimp,
+        model.pair_margin,
+        model.pair_gap,
     )
-    return np.hstack(columns).astype(np.float64)[rows].reshape(-1, 17)
+    return np.column_stack(columns)[rows].reshape(-1, 17)
 
 
 def _override(model: mujoco.MjModel, constants: FloatArray) -> None:
@@ -206,29 +199,6 @@ def _override(model: mujoco.MjModel, constants: FloatArray) -> None:
 
 
 # --- settings ---------------------------------------------------------------------------------------------------------
-
-
-def option_settings(model: mujoco.MjModel) -> dict[str, Any]:
-    """Return the settings that reproduce a model's options."""
-    option = model.opt
-    values: dict[str, Any] = {
-        "timestep_s": float(option.timestep),
-        "integrator": _name(INTEGRATORS, option.integrator),
-        "cone": _name(CONES, option.cone),
-        "solver": _name(SOLVERS, option.solver),
-    }
-    values |= {name: getattr(option, name) for name in SAME_NAME_OPTIONS}
-    values |= {
-        name: not option.disableflags & bit for name, bit in DISABLE_FLAGS.items()
-    }
-    return values | {
-        name: bool(option.enableflags & bit) for name, bit in ENABLE_FLAGS.items()
-    }
-
-
-def overrides_contacts(model: mujoco.MjModel) -> bool:
-    """Return whether a model's flag `override` gives all contacts the same constants."""
-    return bool(model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 
 
 def effective_constants(model: mujoco.MjModel, constants: FloatArray) -> FloatArray:
@@ -289,10 +259,3 @@ def default_contact_settings() -> dict[str, Any]:
     """Return the settings that give every contact MuJoCo's defaults."""
     default = PRESETS["out_of_box"].model_dump(mode="json")
     return {name: default[name] for name in ("contact_solref", "contact_solimp")}
-
-
-def _name(known: Mapping[str, Any], value: int) -> str:
-    """Return MuJoCo's name of an option, or its number if this package does not name it."""
-    return next(
-        (name for name, constant in known.items() if constant == value), str(value)
-    )

@@ -7,13 +7,14 @@ import mujoco
 
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
 from gauge_envs.scene import Contact, ContactMode
+from gauge_envs.scene.bodies import friction_dimension
 
 IMPEDANCE_SHAPE = (0.5, 2.0)
 """Midpoint and power of the impedance curve, MuJoCo's defaults; they have no effect on a constant impedance."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContactConstants:
+class ContactConstantsMuJoCo:
     """MuJoCo's constants of a contact, under MuJoCo's names.
 
     Attributes:
@@ -54,24 +55,28 @@ class ContactConstants:
             setattr(geom, key, value)
 
 
-def contact_constants(contact: Contact, settings: SettingsMuJoCo) -> ContactConstants:
+def contact_constants(
+    contact: Contact, settings: SettingsMuJoCo
+) -> ContactConstantsMuJoCo:
     """Return the constants of a contact between rigid bodies."""
     recipe: dict[str, Any] = {"solreffriction": (0.0, 0.0), "margin": 0.0, "gap": 0.0}
-    recipe |= (
-        _sustained(settings)
-        if contact.mode is ContactMode.SUSTAINED
-        else _impact(contact, settings)
-    )
+    if contact.mode is ContactMode.SUSTAINED:
+        recipe["solref"] = settings.sustained_solref
+        recipe["solimp"] = (*settings.sustained_solimp, *IMPEDANCE_SHAPE)
+    else:
+        recipe |= _impact(contact, settings)
     if settings.contact_solref is not None:
         # The tangential constants of a recipe fit only its own constants in the normal direction.
         recipe["solreffriction"] = (0.0, 0.0)
     if settings.contact_solreffriction is not None:
         recipe["solreffriction"] = settings.contact_solreffriction
     friction = _friction(contact, settings)
-    # A contact without friction has no tangential constraints, which is exact and cheap.
-    minimum = 6 if contact.rolling_m else 4 if contact.torsion_m else 3
-    condim = max(settings.condim or 3, minimum) if friction[0] > 0.0 else 1
-    return ContactConstants(
+    dimension = friction_dimension(contact.torsion_m, contact.rolling_m)
+    condim = max(settings.condim or 3, dimension)
+    if friction[0] == 0.0:
+        # A contact without friction has no tangential constraints, which is exact and cheap.
+        condim = 1
+    return ContactConstantsMuJoCo(
         condim=condim, friction=friction, **recipe | given_constants(settings)
     )
 
@@ -101,13 +106,6 @@ def _friction(contact: Contact, settings: SettingsMuJoCo) -> tuple[float, ...]:
         rolling,
         rolling,
     )
-
-
-def _sustained(settings: SettingsMuJoCo) -> dict[str, Any]:
-    return {
-        "solref": settings.sustained_solref,
-        "solimp": (*settings.sustained_solimp, *IMPEDANCE_SHAPE),
-    }
 
 
 def _impact(contact: Contact, settings: SettingsMuJoCo) -> dict[str, Any]:

@@ -57,10 +57,7 @@ class Points:
         """Look up the joints of the points in a compiled model."""
         bodies = [model.body(self._names[index]).id for index in self.free]
         self._bodies = np.array(bodies, dtype=np.intp)
-        # A free point has slide joints along x, y and z, one after another.
-        joints = model.body_jntadr[self._bodies][:, None] + np.arange(3)
-        self._addresses = model.jnt_qposadr[joints].astype(np.intp)
-        self.dofs = model.jnt_dofadr[joints].astype(np.intp)
+        self._addresses, self.dofs = slide_addresses(model, self._bodies)
         self._qpos = data.qpos
         self._qvel = data.qvel
         rows_by_body: dict[str, list[int]] = {}
@@ -107,6 +104,16 @@ def free_joint_views(
     joint = model.joint(model.body(body).jntadr[0])
     position, velocity = int(joint.qposadr[0]), int(joint.dofadr[0])
     return data.qpos[position : position + 7], data.qvel[velocity : velocity + 6]
+
+
+def slide_addresses(
+    model: mujoco.MjModel, bodies: IntArray
+) -> tuple[IntArray, IntArray]:
+    """Return the coordinates and the degrees of freedom of point bodies along x, y and z, shape [body_count, 3]."""
+    # A point body has slide joints along x, y and z, one after another.
+    joints = model.body_jntadr[bodies][:, None] + np.arange(3)
+    coordinates, freedoms = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+    return coordinates.astype(np.intp), freedoms.astype(np.intp)
 
 
 def rotation_matrix(quaternion: FloatArray) -> FloatArray:
@@ -174,8 +181,7 @@ def flex_table(model: mujoco.MjModel, table: str, index: int) -> FloatArray:
     """
     addresses, values = getattr(model, f"{table}adr").tolist(), getattr(model, table)
     start = addresses[index]
-    return (
-        values[start : min((a for a in addresses if a > start), default=len(values))]
-        if start >= 0
-        else values[:0]
-    )
+    if start < 0:
+        return values[:0]
+    end = min((address for address in addresses if address > start), default=None)
+    return values[start:end]

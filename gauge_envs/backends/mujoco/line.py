@@ -117,9 +117,8 @@ def add_rope(
     count = max(2, round(rope.length_m / cell_m))
     rest_m = points_on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
     flex = _add_flex(spec, rope, rest_m, rope.mass_kg)
-    attached = {
-        0 if side == "low" else count: attachment for side, attachment in ends.items()
-    }
+    node_of = {"low": 0, "high": count}
+    attached = {node_of[side]: attachment for side, attachment in ends.items()}
     return LinePartMuJoCo(flex, rest_m, _attach_nodes(spec, flex, rest_m, attached))
 
 
@@ -144,16 +143,16 @@ def add_rod(
         damping_s: Viscous part of the bending moment, as the time that multiplies the rate of curvature [s].
     """
     ends = attached_ends(rod, attachments)
-    low, high = -0.5 * rod.length_m, 0.5 * rod.length_m
-    low += ends["low"].region.depth_m if "low" in ends else 0.0
-    high -= ends["high"].region.depth_m if "high" in ends else 0.0
-    count = (
-        ROD_SEGMENTS
-        if cell_m is None
-        else max(4, round((high - low) / cell_m + 0.5 * len(ends)))
-    )
+    depths_m = {side: end.region.depth_m for side, end in ends.items()}
+    low = depths_m.get("low", 0.0) - 0.5 * rod.length_m
+    high = 0.5 * rod.length_m - depths_m.get("high", 0.0)
+    count = ROD_SEGMENTS
+    if cell_m is not None:
+        count = max(4, round((high - low) / cell_m + 0.5 * len(ends)))
     segment = (high - low) / (count - 0.5 * len(ends))
-    start = low - 0.5 * segment if "low" in ends else low
+    start = low
+    if "low" in ends:
+        start -= 0.5 * segment
     rest_m = points_on_axis(rod, start + segment * np.arange(count + 1))
     flex = _add_flex(spec, rod, rest_m, rod.mass_kg * segment * count / rod.length_m)
     flex.young, flex.damping = rod.young_modulus_pa, damping_s
@@ -164,11 +163,10 @@ def add_rod(
     # A stiffer rod stretches too much at this step: MuJoCo has no shorter time constant.
     stretch_s = max(stretch_s, 2.0 * spec.option.timestep)
     _distances(spec, rod).solref = [stretch_s, 1.0]
+    clamped = {"low": (0, 1), "high": (count - 1, count)}
     attached: dict[int, RigidAttachment] = {}
     for side, attachment in ends.items():
-        attached |= dict.fromkeys(
-            [0, 1] if side == "low" else [count - 1, count], attachment
-        )
+        attached |= dict.fromkeys(clamped[side], attachment)
     points = _attach_nodes(spec, flex, rest_m, attached)
     geoms = []
     for index, name in enumerate(flex.vertbody):
@@ -243,12 +241,14 @@ def _add_flex(
         equality=1,
     )
     flex.radius = line.radius_m
-    for index, (name, place) in enumerate(zip(flex.vertbody, rest_m, strict=True)):
+    masses_kg = np.full(len(rest_m), mass_kg / count)
+    masses_kg[[0, -1]] *= 0.5
+    for name, place, mass in zip(flex.vertbody, rest_m, masses_kg, strict=True):
         body = spec.body(name)
         body.pos = place
         body.explicitinertial = True
         body.ipos = [0.0, 0.0, 0.0]
-        body.mass = mass_kg / count * (0.5 if index in (0, count) else 1.0)
+        body.mass = mass
     make_firm(flex, CONTACT_SOLREF, CONTACT_SOLIMP)
     edges = _distances(spec, line)
     edges.solref, edges.solimp = list(EDGE_SOLREF), list(EDGE_SOLIMP)

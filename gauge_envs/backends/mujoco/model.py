@@ -1,8 +1,6 @@
 """Conversion of a scene to a MuJoCo model."""
 
-from collections.abc import Sequence
-from itertools import product
-from typing import Any
+from itertools import chain, product
 
 import mujoco
 import numpy as np
@@ -15,8 +13,8 @@ from gauge_envs.backends.mujoco.deformables import (
     add_flex_contact,
 )
 from gauge_envs.backends.mujoco.flex import FlexPart
+from gauge_envs.backends.mujoco.options import set_option
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
-from gauge_envs.backends.mujoco.versions import constants_of
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import (
     Box,
@@ -45,58 +43,12 @@ EXPLICIT_PAIR_LIMIT = 1000
 STIFF_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """MuJoCo's `solimp` of strings."""
 
-INTEGRATORS = constants_of(
-    "mjtIntegrator",
-    {
-        "Euler": "mjINT_EULER",
-        "RK4": "mjINT_RK4",
-        "implicit": "mjINT_IMPLICIT",
-        "implicitfast": "mjINT_IMPLICITFAST",
-        "discrete": "mjINT_DISCRETE",
-    },
-)
-CONES = {
-    "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
-    "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
+
+ROUND = {
+    Cylinder: mujoco.mjtGeom.mjGEOM_CYLINDER,
+    Capsule: mujoco.mjtGeom.mjGEOM_CAPSULE,
 }
-SOLVERS = {
-    "PGS": mujoco.mjtSolver.mjSOL_PGS,
-    "CG": mujoco.mjtSolver.mjSOL_CG,
-    "Newton": mujoco.mjtSolver.mjSOL_NEWTON,
-}
-NAMED_OPTIONS = {"integrator": INTEGRATORS, "cone": CONES, "solver": SOLVERS}
-"""MuJoCo's constants of each option that has a name."""
-DISABLE_FLAGS = {
-    "warmstart": mujoco.mjtDisableBit.mjDSBL_WARMSTART,
-    "refsafe": mujoco.mjtDisableBit.mjDSBL_REFSAFE,
-    "eulerdamp": mujoco.mjtDisableBit.mjDSBL_EULERDAMP,
-    "nativeccd": mujoco.mjtDisableBit.mjDSBL_NATIVECCD,
-    "multiccd": mujoco.mjtDisableBit.mjDSBL_MULTICCD,
-    "island": mujoco.mjtDisableBit.mjDSBL_ISLAND,
-}
-"""MuJoCo's disable bit of each setting that is on by default."""
-ENABLE_FLAGS = constants_of(
-    "mjtEnableBit",
-    {
-        "diagexact": "mjENBL_DIAGEXACT",
-        "sleep": "mjENBL_SLEEP",
-        "speculative": "mjENBL_SPECULATIVE",
-    },
-)
-"""MuJoCo's enable bit of each setting that is off by default."""
-SAME_NAME_OPTIONS = (
-    "impratio",
-    "iterations",
-    "tolerance",
-    "ls_iterations",
-    "ls_tolerance",
-    "noslip_iterations",
-    "noslip_tolerance",
-    "ccd_iterations",
-    "ccd_tolerance",
-    "sleep_tolerance",
-)
-"""Settings that have the name of their MuJoCo option."""
+"""MuJoCo's types of shapes with an axis."""
 
 
 def add_geoms(
@@ -142,18 +94,8 @@ def _primitive(
         return mujoco.mjtGeom.mjGEOM_BOX, [0.5 * edge for edge in shape.size_m]
     if isinstance(shape, Sphere):
         return mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius_m, 0.0, 0.0]
-    if isinstance(shape, Cylinder):
-        return mujoco.mjtGeom.mjGEOM_CYLINDER, [
-            shape.radius_m,
-            0.5 * shape.length_m,
-            0.0,
-        ]
-    if isinstance(shape, Capsule):
-        return mujoco.mjtGeom.mjGEOM_CAPSULE, [
-            shape.radius_m,
-            0.5 * shape.length_m,
-            0.0,
-        ]
+    if isinstance(shape, Cylinder | Capsule):
+        return ROUND[type(shape)], [shape.radius_m, 0.5 * shape.length_m, 0.0]
     if isinstance(shape, Ellipsoid):
         return mujoco.mjtGeom.mjGEOM_ELLIPSOID, list(shape.radii_m)
     return mujoco.mjtGeom.mjGEOM_PLANE, [0.0, 0.0, 0.05]
@@ -188,18 +130,10 @@ def build_model(
             add_flex_contact(scene, contact, parts, geoms, settings, bit=1 << index)
         else:
             _add_contact(spec, scene, contact, geoms, settings, bit=1 << index)
-    moves = any(
-        start_rates(body, scene.hinges.get(body.name)).any()
-        for body in scene.dynamic_bodies
-    )
-    key = spec.add_key(name=START_KEY) if moves else None
-    try:
-        model = spec.compile()
-    except ValueError as error:
-        reason = str(error).removeprefix("Error: ")
-        raise ParameterError(
-            f"MuJoCo cannot build the scene with these settings: {reason}"
-        ) from error
+    key = None
+    if not all(body.starts_at_rest for body in scene.dynamic_bodies):
+        key = spec.add_key(name=START_KEY)
+    model = _compiled(spec)
     if key is not None:
         # The compiled model defines the order of the velocities.
         model.key_qvel[0] = key.qvel = start_velocities(scene, model)
@@ -211,16 +145,23 @@ def build_model(
     return spec, model, parts
 
 
+def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except ValueError as error:
+        reason = str(error).removeprefix("Error: ")
+        raise ParameterError(
+            f"MuJoCo cannot build the scene with these settings: {reason}"
+        ) from error
+
+
 def start_velocities(scene: Scene, model: mujoco.MjModel) -> NDArray[np.float64]:
     """Return the velocities of a model's joints at the start of a scene, shape [nv]; see `start_rates`."""
     velocities = np.zeros(model.nv)
     for body in scene.dynamic_bodies:
-        if body.starts_at_rest:
-            continue
         rates = start_rates(body, scene.hinges.get(body.name))
-        if rates.any():
-            first = int(model.joint(body.name).dofadr[0])
-            velocities[first : first + len(rates)] = rates
+        first = int(model.joint(body.name).dofadr[0])
+        velocities[first : first + len(rates)] = rates
     return velocities
 
 
@@ -234,47 +175,12 @@ def start_rates(body: RigidBody, hinge: Hinge | None) -> NDArray[np.float64]:
     angular = np.array(body.angular_velocity_rad_per_s)
     if hinge is not None:
         return np.array([angular @ hinge.axis])
-    turning = rotated_back(body.pose.quaternion, angular)
-    return np.concatenate([body.linear_velocity_m_per_s, turning])
-
-
-def rotated_back(
-    quaternion: Sequence[float], vector: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return a world vector, shape [3], in the body frame of an orientation w, x, y, z."""
-    inverse, rotated = np.empty(4), np.empty(3)
-    mujoco.mju_negQuat(inverse, np.asarray(quaternion))
-    mujoco.mju_rotVecQuat(rotated, vector, inverse)
-    return rotated
+    return np.concatenate([body.linear_velocity_m_per_s, angular @ body.pose.matrix])
 
 
 def _set_options(spec: mujoco.MjSpec, settings: SettingsMuJoCo) -> None:
     for name, value in settings:
         set_option(spec.option, name, value)
-
-
-def set_option(option: Any, name: str, value: Any) -> None:
-    """Set an option or a flag of a model by the name of a setting; settings of contacts and scenes change nothing.
-
-    Args:
-        option: Options of a compiled model, or of its spec.
-        name: Name of the setting.
-        value: Its new value; None for `o_friction` restores the constants of each contact.
-    """
-    if name == "timestep_s":
-        option.timestep = value
-    elif name in NAMED_OPTIONS:
-        setattr(option, name, int(NAMED_OPTIONS[name][value]))
-    elif name in SAME_NAME_OPTIONS:
-        setattr(option, name, value)
-    elif name in DISABLE_FLAGS:
-        off = int(DISABLE_FLAGS[name])
-        option.disableflags = option.disableflags & ~off | off * (not value)
-    elif name in ENABLE_FLAGS:
-        on = int(ENABLE_FLAGS[name])
-        option.enableflags = option.enableflags & ~on | on * bool(value)
-    elif name == "o_friction" and value is None:
-        option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 
 
 def _collision_shape(body: RigidBody) -> Shape:
@@ -314,12 +220,9 @@ def _add_body(
         frame.ipos = [0.0, 0.0, 0.0]
         frame.inertia = [settings.kinematic_mass_kg] * 3
         return geoms
-    if isinstance(body.shape, ConvexUnion | Compound):
-        volumes = _volumes_m3(body.shape)
-        for geom, volume in zip(geoms, volumes, strict=True):
-            geom.mass = body.mass_kg * volume / sum(volumes)
-    else:
-        geoms[0].mass = body.mass_kg
+    volumes = _volumes_m3(body.shape)
+    for geom, volume in zip(geoms, volumes, strict=True):
+        geom.mass = body.mass_kg * volume / sum(volumes)
     if body.inertia_kg_m2 is not None:
         frame.explicitinertial = True
         frame.mass = body.mass_kg
@@ -338,19 +241,14 @@ def hinge_in_body(
     )
 
 
-def _volumes_m3(shape: ConvexUnion | Compound) -> list[float]:
+def _volumes_m3(shape: Shape | Capsule | Ellipsoid) -> list[float]:
     """Return the volume of each geom of a shape [m^3]."""
+    if isinstance(shape, Compound):
+        volumes = [_volumes_m3(part.shape) for part in shape.parts]
+        return [*chain.from_iterable(volumes)]
     if isinstance(shape, ConvexUnion):
         return [ConvexUnion(pieces_m=(piece,)).volume_m3 for piece in shape.pieces_m]
-    return [
-        volume
-        for part in shape.parts
-        for volume in (
-            _volumes_m3(part.shape)
-            if isinstance(part.shape, ConvexUnion)
-            else [part.shape.volume_m3]
-        )
-    ]
+    return [shape.volume_m3]
 
 
 def _add_tether(spec: mujoco.MjSpec, tether: Tether, settings: SettingsMuJoCo) -> None:

@@ -202,20 +202,8 @@ NODE_LIMIT = 60_000
 
 def _preset_name(scene: Scene) -> str:
     if scene.deformables:
-        cloths = {body.name for body in scene.deformables if isinstance(body, Cloth)}
-        if cloths:
-            touched = [
-                set(c.first) | set(c.second)
-                for c in scene.contacts
-                if cloths & {*c.first, *c.second}
-            ]
-            folds = any(cloths & set(c.first) & set(c.second) for c in scene.contacts)
-            bodies = set().union(*touched) - cloths
-            if folds and bodies:
-                return "drape"
-            if bodies & {body.name for body in scene.dynamic_bodies}:
-                return "cloth_loaded"
-            return "cloth_probed" if bodies else "cloth"
+        if scene.has(Cloth):
+            return _cloth_preset_name(scene)
         if scene.has(SoftBody):
             is_led = not (scene.contacts or scene.dynamic_bodies) and scene.drivers
             return "soft_driven" if is_led else "soft"
@@ -228,10 +216,30 @@ def _preset_name(scene: Scene) -> str:
     return "impact_chain" if scene.has_impact_chain else "contact"
 
 
+def _cloth_preset_name(scene: Scene) -> str:
+    cloths = {body.name for body in scene.deformables if isinstance(body, Cloth)}
+    bodies: set[str] = set()
+    folds = False
+    for contact in scene.contacts:
+        first, second = {*contact.first}, {*contact.second}
+        if cloths & (first | second):
+            bodies |= (first | second) - cloths
+            folds |= bool(cloths & first & second)
+    if not bodies:
+        return "cloth"
+    if folds:
+        return "drape"
+    dynamic = {body.name for body in scene.dynamic_bodies}
+    return "cloth_loaded" if bodies & dynamic else "cloth_probed"
+
+
 def _training_preset(scene: Scene) -> SettingsMuJoCo:
     name = _preset_name(scene)
-    kind = "rope" if scene.has(Rope) else name
-    kind = "soft_touched" if kind == "soft" and scene.contacts else kind
+    kind = name
+    if scene.has(Rope):
+        kind = "rope"
+    elif kind == "soft" and scene.contacts:
+        kind = "soft_touched"
     return PRESETS[name].model_copy(
         update={"preset": TRAINING} | TRAINING_CHANGES[kind]
     )
@@ -246,7 +254,10 @@ def settings_for(
         "MuJoCo", presets, preset=_preset_name(scene), changes=overrides
     )
     check_installed(settings.model_dump(), overrides or {})
-    if settings.cell_m is not None and (overrides or {}).get("cell_m") is not None:
+    if settings.cell_m is None:
+        default = common_cell_m(scene, {Cloth: CLOTH_CELL_M, Rope: ROPE_CELL_M})
+        return settings.model_copy(update={"cell_m": default})
+    if overrides and "cell_m" in overrides:
         check_cells(
             "MuJoCo",
             scene,
@@ -254,9 +265,4 @@ def settings_for(
             node_limit=NODE_LIMIT,
             soft_nodes_per_edge=2,
         )
-    default = common_cell_m(scene, {Cloth: CLOTH_CELL_M, Rope: ROPE_CELL_M})
-    return (
-        settings
-        if settings.cell_m is not None
-        else settings.model_copy(update={"cell_m": default})
-    )
+    return settings

@@ -57,6 +57,7 @@ class SimulationMuJoCo(PlacedSimulation):
         datas: MuJoCo's state of each world.
         data: MuJoCo's state of the first world.
         timestep_s: Time step [s].
+        parts: Parts of deformable bodies, by name.
         grips: Nodes of soft bodies that move with driven bodies.
     """
 
@@ -80,7 +81,7 @@ class SimulationMuJoCo(PlacedSimulation):
         self.data = self.datas[0]
         self.timestep_s = float(settings["timestep_s"])
         self._scene = scene
-        self._parts = parts
+        self.parts = parts
         self.grips: list[Grip] = []
         for part in dict.fromkeys(parts.values()):
             part.bind(model, self.data)
@@ -107,7 +108,7 @@ class SimulationMuJoCo(PlacedSimulation):
         # Views: fetching an array of MuJoCo costs more than reading from it.
         self._options = model.opt
         self._warnings = [data.warning.number for data in self.datas]
-        self._driven: dict[str, list[DrivenBody]] = {}
+        self._driven: dict[str, list[_DrivenBody]] = {}
         self._thread_count = min(processor_count(), world_count)
         self._threads = None
         if self._thread_count > 1:
@@ -156,10 +157,10 @@ class SimulationMuJoCo(PlacedSimulation):
         """Write each world's pose, velocity, and the force that gives the body's large mass the acceleration."""
         if body not in self._driven:
             self._driven[body] = [
-                DrivenBody(self.model, data, body) for data in self.datas
+                _DrivenBody(self.model, data, body) for data in self.datas
             ]
         for driven, target in zip(self._driven[body], targets, strict=True):
-            driven.write(target)
+            driven.drive(target)
         for grip in self.grips:
             if grip.body == body:
                 grip.follow()
@@ -224,7 +225,7 @@ class SimulationMuJoCo(PlacedSimulation):
 
     def nodes(self, name: str) -> FloatArray:
         """Return the nodes of a deformable body [m], shape [1, node_count, 3]."""
-        part = self._parts[name]
+        part = self.parts[name]
         nodes = part.nodes()
         if name in part.node_indices:
             nodes = nodes[part.node_indices[name]]
@@ -232,7 +233,7 @@ class SimulationMuJoCo(PlacedSimulation):
 
     def track(self, name: str, points_m: FloatArray) -> MaterialPoints | None:
         """Return a reader of material points of soft bodies, ropes and rods, or None for cloth."""
-        part = self._parts[name]
+        part = self.parts[name]
         if not isinstance(part, SoftPartMuJoCo | LinePartMuJoCo):
             return None
         read = part.track(points_m)
@@ -257,6 +258,19 @@ class SimulationMuJoCo(PlacedSimulation):
             self._threads.shutdown()
 
 
+KINEMATICS = (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel)
+"""Stages of a step that compute the poses and velocities of bodies from those of joints."""
+
+
+def kinematic_state(data: mujoco.MjData, body: int) -> FloatArray:
+    """Return the state of a body after the stages `KINEMATICS`, shape [13]; see `Simulation.body_states`."""
+    velocity = np.empty(6)
+    kind = mujoco.mjtObj.mjOBJ_XBODY
+    mujoco.mj_objectVelocity(data.model, data, kind, body, velocity, 0)
+    angular, linear = velocity[:3], velocity[3:]
+    return np.concatenate([data.xpos[body], data.xquat[body], linear, angular])
+
+
 def _touches(
     model: mujoco.MjModel, data: mujoco.MjData
 ) -> Iterator[tuple[int, int, FloatArray]]:
@@ -270,28 +284,6 @@ def _touches(
         mujoco.mj_contactForce(model, data, index, wrench)
         # The first row of the frame points from the first geom to the second, which the force pushes.
         yield first, second, -point.frame.reshape(3, 3).T @ wrench[:3]
-
-
-class DrivenBody:
-    """Views of MuJoCo's arrays with the pose, velocity, force and mass of a driven body in one world."""
-
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, body: str) -> None:
-        index = model.body(body).id
-        self._pose, velocity = free_joint_views(model, data, body)
-        self._linear, self._angular = velocity[:3], velocity[3:]
-        self._force = data.xfrc_applied[index]
-        self._mass_kg = model.body_mass[index : index + 1]
-        self._inverse = np.empty(4)
-
-    def write(self, target: FloatArray) -> None:
-        """Write a row of `Simulation.drive`, shape [19]."""
-        self._pose[:] = target[:7]
-        self._linear[:] = target[7:10]
-        # MuJoCo keeps a free joint's angular velocity in the body frame.
-        mujoco.mju_negQuat(self._inverse, target[3:7])
-        mujoco.mju_rotVecQuat(self._angular, target[10:13], self._inverse)
-        # The mass and all moments of inertia of a driven body are the same number.
-        np.multiply(self._mass_kg, target[13:], out=self._force)
 
 
 class _FreeBody:
@@ -318,6 +310,22 @@ class _FreeBody:
         mujoco.mju_rotVecQuat(state[10:], self._angular, self._quaternion)
 
 
+class _DrivenBody(_FreeBody):
+    """Views of MuJoCo's arrays with the state, force and mass of a driven body in one world."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str) -> None:
+        super().__init__(model, data, name)
+        index = model.body(name).id
+        self._force = data.xfrc_applied[index]
+        self._mass_kg = model.body_mass[index : index + 1]
+
+    def drive(self, target: FloatArray) -> None:
+        """Write a row of `Simulation.drive`, shape [19]."""
+        self.write(target[:13])
+        # The mass and all moments of inertia of a driven body are the same number.
+        np.multiply(self._mass_kg, target[13:], out=self._force)
+
+
 class _HingedBody:
     """A body on a hinge to the world in one world, read through MuJoCo's kinematics.
 
@@ -339,10 +347,6 @@ class _HingedBody:
         self._nominal_rad = float(model.qpos0[angle])
         self._angle = data.qpos[angle : angle + 1]
         self._rate = data.qvel[rate : rate + 1]
-        self._position, self._quaternion = (
-            data.xpos[self._index],
-            data.xquat[self._index],
-        )
 
     def write(self, state: FloatArray) -> None:
         """Write an initial state, shape [13]."""
@@ -352,12 +356,6 @@ class _HingedBody:
 
     def read(self, state: FloatArray) -> None:
         """Write the state of the body to an array, shape [13]."""
-        for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel):
+        for stage in KINEMATICS:
             stage(self._model, self._data)
-        velocity = np.empty(6)
-        kind = mujoco.mjtObj.mjOBJ_XBODY
-        mujoco.mj_objectVelocity(
-            self._model, self._data, kind, self._index, velocity, 0
-        )
-        state[:3], state[3:7] = self._position, self._quaternion
-        state[7:10], state[10:] = velocity[3:], velocity[:3]
+        state[:] = kinematic_state(self._data, self._index)

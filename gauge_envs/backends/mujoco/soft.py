@@ -21,6 +21,7 @@ from gauge_envs.backends.mujoco.flex import (
     free_joint_views,
     make_firm,
     rotation_matrix,
+    slide_addresses,
 )
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.cells import grid_points
@@ -80,9 +81,7 @@ class Grip:
         self._force = data.xfrc_applied[driven.id]
         self._mass_kg = float(driven.mass[0])
         self._nodes = np.array([model.body(name).id for name in self.names])
-        joints = model.body_jntadr[self._nodes][:, None] + np.arange(3)
-        self._addresses = model.jnt_qposadr[joints]
-        self._freedoms = model.jnt_dofadr[joints]
+        self._addresses, self._freedoms = slide_addresses(model, self._nodes)
         self._rest_m = model.body_pos[self._nodes]
         self._masses_kg = model.body_mass[self._nodes, None]
         # Positions of the nodes in the frame of the driven body.
@@ -277,12 +276,9 @@ def add_soft(
     )
     each = _cells_of_a_block(blocks, axis, cell_m)
     layers = _layers_of_blocks(blocks, axis, each[axis])
-    lattice = _Lattice(
-        low_m,
-        high_m,
-        tuple(sum(layers) if i == axis else n for i, n in enumerate(each)),
-        axis,
-    )
+    cells = list(each)
+    cells[axis] = sum(layers)
+    lattice = _Lattice(low_m, high_m, tuple(cells), axis)
 
     name = blocks[0].body.name
     flex = spec.worldbody.make_flex(
@@ -318,7 +314,7 @@ def add_soft(
     attached: dict[int, RigidAttachment] = {}
     grips = []
     for side, attachment in soft_row.ends.items():
-        section = sections[0 if side == "low" else -1].ravel().tolist()
+        section = sections[{"low": 0, "high": -1}[side]].ravel().tolist()
         if attachment.motion is Motion.FIXED:
             attached |= dict.fromkeys(section, attachment)
         else:
@@ -341,7 +337,9 @@ def _cells_of_a_block(
     """Return the number of cells of each block along x, y and z."""
     if cell_m is None:
         along, across = SINGLE_CELLS if len(blocks) == 1 else BONDED_CELLS
-        return tuple(along if i == axis else across for i in range(3))
+        cells = [across] * 3
+        cells[axis] = along
+        return tuple(cells)
     # Blocks at the ends of a row lose material to the grips; the longest one decides.
     edges = np.max([block.high_m - block.low_m for block in blocks], axis=0)
     return tuple(max(1, ceil(edge / cell_m - 1e-6)) for edge in edges)
@@ -378,11 +376,10 @@ def _gripped_box_m(soft_row: SoftRow, side: str) -> tuple[FloatArray, FloatArray
     axis, low_m, high_m = soft_row.axis, soft_row.low_m, soft_row.high_m
     centre, size = 0.5 * (low_m + high_m), high_m - low_m
     size[axis] = soft_row.ends[side].region.depth_m
-    centre[axis] = (
-        low_m[axis] - 0.5 * size[axis]
-        if side == "low"
-        else high_m[axis] + 0.5 * size[axis]
-    )
+    if side == "low":
+        centre[axis] = low_m[axis] - 0.5 * size[axis]
+    else:
+        centre[axis] = high_m[axis] + 0.5 * size[axis]
     return centre, size
 
 

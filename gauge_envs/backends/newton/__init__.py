@@ -15,8 +15,8 @@ from gauge_envs.backends.features import Feature
 from gauge_envs.backends.newton.contacts import unsupported_surface_contacts
 from gauge_envs.backends.newton.fabrics import vbd_constants
 from gauge_envs.backends.newton.settings import (
+    SettingsImplicitMPM,
     SettingsLines,
-    SettingsMPM,
     SettingsMuJoCoWarp,
     SettingsNewton,
     SettingsVBD,
@@ -70,12 +70,6 @@ class BackendNewton(BundledBackend):
             return Repeatability()
         return Repeatability(kind="statistical", start_error=1e-6)
 
-    def build(
-        self, scene: Scene, settings: Mapping[str, Any] | None = None
-    ) -> Simulation:
-        """Build a scene; settings are the fields of the settings class of the preset's solver."""
-        return self.build_worlds(scene, 1, settings)
-
     def build_worlds(
         self,
         scene: Scene,
@@ -84,7 +78,7 @@ class BackendNewton(BundledBackend):
     ) -> Simulation:
         """Build a scene as worlds of one model, which advance in the same step; material points need a model each."""
         chosen = _checked(scene, settings)
-        if world_count > 1 and isinstance(chosen, SettingsMPM):
+        if world_count > 1 and isinstance(chosen, SettingsImplicitMPM):
             return super().build_worlds(scene, world_count, settings)
         from gauge_envs.backends.newton.simulation import SimulationNewton
 
@@ -95,7 +89,7 @@ SIMULATED: Mapping[type[SettingsNewton], set[type]] = {
     SettingsMuJoCoWarp: set(),
     SettingsVBD: {Cloth, SoftBody},
     SettingsLines: {Rope, Rod},
-    SettingsMPM: {SoftBody},
+    SettingsImplicitMPM: {SoftBody},
 }
 """Kinds of deformable bodies that each solver simulates here; its scenes have at least one of them."""
 
@@ -134,7 +128,7 @@ def _unsupported_features(scene: Scene, settings: SettingsNewton) -> Iterator[st
         if attachment.region.axis == "z" and attachment.deformable in cloths:
             yield f"cloth {attachment.deformable!r} is attached to {attachment.to!r} by its face, not by an edge"
     yield from soft_row_problems(scene)
-    if isinstance(settings, SettingsMPM) and scene.dynamic_bodies:
+    if isinstance(settings, SettingsImplicitMPM) and scene.dynamic_bodies:
         yield (
             f"{scene.dynamic_bodies[0].name!r} moves freely: the material point method of this backend collides with "
             "fixed and driven bodies only"

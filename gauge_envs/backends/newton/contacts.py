@@ -261,9 +261,6 @@ def _pairs(scene: Scene) -> dict[tuple[str, str], float]:
 
 def _side_frictions(pairs: dict[tuple[str, str], float]) -> dict[str, float]:
     """Return the coefficient of each side, the least-squares solution of log a + log b = 2 log(pair friction)."""
-    names = sorted({name for pair in pairs for name in pair})
     sums = 2.0 * np.log(np.maximum(list(pairs.values()), FRICTION_FLOOR))
-    logs = values_of_sums(
-        names, dict(zip(pairs, sums.tolist(), strict=True)), lowest=-np.inf
-    )
+    logs = values_of_sums(dict(zip(pairs, sums.tolist(), strict=True)), lowest=-np.inf)
     return {name: float(np.exp(value)) for name, value in logs.items()}

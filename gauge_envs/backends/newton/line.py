@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.newton.parts import Part, Reader
+from gauge_envs.backends.newton.parts import PartNewton, Reader
 from gauge_envs.backends.newton.rigid import WORLD
 from gauge_envs.backends.newton.settings import ROD_SEGMENTS, ROPE_CELL_M, SettingsLines
 from gauge_envs.backends.newton.stepper import (
@@ -68,7 +68,7 @@ class _Anchor:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LinePartNewton(Part):
+class LinePartNewton(PartNewton):
     """A rope or a rod among the bodies of a model.
 
     Attributes:

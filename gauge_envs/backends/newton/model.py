@@ -12,7 +12,7 @@ from gauge_envs.backends.newton.contacts import SurfaceContacts, surface_contact
 from gauge_envs.backends.newton.line import add_line
 from gauge_envs.backends.newton.mpm import StepperMPM, add_soft_mpm, fitted_voxel_m
 from gauge_envs.backends.newton.mujoco_stepper import StepperMuJoCo
-from gauge_envs.backends.newton.parts import Part, Pin, add_cloth, add_soft
+from gauge_envs.backends.newton.parts import PartNewton, PinNewton, add_cloth, add_soft
 from gauge_envs.backends.newton.rigid import (
     RigidIndex,
     Solids,
@@ -23,8 +23,8 @@ from gauge_envs.backends.newton.rigid import (
     shape_config,
 )
 from gauge_envs.backends.newton.settings import (
+    SettingsImplicitMPM,
     SettingsLines,
-    SettingsMPM,
     SettingsMuJoCoWarp,
     SettingsNewton,
     SettingsVBD,
@@ -59,10 +59,10 @@ class WorldLayout:
 
     rigid: RigidIndex
     origin_m: Vector = (0.0, 0.0, 0.0)
-    parts: dict[str, Part] = field(default_factory=dict)
+    parts: dict[str, PartNewton] = field(default_factory=dict)
 
     @property
-    def pins(self) -> list[Pin]:
+    def pins(self) -> list[PinNewton]:
         """Particles that are attached to kinematic bodies."""
         return [pin for part in dict.fromkeys(self.parts.values()) for pin in part.pins]
 
@@ -88,7 +88,7 @@ def build_model(
     world = newton.ModelBuilder(gravity=gravity)
     if isinstance(settings, SettingsMuJoCoWarp):
         layout, new_stepper = _add_rigid_scene(world, scene, settings)
-    elif isinstance(settings, SettingsMPM):
+    elif isinstance(settings, SettingsImplicitMPM):
         layout, new_stepper = _add_mpm_scene(world, scene, settings)
     elif isinstance(settings, SettingsLines):
         layout, new_stepper = _add_line_scene(world, scene, settings)
@@ -124,7 +124,7 @@ def _add_rigid_scene(
 
 
 def _add_mpm_scene(
-    builder: newton.ModelBuilder, scene: Scene, settings: SettingsMPM
+    builder: newton.ModelBuilder, scene: Scene, settings: SettingsImplicitMPM
 ) -> tuple[WorldLayout, NewStepper]:
     SolverImplicitMPM.register_custom_attributes(builder)
     layout = WorldLayout(rigid=_add_massless_shapes(builder, scene))

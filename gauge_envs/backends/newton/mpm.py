@@ -17,13 +17,13 @@ import warp as wp
 from newton.solvers import SolverImplicitMPM
 
 from gauge_envs.backends.newton.parts import (
-    Pin,
     PinnedParticles,
+    PinNewton,
     Reader,
     SoftRowPart,
     pins_of,
 )
-from gauge_envs.backends.newton.settings import VOXEL_M, SettingsMPM
+from gauge_envs.backends.newton.settings import VOXEL_M, SettingsImplicitMPM
 from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.backends.shared.soft_rows import (
     SoftRow,
@@ -40,7 +40,7 @@ VOXEL_RANGE = (0.85, 1.15)
 """Voxel sizes that `fitted_voxel_m` tries, as multiples of the desired size."""
 
 
-def fitted_voxel_m(soft_row: SoftRow, settings: SettingsMPM) -> float:
+def fitted_voxel_m(soft_row: SoftRow, settings: SettingsImplicitMPM) -> float:
     """Return the voxel edge [m], close to the desired edge, that lets the rigid voxels end where the grips end.
 
     One voxel is centred at the world's origin, and a point in a grip holds its whole voxel. The free length is
@@ -80,7 +80,7 @@ class SoftPartMPM(SoftRowPart):
         gripped_m: FloatArray,
         *,
         start: int,
-        pins: Sequence[Pin],
+        pins: Sequence[PinNewton],
     ) -> None:
         super().__init__(
             soft_row, free_m, slice(start, start + len(free_m) + len(gripped_m)), pins
@@ -129,7 +129,7 @@ def add_soft_mpm(
         )
         free.append(points)
     gripped: list[FloatArray] = [np.zeros((0, 3))]
-    pins: list[Pin] = []
+    pins: list[PinNewton] = []
     for side, attachment in soft_row.ends.items():
         block = soft_row.blocks[0] if side == "low" else soft_row.blocks[-1]
         low_m, high_m, axis = block.low_m.copy(), block.high_m.copy(), soft_row.axis
@@ -201,9 +201,9 @@ class StepperMPM(Stepper):
         model: newton.Model,
         *,
         driven: Sequence[int],
-        pins: Sequence[Pin],
+        pins: Sequence[PinNewton],
         voxel_m: float,
-        settings: SettingsMPM,
+        settings: SettingsImplicitMPM,
     ) -> None:
         config = SolverImplicitMPM.Config(
             voxel_size=voxel_m,

@@ -45,7 +45,7 @@ Reader = Callable[[Stepper], FloatArray]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pin:
+class PinNewton:
     """A massless particle that is attached to a kinematic body.
 
     Attributes:
@@ -64,7 +64,7 @@ def pins_of(
     bodies: Mapping[str, int],
     particles: Iterable[int],
     points_m: FloatArray,
-) -> Iterator[Pin]:
+) -> Iterator[PinNewton]:
     """Yield the pins of attached particles, if their body is kinematic.
 
     Args:
@@ -77,7 +77,7 @@ def pins_of(
         for particle, (x, y, z) in zip(
             particles, attachment.pose.to_body(points_m).tolist(), strict=True
         ):
-            yield Pin(
+            yield PinNewton(
                 particle=int(particle), body=bodies[attachment.body], place_m=(x, y, z)
             )
 
@@ -90,7 +90,7 @@ class PinnedParticles:
         stepper: Stepper of the model.
     """
 
-    def __init__(self, pins: Sequence[Pin], stepper: Stepper) -> None:
+    def __init__(self, pins: Sequence[PinNewton], stepper: Stepper) -> None:
         model, world_count = stepper.model, stepper.world_count
         self._device = model.device
         self._count = world_count * len(pins)
@@ -136,7 +136,7 @@ class PinnedParticles:
             )
 
 
-class Part(ABC):
+class PartNewton(ABC):
     """A deformable body or a soft row in a model.
 
     Attributes:
@@ -146,7 +146,7 @@ class Part(ABC):
     """
 
     rest_m: FloatArray
-    pins: tuple[Pin, ...] = ()
+    pins: tuple[PinNewton, ...] = ()
     node_indices: Mapping[str, IntArray] = MappingProxyType({})
 
     @abstractmethod
@@ -158,7 +158,7 @@ class Part(ABC):
         return None
 
 
-class ParticlePart(Part):
+class ParticlePart(PartNewton):
     """A deformable body or a soft row that consists of particles.
 
     Args:
@@ -168,7 +168,7 @@ class ParticlePart(Part):
     """
 
     def __init__(
-        self, rest_m: FloatArray, particles: slice, pins: Sequence[Pin]
+        self, rest_m: FloatArray, particles: slice, pins: Sequence[PinNewton]
     ) -> None:
         self.rest_m = rest_m
         self.particles = particles
@@ -201,7 +201,7 @@ class SoftRowPart(ParticlePart):
         soft_row: SoftRow,
         rest_m: FloatArray,
         particles: slice,
-        pins: Sequence[Pin],
+        pins: Sequence[PinNewton],
     ) -> None:
         super().__init__(rest_m, particles, pins)
         self._soft_row = soft_row
@@ -221,7 +221,7 @@ class ClothPartNewton(ParticlePart):
         pins: Vertices that are attached to kinematic bodies.
     """
 
-    def __init__(self, grid: ClothGrid, start: int, pins: Sequence[Pin]) -> None:
+    def __init__(self, grid: ClothGrid, start: int, pins: Sequence[PinNewton]) -> None:
         super().__init__(grid.rest_m, slice(start, start + len(grid.rest_m)), pins)
         self.grid = grid
 
@@ -278,7 +278,7 @@ def add_cloth(
     masses = cloth.areal_density_kg_per_m2 * grid.vertex_areas_m2()
     masses[list(attached)] = 0.0
     builder.particle_mass[start : start + len(masses)] = masses.tolist()
-    pins: list[Pin] = []
+    pins: list[PinNewton] = []
     for attachment in attachments:
         rows = np.array(
             [index for index, by in attached.items() if by is attachment], dtype=np.intp
@@ -290,7 +290,7 @@ def add_cloth(
 # --- soft bodies -----------------------------------------------------------------------------------------------------
 
 
-class _Solid:
+class _RigidBlock:
     """A block that is a rigid body, at rest in the world's axes.
 
     Args:
@@ -333,8 +333,8 @@ class SoftPartNewton(SoftRowPart):
         mesh: TetrahedralMesh,
         *,
         start: int,
-        pins: Sequence[Pin],
-        solids: Sequence[_Solid],
+        pins: Sequence[PinNewton],
+        solids: Sequence[_RigidBlock],
     ) -> None:
         rest_m = np.concatenate([mesh.points_m, *(solid.grid_m for solid in solids)])
         super().__init__(
@@ -427,7 +427,7 @@ def add_soft(
     start = builder.particle_count
     masses = mesh.masses_kg([block.density_kg_per_m3 for block in soft_row.blocks])
     flags = np.full(len(masses), int(newton.ParticleFlags.ACTIVE))
-    pins: list[Pin] = []
+    pins: list[PinNewton] = []
     for attachment, nodes in soft_row.gripped(mesh.points_m):
         masses[nodes], flags[nodes] = 0.0, 0
         pins += pins_of(attachment, indices, start + nodes, mesh.points_m[nodes])
@@ -453,7 +453,7 @@ def add_soft(
             *corners, tri_ke=0.0, tri_ka=0.0, tri_kd=0.0, tri_drag=0.0, tri_lift=0.0
         )
     solids = [
-        _Solid(
+        _RigidBlock(
             block,
             _add_rigid(builder, block, soft_row.axis, start, mesh.points_m),
             cell_m,

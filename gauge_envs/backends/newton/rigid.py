@@ -46,6 +46,7 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
+from gauge_envs.scene.bodies import friction_dimension
 from gauge_envs.scene.meshes import body_mass_properties, prism
 
 WORLD = -1
@@ -348,7 +349,7 @@ def _carry(
     builder.shape_material_mu[shape] = max(constants.friction, NO_FRICTION)
     builder.shape_material_mu_torsional[shape] = constants.torsion_m
     builder.shape_material_mu_rolling[shape] = constants.rolling_m
-    dimension = 6 if constants.rolling_m else 4 if constants.torsion_m else 3
+    dimension = friction_dimension(constants.torsion_m, constants.rolling_m)
     attributes: dict[str, Any] = {
         "condim": dimension if constants.friction > 0.0 else 1,
         "geom_priority": 1,

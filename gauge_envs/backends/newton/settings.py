@@ -189,7 +189,7 @@ class SettingsLines(SettingsNewton):
     friction_speed_m_per_s: Positive = 1e-4
 
 
-class SettingsMPM(SettingsNewton):
+class SettingsImplicitMPM(SettingsNewton):
     """Settings of Newton's implicit material point method, for soft bodies.
 
     Attributes:
@@ -219,7 +219,7 @@ KINDS: dict[str, type[SettingsNewton]] = {
     "mujoco": SettingsMuJoCoWarp,
     "vbd": SettingsVBD,
     "lines": SettingsLines,
-    "mpm": SettingsMPM,
+    "mpm": SettingsImplicitMPM,
 }
 """Settings of each solver, by the `kind` of a preset."""
 
@@ -390,10 +390,10 @@ def _with_cells(
     """Return the settings with the default size of cells, or with the given size after a check."""
     if isinstance(settings, SettingsMuJoCoWarp):
         return settings
-    assert isinstance(settings, SettingsVBD | SettingsLines | SettingsMPM)
+    assert isinstance(settings, SettingsVBD | SettingsLines | SettingsImplicitMPM)
     if settings.cell_m is None:
         defaults = {Cloth: CLOTH_CELL_M, SoftBody: SOFT_CELL_M, Rope: ROPE_CELL_M}
-        is_mpm = isinstance(settings, SettingsMPM)
+        is_mpm = isinstance(settings, SettingsImplicitMPM)
         cell_m = VOXEL_M if is_mpm else common_cell_m(scene, defaults)
         return settings.model_copy(update={"cell_m": cell_m})
     if is_given:
@@ -403,7 +403,7 @@ def _with_cells(
             settings.cell_m,
             node_limit=NODE_LIMIT,
             soft_nodes_per_edge=settings.points_per_voxel_edge
-            if isinstance(settings, SettingsMPM)
+            if isinstance(settings, SettingsImplicitMPM)
             else 1,
         )
     return settings

@@ -17,7 +17,7 @@ import warp as wp
 
 from gauge_envs.backends.newton.contacts import SurfaceContacts
 from gauge_envs.backends.newton.kernels import predict
-from gauge_envs.backends.newton.parts import Pin, PinnedParticles
+from gauge_envs.backends.newton.parts import PinnedParticles, PinNewton
 from gauge_envs.backends.newton.settings import SettingsLines, SettingsVBD
 from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.scene.geometry import IntArray
@@ -111,7 +111,7 @@ class StepperVBD(Stepper):
         *,
         driven: Sequence[int],
         settings: SettingsVBD | SettingsLines,
-        pins: Sequence[Pin] = (),
+        pins: Sequence[PinNewton] = (),
         contacts: SurfaceContacts | None = None,
         contact_stiffness_n_per_m: float = 1e3,
         passing: IntArray | None = None,

@@ -133,7 +133,7 @@ def new_system(
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class BodyPhysX:
     """A body in PhysX.
 
     Attributes:
@@ -150,7 +150,7 @@ def physx_pose(pose: Pose) -> pysapien.Pose:
     return pysapien.Pose(pose.position_m, pose.quaternion)
 
 
-class Model:
+class ModelPhysX:
     """A scene in PhysX.
 
     Args:
@@ -182,7 +182,7 @@ class Model:
             if isinstance(joint, Tether):
                 _add_tether(self.parts[joint.body].component, joint)
 
-    def _add_body(self, body: RigidBody, hinge: Hinge | None) -> Part:
+    def _add_body(self, body: RigidBody, hinge: Hinge | None) -> BodyPhysX:
         is_link = self._settings.hinges == "articulation"
         component = _component(body)
         if hinge is not None and is_link:
@@ -210,7 +210,7 @@ class Model:
             component.linear_velocity = centre_velocity(body, centre_m)
             if hinge is not None:
                 _add_hinge(component, body, hinge)
-        return Part(component, centre_m)
+        return BodyPhysX(component, centre_m)
 
     def _add(self, component: physx.PhysxRigidBaseComponent, pose: Pose) -> None:
         entity = pysapien.Entity()

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gauge_envs.backends.physx.model import Model, physx_pose
+from gauge_envs.backends.physx.model import ModelPhysX, physx_pose
 from gauge_envs.backends.physx.settings import SettingsPhysX
 from gauge_envs.backends.shared.rigid import (
     PlacedSimulation,
@@ -35,12 +35,12 @@ class SimulationPhysX(PlacedSimulation):
         self._start(scene.bodies)
 
     def _start(self, bodies: Sequence[RigidBody]) -> None:
-        self._model: Model | None = Model(self._scene, bodies, self._chosen)
+        self._model: ModelPhysX | None = ModelPhysX(self._scene, bodies, self._chosen)
         self._wrenches: dict[str, FloatArray] = {}
         self._driven: dict[str, FloatArray] = {}
         self.placed = placed_states(self._scene)
 
-    def _open(self) -> Model:
+    def _open(self) -> ModelPhysX:
         if self._model is None:
             raise BackendError("the PhysX simulation is closed: build another one")
         return self._model

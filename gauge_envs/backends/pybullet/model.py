@@ -54,7 +54,7 @@ UNTOUCHED: Surfaces = {(0.0, 0.0): set()}
 """Surfaces of a body without contacts."""
 
 
-class Model(World):
+class ModelPyBullet(World):
     """A PyBullet world with the bodies of a scene.
 
     Attributes:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.backends.pybullet.model import Model
+from gauge_envs.backends.pybullet.model import ModelPyBullet
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import BASE, PLANE_HALF_EDGE_M, pybullet
 from gauge_envs.backends.shared.rigid import (
@@ -49,7 +49,7 @@ class SimulationPyBullet(PlacedSimulation):
             body.name for body in scene.bodies if body.motion is Motion.KINEMATIC
         ]
         self._force_readers: list[MeanForces] = []
-        self._model = Model(scene, settings)
+        self._model = ModelPyBullet(scene, settings)
         self.reset()
 
     def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:

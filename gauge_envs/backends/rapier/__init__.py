@@ -17,9 +17,18 @@ from gauge_envs.backends.shared.bundled import (
     unsupported_compounds,
 )
 from gauge_envs.backends.simulation import Simulation
-from gauge_envs.scene import Cloth, Hinge, Rod, Rope, Scene
+from gauge_envs.scene import Cloth, Deformable, Hinge, Rod, Rope, Scene, SoftBody
 
 __all__ = ["BackendRapier"]
+
+
+KINDS: Mapping[type[Deformable], str] = {
+    Cloth: "cloth",
+    Rope: "a line",
+    Rod: "a line",
+    SoftBody: "soft",
+}
+"""Kinds of deformable bodies in words."""
 
 
 class BackendRapier(BundledBackend):
@@ -48,14 +57,7 @@ class BackendRapier(BundledBackend):
         yield from unsupported_compounds(scene)
         kinds: dict[str, list[str]] = {}
         for body in scene.deformables:
-            kind = (
-                "cloth"
-                if isinstance(body, Cloth)
-                else "a line"
-                if isinstance(body, Rope | Rod)
-                else "soft"
-            )
-            kinds.setdefault(kind, []).append(body.name)
+            kinds.setdefault(KINDS[type(body)], []).append(body.name)
         for kind, names in kinds.items():
             yield f"{first_of(names)} is {kind}, and this backend builds rigid bodies only"
         counts = Counter(joint.body for joint in scene.joints)

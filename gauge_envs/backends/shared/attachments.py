@@ -1,6 +1,6 @@
 """Attachments of deformable bodies to rigid bodies and to each other, and the ends of ropes and rods."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import UnionType
 
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import (
-    Deformable,
     Motion,
     Pose,
     Region,
@@ -51,13 +50,6 @@ def rigid_attachments(scene: Scene, name: str) -> list[RigidAttachment]:
         for a in scene.attachments
         if a.deformable == name and a.to in rigid
     ]
-
-
-def attachments_by_body(
-    scene: Scene, bodies: Iterable[Deformable]
-) -> dict[str, list[RigidAttachment]]:
-    """Return the attachments of several deformable bodies to rigid bodies, by name of the deformable body."""
-    return {body.name: rigid_attachments(scene, body.name) for body in bodies}
 
 
 def bonded_soft_bodies(scene: Scene) -> list[list[SoftBody]]:

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 from gauge_envs.backends.base import Backend
 from gauge_envs.backends.features import Support
 from gauge_envs.backends.settings import SteppedSettings
+from gauge_envs.backends.simulation import Simulation
 from gauge_envs.errors import MissingExtraError, UnsupportedSceneError
 from gauge_envs.registry import is_installed
 from gauge_envs.scene import Compound, Scene
@@ -49,6 +50,12 @@ class BundledBackend(Backend):
     def supports(self, scene: Scene) -> Support:
         """Return the features of a scene that this backend does not support; see `unsupported`."""
         return Support(tuple(self.unsupported(scene)))
+
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Simulation:
+        """Build a scene in one world; settings are the fields of the engine's settings class."""
+        return self.build_worlds(scene, 1, settings)
 
     def resolved_settings(
         self, scene: Scene, settings: Mapping[str, Any] | None = None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import operator
+from collections.abc import Callable, Mapping
 from enum import StrEnum
 from typing import Literal
 
@@ -33,6 +35,19 @@ class Combination(StrEnum):
     """The square root of a b."""
 
 
+LIMITS = {Combination.MAX: min, Combination.MIN: max}
+"""Value of a body from those of its pairs."""
+
+COMBINED: Mapping[Combination, Callable[[float, float], float]] = {
+    Combination.PRODUCT: operator.mul,
+    Combination.MAX: max,
+    Combination.MIN: min,
+    Combination.MEAN: lambda first, second: 0.5 * (first + second),
+    Combination.GEOMETRIC: lambda first, second: math.sqrt(first * second),
+}
+"""Value of a pair from those of its bodies."""
+
+
 def pair_values(
     scene: Scene, constant: Literal["friction", "restitution"]
 ) -> dict[Pair, float]:
@@ -56,46 +71,38 @@ def body_values(
         rule: The engine's rule.
     """
     rule = Combination(rule)
-    names = list(dict.fromkeys(name for pair in pairs for name in pair))
-    if rule in (Combination.MAX, Combination.MIN):
-        limit = min if rule is Combination.MAX else max
-        values = {
-            name: limit(value for pair, value in pairs.items() if name in pair)
-            for name in names
-        }
+    # A body whose pairs all have the value 0 has the value 0.
+    values = {name: 0.0 for pair in pairs for name in pair}
+    if rule in LIMITS:
+        for name in values:
+            values[name] = LIMITS[rule](pairs[pair] for pair in pairs if name in pair)
     elif rule is Combination.MEAN:
-        values = values_of_sums(
-            names, {pair: 2.0 * value for pair, value in pairs.items()}, lowest=0.0
-        )
+        sums = {pair: 2.0 * value for pair, value in pairs.items()}
+        values = values_of_sums(sums, lowest=0.0)
     else:
         # The logarithms of two values add up to that of their product.
-        power = 2.0 if rule is Combination.GEOMETRIC else 1.0
+        power = {Combination.PRODUCT: 1.0, Combination.GEOMETRIC: 2.0}[rule]
         sums = {
-            pair: power * float(np.log(value))
+            pair: power * math.log(value)
             for pair, value in pairs.items()
             if value > 0.0
         }
-        active = [name for name in names if any(name in pair for pair in sums)]
-        # A body whose pairs all have the value 0 has the value 0.
-        values = dict.fromkeys(names, 0.0)
-        for name, logarithm in values_of_sums(active, sums, lowest=-np.inf).items():
-            values[name] = float(np.exp(logarithm))
+        for name, logarithm in values_of_sums(sums, lowest=-math.inf).items():
+            values[name] = math.exp(logarithm)
     _check(pairs, values, rule)
     return values
 
 
-def values_of_sums(
-    names: list[str], sums: Mapping[Pair, float], *, lowest: float
-) -> dict[str, float]:
+def values_of_sums(sums: Mapping[Pair, float], *, lowest: float) -> dict[str, float]:
     """Return values of bodies whose sums come closest to those of pairs, in the least-squares sense.
 
     Args:
-        names: Names of the bodies.
         sums: Sum of the two values of each pair.
         lowest: Smallest value of a body.
     """
     if not sums:
         return {}
+    names = list(dict.fromkeys(name for pair in sums for name in pair))
     rows: FloatArray = np.zeros((len(sums), len(names)))
     for row, pair in zip(rows, sums, strict=True):
         for name in pair:
@@ -111,34 +118,22 @@ def values_of_sums(
     return dict(zip(names, solution.tolist(), strict=True))
 
 
-def _combined(first: float, second: float, rule: Combination) -> float:
-    if rule in (Combination.MAX, Combination.MIN):
-        return max(first, second) if rule is Combination.MAX else min(first, second)
-    if rule is Combination.MEAN:
-        return 0.5 * (first + second)
-    return (
-        first * second
-        if rule is Combination.PRODUCT
-        else float(np.sqrt(first * second))
-    )
-
-
 def _check(
     pairs: Mapping[Pair, float], values: Mapping[str, float], rule: Combination
 ) -> None:
+    """Raise an error for the pair with the largest error, if it is too large."""
+    combine = COMBINED[rule]
     errors = {}
     for (first, second), value in pairs.items():
-        errors[first, second] = abs(
-            _combined(values[first], values[second], rule) - value
-        ) / max(value, 1.0)
-    if not errors:
+        difference = combine(values[first], values[second]) - value
+        errors[first, second] = abs(difference) / max(value, 1.0)
+    worst = max(errors, key=errors.__getitem__, default=None)
+    if worst is None or errors[worst] <= RELATIVE_ERROR:
         return
-    worst = max(errors, key=lambda pair: errors[pair])
-    if errors[worst] > RELATIVE_ERROR:
-        first, second = worst
-        closest = _combined(values[first], values[second], rule)
-        raise UnsupportedSceneError(
-            f"pair {first!r} and {second!r} has the value {pairs[worst]:.6g}, but no values of bodies give the value "
-            f"of every pair by the engine's rule {rule.value!r} (the closest give {closest:.6g}). Return the scene as "
-            "unsupported, or set the value of each pair in the engine"
-        )
+    first, second = worst
+    closest = combine(values[first], values[second])
+    raise UnsupportedSceneError(
+        f"pair {first!r} and {second!r} has the value {pairs[worst]:.6g}, but no values of bodies give the value "
+        f"of every pair by the engine's rule {rule.value!r} (the closest give {closest:.6g}). Return the scene as "
+        "unsupported, or set the value of each pair in the engine"
+    )

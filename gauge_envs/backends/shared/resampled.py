@@ -86,11 +86,13 @@ class ResampledSimulation(Simulation):
     def _share(self) -> float:
         """Share of the last step that lies before the current time."""
         ahead_s = self._step_count * self._step_s - self._time_s
-        return 1.0 - ahead_s / self._step_s if self._before else 1.0
+        if not self._before or ahead_s < ROUNDING_S * self._step_s:
+            return 1.0
+        return 1.0 - ahead_s / self._step_s
 
     def _between(self, key: str, current: FloatArray) -> FloatArray:
         share = self._share
-        if share > 1.0 - ROUNDING_S or key not in self._before:
+        if share == 1.0 or key not in self._before:
             return current
         return np.asarray((1.0 - share) * self._before[key] + share * current)
 
@@ -98,7 +100,7 @@ class ResampledSimulation(Simulation):
         """Return the states at the current time, shape [N, len(names), 13]."""
         current = self._inner.body_states(names)
         share = self._share
-        if share > 1.0 - ROUNDING_S:
+        if share == 1.0:
             return current
         rows = [self._bodies.index(name) for name in names]
         before = self._before["bodies"][:, rows].copy()

@@ -17,8 +17,8 @@ import numpy as np
 
 from gauge_envs.backends.shared.attachments import (
     RigidAttachment,
-    attachments_by_body,
     bonded_soft_bodies,
+    rigid_attachments,
 )
 from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
@@ -90,42 +90,33 @@ class SoftRow:
     ends: Mapping[str, RigidAttachment]
 
     @classmethod
-    def of(
-        cls,
-        bodies: Sequence[SoftBody],
-        attachments: Mapping[str, Sequence[RigidAttachment]],
-    ) -> SoftRow:
+    def of(cls, scene: Scene, bodies: Sequence[SoftBody]) -> SoftRow:
         """Sort bodies into a row and cut off the material in the grips.
 
         Args:
+            scene: The scene, with the attachments of the bodies to rigid bodies.
             bodies: One body, or all bodies of a row in any order.
-            attachments: Attachments to rigid bodies, by name of the soft body.
         """
         boxes = [_box(body) for body in bodies]
         grips = [
             (box, attachment)
             for box in boxes
-            for attachment in attachments.get(box.body.name, ())
+            for attachment in rigid_attachments(scene, box.body.name)
         ]
-        if len(boxes) > 1:
-            axis = int(
-                np.argmax(np.ptp([box.low_m + box.high_m for box in boxes], axis=0))
-            )
-        elif grips:
+        if grips and len(boxes) == 1:
             axis = _world_axis(*grips[0])[0]
-        else:
+        elif len(boxes) == 1:
             axis = int(np.argmax(boxes[0].high_m - boxes[0].low_m))
+        else:
+            axis = int(np.argmax(np.ptp([box.centre_m for box in boxes], axis=0)))
         boxes.sort(key=lambda box: float(box.low_m[axis]))
         for first, second in pairwise(boxes):
             _check_joined(first, second, axis)
         ends: dict[str, RigidAttachment] = {}
         for box, attachment in grips:
             attached_axis, side = _world_axis(box, attachment)
-            if (
-                attached_axis != axis
-                or box is not (boxes[0] if side == "low" else boxes[-1])
-                or side in ends
-            ):
+            end = {"low": boxes[0], "high": boxes[-1]}[side]
+            if attached_axis != axis or box is not end or side in ends:
                 raise UnsupportedSceneError(
                     f"soft body {box.body.name!r} is attached elsewhere than at a free end: attach each end once"
                 )
@@ -166,17 +157,12 @@ class SoftRow:
             points_m: Points in the world [m], shape [point_count, 3].
         """
         along = points_m[:, self.axis]
+        beyond = {
+            "low": along < self.low_m[self.axis] + TOLERANCE_M,
+            "high": along > self.high_m[self.axis] - TOLERANCE_M,
+        }
         for side, attachment in self.ends.items():
-            if side == "low":
-                yield (
-                    attachment,
-                    np.flatnonzero(along < self.low_m[self.axis] + TOLERANCE_M),
-                )
-            else:
-                yield (
-                    attachment,
-                    np.flatnonzero(along > self.high_m[self.axis] - TOLERANCE_M),
-                )
+            yield attachment, np.flatnonzero(beyond[side])
 
     def nodes_of(self, nodes_m: FloatArray) -> dict[str, IntArray]:
         """Return the indices of each body's nodes among those of the row [m], shape [node_count, 3], by name.
@@ -214,8 +200,10 @@ def _world_axis(block: Block, attachment: RigidAttachment) -> tuple[int, str]:
     """Return the world axis and the side of an attached region, which is given in the body frame."""
     direction = block.body.pose.matrix[:, "xyz".index(attachment.region.axis)]
     axis = int(np.argmax(np.abs(direction)))
-    flipped = {"low": "high", "high": "low"}[attachment.region.side]
-    return axis, attachment.region.side if direction[axis] > 0.0 else flipped
+    side = attachment.region.side
+    if direction[axis] < 0.0:
+        return axis, {"low": "high", "high": "low"}[side]
+    return axis, side
 
 
 def _check_joined(first: Block, second: Block, axis: int) -> None:
@@ -234,17 +222,14 @@ def _check_joined(first: Block, second: Block, axis: int) -> None:
 
 def soft_rows(scene: Scene) -> list[SoftRow]:
     """Return the soft rows of a scene."""
-    return [
-        SoftRow.of(bodies, attachments_by_body(scene, bodies))
-        for bodies in bonded_soft_bodies(scene)
-    ]
+    return [SoftRow.of(scene, bodies) for bodies in bonded_soft_bodies(scene)]
 
 
 def soft_row_problems(scene: Scene) -> Iterator[str]:
     """Yield one sentence for each group of bonded soft bodies that is not a soft row."""
     for bodies in bonded_soft_bodies(scene):
         try:
-            SoftRow.of(bodies, attachments_by_body(scene, bodies))
+            SoftRow.of(scene, bodies)
         except UnsupportedSceneError as error:
             yield str(error)
 

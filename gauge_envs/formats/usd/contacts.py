@@ -128,13 +128,12 @@ def _check_bindings(
 ) -> None:
     """Check that no body of a contact is bound to a material that belongs to none of its contacts."""
     for body in bodies:
-        known = {
-            path
-            for prim, contact in zip(prims, contacts, strict=True)
-            if body.name in (*contact.first, *contact.second)
-            for kind in ("gauge:materials", "gauge:derived_materials")
-            for path in prim.GetRelationship(kind).GetTargets()
-        }
+        known: set[Sdf.Path] = set()
+        for prim, contact in zip(prims, contacts, strict=True):
+            if body.name in (*contact.first, *contact.second):
+                known.update(prim.GetRelationship("gauge:materials").GetTargets())
+                derived = prim.GetRelationship("gauge:derived_materials")
+                known.update(derived.GetTargets())
         for material in map(source.material, body.shapes):
             if known and material and material.GetPath() not in known:
                 raise source.fault(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypedDict
 
@@ -22,12 +23,12 @@ class SceneLine(TypedDict):
     Attributes:
         file: Its folder and name.
         bytes: Its size.
-        of: Id of the experiment, or the names of the bodies, that it shows.
+        of: Id of the experiment, or names of the bodies, that it shows.
     """
 
     file: str
     bytes: int
-    of: str
+    of: Sequence[str]
 
 
 def data_scenes(
@@ -73,7 +74,7 @@ def list_scenes(patterns: Sequence[str]) -> list[Table]:
     columns = (
         Column("file", "file"),
         Column("bytes", "bytes", is_number=True),
-        Column("of", "of", lambda names: first_names(names.split(", "), 1)),
+        Column("of", "of", partial(first_names, max_count=1)),
     )
     table = Table(columns=columns, rows=asset_rows(assets_folder()))
     return arguments.matching([table], patterns, kind="scene")

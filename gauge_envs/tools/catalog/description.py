@@ -72,7 +72,7 @@ def description(experiment: Experiment) -> dict[str, Any]:
             "action": action_rows(experiment),
             "observation": observation_rows(experiment),
             "reference": _reference(experiment),
-            "baselines": list(map(dataclasses.asdict, experiment.baselines.values())),
+            "baselines": [row.model_dump() for row in experiment.baselines.values()],
             "engines": _engines(experiment),
             "limits": _limits(experiment.name),
         }

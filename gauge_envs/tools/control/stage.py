@@ -8,7 +8,7 @@ import numpy as np
 from gauge_envs.scene import Box, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import FloatArray, Vector
-from gauge_envs.scene.prescribed_motion import AxisRotation, uniformly_accelerated
+from gauge_envs.scene.prescribed_motion import uniformly_accelerated
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
 X_AXIS, Y_AXIS, Z_AXIS = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -54,6 +54,58 @@ def with_box(scene: Scene, size_m: Vector, position_m: Vector, driver: Driver) -
     )
 
 
+class AxisRotation:
+    """Targets of a body that only rotates about one axis: products of few functions of the angle with a matrix.
+
+    With preset `training`, a step of a rotating stage takes two thirds of the time that it takes with `Driver.moved`.
+
+    The arm a leads from the axis to the body, and b = axis x a. At the angle t and the rate w, the position is
+    centre + a cos t + b sin t, the velocity is w (b cos t - a sin t), and the quaternion is q cos(t / 2) + p sin(t / 2)
+    with p = (0, axis) q.
+
+    Args:
+        motion: The rotation.
+        start: Pose before anything moves, position [m] and unit quaternion w x y z, shape [7].
+    """
+
+    def __init__(self, motion: DriverMotion, start: FloatArray) -> None:
+        across = (start[:3] - motion.point_m) @ motion.cross_product
+        arm = -across @ motion.cross_product
+        self._constant = np.zeros(19)
+        self._constant[:3] = start[:3] - arm
+        # A row for each function in `targets`: of its values at the starts of intervals, then of its gains.
+        values, gains = np.zeros((2, 8, 19))
+        values[0, :3], values[1, :3] = arm, across
+        values[2, 3:7], values[3, 3:7] = (
+            start[3:],
+            start[3:] @ motion.quaternion_product,
+        )
+        means, accelerations = gains[:, 7:13], gains[:, 13:]
+        means[0, :3], means[1, :3] = arm / SAMPLE_INTERVAL_S, across / SAMPLE_INTERVAL_S
+        means[7, 3:] = np.array(motion.axis) / SAMPLE_INTERVAL_S
+        accelerations[4, :3], accelerations[5, :3] = means[0, :3], means[1, :3]
+        accelerations[6, 3:] = means[7, 3:]
+        # The mean velocity of the interval minus half of its gain is the velocity at its start.
+        means -= 0.5 * SAMPLE_INTERVAL_S * accelerations
+        self._matrix = np.concatenate([values, gains])
+
+    def targets(
+        self, angles_rad: FloatArray, rates_rad_per_s: FloatArray
+    ) -> FloatArray:
+        """Return the targets of intervals, shape [count, N, 19], from ends of intervals, shape [count + 1, N]."""
+        cosines, sines = np.cos(angles_rad), np.sin(angles_rad)
+        functions = np.empty((*angles_rad.shape, 8))
+        functions[..., 0], functions[..., 1] = cosines, sines
+        functions[..., 2] = np.cos(0.5 * angles_rad)
+        functions[..., 3] = np.sin(0.5 * angles_rad)
+        functions[..., 4] = -rates_rad_per_s * sines
+        functions[..., 5] = rates_rad_per_s * cosines
+        functions[..., 6], functions[..., 7] = rates_rad_per_s, angles_rad
+        before, after = functions[:-1], functions[1:]
+        features = np.concatenate([before, after - before], axis=-1)
+        return np.asarray(features @ self._matrix + self._constant)
+
+
 class Stage:
     """A body that actions accelerate along the coordinates of its driver, up to a rate, within a stroke.
 
@@ -93,7 +145,7 @@ class Stage:
         motion, *others = driver.motions
         self._rotation = None
         if motion.kind == "rotate" and not others:
-            self._rotation = AxisRotation(motion, self._start[0], SAMPLE_INTERVAL_S)
+            self._rotation = AxisRotation(motion, self._start[0])
         self._scale = acceleration
         self._max_rate = max_rate
         self._strokes = strokes * (len(driver.motions) // len(strokes))

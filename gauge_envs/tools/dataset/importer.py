@@ -1,8 +1,9 @@
 """Import a dataset folder, one variant after another."""
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -71,43 +72,64 @@ class ImportedTrials:
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready dictionary."""
-        facts = self.facts
-        return {
+        line = {
             "id": self.variant.id,
-            "imported": facts is not None,
+            "imported": False,
             "trials": self.used,
             "left_out": self.left_out,
-            "frames": facts and self.frame_count,
-            "revision": facts and facts.revision,
-            "sha256": facts and facts.files_sha256,
+            "frames": None,
+            "revision": None,
+            "sha256": None,
             "baselines": json_ready(self.baselines),
-            "drivers": facts.model_dump()["drivers"] if facts else [],
+            "drivers": [],
         }
+        if self.facts is not None:
+            line |= {
+                "imported": True,
+                "frames": self.frame_count,
+                "revision": self.facts.revision,
+                "sha256": self.facts.files_sha256,
+                "drivers": self.facts.model_dump()["drivers"],
+            }
+        return line
 
 
 def baseline_lines(
     imported: Mapping[str, SpreadRecord], published: Mapping[str, Baseline]
 ) -> list[BaselineLine]:
     """Return the baselines of imported trials and of the paper (Table 5), a line for each metric."""
-    lines: list[BaselineLine] = []
-    for metric in dict.fromkeys([*imported, *published]):
-        own, paper = imported.get(metric), published.get(metric)
-        difference = None
-        if own and paper and paper.mean:
-            difference = own.mean / paper.mean - 1.0
-        line = BaselineLine(
-            metric=metric,
-            unit=own.unit if own else published[metric].unit,
-            own_mean=own.mean if own else None,
-            own_std=own.std if own else None,
-            own_trial_count=own.trial_count if own else 0,
-            published_mean=paper.mean if paper else None,
-            published_std=paper.std if paper else None,
-            difference=difference,
-            flagged=abs(difference or 0.0) > FLAGGED_DIFFERENCE,
-        )
-        lines.append(line)
-    return lines
+    metrics = dict.fromkeys([*imported, *published])
+    return [
+        _baseline_line(metric, imported.get(metric), published.get(metric))
+        for metric in metrics
+    ]
+
+
+def _baseline_line(
+    metric: str, own: SpreadRecord | None, paper: Baseline | None
+) -> BaselineLine:
+    line = BaselineLine(
+        metric=metric,
+        unit="",
+        own_mean=None,
+        own_std=None,
+        own_trial_count=0,
+        published_mean=None,
+        published_std=None,
+        difference=None,
+        flagged=False,
+    )
+    if paper is not None:
+        line["unit"] = paper.unit
+        line["published_mean"], line["published_std"] = paper.mean, paper.std
+    if own is not None:
+        line["unit"], line["own_trial_count"] = own.unit, own.trial_count
+        line["own_mean"], line["own_std"] = own.mean, own.std
+    if own is not None and paper is not None and paper.mean:
+        difference = own.mean / paper.mean - 1.0
+        line["difference"] = difference
+        line["flagged"] = abs(difference) > FLAGGED_DIFFERENCE
+    return line
 
 
 def import_trials(
@@ -131,7 +153,7 @@ def import_trials(
     for variant, paths in layout.files.items():
         # Project recorded motion on the motions of the task file, not of an earlier import.
         experiment = load_experiment(variant)
-        trials: dict[str, _Sample] = {}
+        trials: dict[str, _TrialData] = {}
         findings: list[ImportFinding] = []
         for path in paths:
             file = printable(path.relative_to(layout.root).as_posix())
@@ -148,7 +170,7 @@ def import_trials(
 
 
 @dataclass(frozen=True, eq=False)
-class _Sample:
+class _TrialData:
     """Data of one trial.
 
     Attributes:
@@ -173,7 +195,7 @@ def _read(
     experiment: Experiment,
     defaults: Mapping[str, Any] | None,
     file_of: Mapping[str, str],
-) -> _Sample:
+) -> _TrialData:
     """Return the data of a trial file.
 
     Args:
@@ -209,13 +231,13 @@ def _read(
         tracks = [driver_track(driver, trial, experiment) for driver in drivers]
     except TrialError as error:
         fault = error
-    return _Sample(sha256, trajectory, quaternions, events, tracks, fault)
+    return _TrialData(sha256, trajectory, quaternions, events, tracks, fault)
 
 
 def _imported(
     experiment: Experiment,
     revision: str | None,
-    trials: Mapping[str, _Sample],
+    trials: Mapping[str, _TrialData],
     findings: list[ImportFinding],
 ) -> ImportedTrials:
     """Store the trials of a variant, and return the outcome of the import."""
@@ -240,15 +262,12 @@ def _imported(
                 drivers=tuple(records),
             )
             band = _band(experiment, trajectories, facts.origin(len(trials)))
-            initial_quaternions = np.stack(
-                [sample.start_quaternions for sample in trials.values()]
-            )
-            write_imported(
-                band,
-                driver_values,
-                facts,
-                initial_quaternions if initial_quaternions.size else None,
-            )
+            quaternions = None
+            if experiment.recorded:
+                quaternions = np.stack(
+                    [sample.start_quaternions for sample in trials.values()]
+                )
+            write_imported(band, driver_values, facts, quaternions)
     if facts is None:
         problem = f"usable trials: {len(trials)}"
         expected = "at least 2 with common frames are needed"
@@ -267,7 +286,7 @@ def _imported(
 
 def _spreads(
     experiment: Experiment,
-    trials: Mapping[str, _Sample],
+    trials: Mapping[str, _TrialData],
     trajectories: FloatArray,
     mean: FloatArray,
 ) -> dict[str, SpreadRecord]:
@@ -276,7 +295,7 @@ def _spreads(
         zip(("rmse", "dtw"), distances_to_mean(trajectories, mean), strict=True)
     )
     events = [sample.events for sample in trials.values() if sample.events]
-    for metric in events[0] if events else ():
+    for metric in dict.fromkeys(chain.from_iterable(events)):
         values[metric] = np.array([event[metric] for event in events])
     unit = experiment.score.observable.unit
     spreads = {
@@ -310,7 +329,7 @@ def _band(experiment: Experiment, trajectories: FloatArray, source: str) -> Band
 
 
 def _mean_drivers(
-    experiment: Experiment, trials: Mapping[str, _Sample]
+    experiment: Experiment, trials: Mapping[str, _TrialData]
 ) -> tuple[dict[str, FloatArray], list[DriverRecord]]:
     """Return the mean coordinates of recorded driven bodies, and their quality."""
     values, records = {}, []
@@ -338,13 +357,18 @@ def _driver_record(
     return DriverRecord(
         body=driver.body,
         trial_count=len(tracks),
-        residual_mm=_rms(residual_mm),
-        residual_deg=_rms(residual_deg) if residual_deg.size else None,
+        residual_mm=float(_rms(residual_mm)),
+        residual_deg=_summary(_rms, residual_deg),
         start_offset_mm=float(np.mean([track.start_offset_mm for track in tracks])),
-        scatter_mm=lengths_mm.max() if lengths_mm.size else None,
-        scatter_deg=angles_deg.max() if angles_deg.size else None,
+        scatter_mm=_summary(np.max, lengths_mm),
+        scatter_deg=_summary(np.max, angles_deg),
     )
 
 
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.square(values).mean()))
+def _rms(values: FloatArray) -> Any:
+    return np.sqrt(np.square(values).mean())
+
+
+def _summary(reduce: Callable[[FloatArray], Any], values: FloatArray) -> float | None:
+    """Return a summary of values; None without any."""
+    return float(reduce(values)) if values.size else None

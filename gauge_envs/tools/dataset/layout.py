@@ -24,7 +24,7 @@ from pathlib import Path
 
 from gauge_envs.errors import DatasetError
 from gauge_envs.experiments.task_files import task_spec
-from gauge_envs.experiments.task_format import Group
+from gauge_envs.experiments.task_format import Matter
 from gauge_envs.experiments.variants import Variant, matching_variants, variants
 from gauge_envs.text import json_document, printable
 from gauge_envs.tools.dataset.findings import ImportFinding, TrialError
@@ -38,7 +38,7 @@ REVISION_FILE = "gauge-dataset.json"
 FOLDER_SPELLINGS = {"foamcompression": "foamcompressing"}
 """Names of task folders with a different spelling in the metadata."""
 
-NEUTRAL = {*Group, "data", "json", "mocap", "trials", "trajectories"}
+NEUTRAL = {*Matter, "data", "json", "mocap", "trials", "trajectories"}
 """Ignored names of folders."""
 
 

@@ -67,8 +67,9 @@ def trial_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
     else:
         markers_m = trial_markers_m(trial, markers)
         values = observe_markers(markers_m, markers, experiment.score.observable)
-    has_length = bool(published_baselines(experiment.name))
-    needed = experiment.frame_count if has_length else START_FRAMES
+    needed = START_FRAMES
+    if published_baselines(experiment.name):
+        needed = experiment.frame_count
     if len(values) < needed:
         problem = f"it has {len(values)} frames"
         raise TrialError("(file)", problem, f"at least {needed} are needed")
@@ -123,8 +124,9 @@ def trial_markers_m(trial: Trial, markers: Markers) -> FloatArray:
     if len(positions) != count:
         problem = f"it has {len(positions)} markers"
         raise TrialError("markers", problem, f"expected {count}")
-    are_numbers = all(marker.isdecimal() for marker in positions)
-    ids = sorted(positions, key=int if are_numbers else str)
+    ids = sorted(positions)
+    if all(marker.isdecimal() for marker in ids):
+        ids.sort(key=int)
     positions_mm = np.stack([positions[marker] for marker in ids], axis=1)
     # A marker with a missing coordinate counts as missing.
     positions_mm[np.isnan(positions_mm).any(axis=2)] = np.nan

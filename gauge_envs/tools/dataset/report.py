@@ -8,7 +8,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready
-from gauge_envs.pages.document import Document, Paragraph, Tone
+from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import (
     METRIC_TITLES,
@@ -17,7 +17,11 @@ from gauge_envs.pages.text import (
     with_unit,
 )
 from gauge_envs.references.band import load_band
-from gauge_envs.references.imported import load_imported
+from gauge_envs.references.imported import (
+    DriverRecord,
+    SpreadRecord,
+    load_imported,
+)
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scoring.reference import reference_kind
@@ -38,7 +42,9 @@ def import_document(imports: Sequence[ImportedTrials]) -> Document:
     """Return the imported and the published baselines, a row for each metric; of many, only the flagged ones."""
     lines = [(trials, line) for trials in imports for line in trials.baselines]
     flagged = [(trials, line) for trials, line in lines if line["flagged"]]
-    shown = lines if len(lines) <= MAX_LINES else flagged
+    shown = flagged
+    if len(lines) <= MAX_LINES:
+        shown = lines
     rows = [
         {
             "id": trials.variant.id,
@@ -52,8 +58,10 @@ def import_document(imports: Sequence[ImportedTrials]) -> Document:
         f"{100 * FLAGGED_DIFFERENCE:.0f} %. All baselines: gauge list references"
     )
     tone = Tone.WARNING if flagged else Tone.NOTE
-    tables = [Table(columns=BASELINE_COLUMNS, rows=rows)] if rows else []
-    return Document(parts=[*tables, Paragraph(""), Paragraph(note, tone)])
+    parts: list[Part] = [Paragraph(""), Paragraph(note, tone)]
+    if rows:
+        parts.insert(0, Table(columns=BASELINE_COLUMNS, rows=rows))
+    return Document(parts=parts)
 
 
 def _percent(share: float) -> str:
@@ -65,7 +73,9 @@ def _spread(source: str, line: Mapping[str, Any]) -> str:
     mean, std = line[f"{source}_mean"], line[f"{source}_std"]
     if mean is None:
         return "-"
-    text = f"{mean:.4g}" if std is None else f"{mean:.4g} ({std:.3g})"
+    text = f"{mean:.4g}"
+    if std is not None:
+        text += f" ({std:.3g})"
     return with_unit(text, line["unit"])
 
 
@@ -87,7 +97,9 @@ def status_table(rows: Sequence[dict[str, Any]]) -> Table:
         text = row["kind"]
         if row["imported"]:
             text += ", imported"
-        return f"{text}; task file changed" if row["is_current"] is False else text
+        if row["is_current"] is False:
+            text += "; task file changed"
+        return text
 
     def baselines(lines: Sequence[BaselineLine]) -> str:
         return "; ".join(
@@ -114,12 +126,14 @@ def status_table(rows: Sequence[dict[str, Any]]) -> Table:
 
 def status_row(variant: Variant) -> dict[str, Any]:
     """Return the reference and the prescribed motions of a variant as a `schema.StatusLine`."""
-    imported = load_imported(variant.name)
-    facts = imported.facts if imported else None
-    source = DataSource.IMPORTED if imported else DataSource.BUNDLED
+    source, facts = DataSource.BUNDLED, None
+    records: Sequence[DriverRecord] = ()
+    metrics: Mapping[str, SpreadRecord] = {}
+    if (imported := load_imported(variant.name)) is not None:
+        source, facts = DataSource.IMPORTED, imported.facts
+        records, metrics = facts.drivers, facts.metrics
     band = load_band(variant.name, source)
     scene = load_experiment(variant, drivers=source).scene
-    records = facts.drivers if facts else ()
     recorded = {record.body: record.model_dump() for record in records}
     drivers = [
         {
@@ -139,6 +153,6 @@ def status_row(variant: Variant) -> dict[str, Any]:
             "revision": facts and facts.revision,
             "is_current": facts and facts.task_sha256 == task_sha256(variant.family),
             "drivers": drivers,
-            "baselines": baseline_lines(facts.metrics if facts else {}, published),
+            "baselines": baseline_lines(metrics, published),
         }
     )

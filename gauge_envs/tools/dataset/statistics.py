@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -13,10 +14,10 @@ from gauge_envs.scoring.metrics import (
 )
 
 SHIFT_STEP_S = 1.0 / 120.0
-"""Step of the first grid of time shifts [s]."""
+"""Step of the grid of time shifts [s]."""
 
 SHIFT_TOLERANCE_S = 1e-7
-"""Step of the finest grid of time shifts [s]."""
+"""Largest error of the best time shift [s]."""
 
 MIN_OVERLAP = 0.6
 """Smallest share of common frames of a shifted trial and the mean of the remaining trials."""
@@ -25,7 +26,7 @@ MIN_OVERLAP = 0.6
 SHIFTS_S = np.arange(
     -MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S + 0.5 * SHIFT_STEP_S, SHIFT_STEP_S
 )
-"""First grid of time shifts; its best shift is refined [s]."""
+"""Grid of time shifts, whose best shift is refined [s]."""
 
 
 def mean_and_sigma(trials: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -75,16 +76,17 @@ def leave_one_out_distances(trials: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 def _aligned_rmse(trial: FloatArray, mean: FloatArray) -> float:
-    """Return the minimum RMSE of a trial from a mean over constant time shifts, on refined grids."""
-    shifts_s, step_s, minimum = SHIFTS_S, SHIFT_STEP_S, math.inf
-    while step_s > SHIFT_TOLERANCE_S:
-        rmse = [_shifted_rmse(shift_s, trial, mean) for shift_s in shifts_s]
-        best = int(np.argmin(rmse))
-        minimum = min(minimum, rmse[best])
-        finer_s = shifts_s[best] + step_s * np.linspace(-1.0, 1.0, 9)
-        shifts_s = np.clip(finer_s, -MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S)
-        step_s /= 4.0
-    return minimum
+    """Return the minimum RMSE of a trial from a mean over constant time shifts."""
+    rmse = [_shifted_rmse(shift_s, trial, mean) for shift_s in SHIFTS_S]
+    best = int(np.argmin(rmse))
+    near_s = SHIFTS_S[best] + SHIFT_STEP_S * np.array([-1.0, 1.0])
+    finest = minimize_scalar(
+        _shifted_rmse,
+        args=(trial, mean),
+        bounds=np.clip(near_s, -MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S),
+        options={"xatol": SHIFT_TOLERANCE_S},
+    )
+    return min(rmse[best], float(finest.fun))
 
 
 def _shifted_rmse(shift_s: float, trial: FloatArray, mean: FloatArray) -> float:

@@ -136,17 +136,21 @@ def _scale_mm(document: Mapping[str, Any]) -> float:
     """Check the rate of a file, and return the millimetres in its unit of length."""
     rate_hz, unit = document.get("FPS"), document.get("translation unit")
     if rate_hz != FRAME_RATE_HZ:
-        problem = f"it is {'missing' if rate_hz is None else repr(rate_hz)}"
+        problem = f"it is {_shown(rate_hz)}"
         expected = "expected 30; --rate 30 sets it for files without a rate"
         raise TrialError("FPS", problem, expected)
     scale_mm = MILLIMETRES.get(str(unit))
     if scale_mm is None:
-        problem = f"it is {'missing' if unit is None else repr(unit)}"
+        problem = f"it is {_shown(unit)}"
         expected = (
             "expected 'mm', 'cm' or 'm'; --unit mm sets it for files without a unit"
         )
         raise TrialError("translation unit", problem, expected)
     return scale_mm
+
+
+def _shown(value: Any) -> str:
+    return "missing" if value is None else repr(value)
 
 
 def _unit_quaternions(name: str, quaternions: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from gauge_envs.tools.recipes.materials import MaterialPair
 from gauge_envs.tools.recipes.search import Recipe
 
 
-class Subject(TypedDict):
+class RecipeSubject(TypedDict):
     """Subject of a request by name.
 
     Attributes:
@@ -18,7 +18,7 @@ class Subject(TypedDict):
     material: NotRequired[MaterialPair | str]
 
 
-RecipeLine = Annotated[Recipe, Form(more=Subject)]
+RecipeLine = Annotated[Recipe, Form(more=RecipeSubject)]
 """A line of `gauge recipe`."""
 
 FabricsLine = Mapping[str, Mapping[str, Mapping[str, float]]]

@@ -1,12 +1,10 @@
-"""The causes that can make a model and a log part: a row each, with values, bounds, change, and lines to paste."""
+"""The causes that can make a model and a log part: a row each, with values, bounds and change."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,78 +13,6 @@ from scipy.optimize import linear_sum_assignment
 
 from gauge_envs.tools.replay.log import FloatArray
 from gauge_envs.tools.replay.model import IntArray, Replayer, Setup
-
-Field = tuple[str, Any, Any]
-"""Path and index of an array of a setup, and its entries for values of 1."""
-
-SNIPPETS = {
-    "kp": {
-        "MJCF": '<position joint="{name}" kp="{value:.4g}"/>',
-        "Isaac Lab": "stiffness={numbers}",
-        "mjlab": "stiffness={numbers}",
-        "Playground": "m.actuator({name!r}).gainprm[0] = {value:.4g}; m.actuator({name!r}).biasprm[1] = -{value:.4g}",
-    },
-    "kd": {
-        "MJCF": '<position joint="{name}" kv="{value:.4g}"/>',
-        "Isaac Lab": "damping={numbers}",
-        "mjlab": "damping={numbers}",
-        "Playground": "m.actuator({name!r}).biasprm[2] = -{value:.4g}",
-    },
-    "effort limit": {
-        "MJCF": '<position joint="{name}" forcerange="-{value:.4g} {value:.4g}"/>',
-        "Isaac Lab": "effort_limit_sim={numbers}",
-        "mjlab": "effort_limit={numbers}",
-        "Playground": "m.actuator({name!r}).forcerange[:] = -{value:.4g}, {value:.4g}",
-    },
-    "armature": {
-        "MJCF": '<joint name="{name}" armature="{value:.4g}"/>',
-        "Isaac Lab": "armature={numbers}",
-        "mjlab": "armature={numbers}",
-        "Playground": "m.joint({name!r}).armature[:] = {value:.4g}",
-    },
-    "dry friction": {
-        "MJCF": '<joint name="{name}" frictionloss="{value:.4g}"/>',
-        "Isaac Lab": "friction={numbers}",
-        "mjlab": "frictionloss={numbers}",
-        "Playground": "m.joint({name!r}).frictionloss[:] = {value:.4g}",
-    },
-    "damping": {
-        "MJCF": '<joint name="{name}" damping="{value:.4g}"/>',
-        "Isaac Lab": "damping={numbers}",
-        "mjlab": "damping={numbers}",
-        "Playground": "m.joint({name!r}).damping[0] = {value:.4g}",
-    },
-    "action scale": {
-        "Isaac Lab": "JointPositionActionCfg: scale={numbers}",
-        "mjlab": "JointPositionActionCfg: scale={numbers}",
-        "Playground": "action_scale of {name} = {value:.4g}",
-    },
-    "action offset": {
-        "Isaac Lab": "JointPositionActionCfg: offset={numbers}",
-        "mjlab": "JointPositionActionCfg: offset={numbers}",
-    },
-    "delay": {
-        "MJCF": '<position delay="{value:.4g}" nsample="{samples}"/>',
-        "Isaac Lab": "DelayedPDActuatorCfg(min_delay={steps}, max_delay={steps})",
-        "mjlab": "BuiltinPositionActuatorCfg(delay_min_lag={steps}, delay_max_lag={steps})",
-    },
-    "gravity or tilt": {
-        "MJCF": '<option gravity="{together}"/>',
-        "Playground": "m.opt.gravity[:] = {together}",
-    },
-    "mass or centre of a link": {"MJCF": "<inertial .../> of {name}: {value:.4g}"},
-    "payload": {
-        "MJCF": '<geom type="sphere" size="0.01" mass="{value:.4g}"/> in the body {name}'
-    },
-    "joint limit": {"MJCF": '<joint range="..."/>: {name} {value:.4g}'},
-    "floor friction": {
-        "MJCF": '<geom friction="..."/>: first number times {value:.4g}'
-    },
-    "contact softness": {
-        "MJCF": '<geom solref="..."/>: first number times {value:.4g}'
-    },
-}
-"""Line to paste for a value of each cause, by stack. In Playground m is `self._mj_model`."""
 
 DELAY_S = 0.02
 """Delay that matters."""
@@ -114,7 +40,7 @@ MIN_FACTOR = 1e-3
 
 
 @dataclass(frozen=True)
-class Group:
+class ParameterGroup:
     """Values of a cause that change together.
 
     Attributes:
@@ -126,158 +52,163 @@ class Group:
     selection: FloatArray
 
 
-@dataclass(frozen=True)
+def groups_of_one(count: int, size: int = 1) -> list[ParameterGroup]:
+    """Return a group of each value, or of `size` neighbours with a number each."""
+    label = "all" if size == 1 else "each"
+    selections = np.split(np.eye(count), count // size, axis=1)
+    return [ParameterGroup(label, selection) for selection in selections]
+
+
+def groups_of_one_and_all(count: int) -> list[ParameterGroup]:
+    """Return a group of each value, and one of all by a common number."""
+    groups = groups_of_one(count)
+    if count > 1:
+        groups.append(ParameterGroup("all", np.ones((count, 1))))
+    return groups
+
+
+def all_groups(count: int) -> list[ParameterGroup]:
+    """Return a group of each value, one of all by a common number, and one of all by a number each."""
+    groups = groups_of_one_and_all(count)
+    if count > 1:
+        groups.append(ParameterGroup("each", np.eye(count)))
+    return groups
+
+
+@dataclass(frozen=True, kw_only=True)
 class Cause:
-    """One candidate.
+    """One candidate: values of a setup that may be wrong, `zero + scale * numbers`.
 
     Attributes:
         name: As `delay`.
         unit: Unit of the values.
         parameters: Names of the values, as joints; empty for an option.
         present: Values of the model as it is, shape [K].
-        origin: Values where the numbers are zero, shape [K].
-        scale: Change of each value for a number of 1, shape [K].
-        minimum: Smallest values, shape [K].
-        fields: Arrays that take the values.
+        typical: Change that matters, shape [K] or a number.
+        apply: Gives the values to a setup.
         groups: What is fitted.
+        is_positive: Whether the values stay above zero.
         starts: Numbers from which the fit starts where the error is not smooth at the present value.
+        origin: Values where the numbers are zero; by default the present ones.
     """
 
     name: str
-    unit: str
-    parameters: Sequence[str]
+    unit: str = ""
+    parameters: Sequence[str] = ()
     present: FloatArray
-    origin: FloatArray
-    scale: FloatArray
-    minimum: FloatArray
-    fields: Sequence[Field]
-    groups: Sequence[Group]
+    typical: ArrayLike
+    apply: Callable[[Setup, FloatArray], None]
+    groups: Sequence[ParameterGroup]
+    is_positive: bool = True
     starts: Sequence[float] = ()
+    origin: ArrayLike | None = None
 
-    def values(self, group: Group, numbers: FloatArray) -> FloatArray:
+    @property
+    def zero(self) -> FloatArray:
+        """Values where the numbers are zero, shape [K]."""
+        if self.origin is None:
+            return self.present
+        return np.full(len(self.present), self.origin)
+
+    @property
+    def scale(self) -> FloatArray:
+        """Change of each value for a number of 1, shape [K]."""
+        typical = np.full(len(self.present), self.typical)
+        if self.starts or not self.is_positive:
+            return typical
+        return np.where(self.present > 0.2 * typical, self.present, typical)
+
+    def values(self, group: ParameterGroup, numbers: FloatArray) -> FloatArray:
         """Return all values for numbers of shape [p]."""
         is_moved = group.selection.any(axis=1)
-        base = np.where(is_moved, self.origin, self.present)
+        base = np.where(is_moved, self.zero, self.present)
         return base + self.scale * (group.selection @ numbers)
 
-    def changed(self, setup: Setup, group: Group, numbers: FloatArray) -> Setup:
+    def change(self, setup: Setup, group: ParameterGroup, numbers: FloatArray) -> Setup:
         """Return a changed copy of a setup."""
         after = copy.deepcopy(setup)
-        values = self.values(group, numbers)
-        for path, index, factor in self.fields:
-            attrgetter(path)(after)[index] = factor * values
-        after.model.opt.timestep = after.step_s[0]
-        after.model.body_mass += after.payload - setup.payload
+        self.apply(after, self.values(group, numbers))
         mujoco.mj_setConst(after.model, mujoco.MjData(after.model))
         return after
 
-    def lower(self, group: Group) -> FloatArray:
+    def lower(self, group: ParameterGroup) -> FloatArray:
         """Return the smallest numbers of a group, shape [p]."""
-        smallest = (self.minimum - self.origin) / self.scale
+        if not self.is_positive:
+            return np.full(group.selection.shape[1], -FAR)
+        smallest = MIN_FACTOR - self.zero / self.scale
         by_number = np.where(group.selection.T > 0.0, smallest, -FAR)
-        return np.maximum(by_number.max(axis=1), -FAR)
+        return by_number.max(axis=1, initial=-FAR)
 
 
 def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
     """Return the causes that a model and a log allow."""
-    log, model, joints = replayer.log, setup.model, replayer.log.joints
+    log = replayer.log
     samples = np.linspace(0, len(log.time_s) - 1, LOAD_SAMPLES).astype(int)
     conditions, torques = replayer.conditions(setup, samples)
     # Torques and speeds of the joints that the log often has.
     load = np.maximum(np.percentile(np.abs(torques), 95, axis=0), 1e-4)
     speed = np.maximum(np.percentile(np.abs(log.velocity), 95, axis=0), 1e-3)
-    inertia, rate = 0.3 * model.dof_M0[replayer.dof], 0.3 * load / speed
-    armature = ("model.dof_armature", replayer.dof, 1.0)
-    friction = ("model.dof_frictionloss", replayer.dof, 1.0)
-    damping = ("model.dof_damping", replayer.dof, 1.0)
-    sides = [f"{joint} {side}" for side in ("lower", "upper") for joint in joints]
-    places = np.tile(replayer.joint, 2), np.repeat((0, 1), len(joints))
-    extremes = np.percentile(log.position, (2.0, 98.0), axis=0).ravel()
-    rows = [
-        _row(setup, "armature", "kg m^2", joints, inertia, armature),
-        _row(setup, "dry friction", "N m", joints, 0.1 * load, friction),
-        _row(setup, "damping", "N m s/rad", joints, rate, damping),
+    causes = [
+        *_losses(replayer, setup, load, speed),
         *_bodies(setup),
-        _row(
-            setup,
-            "joint limit",
-            "rad",
-            sides,
-            STOP,
-            ("model.jnt_range", places, 1.0),
-            start=(extremes, STOPS),
-            selections=_alone(len(sides)),
-            is_positive=False,
-        ),
+        _stops(replayer, setup),
         *_timing(setup),
     ]
     driven = np.flatnonzero(np.append(setup.is_driven, False)[replayer.actuator])
     if len(driven):
-        rows += _drives(replayer, setup, driven, load[driven], speed.max())
+        causes += _commands(replayer, setup, driven, load[driven])
+        if setup.model.actuator_biasprm[replayer.actuator[driven], 1].any():
+            causes += _gains(replayer, setup, driven, 0.3 * load[driven] / speed.max())
     if (conditions == "contact").any():
-        rows += _contacts(setup)
-    return rows
+        causes += _contacts(setup)
+    return causes
 
 
-def _row(
-    setup: Setup,
-    name: str,
-    unit: str,
-    parameters: Sequence[str],
-    typical: ArrayLike,
-    *fields: Field,
-    start: tuple[ArrayLike, Sequence[float]] | None = None,
-    selections: Sequence[FloatArray] = (),
-    is_positive: bool = True,
-) -> Cause:
-    """Return a cause whose values are fitted.
+def _losses(
+    replayer: Replayer, setup: Setup, load: FloatArray, speed: FloatArray
+) -> list[Cause]:
+    """Return armature, dry friction and damping of the joints."""
+    joints, dofs, model = replayer.log.joints, replayer.dof, setup.model
+    groups = all_groups(len(joints))
 
-    Args:
-        setup: The model.
-        name: Name of the cause.
-        unit: Unit of the values.
-        parameters: Names of the values.
-        typical: Change that matters. It is the scale of small values, of values that may be negative, and of causes
-            with starts; others have their present value as the scale.
-        *fields: Path, index and factor of the arrays of the setup that take the values.
-        start: Values where the numbers are zero, and numbers from which the fit starts; by default the present values
-            and a single start.
-        selections: Selections of the groups. By default, each value alone, all with one number, and all with a number
-            each.
-        is_positive: Whether values stay above zero.
-    """
-    path, index, factor = fields[0]
-    present = attrgetter(path)(setup)[index] / factor
-    scale = np.full(len(present), typical)
-    if is_positive and not start:
-        scale = np.where(present > 0.2 * scale, present, scale)
-    origin, starts = start or (present, ())
-    minimum = scale * (MIN_FACTOR if is_positive else -np.inf)
-    groups = [
-        Group("all" if selection.shape[1] == 1 else "each", selection)
-        for selection in selections or _selections(len(present))
+    def set_armature(changed: Setup, values: FloatArray) -> None:
+        changed.model.dof_armature[dofs] = values
+
+    def set_friction(changed: Setup, values: FloatArray) -> None:
+        changed.model.dof_frictionloss[dofs] = values
+
+    def set_damping(changed: Setup, values: FloatArray) -> None:
+        changed.model.dof_damping[dofs] = values
+
+    return [
+        Cause(
+            name="armature",
+            unit="kg m^2",
+            parameters=joints,
+            present=model.dof_armature[dofs],
+            typical=0.3 * model.dof_M0[dofs],
+            apply=set_armature,
+            groups=groups,
+        ),
+        Cause(
+            name="dry friction",
+            unit="N m",
+            parameters=joints,
+            present=model.dof_frictionloss[dofs],
+            typical=0.1 * load,
+            apply=set_friction,
+            groups=groups,
+        ),
+        Cause(
+            name="damping",
+            unit="N m s/rad",
+            parameters=joints,
+            present=model.dof_damping[dofs],
+            typical=0.3 * load / speed,
+            apply=set_damping,
+            groups=groups,
+        ),
     ]
-    origin = np.full(len(present), origin)
-    return Cause(
-        name, unit, parameters, present, origin, scale, minimum, fields, groups, starts
-    )
-
-
-def _alone(count: int, size: int = 1) -> list[FloatArray]:
-    """Return the selections of each value, or of `size` neighbours with a number each, alone."""
-    return np.split(np.eye(count), count // size, axis=1)
-
-
-def _selections(count: int) -> list[FloatArray]:
-    """Return the selections of each value alone, of all by one number, and of all by a number each."""
-    together = [np.ones((count, 1)), np.eye(count)] if count > 1 else []
-    return _alone(count) + together
-
-
-def _option(name: str, label: str, path: str, index: Any, values: ArrayLike) -> Cause:
-    """Return a cause without numbers, which gives values to an array."""
-    one, group = np.ones(1), Group(label, np.zeros((1, 0)))
-    return Cause(name, "", (), one, one, one, one, [(path, index, values)], [group])
 
 
 def _bodies(setup: Setup) -> list[Cause]:
@@ -286,106 +217,212 @@ def _bodies(setup: Setup) -> list[Cause]:
     bodies = np.flatnonzero((model.body_weldid > 0) & (model.body_mass > 0.0))
     names = [model.body(body).name or f"body {body}" for body in bodies]
     count = len(names)
-    mass, inertia = model.body_mass[bodies], model.body_inertia[bodies].T
-    size = np.maximum(np.sqrt(inertia.sum(axis=0) / mass), 0.01)
-    ends = np.union1d(0, np.flatnonzero(~np.isin(bodies, model.body_parentid[bodies])))
-    # A payload may be heavier than the link that carries it.
-    load = 0.02 * model.body_mass.sum()
-    # A tilt of the base turns gravity.
-    eye = np.eye(3)
-    tilts = [eye[:, 2:], eye[:, :2], eye]
+    mass, inertia = model.body_mass[bodies], model.body_inertia[bodies]
+    size = np.maximum(np.sqrt(inertia.sum(axis=1) / mass), 0.01)
     axes = np.repeat(bodies, 3), np.tile(range(3), count)
-    masses = ("model.body_mass", bodies, 1.0)
-    inertias = ("model.body_inertia", (bodies, np.c_[:3]), inertia / mass)
-    link = "mass or centre of a link"
+    ends = np.union1d(0, np.flatnonzero(~np.isin(bodies, model.body_parentid[bodies])))
+    # A tilt of the base turns gravity.
+    tilts = [
+        ParameterGroup("all", np.eye(3)[:, 2:]),
+        ParameterGroup("each", np.eye(3)[:, :2]),
+        ParameterGroup("each", np.eye(3)),
+    ]
+
+    def set_gravity(changed: Setup, values: FloatArray) -> None:
+        changed.model.opt.gravity[:] = values
+
+    def set_mass(changed: Setup, values: FloatArray) -> None:
+        # Another cause may have added a payload.
+        changed.model.body_mass[bodies] += values - mass
+        changed.model.body_inertia[bodies] = inertia * (values / mass)[:, None]
+
+    def set_center(changed: Setup, values: FloatArray) -> None:
+        changed.model.body_ipos[axes] = values
+
+    def add_payload(changed: Setup, values: FloatArray) -> None:
+        changed.model.body_mass[bodies[ends]] += values
+
     return [
-        _row(
-            setup,
-            "gravity or tilt",
-            "m/s^2",
-            ["gravity x", "gravity y", "gravity z"],
-            1.0,
-            ("model.opt.gravity", np.s_[:], 1.0),
-            selections=tilts,
+        Cause(
+            name="gravity or tilt",
+            unit="m/s^2",
+            parameters=["gravity x", "gravity y", "gravity z"],
+            present=model.opt.gravity.copy(),
+            typical=1.0,
+            apply=set_gravity,
+            groups=tilts,
             is_positive=False,
         ),
-        _row(
-            setup,
-            link,
-            "kg",
-            names,
-            MIN_SCALE,
-            masses,
-            inertias,
-            selections=_selections(count)[: count + 1],
+        Cause(
+            name="mass or centre of a link",
+            unit="kg",
+            parameters=names,
+            present=mass,
+            typical=MIN_SCALE,
+            apply=set_mass,
+            groups=groups_of_one_and_all(count),
         ),
-        _row(
-            setup,
-            link,
-            "m",
-            [f"{name} {axis}" for name in names for axis in "xyz"],
-            np.repeat(size, 3),
-            ("model.body_ipos", axes, 1.0),
-            selections=_alone(3 * count, 3),
+        Cause(
+            name="mass or centre of a link",
+            unit="m",
+            parameters=[f"{name} {axis}" for name in names for axis in "xyz"],
+            present=model.body_ipos[axes],
+            typical=np.repeat(size, 3),
+            apply=set_center,
+            groups=groups_of_one(3 * count, 3),
             is_positive=False,
         ),
-        _row(
-            setup,
-            "payload",
-            "kg",
-            [names[end] for end in ends],
-            load,
-            ("payload", bodies[ends], 1.0),
-            selections=_alone(len(ends)),
+        Cause(
+            name="payload",
+            unit="kg",
+            parameters=[names[end] for end in ends],
+            present=np.zeros(len(ends)),
+            # A payload may be heavier than the link that carries it.
+            typical=0.02 * model.body_mass.sum(),
+            apply=add_payload,
+            groups=groups_of_one(len(ends)),
         ),
     ]
 
 
-def _drives(
-    replayer: Replayer, setup: Setup, driven: IntArray, load: FloatArray, speed: float
+def _stops(replayer: Replayer, setup: Setup) -> Cause:
+    """Return the limits of the joints."""
+    joints = replayer.log.joints
+    places = np.tile(replayer.joint, 2), np.repeat((0, 1), len(joints))
+
+    def set_range(changed: Setup, values: FloatArray) -> None:
+        changed.model.jnt_range[places] = values
+
+    return Cause(
+        name="joint limit",
+        unit="rad",
+        parameters=[
+            f"{joint} {side}" for side in ("lower", "upper") for joint in joints
+        ],
+        present=setup.model.jnt_range[places],
+        typical=STOP,
+        apply=set_range,
+        groups=groups_of_one(2 * len(joints)),
+        is_positive=False,
+        starts=STOPS,
+        origin=np.percentile(replayer.log.position, (2.0, 98.0), axis=0).ravel(),
+    )
+
+
+def _commands(
+    replayer: Replayer, setup: Setup, driven: IntArray, load: FloatArray
 ) -> list[Cause]:
-    """Return gains, effort limit, and scale, offset, order and delay of the commands of driven joints."""
+    """Return effort limit of driven joints, and scale, offset, delay and order of their commands."""
     model, ids = setup.model, replayer.actuator[driven]
     names = [replayer.log.joints[joint] for joint in driven]
-    upper = ("model.actuator_forcerange", (ids, 1), 1.0)
-    lower = ("model.actuator_forcerange", (ids, 0), -1.0)
-    gain = ("model.actuator_gainprm", (ids, 0), 1.0)
-    stiffness = ("model.actuator_biasprm", (ids, 1), -1.0)
-    damping = ("model.actuator_biasprm", (ids, 2), -1.0)
-    scale, offset = ("scale", ids, 1.0), ("offset", ids, 1.0)
-    delay, start = ("delay_s", [0], 1.0), (0.0, DELAYS)
+    groups = all_groups(len(names))
     is_servo = model.actuator_biasprm[ids, 1].any()
-    unit, shift = ("rad", 0.05) if is_servo else ("N m", 0.1 * load)
-    rows = [
-        _row(
-            setup,
-            "effort limit",
-            "N m",
-            names,
-            load,
-            upper,
-            lower,
-            start=(0.0, EFFORTS),
+
+    def set_limit(changed: Setup, values: FloatArray) -> None:
+        changed.model.actuator_forcerange[ids] = np.column_stack([-values, values])
+
+    def set_scale(changed: Setup, values: FloatArray) -> None:
+        changed.scale[ids] = values
+
+    def set_offset(changed: Setup, values: FloatArray) -> None:
+        changed.offset[ids] = values
+
+    def set_delay(changed: Setup, values: FloatArray) -> None:
+        changed.delay_s = float(values[0])
+
+    return [
+        Cause(
+            name="effort limit",
+            unit="N m",
+            parameters=names,
+            present=model.actuator_forcerange[ids, 1],
+            typical=load,
+            apply=set_limit,
+            groups=groups,
+            starts=EFFORTS,
+            origin=0.0,
         ),
-        _row(setup, "action scale", "", names, MIN_SCALE, scale),
-        _row(setup, "action offset", unit, names, shift, offset, is_positive=False),
-        _row(
-            setup,
-            "delay",
-            "s",
-            ["delay"],
-            DELAY_S,
-            delay,
-            start=start,
+        Cause(
+            name="action scale",
+            parameters=names,
+            present=setup.scale[ids],
+            typical=MIN_SCALE,
+            apply=set_scale,
+            groups=groups,
+        ),
+        Cause(
+            name="action offset",
+            unit="rad" if is_servo else "N m",
+            parameters=names,
+            present=setup.offset[ids],
+            typical=0.05 if is_servo else 0.1 * load,
+            apply=set_offset,
+            groups=groups,
             is_positive=False,
+        ),
+        Cause(
+            name="delay",
+            unit="s",
+            parameters=["delay"],
+            present=np.array([setup.delay_s]),
+            typical=DELAY_S,
+            apply=set_delay,
+            groups=groups_of_one(1),
+            is_positive=False,
+            starts=DELAYS,
+            origin=0.0,
         ),
         *_order(replayer, setup, driven),
     ]
-    if is_servo:
-        rate = 0.3 * load / speed
-        rows.append(_row(setup, "kp", "N m/rad", names, MIN_SCALE, stiffness, gain))
-        rows.append(_row(setup, "kd", "N m s/rad", names, rate, damping))
-    return rows
+
+
+def _gains(
+    replayer: Replayer, setup: Setup, driven: IntArray, rate: FloatArray
+) -> list[Cause]:
+    """Return the gains of driven joints."""
+    model, ids = setup.model, replayer.actuator[driven]
+    names = [replayer.log.joints[joint] for joint in driven]
+    groups = all_groups(len(names))
+
+    def set_stiffness(changed: Setup, values: FloatArray) -> None:
+        changed.model.actuator_gainprm[ids, 0] = values
+        changed.model.actuator_biasprm[ids, 1] = -values
+
+    def set_damping(changed: Setup, values: FloatArray) -> None:
+        changed.model.actuator_biasprm[ids, 2] = -values
+
+    return [
+        Cause(
+            name="kp",
+            unit="N m/rad",
+            parameters=names,
+            present=-model.actuator_biasprm[ids, 1],
+            typical=MIN_SCALE,
+            apply=set_stiffness,
+            groups=groups,
+        ),
+        Cause(
+            name="kd",
+            unit="N m s/rad",
+            parameters=names,
+            present=-model.actuator_biasprm[ids, 2],
+            typical=rate,
+            apply=set_damping,
+            groups=groups,
+        ),
+    ]
+
+
+def _option(name: str, label: str, apply: Callable[[Setup], None]) -> Cause:
+    """Return a cause without numbers."""
+    nothing = np.zeros(0)
+    return Cause(
+        name=name,
+        present=nothing,
+        typical=nothing,
+        apply=lambda changed, _: apply(changed),
+        groups=[ParameterGroup(label, np.zeros((0, 0)))],
+    )
 
 
 def _order(replayer: Replayer, setup: Setup, driven: IntArray) -> list[Cause]:
@@ -400,55 +437,80 @@ def _order(replayer: Replayer, setup: Setup, driven: IntArray) -> list[Cause]:
     match = np.corrcoef(series + 1e-9 * np.arange(len(rows)))[: len(ids), len(ids) :]
     order = linear_sum_assignment(np.abs(match), maximize=True)[1]
     signs = np.sign(match[range(len(ids)), order])
-    label = ", ".join(
-        f"{log.joints[joint]} follows {'' if sign > 0.0 else 'minus '}{log.joints[other]}"
-        for joint, other, sign in zip(driven, driven[order], signs, strict=True)
-        if other != joint or sign < 0.0
-    )
+    texts = []
+    for joint, other, sign in zip(driven, driven[order], signs, strict=True):
+        if other != joint or sign < 0.0:
+            minus = "minus " if sign < 0.0 else ""
+            texts.append(f"{log.joints[joint]} follows {minus}{log.joints[other]}")
+    if not texts:
+        return []
     mixed = signs * setup.command[:, ids[order]]
-    option = _option("joint order", label, "command", np.s_[:, ids], mixed)
-    return [option] if label else []
+
+    def set_command(changed: Setup) -> None:
+        changed.command[:, ids] = mixed
+
+    return [_option("joint order", ", ".join(texts), set_command)]
 
 
 def _timing(setup: Setup) -> list[Cause]:
     """Return other physics steps, and controllers that take only each n-th change of the command."""
-    name, every = "step and decimation", np.s_[:]
-    rows = []
-    for step_s in setup.step_s * STEPS:
-        if step_s <= MAX_TIMESTEP_S:
-            label = f"physics step of {1e3 * step_s:.3g} ms"
-            rows.append(_option(name, label, "step_s", every, step_s))
-    if not setup.is_driven.any():
-        return rows
+    steps_s = setup.step_s * np.array(STEPS)
+    causes = [_step(step_s) for step_s in steps_s if step_s <= MAX_TIMESTEP_S]
+    if setup.is_driven.any():
+        causes += [_held(setup, n, k) for n in REPEATS for k in range(n)]
+    return causes
+
+
+def _step(step_s: float) -> Cause:
+    """Return another physics step."""
+
+    def set_step(changed: Setup) -> None:
+        changed.model.opt.timestep = step_s
+
+    label = f"physics step of {1e3 * step_s:.3g} ms"
+    return _option("step and decimation", label, set_step)
+
+
+def _held(setup: Setup, n: int, k: int) -> Cause:
+    """Return a controller that takes only each n-th change of the command, from change k on."""
     is_new = np.diff(setup.command, axis=0).any(axis=1)
-    changes, samples = np.flatnonzero(is_new) + 1, np.arange(len(setup.command))
-    for n in REPEATS:
-        for k in range(n):
-            # The first command holds until the first one that the controller takes.
-            taken = np.append(0, changes[k::n])
-            latest = taken[np.searchsorted(taken, samples, "right") - 1]
-            label = f"only each {n}. command is used, from number {k + 1} on"
-            held = setup.command[latest]
-            rows.append(_option(name, label, "command", every, held))
-    return rows
+    changes = np.flatnonzero(is_new) + 1
+    # The first command holds until the first one that the controller takes.
+    taken = np.append(0, changes[k::n])
+    latest = np.searchsorted(taken, np.arange(len(setup.command)), "right") - 1
+    held = setup.command[taken[latest]]
+
+    def set_command(changed: Setup) -> None:
+        changed.command[:] = held
+
+    label = f"only each {n}. command is used, from number {k + 1} on"
+    return _option("step and decimation", label, set_command)
 
 
 def _contacts(setup: Setup) -> list[Cause]:
     """Return friction and softness of all contacts, as factors."""
-    columns = {
-        "floor friction": {"model.geom_friction": 1, "model.pair_friction": 2},
-        "contact softness": {"model.geom_solref": 1, "model.pair_solref": 1},
+
+    def scale_friction(changed: Setup, factor: FloatArray) -> None:
+        changed.model.geom_friction[:, :1] *= factor
+        changed.model.pair_friction[:, :2] *= factor
+
+    def scale_time_constant(changed: Setup, factor: FloatArray) -> None:
+        changed.model.geom_solref[:, :1] *= factor
+        changed.model.pair_solref[:, :1] *= factor
+
+    changes = {
+        "floor friction": scale_friction,
+        "contact softness": scale_time_constant,
     }
-    one, groups = np.ones(1), [Group("all", np.eye(1))]
-    rows = []
-    for name, counts in columns.items():
-        fields = [
-            (path, np.s_[:, :count], attrgetter(path)(setup)[:, :count])
-            for path, count in counts.items()
-        ]
-        least = MIN_FACTOR * one
-        row = Cause(
-            name, "", ["factor"], one, one, one, least, fields, groups, CONTACTS
+    return [
+        Cause(
+            name=name,
+            parameters=["factor"],
+            present=np.ones(1),
+            typical=1.0,
+            apply=apply,
+            groups=groups_of_one(1),
+            starts=CONTACTS,
         )
-        rows.append(row)
-    return rows
+        for name, apply in changes.items()
+    ]

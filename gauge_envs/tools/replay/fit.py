@@ -3,96 +3,110 @@
 from __future__ import annotations
 
 import copy
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
-from scipy.optimize import lsq_linear
+from scipy.optimize import least_squares, lsq_linear
 from scipy.stats import t as student, wilcoxon
 
-from gauge_envs.tools.replay.causes import FAR, Cause, Group
+from gauge_envs.tools.replay.causes import FAR, Cause, ParameterGroup, groups_of_one
 from gauge_envs.tools.replay.log import FloatArray
 from gauge_envs.tools.replay.model import Replayer, Setup
-from gauge_envs.tools.replay.schema import Verdict
+from gauge_envs.tools.replay.schema import ReplayVerdict
 
-HORIZON_S = 0.25
-PIECES = 28
-EXPLAINS = 0.9
-"""Smallest share of the error that a named cause explains."""
-ENOUGH = 0.99
-"""Share that one cause explains, above which a second one is fitted only if much more than the noise remains."""
-NEAR = 0.5
-"""Excess error up to which no second cause is fitted: the mean squared error over that of the noise, minus 1."""
-MAX_LEFT = 8.0
-"""Largest excess error of a cause that is named."""
-MAX_LEFT_TOGETHER = 2.0
-"""Largest excess error of several causes that are named, and of one that explains enough."""
-MAX_WORSE = 4.0
-"""Largest promised error of a fit that is refined, over that of a fit that reached the noise."""
-LEADS = 5.0
-"""Smallest error of every other cause, over that of a named cause that leaves more than `MAX_LEFT`."""
-BETTER = 0.4
-"""Largest error of several causes that are named, over that of one cause."""
-WITHIN_NOISE = 1.3
-"""Mean squared error over that of the noise, below which nothing is left to explain."""
-PARAMETER_COST = 0.01
-"""Part of the error that one more number of a fit must remove."""
-MAX_GROUPS = 2
-"""Number of groups of each cause that are fitted."""
-MAX_ALONE, MAX_TOGETHER = 8, 8
-"""Number of fits of one cause, and of two causes, that are refined."""
-MAX_BASES = 8
-"""Number of fits of one cause to which a second cause is added."""
-MAX_STEPS = 20
-"""Largest number of steps of least squares."""
-MAX_ROUNDS = 2
-"""Number of times that the best fit propagates the noise."""
-MAX_LEADING = 2
-"""Number of the best fits that get new slopes and intervals."""
+NO_NUMBERS = np.zeros(0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds:
+    """What decides which causes are fitted, and which are named.
+
+    The numbers come from logs with planted faults. An error is a mean squared residual over that of the noise: 1 for a
+    right model. The excess is the error minus that of a perfect model.
+
+    Attributes:
+        piece_s: Length of the predictions that are fitted [s].
+        piece_count: Number of these pieces; every other one is held out.
+        max_noise_error: Error below which nothing is left to explain.
+        min_share: Smallest share of the excess that a named cause explains.
+        max_excess: Largest excess of a named cause, unless it leads.
+        min_lead: Excess of every other cause over that of a cause that leads.
+        max_excess_of_several: Largest excess of several causes that are named.
+        max_ratio_of_several: Largest excess of several causes that are named, over that of the best single cause.
+        enough_share: Share of one cause above which a second one is fitted only above `max_excess_of_several`.
+        near_noise: Excess up to which no second cause is fitted, and a fit counts as one that reached the noise.
+        number_cost: Part of the error that one more number of a fit must remove.
+        max_groups: Number of groups of each cause that are fitted.
+        max_refined: Number of fits of one cause, and of two, that are refined.
+        max_worse: Largest linear error of a fit that is refined, over that of a fit that reached the noise.
+        max_polished: Number of the best fits that get measured slopes and intervals.
+        max_bases: Number of fits of one cause to which a second one is added.
+        max_servo_numbers: Largest number of constants of servos that are fitted together.
+        max_noise_rounds: Number of times that the best fit propagates the noise.
+        max_predictions: Largest number of predictions of one least-squares fit.
+        min_gain: Relative decrease of the training error below which least squares ends.
+        min_step: Relative step of the numbers below which least squares ends.
+        slope_step: Step of finite differences. Contacts make the residuals rough, and smaller steps measure that
+            roughness.
+    """
+
+    piece_s: float = 0.25
+    piece_count: int = 28
+    max_noise_error: float = 1.3
+    min_share: float = 0.9
+    max_excess: float = 8.0
+    min_lead: float = 5.0
+    max_excess_of_several: float = 2.0
+    max_ratio_of_several: float = 0.4
+    enough_share: float = 0.99
+    near_noise: float = 0.5
+    number_cost: float = 0.01
+    max_groups: int = 2
+    max_refined: int = 8
+    max_worse: float = 4.0
+    max_polished: int = 2
+    max_bases: int = 8
+    max_servo_numbers: int = 12
+    max_noise_rounds: int = 2
+    max_predictions: int = 20
+    min_gain: float = 0.002
+    min_step: float = 1e-3
+    slope_step: float = 0.1
+
+
+THRESHOLDS = Thresholds()
+
 SERVO = ("delay", "kp", "armature", "damping")
 """Causes that are fitted together where two are not enough: the constants of a servo."""
-MAX_SERVO = 12
-"""Largest number of constants of servos that are fitted together."""
-PROBE = 0.1
-"""Step of finite differences. Contacts make the residuals rough, and smaller steps measure that roughness."""
-MAX_SHARPENED = 3
-"""Largest number of times that the slopes of a fit are computed anew."""
-MIN_GAIN = 0.9
-"""Error after new slopes, over the error before, above which they are not computed again."""
-MIN_PROMISED = 0.998
-"""Promised error over the present error, above which least squares ends."""
-SHORTER = 0.3
-"""Length of a step, over that of the step before it that failed."""
-MIN_REACH = 1e-9
-EMPTY = np.zeros(0)
-MAX_WHITE = 1e4
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Fit:
     """Causes that are fitted together; none for the model as it is.
 
     Attributes:
         terms: Cause and group of each.
         numbers: All numbers of the fit, shape [p].
-        train: Whitened residuals of the pieces that the fit sees, shape [P, T D].
+        training: Whitened residuals of the pieces that the fit sees, shape [P, T D].
         slopes: Their change per number, shape [P, T D, p].
         reach: How far the linear model of the residuals is used, shape [p].
         step: Change of the numbers to the optimum of the linear model, shape [p].
-        promised: Mean squared training error there.
-        held_out: Residuals of the other pieces; empty before `Problem.judged`.
+        linear_error: Mean squared training error there.
+        held_out: Residuals of the other pieces; empty before `Problem.predict`.
         half_width: Half of the 95 % interval of each number, where it was computed.
     """
 
-    terms: tuple[tuple[Cause, Group], ...]
-    numbers: FloatArray
-    train: FloatArray
+    terms: tuple[tuple[Cause, ParameterGroup], ...] = ()
+    numbers: FloatArray = field(default_factory=lambda: NO_NUMBERS)
+    training: FloatArray
     slopes: FloatArray
-    reach: FloatArray
-    step: FloatArray = field(default_factory=lambda: EMPTY)
-    promised: float = np.inf
-    held_out: FloatArray = field(default_factory=lambda: EMPTY)
+    reach: FloatArray = field(default_factory=lambda: NO_NUMBERS)
+    step: FloatArray = field(default_factory=lambda: NO_NUMBERS)
+    linear_error: float = np.inf
+    held_out: FloatArray = field(default_factory=lambda: NO_NUMBERS)
     half_width: FloatArray | None = None
 
     @property
@@ -102,25 +116,25 @@ class Fit:
 
     @property
     def error(self) -> float:
-        """Mean squared error over that of the noise on held-out pieces; the promised one before `Problem.judged`."""
+        """Mean squared error over that of the noise on held-out pieces; the linear one before `Problem.predict`."""
         if self.held_out.size:
             return float(np.mean(self.held_out**2))
-        return self.promised
+        return self.linear_error
 
     @property
-    def misfit(self) -> float:
+    def training_error(self) -> float:
         """Mean squared training error."""
-        return float(np.mean(self.train**2))
+        return float(np.mean(self.training**2))
 
     @property
     def lower(self) -> FloatArray:
         """Smallest numbers, shape [p]."""
         smallest = [cause.lower(group) for cause, group in self.terms]
-        return np.concatenate([EMPTY, *smallest])
+        return np.concatenate([NO_NUMBERS, *smallest])
 
-    def parts(
+    def split(
         self, numbers: FloatArray
-    ) -> Iterator[tuple[tuple[Cause, Group], FloatArray]]:
+    ) -> Iterator[tuple[tuple[Cause, ParameterGroup], FloatArray]]:
         """Return each term with its numbers."""
         sizes = [group.selection.shape[1] for _, group in self.terms]
         parts = np.split(numbers, np.cumsum(sizes)[:-1])
@@ -131,23 +145,24 @@ class Fit:
         return Fit(
             terms=self.terms + other.terms,
             numbers=np.append(self.numbers, other.numbers),
-            train=self.train + other.train,
+            training=self.training + other.training,
             slopes=np.concatenate([self.slopes, other.slopes], axis=-1),
             reach=np.append(self.reach, other.reach),
         )
 
-    def linear(self) -> Fit:
+    def linearize(self) -> Fit:
         """Return the fit with the step to the optimum of its linear model."""
         if not len(self.numbers):
-            return replace(self, promised=self.misfit)
-        columns = np.dstack([self.slopes, -self.train]).reshape(self.train.size, -1)
+            return replace(self, linear_error=self.training_error)
+        columns = np.dstack([self.slopes, -self.training])
         # The orthogonal factor changes no residual norm.
-        triangle = np.asarray(np.linalg.qr(columns, mode="r"))
+        flat = columns.reshape(self.training.size, -1)
+        triangle = np.asarray(np.linalg.qr(flat, mode="r"))
         lower = np.clip(self.lower - self.numbers, -self.reach, 0.0)
-        upper = np.clip(FAR - self.numbers, MIN_REACH, self.reach)
+        upper = np.clip(FAR - self.numbers, 1e-9, self.reach)
         solution = lsq_linear(triangle[:, :-1], triangle[:, -1], (lower, upper))
-        promised = 2.0 * solution.cost / self.train.size
-        return replace(self, step=solution.x, promised=promised)
+        linear_error = 2.0 * solution.cost / self.training.size
+        return replace(self, step=solution.x, linear_error=linear_error)
 
 
 class Problem:
@@ -165,139 +180,196 @@ class Problem:
 
     def __init__(self, replayer: Replayer, setup: Setup) -> None:
         self.replayer, self.setup = replayer, setup
-        pieces = replayer.pieces(HORIZON_S, PIECES)
+        pieces = replayer.pieces(THRESHOLDS.piece_s, THRESHOLDS.piece_count)
         self._halves = pieces[::2], pieces[1::2]
         self.floor = 1.0
-        self.whiteners = self._whitened(setup)
-        none = Fit((), EMPTY, EMPTY, np.zeros((*self.whiteners[0].shape[:2], 0)), EMPTY)
-        self.before = self.judged(none)
+        self.whiteners = self._whiteners(setup)
+        no_slopes = np.zeros((*self.whiteners[0].shape[:2], 0))
+        self.before = self.predict(Fit(training=NO_NUMBERS, slopes=no_slopes))
 
-    def _whitened(self, setup: Setup) -> list[FloatArray]:
-        """Return what makes the deviations of each half independent, where a setup propagates the noise."""
+    def _whiteners(self, setup: Setup) -> list[FloatArray]:
         covariances = [self.replayer.covariance(setup, half) for half in self._halves]
         return [np.linalg.inv(np.linalg.cholesky(each)) for each in covariances]
 
-    def following(self, fit: Fit) -> Problem:
+    def with_noise_of(self, fit: Fit) -> Problem:
         """Return the problem where a fit propagates the noise."""
-        further = copy.copy(self)
-        further.whiteners = self._whitened(self.changed(fit))
-        further.before = further.judged(self.before)
-        return further
+        problem = copy.copy(self)
+        problem.whiteners = self._whiteners(self.setup_of(fit))
+        problem.before = problem.predict(self.before)
+        return problem
 
     def surprise(self, fit: Fit) -> float:
         """Return twice the negative logarithm of the likelihood of the training errors, by residual."""
         precision = np.diagonal(self.whiteners[0], axis1=1, axis2=2)
-        return fit.misfit - 2.0 * float(np.mean(np.log(precision)))
+        return fit.training_error - 2.0 * float(np.mean(np.log(precision)))
 
-    def changed(self, fit: Fit) -> Setup:
+    def setup_of(self, fit: Fit) -> Setup:
         """Return the setup of a fit."""
         setup = self.setup
-        for (cause, group), numbers in fit.parts(fit.numbers):
-            setup = cause.changed(setup, group, numbers)
+        for (cause, group), numbers in fit.split(fit.numbers):
+            setup = cause.change(setup, group, numbers)
         return setup
 
-    def _residuals(self, setup: Setup, half: int) -> FloatArray:
-        deviation = self.replayer.predict(setup, self._halves[half])
+    def _residuals(self, fit: Fit, half: int) -> FloatArray:
+        deviation = self.replayer.predict(self.setup_of(fit), self._halves[half])
         columns = deviation.reshape(len(deviation), -1, 1)
-        white = (self.whiteners[half] @ columns)[..., 0]
-        return np.clip(white, -MAX_WHITE, MAX_WHITE)
+        return (self.whiteners[half] @ columns)[..., 0]
 
-    def trained(self, fit: Fit, numbers: FloatArray) -> Fit:
+    def predict_training(self, fit: Fit, numbers: FloatArray) -> Fit:
         """Return a fit with other numbers, and its residuals of the training pieces."""
-        after = replace(fit, numbers=numbers, held_out=EMPTY)
-        return replace(after, train=self._residuals(self.changed(after), 0))
+        moved = replace(fit, numbers=numbers, held_out=NO_NUMBERS)
+        return replace(moved, training=self._residuals(moved, 0))
 
-    def judged(self, fit: Fit) -> Fit:
+    def predict_held_out(self, fit: Fit) -> Fit:
+        """Return a fit with its residuals of the held-out pieces."""
+        return replace(fit, held_out=self._residuals(fit, 1))
+
+    def predict(self, fit: Fit) -> Fit:
         """Return a fit with all its residuals."""
-        held_out = self._residuals(self.changed(fit), 1)
-        return replace(self.trained(fit, fit.numbers), held_out=held_out)
+        return self.predict_held_out(self.predict_training(fit, fit.numbers))
 
-    def left(self, fit: Fit) -> float:
-        """Return the error beyond the noise that a fit leaves, over that of the noise."""
+    def excess(self, fit: Fit) -> float:
+        """Return the error beyond that of a perfect model, over it."""
         return fit.error / self.floor - 1.0
 
     def share(self, fit: Fit) -> float:
-        """Return the share of the error beyond the noise that a fit explains."""
-        beyond = max(self.before.error - self.floor, 1e-9)
-        return 1.0 - (fit.error - self.floor) / beyond
+        """Return the share of the excess that a fit explains."""
+        return 1.0 - self.excess(fit) / max(self.excess(self.before), 1e-9)
 
     def cost(self, fit: Fit) -> float:
         """Return the error of a fit, and what its numbers must bring."""
-        return fit.error * (1.0 + PARAMETER_COST * len(fit.numbers))
+        return fit.error * (1.0 + THRESHOLDS.number_cost * len(fit.numbers))
 
 
-def trials(problem: Problem, cause: Cause) -> list[Fit]:
+def try_cause(problem: Problem, cause: Cause) -> list[Fit]:
     """Return the change of the residuals by each group of a cause, one for each start.
 
     A cause without starts begins at the present values. The changes of single values are added, as for linear
     residuals.
     """
-    before, count = problem.before, len(cause.parameters)
-
-    def change(group: Group, number: float) -> FloatArray:
-        numbers = np.full(group.selection.shape[1], number)
-        fit = replace(before, terms=((cause, group),))
-        return problem.trained(fit, numbers).train - before.train
-
-    if not count:
+    if not cause.parameters:
         (group,) = cause.groups
-        return [replace(before, terms=((cause, group),), train=change(group, 0.0))]
-    singles = [Group("", unit[:, None]) for unit in np.eye(count)]
-    grid = np.sort(cause.starts or (0.0, PROBE))
-    moved = np.zeros((len(grid), *before.train.shape, count))
+        return [_change(problem, cause, group, NO_NUMBERS)]
+    grid = np.sort(cause.starts or (0.0, THRESHOLDS.slope_step))
+    singles = groups_of_one(len(cause.parameters))
+    moved = np.zeros((len(grid), *problem.before.training.shape, len(singles)))
+    for row in np.flatnonzero(grid).tolist():
+        for column, group in enumerate(singles):
+            single = _change(problem, cause, group, grid[[row]])
+            moved[row, ..., column] = single.training
+    slopes, reach = np.gradient(moved, grid, axis=0), np.gradient(grid)
+    if not cause.starts:
+        grid, reach = np.zeros(1), np.full(1, np.inf)
     fits = []
-    for row, column in np.ndindex(len(grid), count):
-        if cause.starts or row:
-            moved[row, ..., column] = change(singles[column], float(grid[row]))
-    slopes, spacing = np.gradient(moved, grid, axis=0), np.gradient(grid)
-    for row, group in product(range(len(cause.starts) or 1), cause.groups):
-        picks, ones = group.selection, np.ones(group.selection.shape[1])
+    for row, group in product(range(len(grid)), cause.groups):
+        count = group.selection.shape[1]
         fit = Fit(
             terms=((cause, group),),
-            numbers=grid[row] * ones,
-            train=moved[row] @ picks.sum(axis=1),
-            slopes=slopes[row] @ picks,
-            reach=(spacing[row] if cause.starts else np.inf) * ones,
+            numbers=np.full(count, grid[row]),
+            training=moved[row] @ group.selection.sum(axis=1),
+            slopes=slopes[row] @ group.selection,
+            reach=np.full(count, reach[row]),
         )
         fits.append(fit)
     return fits
 
 
-def _refined(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit after steps to the optimum of its linear model, with all its residuals.
+def _change(
+    problem: Problem, cause: Cause, group: ParameterGroup, numbers: FloatArray
+) -> Fit:
+    """Return a fit whose training residuals are the change by one cause."""
+    before = problem.before
+    fit = replace(before, terms=((cause, group),))
+    fit = problem.predict_training(fit, numbers)
+    return replace(fit, training=fit.training - before.training)
 
-    Each prediction updates the slopes (Broyden 1965, Mathematics of Computation 19, 577): J += (dr - J dx) dx^T / dx^2.
+
+class _Descent:
+    """Training residuals along a least-squares fit, with their slopes.
+
+    Attributes:
+        fit: The last fit at which slopes were computed.
     """
-    fit = problem.trained(fit, fit.numbers).linear()
-    for _ in range(MAX_STEPS):
-        if fit.promised > MIN_PROMISED * fit.misfit:
-            break
-        step = fit.step
-        after = problem.trained(fit, fit.numbers + step)
-        gap = after.train - fit.train - fit.slopes @ step
-        slopes = fit.slopes + gap[..., None] * step / (step @ step)
-        if after.misfit < fit.misfit:
-            fit = replace(after, slopes=slopes, reach=2.0 * fit.reach)
-        else:
-            fit = replace(fit, slopes=slopes, reach=SHORTER * np.abs(step) + MIN_REACH)
-        fit = fit.linear()
-    return problem.judged(replace(fit, reach=np.full(len(fit.numbers), np.inf)))
+
+    def __init__(self, problem: Problem, fit: Fit) -> None:
+        self._problem, self._start = problem, fit
+        self._tried = [fit]
+        self.fit = fit
+
+    def residuals(self, change: FloatArray) -> FloatArray:
+        """Return the residuals for a change of the numbers."""
+        if change.any():
+            numbers = self._start.numbers + change
+            self._tried.append(self._problem.predict_training(self._start, numbers))
+        return self._tried[-1].training.ravel()
+
+    def update_slopes(self, _: FloatArray) -> FloatArray:
+        """Return the slopes after an update by each prediction, J += (dr - J dx) dx^T / dx^2.
+
+        Source: Broyden 1965, Mathematics of Computation 19, 577.
+        """
+        slopes = self.fit.slopes
+        for fit in self._tried[1:]:
+            step = fit.numbers - self.fit.numbers
+            gap = fit.training - self.fit.training - slopes @ step
+            if step.any():
+                slopes = slopes + gap[..., None] * step / (step @ step)
+        return self._use(slopes)
+
+    def measure_slopes(self, change: FloatArray) -> FloatArray:
+        """Return the slopes by finite differences."""
+        fit = self._tried[-1]
+        slopes = np.zeros((*fit.training.shape, len(change)))
+        for column, unit in enumerate(np.eye(len(change))):
+            numbers = fit.numbers + THRESHOLDS.slope_step * unit
+            moved = self._problem.predict_training(fit, numbers)
+            slopes[..., column] = moved.training - fit.training
+        return self._use(slopes / THRESHOLDS.slope_step)
+
+    def _use(self, slopes: FloatArray) -> FloatArray:
+        # Least squares asks for slopes at the latest prediction.
+        self.fit = replace(self._tried[-1], slopes=slopes)
+        self._tried = [self.fit]
+        return slopes.reshape(self.fit.training.size, -1)
+
+    def minimize(self, slopes: Callable[[FloatArray], FloatArray]) -> Fit:
+        """Return the fit at the optimum, with slopes of one of the methods."""
+        start = self._start
+        # A present value may be below the smallest one that is fitted, as no friction.
+        lower = np.minimum(start.lower - start.numbers, 0.0)
+        least_squares(
+            self.residuals,
+            np.zeros(len(start.numbers)),
+            slopes,
+            bounds=(lower, FAR - start.numbers),
+            method="dogbox",
+            # The first step is at most so long.
+            x_scale=np.maximum(np.abs(start.step), 1.0),
+            ftol=THRESHOLDS.min_gain,
+            xtol=THRESHOLDS.min_step,
+            max_nfev=THRESHOLDS.max_predictions,
+        )
+        return self.fit
 
 
-def _sharpened(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit after new slopes and further least squares, until they bring little, with intervals."""
+def _refine(problem: Problem, fit: Fit) -> Fit:
+    """Return a fit at the optimum of the training pieces, with all its residuals."""
+    fit = problem.predict_training(fit, fit.numbers).linearize()
+    if fit.linear_error < (1.0 - THRESHOLDS.min_gain) * fit.training_error:
+        descent = _Descent(problem, fit)
+        fit = descent.minimize(descent.update_slopes)
+    reach = np.full(len(fit.numbers), np.inf)
+    return problem.predict_held_out(replace(fit, reach=reach))
+
+
+def _polish(problem: Problem, fit: Fit) -> Fit:
+    """Return a fit after least squares with measured slopes, with intervals."""
     if not len(fit.numbers):
         return fit
-    for _ in range(MAX_SHARPENED):
-        steps = PROBE * np.eye(len(fit.numbers))
-        trained = [problem.trained(fit, fit.numbers + step) for step in steps]
-        moved = np.stack([each.train for each in trained], axis=-1)
-        slopes = (moved - fit.train[..., None]) / PROBE
-        before = fit.misfit
-        fit = _refined(problem, replace(fit, slopes=slopes))
-        if fit.misfit > MIN_GAIN * before:
-            break
-    return replace(fit, half_width=_half_width(slopes, fit.train))
+    descent = _Descent(problem, replace(fit, step=np.zeros(len(fit.numbers))))
+    fit = descent.minimize(descent.measure_slopes)
+    fit = replace(fit, half_width=_half_width(fit.slopes, fit.training))
+    return problem.predict_held_out(fit)
 
 
 def _half_width(slopes: FloatArray, residuals: FloatArray) -> FloatArray:
@@ -321,59 +393,61 @@ def _half_width(slopes: FloatArray, residuals: FloatArray) -> FloatArray:
 
 
 def best_fits(
-    problem: Problem, bases: Sequence[Fit], changes: Sequence[Fit], count: int
+    problem: Problem, bases: Sequence[Fit], changes: Sequence[Fit]
 ) -> list[Fit]:
     """Return the best fit of each further cause on top of each base, the best first.
 
-    At most `count` fits are refined, and after one that reaches the noise only those that come near to it.
+    A few fits are refined, and after one that reaches the noise only those that come near to it.
     """
     promising = [
-        base.plus(change).linear()
+        base.plus(change).linearize()
         for base, change in product(bases, changes)
         if change.names != base.names
     ]
     limit = np.inf
     fits: list[Fit] = []
-    for fit in _few_by_cause(problem, promising, MAX_GROUPS):
-        if len(fits) < count and fit.promised < limit:
-            after = _refined(problem, fit)
-            if problem.left(after) < NEAR:
-                limit = min(limit, MAX_WORSE * fit.promised)
+    for fit in _few_by_cause(problem, promising, THRESHOLDS.max_groups):
+        if len(fits) < THRESHOLDS.max_refined and fit.linear_error < limit:
+            fits.append(_refine(problem, fit))
+            if problem.excess(fits[-1]) < THRESHOLDS.near_noise:
+                limit = min(limit, THRESHOLDS.max_worse * fit.linear_error)
         else:
-            after = problem.judged(replace(fit, numbers=fit.numbers + fit.step))
-        fits.append(after)
+            at_optimum = replace(fit, numbers=fit.numbers + fit.step)
+            fits.append(problem.predict(at_optimum))
     fits.sort(key=problem.cost)
-    fits[:MAX_LEADING] = [_sharpened(problem, fit) for fit in fits[:MAX_LEADING]]
+    for index, fit in enumerate(fits[: THRESHOLDS.max_polished]):
+        fits[index] = _polish(problem, fit)
     return sorted(fits, key=problem.cost)
 
 
 def _few_by_cause(problem: Problem, fits: Sequence[Fit], count: int) -> list[Fit]:
     """Return at most `count` fits of each set of causes, one a group, sorted by cost."""
-    few: dict[tuple[str, ...], dict[str, Fit]] = {}
+    few: list[Fit] = []
+    labels_by_causes: dict[frozenset[str], set[tuple[str, ...]]] = defaultdict(set)
     for fit in sorted(fits, key=problem.cost):
-        groups = few.setdefault(tuple(sorted(fit.names)), {})
-        labels = ", ".join(group.label for _, group in fit.terms)
-        if len(groups) < count:
-            groups.setdefault(labels, fit)
-    flat = [fit for groups in few.values() for fit in groups.values()]
-    return sorted(flat, key=problem.cost)
+        chosen = labels_by_causes[frozenset(fit.names)]
+        labels = tuple(group.label for _, group in fit.terms)
+        if len(chosen) < count and labels not in chosen:
+            chosen.add(labels)
+            few.append(fit)
+    return few
 
 
-def _followed(problem: Problem, fits: list[Fit]) -> tuple[Problem, list[Fit]]:
+def _update_noise(problem: Problem, fits: list[Fit]) -> tuple[Problem, list[Fit]]:
     """Return the problem whose noise the best fit propagates, with its fits; the given ones if that does not help.
 
     A cause may change how the noise propagates: feet that slip keep a velocity, and feet that stick lose it. The best
     fit therefore propagates the noise if it then reaches the noise and its training errors become likelier.
     """
     best = fits[0]
-    for _ in range(MAX_ROUNDS):
-        followed = problem.following(best)
-        changes = trials(followed, best.terms[0][0])
-        best = best_fits(followed, [followed.before], changes, MAX_GROUPS)[0]
-        is_likelier = followed.surprise(best) < problem.surprise(fits[0])
-        if is_likelier and followed.left(best) < NEAR:
-            others = [followed.judged(fit) for fit in fits]
-            return followed, sorted([best, *others], key=followed.cost)
+    for _ in range(THRESHOLDS.max_noise_rounds):
+        updated = problem.with_noise_of(best)
+        ((cause, _group),) = best.terms
+        best = best_fits(updated, [updated.before], try_cause(updated, cause))[0]
+        is_likelier = updated.surprise(best) < problem.surprise(fits[0])
+        if is_likelier and updated.excess(best) < THRESHOLDS.near_noise:
+            others = [updated.predict(fit) for fit in fits]
+            return updated, sorted([best, *others], key=updated.cost)
     return problem, fits
 
 
@@ -385,96 +459,116 @@ class Explanation:
         problem: The log, with the noise that the best fit propagates.
         verdict: What explains the difference.
         fits: Best fit of each cause, the best first; none if the model predicts the log within its noise.
-        alike: Names of the causes that the log cannot tell from the first.
+        indistinguishable: Names of the causes that the log cannot tell from the first.
         several: Causes that are fitted together; None where one is enough.
-        change: The fit that the verdict is about: one cause, or else several if there are.
     """
 
     problem: Problem
-    verdict: Verdict = Verdict.NOISE
+    verdict: ReplayVerdict = ReplayVerdict.NOISE
     fits: Sequence[Fit] = ()
-    alike: Sequence[str] = ()
+    indistinguishable: Sequence[str] = ()
     several: Fit | None = None
-    change: Fit | None = None
+
+    @property
+    def change(self) -> Fit | None:
+        """The fit that the verdict is about: one cause, or else several if there are."""
+        if self.several is None or self.verdict is ReplayVerdict.CAUSE:
+            return next(iter(self.fits), None)
+        return self.several
 
 
-def _alike(problem: Problem, fits: Sequence[Fit]) -> list[str]:
+def _find_indistinguishable(problem: Problem, fits: Sequence[Fit]) -> list[str]:
     """Return the causes that the held-out pieces cannot tell from the first one (signed ranks, 5 %)."""
     best, *others = fits
     small = 1e-3 * (problem.before.error - problem.floor)
-    alike = []
+    names = []
     for fit in others:
         gap = np.mean(fit.held_out**2 - best.held_out**2, axis=1)
+        if problem.share(fit) <= 0.5 * problem.share(best):
+            continue
         is_equal = np.abs(gap).max() < small
-        if problem.share(fit) > 0.5 * problem.share(best) and (
-            is_equal or wilcoxon(gap, alternative="greater").pvalue > 0.05
-        ):
-            alike.append(" and ".join(fit.names))
-    return alike
+        if is_equal or wilcoxon(gap, alternative="greater").pvalue > 0.05:
+            names.append(" and ".join(fit.names))
+    return names
 
 
-def _servo(problem: Problem, fits: Sequence[Fit], changes: Sequence[Fit]) -> list[Fit]:
+def _fit_servo(
+    problem: Problem, fits: Sequence[Fit], changes: Sequence[Fit]
+) -> list[Fit]:
     """Return the constants of all servos fitted together from the best delay; nothing for many servos or none."""
-    alone = {fit.names[0]: fit for fit in reversed(fits)}
+    best = {fit.names[0]: fit for fit in reversed(fits)}
     # The last group of a cause has a number each.
-    each = {fit.names[0]: fit for fit in changes}
-    if not each.keys() >= {*SERVO}:
+    with_number_each = {fit.names[0]: fit for fit in changes}
+    if not with_number_each.keys() >= {*SERVO}:
         return []
     first, *others = SERVO
-    servo = alone[first]
+    servo = best[first]
     for name in others:
-        servo = servo.plus(each[name])
-    if len(servo.numbers) > MAX_SERVO:
+        servo = servo.plus(with_number_each[name])
+    if len(servo.numbers) > THRESHOLDS.max_servo_numbers:
         return []
-    return [_sharpened(problem, problem.judged(servo))]
+    return [_polish(problem, problem.predict(servo))]
 
 
-def _verdict(problem: Problem, fits: Sequence[Fit], several: Fit | None) -> Verdict:
+def _fit_several(
+    problem: Problem, bases: Sequence[Fit], fits: Sequence[Fit], changes: Sequence[Fit]
+) -> list[Fit]:
+    """Return the best fit of each pair of causes, and of the constants of servos, the best first."""
+    together = best_fits(problem, bases[: THRESHOLDS.max_bases], changes)
+    if problem.excess(together[0]) > THRESHOLDS.near_noise:
+        together += _fit_servo(problem, fits, changes)
+    return _few_by_cause(problem, together, 1)
+
+
+def _verdict(
+    problem: Problem, fits: Sequence[Fit], several: Fit | None
+) -> ReplayVerdict:
     """Return what explains the difference.
 
     Several causes are named if they explain it far better than one; one cause if it explains it to the noise, or far
     better than any other one.
     """
-    left, share = problem.left(fits[0]), problem.share(fits[0])
-    if (
-        several
-        and problem.share(several) > EXPLAINS
-        and problem.left(several) < min(MAX_LEFT_TOGETHER, BETTER * left)
-    ):
-        return Verdict.SEVERAL
-    leads = all(1.0 - problem.share(fit) > LEADS * (1.0 - share) for fit in fits[1:])
-    if share > EXPLAINS and (leads or left < MAX_LEFT):
-        return Verdict.CAUSE
-    return Verdict.NOTHING
+    best, *others = fits
+    excess = problem.excess(best)
+    limit = min(
+        THRESHOLDS.max_excess_of_several, THRESHOLDS.max_ratio_of_several * excess
+    )
+    explains = several is not None and problem.share(several) > THRESHOLDS.min_share
+    if several and explains and problem.excess(several) < limit:
+        return ReplayVerdict.SEVERAL
+    if problem.share(best) <= THRESHOLDS.min_share:
+        return ReplayVerdict.NOTHING
+    leads = all(problem.excess(fit) > THRESHOLDS.min_lead * excess for fit in others)
+    if leads or excess < THRESHOLDS.max_excess:
+        return ReplayVerdict.CAUSE
+    return ReplayVerdict.NOTHING
 
 
 def explain(
     problem: Problem, causes: Sequence[Cause], advance: Callable[[str], None]
 ) -> Explanation:
     """Return what explains the deviation of a log from the model: each cause alone, then several."""
-    if problem.before.error < WITHIN_NOISE * problem.floor:
+    if problem.before.error < THRESHOLDS.max_noise_error * problem.floor:
         return Explanation(problem)
     changes: list[Fit] = []
     for cause in causes:
         advance(cause.name)
-        changes += trials(problem, cause)
-    fits = best_fits(problem, [problem.before], changes, MAX_ALONE)
-    if problem.left(fits[0]) > NEAR:
-        problem, fits = _followed(problem, fits)
+        changes += try_cause(problem, cause)
+    fits = best_fits(problem, [problem.before], changes)
+    if problem.excess(fits[0]) > THRESHOLDS.near_noise:
+        problem, fits = _update_noise(problem, fits)
     alone = _few_by_cause(problem, fits, 1)
-    alike = _alike(problem, alone)
-    together: list[Fit] = []
-    explains_enough = problem.share(alone[0]) > ENOUGH
-    if problem.left(alone[0]) > (MAX_LEFT_TOGETHER if explains_enough else NEAR):
+    names = _find_indistinguishable(problem, alone)
+    limit = THRESHOLDS.near_noise
+    if problem.share(alone[0]) > THRESHOLDS.enough_share:
+        limit = THRESHOLDS.max_excess_of_several
+    several: Fit | None = None
+    if problem.excess(alone[0]) > limit:
         advance("several together")
-        bases = [fit for fit in fits if fit.names[0] not in alike]
-        together = best_fits(problem, bases[:MAX_BASES], changes, MAX_TOGETHER)
-        if problem.left(together[0]) > NEAR:
-            together += _servo(problem, fits, changes)
-        together = _few_by_cause(problem, together, 1)
-    several = next(iter(together), None)
+        bases = [fit for fit in fits if fit.names[0] not in names]
+        together = _fit_several(problem, bases, fits, changes)
+        several = together[0]
     verdict = _verdict(problem, alone, several)
-    if verdict is Verdict.SEVERAL:
-        alike = _alike(problem, together)
-    change = alone[0] if several is None or verdict is Verdict.CAUSE else several
-    return Explanation(problem, verdict, alone, alike, several, change)
+    if verdict is ReplayVerdict.SEVERAL:
+        names = _find_indistinguishable(problem, together)
+    return Explanation(problem, verdict, alone, names, several)

@@ -27,31 +27,54 @@ from gauge_envs.text import csv_text, toml_document
 
 FloatArray: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]
+Table: TypeAlias = dict[str, FloatArray]
+"""Columns of a quantity by joint."""
 
-ALIASES = {
-    "command_time": "command_t command_time",
-    "time": "t time_s timestamp time",
-    "target": "target command_rad command q_des",
-    "position": "qpos q position_rad position pos joint_pos observation.state",
-    "velocity": "dq qd qvel vel velocity_rad_per_s velocity joint_vel",
-    "action": "action actions",
-    "ctrl": "ctrl",
-    "tau": "tau torque effort",
-    "base_position": "base_pos base_position",
-    "base_quaternion": "base_quat base_quaternion",
-    "base_linear_velocity": "base_linvel base_linear_velocity",
-    "base_angular_velocity": "base_angvel base_angular_velocity",
+COLUMN_NAMES = {
+    "command_time": ("command_t", "command_time"),
+    "time": ("t", "time_s", "timestamp", "time"),
+    "target": ("target", "command_rad", "command", "q_des"),
+    "position": (
+        "qpos",
+        "q",
+        "position_rad",
+        "position",
+        "pos",
+        "joint_pos",
+        "observation.state",
+    ),
+    "velocity": (
+        "dq",
+        "qd",
+        "qvel",
+        "vel",
+        "velocity_rad_per_s",
+        "velocity",
+        "joint_vel",
+    ),
+    "action": ("action", "actions"),
+    "ctrl": ("ctrl",),
+    "tau": ("tau", "torque", "effort"),
+    "base_position": ("base_pos", "base_position"),
+    "base_quaternion": ("base_quat", "base_quaternion"),
+    "base_linear_velocity": ("base_linvel", "base_linear_velocity"),
+    "base_angular_velocity": ("base_angvel", "base_angular_velocity"),
 }
-"""Names of each quantity in a file; a column of one joint adds a separator and the joint, as `q_hip`.
+"""Names of each quantity in a file; a column of one joint adds a separator and the joint, as `q_hip`."""
 
-A name that begins with another one, as `q_des`, stands before it.
-"""
+QUANTITIES = {
+    name: quantity for quantity, names in COLUMN_NAMES.items() for name in names
+}
+"""Quantity by name."""
+
+LONGEST_FIRST = sorted(QUANTITIES, key=len, reverse=True)
+COLUMN = re.compile(
+    rf"({'|'.join(map(re.escape, LONGEST_FIRST))})(?:[._/:\[](.*?)\]?)?"
+)
+"""Title of a column: `q_des` is a name, and not the joint `des` of `q`."""
 
 ANGLES = ("position", "target", "ctrl")
 """Quantities that contain the offset of a joint; with the velocities they have the unit of the map."""
-
-KEYS = {alias: key for key, text in ALIASES.items() for alias in text.split()}
-COLUMN = re.compile(rf"({'|'.join(KEYS)})(?:[._/:\[](.*?)\]?)?")
 
 SAMPLED = ("time_s", "position", "velocity", "base_pose", "base_twist")
 """Attributes of a log with a row a sample."""
@@ -97,12 +120,12 @@ class ControlMap(BaseModel, extra="forbid"):
 
     def of(self, joint: str) -> dict[str, Any]:
         """Return the values for a joint by field; the default of a field whose table lacks the joint."""
-        return {
-            name: value.get(joint, getattr(ControlMap(), name))
-            if isinstance(value, dict)
-            else value
-            for name, value in self
-        }
+        values: dict[str, Any] = {}
+        for name, value in self:
+            if isinstance(value, dict):
+                value = value.get(joint, getattr(ControlMap(), name))
+            values[name] = value
+        return values
 
 
 class LogMap(BaseModel, extra="forbid"):
@@ -117,13 +140,14 @@ class LogMap(BaseModel, extra="forbid"):
 
     def check_joints(self, known: Mapping[str, Any]) -> None:
         """Raise an error for a joint of the map that a log lacks."""
-        for table in (self.joints, *dict(self.control).values()):
-            for name in table if isinstance(table, dict) else ():
-                if name not in known:
-                    reason = (
-                        f"the log has no such joint; it has {first_names([*known])}"
-                    )
-                    raise FileError("--map", name, reason)
+        tables = [self.joints, *dict(self.control).values()]
+        for table in tables:
+            names = [*table] if isinstance(table, dict) else []
+            for name in names:
+                if name in known:
+                    continue
+                reason = f"the log has no such joint; it has {first_names([*known])}"
+                raise FileError("--map", name, reason)
 
 
 @dataclass
@@ -209,71 +233,91 @@ def read_log(
         FileError: The file has no time or no positions, its columns do not fit each other, or the map does not fit it.
     """
     mapped = mapped or LogMap()
-    try:
-        columns = _read_columns(file)
-    except (OSError, ValueError, EOFError, BadZipFile) as error:
-        reason = f"cannot be read as CSV, NPZ or Parquet: {error}"
-        raise FileError(file, None, reason) from error
+    columns = _read_columns(file)
     by_title = dict(columns)
-    given = mapped.order or [*map(str, by_title.get("joints", ()))]
-    found = _by_joint(file, columns, given or names, mapped)
-    kind: str = mapped.command or next(filter(found.get, COMMANDS), "")
-    found[kind] = found.get(kind) or found["action"]
-    for key in filter(None, ("time", "position", kind)):
-        if not found[key]:
+    order = mapped.order or [str(name) for name in by_title.get("joints", ())]
+    found = _by_joint(file, columns, order or names, mapped)
+    command_kind = _use_commands(found, mapped)
+    for quantity in ("time", "position", command_kind):
+        if quantity and not found[quantity]:
+            expected = " ".join(COLUMN_NAMES[quantity])
             titles = first_names([*by_title])
-            reason = f"no column {key} ({ALIASES[key]}); the file has {titles}"
+            reason = f"no column {quantity} ({expected}); the file has {titles}"
             raise FileError(file, None, reason)
-    joints, rates = tuple(found["position"]), found["velocity"]
+    mapped.check_joints(found["position"] | found[command_kind])
+    rates, joints = found["velocity"], tuple(found["position"])
     found["velocity"] = {name: rates[name] for name in joints if name in rates}
-    mapped.check_joints(found["position"] | found[kind])
-    time_s, *_ = found["time"].values()
-    command_time_s, *_ = (*found["command_time"].values(), time_s)
+    time_s = next(iter(found["time"].values()))
+    command_time_s = next(iter(found["command_time"].values()), time_s)
 
-    def matrix(*keys: str) -> FloatArray:
-        count = len(command_time_s if kind in keys else time_s)
-        columns = [column for key in keys for column in found[key].values()]
-        for column in columns:
-            if len(column) != count:
-                reason = f"{len(column)} rows, but {count} times"
-                raise FileError(file, keys[0], reason)
-        return np.reshape(columns, (len(columns), count)).T
+    def sampled(*quantities: str) -> FloatArray:
+        return _matrix(file, found, quantities, len(time_s))
 
     log = Log(
         name=file.name,
         joints=joints,
         time_s=time_s,
-        position=matrix("position"),
-        velocity=matrix("velocity"),
-        command=matrix(kind),
-        command_kind=kind,
-        command_names=tuple(found[kind]),
+        position=sampled("position"),
+        velocity=sampled("velocity"),
+        command=_matrix(file, found, [command_kind], len(command_time_s)),
+        command_kind=command_kind,
+        command_names=tuple(found[command_kind]),
         command_time_s=command_time_s,
-        base_pose=matrix("base_position", "base_quaternion"),
-        base_twist=matrix("base_linear_velocity", "base_angular_velocity"),
+        base_pose=sampled("base_position", "base_quaternion"),
+        base_twist=sampled("base_linear_velocity", "base_angular_velocity"),
         quaternion=mapped.quaternion,
     )
-    if not given and "position" in map(KEYS.get, by_title):
+    if not order and any(QUANTITIES.get(title) == "position" for title in by_title):
         log.findings.append("columns without names are taken in the order of the model")
     for check in CHECKS:
         log.findings += check(log)
     return log
 
 
+def _use_commands(found: dict[str, Table], mapped: LogMap) -> str:
+    """Return the kind of the commands, whose columns are `found` by it; empty without commands.
+
+    The map may say that actions are commands of another kind.
+    """
+    kinds = [kind for kind in COMMANDS if found[kind]]
+    command_kind: str = mapped.command or next(iter(kinds), "")
+    if not found.get(command_kind):
+        found[command_kind] = found["action"]
+    return command_kind
+
+
+def _matrix(
+    file: Path, found: Mapping[str, Table], quantities: Sequence[str], count: int
+) -> FloatArray:
+    """Return the columns of quantities, shape [count, columns]."""
+    columns: list[FloatArray] = []
+    for quantity in quantities:
+        columns += found[quantity].values()
+    for column in columns:
+        if len(column) != count:
+            reason = f"{len(column)} rows, but {count} times"
+            raise FileError(file, quantities[0], reason)
+    return np.reshape(columns, (len(columns), count)).T
+
+
 def _read_columns(file: Path) -> list[tuple[str, Any]]:
     """Return the titles and values of the columns of a file."""
-    if file.suffix == ".npz":
-        with np.load(file) as archive:
-            return list(archive.items())
-    if file.suffix == ".parquet":
-        with needs_extra("reading Parquet", "data"):
-            from pyarrow import parquet
-        return list(parquet.read_table(file).to_pydict().items())
-    rows = csv.reader(csv_text(file.read_bytes()))
-    return [
-        (title.strip("# "), [cell.strip() or "nan" for cell in cells])
-        for title, *cells in zip_longest(*rows, fillvalue="")
-    ]
+    try:
+        if file.suffix == ".npz":
+            with np.load(file) as archive:
+                return list(archive.items())
+        if file.suffix == ".parquet":
+            with needs_extra("reading Parquet", "data"):
+                from pyarrow import parquet
+            return list(parquet.read_table(file).to_pydict().items())
+        rows = csv.reader(csv_text(file.read_bytes()))
+        return [
+            (title.strip("# "), [cell.strip() or "nan" for cell in cells])
+            for title, *cells in zip_longest(*rows, fillvalue="")
+        ]
+    except (OSError, ValueError, EOFError, BadZipFile) as error:
+        reason = f"cannot be read as CSV, NPZ or Parquet: {error}"
+        raise FileError(file, None, reason) from error
 
 
 def _by_joint(
@@ -281,33 +325,35 @@ def _by_joint(
     columns: Sequence[tuple[str, Any]],
     names: Sequence[str],
     mapped: LogMap,
-) -> dict[str, dict[str, FloatArray]]:
+) -> dict[str, Table]:
     """Return the columns of each quantity by joint; `names` are the joints of an array that has all of them."""
-    found: dict[str, dict[str, FloatArray]] = {key: {} for key in ALIASES}
+    found: dict[str, Table] = {quantity: {} for quantity in COLUMN_NAMES}
     model_names = {entry.log: name for name, entry in mapped.joints.items()}
     for title, cells in columns:
         match = COLUMN.fullmatch(title)
         if not match:
             continue
-        key, joint = KEYS[match[1]], match[2]
+        quantity, joint = QUANTITIES[match[1]], match[2]
         try:
             values = np.atleast_2d(np.array(cells, dtype=float).T)
         except (TypeError, ValueError) as error:
             raise FileError(file, title, f"expected numbers: {error}") from error
         # The map says what an action is.
-        quantity = (mapped.command or key) if key == "action" else key
-        if mapped.unit == "deg" and quantity in (*ANGLES, "velocity"):
+        kind: str = quantity
+        if quantity == "action" and mapped.command:
+            kind = mapped.command
+        if mapped.unit == "deg" and kind in (*ANGLES, "velocity"):
             values = np.deg2rad(values)
-        is_named = len(names) == len(values) and "base" not in key
+        is_named = len(names) == len(values) and "base" not in quantity
         for index, column in enumerate(values):
             name = joint or (names[index] if is_named else str(index))
             name = model_names.get(name, name)
-            if name in found[key]:
+            if name in found[quantity]:
                 reason = f"a second column of {name}; rename one"
                 raise FileError(file, title, reason)
             entry = mapped.joints.get(name, JointMap())
-            offset = entry.offset_rad if quantity in ANGLES else 0.0
-            found[key][name] = entry.sign * column + offset
+            offset = entry.offset_rad if kind in ANGLES else 0.0
+            found[quantity][name] = entry.sign * column + offset
     return found
 
 

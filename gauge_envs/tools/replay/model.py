@@ -51,9 +51,7 @@ class Setup:
         command: Commands; angles count from the default pose, which is the offset, shape [M, nu].
         is_driven: Whether an actuator has commands, shape [nu].
         scale, offset: See above, shape [nu].
-        delay_s: Time from the command to its effect, shape [1].
-        step_s: Physics step, shape [1].
-        payload: Mass that each body carries in addition [kg], shape [nbody].
+        delay_s: Time from the command to its effect.
     """
 
     model: mujoco.MjModel
@@ -62,9 +60,12 @@ class Setup:
     is_driven: BoolArray
     scale: FloatArray
     offset: FloatArray
-    delay_s: FloatArray
-    step_s: FloatArray
-    payload: FloatArray
+    delay_s: float = 0.0
+
+    @property
+    def step_s(self) -> float:
+        """Physics step."""
+        return float(self.model.opt.timestep)
 
     def controls(self, time_s: FloatArray) -> FloatArray:
         """Return the mean control of steps that begin at given times, shape [..., nu].
@@ -118,9 +119,6 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         is_driven=np.zeros(count, bool),
         scale=np.ones(count),
         offset=np.zeros(count),
-        delay_s=np.zeros(1),
-        step_s=np.array([model.opt.timestep]),
-        payload=np.zeros(model.nbody),
     )
     _use_joint_units(setup.model)
     home = model.key_qpos[0] if model.nkey else model.qpos0
@@ -307,7 +305,7 @@ class Replayer:
             tangent: Change of the initial positions and rates, shape [2 nv] or [P, 2 nv].
         """
         model, log = setup.model, self.log
-        step_s = model.opt.timestep
+        step_s = setup.step_s
         elapsed_s = log.time_s[pieces[:, 1:]] - log.time_s[pieces[:, :1]]
         count = int(elapsed_s.max() / step_s) + 1
         times_s = log.time_s[pieces[:, :1]] + step_s * np.arange(count)

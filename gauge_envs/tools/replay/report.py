@@ -14,7 +14,7 @@ from scipy.interpolate import make_interp_spline
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.figures import OURS, REAL, legend_above, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Table
-from gauge_envs.tools.replay.causes import SNIPPETS, Cause, candidates
+from gauge_envs.tools.replay.causes import Cause, candidates
 from gauge_envs.tools.replay.fit import Fit, Problem, explain
 from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, read_log
 from gauge_envs.tools.replay.model import (
@@ -24,13 +24,14 @@ from gauge_envs.tools.replay.model import (
     joint_names,
     load_model,
 )
+from gauge_envs.tools.replay.paste import paste_lines
 from gauge_envs.tools.replay.schema import (
     Explained,
     JointReport,
     Prediction,
     ReplayLine,
+    ReplayVerdict,
     Value,
-    Verdict,
 )
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ FIGURE_HORIZON_S = 0.25
 
 
 @dataclass(frozen=True)
-class Replay:
+class ReplayResult:
     """What a log and a model say of each other.
 
     Attributes:
@@ -66,7 +67,7 @@ class Replay:
     change: Fit | None
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> ReplayVerdict:
         """What explains the difference."""
         return self.line.verdict
 
@@ -77,7 +78,7 @@ def replay(
     against: Path | None = None,
     mapped: LogMap | None = None,
     advance: Callable[[str], None] = lambda _: None,
-) -> Replay:
+) -> ReplayResult:
     """Return what explains the difference between a log and a model, or between two logs.
 
     Args:
@@ -129,14 +130,14 @@ def replay(
         joints=joints,
         conditions=conditions,
         candidates=tuple(alone),
-        alike=tuple(explanation.alike),
+        indistinguishable=tuple(explanation.indistinguishable),
         several=tuple(together),
         paste={},
     )
-    named = () if line.verdict is Verdict.NOTHING else line.named
+    named = () if line.verdict is ReplayVerdict.NOTHING else line.named
     paste = paste_lines(named, compiled.opt.timestep)
     line = replace(line, sentence=_sentence(line), paste=paste)
-    return Replay(line, problem, explanation.change)
+    return ReplayResult(line, problem, explanation.change)
 
 
 def _rms(values: FloatArray) -> Any:
@@ -209,7 +210,7 @@ def _explained(problem: Problem, fit: Fit) -> list[Explained]:
     explained, step_s = [], problem.replayer.log.command_interval_s
     half = np.nan * fit.numbers if fit.half_width is None else fit.half_width
     trials = (fit.numbers, fit.numbers - half, fit.numbers + half)
-    for terms in zip(*map(fit.parts, trials), strict=True):
+    for terms in zip(*map(fit.split, trials), strict=True):
         cause, group = terms[0][0]
         columns = [cause.present, *(cause.values(group, trial) for _, trial in terms)]
         rows, values = np.transpose(columns), []
@@ -251,45 +252,13 @@ def _text(cause: Cause, label: str, values: Sequence[Value], step_s: float) -> s
     return f"{name}: {', '.join(texts)}{unit}"
 
 
-def paste_lines(causes: Sequence[Explained], step_s: float) -> dict[str, str]:
-    """Return the lines for each stack; values whose interval has the present one are left out.
-
-    Args:
-        causes: What was named.
-        step_s: Physics step of the model, in which Isaac Lab and mjlab count a delay.
-    """
-    pasted: dict[str, list[str]] = {}
-    for cause in causes:
-        # Four digits are more than a log tells.
-        changed = {
-            value.parameter: float(f"{value.fitted:.4g}")
-            for value in cause.values
-            if value.changes
-        }
-        together = " ".join(f"{value.fitted:.4g}" for value in cause.values)
-        for name, number in changed.items():
-            steps = round(number / step_s)
-            for stack, template in SNIPPETS[cause.cause].items():
-                text = template.format(
-                    name=name,
-                    value=number,
-                    numbers=changed,
-                    together=together,
-                    steps=steps,
-                    samples=steps + 2,
-                )
-                pasted.setdefault(stack, []).append(text)
-    # Values that share a line have it once.
-    return {stack: "\n".join(dict.fromkeys(texts)) for stack, texts in pasted.items()}
-
-
 def _sentence(line: ReplayLine) -> str:
     """Return the answer."""
     times = np.sqrt(line.error_after)
     remains = (
         f"; the remaining error is {times:.0f} times the noise" if times > 2.0 else ""
     )
-    if line.verdict is Verdict.NOISE:
+    if line.verdict is ReplayVerdict.NOISE:
         text = f"The model predicts {line.log} within its noise: nothing is left to explain"
         if (line.baseline_over_noise or 1.0) > 1.5:
             text = f"The model predicts {line.log} as badly as {line.baseline}: the logs do not differ"
@@ -301,10 +270,10 @@ def _sentence(line: ReplayLine) -> str:
         together = f"{_percent(several[-1].share)} %"
         names = " and ".join(each.cause for each in several)
         texts = " and ".join(each.text for each in several)
-    if line.verdict is Verdict.SEVERAL:
+    if line.verdict is ReplayVerdict.SEVERAL:
         alone = f"best alone: {best.cause}, {share}"
         text = f"{texts} together explain {together} of the difference ({alone})"
-    elif line.verdict is Verdict.NOTHING:
+    elif line.verdict is ReplayVerdict.NOTHING:
         more = f"; together {names}, {together}" if several else ""
         text = f"Nothing in the list explains it (best: {best.text}, {share}{more})"
     return f"{text}{remains}."
@@ -313,9 +282,9 @@ def _sentence(line: ReplayLine) -> str:
 def replay_document(line: ReplayLine) -> Document:
     """Return the answer, a table by joint, a table by cause, and the lines to paste."""
     warnings = [f"Log: {text}." for text in line.findings]
-    if line.alike:
+    if line.indistinguishable:
         best = " and ".join(each.cause for each in line.named)
-        others = ", ".join(line.alike)
+        others = ", ".join(line.indistinguishable)
         warnings.insert(0, f"The log cannot tell {best} from: {others}.")
     numbers = {
         "noise": ("noise", _milli),
@@ -346,7 +315,7 @@ def replay_document(line: ReplayLine) -> Document:
     if len(line.conditions) > 1:
         texts = [f"{name} {value:.3g}" for name, value in line.conditions.items()]
         parts.append(Paragraph(f"Error over noise after 0.1 s: {', '.join(texts)}."))
-    if line.several and line.verdict is not Verdict.CAUSE:
+    if line.several and line.verdict is not ReplayVerdict.CAUSE:
         parts.append(_cause_table("Together", line.several))
     if line.candidates:
         parts.append(_cause_table("Alone", line.candidates[:MAX_CAUSES]))
@@ -384,7 +353,7 @@ def _cause_table(title: str, causes: Sequence[Explained]) -> Table:
     )
 
 
-def replay_figure(replay: Replay) -> Figure:
+def replay_figure(replay: ReplayResult) -> Figure:
     """Return a figure with a row for each of the joints that differ most.
 
     A row has the log, predictions from recorded states before and after the change, and the time at which they part.
@@ -393,7 +362,7 @@ def replay_figure(replay: Replay) -> Figure:
     log, rows = replayer.log, replay.line.joints[:MAX_FIGURE_ROWS]
     setups = {"model": problem.setup}
     if replay.change is not None:
-        setups["after the change"] = problem.changed(replay.change)
+        setups["after the change"] = problem.setup_of(replay.change)
     pieces = replayer.pieces(FIGURE_HORIZON_S, FIGURE_PREDICTIONS)
     samples = pieces[:, 1:]
     deviations = [

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class Verdict(StrEnum):
+class ReplayVerdict(StrEnum):
     """What explains the difference between the model and the log."""
 
     NOISE = "within the noise"
@@ -113,7 +113,7 @@ class ReplayLine:
         joints: A row a joint.
         conditions: Error over noise of predictions of 0.1 s by condition.
         candidates: Causes alone, the best first.
-        alike: Causes that the log cannot tell from the first.
+        indistinguishable: Causes that the log cannot tell from the first.
         several: Causes that together explain more than one; each share is that of all.
         paste: Lines to paste by stack.
     """
@@ -121,7 +121,7 @@ class ReplayLine:
     log: str
     baseline: str | None
     model: str
-    verdict: Verdict
+    verdict: ReplayVerdict
     sentence: str
     error_over_noise: float
     error_after: float
@@ -130,12 +130,12 @@ class ReplayLine:
     joints: tuple[JointReport, ...]
     conditions: Mapping[str, float]
     candidates: tuple[Explained, ...]
-    alike: tuple[str, ...]
+    indistinguishable: tuple[str, ...]
     several: tuple[Explained, ...]
     paste: Mapping[str, str]
 
     @property
     def named(self) -> tuple[Explained, ...]:
         """The causes that the verdict is about: several, or the best one."""
-        is_several = self.verdict is Verdict.SEVERAL
+        is_several = self.verdict is ReplayVerdict.SEVERAL
         return self.several if is_several else self.candidates[:1]

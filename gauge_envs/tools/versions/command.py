@@ -94,7 +94,7 @@ def backend_versions(
     from gauge_envs.tools.versions.comparison import compare, find_change
     from gauge_envs.tools.versions.environments import remove_environment
     from gauge_envs.tools.versions.episodes import compare_motions, compare_returns
-    from gauge_envs.tools.versions.schema import Side, Verdict
+    from gauge_envs.tools.versions.schema import Side, VersionsVerdict
     from gauge_envs.tools.versions.subject import (
         compares_motions,
         read_sides,
@@ -145,4 +145,4 @@ def backend_versions(
             if side.requirement:
                 remove_environment(side.requirement)
     print_document(document, form, files=files)
-    return verdict is Verdict.DIFFERENT
+    return verdict is VersionsVerdict.DIFFERENT

@@ -14,14 +14,14 @@ from scipy.spatial import ConvexHull
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.versions.environments import Arrays, Job, VersionsError, work
 from gauge_envs.tools.versions.schema import (
-    Comparison,
-    Difference,
     FieldChange,
     Quantity,
     Release,
     Ruling,
     Side,
-    Verdict,
+    StepComparison,
+    StepDifference,
+    VersionsVerdict,
 )
 from gauge_envs.tools.versions.worker import STATE
 
@@ -81,7 +81,7 @@ EXACT = {
 """Settings with which a side solves its equations exactly."""
 
 
-def compare(job: Job, before: Side, after: Side) -> Comparison:
+def compare(job: Job, before: Side, after: Side) -> StepComparison:
     """Return the differences between two versions on the model of a job.
 
     Raises:
@@ -89,34 +89,36 @@ def compare(job: Job, before: Side, after: Side) -> Comparison:
     """
     sides = (before, after)
     runs, states = visited_states(job, sides)
-    gap = Gap(*work("probe", job, sides, states))
+    probes = ProbePair(*work("probe", job, sides, states))
     first, second = runs
-    differences: list[Difference | None] = [None, None]
+    differences: list[StepDifference | None] = [None, None]
     rulings: list[Ruling] = []
-    if gap.worst:
-        indices = (min(gap.worst), gap.worst[0])
-        differences = [_difference(gap, index, states, first) for index in indices]
-        rulings = list(_rulings(job, sides, gap, states, first))
+    if probes.worst:
+        indices = (min(probes.worst), probes.worst[0])
+        differences = [_difference(probes, index, states, first) for index in indices]
+        rulings = list(_rulings(job, sides, probes, states, first))
+    unknown = np.union1d(first["unknown fields"], second["unknown fields"])
     rights = {ruling.right for ruling in rulings} - {""}
-    return Comparison(
+    return StepComparison(
         subject=job["title"],
         before=before.title,
         after=after.title,
         versions=(str(first["version"]), str(second["version"])),
-        verdict=Verdict.DIFFERENT if gap.worst else Verdict.SAME,
-        states=len(gap.relative),
-        differing=len(gap.worst),
-        largest=float(np.max(gap.relative)),
-        noise=float(np.median(gap.noise)),
+        verdict=VersionsVerdict.DIFFERENT if probes.worst else VersionsVerdict.SAME,
+        states=len(probes.relative),
+        differing=len(probes.worst),
+        largest=float(np.max(probes.relative)),
+        noise=float(np.median(probes.noise)),
         first=differences[0],
         worst=differences[1],
         fields=tuple(field_changes(first, second)),
+        unknown_fields=tuple(unknown.tolist()),
         rulings=tuple(rulings),
         right=rights.pop() if len(rights) == 1 else "",
     )
 
 
-def find_change(job: Job, releases: Sequence[Side]) -> Comparison:
+def find_change(job: Job, releases: Sequence[Side]) -> StepComparison:
     """Compare the two neighbouring releases between which a difference appears.
 
     A release belongs to the end of the range with the nearer accelerations, in the states that both ends visit. If the
@@ -134,13 +136,13 @@ def find_change(job: Job, releases: Sequence[Side]) -> Comparison:
     def is_like_last(side: Side) -> bool:
         """Return whether a release is nearer to the last one than to the first one."""
         (probe,) = work("probe", job, [side], states)
-        is_new = Gap(first, probe).distance > Gap(probe, last).distance
+        is_new = ProbePair(first, probe).distance > ProbePair(probe, last).distance
         like = "last" if is_new else "first"
         tried.append(Release(release=side.title, like=like))
         return is_new
 
     neighbours: Sequence[Side] = ends
-    if Gap(first, last).worst:
+    if ProbePair(first, last).worst:
         index = bisect_left(
             releases, True, lo=1, hi=len(releases) - 1, key=is_like_last
         )
@@ -188,8 +190,8 @@ def field_changes(before: Arrays, after: Arrays) -> Iterator[FieldChange]:
 # --- one step from the same state ------------------------------------------------------------------------------------
 
 
-class Gap:
-    """Differences between the probes of two sides from the same states.
+class ProbePair:
+    """Probes of two sides from the same states, and their differences.
 
     Args:
         before, after: Arrays of each side.
@@ -241,24 +243,26 @@ class Gap:
         return pairs
 
 
-def _difference(gap: Gap, index: int, states: Arrays, model: Arrays) -> Difference:
+def _difference(
+    probes: ProbePair, index: int, states: Arrays, model: Arrays
+) -> StepDifference:
     """Return the first differing quantity of two sides in a state, in the order of computation.
 
     Args:
-        gap: The differences.
+        probes: The probes of both sides.
         index: The state.
         states: Segment and step of each state.
         model: Description of the model, with the names of geoms and degrees of freedom.
     """
     quantity, places, values = next(
         (quantity, places, values)
-        for quantity, places, values, tolerance in _quantities(gap, index, model)
+        for quantity, places, values, tolerance in _quantities(probes, index, model)
         # NaN differs.
         if not np.linalg.norm(np.subtract(*values)) <= tolerance
     )
     changes = np.abs(np.subtract(*values))
     place = int(np.argmax(np.nan_to_num(changes, nan=np.inf)))
-    return Difference(
+    return StepDifference(
         segment=str(states["segment"][index]),
         step=int(states["step"][index]),
         quantity=quantity,
@@ -269,10 +273,10 @@ def _difference(gap: Gap, index: int, states: Arrays, model: Arrays) -> Differen
 
 
 def _quantities(
-    gap: Gap, index: int, model: Arrays
+    probes: ProbePair, index: int, model: Arrays
 ) -> Iterator[tuple[Quantity, Sequence[str], Any, float]]:
     """Yield each quantity of a state, in the order of computation: places, values of both sides, and tolerance."""
-    contacts = gap.contacts(index)
+    contacts = probes.contacts(index)
     pairs = sorted({*contacts[0], *contacts[1]})
     places = [" and ".join(model["names geom"][[*pair]]) for pair in pairs]
     counts = [[len(side[pair]) for pair in pairs] for side in contacts]
@@ -280,7 +284,7 @@ def _quantities(
     depths_m = [[-min(side[pair]) for pair in pairs] for side in contacts]
     yield Quantity.DEPTH, places, depths_m, DEPTH_TOLERANCE_M
     for quantity, name in ACCELERATIONS.items():
-        values = [side[name][index] for side in gap.sides]
+        values = [side[name][index] for side in probes.sides]
         size = np.max(np.linalg.norm(values, axis=1))
         yield quantity, model["names dof"].tolist(), values, ROUNDING * size
 
@@ -289,27 +293,31 @@ def _quantities(
 
 
 def _rulings(
-    job: Job, sides: Sequence[Side], gap: Gap, states: Arrays, model: Arrays
+    job: Job,
+    sides: Sequence[Side],
+    probes: ProbePair,
+    states: Arrays,
+    model: Arrays,
 ) -> Iterator[Ruling]:
     """Yield each applicable law with the error of each side, in the states that differ most.
 
     Args:
         job: Job of the model.
         sides: Both sides.
-        gap: Differences of both sides.
+        probes: The probes of both sides.
         states: The states.
         model: Description of the model, with its compiled fields.
     """
-    worst = gap.worst[:MAX_SOLVED]
+    worst = probes.worst[:MAX_SOLVED]
     solved = {name: states[name][worst] for name in states}
     exact = [replace(side, settings={**side.settings, **EXACT}) for side in sides]
     errors = []
     for side, solution in zip(
-        gap.sides, work("probe", job, exact, solved), strict=True
+        probes.sides, work("probe", job, exact, solved), strict=True
     ):
         probed = {name: side[name][worst] for name in side if name != "contacts"}
-        errors.append(Gap(probed, solution).relative)
-    depths = np.transpose(list(_depth_errors(gap, worst, model)))
+        errors.append(ProbePair(probed, solution).relative)
+    depths = np.transpose(list(_depth_errors(probes, worst, model)))
     laws = ((SOLVER_LAW, SOLVER_LIMIT, errors), (DEPTH_LAW, DEPTH_LIMIT, depths))
     for law, limit, values in laws:
         if not len(values):
@@ -326,12 +334,12 @@ def _rulings(
 
 
 def _depth_errors(
-    gap: Gap, states: Sequence[int], model: Arrays
+    probes: ProbePair, states: Sequence[int], model: Arrays
 ) -> Iterator[FloatArray]:
     """Yield the relative error of each side in the depth of a pair of boxes."""
-    poses = gap.sides[0]
+    poses = probes.sides[0]
     for index in states:
-        contacts = gap.contacts(index)
+        contacts = probes.contacts(index)
         for pair in sorted({*contacts[0], *contacts[1]}):
             if np.any(model["field geom_type"][[*pair]] != BOX):
                 continue

@@ -1,5 +1,7 @@
 """Compare whole episodes: motions of an experiment, and returns of a policy."""
 
+from collections.abc import Iterable, Sequence
+
 import numpy as np
 from scipy.special import stdtrit
 
@@ -11,13 +13,13 @@ from gauge_envs.runs.result_file import parse_result
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.compare import ScoreComparison, compare
 from gauge_envs.tools.versions.comparison import MIN_LIMIT, NOISE_FACTOR
-from gauge_envs.tools.versions.environments import work
+from gauge_envs.tools.versions.environments import Arrays, work
 from gauge_envs.tools.versions.schema import (
     Estimate,
     MotionComparison,
     ReturnComparison,
     Side,
-    Verdict,
+    VersionsVerdict,
 )
 from gauge_envs.tools.versions.subject import is_suite_id
 
@@ -38,13 +40,8 @@ def compare_motions(
         VersionsError: A side cannot run the experiment.
     """
     job = {"title": subject, "subject": subject, "seed": seed}
-    results, shifted = zip(
-        *(
-            [parse_result(text.encode(), subject) for text in output["results"]]
-            for output in work("simulate", job, [before, after])
-        ),
-        strict=True,
-    )
+    outputs = work("simulate", job, [before, after])
+    results, shifted = (_results(outputs, index, subject) for index in range(2))
     trajectories = [_trajectory(result) for result in (*results, *shifted)]
     times_s, _ = trajectories[0].arrays()
     motions = [trajectory.arrays()[1] for trajectory in trajectories]
@@ -57,34 +54,51 @@ def compare_motions(
     noise = np.maximum.accumulate(changes)
     moved = float(np.nanmax(np.abs(positions - positions[:, :1]), initial=0.0))
     limit = np.maximum(NOISE_FACTOR * noise, MIN_LIMIT * moved)
-    differing = np.flatnonzero(distances > limit).tolist()
     scores = compare(results)
-    # A side that surely ranks first is closer to the reference, beyond the uncertainty.
-    firsts = [
-        scores.configurations[index]
-        for kind in scores.kinds
-        for ranks in kind.ranks.values()
-        for index, rank in ranks.items()
-        if len(ranks) > 1 and rank.interval_95[1] == 1.0
-    ]
-    titles = [
-        side.title
-        for side, result in zip((before, after), results, strict=True)
-        if differing and RunConfiguration.of(result) in firsts
-    ]
+    differing = np.flatnonzero(distances > limit).tolist()
+    verdict, first_s, right = VersionsVerdict.SAME, None, ""
+    if differing:
+        verdict = VersionsVerdict.DIFFERENT
+        first_s = float(times_s[differing[0]])
+        noise = noise[: differing[0] + 1]
+        sides = zip((before, after), results, strict=True)
+        right = _closer_side(scores, sides)
     comparison = MotionComparison(
         subject=subject,
         before=before.title,
         after=after.title,
-        verdict=Verdict.DIFFERENT if differing else Verdict.SAME,
+        verdict=verdict,
         unit=trajectories[0].unit,
-        first_s=float(times_s[differing[0]]) if differing else None,
+        first_s=first_s,
         largest=float(np.max(distances)),
         largest_s=float(times_s[np.argmax(distances)]),
-        noise=float(noise[differing[0] if differing else -1]),
-        right="".join(titles),
+        noise=float(noise[-1]),
+        right=right,
     )
     return comparison, scores
+
+
+def _results(outputs: Sequence[Arrays], index: int, subject: str) -> list[Result]:
+    """Return a result of each side: 0 is the run, 1 the run from a shifted position."""
+    texts = [str(output["results"][index]) for output in outputs]
+    return [parse_result(text.encode(), subject) for text in texts]
+
+
+def _closer_side(scores: ScoreComparison, sides: Iterable[tuple[Side, Result]]) -> str:
+    """Return the title of the side that surely ranks first; empty without one.
+
+    It is closer to the reference, beyond the uncertainty.
+    """
+    first: list[RunConfiguration] = []
+    for kind in scores.kinds:
+        for ranks in kind.ranks.values():
+            for index, rank in ranks.items():
+                if len(ranks) > 1 and rank.interval_95[1] == 1.0:
+                    first.append(scores.configurations[index])
+    for side, result in sides:
+        if RunConfiguration.of(result) in first:
+            return side.title
+    return ""
 
 
 def _trajectory(result: Result) -> RecordedTrajectory:
@@ -150,7 +164,9 @@ def compare_returns(
         subject=subject,
         before=before.title,
         after=after.title,
-        verdict=Verdict.DIFFERENT if abs(change) > half else Verdict.SAME,
+        verdict=VersionsVerdict.DIFFERENT
+        if abs(change) > half
+        else VersionsVerdict.SAME,
         versions=(str(first["version"]), str(second["version"])),
         seeds=seeds,
         returns=(float(np.mean(first["returns"])), float(np.mean(second["returns"]))),

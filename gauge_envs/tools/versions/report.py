@@ -9,19 +9,19 @@ from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import counted, quantity_text, value_text
 from gauge_envs.tools.compare import ScoreComparison, short_tables
 from gauge_envs.tools.versions.schema import (
-    Comparison,
     MotionComparison,
     ReturnComparison,
-    Verdict,
+    StepComparison,
+    VersionsVerdict,
 )
 
 DIFFER = {
-    Verdict.SAME: "do not differ by more than the noise",
-    Verdict.DIFFERENT: "differ",
+    VersionsVerdict.SAME: "do not differ by more than the noise",
+    VersionsVerdict.DIFFERENT: "differ",
 }
 
 
-def comparison_document(comparison: Comparison) -> Document:
+def comparison_document(comparison: StepComparison) -> Document:
     """Return the answer, the first and largest difference, the tables of differences, and which side is right."""
     answer = (
         f"{comparison.before} and {comparison.after} {DIFFER[comparison.verdict]} on {comparison.subject}: in "
@@ -45,6 +45,10 @@ def comparison_document(comparison: Comparison) -> Document:
     ]
     parts: list[Part] = [Paragraph(answer, Tone.ANSWER)]
     parts += [table for table in tables if table.rows]
+    if comparison.unknown_fields:
+        names = ", ".join(comparison.unknown_fields)
+        text = f"Fields that are new to this package are compared as physical ones: {names}."
+        parts.append(Paragraph(text, Tone.WARNING))
     if differences:
         right = "No checked law shows which side is right."
         if comparison.right:

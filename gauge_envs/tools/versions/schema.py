@@ -21,7 +21,7 @@ class Estimate:
     high: float | None = None
 
 
-class Verdict(StrEnum):
+class VersionsVerdict(StrEnum):
     """Whether two versions differ on a model."""
 
     SAME = "same"
@@ -59,7 +59,7 @@ class Side:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Difference:
+class StepDifference:
     """Difference of two versions from one state.
 
     Attributes:
@@ -140,11 +140,11 @@ class SubjectComparison:
     subject: str
     before: str
     after: str
-    verdict: Verdict
+    verdict: VersionsVerdict
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison(SubjectComparison):
+class StepComparison(SubjectComparison):
     """Comparison of two versions on one model, by more than ten times the noise.
 
     Attributes:
@@ -157,6 +157,7 @@ class Comparison(SubjectComparison):
         first: First difference; None without one.
         worst: Largest difference; None without one.
         fields: Differing compiled fields.
+        unknown_fields: Fields of a newer release that this package does not know. They are compared as physical ones.
         rulings: Applied laws.
         right: Title of the side that is right; empty if no law decides.
         tried: Releases tested by a bisection; empty without a bisection.
@@ -167,9 +168,10 @@ class Comparison(SubjectComparison):
     differing: int
     largest: float
     noise: float
-    first: Difference | None
-    worst: Difference | None
+    first: StepDifference | None
+    worst: StepDifference | None
     fields: tuple[FieldChange, ...]
+    unknown_fields: tuple[str, ...]
     rulings: tuple[Ruling, ...]
     right: str
     tried: tuple[Release, ...] = ()
@@ -213,5 +215,5 @@ class ReturnComparison(SubjectComparison):
     change: Estimate
 
 
-VersionsLine: TypeAlias = Comparison | MotionComparison | ReturnComparison
+VersionsLine: TypeAlias = StepComparison | MotionComparison | ReturnComparison
 """Steps of a model, motions of an experiment, or returns of a policy."""

@@ -1,6 +1,7 @@
 """Run a model in one release of MuJoCo: `python worker.py JOB`.
 
-The process imports the release and NumPy, not this package. It needs MuJoCo 3.0 or later.
+The process imports the release and NumPy, not this package. It needs MuJoCo 3.0 or later, and the file
+`model_fields.json` beside it.
 The job is a JSON object. Its `task` is one of:
 
 - `run`: simulate `model` with `settings` from its initial states, and write the visited states.
@@ -13,10 +14,10 @@ The worker writes arrays by name to the file `out`.
 
 import importlib
 import json
-import re
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -39,20 +40,8 @@ STATE = (
 )
 """Values of a state; a file of saved states needs only `qpos`."""
 
-ENUMS = {
-    "jacobian": "mjtJacobian",
-    "solver": "mjtSolver",
-    "cone": "mjtCone",
-    "integrator": "mjtIntegrator",
-}
-"""Enumerations of options."""
-
-PHYSICS = re.compile(
-    r"(?!.*(adr|num|bvh|plugin|rgba|matid|group|user|sameframe|simple|rootid|weldid|treeid|jntid|dataid|Madr|texcoord|"
-    r"flatskin))(qpos0|qpos_spring|body_|jnt_|dof_|geom_|mesh_(scale|pos|quat|inertia)|hfield_size|pair_|exclude_|eq_|"
-    r"tendon_|wrap_|actuator_|key_|flex_|flexedge_)"
-)
-"""Compiled fields with physical values, without addresses and counts."""
+FIELDS = json.loads(Path(__file__).with_name("model_fields.json").read_text())
+"""Arrays of a compiled model in MuJoCo 3.0 to 4.0: `physics`, and `other` (addresses, counts, names, pictures)."""
 
 PERTURBATION = 1e-10
 """Negligible change of velocities [m/s, rad/s]."""
@@ -80,8 +69,7 @@ def load_model(job: Job) -> Any:
 def set_options(model: Any, settings: Job) -> None:
     """Write options into a model; names of enumerations are allowed."""
     for name, value in settings.items():
-        members = getattr(mujoco, ENUMS[name]).__members__ if name in ENUMS else {}
-        numbers = {key.partition("_")[2].lower(): int(members[key]) for key in members}
+        numbers = enumerated(name)
         try:
             setattr(model.opt, name, numbers.get(str(value).lower(), value))
         except TypeError:
@@ -89,12 +77,29 @@ def set_options(model: Any, settings: Job) -> None:
             raise SystemExit(f"{name}={value}: expected {expected}") from None
 
 
+def enumerated(option: str) -> dict[str, int]:
+    """Return the values of an option by name, as those of `mjtSolver` for `solver`; empty for a number."""
+    kind = getattr(mujoco, f"mjt{option.capitalize()}", None)
+    members = {} if kind is None else kind.__members__
+    return {key.partition("_")[2].lower(): int(members[key]) for key in members}
+
+
+def array_fields(model: Any) -> list[str]:
+    """Return the names of the arrays of a compiled model."""
+    names = [name for name in dir(model) if not name.startswith("_")]
+    return [name for name in names if isinstance(getattr(model, name), np.ndarray)]
+
+
 def compiled_fields(model: Any) -> Job:
-    """Return the rows of the options and of the physical fields of the compiled model."""
+    """Return the rows of the options and of the physical fields of a compiled model; an unknown field is physical."""
+    names = [name for name in array_fields(model) if name not in FIELDS["other"]]
     options = [name for name in dir(model.opt) if not name.startswith("_")]
-    fields = {f"opt.{name}": [np.ravel(getattr(model.opt, name))] for name in options}
-    fields |= {name: getattr(model, name) for name in filter(PHYSICS.match, dir(model))}
-    return {f"field {name}": np.array(fields[name], dtype=float) for name in fields}
+    fields = {f"field {name}": getattr(model, name) for name in names}
+    for name in options:
+        fields[f"field opt.{name}"] = [np.ravel(getattr(model.opt, name))]
+    unknown = [name for name in names if name not in FIELDS["physics"]]
+    rows = {name: np.array(values, dtype=float) for name, values in fields.items()}
+    return {**rows, "unknown fields": np.array(unknown, dtype=str)}
 
 
 def names_of(objects: Callable[[int], Any], kind: str, count: int) -> list[str]:
@@ -155,10 +160,11 @@ def load_states(model: Any, file: str) -> list[Job]:
             f"saved states have qpos of shape {shape}; expected {model.nq} columns and a row for each state"
         )
     initial = get_state(mujoco.MjData(model))
-    return [
-        {**initial, **{name: rows[name][index] for name in rows}}
-        for index in range(len(rows["qpos"]))
-    ]
+    states = []
+    for index in range(len(rows["qpos"])):
+        saved = {name: values[index] for name, values in rows.items()}
+        states.append({**initial, **saved})
+    return states
 
 
 def move(model: Any, steps: int, segment: Segment) -> Iterator[Job]:

@@ -14,7 +14,7 @@ from gauge_envs.tools.video.scoring import (
     score_track as score_track,
 )
 from gauge_envs.tools.video.tasks import (
-    Motion as Motion,
+    MotionKind as MotionKind,
     VideoTask as VideoTask,
     video_task as video_task,
     video_tasks as video_tasks,

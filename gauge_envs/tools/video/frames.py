@@ -17,7 +17,7 @@ from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.tools.video.tasks import (
     PLATE_RADIUS_PX,
     REFERENCE_SIZE_PX,
-    Motion,
+    MotionKind,
     VideoTask,
 )
 
@@ -176,11 +176,11 @@ CLOSE_PX, SEARCH_PX = 2, 10
 """Distance of an agreeing edge from the known outline, and search distance for the strongest edge [px]."""
 
 MIN_SUPPORT = {
-    Motion.SLIDE: 0.61,
-    Motion.FALL: 0.78,
-    Motion.TURN: 0.75,
-    Motion.CRADLE: 0.6,
-    Motion.PENDULUM: 0.78,
+    MotionKind.SLIDE: 0.61,
+    MotionKind.FALL: 0.78,
+    MotionKind.TURN: 0.75,
+    MotionKind.CRADLE: 0.6,
+    MotionKind.PENDULUM: 0.78,
 }
 """Smallest support of an agreeing registration. Published clips have at least 0.64, 0.90, 0.86, 0.63 and 0.88. Random
 places and scales in these clips have at most 0.62, 0.68, 0.52, 0.52 and 0.65 (95 %)."""
@@ -234,13 +234,13 @@ def _outline(task: VideoTask) -> BoolArray:
     """Return the pixels of the grid on the known outlines of a task, shape [480, 832]."""
     drawn = np.zeros(REFERENCE_SIZE_PX[::-1], np.uint8)
     size_px = task.size_px
-    if task.motion is Motion.SLIDE:
+    if task.motion is MotionKind.SLIDE:
         box = (task.centre_px, (size_px, size_px), task.angle_deg)
         corners = np.rint(cv2.boxPoints(box)).astype(int)
         cv2.polylines(drawn, [corners], True, 1)
         return drawn > 0
     circles = [(*task.centre_px, 0.5 * size_px)]
-    if task.motion is Motion.TURN and task.pivot_px is not None:
+    if task.motion is MotionKind.TURN and task.pivot_px is not None:
         circles = [(*task.pivot_px, PLATE_RADIUS_PX)]
     if task.rest_px is not None:
         # The hanging balls of the cradle touch each other.

@@ -21,7 +21,7 @@ from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import find_peaks, lombscargle
 
 from gauge_envs.scene.geometry import FloatArray, IntArray
-from gauge_envs.tools.video.tasks import Motion, VideoTask
+from gauge_envs.tools.video.tasks import MotionKind, VideoTask
 from gauge_envs.tools.video.track import Track
 
 GRAVITY_M_PER_S2 = 9.80665
@@ -217,7 +217,7 @@ def retained(track: Track, task: VideoTask) -> tuple[int, int] | None:
         task: The task; its kind of motion selects the rule.
     """
     rows = np.flatnonzero(track.is_found)
-    if task.motion is Motion.CRADLE:
+    if task.motion is MotionKind.CRADLE:
         is_swinging = swing_angles_rad(track, task)[rows] >= MIN_APEX_RAD
         return (int(rows[0]), int(rows[-1])) if is_swinging.any() else None
     if len(rows) <= WINDOW:
@@ -225,7 +225,7 @@ def retained(track: Track, task: VideoTask) -> tuple[int, int] | None:
     if task.direction is not None:
         return _straight(track, task, rows)
     values, moving, released = track.points_px[rows], MOVING_PX, RELEASED_PX
-    if task.motion is Motion.PENDULUM:
+    if task.motion is MotionKind.PENDULUM:
         values = np.degrees(swing_angles_rad(track, task)[rows, None])
         moving, released = MOVING_DEG, RELEASED_DEG
     window_steps = np.linalg.norm(values[WINDOW:] - values[:-WINDOW], axis=1)
@@ -236,7 +236,7 @@ def retained(track: Track, task: VideoTask) -> tuple[int, int] | None:
     first = int(rows[moving_rows[0] + (away > released).argmax()])
     last = int(rows[moving_rows[-1] + WINDOW])
     # Swings and rides continue, so frames without the object count.
-    if task.motion is Motion.PENDULUM or last == rows[-1]:
+    if task.motion is MotionKind.PENDULUM or last == rows[-1]:
         last = len(track.frames) - 1
     return (first, last) if last - first >= WINDOW else None
 

@@ -132,13 +132,15 @@ def model_table(clips: Clips) -> Table:
         results.setdefault((model, task), []).append(result)
     models = dict.fromkeys(model for model, _ in results)
     scored = {task for _, task in results}
-    rows = [
-        {"task": task.id, "metric": TITLES[name], "law": law}
-        | {model: _mean_text(name, results.get((model, task.id))) for model in models}
-        for task in video_tasks()
-        if task.id in scored
-        for name, law in task.law.items()
-    ]
+    rows = []
+    for shown in video_tasks():
+        if shown.id not in scored:
+            continue
+        for name, law in shown.law.items():
+            row: Row = {"task": shown.id, "metric": TITLES[name], "law": law}
+            for model in models:
+                row[model] = _mean_text(name, results.get((model, shown.id)))
+            rows.append(row)
     return _table(rows, VALUES_NOTE)
 
 

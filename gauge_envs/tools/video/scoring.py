@@ -14,7 +14,7 @@ from gauge_envs.scene.geometry import IntArray
 from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.frames import FileFrames
 from gauge_envs.tools.video.soundness import faults_of
-from gauge_envs.tools.video.tasks import Motion, VideoTask, task_scene, video_task
+from gauge_envs.tools.video.tasks import MotionKind, VideoTask, task_scene, video_task
 from gauge_envs.tools.video.track import Track, read_track
 from gauge_envs.tools.video.tracker import track_object
 
@@ -164,7 +164,7 @@ def measure(track: Track, task: VideoTask, span: tuple[int, int]) -> Metrics:
         ParameterError: The track has too few frames, or a cradle has no apex.
     """
     rows = _visible_rows(track, *span)
-    min_count = 8 if task.motion is Motion.PENDULUM else 4
+    min_count = 8 if task.motion is MotionKind.PENDULUM else 4
     if len(rows) < min_count:
         raise ParameterError(f"the fit needs {min_count} frames, got {len(rows)}")
     if task.direction is not None:
@@ -172,7 +172,7 @@ def measure(track: Track, task: VideoTask, span: tuple[int, int]) -> Metrics:
     whole = track.in_whole_px()
     times_s = track.times_s[rows]
     places_m = whole.points_px[rows] * task.scale_m_per_px
-    if task.motion is Motion.TURN:
+    if task.motion is MotionKind.TURN:
         away_m = np.linalg.norm(places_m - places_m[0], axis=1)
         scene = task_scene(task.id)
         de_n = laws.dynamic_error(
@@ -245,7 +245,7 @@ def _intervals(
         errors_px = rng.normal(0.0, noise_px, (count, 2))
         slow_px = rng.normal(0.0, SLOW_NOISE_PX, (count // SLOW_FRAMES + 1, 2))
         errors_px += np.repeat(slow_px, SLOW_FRAMES, axis=0)[:count]
-        if task.motion is not Motion.TURN:
+        if task.motion is not MotionKind.TURN:
             errors_px += rng.normal(0.0, PIVOT_SIGMA_PX, 2)
         size_px = task.size_px * (1.0 + rng.normal(0.0, SCALE_SIGMA))
         first = max(0, span[0] + int(rng.integers(-1, 2)))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.tools.video.frames import Gray, Picture, cv2
-from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
+from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, MotionKind, VideoTask
 
 COARSE = 0.25
 """Scale for searching and comparing whole pictures."""
@@ -182,7 +182,7 @@ class ShapeDetector:
         self._direction = np.array(task.direction or (0.0, 0.0))
         self._added_share = 0.0
         self._colour = colour_at(first, self._start_px, task.size_px)
-        is_cradle = task.motion is Motion.CRADLE
+        is_cradle = task.motion is MotionKind.CRADLE
         background = first if is_cradle else _background(first, last, task)
         self._background = background.astype(np.float32)
         # Black bars and edges of the picture hide parts of the object, and so shift its visible centre.
@@ -208,7 +208,7 @@ class ShapeDetector:
         self._around = np.maximum(self._around - self._outline, 0.0)
         profile_px, is_known = self._profile(covered, self._start_px)
         self._profile_px[is_known] = profile_px[is_known]
-        if self._task.motion is Motion.SLIDE:
+        if self._task.motion is MotionKind.SLIDE:
             # A pinhole camera shows the side of a cube with a width proportional to the distance from the centre of the
             # picture. So the centre of face and side moves less than the face.
             middle_px = 0.5 * np.array(REFERENCE_SIZE_PX) - self._start_px
@@ -309,7 +309,7 @@ def _filled(task: VideoTask, share: float) -> Gray:
     size_px = share * task.size_px
     filled = np.zeros((2 * half_px + 1, 2 * half_px + 1), np.float32)
     # OpenCV counts sixteenths of pixels.
-    if task.motion is Motion.SLIDE:
+    if task.motion is MotionKind.SLIDE:
         box = ((half_px, half_px), (size_px, size_px), task.angle_deg)
         corners = np.rint(16.0 * cv2.boxPoints(box)).astype(np.int32)
         cv2.fillPoly(filled, [corners], 1.0, cv2.LINE_8, 4)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray, IntArray
-from gauge_envs.tools.video.tasks import Motion, VideoTask
+from gauge_envs.tools.video.tasks import MotionKind, VideoTask
 from gauge_envs.tools.video.track import Track
 
 MAX_ODD_SHARE = 0.15
@@ -73,7 +73,7 @@ def faults_of(track: Track, task: VideoTask, span: tuple[int, int] | None) -> li
     else:
         # Two equal objects that meet look like one object of another size and shape.
         faults += _changes(track, task, rows)
-    if task.motion is Motion.CRADLE:
+    if task.motion is MotionKind.CRADLE:
         # The outgoing ball is detected only during its swing.
         return faults
     lost = rows[~track.is_found[rows]]
@@ -94,7 +94,7 @@ def _changes(track: Track, task: VideoTask, rows: IntArray) -> Iterator[str]:
     """Yield changes of size, shape and look that occur in many frames."""
     visible = rows[track.is_found[rows]]
     # The ball of a cradle is visible only during its swing.
-    count = len(visible if task.motion is Motion.CRADLE else rows)
+    count = len(visible if task.motion is MotionKind.CRADLE else rows)
     # Blur changes the shape for some frames, and few frames may be retained.
     is_reshaped = (track.misfit > MAX_MISFIT).mean() > MAX_ODD_SHARE
     for text, changes, limit, row_count in (

@@ -29,7 +29,7 @@ PLATE_RADIUS_PX = 225.5
 """Radius of the turntable with its rim in the first frames [px]."""
 
 
-class Motion(StrEnum):
+class MotionKind(StrEnum):
     """Kind of motion of a task; it determines the law and the tracking."""
 
     SLIDE = "slide"
@@ -63,7 +63,7 @@ class VideoTask:
     """
 
     id: str
-    motion: Motion
+    motion: MotionKind
     size_m: float
     size_px: float
     centre_px: tuple[float, float]

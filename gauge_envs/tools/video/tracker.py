@@ -17,7 +17,7 @@ from gauge_envs.tools.video.frames import (
 from gauge_envs.tools.video.shape import LOST, Detection, ShapeDetector
 from gauge_envs.tools.video.tasks import (
     REFERENCE_SIZE_PX,
-    Motion,
+    MotionKind,
     VideoTask,
 )
 from gauge_envs.tools.video.track import Track
@@ -31,7 +31,7 @@ BEND, BEND_COST = 0.5, 0.4
 MAX_STRUCK_STEP = 4.0
 """Largest first step of a struck ball, in sizes or in changes by gravity."""
 
-MAX_ARC_ERROR = {Motion.CRADLE: 0.08, Motion.PENDULUM: 0.2}
+MAX_ARC_ERROR = {MotionKind.CRADLE: 0.08, MotionKind.PENDULUM: 0.2}
 """Largest relative error of the distance of a swinging ball from its pivot."""
 
 MIN_SWING_RAD = 0.05
@@ -70,7 +70,7 @@ def track_object(frames: FileFrames, task: VideoTask) -> Track:
         )
     detector = (
         FaceDetector(first, task)
-        if task.motion is Motion.TURN
+        if task.motion is MotionKind.TURN
         else ShapeDetector(first, last, task)
     )
     candidates = [
@@ -108,9 +108,9 @@ def followed(
         task: The task.
         fps: Frames per second.
     """
-    if task.motion is Motion.TURN:
+    if task.motion is MotionKind.TURN:
         return [next(iter(detections), LOST) for detections in candidates]
-    is_cradle = task.motion is Motion.CRADLE
+    is_cradle = task.motion is MotionKind.CRADLE
     start_px = np.array(task.rest_px or task.centre_px)
     # A ball on wires, released at the height of its pivot, has an acceleration of twice gravity at its lowest point.
     max_m_per_s2 = (1.0 if task.direction else 2.0) * constants.g
@@ -119,7 +119,7 @@ def followed(
     path = []
     for detections in candidates:
         bend_px = gap * max(BEND * task.size_px, gravity_px)
-        if task.motion is Motion.FALL:
+        if task.motion is MotionKind.FALL:
             # An impact reverses the velocity.
             bend_px = max(bend_px, gap * float(np.linalg.norm(step_px)))
         expected_px = [place_px + gap * step_px]
@@ -162,10 +162,12 @@ def _arc_error(detection: Detection, task: VideoTask) -> float:
 
 def _is_allowed(detection: Detection, task: VideoTask) -> bool:
     """Return whether the object can be at a place: a swinging ball has a known distance from its pivot."""
-    if task.pivot_px is None or task.motion is Motion.TURN:
+    if task.pivot_px is None or task.motion is MotionKind.TURN:
         return True
     x_px, y_px = detection.place_px - task.pivot_px
-    is_out = task.motion is Motion.PENDULUM or math.atan2(x_px, y_px) > MIN_SWING_RAD
+    is_out = (
+        task.motion is MotionKind.PENDULUM or math.atan2(x_px, y_px) > MIN_SWING_RAD
+    )
     return is_out and _arc_error(detection, task) <= MAX_ARC_ERROR[task.motion]
 
 
@@ -180,7 +182,7 @@ def _other_likeness(
             is_near = math.dist(detection.place_px, chosen.place_px) < task.size_px
             # At a place that the object cannot have, it is another object, even if the object is lost.
             is_other = chosen.likeness > 0.0 or not _is_allowed(detection, task)
-            if task.motion is Motion.CRADLE:
+            if task.motion is MotionKind.CRADLE:
                 is_other &= _arc_error(detection, task) > MAX_NEIGHBOUR_ERROR
             if is_other and not is_near:
                 likeness = max(likeness, detection.likeness)

@@ -16,7 +16,7 @@ from places import ROOT
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade
 from scipy.spatial.transform import Rotation
 
-from gauge_envs import load_experiment, load_experiment_from_asset
+from gauge_envs import load_experiment
 from gauge_envs.errors import AssetError
 from gauge_envs.experiments.variants import variants
 from gauge_envs.observables.kinds import Observable
@@ -103,7 +103,7 @@ def test_layers_follow_the_published_schemas_and_read_back_as_the_scene(name, tm
     stage = isaac_sim_stage(experiment)
     stage.GetRootLayer().Export(str(tmp_path / "layer.usda"))
     assert [fault for prim in stage.Traverse() for fault in schema_faults(prim)] == []
-    read = load_experiment_from_asset(name, tmp_path / "layer.usda")
+    read = load_experiment(name, asset=tmp_path / "layer.usda")
     assert read.scene == experiment.scene
     assert read.asset.changes == ()
 
@@ -193,7 +193,7 @@ def test_an_edit_of_a_derived_constant_is_an_error(tmp_path):
     with pytest.raises(
         AssetError, match="follows from the constants in /World/Contacts"
     ):
-        load_experiment_from_asset("TableclothPulling-wood", tmp_path / "edited.usda")
+        load_experiment("TableclothPulling-wood", asset=tmp_path / "edited.usda")
 
 
 def test_command_writes_what_it_can_and_names_the_rest(tmp_path, gauge):

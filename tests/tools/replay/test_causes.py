@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from planted_arm import ARM, CART_POLE, SERVO, record
 
-from gauge_envs.tools.replay import Verdict, replay
+from gauge_envs.tools.replay import ReplayVerdict, replay
 from gauge_envs.tools.replay.fit import Problem
 from gauge_envs.tools.replay.log import ControlMap, read_log
 from gauge_envs.tools.replay.model import Replayer, build_setup, load_model
@@ -69,7 +69,7 @@ PLANTED = [
 def test_a_planted_cause_is_named_with_its_value(tmp_path, cause, planted, value):
     line = replay(*record(tmp_path, **planted)).line
     best = line.candidates[0]
-    assert line.verdict is Verdict.CAUSE
+    assert line.verdict is ReplayVerdict.CAUSE
     assert best.cause == cause
     assert best.share > 0.97
     if value is not None:
@@ -80,12 +80,28 @@ def test_the_constants_of_a_servo_are_fitted_together(tmp_path):
     log, model = record(tmp_path, robot=SERVO, change=set_servo, delay_s=0.01)
     line = replay(log, model).line
     values = {each.cause: each.values[0] for each in line.several}
-    assert line.verdict is Verdict.SEVERAL
+    assert line.verdict is ReplayVerdict.SEVERAL
     assert values["delay"].fitted == pytest.approx(0.01, abs=0.001)
     armature = values["armature"].fitted
     assert values["kp"].fitted / armature == pytest.approx(500.0, rel=0.05)
     assert values["damping"].fitted / armature == pytest.approx(25.0, rel=0.05)
     assert values["kp"].low < 12.0 < values["kp"].high
+
+
+def test_values_that_are_zero_in_the_model_are_fitted_together(tmp_path):
+    """Without armature and damping, the present values are below the smallest ones of the fit."""
+    robot = SERVO.replace('armature="0.01" damping="0.3"', "")
+    log, model = record(tmp_path, robot=robot, change=set_servo, delay_s=0.01)
+    line = replay(log, model).line
+    losses = ("armature", "damping", "dry friction")
+    fitted = [
+        value.fitted
+        for each in line.candidates
+        for value in each.values
+        if each.cause in losses
+    ]
+    assert len(fitted) == len(losses)
+    assert min(fitted) >= 0.0
 
 
 FLOOR = '<worldbody><geom type="plane" size="1 1 1" pos="0 0 -0.53"/>'
@@ -97,11 +113,11 @@ def test_the_error_of_the_right_model_is_that_of_the_noise(tmp_path, robot):
     log, model = record(tmp_path, robot=robot)
     result = replay(log, model)
     problem = result.problem
-    assert result.verdict is Verdict.NOISE
+    assert result.verdict is ReplayVerdict.NOISE
     assert problem.before.error == pytest.approx(1.0, abs=0.25)
-    assert np.mean(problem.before.train**2) == pytest.approx(1.0, abs=0.25)
+    assert np.mean(problem.before.training**2) == pytest.approx(1.0, abs=0.25)
     # The pieces that a fit sees have no part in its error.
-    seen = replace(problem.before, train=0.0 * problem.before.train)
+    seen = replace(problem.before, training=0.0 * problem.before.training)
     assert seen.error == problem.before.error
 
 
@@ -118,7 +134,7 @@ def test_a_gear_leaves_the_law_of_a_joint(tmp_path):
 
 def test_two_causes_are_named_together(tmp_path):
     line = replay(*record(tmp_path, change=set_stiffness, delay_s=0.03)).line
-    assert line.verdict is Verdict.SEVERAL
+    assert line.verdict is ReplayVerdict.SEVERAL
     assert {each.cause for each in line.several} == {"kp", "delay"}
     # A cause with a value for each of many joints lists none.
     several = tuple(replace(each, values=()) for each in line.several)
@@ -130,7 +146,7 @@ def test_a_force_that_is_not_in_the_list_is_not_explained(tmp_path):
     line = replay(
         *record(tmp_path, push=lambda now_s: 6.0 * np.sign(np.sin(7.0 * now_s)))
     ).line
-    assert line.verdict is Verdict.NOTHING
+    assert line.verdict is ReplayVerdict.NOTHING
     assert line.sentence.startswith("Nothing in the list explains it (best: ")
     assert line.paste == {}
 
@@ -140,7 +156,7 @@ def test_laws_that_are_one_are_both_named(tmp_path):
         model.actuator_biasprm[0, 2] -= 2.0
 
     line = replay(*record(tmp_path, change=change)).line
-    assert {line.candidates[0].cause, *line.alike} >= {"kd", "damping"}
+    assert {line.candidates[0].cause, *line.indistinguishable} >= {"kd", "damping"}
 
 
 def test_lines_to_paste_have_the_value_and_leave_out_what_the_log_does_not_show(
@@ -161,7 +177,7 @@ def test_two_logs_compare_with_the_first(tmp_path):
     first = first.rename(tmp_path / "first.npz")
     second, _ = record(tmp_path, change=set_armature)
     line = replay(first, model, second).line
-    assert line.verdict is Verdict.NOISE
+    assert line.verdict is ReplayVerdict.NOISE
     assert line.baseline_over_noise > 2.0
     assert line.sentence.startswith("The model predicts log.npz as badly as first.npz")
     assert all(row.repeat_rms < 1e-6 for row in line.joints)
@@ -184,5 +200,5 @@ def test_a_motor_with_targets_takes_its_law_from_the_map(tmp_path):
     errors = []
     for each, law in ((servo, ControlMap()), (model, control)):
         setup = build_setup(each, read, law)
-        errors.append(Problem(Replayer(read, setup.model), setup).before.train)
+        errors.append(Problem(Replayer(read, setup.model), setup).before.training)
     assert np.allclose(*errors, atol=1e-6)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from texts import fenced
 
 from gauge_envs.errors import GaugeError
-from gauge_envs.tools.replay import Verdict, read_log, read_map, replay
+from gauge_envs.tools.replay import ReplayVerdict, read_log, read_map, replay
 
 EXAMPLE = ROOT / "examples" / "replay"
 
@@ -58,7 +58,7 @@ def test_a_flaw_is_named_and_makes_no_cause(tmp_path, flaw):
     file = saved(tmp_path, log, **changes)
     assert any(words in text for text in read_log(file).findings)
     if flaw != "unit":
-        assert replay(file, model).verdict is Verdict.NOISE
+        assert replay(file, model).verdict is ReplayVerdict.NOISE
 
 
 def test_true_velocities_of_a_fast_motion_raise_no_warning(tmp_path):
@@ -74,7 +74,7 @@ def test_true_velocities_of_a_fast_motion_raise_no_warning(tmp_path):
 def test_a_log_whose_command_never_changes_is_explained(tmp_path):
     log, model = record(tmp_path)
     held = saved(tmp_path, log, target=np.full((400, 2), 0.1))
-    assert replay(held, model).verdict is not Verdict.NOISE
+    assert replay(held, model).verdict is not ReplayVerdict.NOISE
 
 
 def test_noise_of_each_joint_is_estimated_and_makes_no_cause(tmp_path):
@@ -82,7 +82,7 @@ def test_noise_of_each_joint_is_estimated_and_makes_no_cause(tmp_path):
     assert read_log(log).position_noise == pytest.approx(5e-4, rel=0.25)
     position = np.load(log)["q"]
     loud = position + np.random.default_rng(1).normal(0.0, 0.02, position.shape)
-    assert replay(saved(tmp_path, log, q=loud), model).verdict is Verdict.NOISE
+    assert replay(saved(tmp_path, log, q=loud), model).verdict is ReplayVerdict.NOISE
 
 
 def test_names_signs_order_and_units_come_from_header_and_map(tmp_path):
@@ -99,7 +99,7 @@ def test_names_signs_order_and_units_come_from_header_and_map(tmp_path):
         'unit = "deg"\ncommand = "target"\n'
         '[joints.shoulder]\nlog = "a"\nsign = -1\n[joints.elbow]\nlog = "b"\n'
     )
-    assert replay(file, model, mapped=read_map(map_file)).verdict is Verdict.NOISE
+    assert replay(file, model, mapped=read_map(map_file)).verdict is ReplayVerdict.NOISE
 
 
 def test_conventions_of_the_base_are_decided_by_its_motion(tmp_path):
@@ -156,8 +156,18 @@ def test_a_urdf_model_predicts_a_swing_of_the_closed_form(tmp_path):
     speed = -0.02 * rate * np.sin(rate * time_s)
     np.savez(log, t=time_s, q_pivot=angle, dq_pivot=speed)
     line = replay(log, model).line
-    assert line.verdict is Verdict.NOISE
+    assert line.verdict is ReplayVerdict.NOISE
     assert "no commands" in line.findings[0]
+
+
+def test_the_longest_name_of_a_column_counts(tmp_path):
+    """`command_rad_hip` is the command of `hip`, not of a joint `rad_hip`."""
+    file = tmp_path / "log.csv"
+    rows = [f"{0.02 * k},{0.01 * k},{0.02 * k}" for k in range(30)]
+    file.write_text("\n".join(["time_s,position_rad_hip,command_rad_hip", *rows]))
+    log = read_log(file)
+    assert (log.joints, log.command_kind) == (("hip",), "target")
+    assert log.command_names == ("hip",)
 
 
 def test_a_log_in_parquet_is_read(tmp_path):
@@ -186,7 +196,9 @@ def test_the_recorder_of_the_page_writes_a_log_of_gymnasium(tmp_path):
         recorder.add(env.data.time, q=env.data.qpos, dq=env.data.qvel, ctrl=control)
         env.do_simulation(control, env.frame_skip)
     recorder.save(tmp_path / "log.npz")
-    assert replay(tmp_path / "log.npz", Path(env.fullpath)).verdict is Verdict.NOISE
+    assert (
+        replay(tmp_path / "log.npz", Path(env.fullpath)).verdict is ReplayVerdict.NOISE
+    )
 
 
 FREE = '<worldbody><body><freejoint/><geom size="0.1"/></body>'
@@ -225,9 +237,9 @@ def test_the_real_pendulum_needs_armature_and_losses(gauge, tmp_path):
         for each in line.several
         for value in each.values
     }
-    assert line.verdict is Verdict.NOTHING
+    assert line.verdict is ReplayVerdict.NOTHING
     assert 0.002 < found["armature", "elbow"] < 0.008
-    assert len(line.alike) > 0
+    assert len(line.indistinguishable) > 0
     picture = tmp_path / "replay.png"
     second = EXAMPLE / "double_pendulum_day4.npz"
     fitted = EXAMPLE / "double_pendulum_fitted.xml"

@@ -9,7 +9,7 @@ from planted_models import side
 from gauge_envs.errors import ParameterError
 from gauge_envs.tools.versions import environments, episodes
 from gauge_envs.tools.versions.episodes import compare_motions, compare_returns
-from gauge_envs.tools.versions.schema import Verdict
+from gauge_envs.tools.versions.schema import VersionsVerdict
 from gauge_envs.tools.versions.subject import compares_motions, read_sides
 
 
@@ -21,7 +21,7 @@ def test_engines_are_compared_as_motions():
     sides = pair("mujoco", "pybullet")
     assert compares_motions("SlopeSlider-2-wood", sides)
     comparison, scores = compare_motions("SlopeSlider-2-wood", *sides, seed=0)
-    assert comparison.verdict is Verdict.DIFFERENT
+    assert comparison.verdict is VersionsVerdict.DIFFERENT
     assert comparison.largest > 10.0 * comparison.noise
     assert comparison.first_s < 0.1 < comparison.largest_s
     # The scores do not differ: the paths are within 0.3 mm.
@@ -34,12 +34,13 @@ def test_a_release_of_an_engine_does_not_differ_from_itself(tmp_path, monkeypatc
     monkeypatch.setattr(environments, "make_environment", lambda requirement: tmp_path)
     sides = pair("pybullet==3.2.7", "pybullet")
     comparison, _ = compare_motions("BouncingBall-rubber", *sides, seed=0)
-    assert (comparison.verdict, comparison.largest) == (Verdict.SAME, 0.0)
+    assert (comparison.verdict, comparison.largest) == (VersionsVerdict.SAME, 0.0)
     assert comparison.noise > 0.0
 
 
 @pytest.mark.parametrize(
-    ("share", "verdict"), [(5.0, Verdict.SAME), (20.0, Verdict.DIFFERENT)]
+    ("share", "verdict"),
+    [(5.0, VersionsVerdict.SAME), (20.0, VersionsVerdict.DIFFERENT)],
 )
 def test_a_difference_of_less_than_ten_times_the_noise_is_no_difference(
     monkeypatch, share, verdict
@@ -110,9 +111,9 @@ def test_returns_of_a_policy_are_compared_seed_by_seed(tmp_path, monkeypatch, po
     expected = 3 * 6.0 + actions - 0.006
     assert comparison.returns[0] == pytest.approx(expected, abs=1e-6)
     assert comparison.change.value == pytest.approx(-0.003)
-    assert comparison.verdict is Verdict.DIFFERENT
+    assert comparison.verdict is VersionsVerdict.DIFFERENT
     equal = compare_returns("played:Counter", sides[0], sides[0], seeds=2, **options)
-    assert (equal.verdict, equal.change.value) == (Verdict.SAME, 0.0)
+    assert (equal.verdict, equal.change.value) == (VersionsVerdict.SAME, 0.0)
 
 
 def test_the_change_of_a_return_has_students_interval(monkeypatch):
@@ -127,7 +128,7 @@ def test_the_change_of_a_return_has_students_interval(monkeypatch):
     assert (comparison.returns, comparison.change.value) == ((4.0, 6.0), 2.0)
     half_width = comparison.change.value - comparison.change.low
     assert half_width == pytest.approx(4.3027 / 3.0**0.5, rel=1e-4)
-    assert comparison.verdict is Verdict.SAME
+    assert comparison.verdict is VersionsVerdict.SAME
 
 
 @pytest.mark.parametrize(

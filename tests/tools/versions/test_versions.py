@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
+from gauge_envs.tools.versions import worker
 from gauge_envs.tools.versions.comparison import (
     compare,
     corners_m,
@@ -18,7 +19,7 @@ from gauge_envs.tools.versions.comparison import (
 )
 from gauge_envs.tools.versions.environments import work
 from gauge_envs.tools.versions.report import comparison_document
-from gauge_envs.tools.versions.schema import Quantity, Verdict
+from gauge_envs.tools.versions.schema import Quantity, VersionsVerdict
 
 
 @pytest.fixture
@@ -35,7 +36,7 @@ def compared(monkeypatch, tmp_path):
 def test_a_version_does_not_differ_from_itself(compared):
     comparison = compared()
     # Each side visits the initial state, random controls and a push.
-    assert (comparison.verdict, comparison.states) == (Verdict.SAME, 2 * 3 * 20)
+    assert (comparison.verdict, comparison.states) == (VersionsVerdict.SAME, 2 * 3 * 20)
     assert (comparison.largest, comparison.first) == (0, None)
     assert comparison.fields == ()
 
@@ -55,7 +56,7 @@ def rounded(arrays):
 
 def test_rounding_is_no_difference(compared):
     comparison = compared(rounded)
-    assert comparison.verdict is Verdict.SAME
+    assert comparison.verdict is VersionsVerdict.SAME
     assert 0.0 < comparison.largest < 1e-11
 
 
@@ -96,7 +97,7 @@ def test_the_report_names_the_first_step_and_quantity_of_a_planted_change(
     compared, plant, step, quantity, where
 ):
     comparison = compared(plant)
-    assert comparison.verdict is Verdict.DIFFERENT
+    assert comparison.verdict is VersionsVerdict.DIFFERENT
     first = comparison.first
     assert (first.segment, first.step) == ("start", step)
     assert (first.quantity, first.where) == (quantity, where)
@@ -153,9 +154,35 @@ def test_a_changed_default_is_a_changed_field_that_no_law_decides(compared):
     # The box is the second geom.
     assert (change.row, change.count) == (1, 1)
     assert (change.before, change.after) == ([0.02, 1.0], [0.021, 1.0])
-    assert (comparison.verdict, comparison.right) == (Verdict.DIFFERENT, "")
+    assert (comparison.verdict, comparison.right) == (VersionsVerdict.DIFFERENT, "")
     last = comparison_document(comparison).parts[-1]
     assert "No checked law" in last.text
+
+
+def test_each_array_of_a_model_is_physical_or_not():
+    """A new release of MuJoCo has new fields: add each to one list of model_fields.json."""
+    names = worker.array_fields(mujoco.MjModel.from_xml_string(SCENE))
+    physical, other = worker.FIELDS["physics"], worker.FIELDS["other"]
+    assert not {*physical} & {*other}
+    assert {*names} <= {*physical, *other}
+    assert {"qpos0", "geom_margin", "site_pos", "hfield_data"} <= {*physical}
+    assert {"geom_rgba", "body_dofadr", "names_map"} <= {*other}
+
+
+def test_a_field_that_is_in_neither_list_is_compared_and_reported(
+    compared, monkeypatch
+):
+    known = {kind: [*names] for kind, names in worker.FIELDS.items()}
+    known["physics"].remove("geom_solref")
+    monkeypatch.setattr(worker, "FIELDS", known)
+    new = SCENE.replace('name="box" type', 'name="box" solref="0.021 1" type')
+    comparison = compared(None, new, steps=3)
+    assert comparison.unknown_fields == ("geom_solref",)
+    assert [change.field for change in comparison.fields] == ["geom_solref"]
+    texts = [
+        getattr(part, "text", "") for part in comparison_document(comparison).parts
+    ]
+    assert any("compared as physical ones: geom_solref" in text for text in texts)
 
 
 def test_a_model_moves_from_saved_states(compared, tmp_path):

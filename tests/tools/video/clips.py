@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from gauge_envs.tools.video import Track, score
-from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, video_task
+from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, MotionKind, video_task
 
 SHIFT = 4
 """Bits of the pixel fractions in OpenCV: 1/16 px."""
@@ -118,8 +118,8 @@ def motion_on_grid(task, rng):
     """Return the place and rotation of the object at a time, the truth, and the duration [s]."""
     start, scale = np.array(task.centre_px), task.scale_m_per_px
     release = float(rng.uniform(0.2, 0.5))
-    if task.motion in (Motion.SLIDE, Motion.FALL):
-        is_slide = task.motion is Motion.SLIDE
+    if task.motion in (MotionKind.SLIDE, MotionKind.FALL):
+        is_slide = task.motion is MotionKind.SLIDE
         a = float(rng.uniform(0.6, 4.0) if is_slide else rng.uniform(1.0, 9.81))
         lasts = (2.0 * (0.38 if is_slide else 0.44) / a) ** 0.5
         direction = np.array(task.direction)
@@ -132,7 +132,7 @@ def motion_on_grid(task, rng):
         rest = 0.3 if is_slide else 0.2
         return straight, {"acceleration_m_s2": a}, release + lasts + rest
     pivot = np.array(task.pivot_px)
-    if task.motion is Motion.TURN:
+    if task.motion is MotionKind.TURN:
         rate = float(rng.uniform(1.0, 2.5))
 
         def turning(time_s):
@@ -142,7 +142,7 @@ def motion_on_grid(task, rng):
             return pivot + rotation @ (start - pivot), -float(np.degrees(angle))
 
         return turning, {"de": 0.0}, release + 1.5
-    if task.motion is Motion.PENDULUM:
+    if task.motion is MotionKind.PENDULUM:
         period, damping = float(rng.uniform(0.8, 2.2)), float(rng.uniform(0.0, 0.2))
         amplitude = float(np.arctan2(*(start - pivot)))
         length = float(np.linalg.norm(start - pivot))
@@ -172,19 +172,19 @@ def _scene(task, rng):
     width, height = REFERENCE_SIZE_PX
     is_dark = (
         task.id in ("SlopeSlider-2-wood", "SlopeSlider-2-metal")
-        or task.motion is Motion.TURN
+        or task.motion is MotionKind.TURN
     )
     scene = np.full((height, width, 3), 30 if is_dark else 205, dtype=np.uint8)
-    if task.motion is Motion.SLIDE:
+    if task.motion is MotionKind.SLIDE:
         cv2.line(scene, (670, 72), (150, 392), (150, 185, 215), 16, cv2.LINE_AA)
-    elif task.motion is Motion.FALL:
+    elif task.motion is MotionKind.FALL:
         cv2.rectangle(scene, (230, 410), (640, 445), (120, 170, 215), -1)
-    elif task.motion is Motion.TURN:
+    elif task.motion is MotionKind.TURN:
         centre = tuple(int(value) for value in task.pivot_px or (0, 0))
         # The tint distinguishes metal from the plate.
         plate = (140, 165, 185) if task.is_shiny else (185, 205, 215)
         cv2.circle(scene, centre, 225, plate, -1, cv2.LINE_AA)
-    elif task.motion is Motion.PENDULUM:
+    elif task.motion is MotionKind.PENDULUM:
         cv2.rectangle(scene, (400, 50), (426, 440), (28, 28, 28), -1)
         cv2.rectangle(scene, (0, 330), (width, height), (35, 35, 35), -1)
         # The holes of the table show that the camera is fixed.
@@ -198,7 +198,7 @@ def _scene(task, rng):
 
 
 def _draw(task, picture, place, angle_deg):
-    if task.motion in (Motion.SLIDE, Motion.TURN):
+    if task.motion in (MotionKind.SLIDE, MotionKind.TURN):
         colour = {
             "wood": (105, 150, 195),
             "plastic": (40, 35, 25),

@@ -1,5 +1,5 @@
 """MJCF files of scenes: reader of files that replace a scene, and writer for other tools."""
 
-from gauge_envs.backends.mujoco.mjcf.writer import NUMBER, expanded, scene_mjcf_text
+from gauge_envs.backends.mujoco.mjcf.writer import scene_mjcf_text
 
-__all__ = ["NUMBER", "expanded", "scene_mjcf_text"]
+__all__ = ["scene_mjcf_text"]

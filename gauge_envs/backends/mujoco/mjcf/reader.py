@@ -25,7 +25,6 @@ import mujoco
 import numpy as np
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.backends.mujoco.contact_table import option_settings
 from gauge_envs.backends.mujoco.flex import flex_table
 from gauge_envs.backends.mujoco.mjcf.diff import (
     is_same,
@@ -38,8 +37,13 @@ from gauge_envs.backends.mujoco.mjcf.writer import (
     driver_rows,
 )
 from gauge_envs.backends.mujoco.model import START_KEY, build_model
+from gauge_envs.backends.mujoco.options import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
-from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+from gauge_envs.backends.mujoco.simulation import (
+    KINEMATICS,
+    SimulationMuJoCo,
+    kinematic_state,
+)
 from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import AssetError, ParameterError
 from gauge_envs.files import os_errors
@@ -84,7 +88,10 @@ class BackendMJCF(BackendMuJoCo):
         self._path = path
 
     def compiled(
-        self, scene: Scene, world_count: int, settings: Mapping[str, Any] | None
+        self,
+        scene: Scene,
+        world_count: int = 1,
+        settings: Mapping[str, Any] | None = None,
     ) -> SimulationMuJoCo:
         """Build worlds of the model of the file.
 
@@ -130,7 +137,7 @@ def read_model(path: Path, scene: Scene) -> tuple[Scene, tuple[Change, ...]]:
     Raises:
         AssetError: The file cannot be read, or does not fit the scene.
     """
-    simulation = BackendMuJoCo().build(scene)
+    simulation = BackendMuJoCo().compiled(scene)
     _, model = _compiled(path)
     _settings(path, model)
     placed = _placed_scene(path, model, simulation.model, scene)
@@ -290,9 +297,8 @@ def _start_data(path: Path, model: mujoco.MjModel, scene: Scene) -> mujoco.MjDat
             if joint not in dynamic:
                 reason = f"its qvel moves joint {joint!r}: only dynamic rigid bodies start with velocity"
                 raise AssetError(path, place, reason)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    mujoco.mj_comVel(model, data)
+    for stage in KINEMATICS:
+        stage(model, data)
     return data
 
 
@@ -337,36 +343,23 @@ def _placed_body(
         data: Start of the model of the file.
         expected: Start of the model that the backend builds.
     """
-    (mass_kg, pose, velocity), expected_values = (
-        _initial_state(source, body.name) for source in (data, expected)
+    number, built_number = (
+        source.model.body(body.name).id for source in (data, expected)
     )
+    mass_kg = float(data.model.body_mass[number])
     # The mass of a driven body is a numerical setting of the backend.
-    if body.motion is Motion.DYNAMIC and not is_same(mass_kg, expected_values[0]):
+    if body.motion is Motion.DYNAMIC and not is_same(
+        mass_kg, expected.model.body_mass[built_number]
+    ):
         body = replace(body, mass_kg=mass_kg)
-    if not is_same(pose, expected_values[1]):
-        body = replace(body, pose=Pose.of_state(pose))
-    if not is_same(velocity, expected_values[2]):
+    state = kinematic_state(data, number)
+    built_state = kinematic_state(expected, built_number)
+    if not is_same(state[:7], built_state[:7]):
+        body = replace(body, pose=Pose.of_state(state))
+    if not is_same(state[7:], built_state[7:]):
         body = replace(
             body,
-            linear_velocity_m_per_s=vector(velocity[3:]),
-            angular_velocity_rad_per_s=vector(velocity[:3]),
+            linear_velocity_m_per_s=vector(state[7:10]),
+            angular_velocity_rad_per_s=vector(state[10:]),
         )
     return body
-
-
-def _initial_state(
-    data: mujoco.MjData, name: str
-) -> tuple[float, FloatArray, FloatArray]:
-    """Return the start of a body in the world frame.
-
-    Returns:
-        Mass [kg]; position of the origin [m] and quaternion w, x, y, z, shape [7]; angular velocity [rad/s] and
-        velocity of the origin [m/s], shape [6].
-    """
-    model, body = data.model, data.body(name)
-    velocity = np.empty(6)
-    mujoco.mj_objectVelocity(
-        model, data, mujoco.mjtObj.mjOBJ_XBODY, body.id, velocity, 0
-    )
-    pose = np.concatenate([body.xpos, body.xquat])
-    return float(model.body_mass[body.id]), pose, velocity

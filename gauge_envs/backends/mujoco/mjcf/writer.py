@@ -4,7 +4,6 @@ MuJoCo's public XML writer prints six significant digits and omits the compiled 
 module restores the digits from the editable model and adds the tables as custom numbers.
 """
 
-import re
 from collections.abc import Iterable, Iterator
 from typing import Any
 from xml.etree import ElementTree
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
+from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo
 from gauge_envs.backends.mujoco.flex import flex_table
 from gauge_envs.backends.mujoco.model import START_KEY
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
@@ -29,15 +29,8 @@ DRIVER_PREFIX = "driver/"
 DRIVER_COLUMNS = 19
 """Number of columns of driven motion: qpos 7, qvel 6, xfrc_applied 6."""
 
-NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
-
 TABLE_TOLERANCE = 1e-9
 """Relative difference below which a compiled table equals the backend's: sums in another order differ by rounding."""
-
-KINDS = re.compile(
-    r'<numeric name="(?P<name>[^"]+)/kinds" size="\d+" data="(?P<kinds>[^"]*)" />\s*'
-    r'<numeric name="(?P=name)/kind" size="\d+" data="(?P<kind>[^"]*)" />'
-)
 
 
 def scene_mjcf_text(
@@ -58,7 +51,7 @@ def scene_mjcf_text(
         raise UnsupportedSceneError(
             f"{name}: MJCF cannot express the air around the cloth: write a USD layer, or export without air"
         )
-    simulation = BackendMuJoCo().build(scene)
+    simulation = BackendMuJoCo().compiled(scene)
     comment = [*notes]
     if simulation.model.nkey:
         comment.append(
@@ -81,17 +74,6 @@ def scene_mjcf_text(
     element.tail = "\n\n  "
     root.insert(0, element)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
-
-
-def expanded(text: str) -> str:
-    """Return a file's text with all table rows written out, since bitwise equality of rows depends on the machine."""
-
-    def rows(match: re.Match[str]) -> str:
-        kind = np.array(match["kind"].split(), dtype=int)
-        kinds = np.array(match["kinds"].split()).reshape(kind.max() + 1, -1)
-        return "\n".join(map(" ".join, kinds[kind]))
-
-    return KINDS.sub(rows, text)
 
 
 def _add_numeric(
@@ -168,9 +150,10 @@ def _add_flex_tables(simulation: SimulationMuJoCo) -> Iterator[str]:
             place = f"model.{table}[{start} : {start + values.size}]"
             title = f"{table}/{body}"
             rows = values.reshape(row_count, -1)
-            if table == "flex_bending":
-                weights = _weights(rows, compiled.reshape(rows.shape))
-                _add_numeric(simulation, f"{title}/weight", weights.tolist())
+            part = simulation.parts[body]
+            if table == "flex_bending" and isinstance(part, ClothPartMuJoCo):
+                weights = part.fold_weights(model).tolist()
+                _add_numeric(simulation, f"{title}/weight", weights)
                 yield (
                     f"Cloth {body!r}: weigh the folds about the diagonals of its mesh, after loading:\n"
                     f"        rows = {place}.reshape(-1, {rows.shape[1]})\n"
@@ -198,19 +181,6 @@ def _row_counts(model: mujoco.MjModel, index: int) -> dict[str, int]:
         "flex_stiffness": int(cells if model.flex_interp[index] else elements),
         "flex_bending": int(model.flex_edgenum[index]),
     }
-
-
-def _weights(rows: FloatArray, compiled: FloatArray) -> FloatArray:
-    """Return the factor on each compiled row that gives the desired row bit for bit, shape [row_count]."""
-    largest = (np.arange(len(rows)), np.abs(compiled).argmax(axis=1))
-    divisors = compiled[largest]
-    weights = np.divide(
-        rows[largest], divisors, out=np.ones(len(rows)), where=divisors != 0.0
-    )
-    # A quotient may differ in its last bit from the factor that gives the row.
-    for weight in np.unique(weights):
-        weights[(compiled * weight == rows).all(axis=1)] = weight
-    return weights
 
 
 # --- exact XML -------------------------------------------------------------------------------------------------------
@@ -274,10 +244,14 @@ def _restore_digits(element: ElementTree.Element, source: Any) -> None:
     aliases = ALIASES.get(element.tag, {})
     for key, text in element.items():
         exact = getattr(source, aliases.get(key, key), None)
-        if exact is None or not NUMBER.fullmatch(text.split(" ")[0]):
+        if exact is None or isinstance(exact, str):
+            continue
+        try:
+            written = np.array(text.split(), dtype=np.float64)
+        except ValueError:
+            # These are words, such as `true` or names.
             continue
         is_mesh = element.tag == "mesh" and key == "vertex"
-        written = np.array(text.split(), dtype=np.float64)
         # MuJoCo omits trailing defaults.
         values = np.atleast_1d(np.asarray(exact, np.float32 if is_mesh else None))
         values = values[: written.size]

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings, numbers
 from gauge_envs.tools.recipes.engines.mujoco import (
-    ConstraintSettings,
+    SOFT_DEPTH,
     impedance_of,
     spring_frequency_per_s,
 )
@@ -66,9 +66,7 @@ class GenesisSettings(ContactSettings):
     limits: ClassVar = {
         "restitution": "Genesis has no coefficient of restitution: a rebound is a damped spring over several steps; "
         "the time constant of a contact is at least two steps",
-        "penetration_m": ConstraintSettings.limits["penetration_m"].replace(
-            "MuJoCo", "Genesis"
-        ),
+        "penetration_m": SOFT_DEPTH.format("Genesis"),
     }
 
     friction: float = Field(default=1.0, ge=0.01, le=5.0)

@@ -8,6 +8,7 @@ from pydantic import BeforeValidator, Field
 
 from gauge_envs.backends.mujoco.settings import SolImp, SolRef
 from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.bodies import friction_dimension
 from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings, numbers
 
@@ -58,6 +59,13 @@ MARGIN = 0.8
 """Target depth, as a share of the allowed depth."""
 
 
+SOFT_DEPTH = (
+    "{}'s contact is soft: its depth at rest is (1 - d) g / (d k) on one contact, and its impedance d is at most "
+    "0.9999"
+)
+"""Why an engine that solves MuJoCo's contact equation misses a depth."""
+
+
 def _with_shape(solimp: Any) -> Any:
     """Return an impedance with MuJoCo's defaults for missing values."""
     is_single = isinstance(solimp, str)
@@ -89,8 +97,7 @@ class ConstraintSettings(ContactSettings):
         "restitution": "MuJoCo has no coefficient of restitution: the damping of a contact equation, evaluated once "
         "a step, determines the rebound",
         "friction": "MuJoCo solves friction and normal force together as one soft constraint",
-        "penetration_m": "MuJoCo's contact is soft: its depth at rest is (1 - d) g / (d k) on one contact, and its "
-        "impedance d is at most 0.9999",
+        "penetration_m": SOFT_DEPTH.format("MuJoCo"),
     }
 
     integrator: str
@@ -102,9 +109,7 @@ class ConstraintSettings(ContactSettings):
     @property
     def condim(self) -> int:
         """MuJoCo's contact dimension for sliding, torsional and rolling friction of the settings."""
-        if self.rolling_m:
-            return 6
-        return 4 if self.torsion_m else 3
+        return friction_dimension(self.torsion_m, self.rolling_m)
 
 
 class MuJoCoSettings(ConstraintSettings):

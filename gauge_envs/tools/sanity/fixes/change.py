@@ -8,7 +8,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from gauge_envs.backends.mujoco.model import set_option
+from gauge_envs.backends.mujoco.options import set_option
 from gauge_envs.errors import ParameterError
 from gauge_envs.tools.sanity.model_checks.at_rest import constraints
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration

@@ -14,9 +14,10 @@ from typing import Any
 
 import mujoco
 
-from gauge_envs.backends.mujoco.model import (
+from gauge_envs.backends.mujoco.options import (
     DISABLE_FLAGS,
     ENABLE_FLAGS,
+    NAMED_OPTIONS,
     SAME_NAME_OPTIONS,
 )
 from gauge_envs.errors import TargetError
@@ -49,7 +50,7 @@ equality_solimp  equality solimp   value
 """
 """Element and attribute of settings that have another name in MJCF."""
 
-OPTIONS = ("integrator", "cone", "solver", *SAME_NAME_OPTIONS)
+OPTIONS = (*NAMED_OPTIONS, *SAME_NAME_OPTIONS)
 """Settings that are called as in MJCF."""
 
 

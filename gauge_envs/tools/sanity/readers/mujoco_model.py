@@ -19,9 +19,8 @@ from gauge_envs.backends.mujoco.contact_table import (
     contact_settings,
     default_contact_settings,
     effective_constants,
-    option_settings,
-    overrides_contacts,
 )
+from gauge_envs.backends.mujoco.options import option_settings, overrides_contacts
 from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import Vector

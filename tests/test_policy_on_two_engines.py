@@ -1,4 +1,4 @@
-"""The example that replays a policy on two engines."""
+"""The example that runs a policy on two engines."""
 
 import os
 
@@ -6,10 +6,10 @@ from places import ROOT
 from programs import printed
 
 
-def test_a_policy_is_replayed_on_two_engines(tmp_path):
+def test_a_policy_runs_on_two_engines(tmp_path):
     (tmp_path / "policies.py").write_text("def still(_):\n    return [0.0]\n")
     shown = printed(
-        ROOT / "examples" / "replay_policy.py",
+        ROOT / "examples" / "policy_on_two_engines.py",
         *("policies:still", "--id", "Turntable-Limit-wood"),
         *("--other", "rapier", "--episodes", 1),
         cwd=tmp_path,

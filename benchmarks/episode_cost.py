@@ -1,4 +1,4 @@
-"""An episode of an environment beside the bare engine, which replays the same calls.
+"""An episode of an environment beside the bare engine, which repeats the same calls.
 
 The calls of an episode are recorded: `reset`, `drive`, `advance` and `apply_wrench` with their arrays. The engine then
 repeats them without observations, rewards and scores. So the difference is what the environment costs.
@@ -78,7 +78,7 @@ def simulation_of(env: Any) -> Any:
 def paired_s(
     env: Any, simulation: Any, actions: Sequence[Any], budget_s: float
 ) -> tuple[list[float], list[float]]:
-    """Return processor times of replays and of episodes, which alternate [s]."""
+    """Return processor times of repeated calls and of episodes, which alternate [s]."""
     calls: list[Call] = []
     for name in CALLS:
         setattr(simulation, name, _recorder(getattr(simulation, name), calls))
@@ -88,7 +88,7 @@ def paired_s(
     bare_s, full_s = [], []
     start = time.process_time()
     while not bare_s or time.process_time() - start < budget_s:
-        bare_s.append(process_s(lambda: replay(calls)))
+        bare_s.append(process_s(lambda: repeat(calls)))
         full_s.append(process_s(lambda: run(env, actions)))
     return bare_s, full_s
 
@@ -107,7 +107,7 @@ def _recorder(call: Callable[..., Any], calls: list[Call]) -> Callable[..., Any]
     return recorded
 
 
-def replay(calls: Sequence[Call]) -> None:
+def repeat(calls: Sequence[Call]) -> None:
     """Repeat recorded calls."""
     for call, arguments in calls:
         call(*arguments)

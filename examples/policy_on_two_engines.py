@@ -1,10 +1,10 @@
-"""Replay a policy on the engine of its training and on another engine, from the same initial states.
+"""Run a policy on the engine of its training and on another engine, from the same initial states.
 
-    python examples/replay_policy.py trained/Throw-Limit-rubber-0.zip --id Throw-Limit-rubber --other newton
-    python examples/replay_policy.py my_policies:push --id Push-Limit-wood --trained-on mujoco --other rapier
+    python examples/policy_on_two_engines.py trained/Throw-Limit-rubber-0.zip --id Throw-Limit-rubber --other newton
+    python examples/policy_on_two_engines.py my_policies:push --id Push-Limit-wood --trained-on mujoco --other rapier
 
 A policy is a zip of Stable-Baselines3 (extra `rl`), with the statistics of `VecNormalize` in a file .pkl beside it if
-it has some; or `module:function`, from an observation to an action. Both run code of the file: replay your own.
+it has some; or `module:function`, from an observation to an action. Both run code of the file: run your own.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def main(
     policy: Annotated[str, typer.Argument(help="Zip of Stable-Baselines3, or module:function.")],
     experiment: Annotated[str, typer.Option("--id", help="Experiment or control task.")],
     trained_on: Annotated[str, typer.Option(help="Engine of the training.")] = "mujoco",
-    other: Annotated[str, typer.Option(help="Engine to replay on.")] = "newton",
+    other: Annotated[str, typer.Option(help="Other engine.")] = "newton",
     algorithm: Annotated[str, typer.Option(help="Class of a zip.")] = "PPO",
     episodes: Annotated[int, typer.Option(min=1, help="Number of starts.")] = 5,
 ) -> None:
