@@ -50,6 +50,12 @@ class BackendMuJoCo(BundledBackend):
         yield from without_deformables(scene)
         yield from unsupported_features(scene)
 
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> SimulationMuJoCo:
+        """Build a scene; settings are the fields of `SettingsMuJoCo`."""
+        return self.compiled(scene, 1, settings)
+
     def build_worlds(
         self,
         scene: Scene,
@@ -57,15 +63,15 @@ class BackendMuJoCo(BundledBackend):
         settings: Mapping[str, Any] | None = None,
     ) -> Simulation:
         """Build rigid worlds of one model, which threads step; those with deformable bodies have a model each."""
-        if scene.deformables and world_count > 1:
+        if scene.deformables:
             return super().build_worlds(scene, world_count, settings)
         return self.compiled(scene, world_count, settings)
 
     def compiled(
         self,
         scene: Scene,
-        world_count: int = 1,
-        settings: Mapping[str, Any] | None = None,
+        world_count: int,
+        settings: Mapping[str, Any] | None,
     ) -> SimulationMuJoCo:
         """Build worlds of one model."""
         for reason in without_deformables(scene):

@@ -137,7 +137,7 @@ def read_model(path: Path, scene: Scene) -> tuple[Scene, tuple[Change, ...]]:
     Raises:
         AssetError: The file cannot be read, or does not fit the scene.
     """
-    simulation = BackendMuJoCo().compiled(scene)
+    simulation = BackendMuJoCo().build(scene)
     _, model = _compiled(path)
     _settings(path, model)
     placed = _placed_scene(path, model, simulation.model, scene)

@@ -51,7 +51,7 @@ def scene_mjcf_text(
         raise UnsupportedSceneError(
             f"{name}: MJCF cannot express the air around the cloth: write a USD layer, or export without air"
         )
-    simulation = BackendMuJoCo().compiled(scene)
+    simulation = BackendMuJoCo().build(scene)
     comment = [*notes]
     if simulation.model.nkey:
         comment.append(
