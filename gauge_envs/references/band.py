@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -57,12 +58,21 @@ FILE_FIELDS = (
     "licence",
     "trial_count",
     "normalized",
-    "exact",
+    "exact_law",
 )
 """Fields of a band with the same name in its TOML file."""
 
 MARKER_ARRAYS = ("markers_mm", "markers_uncertainty_mm")
 """Arrays of a numerical solution of cloth or foam: positions of its markers, shape [T, 3 M]."""
+
+
+class ExactLaw(StrEnum):
+    """Closed form of a motion."""
+
+    COULOMB_SLIDE = "coulomb-slide"
+    """A box slides down a fixed box, or sticks."""
+    IDEAL_REBOUNDS = "ideal-rebounds"
+    """A ball falls on a plane and rebounds."""
 
 
 class RecordedEvent(FileModel):
@@ -98,8 +108,8 @@ class BandFile(FileModel):
         normalized: Whether distances are divided by the published distance of real trials.
         standard_uncertainty: As `Band.standard_uncertainty`; for readers of the file.
         zero_motion_distance: As `Band.zero_motion_distance`; for readers of the file.
-        exact: Normalized distance of an exact solution of the scene, by parameter set.
-        exact_source: How the exact solution was computed, or why there is none.
+        exact_law: As `Band.exact_law`.
+        exact_source: Words for the exact motion, or why there is none.
         events: Real values of events.
         imported: Facts of `gauge data import` about the trials; empty for bundled references.
     """
@@ -113,7 +123,7 @@ class BandFile(FileModel):
     normalized: bool = True
     standard_uncertainty: float | None = None
     zero_motion_distance: float | None = None
-    exact: dict[str, float] = Field(default_factory=dict)
+    exact_law: ExactLaw | None = None
     exact_source: str = ""
     events: tuple[RecordedEvent, ...] = ()
     imported: dict[str, Any] = Field(default_factory=dict)
@@ -142,7 +152,7 @@ class Band:
         trial_rmse_aligned: The same after the time shift with the smallest RMSE, shape [N].
         normalized: Whether distances are divided by the published distance of real trials.
         points: Positions of the markers as a band in mm; scores and rewards of cloth and foam use them.
-        exact: Normalized distance of an exact solution with the same constants, by parameter set.
+        exact_law: Law of the exact motion of the scene, see `gauge_envs.scoring.exact`; None without a closed form.
         given_uncertainty: `standard_uncertainty` from a file; None computes it from the arrays.
 
     Raises:
@@ -165,7 +175,7 @@ class Band:
     trial_rmse_aligned: FloatArray | None = None
     normalized: bool = True
     points: Band | None = None
-    exact: Mapping[str, float] = field(default_factory=dict)
+    exact_law: ExactLaw | None = None
     given_uncertainty: float | None = None
 
     def __post_init__(self) -> None:
@@ -259,7 +269,7 @@ class Band:
             trial_rmse_aligned=None,
             normalized=False,
             given_uncertainty=None,
-            exact={},
+            exact_law=None,
         )
 
     def project(self, g: ArrayLike) -> FloatArray:

@@ -96,8 +96,8 @@ def score_file(
     if unusual:
         score = replace(score, estimates={})
     if origin.parameters is None and parameters is None:
-        # The simulator of the file may have other constants than the exact solution.
-        score = replace(score, exact=None)
+        # The simulator of the file may have other constants than the exact motion.
+        score = replace(score, exact=None, cause=None)
     result = result_of(
         experiment,
         outcome=Outcome.FINISHED,

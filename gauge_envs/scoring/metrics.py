@@ -179,11 +179,12 @@ def time_offset(
         squares = np.nansum(np.square(deviation), axis=(-2, -1))
         return np.asarray(np.sqrt(squares / counts))
 
-    return _best_offset(shifted_rmse, earliest_s)
+    return best_offset(shifted_rmse, earliest_s)
 
 
-def _best_offset(
-    shifted_rmse: Callable[[FloatArray], FloatArray], earliest_s: float
+def best_offset(
+    shifted_rmse: Callable[[FloatArray], FloatArray],
+    earliest_s: float = -MAX_TIME_OFFSET_S,
 ) -> tuple[float, float]:
     """Return the time shift with the smallest RMSE, from a grid and a search next to its best shift, and the RMSE."""
     from scipy.optimize import minimize_scalar

@@ -20,8 +20,10 @@ from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import Baseline
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.cause import NEAR_EXACT, Cause, distance_from_exact
 from gauge_envs.scoring.estimates import ComparedQuantity, estimates
 from gauge_envs.scoring.events import PUBLISHED_TRIALS, event_values
+from gauge_envs.scoring.exact import MotionOfTime, exact_solution
 from gauge_envs.scoring.interval import distance_interval, trials_interval
 from gauge_envs.scoring.metrics import (
     MAX_TIME_OFFSET_S,
@@ -71,7 +73,8 @@ class Score:
     | `kind` | | `trials`, `recording`, `analytic`, `numerical` or `none`: what the reference motion is |
     | `unit` | | unit of the distances |
     | `primary` | | distance that reports show first: `rmse_aligned` for a release, `over_uncertainty` for a solution |
-    | `exact` | 1 | the primary ratio that an exact solution with the same constants has |
+    | `exact` | 1 | the primary ratio of the exact motion with the same constants, at the same times |
+    | `cause` | | `none`, `constants`, `engine` or `both` (`Cause`): what causes the distance from real trials |
     | `rmse` | unit | E_RMSE of the paper |
     | `rmse_95` | unit | its 95 % interval: from the scatter of single trials, else 1.96 u of the reference |
     | `rmse_normalized` | 1 | `rmse` over the published mean of real trials |
@@ -96,6 +99,7 @@ class Score:
     unit: str
     primary: str | None = None
     exact: float | None = None
+    cause: Cause | None = None
     rmse: float | None = None
     rmse_95: Interval | None = None
     rmse_normalized: float | None = None
@@ -205,7 +209,7 @@ class Score:
             low, high = (_text(end) for end in self.primary_interval)
             text += f" [{low}, {high}]"
         if self.exact is not None:
-            text += f", an exact solution {_text(self.exact)}"
+            text += f", an exact solver {_text(self.exact)}"
         return text
 
     def __repr__(self) -> str:
@@ -338,9 +342,9 @@ def score_trajectory(
         markers_m=markers_m,
     )
     score = _with_distances(score, motion)
-    # The exact solution has the nominal start.
-    if not is_moved and not experiment.edited:
-        score = replace(score, exact=band.exact.get(experiment.parameters))
+    # The exact motion has the nominal start.
+    if not is_moved:
+        score = _with_cause(score, motion)
     if band.kind.is_solution and score.over_uncertainty is None:
         reason = "no verdict: the reference compares markers, which are not given; RMSE and DTW compare g(t)"
         score = replace(score, refused=reason)
@@ -510,6 +514,44 @@ def _real_interval(
     return trials_interval(
         deviation, band.trials, velocity=velocity, uncertainty=band.uncertainty
     )
+
+
+def _with_cause(score: Score, motion: _ComparedMotion) -> Score:
+    """Return a score with that of the exact motion at the same times, and with the cause of its distance."""
+    band = motion.band
+    solution = exact_solution(motion.experiment)
+    if solution is None or score.primary_normalized is None:
+        return score
+    samples = band.project(solution(motion.times_s))
+    frames = samples[frame_index(motion.times_s, len(motion.frames))]
+    exact_score = _with_distances(
+        Score(kind=score.kind, unit=score.unit),
+        replace(motion, samples=samples, frames=frames),
+    )
+    score = replace(score, exact=exact_score.primary_normalized)
+    if score.verdict is ScoreVerdict.INSIDE:
+        return replace(score, cause=Cause.NONE)
+    if exact_score.verdict is ScoreVerdict.INSIDE:
+        return replace(score, cause=Cause.ENGINE)
+    is_near = _ratio_to_exact(score, motion, solution) <= NEAR_EXACT
+    return replace(score, cause=Cause.CONSTANTS if is_near else Cause.BOTH)
+
+
+def _ratio_to_exact(
+    score: Score, motion: _ComparedMotion, solution: MotionOfTime
+) -> float:
+    """Return the distance of a motion from the exact one over the mean distance of real trials."""
+    distance, ratio = score.distance, score.primary_normalized
+    assert distance and ratio, "the motion has a distance from the trials"
+    from_exact = distance_from_exact(
+        solution,
+        motion.band,
+        motion.frames,
+        is_aligned=score.primary == "rmse_aligned",
+        time_offset_s=score.time_offset_s or 0.0,
+    )
+    of_trials = distance / ratio
+    return from_exact / of_trials
 
 
 def _in_scatter(score: Score, motion: _ComparedMotion) -> Score:

@@ -8,6 +8,8 @@ import dataclasses
 from fnmatch import fnmatchcase
 from typing import Any
 
+import numpy as np
+
 from gauge_envs.envs.reward import is_reward_bounded, reward_text
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
@@ -18,7 +20,10 @@ from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.imported import load_imported
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Deformable, Hinge, RigidBody, Tether
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
+from gauge_envs.scoring.exact import exact_motion
 from gauge_envs.scoring.reference import reference_band, reference_kind
+from gauge_envs.scoring.score import score_trajectory
 from gauge_envs.text import toml_document
 from gauge_envs.tools.catalog.listing import engine_rows
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
@@ -140,9 +145,6 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
     file = band_file(experiment.name, source)
     facts = file and read_band_file(file)
     described = band or facts
-    exact = {}
-    if band is not None:
-        exact = dict(band.exact)
     disputed = [row.disputed for row in experiment.baselines.values() if row.disputed]
     return {
         "kind": reference_kind(experiment.name, source).value,
@@ -155,7 +157,7 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
         "known_frames": band and int(band.compared.known.sum()),
         "standard_uncertainty": band and band.standard_uncertainty,
         "zero_motion_distance": band and band.zero_motion_distance,
-        "exact": exact,
+        "exact": _exact_scores(experiment),
         "exact_source": facts and facts.exact_source,
         "events": [
             event.model_dump() for event in recorded_events(experiment.name, source)
@@ -165,6 +167,25 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
         "impossible": "; ".join(dict.fromkeys(disputed)),
         "reward": reward_text(band, is_bounded=is_reward_bounded(experiment)),
     }
+
+
+def _exact_scores(experiment: Experiment) -> dict[str, float]:
+    """Return the primary normalized distance of the exact motion by parameter set; empty without a closed form."""
+    scores = {}
+    for name in _parameter_sets(experiment):
+        variant = load_experiment(
+            experiment.variant, name, reference=experiment.reference_source
+        )
+        sample_count = (variant.frame_count - 1) * SAMPLES_PER_FRAME + 1
+        times_s = np.arange(sample_count) / (SAMPLES_PER_FRAME * FRAME_RATE_HZ)
+        motion = exact_motion(variant, times_s)
+        if motion is None:
+            continue
+        band = reference_band(variant)
+        score = score_trajectory(variant, band, times_s=times_s, values=motion)
+        if score.exact is not None:
+            scores[name] = score.exact
+    return scores
 
 
 def planted_errors(variant: str) -> list[dict[str, Any]]:

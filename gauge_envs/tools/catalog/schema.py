@@ -76,8 +76,8 @@ class ReferenceFacts(TypedDict):
         known_frames: Number of frames with a mean.
         standard_uncertainty: Standard uncertainty u of the mean.
         zero_motion_distance: Distance of a scene without motion.
-        exact: Distance of an exact solution, divided by real trials, by parameter set.
-        exact_source: Computation of the exact solution.
+        exact: Distance of the exact motion, divided by real trials, by parameter set.
+        exact_source: Computation of the exact motion, or the reason for a missing one.
         events: Events with a real value.
         sees: Scores of MuJoCo with planted errors, for each metric; null if not measured.
         imported: Whether imported trials are used.

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -26,17 +26,13 @@ from gauge_envs.pages.text import (
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.scoring.cause import Cause
 from gauge_envs.scoring.estimates import ComparedQuantity
-from gauge_envs.scoring.score import OVER_U, Score, ScoreVerdict
+from gauge_envs.scoring.score import COVERAGE_FACTOR, OVER_U, Score
 from gauge_envs.tools.run.plan import PlannedRun, episode_count
 
 MAX_EXPLAINED = 5
 """Maximum number of results with explanations below their rows."""
-
-EQUAL_SHARE = 0.1
-"""Largest relative difference between the distances of an engine and an exact solution that count as equal.
-
-The difference is divided by the distance, at least by the mean distance of real trials."""
 
 NOTE = (
     "Distances are divided by the mean distance of real trials, or by u, the standard uncertainty. "
@@ -140,7 +136,7 @@ def _explanation(result: Result) -> dict[str, Any]:
     texts = [motion_text(score)]
     if (count := score.compared_frames) is not None and count < result.frames:
         texts.append(f"compared at {count} of {result.frames} frames")
-    cause = score.refused or cause_text(score)
+    cause = score.refused or cause_text(score, result.parameters)
     if result.is_edited and score.refused is None:
         cause = f"modified: {shortened(result.asset['changes'])}"
     return {"motion": "; ".join(filter(None, texts)), "cause": cause}
@@ -182,20 +178,42 @@ def _real_text(quantity: ComparedQuantity) -> str:
     return with_unit(text, quantity.unit)
 
 
-def cause_text(score: Score) -> str | None:
-    """Return the cause of the distance, engine or constants; None without an exact solution."""
-    engine, exact = score.primary_normalized, score.exact
-    if engine is None or exact is None:
+def cause_text(score: Score, parameters: str | Mapping[str, Any]) -> str | None:
+    """Return the cause of the distance, one sentence; None without an exact motion, or if the motion is near reality.
+
+    Args:
+        score: The score.
+        parameters: Name of the parameter set, or the values of the user.
+    """
+    if score.exact is None:
         return None
-    if abs(engine - exact) <= EQUAL_SHARE * max(engine, exact, 1.0):
-        cause = "the constants, not the engine"
-        if score.verdict is ScoreVerdict.INSIDE:
-            cause = "the engine agrees with the exact solution"
-    elif engine > exact:
-        cause = "the engine differs from an exact solution"
-    else:
-        cause = "errors of the engine and of the constants cancel in part"
-    return f"engine {digits_text(engine)}, exact {digits_text(exact)}: {cause}"
+    exact = digits_text(score.exact)
+    if score.cause is Cause.CONSTANTS:
+        wrong = _wrong_constants(score, parameters)
+        return f"An exact solver also scores {exact}: {wrong}, not the engine."
+    if score.cause is Cause.ENGINE:
+        return (
+            f"An exact solver scores {exact}: the engine is wrong, not the constants."
+        )
+    if score.cause is Cause.BOTH:
+        return (
+            f"An exact solver scores {exact}: the engine and the constants are wrong."
+        )
+    return None
+
+
+def _wrong_constants(score: Score, parameters: str | Mapping[str, Any]) -> str:
+    """Return which constants of an exact motion are wrong, as `the published friction is wrong`."""
+    names = [
+        event_title(name)
+        for name, quantity in score.estimates.items()
+        if _deviation(quantity) > COVERAGE_FACTOR
+    ]
+    if not names:
+        return "the constants or the start of the scene are wrong"
+    owner = parameters if isinstance(parameters, str) else "given"
+    verb = "is" if len(names) == 1 else "are"
+    return f"the {owner} {' and '.join(names)} {verb} wrong"
 
 
 def _details(score: Score) -> dict[str, str]:

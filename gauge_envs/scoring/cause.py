@@ -1,0 +1,69 @@
+"""The cause of a distance from real trials: the engine, the constants, or both.
+
+Three motions answer: that of the engine, the exact motion with the same constants, and the real trials.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import numpy as np
+
+from gauge_envs.references.band import Band
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.exact import MotionOfTime
+from gauge_envs.scoring.metrics import best_offset
+
+NEAR_EXACT = 0.5
+"""Largest distance from the exact motion that counts as near, over the mean distance of a real trial.
+
+By the triangle inequality, such an engine changes the normalized distance from real trials by at most 0.5."""
+
+
+class Cause(StrEnum):
+    """What causes the distance of a motion from real trials."""
+
+    NONE = "none"
+    """The motion is as close as real trials."""
+    CONSTANTS = "constants"
+    """The motion is near the exact one, which is far from the trials."""
+    ENGINE = "engine"
+    """The motion is far from the trials, and the exact one is near them."""
+    BOTH = "both"
+    """The motion is far from the exact one, and both are far from the trials."""
+
+
+def distance_from_exact(
+    solution: MotionOfTime,
+    band: Band,
+    frames: FloatArray,
+    *,
+    is_aligned: bool,
+    time_offset_s: float = 0.0,
+) -> float:
+    """Return the RMSE of a motion to the exact motion, in the coordinates and the unit of its reference.
+
+    The exact motion is shifted, not the other one: its law holds at any time, so nothing is interpolated.
+
+    Args:
+        solution: The exact motion, see `exact_solution`.
+        band: The reference.
+        frames: The motion at the 30 Hz frames in the coordinates of the reference, shape [T, C].
+        is_aligned: Whether the score ignores a time shift.
+        time_offset_s: Time shift of the motion to the trials [s]. Frames that this shift moves beyond the end of the
+            trials do not count, as in the score.
+    """
+    times_s = np.arange(len(frames)) / FRAME_RATE_HZ
+    is_compared = times_s <= times_s[-1] - max(time_offset_s, 0.0)
+    times_s, frames = times_s[is_compared], frames[is_compared]
+
+    def shifted_rmse(offset_s: FloatArray) -> FloatArray:
+        queries_s = times_s - np.asarray(offset_s)[..., None]
+        exact = band.project(solution(queries_s.ravel()))
+        deviation = frames - exact.reshape(*queries_s.shape, -1)
+        return np.asarray(np.sqrt(np.square(deviation).sum(axis=-1).mean(axis=-1)))
+
+    if not is_aligned:
+        return float(shifted_rmse(np.zeros(())))
+    return best_offset(shifted_rmse)[1]
