@@ -3,10 +3,13 @@
 A stored solution has a standard uncertainty u. It lies within 1.96 u of the exact solution in 95 % of cases.
 """
 
+import gymnasium as gym
 import numpy as np
 import pytest
+from episodes import run_to_end
 from scipy.integrate import solve_bvp, solve_ivp
 
+from gauge_envs.errors import NoRewardWarning
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.band import load_band
 from gauge_envs.scoring.score import score_trajectory
@@ -144,16 +147,17 @@ def test_a_cube_on_a_tilting_board_slides_by_coulombs_law(material):
 
 
 @pytest.mark.parametrize("parameters", ["calibrated", "effective"])
-def test_the_exact_distance_from_a_recording_follows_coulombs_law(
-    parameters,
-):
+def test_the_distance_of_mujoco_from_a_recording_follows_coulombs_law(parameters):
+    """Both score 1.52 and 1.74; the slip of MuJoCo's soft contacts moves the score by 0.4 %."""
     experiment = load_experiment("SlopeSlider-3-metal", parameters)
     values = tilted_cube_mm(experiment)
     times_s = np.arange(len(values)) / 180.0
     band = load_band(experiment.name)
     score = score_trajectory(experiment, band, times_s=times_s, values=values)
-    assert score.exact == band.exact[parameters]
-    assert score.rmse_normalized == pytest.approx(score.exact, rel=0.01)
+    with pytest.warns(NoRewardWarning):
+        env = gym.make(experiment.id, parameters=parameters)
+    simulated = run_to_end(env)[1]["score"]
+    assert simulated.rmse_normalized == pytest.approx(score.rmse_normalized, rel=0.01)
     # The board is driven, so the acceleration of the slide is not uniform.
     assert score.estimates == {}
 

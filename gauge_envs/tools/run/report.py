@@ -191,14 +191,12 @@ def cause_text(score: Score, parameters: str | Mapping[str, Any]) -> str | None:
     if score.cause is Cause.CONSTANTS:
         wrong = _wrong_constants(score, parameters)
         return f"An exact solver also scores {exact}: {wrong}, not the engine."
-    if score.cause is Cause.ENGINE:
-        return (
-            f"An exact solver scores {exact}: the engine is wrong, not the constants."
-        )
-    if score.cause is Cause.BOTH:
-        return (
-            f"An exact solver scores {exact}: the engine and the constants are wrong."
-        )
+    texts = {
+        Cause.ENGINE: "the engine or its settings are wrong, not the constants",
+        Cause.BOTH: "both the engine and the constants are wrong",
+    }
+    if score.cause in texts:
+        return f"An exact solver scores {exact}: {texts[score.cause]}."
     return None
 
 

@@ -7,6 +7,7 @@ from rich.console import Console
 
 from gauge_envs.pages.terminal import Terminal
 from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.scoring.cause import Cause
 from gauge_envs.scoring.estimates import ComparedQuantity
 from gauge_envs.scoring.score import Score
 from gauge_envs.tools.run.report import cause_text, motion_text, summary_document
@@ -89,18 +90,36 @@ def test_the_summary_shows_events_of_recordings_and_missing_events():
 
 
 @pytest.mark.parametrize(
-    ("engine", "percentile", "cause"),
+    ("cause", "text"),
     [
-        (4.95, 100.0, "the constants, not the engine"),
-        (4.95, 60.0, "the engine agrees with the exact solution"),
-        (9.02, 100.0, "the engine differs from an exact solution"),
-        (2.13, 100.0, "errors of the engine and of the constants cancel in part"),
+        (
+            Cause.CONSTANTS,
+            "An exact solver also scores 5.09: the published friction is wrong, not the engine.",
+        ),
+        (
+            Cause.ENGINE,
+            "An exact solver scores 5.09: the engine or its settings are wrong, not the constants.",
+        ),
+        (
+            Cause.BOTH,
+            "An exact solver scores 5.09: both the engine and the constants are wrong.",
+        ),
+        (Cause.NONE, None),
     ],
 )
-def test_an_exact_solution_separates_engine_and_constants(engine, percentile, cause):
-    score = replace(SLIDE, rmse_aligned_normalized=engine, percentile=percentile)
-    assert cause_text(score) == f"engine {engine}, exact 5.09: {cause}"
-    assert cause_text(replace(score, exact=None)) is None
+def test_the_cause_of_a_distance_is_a_sentence(cause, text):
+    assert cause_text(replace(SLIDE, cause=cause), "published") == text
+    without_exact = replace(SLIDE, exact=None, cause=None)
+    assert cause_text(without_exact, "published") is None
+
+
+def test_a_cause_names_the_constants_that_differ_from_reality():
+    score = replace(SLIDE, cause=Cause.CONSTANTS)
+    assert "the given friction is wrong" in cause_text(score, {"cube.friction": 0.1})
+    right = ComparedQuantity(value=0.26, unit="1", real=0.257, real_uncertainty=0.006)
+    score = replace(score, estimates={"friction": right})
+    text = "the constants or the start of the scene are wrong"
+    assert text in cause_text(score, "measured")
 
 
 def test_many_results_have_rows_without_explanations():
