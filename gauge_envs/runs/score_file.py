@@ -1,5 +1,6 @@
 """Score trajectory files of users."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from gauge_envs.experiments.resolve import load_experiment, shots_of, with_trial
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import json_ready
+from gauge_envs.references.band import Band
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import load_result, recorded_experiment, result_of
@@ -23,9 +25,10 @@ from gauge_envs.scoring.user_file.likely_mistakes import (
     start_values,
     value_mistake,
 )
-from gauge_envs.scoring.user_file.motion_checks import unusual_motion
+from gauge_envs.scoring.user_file.motion_checks import start_across, unusual_motion
 from gauge_envs.scoring.user_file.trajectory_file import (
     FileOrigin,
+    UserTrajectory,
     file_origin,
     read_trajectory,
 )
@@ -53,7 +56,7 @@ def score_file(
         reference: `bundled` scores against the package's references, `imported` against the imported trials.
 
     Returns:
-        The result, and notes on interpolated frames and on unusual motion.
+        The result, and notes on interpolated frames, a cropped rest, and unusual motion.
     """
     origin = file_origin(file)
     experiment = _experiment_of_file(file, origin, variant, parameters, reference)
@@ -115,11 +118,28 @@ def score_file(
             markers_m=trajectory.markers_m,
         ),
     )
+    notes = _notes(experiment, band, origin, trajectory, frames)
+    return result, (*unusual, *notes)
+
+
+def _notes(
+    experiment: Experiment,
+    band: Band | None,
+    origin: FileOrigin,
+    trajectory: UserTrajectory,
+    frames: FloatArray,
+) -> Iterator[str]:
+    """Yield what was changed in a file, and a start beside that of the scene; `frames` are g(t), shape [T, C]."""
     if trajectory.interpolated_frames:
-        unusual.append(
-            f"{trajectory.interpolated_frames} of {len(frames)} frames have no sample: interpolated linearly"
-        )
-    return result, tuple(unusual)
+        count = trajectory.interpolated_frames
+        yield f"{count} of {len(frames)} frames have no sample: interpolated linearly"
+    if trajectory.rest_s:
+        yield f"the first {trajectory.rest_s:.3g} s are at rest: cropped, so time 0 is the release"
+    if band is None or origin.jitter:
+        return
+    across = start_across(experiment, band, frames[0])
+    if across is not None:
+        yield across
 
 
 def _with_its_trial(

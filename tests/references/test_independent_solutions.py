@@ -9,7 +9,6 @@ import pytest
 from episodes import run_to_end
 from scipy.integrate import solve_bvp, solve_ivp
 
-from gauge_envs.errors import NoRewardWarning
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.band import load_band
 from gauge_envs.scoring.score import score_trajectory
@@ -154,8 +153,7 @@ def test_the_distance_of_mujoco_from_a_recording_follows_coulombs_law(parameters
     times_s = np.arange(len(values)) / 180.0
     band = load_band(experiment.name)
     score = score_trajectory(experiment, band, times_s=times_s, values=values)
-    with pytest.warns(NoRewardWarning):
-        env = gym.make(experiment.id, parameters=parameters)
+    env = gym.make(experiment.id, parameters=parameters)
     simulated = run_to_end(env)[1]["score"]
     assert simulated.rmse_normalized == pytest.approx(score.rmse_normalized, rel=0.01)
     # The board is driven, so the acceleration of the slide is not uniform.

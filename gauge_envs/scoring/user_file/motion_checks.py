@@ -11,7 +11,14 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.metrics import time_offset
+from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, time_offset
+from gauge_envs.scoring.user_file.likely_mistakes import start_values
+
+MAX_JITTER_S = 5e-3
+"""Largest time of the first sample, and between the last one and the last frame, by a clock that jitters [s]."""
+
+ROUNDING_MM = 1e-6
+"""Rounding error of a position at rest [mm]."""
 
 MIN_JUMP_MM = 20.0
 """Smallest distance of a lost position from the path, and smallest unscored motion [mm]; cloth flicks by 11 mm."""
@@ -36,6 +43,12 @@ MIN_MISFIT, MAX_MISFIT = 0.4, 0.2
 
 MAX_UNSCORED = 0.1
 """Largest unscored motion over the scored motion; simulations of all experiments have at most 0.001."""
+
+MAX_REST_MM = 1.0
+"""Largest motion of a body at rest in a file [mm], the noise of motion capture."""
+
+MAX_ACROSS_MM = 5.0
+"""Largest distance of the start from that of the scene, across the scored directions, without a note [mm]."""
 
 MIN_HELD_FRAMES = 3
 """Smallest number of equal frames at the end of a motion."""
@@ -144,6 +157,51 @@ def _misfit(band: Band, projected: FloatArray, rate_hz: float) -> float:
         times_s, projected[: len(times_s)], band.mean[:count], earliest_s=0.0
     )
     return rmse / float(np.sqrt(squares[:count].mean()))
+
+
+def release_row(experiment: Experiment, times_s: FloatArray, values: FloatArray) -> int:
+    """Return the last row of a rest before the release that is too long for the time alignment; 0 without one.
+
+    A file without a whole episode after the release has no such row. Neither has one of a scene with prescribed motion,
+    because its time has a meaning.
+
+    Args:
+        experiment: Experiment that was simulated.
+        times_s: Times of the rows [s], shape [row_count].
+        values: g(t), shape [row_count, coordinate_count].
+    """
+    observable = experiment.score.observable
+    is_position = observable in (Observable.POSITION, Observable.MARKER_POSITION)
+    if experiment.scene.drivers or not is_position:
+        return 0
+    since_s = times_s - times_s[0]
+    distances_mm = np.abs(values - values[0]).max(axis=1)
+    noise_mm = float(distances_mm[since_s <= MAX_TIME_OFFSET_S].max())
+    is_moving = distances_mm > 2.0 * noise_mm + ROUNDING_MM
+    if noise_mm > MAX_REST_MM or not is_moving.any():
+        return 0
+    row = int(is_moving.argmax()) - 1
+    episode_s = (experiment.frame_count - 1) / FRAME_RATE_HZ
+    is_whole = since_s[-1] - since_s[row] >= episode_s - MAX_JITTER_S
+    return row if is_whole and since_s[row] > MAX_TIME_OFFSET_S else 0
+
+
+def start_across(experiment: Experiment, band: Band, start: FloatArray) -> str | None:
+    """Return a sentence for a start beside that of the scene, in directions that are not scored; None if it is near.
+
+    Args:
+        experiment: Experiment that was simulated.
+        band: The reference.
+        start: g(t) of the first frame, shape [coordinate_count].
+    """
+    if experiment.score.observable is not Observable.POSITION:
+        return None
+    shift_mm = start - start_values(experiment)
+    scored_mm = np.linalg.pinv(band.projection) @ band.projection @ shift_mm
+    across_mm = float(np.linalg.norm(shift_mm - scored_mm))
+    if across_mm <= MAX_ACROSS_MM:
+        return None
+    return f"throughout: {across_mm:.3g} mm off across from the start of the scene, which is not scored"
 
 
 def unusual_motion(

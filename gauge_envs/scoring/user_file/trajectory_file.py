@@ -12,7 +12,8 @@ A CSV header with names of coordinates (`cube.x` or `cube.x [mm]`) may list them
 skipped. Without times, rows are the 30 Hz frames. With times, the first is 0. A sample counts as a frame if it is
 within 0.5 ms and within a tenth of the sample spacing. Other frames are interpolated linearly from samples within half
 a frame, as those of a clock that jitters by up to 5 ms; `interpolated_frames` counts them. Samples after the last frame
-are ignored; without times they raise an error, because they suggest another rate.
+are ignored; without times they raise an error, because they suggest another rate. A rest of more than 1/3 s before the
+release is cropped if a whole episode follows, and no motion is prescribed.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,14 +35,16 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.metrics import frame_index, interpolated
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.user_file.motion_checks import likely_rate_hz, lost_marker
+from gauge_envs.scoring.user_file.motion_checks import (
+    MAX_JITTER_S,
+    likely_rate_hz,
+    lost_marker,
+    release_row,
+)
 from gauge_envs.text import csv_text, json_document
 
 FILE_TOLERANCE_S = 5e-4
 """Largest time between a frame and its sample in a file [s]: the error of times printed with three digits."""
-
-MAX_JITTER_S = 5e-3
-"""Largest time of the first sample, and between the last one and the last frame, by a clock that jitters [s]."""
 
 TIME = "time_s"
 """Name of the column of times."""
@@ -59,6 +62,7 @@ class UserTrajectory:
             [sample_count].
         values: g(t) at those times in the observable's unit, shape [sample_count, coordinate_count].
         interpolated_frames: Number of frames without a sample in the file.
+        rest_s: Duration of the rest before the release that was cropped [s]; 0 without one.
         likely_rate_hz: Rate at which rows without times follow the reference, if it is not 30 Hz.
         markers_m: Marker positions at the 30 Hz frames [m], shape [frame_count, marker_count, 3], from the file or from
             a g(t) of marker positions; None without either.
@@ -67,6 +71,7 @@ class UserTrajectory:
     times_s: FloatArray
     values: FloatArray
     interpolated_frames: int
+    rest_s: float = 0.0
     likely_rate_hz: int | None = None
     markers_m: FloatArray | None = None
 
@@ -128,7 +133,7 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
         raise TrajectoryFileError(
             f"{file}: unknown suffix {file.suffix!r}, expected {', '.join(readers)}"
         )
-    samples = readers[suffix](file, experiment)
+    samples, rest_s = _without_rest(readers[suffix](file, experiment), experiment)
     frame_count = experiment.frame_count
     frames_s = np.arange(frame_count) / FRAME_RATE_HZ
     rate_hz = None
@@ -155,6 +160,7 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
         times_s=all_times_s,
         values=values,
         interpolated_frames=len(missing_s),
+        rest_s=rest_s,
         likely_rate_hz=rate_hz,
         markers_m=markers_m,
     )
@@ -381,6 +387,22 @@ def _json_object(file: Path) -> dict[str, Any]:
 
 
 # --- times -----------------------------------------------------------------------------------------------------------
+
+
+def _without_rest(samples: _Samples, experiment: Experiment) -> tuple[_Samples, float]:
+    """Return samples from the release on, whose time is 0, and the duration of a long rest before it [s]."""
+    if samples.markers_m is not None or len(samples.values) < 2:
+        return samples, 0.0
+    times_s = samples.times_s
+    if times_s is None:
+        times_s = np.arange(len(samples.values)) / FRAME_RATE_HZ
+    row = release_row(experiment, times_s, samples.values)
+    if row == 0:
+        return samples, 0.0
+    rest_s = float(times_s[row] - times_s[0])
+    if samples.times_s is not None:
+        samples = replace(samples, times_s=times_s[row:] - times_s[row])
+    return replace(samples, values=samples.values[row:]), rest_s
 
 
 def _times_at_frames(

@@ -268,3 +268,67 @@ def test_the_id_is_needed_and_must_not_contradict_the_file(tmp_path):
     (tmp_path / "a.json").write_text(json.dumps({"id": NAME, "g": SLIDE.tolist()}))
     with pytest.raises(TrajectoryFileError, match="not GAUGE/SlopeSlider-2-metal"):
         score_file(tmp_path / "a.json", variant="SlopeSlider-2-metal")
+
+
+def with_rest(rest_s, rate_hz, *, noise_mm=0.0):
+    """Return times and values of a slide after a rest, with noise of a normal distribution."""
+    times_s = np.arange(round((rest_s + 0.6) * rate_hz) + 1) / rate_hz
+    values = coulomb_slide(np.maximum(times_s - rest_s, 0.0))
+    noise = np.random.default_rng(0).normal(0.0, noise_mm, values.shape)
+    return times_s, values + noise
+
+
+@pytest.mark.parametrize("rate_hz", [30, 60, 180])
+@pytest.mark.parametrize("rest_s", [0.5, 1.0, 2.0, 5.0])
+def test_a_long_rest_before_the_release_is_cropped_and_said(tmp_path, rest_s, rate_hz):
+    times_s, values = with_rest(rest_s, rate_hz)
+    file = write_csv(
+        tmp_path / "a.csv",
+        values,
+        header="time_s,cube.x,cube.y,cube.z",
+        times=times_s,
+    )
+    result, (note,) = score_file(file, variant=NAME, parameters="calibrated")
+    assert (
+        note == f"the first {rest_s:g} s are at rest: cropped, so time 0 is the release"
+    )
+    after_s, after = with_rest(0.0, rate_hz)
+    expected = score_trajectory(
+        RESOLVED, reference_band(RESOLVED), times_s=after_s, values=after
+    )
+    assert result.score.rmse_aligned == pytest.approx(expected.rmse_aligned, rel=1e-6)
+    assert result.score.cause is expected.cause
+
+
+def test_a_rest_with_noise_and_without_times_is_cropped(tmp_path):
+    _, values = with_rest(2.0, 30, noise_mm=0.1)
+    read = read_trajectory(write_csv(tmp_path / "a.csv", values), RESOLVED)
+    assert read.rest_s == pytest.approx(2.0, abs=1e-9)
+    assert len(read.times_s) == FRAMES
+
+
+def test_what_is_no_rest_before_a_release_is_kept(tmp_path):
+    """A rest that the alignment finds, a body that never moves, a slide with a lost end, and a driven scene."""
+    header = "time_s,cube.x,cube.y,cube.z"
+    times_s, values = with_rest(0.3, 30)
+    long_s, long = with_rest(2.0, 30)
+    kept = {"short": (times_s, values), "still": (long_s, 0 * long + long[0])}
+    kept["lost"] = (long_s[:-6], long[:-6])
+    for name, (kept_s, rows) in kept.items():
+        file = write_csv(tmp_path / f"{name}.csv", rows, header=header, times=kept_s)
+        assert read_trajectory(file, RESOLVED).rest_s == 0.0
+    driven = load_experiment("SlopeSlider-3-metal")
+    file = write_csv(tmp_path / "driven.csv", long, header=header, times=long_s)
+    assert read_trajectory(file, driven).rest_s == 0.0
+
+
+@pytest.mark.parametrize(("across_mm", "count"), [(0.0, 0), (4.0, 0), (19.0, 1)])
+def test_a_start_beside_the_board_is_said_beside_the_score(tmp_path, across_mm, count):
+    normal = np.array([np.sin(np.radians(30.0)), 0.0, np.cos(np.radians(30.0))])
+    file = write_csv(tmp_path / "a.csv", SLIDE + across_mm * normal)
+    result, notes = score_file(file, variant=NAME)
+    assert len(notes) == count
+    assert all(f"{across_mm:g} mm off across" in note for note in notes)
+    exact, _ = score_file(write_csv(tmp_path / "b.csv", SLIDE), variant=NAME)
+    assert result.score.rmse == pytest.approx(exact.score.rmse, rel=1e-9)
+    assert "friction" in result.score.estimates
