@@ -21,7 +21,7 @@ SLIDE = Score(
     rmse_aligned=3.33,
     rmse_aligned_95=(2.2, 4.5),
     rmse_aligned_normalized=4.95,
-    percentile=100.0,
+    real_limit=1.0,
     estimates={
         "friction": ComparedQuantity(
             value=0.27318, unit="1", real=0.25702, real_uncertainty=0.0061
@@ -89,16 +89,16 @@ def test_the_summary_shows_events_of_recordings_and_missing_events():
 
 
 @pytest.mark.parametrize(
-    ("engine", "percentile", "cause"),
+    ("engine", "real_limit", "cause"),
     [
-        (4.95, 100.0, "the constants, not the engine"),
-        (4.95, 60.0, "the engine agrees with the exact solution"),
-        (9.02, 100.0, "the engine differs from an exact solution"),
-        (2.13, 100.0, "errors of the engine and of the constants cancel in part"),
+        (4.95, 1.0, "the constants, not the engine"),
+        (4.95, 1e3, "the engine agrees with the exact solution"),
+        (9.02, 1.0, "the engine differs from an exact solution"),
+        (2.13, 1.0, "errors of the engine and of the constants cancel in part"),
     ],
 )
-def test_an_exact_solution_separates_engine_and_constants(engine, percentile, cause):
-    score = replace(SLIDE, rmse_aligned_normalized=engine, percentile=percentile)
+def test_an_exact_solution_separates_engine_and_constants(engine, real_limit, cause):
+    score = replace(SLIDE, rmse_aligned_normalized=engine, real_limit=real_limit)
     assert cause_text(score) == f"engine {engine}, exact 5.09: {cause}"
     assert cause_text(replace(score, exact=None)) is None
 
@@ -138,6 +138,6 @@ def test_the_summary_reports_scores_of_few_frames():
 
 def test_details_have_all_numbers_of_a_score():
     text = shown([result(SLIDE)], details=True)
-    for name in ("rmse_aligned", "percentile", "friction         0.273, real 0.257"):
+    for name in ("rmse_aligned", "real_limit", "friction         0.273, real 0.257"):
         assert name in text
-    assert "percentile" not in shown([result(SLIDE)])
+    assert "real_limit" not in shown([result(SLIDE)])
