@@ -143,7 +143,7 @@ def test_a_cube_on_a_tilting_board_slides_by_coulombs_law(material):
     assert distance_in_u(name, tilted_cube_mm(load_experiment(name))[::6]) < 1.0
 
 
-@pytest.mark.parametrize("parameters", ["calibrated", "effective"])
+@pytest.mark.parametrize("parameters", ["published", "measured"])
 def test_the_exact_distance_from_a_recording_follows_coulombs_law(
     parameters,
 ):

@@ -140,9 +140,9 @@ def test_every_id_scores_a_scene_in_which_nothing_moves(name):
         ("SlopeSlider-2-wood", {"scene.gravity_m_per_s2": 1.62}, "gravity"),
         ("SlopeSlider-2-wood", {"cube.position_m": [0.1, 0.4, 0.5]}, "position_m"),
         ("SlopeSlider-2-wood", {"cube.position_m": [0.1, 0.4, 0.36]}, None),
-        ("BouncingBall-rubber", "recorded", None),
+        ("BouncingBall-rubber", "measured", None),
         ("SlopeSlider-2-wood", {"cube.friction": 0.2}, None),
-        ("SlopeSlider-3-wood", "effective", "friction"),
+        ("SlopeSlider-3-wood", "measured", "friction"),
         (
             "TextileFlinging-satin",
             {"textile.areal_density_kg_per_m2": 0.2},
@@ -151,7 +151,7 @@ def test_every_id_scores_a_scene_in_which_nothing_moves(name):
     ],
 )
 def test_a_scene_that_the_reference_cannot_score_has_a_reason(name, parameters, part):
-    """Real trials score any constants in the real geometry; a solution scores only the calibrated scene."""
+    """Real trials score any constants in the real geometry; a solution scores only the scene of the task file."""
     experiment = load_experiment(name, parameters)
     band = reference_band(experiment)
     score = still_score(experiment, band)

@@ -26,7 +26,7 @@ def test_a_closed_form_slide_in_a_csv_scores_as_in_the_library(tmp_path):
     )
     # A CSV file does not give its constants, so its exact solution is unknown.
     assert result.score == replace(expected, exact=None) != expected
-    # scoring/README.md: an ideal Coulomb cube with the calibrated friction scores 0.41.
+    # scoring/README.md: an ideal Coulomb cube with the published friction scores 0.41.
     assert result.score.rmse_normalized == pytest.approx(0.41, abs=0.005)
     assert (notes, result.frames, result.sim_s) == ((), FRAMES, 0.6)
 

@@ -47,7 +47,7 @@ SWING = Score(
 
 def result(score, **changes):
     values = {"id": "GAUGE/SlopeSlider-2-wood", "outcome": Outcome.FINISHED}
-    values |= {"parameters": "calibrated", "backend": "mujoco", "seed": 0}
+    values |= {"parameters": "published", "backend": "mujoco", "seed": 0}
     return Result(**(values | {"score": score, "task_sha256": ""} | changes))
 
 
@@ -117,7 +117,7 @@ def test_five_ids_fit_a_screen():
     assert max(map(len, lines)) <= 80
     assert sum("outside" in line for line in lines) == 5
     # The common configuration is the first line.
-    assert lines[0] == "calibrated"
+    assert lines[0] == "published"
 
 
 def test_the_summary_gives_reasons_for_rejected_and_diverged_results():
