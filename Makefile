@@ -14,7 +14,7 @@ DEMO := SlopeSlider-2-wood BouncingBall-rubber NewtonsCradle-metal Pendulum-meta
 
 demo: $(VENV)/.runs
 	$(BIN)/gauge run $(DEMO) --out results
-	$(BIN)/gauge run SlopeSlider-2-wood NewtonsCradle-metal --parameter effective --out results
+	$(BIN)/gauge run SlopeSlider-2-wood NewtonsCradle-metal --parameter measured --out results
 	$(BIN)/gauge plot results --out plots
 
 define lint

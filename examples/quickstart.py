@@ -8,7 +8,7 @@ import gymnasium as gym
 from gauge_envs.runs.episodes import episode_result
 from gauge_envs.tools.compare.experiment_figure import draw_experiment
 
-env = gym.make("GAUGE/SlopeSlider-2-wood", backend="mujoco", parameters="calibrated")
+env = gym.make("GAUGE/SlopeSlider-2-wood", backend="mujoco", parameters="published")
 env.reset(seed=0)
 terminated = truncated = False
 while not (terminated or truncated):

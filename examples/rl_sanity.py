@@ -188,7 +188,7 @@ def draw(runs: list[Replay], task: str, path: Path) -> None:
     figure, (above, below) = plt.subplots(2, 1, figsize=(8, 7), sharex=True, height_ratios=(3, 2), layout="constrained")
     limit = runs[1].report.limit
     above.axhspan(limit.value - 2 * limit.sigma, limit.value + 2 * limit.sigma, color="0.9", label="law, +- 2 sigma")
-    above.axhline(limit.value, color="0.4", lw=1, label="law, calibrated friction")
+    above.axhline(limit.value, color="0.4", lw=1, label="law, published friction")
     below.axhline(1e3 * SLIP_SPEED_M_PER_S, color="0.4", lw=1, label="counts as a slip")
     for number, run in enumerate(runs):
         _, _, used, slip, time_s = run.trajectory.T

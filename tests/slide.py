@@ -11,7 +11,7 @@ FRAMES = RESOLVED.frame_count
 
 
 def coulomb_slide(times_s):
-    """g(t) [mm] of a cube that slides from its start with the calibrated friction, shape [T, 3]."""
+    """g(t) [mm] of a cube that slides from its start with the published friction, shape [T, 3]."""
     slope, friction = np.radians(30.0), 0.273673
     acceleration = GRAVITY_M_PER_S2 * (np.sin(slope) - friction * np.cos(slope))
     downhill = np.array([np.cos(slope), 0.0, -np.sin(slope)])

@@ -140,7 +140,7 @@ Parameters = Annotated[
         "--parameter",
         "-p",
         metavar=ASSIGNED,
-        show_default="calibrated",
+        show_default="published",
     ),
 ]
 

@@ -141,6 +141,8 @@ def _of_parts(origin: Any, parts: tuple[Any, ...]) -> Schema:
         return {"enum": list(parts)}
     if origin in (typing.Union, types.UnionType):
         return _any_of(map(schema_of, parts))
+    # Newer versions of NumPy declare `NDArray` as an alias with a value.
+    origin = get_origin(getattr(origin, "__value__", None)) or origin
     if origin is np.ndarray:
         return {"type": "array"}
     if origin is tuple and Ellipsis not in parts:

@@ -49,7 +49,7 @@ class EnvArguments:
     variant: str | Variant
     _: KW_ONLY
     backend: str = "mujoco"
-    parameters: Parameters = "calibrated"
+    parameters: Parameters = "published"
     settings: Mapping[str, Any] | None = None
     marker_proxy: MarkerProxy | str = MarkerProxy.MATERIAL
     drivers: DataSource | str = DataSource.BUNDLED

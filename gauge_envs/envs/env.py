@@ -68,7 +68,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         variant: Variant, its name, or its Gymnasium id, as `SlopeSlider-2-wood`; or the path of a task file, as
             `crate.toml`.
         backend: Name of an installed physics engine.
-        parameters: `calibrated`, another parameter set of the task file, or overrides such as
+        parameters: `published`, another parameter set of the task file, or overrides such as
             `{"cube.friction": 0.3}`, in SI units.
         settings: Numerical settings of the engine that replace those of the preset, as `{"timestep_s": 1 / 1800}`.
         marker_proxy: Marker proxy of deformable bodies. `material` tracks the material point of the marker between
@@ -124,7 +124,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         variant: str | Variant,
         *,
         backend: str = "mujoco",
-        parameters: Parameters = "calibrated",
+        parameters: Parameters = "published",
         settings: Mapping[str, Any] | None = None,
         marker_proxy: MarkerProxy | str = MarkerProxy.MATERIAL,
         drivers: DataSource | str = DataSource.BUNDLED,

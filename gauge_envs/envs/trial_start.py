@@ -83,7 +83,7 @@ def trial_states(experiment: Experiment, trial: int) -> FloatArray:
     Velocities are differences of the first three frames, exact for a constant acceleration. Measurement noise of 0.1 mm
     makes a velocity wrong by 8 mm/s, and noise of 0.1 degrees a spin by 0.14 rad/s.
 
-    Orientations are relative to the mean over the trials, which corresponds to the calibrated orientation. So the body
+    Orientations are relative to the mean over the trials, which corresponds to the published orientation. So the body
     frame of the motion capture does not matter. Without recorded orientations, orientation and angular velocity stay
     nominal.
 

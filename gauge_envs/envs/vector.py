@@ -74,7 +74,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
             `crate.toml`.
         num_envs: Number of worlds, 1 or more.
         backend: Name of an installed physics engine.
-        parameters: `calibrated`, another parameter set of the task file, or overrides such as
+        parameters: `published`, another parameter set of the task file, or overrides such as
             `{"cube.friction": 0.3}`, in SI units.
         settings: Numerical settings of the engine that replace those of the preset, as `{"timestep_s": 1 / 1800}`.
         marker_proxy: Marker proxy of deformable bodies. `material` tracks the material point of the marker between
@@ -129,7 +129,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         num_envs: int = 1,
         *,
         backend: str = "mujoco",
-        parameters: Parameters = "calibrated",
+        parameters: Parameters = "published",
         settings: Mapping[str, Any] | None = None,
         marker_proxy: MarkerProxy | str = MarkerProxy.MATERIAL,
         drivers: DataSource | str = DataSource.BUNDLED,

@@ -53,7 +53,6 @@ LOGGED = (
     "rmse_normalized",
     "rmse_aligned",
     "rmse_aligned_normalized",
-    "percentile",
     "over_uncertainty",
     "marker_rmse_mm",
 )

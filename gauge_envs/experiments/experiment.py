@@ -34,8 +34,8 @@ class Asset:
         path: Path as given.
         kind: Kind of file.
         sha256: Hash of the file and of the files to which it refers.
-        edited: Whether its physics differ from the calibrated variant.
-        changes: Differences from the calibrated variant; those of an MJCF file are of the models of both.
+        edited: Whether its physics differ from the published variant.
+        changes: Differences from the published variant; those of an MJCF file are of the models of both.
     """
 
     path: Path
@@ -66,7 +66,7 @@ class Experiment:
         recorded: Names of the bodies whose positions are observed.
         frame_count: Frames of an episode, the first included.
         parameters: Name of the parameter set, or `custom`.
-        overrides: Differences from the calibrated constants, keyed `body.constant`.
+        overrides: Differences from the published constants, keyed `body.constant`.
         drivers: `imported` if any driven motion is from imported trials.
         reference_source: `imported` if imported trials are the reference.
         file_sha256: Hash of the task file.
@@ -146,7 +146,7 @@ class Experiment:
 
     @property
     def edited(self) -> bool:
-        """Whether the scene comes from an asset and differs from the calibrated scene."""
+        """Whether the scene comes from an asset and differs from the scene of the task file."""
         return self.asset is not None and self.asset.edited
 
     @property

@@ -28,7 +28,7 @@ from gauge_envs.validation import chosen
 
 def load_experiment(
     variant: str | Variant,
-    parameters: Parameters = "calibrated",
+    parameters: Parameters = "published",
     *,
     drivers: DataSource | str = DataSource.BUNDLED,
     reference: DataSource | str = DataSource.BUNDLED,
@@ -38,7 +38,7 @@ def load_experiment(
 
     Args:
         variant: Variant, its name, its Gymnasium id, or the path of a task file with one variant, as `crate.toml`.
-        parameters: `calibrated`, another parameter set of the task file, or overrides keyed `body.constant`, where a
+        parameters: `published`, another parameter set of the task file, or overrides keyed `body.constant`, where a
             constant is a mass, friction, stiffness, ... or `position_m`, `euler_deg`, `hangs_from_m`, `length_m`. In a
             scene with cloth, `air.density_kg_per_m3` and the other fields of `scene.Air` add air.
         drivers: `bundled` takes driven motion from the task file, `imported` from the imported trials. With `action`
@@ -139,7 +139,7 @@ def _check_arguments_of_asset(
     asset: Path, parameters: Parameters, drivers: DataSource | str
 ) -> None:
     """Raise an error for arguments that contradict the content of an asset."""
-    if parameters and parameters != "calibrated":
+    if parameters and parameters != "published":
         raise ParameterError(
             f"parameters {parameters!r} with {asset.name}: the file has the constants; edit them there"
         )

@@ -59,7 +59,7 @@ OF_NO_FABRIC = ("friction", "restitution", "density_kg_per_m3")
 """Constants of a deformable body that contacts use, or that follow from others."""
 
 Parameters = str | Mapping[str, Any]
-"""`calibrated`, another parameter set of the task file, or overrides such as `{"cube.friction": 0.3}`."""
+"""`published`, another parameter set of the task file, or overrides such as `{"cube.friction": 0.3}`."""
 
 
 def parameter_overrides(
@@ -67,16 +67,16 @@ def parameter_overrides(
 ) -> tuple[str, dict[str, Any]]:
     """Return the name of the parameters, `custom` for overrides, and their overrides."""
     if isinstance(parameters, Mapping):
-        return ("custom" if parameters else "calibrated"), dict(parameters)
+        return ("custom" if parameters else "published"), dict(parameters)
     if not isinstance(parameters, str):
         raise ParameterError(
-            f"parameters is {parameters!r}: expected the name of a parameter set, as 'calibrated', or overrides, as "
+            f"parameters is {parameters!r}: expected the name of a parameter set, as 'published', or overrides, as "
             "{'cube.friction': 0.3}"
         )
-    if parameters == "calibrated":
+    if parameters == "published":
         return parameters, {}
     if parameters not in spec.parameters:
-        hint = nearest(parameters, ["calibrated", *spec.parameters])
+        hint = nearest(parameters, ["published", *spec.parameters])
         raise ParameterError(
             f"{variant.name} has no parameter set {parameters!r}; {hint}"
         )

@@ -34,7 +34,7 @@ def with_asset(experiment: Experiment, path: Path) -> Experiment:
     """Return an experiment with the scene of a file.
 
     Args:
-        experiment: Experiment with its calibrated scene and bundled drivers.
+        experiment: Experiment with its published scene and bundled drivers.
         path: USD layer or MJCF file.
     """
     digests = [_digest(path)]

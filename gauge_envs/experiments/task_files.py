@@ -29,7 +29,7 @@ def task_sha256(family: str) -> str:
 
 
 def fabrics(family: str) -> dict[str, Fabric]:
-    """Return the calibrated fabrics of a family, by name."""
+    """Return the published fabrics of a family, by name."""
     spec = task_spec(family)
     return {
         material: Fabric.of(

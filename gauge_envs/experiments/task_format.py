@@ -90,15 +90,15 @@ AnyBody = BodySpec | ClothSpec | SoftBodySpec | LineSpec
 
 
 class Substituted(FileModel):
-    """A calibrated constant that simulations cannot use, and its substitute."""
+    """A published constant that simulations cannot use, and its substitute."""
 
-    calibrated: float
+    published: float
     used: float
     reason: str
 
 
 class RigidConstants(FileModel):
-    """Calibrated constants of a rigid body; friction and restitution apply to its contact in this experiment.
+    """Constants of a rigid body; friction and restitution apply to its contact in this experiment.
 
     Attributes:
         inertia_kg_m2: Moment of inertia about every axis through the centre; None is that of uniform density.
@@ -112,7 +112,7 @@ class RigidConstants(FileModel):
 
 
 class ClothConstants(FileModel):
-    """Calibrated constants of a fabric."""
+    """Constants of a fabric."""
 
     mass_kg: Positive
     areal_density_kg_per_m2: Positive
@@ -125,7 +125,7 @@ class ClothConstants(FileModel):
 
 
 class SolidConstants(FileModel):
-    """Calibrated constants of a foam, a rubber, a rope or a rod."""
+    """Constants of a foam, a rubber, a rope or a rod."""
 
     mass_kg: Positive
     density_kg_per_m3: Positive | None = None
@@ -194,7 +194,7 @@ class JointSpec(FileModel):
 
 
 class ContactSpec(FileModel):
-    """Two groups of bodies that collide, and the body whose calibrated constants apply to each pair."""
+    """Two groups of bodies that collide, and the body whose constants apply to each pair."""
 
     bodies: tuple[str, str]
     constants_of: str | None = None

@@ -13,14 +13,14 @@ from gauge_envs.scoring.score import OVER_U, Score
 
 # --- labels ---
 
-PLAIN = ("parameters", "calibrated")
+PLAIN = ("parameters", "published")
 """Part of a configuration that labels omit."""
 
 
 def configuration_labels(configurations: Sequence[RunConfiguration]) -> list[str]:
     """Return a label for each configuration: the engine, and the parts that are not common to all.
 
-    A single configuration has all parts, `mujoco, calibrated`. For several, `calibrated` is omitted.
+    A single configuration has all parts, `mujoco, published`. For several, `published` is omitted.
     """
     labels = _labels(configurations, digits=4)
     if len(set(labels)) < len(labels):

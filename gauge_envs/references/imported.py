@@ -68,7 +68,7 @@ class DriverRecord(FileModel):
         trial_count: Number of trials that show the body.
         residual_mm: Root mean square over trials and frames of the distance that the driver cannot reproduce.
         residual_deg: Root mean square of the angle that the driver cannot reproduce; None without orientations.
-        start_offset_mm: Mean over trials of the distance from the calibrated start, at which the driver starts.
+        start_offset_mm: Mean over trials of the distance from the published start, at which the driver starts.
         scatter_mm: Largest standard deviation of a translation over trials, 0 for one trial; None without translation.
         scatter_deg: Largest standard deviation of a rotation over trials, 0 for one trial; None without rotation.
     """

@@ -11,9 +11,9 @@ class Kind(StrEnum):
     RECORDING = "recording"
     """One recorded real trial."""
     ANALYTIC = "analytic"
-    """Closed form of the calibrated scene."""
+    """Closed form of the scene of the task file."""
     NUMERICAL = "numerical"
-    """Refined numerical solution of the calibrated scene."""
+    """Refined numerical solution of the scene of the task file."""
     NONE = "none"
     """No reference motion; events may still have real values."""
 
@@ -24,5 +24,5 @@ class Kind(StrEnum):
 
     @property
     def is_solution(self) -> bool:
-        """Whether the motion solves the calibrated scene, so that a distance from it is the error of an engine."""
+        """Whether the motion solves the scene of the task file: a distance from it is the error of an engine."""
         return self in (Kind.ANALYTIC, Kind.NUMERICAL)

@@ -69,7 +69,7 @@ def run_many(
     runs = [replace(request, jitter=request.scatter) for request in requests]
     for run in runs:
         # Raise the error of an unknown experiment before the first run.
-        run.calibrated_experiment()
+        run.published_experiment()
     if out is not None:
         check_writable(out)
 

@@ -27,7 +27,7 @@ class RunConfiguration:
         marker_proxy: Marker proxy of deformable bodies: `material` or `node`.
         settings_given: Numerical settings that replace those of the preset.
         jitter: Standard deviations of the initial state; empty without noise.
-        asset: File and hash of an asset that differs from the calibrated scene; empty without one.
+        asset: File and hash of an asset that differs from the scene of the task file; empty without one.
         engine_versions: Versions of the engine's packages.
     """
 
@@ -73,7 +73,7 @@ class RunConfiguration:
 def group_by_configuration(
     results: Iterable[Result],
 ) -> list[tuple[RunConfiguration, list[Result]]]:
-    """Return configurations with their results, sorted by engine, calibrated parameters and default settings first.
+    """Return configurations with their results, sorted by engine, published parameters and default settings first.
 
     A result of an episode that did not run has no engine versions. It joins the first configuration that agrees in all
     other fields.
@@ -103,7 +103,7 @@ def _order(configuration: RunConfiguration) -> tuple[str, bool, int, str]:
     )
     return (
         configuration.backend or "",
-        configuration.parameters != "calibrated",
+        configuration.parameters != "published",
         change_count,
         json.dumps(list(asdict(configuration).values()), sort_keys=True),
     )

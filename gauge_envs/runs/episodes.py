@@ -135,11 +135,11 @@ def results_without_run(
         outcome: Outcome of the episodes.
         reason: Why they did not run.
     """
-    calibrated = request.calibrated_experiment()
+    published = request.published_experiment()
     results = []
     for seed in request.seeds:
-        start = _start_record(request, calibrated, seed)
-        planned = _without_run(request, calibrated, seed=seed, start=start)
+        start = _start_record(request, published, seed)
+        planned = _without_run(request, published, seed=seed, start=start)
         results.append(replace(planned, outcome=outcome, error=reason))
     return results
 
@@ -181,7 +181,7 @@ def _without_run(
 
     Args:
         arguments: Arguments of its environment.
-        experiment: Its experiment, or the calibrated one if the parameters are wrong.
+        experiment: Its experiment, or the published one if the parameters are wrong.
         seed: Seed of the episode.
         start: Standard deviations or trial of its initial state.
     """
@@ -190,7 +190,7 @@ def _without_run(
     return result_of(
         experiment,
         outcome=Outcome.FAILED,
-        parameters=json_ready(arguments.parameters) or "calibrated",
+        parameters=json_ready(arguments.parameters) or "published",
         score=Score(kind=kind.value, unit=experiment.score.observable.unit),
         backend=arguments.backend,
         settings_given=json_ready(arguments.settings or {}),

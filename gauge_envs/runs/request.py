@@ -59,10 +59,10 @@ class RunRequest(EnvArguments):
         """
         if self.jitter is not None or self.repeats == 1:
             return self.jitter
-        experiment = self.calibrated_experiment()
+        experiment = self.published_experiment()
         is_nominal = shots_of(experiment) or not can_scatter(experiment.scene)
         return None if is_nominal else Jitter()
 
-    def calibrated_experiment(self) -> Experiment:
-        """Load the experiment with calibrated parameters; it exists even if the parameters are wrong."""
-        return replace(self, parameters="calibrated").experiment()
+    def published_experiment(self) -> Experiment:
+        """Load the experiment with published parameters; it exists even if the parameters are wrong."""
+        return replace(self, parameters="published").experiment()

@@ -179,7 +179,7 @@ class Result:
         processor: The machine's processor, see `processors.processor_name`; empty without a run.
         seed: Seed of the reset and of the jitter.
         jitter: Standard deviations of the start, or `trial`, the number of the imported trial that it is from; empty
-            for the calibrated start.
+            for the published start.
         marker_proxy: Marker proxy of deformable bodies: `material` or `node`.
         driver_provenance: Source of the driven motion; None without driven bodies.
         dataset: Source of driven motion (`drivers`) and band (`reference`), `bundled` or `imported`. If one of them is
@@ -223,7 +223,7 @@ class Result:
 
     @property
     def is_edited(self) -> bool:
-        """Whether the scene comes from an asset and differs from the calibrated scene."""
+        """Whether the scene comes from an asset and differs from the scene of the task file."""
         return bool(self.asset.get("edited"))
 
     def version_difference(self, installed: Mapping[str, str]) -> str:

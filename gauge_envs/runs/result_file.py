@@ -38,7 +38,7 @@ from gauge_envs.validation import first_fault
 
 
 def result_file_name(result: Result) -> str:
-    """Return the file name of a result, as `SlopeSlider-2-wood.mujoco.calibrated.json`.
+    """Return the file name of a result, as `SlopeSlider-2-wood.mujoco.published.json`.
 
     Further parts give differences from the defaults: hashes of overrides, asset, settings and jitter, imported data,
     the marker proxy and the seed.

@@ -52,7 +52,7 @@ def score_file(
     Args:
         file: CSV, NPZ or JSON file.
         variant: Name or id of the experiment, or a task file; None takes that of a JSON file.
-        parameters: Parameters of the scene; None takes those of the file, or `calibrated`.
+        parameters: Parameters of the scene; None takes those of the file, or `published`.
         reference: `bundled` scores against the package's references, `imported` against the imported trials.
 
     Returns:
@@ -193,7 +193,7 @@ def _experiment_of_file(
         )
     if parameters is None:
         known = isinstance(origin.parameters, str | dict) and not origin.has_asset
-        parameters = origin.parameters if known else "calibrated"
+        parameters = origin.parameters if known else "published"
     experiment = load_experiment(name, parameters, reference=reference)
     file_id = (
         origin.id

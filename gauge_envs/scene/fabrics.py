@@ -50,7 +50,7 @@ def plate_bending_stiffness(
     Diagonals matter in other directions: at 45 degrees, equal hinges on all edges give 5/2 or 1/2 of D, by the
     direction of the diagonals.
 
-    Assumption: the calibrated K_theta is the stiffness of each hinge of a square grid, so it equals D. No publication
+    Assumption: the published K_theta is the stiffness of each hinge of a square grid, so it equals D. No publication
     defines the hinge. Two facts support the assumption. Cantilever tests measure K_theta as a stiffness per width. With
     it, the six fabrics have bending lengths of 7 to 17 mm (`bending_length_m`), common for cloth.
 

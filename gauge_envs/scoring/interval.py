@@ -10,10 +10,14 @@ deviations from d^2 - tr(S) (Wilson's interval). Student's t has N - 1 degrees o
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray, length_of
+
+MIN_PREDICTING_TRIALS = 5
+"""Smallest number of real trials whose scatter predicts the distance of one more."""
 
 
 def student_t(freedom: int, coverage: float = 0.95) -> float:
@@ -32,6 +36,57 @@ def distance_interval(distance: float, uncertainty: float) -> tuple[float, float
     """Return the interval of a distance from a reference with a standard uncertainty, all in one unit."""
     half = 1.96 * uncertainty
     return max(distance - half, 0.0), distance + half
+
+
+def ratio_interval(
+    distance: float, interval: tuple[float, float], baseline: float, half_width: float
+) -> tuple[float, float]:
+    """Return the 95 % interval of a distance over the mean distance of real trials.
+
+    Relative errors of both add in quadrature on a logarithmic scale.
+
+    Args:
+        distance: The distance, above 0.
+        interval: Its 95 % interval.
+        baseline: Mean distance of real trials, in the same unit.
+        half_width: Half the 95 % interval of this mean.
+    """
+    low, high = interval
+    ratio, error = distance / baseline, half_width / baseline
+    above = math.exp(math.hypot(math.log(high / distance), error))
+    if low <= 0.0:
+        return 0.0, ratio * above
+    below = math.exp(math.hypot(math.log(distance / low), error))
+    return ratio / below, ratio * above
+
+
+def mean_half_width(values: Sequence[float] | FloatArray) -> float:
+    """Return half of Student's 95 % interval of a mean; 0 for a single value."""
+    count = len(values)
+    if count < 2:
+        return 0.0
+    return student_t(count - 1) * float(np.std(values, ddof=1)) / math.sqrt(count)
+
+
+def prediction_limit(distances: FloatArray) -> float | None:
+    """Return the distance within which one more real trial lies with a probability of 95 %; None below five trials.
+
+    Of N + 1 equal trials, the new one is the k-th smallest or less with probability k / (N + 1), for any distribution.
+    With fewer than 19 trials, k would exceed N. Then the limit is that of Student's t for the logarithms of distances.
+
+    Args:
+        distances: Distance of each real trial from the mean of the others, shape [N].
+    """
+    count = len(distances)
+    if count < MIN_PREDICTING_TRIALS:
+        return None
+    rank = math.ceil(0.95 * (count + 1))
+    if rank <= count:
+        return float(np.sort(distances)[rank - 1])
+    logarithms = np.log(distances)
+    spread = float(np.std(logarithms, ddof=1)) * math.sqrt(1.0 + 1.0 / count)
+    # The limit has one side: 90 % of Student's t are within both.
+    return math.exp(float(logarithms.mean()) + student_t(count - 1, 0.9) * spread)
 
 
 def trials_interval(

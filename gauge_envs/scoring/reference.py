@@ -19,7 +19,7 @@ from gauge_envs.scene.states import nominal_states, scene_at
 from gauge_envs.scoring.user_file.likely_mistakes import START_TOLERANCE_MM
 
 SOLUTION_ALLOWS = frozenset({ChangeKind.SETTING, ChangeKind.LABEL})
-"""Changes with which a solution of the calibrated scene still scores a scene."""
+"""Changes with which a solution of the scene of the task file still scores a scene."""
 
 REAL_ALLOWS = SOLUTION_ALLOWS | {ChangeKind.CONSTANT, ChangeKind.START}
 """Changes with which real trials still score a scene; a start only near theirs, because real starts scatter."""
@@ -58,8 +58,8 @@ def refusal(
     """Return why a reference cannot score a scene, one sentence; None if it can.
 
     Real trials score the scene in which they were recorded, with any constants (`REAL_ALLOWS`) and a start near theirs.
-    A solution scores only the calibrated scene and start: for another scene, the distance would also hold the effect of
-    the change. Numerical settings of an engine may differ in both.
+    A solution scores only the scene and start of the task file: for another scene, the distance would also hold the
+    effect of the change. Numerical settings of an engine may differ in both.
 
     Args:
         experiment: The experiment.
@@ -73,7 +73,7 @@ def refusal(
     changes = _real_changes(experiment) if band.kind.is_real else _changes(experiment)
     if not changes:
         return None
-    scored = "real scene" if band.kind.is_real else "calibrated scene"
+    scored = "real scene" if band.kind.is_real else "scene of the task file"
     more = f", and {len(changes) - 1} more" if len(changes) > 1 else ""
     return f"no score: the {band.kind} reference holds for the {scored}, and this scene differs: {changes[0]}{more}"
 
@@ -84,7 +84,7 @@ def has_real_structure(experiment: Experiment) -> bool:
 
 
 def _changes(experiment: Experiment) -> list[Change]:
-    """Return the changes that a solution of the calibrated scene does not allow."""
+    """Return the changes that a solution of the scene of the task file does not allow."""
     solved = _nominal(experiment).scene
     return [
         change
@@ -120,7 +120,7 @@ def _real_scene(experiment: Experiment) -> Scene:
     Each parameter set of the task file describes the real scene.
     """
     is_named = experiment.parameters != "custom"
-    parameters = experiment.parameters if is_named else "calibrated"
+    parameters = experiment.parameters if is_named else "published"
     nominal = _nominal(experiment, parameters)
     scene, trial = nominal.scene, experiment.trial
     if shots_of(experiment) is not None and trial is not None:
@@ -132,7 +132,7 @@ def _real_scene(experiment: Experiment) -> Scene:
     return scene
 
 
-def _nominal(experiment: Experiment, parameters: str = "calibrated") -> Experiment:
+def _nominal(experiment: Experiment, parameters: str = "published") -> Experiment:
     """Return the experiment of the task file with a parameter set, moved by actions if the experiment is."""
     is_action = experiment.drivers is DataSource.ACTION
     drivers = DataSource.ACTION if is_action else DataSource.BUNDLED

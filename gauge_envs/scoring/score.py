@@ -24,7 +24,14 @@ from gauge_envs.scoring.cause import NEAR_EXACT, Cause, distance_from_exact
 from gauge_envs.scoring.estimates import ComparedQuantity, estimates
 from gauge_envs.scoring.events import PUBLISHED_TRIALS, event_values
 from gauge_envs.scoring.exact import MotionOfTime, exact_solution
-from gauge_envs.scoring.interval import distance_interval, trials_interval
+from gauge_envs.scoring.interval import (
+    distance_interval,
+    mean_half_width,
+    prediction_limit,
+    ratio_interval,
+    student_t,
+    trials_interval,
+)
 from gauge_envs.scoring.metrics import (
     MAX_TIME_OFFSET_S,
     frame_index,
@@ -73,6 +80,7 @@ class Score:
     | `kind` | | `trials`, `recording`, `analytic`, `numerical` or `none`: what the reference motion is |
     | `unit` | | unit of the distances |
     | `primary` | | distance that reports show first: `rmse_aligned` for a release, `over_uncertainty` for a solution |
+    | `primary_interval` | 1 | 95 % interval of the primary distance over that of real trials, or over u |
     | `exact` | 1 | the primary ratio of the exact motion with the same constants, at the same times |
     | `cause` | | `none`, `constants`, `engine` or `both` (`Cause`): what causes the distance from real trials |
     | `rmse` | unit | E_RMSE of the paper |
@@ -85,7 +93,7 @@ class Score:
     | `rmse_aligned_normalized` | 1 | `rmse_aligned` over the mean of the same distance of real trials |
     | `mean_abs_z` | 1 | mean deviation over the standard deviation of real trials; a real trial has 0.80 |
     | `inside_1sigma`, `inside_2sigma` | 1 | share of measured values within 1 and 2 standard deviations |
-    | `percentile` | % | real trials that are closer to the mean of the others, by the primary distance |
+    | `real_limit` | unit | primary distance within which one more real trial lies with a probability of 95 % |
     | `signed_error` | unit | mean deviation of each coordinate of the reference |
     | `compared_frames` | | frames that the reference knows |
     | `over_uncertainty` | 1 | distance over the standard uncertainty u of a solution |
@@ -98,6 +106,7 @@ class Score:
     kind: str
     unit: str
     primary: str | None = None
+    primary_interval: Interval | None = None
     exact: float | None = None
     cause: Cause | None = None
     rmse: float | None = None
@@ -112,7 +121,7 @@ class Score:
     mean_abs_z: float | None = None
     inside_1sigma: float | None = None
     inside_2sigma: float | None = None
-    percentile: float | None = None
+    real_limit: float | None = None
     signed_error: tuple[float, ...] | None = None
     compared_frames: int | None = None
     over_uncertainty: float | None = None
@@ -145,23 +154,10 @@ class Score:
         return value
 
     @property
-    def primary_interval(self) -> Interval | None:
-        """95 % interval of `primary_normalized`; None without one."""
-        ratio = self.primary_normalized
-        if ratio is None or self.primary is None:
-            return None
-        if self.primary == OVER_U:
-            return distance_interval(ratio, 1.0)
-        distance, ends = self.distance, getattr(self, f"{self.primary}_95")
-        if not distance or ends is None:
-            return None
-        return ends[0] * ratio / distance, ends[1] * ratio / distance
-
-    @property
     def verdict(self) -> ScoreVerdict:
         """`inside`, `outside` or `no reference`.
 
-        The motion is inside if at least one real trial is as far from the mean of the other trials. Without single
+        The motion is inside if it is as close as one more real trial would be (`real_limit`). Without five single
         trials, the limit is twice the published mean of real trials, or 1.96 u if none is published. For a solution,
         the limit is 1.96 u. Without a reference motion, each event with a real value must be within 1.96 u.
         """
@@ -169,8 +165,8 @@ class Score:
             return ScoreVerdict.NO_REFERENCE
         if self.over_uncertainty is not None:
             return _verdict(self.over_uncertainty <= COVERAGE_FACTOR)
-        if self.percentile is not None:
-            return _verdict(self.percentile < 100.0)
+        if self.real_limit is not None and self.distance is not None:
+            return _verdict(self.distance <= self.real_limit)
         if self.primary_normalized is not None:
             return _verdict(self.primary_normalized <= 2.0)
         if self.rmse_95 is not None:
@@ -445,7 +441,10 @@ def _over_uncertainty(score: Score, motion: _ComparedMotion, rmse: float) -> Sco
     distance = band.compared.length(deviation)
     if band.compared.marker_count > 1:
         score = replace(score, marker_rmse_mm=distance)
-    return replace(score, over_uncertainty=distance / band.standard_uncertainty)
+    ratio = distance / band.standard_uncertainty
+    return replace(
+        score, over_uncertainty=ratio, primary_interval=distance_interval(ratio, 1.0)
+    )
 
 
 def _over_real_trials(score: Score, motion: _ComparedMotion, rmse: float) -> Score:
@@ -454,16 +453,33 @@ def _over_real_trials(score: Score, motion: _ComparedMotion, rmse: float) -> Sco
     score = replace(
         score, primary="rmse", rmse_95=_real_interval(band, rmse, motion.deviation)
     )
-    distance, of_trials = rmse, band.trial_rmse
+    of_trials = band.trial_rmse
     if band.has_release and experiment.trial is None:
         offset_s, aligned = time_offset(motion.times_s, motion.samples, band.mean)
         score = _aligned(score, motion, offset_s, aligned)
         if not experiment.scene.drivers:
             score = replace(score, primary="rmse_aligned")
-            distance, of_trials = aligned, band.trial_rmse_aligned
-    if of_trials is None:
-        return score
-    return replace(score, percentile=100.0 * float(np.mean(of_trials < distance)))
+            of_trials = band.trial_rmse_aligned
+    if of_trials is not None:
+        score = replace(score, real_limit=prediction_limit(of_trials))
+    return replace(score, primary_interval=_primary_interval(score, motion))
+
+
+def _primary_interval(score: Score, motion: _ComparedMotion) -> Interval | None:
+    """Return the interval of the primary distance over the mean of real trials, whose error counts too."""
+    band = motion.band
+    if not score.distance or score.primary_normalized is None:
+        return None
+    baseline = score.distance / score.primary_normalized
+    if score.primary == "rmse_aligned":
+        assert band.trial_rmse_aligned is not None and score.rmse_aligned_95 is not None
+        half = mean_half_width(band.trial_rmse_aligned)
+        return ratio_interval(score.distance, score.rmse_aligned_95, baseline, half)
+    published = normalizing_baselines(motion.experiment, band)["rmse"]
+    error = (published.std or 0.0) / math.sqrt(PUBLISHED_TRIALS)
+    half = student_t(PUBLISHED_TRIALS - 1) * error
+    assert score.rmse_95 is not None
+    return ratio_interval(score.distance, score.rmse_95, baseline, half)
 
 
 def _aligned(

@@ -29,7 +29,7 @@ SLIDE = "SlopeSlider-2-wood"
 INTERVAL_S = 1 / 180
 
 
-def scene_for(engine, name, parameters="calibrated"):
+def scene_for(engine, name, parameters="published"):
     """Return the scene of an experiment; the test is skipped on an engine that does not build it."""
     scene = load_experiment(name, parameters).scene
     if not engine.supports(scene):
@@ -59,12 +59,12 @@ def course(simulation, scene, count):
 @pytest.mark.parametrize(
     ("name", "parameters"),
     [
-        ("NewtonsCradle-metal", "calibrated"),
-        ("CubeToss-acrylic", "calibrated"),
+        ("NewtonsCradle-metal", "published"),
+        ("CubeToss-acrylic", "published"),
         ("TextileFlinging-satin", "air"),
-        ("RotatingBall-satin", "calibrated"),
-        ("FoamBending-soft", "calibrated"),
-        ("StickStack-soft", "calibrated"),
+        ("RotatingBall-satin", "published"),
+        ("FoamBending-soft", "published"),
+        ("StickStack-soft", "published"),
     ],
 )
 def test_a_reset_begins_anew(engine, name, parameters):

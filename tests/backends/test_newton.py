@@ -22,7 +22,7 @@ from gauge_envs.backends.newton.settings import settings_for
 NEWTON = backend("newton")
 
 
-def score_of(name, parameters="calibrated", **settings):
+def score_of(name, parameters="published", **settings):
     """Score of an episode."""
     request = RunRequest(
         name, backend="newton", settings=settings, parameters=parameters

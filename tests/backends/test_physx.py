@@ -302,7 +302,7 @@ def test_simulations_with_other_tolerances_do_not_share_a_process():
 @pytest.mark.parametrize(
     ("name", "parameters"),
     [
-        ("BouncingBall-rubber", "calibrated"),
+        ("BouncingBall-rubber", "published"),
         ("SlopeSlider-2-wood", {"cube.friction": 0.262758}),
     ],
 )

@@ -236,7 +236,7 @@ run -> nothing to run
 run SlopeSlider-2-gold -> did you mean SlopeSlider-2-wood
 run SlopeSlider-2-wood --backend mujoko -> did you mean mujoco
 run SlopeSlider-2-wood --backnd mujoco -> --backend
-run SlopeSlider-2-wood -p nonsense -> known: calibrated, effective
+run SlopeSlider-2-wood -p nonsense -> known: measured, published
 run SlopeSlider-2-wood -p cube.frction=1 -> did you mean friction
 run SlopeSlider-2-wood -p cbe.friction=1 -> did you mean cube
 run SlopeSlider-2-wood -p cube.friction=-1 -> cube.friction

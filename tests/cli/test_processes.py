@@ -52,7 +52,7 @@ def test_a_full_device_is_an_error_and_the_results_are_written(tmp_path):
     assert process.returncode == 2
     assert "the output cannot be written: No space left on device" in stderr
     assert "Traceback" not in stderr
-    assert (tmp_path / "results" / f"{NAME}.mujoco.calibrated.json").is_file()
+    assert (tmp_path / "results" / f"{NAME}.mujoco.published.json").is_file()
 
 
 def test_a_closed_pipe_ends_the_command_without_a_traceback(tmp_path):

@@ -22,7 +22,7 @@ KINDS = [f"list {kind}" for kind in listings()]
 HERE = {
     "list": "list SlopeSlider-2-wood FoamBending-soft",
     "show": "show RopeWinding-rubber",
-    "run": "run SlopeSlider-2-wood FoamBending-soft -p effective",
+    "run": "run SlopeSlider-2-wood FoamBending-soft -p measured",
     "score": "score slide.csv --id SlopeSlider-2-wood",
     "recipe fabrics": "recipe fabrics",
     "sanity": "sanity mujoco:out_of_box --only gravity,slide-wood",

@@ -58,7 +58,7 @@ def prose(page):
 
 SCRIPTS = [
     file
-    for folder in ("benchmarks", "scripts")
+    for folder in ("benchmarks", "scripts", "studies")
     for file in sorted((ROOT / folder).rglob("*.py"))
 ]
 

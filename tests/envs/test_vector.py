@@ -94,7 +94,7 @@ def compare(
         batches.append(envs.step(action))
     for world in range(count):
         if constants is not None:
-            arguments["parameters"] = constants[world] or "calibrated"
+            arguments["parameters"] = constants[world] or "published"
         env = gymnasium.make(f"GAUGE/{name}", disable_env_checker=True, **arguments)
         singles = [env.reset(seed=5 + world, options=options)]
         for frame, action in enumerate(actions):

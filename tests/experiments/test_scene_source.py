@@ -263,7 +263,7 @@ def test_commands_show_and_mark_an_edited_scene(slippery, gauge, tmp_path):
     assert json.loads(shown.stdout)["asset"]["changes"] == [change]
     run = gauge("run", SLIDE, "--asset", slippery, "--out", tmp_path / "out")
     assert run.exit_code == 0
-    assert "calibrated, edited scene" in run.stdout
+    assert "published, edited scene" in run.stdout
     assert change.partition(": ")[2] in run.stdout
 
 

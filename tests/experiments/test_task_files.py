@@ -156,25 +156,25 @@ def built(name, overrides=()):
 
 @pytest.mark.parametrize("name", first_of_each_kind(ALL))
 def test_each_number_of_a_body_changes_the_scene_or_is_an_error(name):
-    builder, calibrated = built(name)
+    builder, published = built(name)
     assert builder.read
     for body, constants in builder.constants.items():
         for constant, value in constants.items():
             key = f"{body}.{constant}"
             override = {key: 0.9 * (value or 0.0) or 0.1}
             if key in builder.read:
-                assert built(name, override)[1] != calibrated, key
+                assert built(name, override)[1] != published, key
             elif value is not None:
                 with pytest.raises(ParameterError, match="would change nothing") as no:
                     load_experiment(name, override)
                 offered = str(no.value).rpartition(": ")[2].split(", ")
                 assert set(offered) <= builder.read
-    present = {builder.spec.entry(body.name) for body in calibrated.bodies}
-    for body in present | {body.name for body in calibrated.deformables}:
+    present = {builder.spec.entry(body.name) for body in published.bodies}
+    for body in present | {body.name for body in published.deformables}:
         for field in builder.placements[body].model_dump(exclude_none=True):
             value = np.asarray(getattr(builder.placements[body], field))
             moved = {f"{body}.{field}": value + 0.01}
-            assert built(name, moved)[1] != calibrated, (body, field)
+            assert built(name, moved)[1] != published, (body, field)
 
 
 @pytest.mark.parametrize("name", first_of_each_kind(ALL))
@@ -199,8 +199,8 @@ def test_a_parameter_set_equals_its_overrides(name):
         (SLIDE, {"cube.friction": None}, "is None: expected numbers"),
         (SLIDE, {"cube.position_m": (0.0, 0.0)}, "position_m.2: missing number"),
         (SLIDE, {"scene.gravity_m_per_s2": 0.0}, "should be greater than 0"),
-        (SLIDE, "efective", "no parameter set 'efective'; did you mean effective"),
-        (SLIDE, 3, "expected the name of a parameter set, as 'calibrated', or over"),
+        (SLIDE, "mesured", "no parameter set 'mesured'; did you mean measured"),
+        (SLIDE, 3, "expected the name of a parameter set, as 'published', or over"),
         (
             "TextileBending-rayon",
             {"textile.velocity_m_per_s": (1.0, 0.0, 0.0)},
@@ -254,11 +254,11 @@ def test_gravity_and_start_change_the_motion():
             env.step(0)
         return env.trajectory().samples
 
-    calibrated = path_mm("calibrated")
+    published = path_mm("published")
     moon = path_mm({"scene.gravity_m_per_s2": 9.80665 / 6.0})
-    lengths = [np.linalg.norm(path[-1] - path[0]) for path in (calibrated, moon)]
+    lengths = [np.linalg.norm(path[-1] - path[0]) for path in (published, moon)]
     assert lengths[1] == pytest.approx(lengths[0] / 6.0, rel=0.03)
     x, y, z = load_experiment(SLIDE).scene.body("cube").pose.position_m
-    shift = path_mm({"cube.position_m": (x, y + 0.01, z)}) - calibrated
+    shift = path_mm({"cube.position_m": (x, y + 0.01, z)}) - published
     expected = np.broadcast_to([0.0, 10.0, 0.0], shift.shape)
     assert shift == pytest.approx(expected, abs=0.05)

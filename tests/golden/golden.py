@@ -46,7 +46,6 @@ SCORE_FIELDS = (
     "mean_abs_z",
     "inside_1sigma",
     "inside_2sigma",
-    "percentile",
 )
 
 

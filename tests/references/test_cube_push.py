@@ -34,7 +34,7 @@ def played(env, **options):
 def test_an_engine_is_within_the_scatter_and_replays_a_trial_from_its_start():
     env, band = gymnasium.make(f"GAUGE/{NAME}"), load_band(NAME)
     _, score = played(env)
-    assert score.percentile is not None and score.compared_frames == 33
+    assert score.real_limit is not None and score.compared_frames == 33
     # The push is chaotic: with a start 0.1 um away, or another tolerance of the solver, it ends up to 2 mm elsewhere.
     assert score.rmse < band.sigma.max()
     path, of_trial = played(env, trial=3)

@@ -86,7 +86,7 @@ def test_a_folder_that_is_not_writable_raises_an_error_before_a_run(played):
 
 def test_a_result_is_read_back_and_scored_again_without_change(result, tmp_path):
     file = tmp_path / result_file_name(result)
-    assert file.name == "SlopeSlider-2-wood.mujoco.calibrated.json"
+    assert file.name == "SlopeSlider-2-wood.mujoco.published.json"
     write_result(result, file)
     assert list(tmp_path.iterdir()) == [file]
     assert load_result(file) == result
@@ -99,7 +99,7 @@ def test_a_result_is_read_back_and_scored_again_without_change(result, tmp_path)
 def test_file_names_differ_between_requests(result):
     changes = [
         {},
-        {"parameters": "effective"},
+        {"parameters": "measured"},
         {"parameters": {"cube.friction": 0.3}},
         {"parameters": {"cube.friction": 0.31}},
         {"settings_given": {"iterations": 50}},

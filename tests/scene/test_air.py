@@ -100,9 +100,9 @@ def test_wrong_overrides_name_what_is_wrong(name, overrides, reason):
 def test_air_is_a_parameter_set_that_usd_stores_and_other_formats_do_not_support(
     tmp_path,
 ):
-    calibrated, experiment = load_experiment(SATIN), load_experiment(SATIN, "air")
+    published, experiment = load_experiment(SATIN), load_experiment(SATIN, "air")
     scene = experiment.scene
-    (change,) = scene_changes(calibrated.scene, scene)
+    (change,) = scene_changes(published.scene, scene)
     assert str(change) == "scene: air None -> Air"
     assert scene.air.normal_coefficient == 1.17
     overrides = experiment.overrides | {"air.wind_m_per_s": [0.1, -0.2, 1.0 / 3.0]}

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import binom, t as student
 
-from gauge_envs.scoring.interval import distance_interval, student_t, trials_interval
+from gauge_envs.scoring.interval import (
+    distance_interval,
+    mean_half_width,
+    prediction_limit,
+    ratio_interval,
+    student_t,
+    trials_interval,
+)
 
 TIMES_S = np.arange(19) / 30.0
 
@@ -39,6 +46,63 @@ def test_intervals_hold_the_distance_from_the_mean_of_infinitely_many_trials(
     assert inside >= binom.ppf(1e-4, realities, 0.92)
     # Far away an interval is not wider than it needs to be.
     assert factor < 10.0 or inside <= binom.ppf(1.0 - 1e-4, realities, 0.98)
+
+
+def distances(trials):
+    """Return the distance of each trial, shape [count, T], from the mean of the others."""
+    count = len(trials)
+    means = (trials.sum(axis=0) - trials) / (count - 1)
+    return np.sqrt(np.mean(np.square(trials - means), axis=1))
+
+
+@pytest.mark.parametrize("factor", [0.3, 3.0, 10.0, 60.0])
+@pytest.mark.parametrize("count", [5, 20])
+def test_intervals_of_a_normalized_distance_hold_the_ratio_of_the_true_ones(
+    count, factor
+):
+    """Both the distance and the mean distance of real trials, by which it is divided, come from the trials."""
+    random, realities = np.random.default_rng(count), 300
+    population = slides(random, 10_000)
+    baseline = np.mean([distances(slides(random, count)).mean() for _ in range(1000)])
+    truth = factor * math.sqrt(float(population.var(axis=0).mean()) / count)
+    engine = population.mean(axis=0) + truth * TIMES_S**2 / np.sqrt(np.mean(TIMES_S**4))
+    inside = 0
+    for _ in range(realities):
+        trials = slides(random, count)
+        deviation = engine - trials.mean(axis=0)
+        interval = trials_interval(deviation[:, None], trials[..., None])
+        of_trials = distances(trials)
+        low, high = ratio_interval(
+            math.sqrt(np.mean(np.square(deviation))),
+            interval,
+            of_trials.mean(),
+            mean_half_width(of_trials),
+        )
+        inside += low <= truth / baseline <= high
+    # The distances of five trials depend on each other, so their mean is less certain than Student's interval says.
+    assert inside >= binom.ppf(1e-4, realities, 0.93 if count == 20 else 0.90)
+    assert factor < 10.0 or inside <= binom.ppf(1.0 - 1e-4, realities, 0.98)
+
+
+@pytest.mark.parametrize(
+    ("count", "least", "most"), [(5, 0.95, 0.99), (20, 0.93, 0.98), (60, 0.93, 0.97)]
+)
+def test_one_more_trial_is_within_the_limit_in_95_percent_of_worlds(count, least, most):
+    """The limit of fewer than 19 trials is too wide rather than too narrow."""
+    random, realities = np.random.default_rng(count), 600
+    inside = 0
+    for _ in range(realities):
+        trials = slides(random, count + 1)
+        trials += 4.0 * random.standard_normal(trials.shape)
+        known, new = trials[:count], trials[count]
+        distance = np.sqrt(np.mean(np.square(new - known.mean(axis=0))))
+        inside += distance <= prediction_limit(distances(known))
+    assert binom.ppf(1e-4, realities, least) <= inside
+    assert inside <= binom.ppf(1.0 - 1e-4, realities, most)
+
+
+def test_four_trials_predict_no_limit():
+    assert prediction_limit(np.arange(1.0, 5.0)) is None
 
 
 @pytest.mark.parametrize(

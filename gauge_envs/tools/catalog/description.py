@@ -86,8 +86,8 @@ def description(experiment: Experiment) -> dict[str, Any]:
 
 def _parameter_sets(experiment: Experiment) -> dict[str, dict[str, Any]]:
     """Return the summary and the values of each parameter set by name."""
-    summary = "calibrated constants of the metadata"
-    sets: dict[str, dict[str, Any]] = {"calibrated": {"summary": summary, "values": {}}}
+    summary = "published constants of the metadata"
+    sets: dict[str, dict[str, Any]] = {"published": {"summary": summary, "values": {}}}
     for name, chosen in experiment.spec.parameters.items():
         values = dict(load_experiment(experiment.variant, name).overrides)
         sets[name] = {"summary": chosen.summary, "values": values}
@@ -131,9 +131,7 @@ def _constants(experiment: Experiment, name: str) -> dict[str, dict[str, Any]]:
         source = spec.provenance_of(place)
         if isinstance(constant, Substituted):
             used = spec.provenance_of(f"{place}.used")
-            source = (
-                f"{used}, for {constant.calibrated:g} ({source}): {constant.reason}"
-            )
+            source = f"{used}, for {constant.published:g} ({source}): {constant.reason}"
         described[key] = {"value": values[key], "source": source}
     return described
 

@@ -159,7 +159,9 @@ def _support_facts(values: Mapping[str, Any]) -> dict[str, str]:
     if asset:
         facts["asset"] = f"{asset['file']}, sha256 {asset['sha256'][:8]}"
         facts["gravity"] = f"{values['gravity_m_per_s2']:g} m/s^2"
-        facts["edited"] = "; ".join(asset["changes"]) or "no: the calibrated scene"
+        facts["edited"] = (
+            "; ".join(asset["changes"]) or "no: the scene of the task file"
+        )
     return facts
 
 

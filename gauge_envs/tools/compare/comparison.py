@@ -92,12 +92,6 @@ class Cell:
             intervals.append(interval)
         return repeats_interval(values, intervals) if values else None
 
-    @property
-    def percentile(self) -> float | None:
-        """Percentage of real trials that are closer to their mean, averaged over the repeats that have it."""
-        spread = ScoreSpread.of(result.score.percentile for result in self.results)
-        return None if spread is None else spread.mean
-
     @cached_property
     def verdicts(self) -> Counter[ScoreVerdict]:
         """Number of finished repeats with each verdict."""

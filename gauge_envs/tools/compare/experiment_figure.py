@@ -65,7 +65,7 @@ MAX_RANGE = 10.0
 NARROW, WIDE = "#c4c4c4", "#e3e3e3"
 
 VALIDATION = "Validation: is the motion like reality?"
-VERIFICATION = "Verification: does the engine solve the calibrated scene?"
+VERIFICATION = "Verification: does the engine solve the scene of the task file?"
 """Questions that references answer. No table, axis or rank mixes the two."""
 
 

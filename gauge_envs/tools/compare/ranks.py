@@ -24,7 +24,7 @@ from gauge_envs.tools.compare.statistics import Deviations, difference_interval
 NEGLIGIBLE = 0.01
 """Largest difference of normalized scores of two tied configurations: the last digit in tables."""
 
-PUBLISHED = "calibrated"
+PUBLISHED = "published"
 """Constants of configurations with the parameters that the benchmark publishes."""
 
 

@@ -254,7 +254,6 @@ def _cell_row(cell: Cell, metric: str | None) -> dict[str, Any]:
         "raw": _spread_row(cell, metric, normalized=False),
         "normalized": _spread_row(cell, metric, normalized=True),
         "normalized_95": metric and cell.interval_95(metric),
-        "percentile": cell.percentile,
         "verdicts": [result.score.verdict.value for result in cell.results],
         "settings": ran and ran.settings,
         "versions": ran and ran.versions,

@@ -47,7 +47,6 @@ class CellFacts(TypedDict):
         raw: Metric in its unit.
         normalized: Metric divided by its value for real trials, or by u of a solution.
         normalized_95: 95 % interval of the mean of `normalized`.
-        percentile: Percentage of real trials that are closer to their mean, by the primary distance.
         verdicts: `inside`, `outside` or `no reference`, of each repeat.
         settings: Numerical settings of the engine.
         versions: Versions of the packages.
@@ -60,7 +59,6 @@ class CellFacts(TypedDict):
     raw: SpreadFacts | None
     normalized: SpreadFacts | None
     normalized_95: Interval | None
-    percentile: float | None
     verdicts: Sequence[str]
     settings: Mapping[str, Any] | None
     versions: Mapping[str, str] | None

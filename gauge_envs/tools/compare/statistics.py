@@ -19,7 +19,7 @@ import numpy as np
 
 from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray, length_of
-from gauge_envs.scoring.interval import student_t
+from gauge_envs.scoring.interval import mean_half_width, student_t
 from gauge_envs.scoring.score import COVERAGE_FACTOR, Interval
 
 SMALLEST = 1e-300
@@ -149,14 +149,6 @@ def _errors_of_mean(trials: FloatArray) -> FloatArray:
     residuals = trials - np.nansum(trials, axis=0) / count
     errors = residuals / np.sqrt(np.maximum(count * (count - 1), 1))
     return np.where(known, errors, 0.0)
-
-
-def mean_half_width(values: Sequence[float] | FloatArray) -> float:
-    """Return half the 95 % interval of a mean over repeats; 0 for a single repeat."""
-    count = len(values)
-    if count < 2:
-        return 0.0
-    return student_t(count - 1) * float(np.std(values, ddof=1)) / math.sqrt(count)
 
 
 def repeats_interval(

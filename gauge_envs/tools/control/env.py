@@ -1,4 +1,4 @@
-"""Base of the control tasks: a calibrated scene whose driver is the action, stepped at the frame rate of the trials.
+"""Base of the control tasks: a published scene whose driver is the action, stepped at the frame rate of the trials.
 
 The module of a task reads in the order of dm_control's suite: the numbers of the task; the scene and its limit; the
 hooks of an episode in the order in which `reset` and `step` call them; and the policy of the law.
@@ -106,7 +106,7 @@ class LimitReport:
 
 
 class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
-    """A control task in a calibrated scene of the benchmark; a law gives its true optimum.
+    """A control task in a published scene of the benchmark; a law gives its true optimum.
 
     One step is 1/30 s, in six intervals of 1/180 s with a constant action. The action is a Box [-1, 1] with an entry
     for each of `COMMANDED`. The subclass documents what they command, the observation, and the reward with its proof.
@@ -117,7 +117,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
     Args:
         material: Material of the cube, the ball or the cloth.
         backend: Name of an installed physics engine.
-        parameters: `calibrated`, another parameter set of the task file, or overrides such as
+        parameters: `published`, another parameter set of the task file, or overrides such as
             `{"cube.friction": 0.3}`.
         settings: Numerical settings of the engine that replace the preset and `MUJOCO_TIMESTEPS_S`.
         render_mode: None; `human` for a window that the mouse turns, drawn by `reset` and `step`; `rgb_array`;
@@ -142,7 +142,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         TIME_LIMIT_ENDING: Ending of an episode that reaches its last frame.
         arguments: Variant of the scene, engine, parameters and settings.
         experiment: The experiment, with the drivers and the duration of the task.
-        calibrated: The scene of the experiment with its calibrated constants, before the task changes it.
+        published_scene: The scene of the experiment with its published constants, before the task changes it.
         gravity_m_per_s2: Gravity of the scene.
         limit: The best that the law allows.
         rollout: The episode in one world.
@@ -178,7 +178,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         material: str,
         *,
         backend: str = "mujoco",
-        parameters: Parameters = "calibrated",
+        parameters: Parameters = "published",
         settings: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         width: int | None = None,
@@ -190,7 +190,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         view = {**self.CAMERA, **(camera or {})}
         self._pictures = Pictures(render_mode, width=width, height=height, camera=view)
         self._variant = find_variant(f"{self.SCENE}-{material}")
-        self.calibrated = load_experiment(self._variant).scene
+        self.published_scene = load_experiment(self._variant).scene
         if self.PARAMETERS:
             overrides = load_experiment(self._variant, parameters).overrides
             parameters = {**overrides, **self.PARAMETERS}

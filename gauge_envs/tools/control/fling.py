@@ -72,7 +72,7 @@ class FlingLimit(ControlEnv):
     # --- scene and limit ---
 
     def _prepare(self, scene: Scene) -> tuple[float, float]:
-        (recorded,) = self.calibrated.drivers[0].motions[0].profiles
+        (recorded,) = self.published_scene.drivers[0].motions[0].profiles
         (cloth,) = scene.deformables
         assert isinstance(recorded, CosineProfile) and isinstance(cloth, Cloth)
         self._acceleration_m_per_s2 = (

@@ -56,9 +56,9 @@ class CubeLimit(ControlEnv):
     def _prepare(self, scene: Scene) -> tuple[float, float]:
         self._stage = Stage(scene, self.ACCELERATION)
         # The first contact of each scene is the contact of the cube with the face below it. The uncertainty belongs to
-        # the calibrated coefficient, also if an override replaces the coefficient.
-        calibrated = self.calibrated.contacts[0].friction
-        std = friction_std(calibrated, self._variant.material)
+        # the published coefficient, also if an override replaces the coefficient.
+        published = self.published_scene.contacts[0].friction
+        std = friction_std(published, self._variant.material)
         return scene.contacts[0].friction, std
 
 
@@ -199,7 +199,7 @@ class TurntableLimit(FrictionLimit):
     LIMIT = Limit(
         quantity="friction used",
         law="sqrt((omega^2 r)^2 + (alpha r)^2) / g <= mu, so at a steady speed omega^2 r = mu g",
-        sigma_source="relative uncertainty of the same cube's friction on the slope, from calibrated coefficients and "
+        sigma_source="relative uncertainty of the same cube's friction on the slope, from published coefficients and "
         "19 or 20 trials by the same method; no trial shows where cubes slip on the turntable",
     )
     FAMILY = "Turntable"
@@ -231,7 +231,7 @@ class SlopeSliderLimit(FrictionLimit):
         quantity="friction used",
         law="tan(theta) <= mu at rest; while the board accelerates, tangential over normal specific force <= mu",
         sigma_source="friction of the same cube on the same board in 19 or 20 real trials at 30 degrees: root mean "
-        "square distance from the calibrated coefficient",
+        "square distance from the published coefficient",
     )
     FAMILY = "SlopeSlider"
     """Time of an episode: 1.0 s to the limit at full acceleration and braking, and 4 s to hold it."""

@@ -288,7 +288,7 @@ class PushLimit(LeastTimeLimit):
         quantity="friction that the time needs",
         law="friction alone brakes the cube, so D <= mu g T^2 / 2 to rest",
         sigma_source="friction of the same cube on the same board in 19 or 20 real trials at 30 degrees: root mean "
-        "square distance from the calibrated coefficient",
+        "square distance from the published coefficient",
     )
     FAMILY = "Push"
     """Time of an episode: five times the least time."""
@@ -312,7 +312,7 @@ class PushLimit(LeastTimeLimit):
         return with_box(replace(scene, bodies=bodies), PUSHER_SIZE_M, place_m, driver)
 
     def _follow(self, states: FloatArray) -> None:
-        """Keep the calibrated distance of the pusher behind the cube."""
+        """Keep the published distance of the pusher behind the cube."""
         scene = self.experiment.scene
         cube, pusher = row_of(scene, CUBE), row_of(scene, PUSHER)
         states[pusher, :3] += states[cube, :3] - scene.body(CUBE).pose.position_m

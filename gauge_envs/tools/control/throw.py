@@ -108,7 +108,7 @@ class ThrowLimit(ControlEnv):
         unit="m",
         law="an impact gives at most e v + (1 + e) V; z + (e v + (1 + e) V)^2 / (2 g) for the best place z, three "
         "times",
-        sigma_source="restitution: root mean square distance of 22 real drops from the calibrated coefficient; start "
+        sigma_source="restitution: root mean square distance of 22 real drops from the published coefficient; start "
         "height: their scatter",
     )
     FAMILY = "Throw"
@@ -156,8 +156,8 @@ class ThrowLimit(ControlEnv):
         restitution = scene.contacts[0].restitution
         gravity = scene.gravity_m_per_s2
         value = highest_m(self._drop_m, restitution, gravity)
-        # The uncertainty belongs to the calibrated coefficient, also if an override replaces the coefficient.
-        std = RESTITUTION_SHARE * self.calibrated.contacts[0].restitution
+        # The uncertainty belongs to the published coefficient, also if an override replaces the coefficient.
+        std = RESTITUTION_SHARE * self.published_scene.contacts[0].restitution
         bouncier_m = highest_m(self._drop_m, restitution + std, gravity)
         started_higher_m = highest_m(self._drop_m + START_STD_M, restitution, gravity)
         return value, math.hypot(bouncier_m - value, started_higher_m - value)

@@ -21,7 +21,7 @@ from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.trial import PoseTrack, Trial, check_lengths
 
 MAX_START_DISTANCE_MM = 300.0
-"""Largest distance from the calibrated initial position; a larger one means a wrong frame, unit or body."""
+"""Largest distance from the published initial position; a larger one means a wrong frame, unit or body."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,7 +34,7 @@ class DriverTrack:
         residual_mm: Distance between the recorded and the projected origin [mm], shape [captured_count].
         residual_rad: Angle between the recorded and the projected rotation [rad], shape [captured_count]; empty for a
             file without orientation.
-        start_offset_mm: Distance of the first position from the calibrated initial position [mm].
+        start_offset_mm: Distance of the first position from the published initial position [mm].
     """
 
     coordinates: FloatArray
@@ -99,10 +99,10 @@ def _check_start(name: str, track: PoseTrack, start: Pose) -> None:
 
 
 def _check_place(name: str, place_mm: FloatArray, start_mm: FloatArray) -> None:
-    """Raise an error if the first position is far from the calibrated one."""
+    """Raise an error if the first position is far from the published one."""
     distance_mm = length_of(place_mm - start_mm)
     if distance_mm > MAX_START_DISTANCE_MM:
-        problem = f"it starts {distance_mm:.0f} mm from its calibrated position"
+        problem = f"it starts {distance_mm:.0f} mm from its published position"
         expected = f"expected at most {MAX_START_DISTANCE_MM:.0f} mm: check the motion-capture frame, axes and unit"
         raise TrialError(name, problem, expected)
 
@@ -142,7 +142,7 @@ def _check_order(
     Args:
         ids: Marker ids in the order of the metadata.
         positions_mm: Positions of the markers, shape [frame_count, marker_count, 3].
-        rest_mm: Calibrated positions, shape [marker_count, 3].
+        rest_mm: Published positions, shape [marker_count, 3].
     """
     captured = np.asarray(~np.isnan(positions_mm).any(axis=2))
     seen = np.flatnonzero(captured.any(axis=0))

@@ -59,7 +59,7 @@ def material_pairs() -> tuple[MaterialPair, ...]:
 def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
     """Return a pair of materials.
 
-    A pair `-recorded` has the restitution of recorded trials, the set `effective` of the task file.
+    A pair `-recorded` has the restitution of recorded trials, the set `measured` of the task file.
 
     Args:
         name: Name of the pair.

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 FABRICS_FAMILY = "TextileFlinging"
-"""Family whose task file has the six calibrated fabrics of the benchmark."""
+"""Family whose task file has the six published fabrics of the benchmark."""
 
 TIMESTEP = "--set timestep_s=0.002"
 BODY = {"mass_kg": "--mass 0.5", "timestep_s": TIMESTEP}
@@ -27,7 +27,7 @@ BODY = {"mass_kg": "--mass 0.5", "timestep_s": TIMESTEP}
 
 
 def known_fabrics() -> Mapping[str, Fabric]:
-    """Return the calibrated fabrics by name."""
+    """Return the published fabrics by name."""
     from gauge_envs.experiments.task_files import fabrics
 
     return fabrics(FABRICS_FAMILY)

@@ -102,7 +102,7 @@ def _default_jobs(requests: Sequence[RunRequest]) -> int:
     """Return the number of processors; 1 for a few rigid episodes, which take less time than the start of a process."""
     episodes = sum(request.repeats for request in requests)
     is_long = episodes > MAX_LOCAL_EPISODES or any(
-        request.calibrated_experiment().scene.deformables for request in requests
+        request.published_experiment().scene.deformables for request in requests
     )
     return processor_count() if is_long else 1
 

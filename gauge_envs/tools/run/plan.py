@@ -111,7 +111,7 @@ class _Case:
 
     Attributes:
         request: The request without an engine and its settings, with the effective jitter.
-        experiment: The experiment; it is calibrated if the parameters are rejected.
+        experiment: The experiment; it has published parameters if those of the request are rejected.
         rejected: Why the parameters are rejected; empty if they are not.
     """
 
@@ -162,7 +162,7 @@ def _case(request: RunRequest) -> _Case:
     try:
         return _Case(request, request.experiment())
     except ParameterError as error:
-        return _Case(request, request.calibrated_experiment(), str(error))
+        return _Case(request, request.published_experiment(), str(error))
 
 
 def _engine_runs(

@@ -74,7 +74,7 @@ class RunSpec(BaseModel):
     backends: NameList = ["mujoco"]
     variants: NameList
     presets: NameList | None = None
-    parameters: Annotated[list[Any], Field(min_length=1)] = ["calibrated"]
+    parameters: Annotated[list[Any], Field(min_length=1)] = ["published"]
     repeats: PositiveInt = 1
     seed: NonNegativeInt = 0
     jitter: dict[JitterKey, NonNegativeFloat] | None = None

@@ -41,7 +41,7 @@ VERDICT_NOTE = (
 
 VALUES_NOTE = (
     f"{VERDICT_NOTE} Mean over the clips (seeds) with sound tracks, and their number. "
-    "Law: ideal motion with the calibrated constants, Table 3 of the paper."
+    "Law: ideal motion with the published constants, Table 3 of the paper."
 )
 
 RETAINED, DROPPED = (80, 200, 80), (150, 150, 150)

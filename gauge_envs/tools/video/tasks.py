@@ -4,7 +4,7 @@ All video models have the same first frames. Numbers in pixels were read by eye 
 the origin in the top left corner. `tasks.toml` has the numbers.
 
 The "real baseline" of the published table is not a measurement: its accelerations are g (sin 30 - mu cos 30) with the
-calibrated friction, and g. This package calls it the `law` of a task.
+published friction, and g. This package calls it the `law` of a task.
 """
 
 import csv
@@ -99,7 +99,7 @@ class VideoTask:
 
 @cache
 def task_scene(task: str) -> Scene:
-    """Return the calibrated scene of a task by its id."""
+    """Return the scene of the task file of a task by its id."""
     return load_experiment(task).scene
 
 

@@ -27,7 +27,7 @@ def test_a_closed_form_slide_in_a_csv_scores_as_in_the_library(tmp_path):
     # A CSV file does not give its constants, so its exact motion is unknown.
     unknown = replace(expected, exact=None, cause=None)
     assert result.score == unknown != expected
-    # scoring/README.md: an ideal Coulomb cube with the calibrated friction scores 0.41.
+    # scoring/README.md: an ideal Coulomb cube with the published friction scores 0.41.
     assert result.score.rmse_normalized == pytest.approx(0.41, abs=0.005)
     assert (notes, result.frames, result.sim_s) == ((), FRAMES, 0.6)
 
@@ -288,7 +288,7 @@ def test_a_long_rest_before_the_release_is_cropped_and_said(tmp_path, rest_s, ra
         header="time_s,cube.x,cube.y,cube.z",
         times=times_s,
     )
-    result, (note,) = score_file(file, variant=NAME, parameters="calibrated")
+    result, (note,) = score_file(file, variant=NAME, parameters="published")
     assert (
         note == f"the first {rest_s:g} s are at rest: cropped, so time 0 is the release"
     )

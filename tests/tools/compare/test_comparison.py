@@ -70,7 +70,7 @@ def made(
     values = {
         "id": f"GAUGE/{name}",
         "outcome": Outcome.FINISHED,
-        "parameters": "calibrated",
+        "parameters": "published",
         "score": score,
         "task_sha256": task_sha256(family),
         "revision": task_spec(family).revision,
@@ -101,9 +101,9 @@ def test_the_latest_result_of_a_seed_and_the_newest_revision_count():
     (cell,) = comparison.experiments[0].cells
     assert cell.values("rmse", normalized=True) == [1.0]
     assert "the latest of each counts" in comparison.notes[0]
-    newer = replace(new, revision=old.revision + 1, parameters="effective")
+    newer = replace(new, revision=old.revision + 1, parameters="measured")
     both = compare([old, newer])
-    assert [item.parameters for item in both.configurations] == ["effective"]
+    assert [item.parameters for item in both.configurations] == ["measured"]
     assert f"{SLIDER}: results of an older revision are left out" in both.notes[0]
 
 
@@ -302,7 +302,7 @@ def test_the_tables_show_each_outcome(gauge, tmp_path):
         "| mujoco, iterations=5 |",
         "| diverged |",
         "| LSD | 0.50 |",
-        "All configurations: calibrated",
+        "All configurations: published",
     ):
         assert cell in text
     far = next(line for line in text.splitlines() if ": newton" in line)

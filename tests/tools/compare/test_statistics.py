@@ -56,7 +56,7 @@ def scored(*scores, name="exact", u=0.0):
 
 
 def ranks(experiment, count):
-    (kind,) = compare_kind(Kind.ANALYTIC, [experiment], ["calibrated"] * count)
+    (kind,) = compare_kind(Kind.ANALYTIC, [experiment], ["published"] * count)
     (places,) = kind.ranks.values()
     return [places[index].interval_95 for index in range(count)]
 
@@ -71,13 +71,13 @@ def test_ranks_differ_only_for_resolved_differences():
 def test_experiments_have_equal_weight_and_constants_are_ranked_apart():
     usual = [scored(1.0, 2.0, name=name) for name in ("a", "b", "c")]
     large, partial = scored(100.0, 50.0, name="d"), scored(9.0, None)
-    (kind,) = compare_kind(Kind.ANALYTIC, [*usual, large, partial], ["calibrated"] * 2)
+    (kind,) = compare_kind(Kind.ANALYTIC, [*usual, large, partial], ["published"] * 2)
     # Scores fifty times larger do not decide, and an experiment without a score does not count.
     assert kind.ids == ("a", "b", "c", "d")
     assert [score.mean_rank.value for score in kind.ranked] == [1.25, 1.75]
-    constants = ("calibrated", "effective", "calibrated", "effective")
+    constants = ("published", "measured", "published", "measured")
     kinds = compare_kind(Kind.ANALYTIC, [scored(2.0, 0.2, 1.0, 0.1)], constants)
-    assert [kind.name for kind in kinds] == ["analytic", "analytic, effective"]
+    assert [kind.name for kind in kinds] == ["analytic", "analytic, measured"]
     order = [[score.configuration for score in kind.ranked] for kind in kinds]
     assert order == [[2, 0], [3, 1]]
 

@@ -22,7 +22,7 @@ SLIDE = Score(
     rmse_aligned=3.33,
     rmse_aligned_95=(2.2, 4.5),
     rmse_aligned_normalized=4.95,
-    percentile=100.0,
+    real_limit=1.0,
     estimates={
         "friction": ComparedQuantity(
             value=0.27318, unit="1", real=0.25702, real_uncertainty=0.0061
@@ -48,7 +48,7 @@ SWING = Score(
 
 def result(score, **changes):
     values = {"id": "GAUGE/SlopeSlider-2-wood", "outcome": Outcome.FINISHED}
-    values |= {"parameters": "calibrated", "backend": "mujoco", "seed": 0}
+    values |= {"parameters": "published", "backend": "mujoco", "seed": 0}
     return Result(**(values | {"score": score, "task_sha256": ""} | changes))
 
 
@@ -136,7 +136,7 @@ def test_five_ids_fit_a_screen():
     assert max(map(len, lines)) <= 80
     assert sum("outside" in line for line in lines) == 5
     # The common configuration is the first line.
-    assert lines[0] == "calibrated"
+    assert lines[0] == "published"
 
 
 def test_the_summary_gives_reasons_for_rejected_and_diverged_results():
@@ -157,6 +157,6 @@ def test_the_summary_reports_scores_of_few_frames():
 
 def test_details_have_all_numbers_of_a_score():
     text = shown([result(SLIDE)], details=True)
-    for name in ("rmse_aligned", "percentile", "friction         0.273, real 0.257"):
+    for name in ("rmse_aligned", "real_limit", "friction         0.273, real 0.257"):
         assert name in text
-    assert "percentile" not in shown([result(SLIDE)])
+    assert "real_limit" not in shown([result(SLIDE)])

@@ -149,7 +149,7 @@ def test_an_unsupported_id_has_exit_code_1(gauge, tmp_path):
         ("", "nothing to run"),
         ("sweep.toml --shard 5/4", "--shard '5/4'"),
         ("sweep.toml --backend=bullet", "'bullet'"),
-        ("sweep.toml --parameter=measured", "'measured'"),
+        ("sweep.toml --parameter=tuned", "'tuned'"),
         ("sweep.toml --set substeps=2", "substeps"),
         ("sweep.toml --set rapier.iterations=3", "settings.rapier"),
         ("sweep.toml --repeats=1000000000", "more than 1,000,000 episodes"),

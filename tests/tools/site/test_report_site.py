@@ -57,7 +57,7 @@ def results(tmp_path_factory):
     parameters_of = {"SlopeSlider-3-wood": {"cube.friction": 0.2}}
     requests = [
         RunRequest(
-            name, settings=settings, parameters=parameters_of.get(name, "calibrated")
+            name, settings=settings, parameters=parameters_of.get(name, "published")
         )
         for name in (SLIDE, "NonsmoothContact-3-wood", "SlopeSlider-3-wood")
         for settings in (None, SETTINGS)

@@ -60,7 +60,7 @@ def seam() -> ObjectCheck:
         recorded_reality(
             "slope_contact",
             "slide_acceleration_m_per_s2",
-            "one recorded slide; the tetrahedron has the calibrated friction",
+            "one recorded slide; the tetrahedron has the published friction",
         ),
         slide,
         needs=(Need.FRICTION,),
@@ -400,7 +400,7 @@ def _with_gaps(scene: Scene) -> Scene:
 
 def momentum() -> ObjectCheck:
     """Return the momentum that passes through a row of balls."""
-    scene = _with_gaps(load_experiment(CRADLE, "effective").scene)
+    scene = _with_gaps(load_experiment(CRADLE, "measured").scene)
     # All balls but the first, which is lifted, hang at the same height.
     balls = scene.dynamic_bodies
     lifted, *_, rest = (1e3 * ball.pose.position_m[2] for ball in balls)
@@ -436,7 +436,7 @@ def momentum() -> ObjectCheck:
             real.std,
             PUBLISHED_TRIALS,
             "momentum transfer efficiency of real trials (paper, Table 5), with the restitution that reproduces "
-            "it; the calibrated restitution, 0.20, contradicts it",
+            "it; the published restitution, 0.20, contradicts it",
         ),
         efficiency,
         failure,
