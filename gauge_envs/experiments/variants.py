@@ -213,6 +213,8 @@ def _unknown(
         return faults[0]
     plain = name.removeprefix("GAUGE/")
     hint = ""
+    if len(plain.split()) > 1:
+        hint = "separate names by commas"
     if f"GAUGE/{plain}" in registration.registry:
         hint = f"it is a control task: use gymnasium.make('GAUGE/{plain}') or gauge show {plain}"
     return UnknownNameError(kind, name, known, hint)

@@ -1,5 +1,7 @@
 """The reference of an experiment, and the scenes that it cannot score."""
 
+import math
+from collections.abc import Collection
 from dataclasses import replace
 from functools import lru_cache
 
@@ -23,6 +25,13 @@ SOLUTION_ALLOWS = frozenset({ChangeKind.SETTING, ChangeKind.LABEL})
 
 REAL_ALLOWS = SOLUTION_ALLOWS | {ChangeKind.CONSTANT, ChangeKind.START}
 """Changes with which real trials still score a scene; a start only near theirs, because real starts scatter."""
+
+MAX_GRAVITY_CHANGE = 1e-3
+"""Largest relative change of gravity with which each reference still scores a scene.
+
+Accelerations under gravity change by the same share. The rounded 9.81 m/s^2 of many simulators, MuJoCo among them,
+is 0.034 % larger than standard gravity, so a body that falls 1 m is 0.34 mm further.
+"""
 
 
 def reference_band(experiment: Experiment) -> Band | None:
@@ -59,7 +68,7 @@ def refusal(
 
     Real trials score the scene in which they were recorded, with any constants (`REAL_ALLOWS`) and a start near theirs.
     A solution scores only the calibrated scene and start: for another scene, the distance would also hold the effect of
-    the change. Numerical settings of an engine may differ in both.
+    the change. Numerical settings of an engine may differ in both, and gravity by `MAX_GRAVITY_CHANGE`.
 
     Args:
         experiment: The experiment.
@@ -89,7 +98,7 @@ def _changes(experiment: Experiment) -> list[Change]:
     return [
         change
         for change in _differences(solved, experiment)
-        if change.kind not in SOLUTION_ALLOWS
+        if not _is_allowed(change, SOLUTION_ALLOWS)
     ]
 
 
@@ -102,8 +111,15 @@ def _real_changes(experiment: Experiment) -> list[Change]:
     return [
         change
         for change in _differences(real, experiment)
-        if change.kind not in allowed
+        if not _is_allowed(change, allowed)
     ]
+
+
+def _is_allowed(change: Change, kinds: Collection[ChangeKind]) -> bool:
+    """Return whether a change is of an allowed kind, or of gravity by at most `MAX_GRAVITY_CHANGE`."""
+    if change.field == ("gravity_m_per_s2",):
+        return math.isclose(change.after, change.before, rel_tol=MAX_GRAVITY_CHANGE)
+    return change.kind in kinds
 
 
 def _differences(before: Scene, experiment: Experiment) -> list[Change]:

@@ -26,7 +26,7 @@ TEXTS = {
     "a pipe": "pipe",
     "a pipe with the suffix of a task": "pipe.toml",
     "a pipe with the suffix of a trajectory": "pipe.npz",
-    "letters": "ｓｃhräge\u202e🙂",
+    "letters": "schr\xe4ge\u202e\U0001f642",
     "a broken character": "\udcff",
 }
 

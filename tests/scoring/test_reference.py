@@ -175,6 +175,19 @@ def test_real_trials_allow_a_start_within_30_mm_and_a_solution_allows_none(score
             assert (reason is None) == is_near, (body.name, shift_m, reason)
 
 
+@pytest.mark.parametrize(
+    ("gravity_m_per_s2", "is_scored"),
+    [(9.81, True), (1.01 * 9.80665, False), (0.99 * 9.80665, False), (1.62, False)],
+)
+def test_every_reference_allows_a_rounded_gravity_and_no_other(
+    scored, gravity_m_per_s2, is_scored
+):
+    experiment, band = scored
+    scene = replace(experiment.scene, gravity_m_per_s2=gravity_m_per_s2)
+    reason = refusal(edited(experiment, scene), band)
+    assert (reason is None) == is_scored, reason
+
+
 def test_real_trials_allow_still_air_and_no_wind():
     cloth = load_experiment("TextileFlinging-satin", "air").scene
     for wind_m_per_s, is_scored in (((0.0, 0.0, 0.0), True), ((0.0, 1.0, 0.0), False)):
