@@ -7,7 +7,7 @@ from dataclasses import fields, is_dataclass, replace
 from enum import Enum
 
 import pytest
-from places import first_of_each_kind
+from places import ROOT, first_of_each_kind
 
 from gauge_envs import load_experiment, reference_band, variants
 from gauge_envs.errors import ParameterError
@@ -186,6 +186,20 @@ def test_every_reference_allows_a_rounded_gravity_and_no_other(
     scene = replace(experiment.scene, gravity_m_per_s2=gravity_m_per_s2)
     reason = refusal(edited(experiment, scene), band)
     assert (reason is None) == is_scored, reason
+
+
+def test_the_default_gravity_of_mujoco_in_a_model_file_is_scored(tmp_path):
+    text = (ROOT / "assets" / "mjcf" / "Pendulum-metal.xml").read_text()
+    standard = "0 0 -9.80665"
+    assert standard in text
+    reasons = []
+    for gravity in ("0 0 -9.81", "0 0 -9.7", "1 0 -9.81"):
+        file = tmp_path / "model.xml"
+        file.write_text(text.replace(standard, gravity))
+        experiment = load_experiment("Pendulum-metal", asset=file)
+        reasons.append(refusal(experiment, reference_band(experiment)))
+    assert reasons[0] is None
+    assert all("gravity" in reason for reason in reasons[1:])
 
 
 def test_real_trials_allow_still_air_and_no_wind():
