@@ -68,7 +68,8 @@ def refusal(
 ) -> str | None:
     """Return why a reference cannot score a scene, one sentence; None if it can.
 
-    Real trials score the scene in which they were recorded, with any constants (`REAL_ALLOWS`) and a start near theirs.
+    Real trials, measured or published, score the scene in which they were recorded, with any constants (`REAL_ALLOWS`)
+    and a start near theirs.
     A solution scores only the calibrated scene and start: for another scene, the distance would also hold the effect of
     the change. Numerical settings of an engine may differ in both, and gravity by `MAX_GRAVITY_CHANGE`.
 
@@ -81,10 +82,11 @@ def refusal(
         return None
     if band.kind.is_solution and is_moved:
         return f"no score: the {band.kind} reference holds for the nominal start, and this start had noise"
-    changes = _real_changes(experiment) if band.kind.is_real else _changes(experiment)
+    scored, changes = "real scene", _real_changes(experiment)
+    if band.kind.is_solution:
+        scored, changes = "calibrated scene", _changes(experiment)
     if not changes:
         return None
-    scored = "real scene" if band.kind.is_real else "calibrated scene"
     more = f", and {len(changes) - 1} more" if len(changes) > 1 else ""
     return f"no score: the {band.kind} reference holds for the {scored}, and this scene differs: {changes[0]}{more}"
 

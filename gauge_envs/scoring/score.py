@@ -68,7 +68,7 @@ class Score:
 
     | field | unit | meaning |
     | --- | --- | --- |
-    | `kind` | | `trials`, `recording`, `analytic`, `numerical` or `none`: what the reference motion is |
+    | `kind` | | a `Kind`, as `trials`, `published` or `analytic`: what the reference motion is |
     | `unit` | | unit of the distances |
     | `primary` | | distance that reports show first: `rmse_aligned` for a release, `over_uncertainty` for a solution |
     | `exact` | 1 | the primary ratio that an exact solution with the same constants has |
@@ -84,7 +84,7 @@ class Score:
     | `inside_1sigma`, `inside_2sigma` | 1 | share of measured values within 1 and 2 standard deviations |
     | `percentile` | % | real trials that are closer to the mean of the others, by the primary distance |
     | `signed_error` | unit | mean deviation of each coordinate of the reference |
-    | `compared_frames` | | frames that the reference knows |
+    | `compared_frames` | | frames at which `distance` compares: those with known markers for cloth and foam |
     | `over_uncertainty` | 1 | distance over the standard uncertainty u of a solution |
     | `marker_rmse_mm` | mm | distance of the markers of cloth and foam; `over_uncertainty` divides it by u |
     | `events` | each | `lsd`, `mte`, `pd`, `el` and recorded events, by name (`ComparedQuantity`) |
@@ -278,10 +278,12 @@ def _compared_text(name: str, quantity: ComparedQuantity) -> str:
         text += f"{_text(quantity.value)}{unit}"
     if quantity.real is None:
         return text
+    # The published energy loss is an ideal, not a value of real trials.
+    owner = "real" if name not in METRICS or METRICS[name].is_normalized else "ideal"
     real = _text(quantity.real)
     if quantity.real_uncertainty is not None:
         real += f" +- {quantity.real_uncertainty:.2g}{unit}"
-    return f"{text} (real {real})"
+    return f"{text} ({owner} {real})"
 
 
 def score_trajectory(
@@ -349,7 +351,7 @@ def score_trajectory(
 
 def normalizing_baselines(experiment: Experiment, band: Band) -> Mapping[str, Baseline]:
     """Return the published distances of real trials that normalize scores, by metric; empty if there are none."""
-    is_normalized = band.kind.is_real and band.normalized
+    is_normalized = band.normalized and not band.kind.is_solution
     if not is_normalized:
         return {}
     return {
@@ -409,7 +411,7 @@ def _with_distances(score: Score, motion: _ComparedMotion) -> Score:
         score,
         rmse=rmse,
         dtw=dtw,
-        compared_frames=int(band.known.sum()),
+        compared_frames=int(band.compared.known.sum()),
         signed_error=tuple(signed_error(frames, band.mean).tolist()),
     )
     if band.kind.is_solution:
