@@ -42,6 +42,32 @@ def os_errors(raised: Callable[[str], Exception]) -> Iterator[None]:
         raise raised(error.strerror or str(error)) from error
 
 
+# --- texts that may be paths ------------------------------------------------------------------------------------------
+
+
+def path_exists(text: str | Path) -> bool:
+    """Return whether a text of a user is the path of a file or folder.
+
+    In contrast to `Path.exists`, a text that is too long for a path is no path, not an error.
+    """
+    return os.path.exists(text)  # noqa: PTH110
+
+
+def is_folder(text: str | Path) -> bool:
+    """Return whether a text of a user is the path of a folder; see `path_exists`."""
+    return os.path.isdir(text)  # noqa: PTH112
+
+
+def is_regular_file(text: str | Path) -> bool:
+    """Return whether a text of a user is the path of a file with content, not of a folder or a pipe."""
+    return os.path.isfile(text)  # noqa: PTH113
+
+
+def is_pipe(text: str | Path) -> bool:
+    """Return whether a text of a user is the path of a named pipe, which blocks a reader until somebody writes."""
+    return path_exists(text) and Path(text).is_fifo()
+
+
 # --- reading ---------------------------------------------------------------------------------------------------------
 
 

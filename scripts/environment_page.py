@@ -145,7 +145,7 @@ def _frames_text(values: Values) -> str:
 
 
 def _detected(reference: Values) -> tuple[list[str], list[str]]:
-    """Return the planted errors that change a score or an event, and those that do not."""
+    """Return the planted errors that change the verdict of a score or an event, and those that do not."""
     is_detected: dict[str, bool] = {}
     for _, scores in planted_error_scores(reference):
         for title, score in scores.items():

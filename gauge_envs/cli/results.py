@@ -18,6 +18,7 @@ from gauge_envs.cli.output import (
     print_json_lines,
 )
 from gauge_envs.errors import GaugeError, ResultFileError
+from gauge_envs.files import is_folder, is_regular_file
 from gauge_envs.pages.text import counted, short_id
 
 if TYPE_CHECKING:
@@ -67,8 +68,10 @@ def loaded_results(
 
 
 def _result_files(source: Path) -> list[Path]:
-    files = sorted(source.glob("*.json")) if source.is_dir() else [source]
-    if not files or not files[0].exists():
+    files = [source]
+    if is_folder(source):
+        files = sorted(filter(is_regular_file, source.glob("*.json")))
+    if not files or not is_regular_file(files[0]):
         raise ResultFileError(f"{source}: holds no result files; gauge run writes them")
     return files
 

@@ -16,7 +16,7 @@ from gymnasium.envs import registration
 
 from gauge_envs.errors import ParameterError, TaskFileError, UnknownNameError
 from gauge_envs.experiments.names import Collection as Collection, Variant as Variant
-from gauge_envs.files import data_folder
+from gauge_envs.files import data_folder, is_regular_file
 from gauge_envs.references.user_data import OWN_TASKS, own_task_files
 
 INDEX_FILE = "index.csv"
@@ -63,7 +63,9 @@ OwnRows = tuple[tuple[IndexRow, ...], tuple[TaskFileError, ...]]
 
 
 def _own_rows(files: tuple[Path, ...]) -> OwnRows:
-    times_ns = [path.stat().st_mtime_ns if path.is_file() else 0 for path in files]
+    times_ns = [
+        path.stat().st_mtime_ns if is_regular_file(path) else 0 for path in files
+    ]
     return _read_own_rows(files, tuple(times_ns))
 
 
@@ -211,6 +213,8 @@ def _unknown(
         return faults[0]
     plain = name.removeprefix("GAUGE/")
     hint = ""
+    if len(plain.split()) > 1:
+        hint = "separate names by commas"
     if f"GAUGE/{plain}" in registration.registry:
         hint = f"it is a control task: use gymnasium.make('GAUGE/{plain}') or gauge show {plain}"
     return UnknownNameError(kind, name, known, hint)

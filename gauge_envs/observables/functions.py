@@ -156,9 +156,14 @@ def _axes(vectors: FloatArray) -> FloatArray:
 
 
 def _angle_between(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the angle in [0, pi] between vectors of the first axis; atan2 is precise near 0 and pi, arccos is not."""
+    """Return the angle in [0, pi] between vectors of the first axis, 0 for a zero vector.
+
+    atan2 is precise near 0 and pi; arccos is not.
+    """
     (x, y, z), (u, v, w) = a, b
-    return np.asarray(np.arctan2(_cross_length(a, b), x * u + y * v + z * w))
+    product = x * u + y * v + z * w
+    # The product of a zero vector may be -0.0, whose angle would be pi; the sum with 0.0 is +0.0.
+    return np.asarray(np.arctan2(_cross_length(a, b), product + 0.0))
 
 
 def _cross_length(a: FloatArray, b: FloatArray) -> FloatArray:

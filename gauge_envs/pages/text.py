@@ -18,6 +18,7 @@ MAX_NAMES = 6
 KIND_NOTES = {
     Kind.TRIALS: "mean and standard deviation of the real trials at each frame",
     Kind.RECORDING: "one recorded real trial, with the published scatter",
+    Kind.PUBLISHED: "mean and scatter computed from published numbers of real trials; no motion was measured",
     Kind.ANALYTIC: "closed form of the scene of the task file. The score is the error of the engine",
     Kind.NUMERICAL: "refined solution of the scene of the task file. The score is the error of the engine",
     Kind.NONE: "no reference motion; events may have real values",

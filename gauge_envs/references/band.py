@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property, lru_cache
 from pathlib import Path
+from textwrap import shorten
 from typing import Any, Literal
 
 import numpy as np
@@ -38,6 +39,9 @@ from gauge_envs.text import toml_document
 
 MARKER_SIGMA_MM = 1.0
 """Smallest scale of a marker's distance in a reward [mm]; chosen, because no scatter of markers is published."""
+
+MAX_TEXT = 80
+"""Longest list of coordinates, and longest source, in the text of a band."""
 
 ARRAYS = (
     "projection",
@@ -114,7 +118,7 @@ class BandFile(FileModel):
         imported: Facts of `gauge data import` about the trials; empty for bundled references.
     """
 
-    kind: Literal["trials", "recording", "analytic", "numerical", "none"]
+    kind: Literal["trials", "recording", "published", "analytic", "numerical", "none"]
     unit: str
     coordinates: tuple[str, ...] = ()
     source: str
@@ -129,7 +133,7 @@ class BandFile(FileModel):
     imported: dict[str, Any] = Field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Band:
     """Mean and scatter of a reference per frame, in coordinates that are a linear map of g(t).
 
@@ -194,6 +198,21 @@ class Band:
                     f"{name} has shape {values.shape}, expected {shape} for frames and coordinates"
                 )
 
+    def __repr__(self) -> str:
+        """Return kind, size, standard uncertainty and source in five lines."""
+        compared = self.compared
+        counts = [f"{len(self.mean)} frames", f"{compared.known.sum()} compared"]
+        if self.trials is not None:
+            counts.append(f"{len(self.trials)} single trials")
+        names = shorten(", ".join(self.coordinates), MAX_TEXT, placeholder=" ...")
+        return (
+            f"Band({self.kind}, {', '.join(counts)}\n"
+            f"    coordinates [{self.unit}]: {names}\n"
+            f"    standard uncertainty: {self.standard_uncertainty:.3g} {compared.unit}\n"
+            f"    source: {shorten(self.source, MAX_TEXT, placeholder=' ...')}\n"
+            ")"
+        )
+
     @cached_property
     def known(self) -> BoolArray:
         """Whether a frame has a mean, shape [T]."""
@@ -220,7 +239,8 @@ class Band:
     def standard_uncertainty(self) -> float:
         """Standard uncertainty u of the mean in the norm of the distance.
 
-        For `trials` it is the scatter over the root of the number of trials. For `recording` it is the scatter and the
+        For `trials` and `published` it is the scatter over the root of the number of trials. For `recording` it is the
+        scatter and the
         measurement, and for `numerical` the discretization. For `analytic` it is the uncertainty of the closed form; an
         exact form has the resolution of motion capture, 1 mm in each coordinate.
         """
@@ -228,7 +248,7 @@ class Band:
             return self.given_uncertainty
         compared = self.compared
         sigma = compared.sigma
-        if self.kind is Kind.TRIALS:
+        if self.kind.is_mean_of_trials:
             return compared.length(sigma / math.sqrt(self.trial_count or 1))
         uncertainty = compared.uncertainty
         if self.kind is Kind.RECORDING:

@@ -7,9 +7,11 @@ class Kind(StrEnum):
     """What the motion of a reference is."""
 
     TRIALS = "trials"
-    """Mean of several real trials."""
+    """Mean and scatter of several measured motions."""
     RECORDING = "recording"
-    """One recorded real trial."""
+    """One measured motion."""
+    PUBLISHED = "published"
+    """Mean and scatter computed from published numbers of real trials; no motion was measured."""
     ANALYTIC = "analytic"
     """Closed form of the scene of the task file."""
     NUMERICAL = "numerical"
@@ -19,8 +21,13 @@ class Kind(StrEnum):
 
     @property
     def is_real(self) -> bool:
-        """Whether the motion was measured."""
+        """Whether the motion was measured, so that a distance from it is a distance from reality."""
         return self in (Kind.TRIALS, Kind.RECORDING)
+
+    @property
+    def is_mean_of_trials(self) -> bool:
+        """Whether the motion is the mean of real trials, measured or computed from published numbers."""
+        return self in (Kind.TRIALS, Kind.PUBLISHED)
 
     @property
     def is_solution(self) -> bool:

@@ -14,7 +14,8 @@ class Metric:
         title: Name in reports.
         unit: Unit of the raw score; None is the unit of the observable.
         is_event: Whether it is measured from the swing of a hinged body, so that it needs no band.
-        is_normalized: Whether it is divided by the published mean; not for energy loss, whose real mean is 0.
+        is_normalized: Whether it is divided by the published mean; not for energy loss, whose published value
+            is the ideal 0.
     """
 
     key: str

@@ -6,6 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from gauge_envs.errors import DatasetError
+from gauge_envs.files import is_folder
 from gauge_envs.text import toml_document
 
 OWN_TASKS = "GAUGE_TASKS"
@@ -63,7 +64,7 @@ def own_task_files() -> tuple[Path, ...]:
             continue
         path = Path(entry).expanduser().absolute()
         folder_files = filter(_is_task_file, sorted(path.glob("*.toml")))
-        paths |= dict.fromkeys(folder_files if path.is_dir() else [path])
+        paths |= dict.fromkeys(folder_files if is_folder(path) else [path])
     return tuple(paths)
 
 

@@ -76,6 +76,7 @@ def reference_words(kind: Kind, trial_count: int | None) -> str:
     if kind is Kind.TRIALS:
         return f"the mean of {trial_count or 'the'} real trials"
     names = {
+        Kind.PUBLISHED: "a motion computed from published numbers of real trials",
         Kind.RECORDING: "one recorded real trial",
         Kind.NUMERICAL: "the refined solution of the scene, not a real trial",
     }

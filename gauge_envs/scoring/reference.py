@@ -1,5 +1,6 @@
 """The reference of an experiment, and the scenes that it cannot score."""
 
+from collections.abc import Collection
 from dataclasses import replace
 from functools import lru_cache
 
@@ -23,6 +24,16 @@ SOLUTION_ALLOWS = frozenset({ChangeKind.SETTING, ChangeKind.LABEL})
 
 REAL_ALLOWS = SOLUTION_ALLOWS | {ChangeKind.CONSTANT, ChangeKind.START}
 """Changes with which real trials still score a scene; a start only near theirs, because real starts scatter."""
+
+MAX_GRAVITY_CHANGE = 1e-3
+"""Largest relative change of gravity with which each reference still scores a scene.
+
+Accelerations under gravity change by the same share. The rounded 9.81 m/s^2 of many simulators, MuJoCo among them,
+is 0.034 % larger than standard gravity, so a body that falls 1 m is 0.34 mm further.
+"""
+
+GRAVITY_FIELDS = (("gravity_m_per_s2",), ("gravity",))
+"""Fields of gravity: of a scene, and of the options of an MJCF file."""
 
 
 def reference_band(experiment: Experiment) -> Band | None:
@@ -57,9 +68,10 @@ def refusal(
 ) -> str | None:
     """Return why a reference cannot score a scene, one sentence; None if it can.
 
-    Real trials score the scene in which they were recorded, with any constants (`REAL_ALLOWS`) and a start near theirs.
-    A solution scores only the scene and start of the task file: for another scene, the distance would also hold the
-    effect of the change. Numerical settings of an engine may differ in both.
+    Real trials, measured or published, score the scene in which they were recorded, with any constants (`REAL_ALLOWS`)
+    and a start near theirs. A solution scores only the scene and the start of the task file: for another scene, the
+    distance would also hold the effect of the change. Numerical settings of an engine may differ in both, and gravity
+    by `MAX_GRAVITY_CHANGE`.
 
     Args:
         experiment: The experiment.
@@ -70,10 +82,11 @@ def refusal(
         return None
     if band.kind.is_solution and is_moved:
         return f"no score: the {band.kind} reference holds for the nominal start, and this start had noise"
-    changes = _real_changes(experiment) if band.kind.is_real else _changes(experiment)
+    scored, changes = "real scene", _real_changes(experiment)
+    if band.kind.is_solution:
+        scored, changes = "scene of the task file", _changes(experiment)
     if not changes:
         return None
-    scored = "real scene" if band.kind.is_real else "scene of the task file"
     more = f", and {len(changes) - 1} more" if len(changes) > 1 else ""
     return f"no score: the {band.kind} reference holds for the {scored}, and this scene differs: {changes[0]}{more}"
 
@@ -89,7 +102,7 @@ def _changes(experiment: Experiment) -> list[Change]:
     return [
         change
         for change in _differences(solved, experiment)
-        if change.kind not in SOLUTION_ALLOWS
+        if not _is_allowed(change, SOLUTION_ALLOWS)
     ]
 
 
@@ -102,8 +115,16 @@ def _real_changes(experiment: Experiment) -> list[Change]:
     return [
         change
         for change in _differences(real, experiment)
-        if change.kind not in allowed
+        if not _is_allowed(change, allowed)
     ]
+
+
+def _is_allowed(change: Change, kinds: Collection[ChangeKind]) -> bool:
+    """Return whether a change is of an allowed kind, or of gravity by at most `MAX_GRAVITY_CHANGE`."""
+    if change.field not in GRAVITY_FIELDS:
+        return change.kind in kinds
+    difference = np.linalg.norm(np.subtract(change.after, change.before))
+    return bool(difference <= MAX_GRAVITY_CHANGE * np.linalg.norm(change.before))
 
 
 def _differences(before: Scene, experiment: Experiment) -> list[Change]:

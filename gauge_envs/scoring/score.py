@@ -77,7 +77,7 @@ class Score:
 
     | field | unit | meaning |
     | --- | --- | --- |
-    | `kind` | | `trials`, `recording`, `analytic`, `numerical` or `none`: what the reference motion is |
+    | `kind` | | a `Kind`, as `trials`, `published` or `analytic`: what the reference motion is |
     | `unit` | | unit of the distances |
     | `primary` | | distance that reports show first: `rmse_aligned` for a release, `over_uncertainty` for a solution |
     | `primary_interval` | 1 | 95 % interval of the primary distance over that of real trials, or over u |
@@ -95,7 +95,7 @@ class Score:
     | `inside_1sigma`, `inside_2sigma` | 1 | share of measured values within 1 and 2 standard deviations |
     | `real_limit` | unit | primary distance within which one more real trial lies with a probability of 95 % |
     | `signed_error` | unit | mean deviation of each coordinate of the reference |
-    | `compared_frames` | | frames that the reference knows |
+    | `compared_frames` | | frames at which `distance` compares: those with known markers for cloth and foam |
     | `over_uncertainty` | 1 | distance over the standard uncertainty u of a solution |
     | `marker_rmse_mm` | mm | distance of the markers of cloth and foam; `over_uncertainty` divides it by u |
     | `events` | each | `lsd`, `mte`, `pd`, `el` and recorded events, by name (`ComparedQuantity`) |
@@ -278,10 +278,12 @@ def _compared_text(name: str, quantity: ComparedQuantity) -> str:
         text += f"{_text(quantity.value)}{unit}"
     if quantity.real is None:
         return text
+    # The published energy loss is an ideal, not a value of real trials.
+    owner = "real" if name not in METRICS or METRICS[name].is_normalized else "ideal"
     real = _text(quantity.real)
     if quantity.real_uncertainty is not None:
         real += f" +- {quantity.real_uncertainty:.2g}{unit}"
-    return f"{text} (real {real})"
+    return f"{text} ({owner} {real})"
 
 
 def score_trajectory(
@@ -349,7 +351,7 @@ def score_trajectory(
 
 def normalizing_baselines(experiment: Experiment, band: Band) -> Mapping[str, Baseline]:
     """Return the published distances of real trials that normalize scores, by metric; empty if there are none."""
-    is_normalized = band.kind.is_real and band.normalized
+    is_normalized = band.normalized and not band.kind.is_solution
     if not is_normalized:
         return {}
     return {
@@ -409,7 +411,7 @@ def _with_distances(score: Score, motion: _ComparedMotion) -> Score:
         score,
         rmse=rmse,
         dtw=dtw,
-        compared_frames=int(band.known.sum()),
+        compared_frames=int(band.compared.known.sum()),
         signed_error=tuple(signed_error(frames, band.mean).tolist()),
     )
     if band.kind.is_solution:
@@ -534,16 +536,10 @@ def _real_interval(
 
 def _with_cause(score: Score, motion: _ComparedMotion) -> Score:
     """Return a score with that of the exact motion at the same times, and with the cause of its distance."""
-    band = motion.band
     solution = exact_solution(motion.experiment)
     if solution is None or score.primary_normalized is None:
         return score
-    samples = band.project(solution(motion.times_s))
-    frames = samples[frame_index(motion.times_s, len(motion.frames))]
-    exact_score = _with_distances(
-        Score(kind=score.kind, unit=score.unit),
-        replace(motion, samples=samples, frames=frames),
-    )
+    exact_score = _exact_score(score, motion, solution)
     score = replace(score, exact=exact_score.primary_normalized)
     if score.verdict is ScoreVerdict.INSIDE:
         return replace(score, cause=Cause.NONE)
@@ -551,6 +547,23 @@ def _with_cause(score: Score, motion: _ComparedMotion) -> Score:
         return replace(score, cause=Cause.ENGINE)
     is_near = _ratio_to_exact(score, motion, solution) <= NEAR_EXACT
     return replace(score, cause=Cause.CONSTANTS if is_near else Cause.BOTH)
+
+
+def _exact_score(
+    score: Score, motion: _ComparedMotion, solution: MotionOfTime
+) -> Score:
+    """Return a score with the primary distance of the exact motion at the times of the scored motion."""
+    band = motion.band
+    samples = band.project(solution(motion.times_s))
+    if score.primary == "rmse_aligned":
+        _, distance = time_offset(motion.times_s, samples, band.mean)
+        ratio = _over_trials(distance, band)
+        return replace(score, rmse_aligned=distance, rmse_aligned_normalized=ratio)
+    frames = samples[frame_index(motion.times_s, len(motion.frames))]
+    distance = trajectory_rmse(frames, band.mean)
+    published = normalizing_baselines(motion.experiment, band).get("rmse")
+    ratio = _over_published(distance, published)
+    return replace(score, rmse=distance, rmse_normalized=ratio)
 
 
 def _ratio_to_exact(

@@ -82,6 +82,26 @@ def test_angles_of_missing_or_coincident_vertices_are_left_out():
     assert inner_curvature(markers, faces)[0, 0] == pytest.approx(2 * np.pi / 3)
 
 
+SIGNS = (-1.0, 0.0, 1.0)
+DIRECTIONS = [
+    (x, y, z) for x in SIGNS for y in SIGNS for z in SIGNS if (x, y, z) != (0, 0, 0)
+]
+"""Directions into each octant, along each edge between two octants, and along each axis."""
+
+
+@pytest.mark.parametrize("coincident", [1, 2])
+@pytest.mark.parametrize("direction", DIRECTIONS)
+def test_the_angle_at_coincident_vertices_is_0_in_every_direction(
+    direction, coincident
+):
+    """A zero vector times a negative number is -0.0, whose angle by atan2 would be pi."""
+    markers = np.zeros((1, 3, 3))
+    markers[0, 3 - coincident] = direction
+    curvature = inner_curvature(markers, [[0, 1, 2]])
+    # The two coincident vertices lie in one direction from the third one, too.
+    assert curvature[0].tolist() == [2 * np.pi] * 3
+
+
 def test_the_turning_angle_along_a_row_is_that_of_its_polygon():
     """Two rows, interleaved as in textile bending: one straight, one on a regular 12-gon."""
     angle = 2 * np.pi * np.arange(5) / 12

@@ -26,12 +26,25 @@ GRAVITY = 9.80665
 
 def test_62_of_75_ids_have_a_reference_and_each_file_gives_its_kind():
     kinds = Counter(band.kind.value for band in BANDS.values())
-    assert kinds == {"trials": 8, "recording": 2, "analytic": 22, "numerical": 30}
+    assert kinds == {
+        "trials": 4,
+        "recording": 2,
+        "published": 4,
+        "analytic": 22,
+        "numerical": 30,
+    }
     assert (len(NAMES), len(BANDS)) == (75, 62)
     for name in NAMES:
         content = read_band_file(scoring_folder("bands") / f"{name}.toml")
         assert content.source and (content.kind == "none" or content.licence)
         assert content.unit == load_experiment(name).score.observable.unit
+
+
+def test_only_references_with_single_trials_are_trials_and_no_published_one_has_any():
+    """What has the kind `trials` is measured motion; a mean of published numbers has the kind `published`."""
+    for name, band in BANDS.items():
+        assert (band.trials is not None) == (band.kind.value == "trials"), name
+        assert band.kind.is_real == (band.kind.value in ("trials", "recording"))
 
 
 @pytest.mark.parametrize("name", BANDS)
@@ -54,6 +67,17 @@ def test_the_numbers_of_a_band_follow_from_its_arrays(name):
     # A reference must distinguish a scene without motion. In SlopeSlider-1 the cube does not move.
     if not name.startswith("SlopeSlider-1"):
         assert band.zero_motion_distance > 3.0 * band.standard_uncertainty
+
+
+@pytest.mark.parametrize("name", BANDS)
+def test_a_band_prints_in_five_lines(name):
+    band = BANDS[name]
+    lines = repr(band).splitlines()
+    assert len(lines) == 5
+    assert max(map(len, lines)) <= 120
+    assert f"Band({band.kind}, {len(band.mean)} frames" in lines[0]
+    assert f"{band.standard_uncertainty:.3g} {band.compared.unit}" in lines[2]
+    assert band.source[:40] in lines[3]
 
 
 def test_a_band_with_arrays_of_different_lengths_is_rejected():

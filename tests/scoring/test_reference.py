@@ -7,7 +7,7 @@ from dataclasses import fields, is_dataclass, replace
 from enum import Enum
 
 import pytest
-from places import first_of_each_kind
+from places import ROOT, first_of_each_kind
 
 from gauge_envs import load_experiment, reference_band, variants
 from gauge_envs.errors import ParameterError
@@ -123,7 +123,7 @@ def is_allowed(band, path):
     """Whether a reference allows a change of a field, as docs/scores.md says."""
     if WITHOUT_EFFECT & set(path):
         return True
-    return band.kind.is_real and (path[-1] in CONSTANTS or path == ("air",))
+    return not band.kind.is_solution and (path[-1] in CONSTANTS or path == ("air",))
 
 
 @pytest.fixture(scope="module", params=first_of_each_kind(NAMES))
@@ -170,9 +170,36 @@ def test_real_trials_allow_a_start_within_30_mm_and_a_solution_allows_none(score
             if moved == experiment.scene:
                 # A fixed body stays.
                 continue
-            is_near = band.kind.is_real and shift_m < 0.03 and not speed_m_per_s
+            is_near = not band.kind.is_solution and shift_m < 0.03 and not speed_m_per_s
             reason = refusal(edited(experiment, moved), band)
             assert (reason is None) == is_near, (body.name, shift_m, reason)
+
+
+@pytest.mark.parametrize(
+    ("gravity_m_per_s2", "is_scored"),
+    [(9.81, True), (1.01 * 9.80665, False), (0.99 * 9.80665, False), (1.62, False)],
+)
+def test_every_reference_allows_a_rounded_gravity_and_no_other(
+    scored, gravity_m_per_s2, is_scored
+):
+    experiment, band = scored
+    scene = replace(experiment.scene, gravity_m_per_s2=gravity_m_per_s2)
+    reason = refusal(edited(experiment, scene), band)
+    assert (reason is None) == is_scored, reason
+
+
+def test_the_default_gravity_of_mujoco_in_a_model_file_is_scored(tmp_path):
+    text = (ROOT / "assets" / "mjcf" / "Pendulum-metal.xml").read_text()
+    standard = "0 0 -9.80665"
+    assert standard in text
+    reasons = []
+    for gravity in ("0 0 -9.81", "0 0 -9.7", "1 0 -9.81"):
+        file = tmp_path / "model.xml"
+        file.write_text(text.replace(standard, gravity))
+        experiment = load_experiment("Pendulum-metal", asset=file)
+        reasons.append(refusal(experiment, reference_band(experiment)))
+    assert reasons[0] is None
+    assert all("gravity" in reason for reason in reasons[1:])
 
 
 def test_real_trials_allow_still_air_and_no_wind():

@@ -165,6 +165,14 @@ def test_a_scene_that_the_reference_cannot_score_has_a_reason(name, parameters, 
         assert (score.rmse, score.verdict) == (None, "no reference")
 
 
+def test_the_published_energy_loss_is_an_ideal_and_a_period_is_real():
+    loss = ComparedQuantity(value=0.034, unit="1", real=0.0)
+    events = {"pd": EVENT, "el": loss}
+    said = Score(kind="analytic", unit="mm", events=events).summary()
+    assert "energy loss 0.034 (ideal 0)" in said
+    assert "(real 1 +- 0.1 s)" in said
+
+
 EVENT = ComparedQuantity(value=1.19, unit="s", real=1.0, real_uncertainty=0.1)
 
 

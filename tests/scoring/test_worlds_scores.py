@@ -43,7 +43,7 @@ def test_each_world_has_the_score_of_its_trajectory(name):
             assert scores[number] == expected, key
     assert all(np.isnan(scores[4]) for scores in together.values())
     # The distance from a law is not divided by the scatter of real trials.
-    assert ("rmse_normalized" in together) == band.kind.is_real
+    assert ("rmse_normalized" in together) == (not band.kind.is_solution)
     assert ("rmse_aligned" in together) == band.has_release
     for wrong in (values[:, :, :2], values[:, :-1]):
         with pytest.raises(ShapeError):

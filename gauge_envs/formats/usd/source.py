@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import AssetError
+from gauge_envs.files import is_regular_file
 from gauge_envs.formats.usd.layer import FOLLOWS, WRITTEN, as_array, digest
 from gauge_envs.scene import Pose
 from gauge_envs.scene.geometry import FloatArray, length_of
@@ -76,7 +77,7 @@ class Source:
         self.start = self.stage.GetStartTimeCode()
 
     def _open(self) -> Usd.Stage:
-        if not self.file.is_file():
+        if not is_regular_file(self.file):
             raise self.fault("", "there is no such file")
         stage = Usd.Stage.Open(str(self.file))
         if any(layer.dirty for layer in stage.GetUsedLayers()):

@@ -5,6 +5,7 @@
 
 import csv
 import dataclasses
+import math
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -15,15 +16,27 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Substituted
 from gauge_envs.files import data_folder, json_ready
-from gauge_envs.references.band import band_file, read_band_file, recorded_events
+from gauge_envs.references.band import (
+    Band,
+    band_file,
+    read_band_file,
+    recorded_events,
+)
 from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.imported import load_imported
+from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Deformable, Hinge, RigidBody, Tether
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
+from gauge_envs.scoring.events import PUBLISHED_TRIALS
 from gauge_envs.scoring.exact import exact_motion
+from gauge_envs.scoring.interval import prediction_limit
 from gauge_envs.scoring.reference import reference_band, reference_kind
-from gauge_envs.scoring.score import score_trajectory
+from gauge_envs.scoring.score import (
+    COVERAGE_FACTOR,
+    normalizing_baselines,
+    score_trajectory,
+)
 from gauge_envs.text import toml_document
 from gauge_envs.tools.catalog.listing import engine_rows
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
@@ -160,7 +173,7 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
         "events": [
             event.model_dump() for event in recorded_events(experiment.name, source)
         ],
-        "sees": planted_errors(experiment.name),
+        "sees": planted_errors(experiment),
         "imported": source is DataSource.IMPORTED,
         "impossible": "; ".join(dict.fromkeys(disputed)),
         "reward": reward_text(band, is_bounded=is_reward_bounded(experiment)),
@@ -186,17 +199,65 @@ def _exact_scores(experiment: Experiment) -> dict[str, float]:
     return scores
 
 
-def planted_errors(variant: str) -> list[dict[str, Any]]:
-    """Return the scores of MuJoCo with planted errors in a variant, a row for each metric."""
+def planted_errors(experiment: Experiment) -> list[dict[str, Any]]:
+    """Return the scores of MuJoCo with planted errors, a row for each metric.
+
+    `inside` has the smallest and the largest score with the verdict `inside`; None without a verdict.
+    """
     file = data_folder("scoring") / "sees.csv"
     rows: list[dict[str, Any]] = []
     with file.open(encoding="utf-8", newline="") as stream:
         for texts in csv.DictReader(stream):
-            if texts.pop("id") == variant:
+            if texts.pop("id") == experiment.name:
                 names = {key: texts.pop(key) for key in ("metric", "unit")}
                 scores = {key: float(text or "nan") for key, text in texts.items()}
-                rows.append(names | scores)
+                inside = _inside(experiment, names["metric"])
+                rows.append(names | {"inside": inside} | scores)
     return rows
+
+
+def _inside(experiment: Experiment, metric: str) -> tuple[float, float] | None:
+    """Return the smallest and the largest score of a metric with the verdict `inside`; None without a verdict."""
+    real = _real_event(experiment, metric)
+    if real is not None:
+        value, uncertainty = real
+        if uncertainty is None:
+            return None
+        half_width = COVERAGE_FACTOR * uncertainty
+        return value - half_width, value + half_width
+    band = reference_band(experiment)
+    if band is None:
+        return None
+    return 0.0, _largest_inside(experiment, band, metric)
+
+
+def _real_event(
+    experiment: Experiment, metric: str
+) -> tuple[float, float | None] | None:
+    """Return the real value of an event and its standard uncertainty; None if the metric is no event."""
+    if metric in EVENT_METRICS and metric in experiment.baselines:
+        row = experiment.baselines[metric]
+        if row.std is None:
+            return row.mean, None
+        return row.mean, row.std / math.sqrt(PUBLISHED_TRIALS)
+    for event in recorded_events(experiment.name, experiment.reference_source):
+        if event.name == metric:
+            return event.value, event.standard_uncertainty
+    return None
+
+
+def _largest_inside(experiment: Experiment, band: Band, metric: str) -> float:
+    """Return the largest distance with the verdict `inside`, by the rules of `Score.verdict`."""
+    of_trials = band.trial_rmse
+    if metric == "rmse_aligned":
+        of_trials = band.trial_rmse_aligned
+    limit = None if of_trials is None else prediction_limit(of_trials)
+    if limit is not None:
+        return limit
+    published = normalizing_baselines(experiment, band)
+    if "rmse" in published:
+        return 2.0 * published["rmse"].mean
+    return COVERAGE_FACTOR * band.standard_uncertainty
 
 
 def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any]:

@@ -46,9 +46,6 @@ PLANTED_ERRORS = {
 UNCHANGED = "unchanged"
 """Name of the scene without a planted error."""
 
-UNDETECTABLE_SHARE = 0.1
-"""Largest undetectable change of a score, divided by the standard uncertainty u."""
-
 SECTIONS = {
     "parameter_sets": "Parameter sets",
     "engines": "Engines",
@@ -241,9 +238,9 @@ def planted_errors_text(reference: Mapping[str, Any]) -> str:
     for metric, scores in planted_error_scores(reference):
         detected = [f"{title} {score}" for title, score in scores.items() if score]
         text = f"{metric}: {', '.join(detected)}"
-        undetectable = [title for title, score in scores.items() if not score]
-        if undetectable:
-            text += f"; undetectable: {', '.join(undetectable)}"
+        missed = [title for title, score in scores.items() if not score]
+        if missed:
+            text += f"; not detected: {', '.join(missed)}"
         texts.append(text)
     return ". ".join(texts)
 
@@ -251,29 +248,38 @@ def planted_errors_text(reference: Mapping[str, Any]) -> str:
 def planted_error_scores(
     reference: Mapping[str, Any],
 ) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield each metric with its unit, and the score of each planted error by name; empty if undetectable.
+    """Yield each metric with its unit, and the score of each planted error by name; empty if it is not detected.
 
-    An error is undetectable if the score changes by less than a tenth of u, or not within three digits. The score of
-    the unchanged scene has the name `UNCHANGED`.
+    An error is detected if it changes the verdict of the unchanged scene from inside to outside. The score of that
+    scene has the name `UNCHANGED`.
     """
     for row in reference["sees"]:
-        resolution = 0.0
-        if row["unit"] == reference["unit"]:
-            resolution = UNDETECTABLE_SHARE * reference["standard_uncertainty"]
-        unchanged = digits_text(row["nominal"])
-        scores = {UNCHANGED: unchanged}
+        scores = {UNCHANGED: digits_text(row["nominal"])}
         for key, title in PLANTED_ERRORS.items():
             score = row[key]
             if score is None:
                 continue
-            scores[title] = digits_text(score)
-            is_small = abs(score - row["nominal"]) < resolution
-            if is_small or scores[title] == unchanged:
-                scores[title] = ""
+            scores[title] = ""
+            if _is_detected(row["inside"], row["nominal"], score):
+                scores[title] = digits_text(score)
         metric = event_title(row["metric"])
         if row["unit"] != "1":
             metric += f" [{row['unit']}]"
         yield metric, scores
+
+
+def _is_detected(inside: Sequence[float] | None, nominal: float, score: float) -> bool:
+    """Return whether a planted error changes the verdict from inside to outside.
+
+    Args:
+        inside: The smallest and the largest score inside; None without a verdict.
+        nominal: Score of the unchanged scene.
+        score: Score with the planted error.
+    """
+    if inside is None:
+        return False
+    low, high = inside
+    return low <= nominal <= high and not low <= score <= high
 
 
 def _engines_text(engines: Sequence[Mapping[str, Any]]) -> str:

@@ -201,10 +201,12 @@ class ExperimentComparison:
     def published(self, metric: str) -> Mapping[str, float | None] | None:
         """Return the published scores of a metric by engine; None without comparable published scores.
 
-        The paper scores trajectories against the mean of real trials: RMSE and DTW need the kind `trials`.
+        The paper scores trajectories against the mean of real trials: RMSE and DTW need the kind `trials`
+        or `published`.
         Event metrics do not depend on the reference.
         """
-        is_comparable = self.kind is Kind.TRIALS or SCORE_METRICS[metric].is_event
+        is_event = SCORE_METRICS[metric].is_event
+        is_comparable = self.kind.is_mean_of_trials or is_event
         if not is_comparable or metric not in self.baselines:
             return None
         return self.baselines[metric].engines

@@ -238,8 +238,10 @@ def _notes(experiment: Experiment, reference: Reference) -> Iterator[str]:
         yield f"Black: {reference.name}, known until {reference.end_s:.3g} s."
     if kind.is_solution:
         yield f"Grey: its standard uncertainty u, and {reference.spread_factor} u."
-    elif scored is not None:
+    elif kind.is_real:
         yield "Grey: one and two standard deviations of real trials."
+    elif scored is not None:
+        yield "Grey: one and two published standard deviations."
     if scored is not None and (~band.measured & band.known).any():
         yield "Dotted: extrapolated, not measured."
     yield f"Reference {kind.value}: {KIND_NOTES[kind]}."

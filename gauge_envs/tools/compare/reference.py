@@ -23,6 +23,7 @@ NAMES = {
     Kind.ANALYTIC: "the analytical solution",
     Kind.NUMERICAL: "the numerical solution",
     Kind.RECORDING: "the recorded real trial",
+    Kind.PUBLISHED: "the motion computed from published numbers",
 }
 
 

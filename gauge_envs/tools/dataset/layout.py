@@ -26,6 +26,7 @@ from gauge_envs.errors import DatasetError
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.task_format import Matter
 from gauge_envs.experiments.variants import Variant, matching_variants, variants
+from gauge_envs.files import is_folder
 from gauge_envs.text import json_document, printable
 from gauge_envs.tools.dataset.findings import ImportFinding, TrialError
 
@@ -71,7 +72,7 @@ def find_trials(root: Path, *, only: Sequence[str] = ("*",)) -> Layout:
         UnknownNameError: A pattern matches no variant.
     """
     selected = {name for pattern in only for name in matching_variants(pattern)}
-    if not root.is_dir():
+    if not is_folder(root):
         raise DatasetError(f"{root}: not a folder; expected the folder of the dataset")
     paths_of: dict[Variant, list[Path]] = {}
     findings = []

@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 
 from gauge_envs.errors import TargetError
+from gauge_envs.files import is_folder
 from gauge_envs.tools.sanity.readers import probe, settings
 from gauge_envs.tools.sanity.readers.dialect import TOML, Dialect
 from gauge_envs.tools.sanity.readers.documents import file_value
@@ -100,13 +101,13 @@ def configuration(
 def _read_text(target: Target, pair: GeomPair | None) -> TrainingConfiguration:
     """Return the configuration of a file, a folder of a run, a backend or a Gymnasium id."""
     path = Path(str(target))
-    if path.is_dir():
+    if is_folder(path):
         path = file_of_run(path)
     if reader := READERS.get(path.suffix.lower()):
         return reader(path, pair)
     if backend := settings.read_backend(str(target)):
         return backend
-    if path.is_dir():
+    if is_folder(path):
         raise TargetError(f"{path}: has no params/env.yaml: give the file of a model")
     return read_id(str(target), pair)
 

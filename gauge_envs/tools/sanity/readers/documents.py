@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.errors import TargetError
-from gauge_envs.files import os_errors
+from gauge_envs.files import os_errors, path_exists
 from gauge_envs.optional import needs_extra
 from gauge_envs.text import text_of
 
@@ -24,7 +24,7 @@ def file_text(path: Path) -> str:
     Raises:
         TargetError: The file is not there, is empty, or is no text.
     """
-    if not path.exists():
+    if not path_exists(path):
         raise TargetError(f"{path}: there is no such file")
     with os_errors(lambda cause: TargetError(f"{path}: cannot be read: {cause}")):
         content = path.read_bytes()
