@@ -235,7 +235,14 @@ def _observation_text(rows: Sequence[Mapping[str, Any]]) -> str:
 def planted_errors_text(reference: Mapping[str, Any]) -> str:
     """Return the scores of planted errors in a line; empty without planted errors."""
     texts = []
-    for metric, scores in planted_error_scores(reference):
+    rows = reference["sees"]
+    for row, (metric, scores) in zip(
+        rows, planted_error_scores(reference), strict=True
+    ):
+        if row["inside"] is not None and not _is_inside(row["inside"], row["nominal"]):
+            text = f"{UNCHANGED} {scores[UNCHANGED]} is outside already"
+            texts.append(f"{metric}: {text}, so no error changes the verdict")
+            continue
         detected = [f"{title} {score}" for title, score in scores.items() if score]
         text = f"{metric}: {', '.join(detected)}"
         missed = [title for title, score in scores.items() if not score]
@@ -278,8 +285,13 @@ def _is_detected(inside: Sequence[float] | None, nominal: float, score: float) -
     """
     if inside is None:
         return False
+    return _is_inside(inside, nominal) and not _is_inside(inside, score)
+
+
+def _is_inside(inside: Sequence[float], score: float) -> bool:
+    """Return whether a score is between the smallest and the largest one with the verdict `inside`."""
     low, high = inside
-    return low <= nominal <= high and not low <= score <= high
+    return low <= score <= high
 
 
 def _engines_text(engines: Sequence[Mapping[str, Any]]) -> str:

@@ -19,9 +19,6 @@ from gauge_envs.tools.catalog.report import (
     [
         ("SlopeSlider-1-wood", [], ["no motion", "40 ms late", "friction 20 % lower"]),
         ("NonsmoothContact-1-wood", ["no motion", "40 ms late"], []),
-        # Without an error the engine is outside already: a worse motion changes no verdict.
-        ("SlopeSlider-2-wood", [], ["no motion", "40 ms late", "friction 20 % lower"]),
-        ("CantileverBeam-soft", [], ["stiffness 20 % lower"]),
         # 2.96 mm is inside of 1.96 u, 2.96 + 0.03 mm with a stiffness 20 % higher is so, too.
         ("TableclothPulling-plastic", ["no motion"], ["stiffness 20 % higher"]),
     ],
@@ -33,6 +30,12 @@ def test_an_error_is_detected_if_it_changes_the_verdict(name, detected, missed):
         assert f", {title} " in scores
     for title in missed:
         assert title in rest.split(", ")
+
+
+@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "CantileverBeam-soft"])
+def test_no_error_changes_the_verdict_of_a_motion_that_is_outside(name):
+    reference = catalog.description(load_experiment(name))["reference"]
+    assert "is outside already" in planted_errors_text(reference)
 
 
 def test_a_reference_is_described_in_a_line():
