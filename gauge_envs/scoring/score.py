@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from enum import StrEnum
 from functools import cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -102,6 +102,9 @@ class Score:
     | `estimates` | each | friction, restitution, ringing of this motion and of real trials (`ComparedQuantity`) |
     | `refused` | | why the reference cannot score this motion, one sentence |
     """
+
+    PRINTED: ClassVar[tuple[str, ...]] = ("verdict", "distance", "primary_normalized")
+    """Properties that `to_dict` adds to the fields."""
 
     kind: str
     unit: str
@@ -224,7 +227,7 @@ class Score:
         return f"Score(\n{inner}\n)"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready dictionary of all fields, with `over_real` of each event and estimate."""
+        """Return a JSON-ready dictionary of fields and `PRINTED`, with `over_real` of each event and estimate."""
         values = {
             key: list(value) if isinstance(value, tuple) else value
             for key, value in asdict(self).items()
@@ -234,6 +237,8 @@ class Score:
                 name: asdict(measured) | {"over_real": measured.over_real}
                 for name, measured in getattr(self, key).items()
             }
+        for name in self.PRINTED:
+            values[name] = getattr(self, name)
         return values
 
     @classmethod
