@@ -21,7 +21,7 @@ NEAR_EXACT = 0.5
 By the triangle inequality, such an engine changes the normalized distance from real trials by at most 0.5."""
 
 
-class Cause(StrEnum):
+class DistanceCause(StrEnum):
     """What causes the distance of a motion from real trials."""
 
     NONE = "none"

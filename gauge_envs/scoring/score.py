@@ -20,7 +20,7 @@ from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import Baseline
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.cause import NEAR_EXACT, Cause, distance_from_exact
+from gauge_envs.scoring.cause import NEAR_EXACT, DistanceCause, distance_from_exact
 from gauge_envs.scoring.estimates import ComparedQuantity, estimates
 from gauge_envs.scoring.events import PUBLISHED_TRIALS, event_values
 from gauge_envs.scoring.exact import MotionOfTime, exact_solution
@@ -82,7 +82,7 @@ class Score:
     | `primary` | | distance that reports show first: `rmse_aligned` for a release, `over_uncertainty` for a solution |
     | `primary_interval` | 1 | 95 % interval of the primary distance over that of real trials, or over u |
     | `exact` | 1 | the primary ratio of the exact motion with the same constants, at the same times |
-    | `cause` | | `none`, `constants`, `engine` or `both` (`Cause`): what causes the distance from real trials |
+    | `cause` | | `none`, `constants`, `engine` or `both` (`DistanceCause`): what causes the distance from real trials |
     | `rmse` | unit | E_RMSE of the paper |
     | `rmse_95` | unit | its 95 % interval: from the scatter of single trials, else 1.96 u of the reference |
     | `rmse_normalized` | 1 | `rmse` over the published mean of real trials |
@@ -92,7 +92,6 @@ class Score:
     | `rmse_aligned_95` | unit | its 95 % interval |
     | `rmse_aligned_normalized` | 1 | `rmse_aligned` over the mean of the same distance of real trials |
     | `mean_abs_z` | 1 | mean deviation over the standard deviation of real trials; a real trial has 0.80 |
-    | `inside_1sigma`, `inside_2sigma` | 1 | share of measured values within 1 and 2 standard deviations |
     | `real_limit` | unit | primary distance within which one more real trial lies with a probability of 95 % |
     | `signed_error` | unit | mean deviation of each coordinate of the reference |
     | `compared_frames` | | frames at which `distance` compares: those with known markers for cloth and foam |
@@ -111,7 +110,7 @@ class Score:
     primary: str | None = None
     primary_interval: Interval | None = None
     exact: float | None = None
-    cause: Cause | None = None
+    cause: DistanceCause | None = None
     rmse: float | None = None
     rmse_95: Interval | None = None
     rmse_normalized: float | None = None
@@ -122,8 +121,6 @@ class Score:
     rmse_aligned_95: Interval | None = None
     rmse_aligned_normalized: float | None = None
     mean_abs_z: float | None = None
-    inside_1sigma: float | None = None
-    inside_2sigma: float | None = None
     real_limit: float | None = None
     signed_error: tuple[float, ...] | None = None
     compared_frames: int | None = None
@@ -547,11 +544,13 @@ def _with_cause(score: Score, motion: _ComparedMotion) -> Score:
     exact_score = _exact_score(score, motion, solution)
     score = replace(score, exact=exact_score.primary_normalized)
     if score.verdict is ScoreVerdict.INSIDE:
-        return replace(score, cause=Cause.NONE)
+        return replace(score, cause=DistanceCause.NONE)
     if exact_score.verdict is ScoreVerdict.INSIDE:
-        return replace(score, cause=Cause.ENGINE)
+        return replace(score, cause=DistanceCause.ENGINE)
     is_near = _ratio_to_exact(score, motion, solution) <= NEAR_EXACT
-    return replace(score, cause=Cause.CONSTANTS if is_near else Cause.BOTH)
+    return replace(
+        score, cause=DistanceCause.CONSTANTS if is_near else DistanceCause.BOTH
+    )
 
 
 def _exact_score(
@@ -597,12 +596,7 @@ def _in_scatter(score: Score, motion: _ComparedMotion) -> Score:
     z = z[np.isfinite(z)]
     if not z.size:
         return score
-    return replace(
-        score,
-        mean_abs_z=float(z.mean()),
-        inside_1sigma=float(np.mean(z <= 1.0)),
-        inside_2sigma=float(np.mean(z <= 2.0)),
-    )
+    return replace(score, mean_abs_z=float(z.mean()))
 
 
 def _events(

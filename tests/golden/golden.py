@@ -45,8 +45,6 @@ SCORE_FIELDS = (
     "dtw_normalized",
     "rmse_aligned_normalized",
     "mean_abs_z",
-    "inside_1sigma",
-    "inside_2sigma",
 )
 
 

@@ -9,7 +9,7 @@ import pytest
 from closed_forms import ball_mm, slide_mm
 
 from gauge_envs import load_experiment
-from gauge_envs.scoring.cause import Cause
+from gauge_envs.scoring.cause import DistanceCause
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import score_trajectory
 
@@ -106,10 +106,10 @@ class PlantedMotion:
     def expected(self):
         """Return the cause by closed forms."""
         if self.over_limit(self.values_mm) <= 1.0:
-            return Cause.NONE
+            return DistanceCause.NONE
         if self.over_limit(self.exact_mm) <= 1.0:
-            return Cause.ENGINE
-        return Cause.CONSTANTS if self.error == "late" else Cause.BOTH
+            return DistanceCause.ENGINE
+        return DistanceCause.CONSTANTS if self.error == "late" else DistanceCause.BOTH
 
     def found(self):
         """Return the cause in the score."""
@@ -136,7 +136,7 @@ def test_the_cause_of_wrong_motions(seed):
         if pair[0] is not pair[1]
     ]
     assert len(wrong) <= 1, wrong
-    assert {expected for expected, _ in causes} == set(Cause)
+    assert {expected for expected, _ in causes} == set(DistanceCause)
 
 
 def test_friction_on_the_other_side_of_reality_is_an_error_of_the_engine():
@@ -148,4 +148,4 @@ def test_friction_on_the_other_side_of_reality_is_an_error_of_the_engine():
     band = reference_band(experiment)
     score = score_trajectory(experiment, band, times_s=times_s, values=values_mm)
     assert score.primary_normalized == pytest.approx(score.exact, rel=0.02)
-    assert score.cause is Cause.BOTH
+    assert score.cause is DistanceCause.BOTH

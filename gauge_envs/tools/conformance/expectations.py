@@ -144,7 +144,7 @@ def _known(file: Path, name: str, entry: Any) -> KnownFailure:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Baseline:
+class StoredBaseline:
     """Results of an earlier version of the engine.
 
     Attributes:
@@ -171,7 +171,7 @@ class Baseline:
 
 def read_baseline(
     file: Path, backend: str, configurations: Collection[str]
-) -> Baseline:
+) -> StoredBaseline:
     """Return the earlier results of an engine from a file of `gauge backend check --out`.
 
     Raises:
@@ -193,7 +193,7 @@ def read_baseline(
         for name, column in columns.items()
         for check, result in column.results.items()
     }
-    return Baseline(results=results)
+    return StoredBaseline(results=results)
 
 
 def expectation_of(

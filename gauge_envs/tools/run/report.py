@@ -26,7 +26,7 @@ from gauge_envs.pages.text import (
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.scoring.cause import Cause
+from gauge_envs.scoring.cause import DistanceCause
 from gauge_envs.scoring.estimates import ComparedQuantity
 from gauge_envs.scoring.score import COVERAGE_FACTOR, OVER_U, Score
 from gauge_envs.tools.run.plan import PlannedRun, episode_count
@@ -188,12 +188,12 @@ def cause_text(score: Score, parameters: str | Mapping[str, Any]) -> str | None:
     if score.exact is None:
         return None
     exact = digits_text(score.exact)
-    if score.cause is Cause.CONSTANTS:
+    if score.cause is DistanceCause.CONSTANTS:
         wrong = _wrong_constants(score, parameters)
         return f"An exact solver also scores {exact}: {wrong}, not the engine."
     texts = {
-        Cause.ENGINE: "the engine or its settings are wrong, not the constants",
-        Cause.BOTH: "both the engine and the constants are wrong",
+        DistanceCause.ENGINE: "the engine or its settings are wrong, not the constants",
+        DistanceCause.BOTH: "both the engine and the constants are wrong",
     }
     if score.cause in texts:
         return f"An exact solver scores {exact}: {texts[score.cause]}."

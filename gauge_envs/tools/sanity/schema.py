@@ -10,7 +10,7 @@ from gauge_envs.tools.sanity.verdict import RealityKind, Report, SanityResult
 Configuration = Annotated[TrainingConfiguration, Form(without=("robot",))]
 
 
-class CheckLine(TypedDict):
+class SanityCheckLine(TypedDict):
     """A check that `gauge sanity` can run.
 
     Attributes:

@@ -14,7 +14,7 @@ from faults import FAULTS, Faulty
 from gauge_envs.backends import Support, backend, registry
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.tools.conformance import Status
-from gauge_envs.tools.conformance.expectations import Baseline, read_baseline
+from gauge_envs.tools.conformance.expectations import StoredBaseline, read_baseline
 from gauge_envs.tools.conformance.report import comparison
 from gauge_envs.tools.conformance.results import (
     engine_columns,
@@ -283,7 +283,7 @@ def test_a_baseline_names_what_moved_or_got_worse(column, widths, status, kind):
 
 
 def baseline_of(result):
-    return Baseline(results={(result.configuration, result.check): result})
+    return StoredBaseline(results={(result.configuration, result.check): result})
 
 
 def test_a_failure_that_is_still_not_finite_did_not_move(column):

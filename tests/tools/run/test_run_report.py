@@ -7,7 +7,7 @@ from rich.console import Console
 
 from gauge_envs.pages.terminal import Terminal
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.scoring.cause import Cause
+from gauge_envs.scoring.cause import DistanceCause
 from gauge_envs.scoring.estimates import ComparedQuantity
 from gauge_envs.scoring.score import Score
 from gauge_envs.tools.run.report import cause_text, motion_text, summary_document
@@ -93,18 +93,18 @@ def test_the_summary_shows_events_of_recordings_and_missing_events():
     ("cause", "text"),
     [
         (
-            Cause.CONSTANTS,
+            DistanceCause.CONSTANTS,
             "An exact solver also scores 5.09: the published friction is wrong, not the engine.",
         ),
         (
-            Cause.ENGINE,
+            DistanceCause.ENGINE,
             "An exact solver scores 5.09: the engine or its settings are wrong, not the constants.",
         ),
         (
-            Cause.BOTH,
+            DistanceCause.BOTH,
             "An exact solver scores 5.09: both the engine and the constants are wrong.",
         ),
-        (Cause.NONE, None),
+        (DistanceCause.NONE, None),
     ],
 )
 def test_the_cause_of_a_distance_is_a_sentence(cause, text):
@@ -114,7 +114,7 @@ def test_the_cause_of_a_distance_is_a_sentence(cause, text):
 
 
 def test_a_cause_names_the_constants_that_differ_from_reality():
-    score = replace(SLIDE, cause=Cause.CONSTANTS)
+    score = replace(SLIDE, cause=DistanceCause.CONSTANTS)
     assert "the given friction is wrong" in cause_text(score, {"cube.friction": 0.1})
     right = ComparedQuantity(value=0.26, unit="1", real=0.257, real_uncertainty=0.006)
     score = replace(score, estimates={"friction": right})
