@@ -17,9 +17,9 @@ SCRIPT = f"scripts/{Path(__file__).name}"
 PAGE = ROOT / "docs" / "coverage.md"
 
 REFERENCES = {
-    Kind.TRIALS: "measured motions of several real trials: slides, drops",
-    Kind.RECORDING: "one measured motion of a real trial",
-    Kind.PUBLISHED: "a motion computed from published numbers of real trials: a cradle, a cube that holds",
+    Kind.TRIALS: "several measured motions: slides, drops",
+    Kind.RECORDING: "one measured motion",
+    Kind.PUBLISHED: "a motion from published numbers: a cradle, a cube that holds",
     Kind.ANALYTIC: "an analytical solution: turntables, pendulum, ramps, foam",
     Kind.NUMERICAL: "a numerical solution: most cloth, foam",
     Kind.NONE: "nothing: rope, funnel, wall",

@@ -31,6 +31,7 @@ WRITTEN_FIELDS = (
     "trial_count",
     "source",
     "licence",
+    "baseline_uncertainty",
     "standard_uncertainty",
     "zero_motion_distance",
 )

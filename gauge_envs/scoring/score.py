@@ -478,6 +478,9 @@ def _primary_interval(score: Score, motion: _ComparedMotion) -> Interval | None:
     if score.primary == "rmse_aligned":
         assert band.trial_rmse_aligned is not None and score.rmse_aligned_95 is not None
         half = mean_half_width(band.trial_rmse_aligned)
+        if band.baseline_uncertainty is not None:
+            freedom = len(band.trial_rmse_aligned) - 1
+            half = student_t(freedom) * band.baseline_uncertainty
         return ratio_interval(score.distance, score.rmse_aligned_95, baseline, half)
     published = normalizing_baselines(motion.experiment, band)["rmse"]
     error = (published.std or 0.0) / math.sqrt(PUBLISHED_TRIALS)

@@ -18,6 +18,7 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.references.tables import scoring_folder
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import body_mass_properties
+from gauge_envs.tools.dataset.statistics import leave_one_out_distances
 
 NAMES = [variant.name for variant in variants()]
 BANDS = {name: band for name in NAMES if (band := load_band(name)) is not None}
@@ -67,6 +68,21 @@ def test_the_numbers_of_a_band_follow_from_its_arrays(name):
     # A reference must distinguish a scene without motion. In SlopeSlider-1 the cube does not move.
     if not name.startswith("SlopeSlider-1"):
         assert band.zero_motion_distance > 3.0 * band.standard_uncertainty
+
+
+def test_the_baseline_is_as_uncertain_as_its_means_without_each_trial():
+    """The trials share a mean, so their distances depend on each other: the scatter alone would give half of it."""
+    band = BANDS["SlopeSlider-2-plastic"]
+    distances = band.trial_rmse_aligned
+    count = len(distances)
+    means = [
+        leave_one_out_distances(np.delete(band.trials, trial, axis=0))[1].mean()
+        for trial in range(count)
+    ]
+    pseudo_values = count * distances.mean() - (count - 1) * np.array(means)
+    expected = pseudo_values.std(ddof=1) / math.sqrt(count)
+    assert band.baseline_uncertainty == pytest.approx(expected, rel=1e-5)
+    assert expected > 1.8 * distances.std(ddof=1) / math.sqrt(count)
 
 
 @pytest.mark.parametrize("name", BANDS)

@@ -75,6 +75,22 @@ def leave_one_out_distances(trials: FloatArray) -> tuple[FloatArray, FloatArray]
     return raw_rmse, aligned_rmse
 
 
+def baseline_uncertainty(trials: FloatArray) -> float | None:
+    """Return the standard uncertainty of the mean aligned distance of trials, shape [N, T, C]; None below three trials.
+
+    It is the jackknife: the mean is computed again without each trial. The distances depend on each other, so their
+    scatter alone would give half of it.
+    """
+    count = len(trials)
+    if count < 3:
+        return None
+    means = []
+    for index in range(count):
+        _, distances = leave_one_out_distances(np.delete(trials, index, axis=0))
+        means.append(distances.mean())
+    return math.sqrt((count - 1) * float(np.var(means)))
+
+
 def _aligned_rmse(trial: FloatArray, mean: FloatArray) -> float:
     """Return the minimum RMSE of a trial from a mean over constant time shifts."""
     rmse = [_shifted_rmse(shift_s, trial, mean) for shift_s in SHIFTS_S]
