@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, t as student
 
+from gauge_envs import load_experiment
 from gauge_envs.scoring.interval import (
     distance_interval,
     mean_half_width,
@@ -82,6 +83,18 @@ def test_intervals_of_a_normalized_distance_hold_the_ratio_of_the_true_ones(
     # The distances of five trials depend on each other, so their mean is less certain than Student's interval says.
     assert inside >= binom.ppf(1e-4, realities, 0.93 if count == 20 else 0.90)
     assert factor < 10.0 or inside <= binom.ppf(1.0 - 1e-4, realities, 0.98)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["SlopeSlider-2-plastic", "BouncingBall-rubber"])
+def test_intervals_hold_the_truth_in_worlds_resampled_from_the_real_trials(name):
+    """Their distances are skewed and depend on each other; studies/coverage has all ids and more worlds."""
+    from studies.coverage.resampled import coverage
+
+    _, held, held_before = coverage(load_experiment(name), 40)
+    assert held >= binom.ppf(1e-4, 40, 0.93) / 40
+    # An interval that takes the mean of the real trials as exact would fail.
+    assert held_before < held
 
 
 @pytest.mark.parametrize(
