@@ -86,7 +86,7 @@ def test_intervals_of_a_normalized_distance_hold_the_ratio_of_the_true_ones(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["SlopeSlider-2-plastic", "BouncingBall-rubber"])
+@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "BouncingBall-rubber"])
 def test_intervals_hold_the_truth_in_worlds_resampled_from_the_real_trials(name):
     """Their distances are skewed and depend on each other; studies/coverage has all ids and more worlds."""
     from studies.coverage.resampled import coverage
