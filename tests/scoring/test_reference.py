@@ -7,11 +7,12 @@ from dataclasses import fields, is_dataclass, replace
 from enum import Enum
 
 import pytest
-from places import ROOT, first_of_each_kind
+from places import first_of_each_kind
 
 from gauge_envs import load_experiment, reference_band, variants
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.variants import beyond_variants
+from gauge_envs.files import data_folder
 from gauge_envs.scene import Air, Motion, Scene
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.states import nominal_states, scene_at
@@ -189,7 +190,7 @@ def test_every_reference_allows_a_rounded_gravity_and_no_other(
 
 
 def test_the_default_gravity_of_mujoco_in_a_model_file_is_scored(tmp_path):
-    text = (ROOT / "assets" / "mjcf" / "Pendulum-metal.xml").read_text()
+    text = (data_folder("assets") / "mjcf" / "Pendulum-metal.xml").read_text()
     standard = "0 0 -9.80665"
     assert standard in text
     reasons = []
