@@ -15,8 +15,6 @@ TEXTS = {
     "a long task file": "x" * 300 + ".toml",
     "a long model": "x" * 300 + ".xml",
     "a long result": "x" * 300 + ".json",
-    "a null character": "a\0b",
-    "a model with a null character": "a\0b.xml",
     "a newline": "a\nb",
     "commas": ",,,",
     "a home folder": "~nobody-of-this-name/x",
