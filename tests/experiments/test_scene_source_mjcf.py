@@ -113,6 +113,8 @@ def test_a_longer_step_is_a_setting_of_the_file(edited):
         (TIMESTEP, f'timestep="{1 / 1800!r}"', True, True),
         ('impratio="10"', 'impratio="5"', True, True),
         ('solref="0.002"', 'solref="0.004"', True, True),
+        ('solref="0.002"', 'solref="0.002" gap="1"', False, False),
+        ('solref="0.002"', 'solref="0.002" margin="0.01"', False, False),
         ('mass="0.0903"', 'mass="0.2"', True, False),
         ('friction="0.273673 0.273673', 'friction="0.2 0.2', True, False),
         ('size="0.025 0.025 0.025"', 'size="0.025 0.03 0.025"', False, False),
