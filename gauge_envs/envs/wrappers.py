@@ -53,8 +53,7 @@ LOGGED = (
     "rmse_normalized",
     "rmse_aligned",
     "rmse_aligned_normalized",
-    "over_uncertainty",
-    "marker_rmse_mm",
+    "solution_distance",
 )
 """Fields of a score that `LogScore` sends, if they are known."""
 

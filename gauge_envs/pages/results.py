@@ -9,7 +9,7 @@ from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.text import value_text
 from gauge_envs.references.metrics import METRICS, Metric
 from gauge_envs.runs.configuration import RunConfiguration
-from gauge_envs.scoring.score import OVER_U, Score
+from gauge_envs.scoring.score import FROM_SOLUTION, Score
 
 # --- labels ---
 
@@ -101,8 +101,8 @@ def versions_text(configuration: RunConfiguration) -> str:
 ALIGNED = Metric(key="rmse_aligned", title="RMSE aligned", unit=None)
 """The RMSE after the best constant time shift, which was not published."""
 
-VERIFIED = Metric(key=OVER_U, title="distance from the solution", unit=None)
-"""The distance from a solution of the scene, in its unit and over u."""
+VERIFIED = Metric(key=FROM_SOLUTION, title="distance from the solution", unit=None)
+"""The distance from a solution of the scene, in its unit and over the motion."""
 
 SCORE_METRICS: Mapping[str, Metric] = {
     metric.key: metric
@@ -118,21 +118,19 @@ def raw_score(score: Score, metric: str) -> float | None:
     if SCORE_METRICS[metric].is_event:
         event = score.events.get(metric)
         return None if event is None else event.value
-    if metric == OVER_U:
-        if score.primary != OVER_U:
-            return None
-        return score.distance
+    if metric == FROM_SOLUTION and score.primary != FROM_SOLUTION:
+        return None
     value: float | None = getattr(score, metric)
     return value
 
 
 def normalized_score(score: Score, metric: str) -> float | None:
-    """Return a metric over its value for real trials, or over u of a solution; None without these."""
+    """Return a metric over its value for real trials, or over the motion of a solution; None without these."""
     if SCORE_METRICS[metric].is_event:
         event = score.events.get(metric)
         return None if event is None else event.over_real
-    if metric == OVER_U:
-        return score.over_uncertainty
+    if metric == FROM_SOLUTION:
+        return score.primary_normalized if score.primary == metric else None
     value: float | None = getattr(score, f"{metric}_normalized")
     return value
 

@@ -15,11 +15,6 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.exact import MotionOfTime
 from gauge_envs.scoring.metrics import best_offset
 
-NEAR_EXACT = 0.5
-"""Largest distance from the exact motion that counts as near, over the mean distance of a real trial.
-
-By the triangle inequality, such an engine changes the normalized distance from real trials by at most 0.5."""
-
 
 class DistanceCause(StrEnum):
     """What causes the distance of a motion from real trials."""
@@ -32,6 +27,23 @@ class DistanceCause(StrEnum):
     """The motion is far from the trials, and the exact one is near them."""
     BOTH = "both"
     """The motion is far from the exact one, and both are far from the trials."""
+
+
+def cause_of(
+    *, is_real: bool, is_exact_real: bool, is_near_exact: bool
+) -> DistanceCause:
+    """Return the cause of the distance of a motion from real trials.
+
+    Args:
+        is_real: Whether the motion is as close to the trials as one more trial would be.
+        is_exact_real: Whether the exact motion is.
+        is_near_exact: Whether the distance between the motion and the exact one does not matter.
+    """
+    if is_real:
+        return DistanceCause.NONE
+    if is_exact_real:
+        return DistanceCause.ENGINE
+    return DistanceCause.CONSTANTS if is_near_exact else DistanceCause.BOTH
 
 
 def distance_from_exact(

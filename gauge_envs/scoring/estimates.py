@@ -16,12 +16,14 @@ from gauge_envs.scene import ContactMode
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.answers import TELLING_SHARE, Answer
 from gauge_envs.scoring.estimators import (
     acceleration_error_m_per_s2,
     acceleration_m_per_s2,
     first_bounce,
     slide_friction,
 )
+from gauge_envs.scoring.interval import COVERAGE_FACTOR
 
 MIN_SAMPLES = 4
 """Smallest number of frames for an acceleration with its uncertainty."""
@@ -84,13 +86,21 @@ class ComparedQuantity:
         return self.value / self.real if self.value is not None and self.real else None
 
     @property
-    def is_inside(self) -> bool | None:
-        """Whether the value is within 1.96 standard uncertainties of the real value; None if that is not known."""
-        if self.real is None or self.real_uncertainty is None:
+    def answer(self) -> Answer | None:
+        """Whether the value is within 1.96 standard uncertainties of the real value; None if that is not known.
+
+        An interval above 20 % of the values cannot tell.
+        """
+        if self.real is None or not self.real_uncertainty:
             return None
         if self.value is None:
-            return False
-        return abs(self.value - self.real) <= 1.96 * self.real_uncertainty
+            return Answer.NO
+        half_width = COVERAGE_FACTOR * self.real_uncertainty
+        if abs(self.value - self.real) > half_width:
+            return Answer.NO
+        largest = max(abs(self.value), abs(self.real))
+        is_telling = half_width <= TELLING_SHARE * largest
+        return Answer.YES if is_telling else Answer.CANNOT_TELL
 
 
 RealValue = tuple[float | None, float | None]

@@ -16,6 +16,9 @@ import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray, length_of
 
+COVERAGE_FACTOR = 1.96
+"""Half width of a 95 % interval over the standard uncertainty."""
+
 MIN_PREDICTING_TRIALS = 5
 """Smallest number of real trials whose scatter predicts the distance of one more."""
 
@@ -32,9 +35,20 @@ def student_t(freedom: int, coverage: float = 0.95) -> float:
     return float(stdtrit(freedom, 0.5 + 0.5 * coverage))
 
 
+def student_limit(count: int, *, one_sided: bool = False) -> float:
+    """Return the limit of one more value, in standard deviations of `count` values from their mean.
+
+    Args:
+        count: Number of values, at least two.
+        one_sided: Whether 5 % of values are above the limit, and none count as too small.
+    """
+    coverage = 0.9 if one_sided else 0.95
+    return student_t(count - 1, coverage) * math.sqrt(1.0 + 1.0 / count)
+
+
 def distance_interval(distance: float, uncertainty: float) -> tuple[float, float]:
     """Return the interval of a distance from a reference with a standard uncertainty, all in one unit."""
-    half = 1.96 * uncertainty
+    half = COVERAGE_FACTOR * uncertainty
     return max(distance - half, 0.0), distance + half
 
 
@@ -84,9 +98,9 @@ def prediction_limit(distances: FloatArray) -> float | None:
     if rank <= count:
         return float(np.sort(distances)[rank - 1])
     logarithms = np.log(distances)
-    spread = float(np.std(logarithms, ddof=1)) * math.sqrt(1.0 + 1.0 / count)
-    # The limit has one side: 90 % of Student's t are within both.
-    return math.exp(float(logarithms.mean()) + student_t(count - 1, 0.9) * spread)
+    spread = float(np.std(logarithms, ddof=1))
+    above = student_limit(count, one_sided=True) * spread
+    return math.exp(float(logarithms.mean()) + above)
 
 
 def trials_interval(

@@ -1,4 +1,4 @@
-"""Distances of a simulated trajectory from the mean real one: RMSE, DTW, time offset, z (paper, section on metrics).
+"""Distances of a simulated trajectory from the mean real one: RMSE, DTW, time offset (paper, section on metrics).
 
 A trajectory is a float array of shape [frame_count, coordinate_count] in its observable's unit (mm, rad or mm^2).
 NaN is a value that was not measured. Only the real mean may have NaN.
@@ -233,35 +233,6 @@ def shifted_frames(
     frames = interpolated(queries_s, times_s, values)
     frames[queries_s > times_s[-1] + ROUNDING_S] = np.nan
     return frames
-
-
-def z_scores(
-    simulated: ArrayLike, real_mean: ArrayLike, sigma: ArrayLike
-) -> FloatArray:
-    """Return (simulated - real_mean) / sigma, shape [frame_count, coordinate_count].
-
-    Args:
-        simulated: g(t), shape [frame_count, coordinate_count].
-        real_mean: Mean over real trials, same shape and unit; NaN where nothing was measured.
-        sigma: Standard deviation over real trials, a shape that broadcasts to the same.
-
-    Returns:
-        Deviations in units of sigma; NaN where nothing was measured, or where sigma is 0 or NaN.
-
-    Raises:
-        ShapeError: Shapes differ.
-    """
-    difference = _difference(simulated, real_mean)
-    spread = np.broadcast_to(np.asarray(sigma, dtype=np.float64), difference.shape)
-    return difference / np.where(spread > 0, spread, np.nan)
-
-
-def signed_error(simulated: ArrayLike, real_mean: ArrayLike) -> FloatArray:
-    """Return the mean over frames of simulated minus real, shape [coordinate_count]; NaN if never measured."""
-    difference = _difference(simulated, real_mean)
-    frame_count = np.isfinite(difference).sum(axis=0)
-    counts = np.where(frame_count > 0, frame_count, np.nan)
-    return np.asarray(np.nansum(difference, axis=0) / counts)
 
 
 def frame_index(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from enum import StrEnum
 from functools import cache
 from typing import Any, ClassVar
 
@@ -20,14 +19,23 @@ from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import Baseline
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.cause import NEAR_EXACT, DistanceCause, distance_from_exact
+from gauge_envs.scoring.answers import (
+    Answer,
+    is_like_trials,
+    mattering_distance,
+    normalizing_baselines,
+    real_limit,
+    solves,
+    united,
+    within,
+)
+from gauge_envs.scoring.cause import DistanceCause, cause_of, distance_from_exact
 from gauge_envs.scoring.estimates import ComparedQuantity, estimates
 from gauge_envs.scoring.events import PUBLISHED_TRIALS, event_values
 from gauge_envs.scoring.exact import MotionOfTime, exact_solution
 from gauge_envs.scoring.interval import (
     distance_interval,
     mean_half_width,
-    prediction_limit,
     ratio_interval,
     student_t,
     trials_interval,
@@ -36,20 +44,15 @@ from gauge_envs.scoring.metrics import (
     MAX_TIME_OFFSET_S,
     frame_index,
     shifted_frames,
-    signed_error,
     time_offset,
     trajectory_dtw,
     trajectory_rmse,
-    z_scores,
 )
 from gauge_envs.scoring.recorded_events import EVENTS, SampledMotion
 from gauge_envs.scoring.reference import has_real_structure, refusal
 from gauge_envs.scoring.user_file.likely_mistakes import value_mistake
 
-COVERAGE_FACTOR = 1.96
-"""Half width of a 95 % interval over the standard uncertainty."""
-
-OVER_U = "over_uncertainty"
+FROM_SOLUTION = "solution_distance"
 """Value of `Score.primary` for a solution."""
 
 EVENT_WORDS = {
@@ -63,132 +66,127 @@ EVENT_WORDS = {
 Interval = tuple[float, float]
 
 
-class ScoreVerdict(StrEnum):
-    """Whether a motion is as close to its reference as real trials are, or within the uncertainty of a solution."""
-
-    INSIDE = "inside"
-    OUTSIDE = "outside"
-    NO_REFERENCE = "no reference"
-
-
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Score:
-    """Distance of an episode from its reference. A field is None if it does not apply or has no reference.
+    """Distances of an episode from its references, and what they mean. A field is None if it does not apply.
 
     | field | unit | meaning |
     | --- | --- | --- |
     | `kind` | | a `Kind`, as `trials`, `published` or `analytic`: what the reference motion is |
-    | `unit` | | unit of the distances |
-    | `primary` | | distance that reports show first: `rmse_aligned` for a release, `over_uncertainty` for a solution |
-    | `primary_interval` | 1 | 95 % interval of the primary distance over that of real trials, or over u |
+    | `unit` | | unit of g(t) |
+    | `distance_unit` | | unit of `distance`: mm for solutions of cloth and foam, whose markers are compared |
+    | `solves` | | whether the motion solves the scene: `yes`, `no`, `cannot tell`; None without a solution |
+    | `like_reality` | | whether motion and events are like real ones; None if nothing real is known |
+    | `solution_distance` | `distance_unit` | distance from the solution, or from the exact motion of a scene |
+    | `solution_motion` | `distance_unit` | root mean square displacement of that solution |
+    | `primary_interval` | 1 | 95 % interval of the primary distance over that of real trials, or over the motion |
     | `exact` | 1 | the primary ratio of the exact motion with the same constants, at the same times |
     | `cause` | | `none`, `constants`, `engine` or `both` (`DistanceCause`): what causes the distance from real trials |
     | `rmse` | unit | E_RMSE of the paper |
-    | `rmse_95` | unit | its 95 % interval: from the scatter of single trials, else 1.96 u of the reference |
     | `rmse_normalized` | 1 | `rmse` over the published mean of real trials |
     | `dtw`, `dtw_normalized` | unit, 1 | E_DTW of the paper, and over the published mean of real trials |
     | `time_offset_s` | s | time shift with the smallest RMSE; positive if the real object is released later |
     | `rmse_aligned` | unit | RMSE after that shift |
-    | `rmse_aligned_95` | unit | its 95 % interval |
     | `rmse_aligned_normalized` | 1 | `rmse_aligned` over the mean of the same distance of real trials |
-    | `mean_abs_z` | 1 | mean deviation over the standard deviation of real trials; a real trial has 0.80 |
     | `real_limit` | unit | primary distance within which one more real trial lies with a probability of 95 % |
-    | `signed_error` | unit | mean deviation of each coordinate of the reference |
     | `compared_frames` | | frames at which `distance` compares: those with known markers for cloth and foam |
-    | `over_uncertainty` | 1 | distance over the standard uncertainty u of a solution |
-    | `marker_rmse_mm` | mm | distance of the markers of cloth and foam; `over_uncertainty` divides it by u |
     | `events` | each | `lsd`, `mte`, `pd`, `el` and recorded events, by name (`ComparedQuantity`) |
     | `estimates` | each | friction, restitution, ringing of this motion and of real trials (`ComparedQuantity`) |
     | `refused` | | why the reference cannot score this motion, one sentence |
     """
 
-    PRINTED: ClassVar[tuple[str, ...]] = ("verdict", "distance", "primary_normalized")
+    PRINTED: ClassVar[tuple[str, ...]] = ("primary", "distance", "primary_normalized")
     """Properties that `to_dict` adds to the fields."""
 
     kind: str
     unit: str
-    primary: str | None = None
+    distance_unit: str = ""
+    solves: Answer | None = None
+    like_reality: Answer | None = None
+    solution_distance: float | None = None
+    solution_motion: float | None = None
     primary_interval: Interval | None = None
     exact: float | None = None
     cause: DistanceCause | None = None
     rmse: float | None = None
-    rmse_95: Interval | None = None
     rmse_normalized: float | None = None
     dtw: float | None = None
     dtw_normalized: float | None = None
     time_offset_s: float | None = None
     rmse_aligned: float | None = None
-    rmse_aligned_95: Interval | None = None
     rmse_aligned_normalized: float | None = None
-    mean_abs_z: float | None = None
     real_limit: float | None = None
-    signed_error: tuple[float, ...] | None = None
     compared_frames: int | None = None
-    over_uncertainty: float | None = None
-    marker_rmse_mm: float | None = None
     events: Mapping[str, ComparedQuantity] = field(default_factory=dict, hash=False)
     estimates: Mapping[str, ComparedQuantity] = field(default_factory=dict, hash=False)
     refused: str | None = None
 
     @property
+    def primary(self) -> str | None:
+        """Distance that reports show first: `rmse`, `rmse_aligned` or `solution_distance`."""
+        if Kind(self.kind).is_solution:
+            return FROM_SOLUTION
+        names = (
+            name for name in ("rmse_aligned", "rmse") if getattr(self, name) is not None
+        )
+        return next(names, None)
+
+    @property
     def distance(self) -> float | None:
-        """The primary distance in its unit, `distance_unit`; None without one."""
-        if self.primary == OVER_U and self.over_uncertainty is None:
-            return None
-        if self.primary == OVER_U:
-            return self.rmse if self.marker_rmse_mm is None else self.marker_rmse_mm
+        """The primary distance in `distance_unit`; None without one."""
         value: float | None = getattr(self, self.primary) if self.primary else None
         return value
 
     @property
-    def distance_unit(self) -> str:
-        """Unit of `distance`."""
-        return self.unit if self.marker_rmse_mm is None else "mm"
-
-    @property
     def primary_normalized(self) -> float | None:
-        """The primary distance over that of real trials, or over u of a solution."""
-        if self.primary in (None, OVER_U):
-            return self.over_uncertainty
-        value: float | None = getattr(self, f"{self.primary}_normalized")
-        return value
-
-    @property
-    def verdict(self) -> ScoreVerdict:
-        """`inside`, `outside` or `no reference`.
-
-        The motion is inside if it is as close as one more real trial would be (`real_limit`). Without five single
-        trials, the limit is twice the published mean of real trials, or 1.96 u if none is published. For a solution,
-        the limit is 1.96 u. Without a reference motion, each event with a real value must be within 1.96 u.
-        """
-        if self.refused is not None:
-            return ScoreVerdict.NO_REFERENCE
-        if self.over_uncertainty is not None:
-            return _verdict(self.over_uncertainty <= COVERAGE_FACTOR)
-        if self.real_limit is not None and self.distance is not None:
-            return _verdict(self.distance <= self.real_limit)
-        if self.primary_normalized is not None:
-            return _verdict(self.primary_normalized <= 2.0)
-        if self.rmse_95 is not None:
-            return _verdict(self.rmse_95[0] == 0.0)
-        verdicts = [event.is_inside for event in self.events.values()]
-        known_verdicts = [is_inside for is_inside in verdicts if is_inside is not None]
-        if not known_verdicts:
-            return ScoreVerdict.NO_REFERENCE
-        return _verdict(all(known_verdicts))
+        """The primary distance over that of real trials, or over the motion of a solution."""
+        if self.primary is None:
+            return None
+        if self.primary != FROM_SOLUTION:
+            value: float | None = getattr(self, f"{self.primary}_normalized")
+            return value
+        if self.solution_distance is None or not self.solution_motion:
+            return None
+        return self.solution_distance / self.solution_motion
 
     def summary(self) -> str:
-        """Return the score in one sentence."""
+        """Return both answers in one sentence, with the numbers that they follow from."""
+        text = f"{self._solution_text}; {self._reality_text}"
         if self.refused is not None:
-            return f"{self.refused[0].upper()}{self.refused[1:]}."
-        parts = [self.verdict.value]
-        if self.distance is not None:
-            parts[0] += f": {_text(self.distance)} {self.distance_unit}"
-        if self.primary_normalized is not None:
-            parts.append(self._scaled_text(self.primary_normalized))
-        parts += self._measured_texts[:2]
-        text = ", ".join(parts)
+            text = f"no distance, because {self.refused}"
+            if self.like_reality is not None:
+                text += f"; {self._reality_text}"
         return f"{text[0].upper()}{text[1:]}."
+
+    @property
+    def _solution_text(self) -> str:
+        """The first answer, as `solves the scene (0.034 mm of 27)`."""
+        words = {
+            Answer.YES: "solves the scene",
+            Answer.NO: "does not solve the scene",
+            Answer.CANNOT_TELL: "cannot tell whether it solves the scene",
+        }
+        if self.solves is None or self.solution_distance is None:
+            return "no solution of the scene is known"
+        distance, motion = _text(self.solution_distance), _text(self.solution_motion)
+        return f"{words[self.solves]} ({distance} {self.distance_unit} of {motion})"
+
+    @property
+    def _reality_text(self) -> str:
+        """The second answer, as `unlike reality: 3.33 mm, 4.95 times as far as real trials`."""
+        words = {
+            Answer.YES: "like reality",
+            Answer.NO: "unlike reality",
+            Answer.CANNOT_TELL: "cannot tell whether it is like reality",
+            None: "nothing real to compare with",
+        }
+        parts = []
+        if self.primary != FROM_SOLUTION and self.distance is not None:
+            parts.append(f"{_text(self.distance)} {self.distance_unit}")
+            if self.primary_normalized is not None:
+                parts.append(self._scaled_text(self.primary_normalized))
+        parts += self._measured_texts[:2]
+        return ": ".join(filter(None, (words[self.like_reality], ", ".join(parts))))
 
     @property
     def _measured_texts(self) -> list[str]:
@@ -197,10 +195,9 @@ class Score:
         return [_compared_text(name, quantity) for name, quantity in measured.items()]
 
     def _scaled_text(self, ratio: float) -> str:
-        """Return the primary ratio in words."""
-        if self.primary == OVER_U:
-            return f"{_text(ratio)} u of the {self.kind} reference"
-        text = f"{_text(ratio)} times as far as real trials"
+        """Return the distance over that of real trials in words."""
+        owner = "published trials" if self.kind == Kind.PUBLISHED else "real trials"
+        text = f"{_text(ratio)} times as far as {owner}"
         if self.primary_interval is not None:
             low, high = (_text(end) for end in self.primary_interval)
             text += f" [{low}, {high}]"
@@ -210,7 +207,7 @@ class Score:
 
     def __repr__(self) -> str:
         """Return at most ten lines; `to_dict` has all numbers."""
-        left_out = ("events", "estimates", "signed_error", "refused")
+        left_out = ("events", "estimates", "refused")
         numbers = [
             f"{field.name}={_value_text(getattr(self, field.name))}"
             for field in fields(self)
@@ -254,12 +251,12 @@ def _score_adapter() -> TypeAdapter[Score]:
     return TypeAdapter(Score)
 
 
-def _verdict(is_inside: bool) -> ScoreVerdict:
-    return ScoreVerdict.INSIDE if is_inside else ScoreVerdict.OUTSIDE
-
-
-def _text(value: float) -> str:
+def _text(value: float | None) -> str:
     """Return a number with three digits."""
+    if value is None:
+        return "-"
+    if abs(value) < 5e-4:
+        return "0.000"
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 
@@ -324,11 +321,15 @@ def score_trajectory(
         if fault is not None:
             raise ShapeError(f"{experiment.name}: {fault}")
     reason = refusal(experiment, band, is_moved=is_moved)
+    events = _events(experiment, times_s, values, frames, markers_m)
+    unit = experiment.score.observable.unit
     score = Score(
         kind=(Kind.NONE if band is None else band.kind).value,
-        unit=experiment.score.observable.unit,
+        unit=unit,
+        distance_unit=unit if band is None else band.compared.unit,
+        like_reality=united(event.answer for event in events.values()),
         refused=reason,
-        events=_events(experiment, times_s, values, frames, markers_m),
+        events=events,
         estimates=estimates(experiment, band, times_s=times_s, values=values),
     )
     if band is None or reason is not None:
@@ -342,25 +343,11 @@ def score_trajectory(
         markers_m=markers_m,
     )
     score = _with_distances(score, motion)
+    if band.kind.is_solution:
+        return _from_solution(score, motion)
+    score = _from_trials(score, motion)
     # The exact motion has the nominal start.
-    if not is_moved:
-        score = _with_cause(score, motion)
-    if band.kind.is_solution and score.over_uncertainty is None:
-        reason = "no verdict: the reference compares markers, which are not given; RMSE and DTW compare g(t)"
-        score = replace(score, refused=reason)
-    return score
-
-
-def normalizing_baselines(experiment: Experiment, band: Band) -> Mapping[str, Baseline]:
-    """Return the published distances of real trials that normalize scores, by metric; empty if there are none."""
-    is_normalized = band.normalized and not band.kind.is_solution
-    if not is_normalized:
-        return {}
-    return {
-        metric: row
-        for metric, row in experiment.baselines.items()
-        if row.mean and not row.disputed
-    }
+    return score if is_moved else _from_exact(score, motion)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -404,27 +391,20 @@ class _ComparedMotion:
 
 
 def _with_distances(score: Score, motion: _ComparedMotion) -> Score:
-    """Return a score with the distances of a motion from its reference."""
+    """Return a score with the distances of the paper."""
     band, frames = motion.band, motion.frames
     rmse = trajectory_rmse(frames, band.mean)
     # A recording may end before the episode. DTW would warp frames without a mean onto its last frame.
     dtw = trajectory_dtw(frames[band.known], band.mean[band.known])
-    score = replace(
+    published = normalizing_baselines(motion.experiment, band)
+    return replace(
         score,
         rmse=rmse,
-        dtw=dtw,
-        compared_frames=int(band.compared.known.sum()),
-        signed_error=tuple(signed_error(frames, band.mean).tolist()),
-    )
-    if band.kind.is_solution:
-        return _over_uncertainty(score, motion, rmse)
-    published = normalizing_baselines(motion.experiment, band)
-    score = replace(
-        score,
         rmse_normalized=_over_published(rmse, published.get("rmse")),
+        dtw=dtw,
         dtw_normalized=_over_published(dtw, published.get("dtw")),
+        compared_frames=int(band.compared.known.sum()),
     )
-    return _in_scatter(_over_real_trials(score, motion, rmse), motion)
 
 
 def _over_published(distance: float, published: Baseline | None) -> float | None:
@@ -432,68 +412,70 @@ def _over_published(distance: float, published: Baseline | None) -> float | None
     return None if published is None else distance / published.mean
 
 
-def _over_uncertainty(score: Score, motion: _ComparedMotion, rmse: float) -> Score:
-    """Return a score with the distance from a solution over its standard uncertainty."""
-    band = motion.band
-    score = replace(score, primary=OVER_U)
-    if band.points is None:
-        interval = distance_interval(rmse, band.standard_uncertainty)
-        score = replace(score, rmse_95=interval)
-    deviation = motion.compared_deviation
+def _from_solution(score: Score, motion: _ComparedMotion) -> Score:
+    """Return a score with the distance from a solution of the scene."""
+    band, deviation = motion.band, motion.compared_deviation
     if deviation is None:
-        return score
-    distance = band.compared.length(deviation)
-    if band.compared.marker_count > 1:
-        score = replace(score, marker_rmse_mm=distance)
-    ratio = distance / band.standard_uncertainty
+        reason = "the reference compares markers, which are not given; RMSE and DTW compare g(t)"
+        return replace(score, refused=reason)
+    distance, size = band.compared.length(deviation), band.zero_motion_distance
+    interval = distance_interval(distance / size, band.standard_uncertainty / size)
     return replace(
-        score, over_uncertainty=ratio, primary_interval=distance_interval(ratio, 1.0)
+        score,
+        solves=solves(band, distance),
+        solution_distance=distance,
+        solution_motion=size,
+        primary_interval=interval,
     )
 
 
-def _over_real_trials(score: Score, motion: _ComparedMotion, rmse: float) -> Score:
-    """Return a score with the interval of its primary distance, and its place among real trials."""
+def _from_trials(score: Score, motion: _ComparedMotion) -> Score:
+    """Return a score with the distance from real trials, and whether the motion is like theirs."""
     band, experiment = motion.band, motion.experiment
-    score = replace(
-        score, primary="rmse", rmse_95=_real_interval(band, rmse, motion.deviation)
+    # The start of a driven motion is known.
+    is_aligned = band.has_release and experiment.trial is None
+    if is_aligned and not experiment.scene.drivers:
+        score, interval = _aligned(score, motion)
+    else:
+        assert score.rmse is not None, "each compared motion has an RMSE"
+        is_aligned = False
+        interval = _real_interval(band, score.rmse, motion.deviation)
+    assert score.distance is not None, "the RMSE is a distance"
+    limit = real_limit(experiment, band, is_aligned=is_aligned)
+    of_motion = is_like_trials(band, score.distance, limit)
+    return replace(
+        score,
+        primary_interval=_primary_interval(score, motion, interval),
+        real_limit=limit,
+        like_reality=united([of_motion, score.like_reality]),
     )
-    of_trials = band.trial_rmse
-    if band.has_release and experiment.trial is None:
-        offset_s, aligned = time_offset(motion.times_s, motion.samples, band.mean)
-        score = _aligned(score, motion, offset_s, aligned)
-        if not experiment.scene.drivers:
-            score = replace(score, primary="rmse_aligned")
-            of_trials = band.trial_rmse_aligned
-    if of_trials is not None:
-        score = replace(score, real_limit=prediction_limit(of_trials))
-    return replace(score, primary_interval=_primary_interval(score, motion))
 
 
-def _primary_interval(score: Score, motion: _ComparedMotion) -> Interval | None:
+def _primary_interval(
+    score: Score, motion: _ComparedMotion, interval: Interval
+) -> Interval | None:
     """Return the interval of the primary distance over the mean of real trials, whose error counts too."""
     band = motion.band
     if not score.distance or score.primary_normalized is None:
         return None
     baseline = score.distance / score.primary_normalized
     if score.primary == "rmse_aligned":
-        assert band.trial_rmse_aligned is not None and score.rmse_aligned_95 is not None
+        assert band.trial_rmse_aligned is not None, "they normalize the distance"
         half = mean_half_width(band.trial_rmse_aligned)
         if band.baseline_uncertainty is not None:
             freedom = len(band.trial_rmse_aligned) - 1
             half = student_t(freedom) * band.baseline_uncertainty
-        return ratio_interval(score.distance, score.rmse_aligned_95, baseline, half)
+        return ratio_interval(score.distance, interval, baseline, half)
     published = normalizing_baselines(motion.experiment, band)["rmse"]
     error = (published.std or 0.0) / math.sqrt(PUBLISHED_TRIALS)
     half = student_t(PUBLISHED_TRIALS - 1) * error
-    assert score.rmse_95 is not None
-    return ratio_interval(score.distance, score.rmse_95, baseline, half)
+    return ratio_interval(score.distance, interval, baseline, half)
 
 
-def _aligned(
-    score: Score, motion: _ComparedMotion, offset_s: float, rmse: float
-) -> Score:
-    """Return a score with the distance after the best time shift."""
+def _aligned(score: Score, motion: _ComparedMotion) -> tuple[Score, Interval]:
+    """Return a score with the distance after the best time shift, and the interval of this distance."""
     band, frame_count = motion.band, len(motion.band.mean)
+    offset_s, rmse = time_offset(motion.times_s, motion.samples, band.mean)
     shifted = shifted_frames(
         motion.times_s, motion.samples, offset_s, frame_count=frame_count
     )
@@ -508,13 +490,13 @@ def _aligned(
         )
         # The simulation rests before its start.
         velocity[np.arange(frame_count) / FRAME_RATE_HZ < offset_s] = 0.0
-    return replace(
+    score = replace(
         score,
         time_offset_s=offset_s,
         rmse_aligned=rmse,
-        rmse_aligned_95=_real_interval(band, rmse, shifted - band.mean, velocity),
         rmse_aligned_normalized=_over_trials(rmse, band),
     )
+    return score, _real_interval(band, rmse, shifted - band.mean, velocity)
 
 
 def _over_trials(rmse_aligned: float, band: Band) -> float | None:
@@ -539,67 +521,65 @@ def _real_interval(
     )
 
 
-def _with_cause(score: Score, motion: _ComparedMotion) -> Score:
-    """Return a score with that of the exact motion at the same times, and with the cause of its distance."""
+def _from_exact(score: Score, motion: _ComparedMotion) -> Score:
+    """Return a score with the distance from the exact motion, and the cause of the distance from real trials."""
     solution = exact_solution(motion.experiment)
-    if solution is None or score.primary_normalized is None:
+    if solution is None:
         return score
-    exact_score = _exact_score(score, motion, solution)
-    score = replace(score, exact=exact_score.primary_normalized)
-    if score.verdict is ScoreVerdict.INSIDE:
-        return replace(score, cause=DistanceCause.NONE)
-    if exact_score.verdict is ScoreVerdict.INSIDE:
-        return replace(score, cause=DistanceCause.ENGINE)
-    is_near = _ratio_to_exact(score, motion, solution) <= NEAR_EXACT
-    return replace(
-        score, cause=DistanceCause.CONSTANTS if is_near else DistanceCause.BOTH
+    band, times_s = motion.band, np.arange(len(motion.frames)) / FRAME_RATE_HZ
+    exact = band.project(solution(times_s))
+    size = trajectory_rmse(exact, np.broadcast_to(exact[:1], exact.shape))
+    distance = trajectory_rmse(motion.frames, exact)
+    of_trials = None
+    if score.distance and score.primary_normalized:
+        of_trials = score.distance / score.primary_normalized
+    limit = mattering_distance(size, score.distance_unit, of_trials)
+    score = replace(
+        score,
+        solves=within(distance, limit),
+        solution_distance=distance,
+        solution_motion=size,
     )
+    return score if of_trials is None else _with_cause(score, motion, solution, limit)
 
 
-def _exact_score(
-    score: Score, motion: _ComparedMotion, solution: MotionOfTime
+def _with_cause(
+    score: Score, motion: _ComparedMotion, solution: MotionOfTime, limit: float
 ) -> Score:
-    """Return a score with the primary distance of the exact motion at the times of the scored motion."""
-    band = motion.band
+    """Return a score with the ratio of the exact motion at the same times, and with the cause of the distance.
+
+    Args:
+        score: A score with a normalized distance from real trials.
+        motion: The motion.
+        solution: The exact motion.
+        limit: Smallest distance from it that matters.
+    """
+    experiment, band = motion.experiment, motion.band
     samples = band.project(solution(motion.times_s))
-    if score.primary == "rmse_aligned":
+    is_aligned = score.primary == "rmse_aligned"
+    if is_aligned:
         _, distance = time_offset(motion.times_s, samples, band.mean)
         ratio = _over_trials(distance, band)
-        return replace(score, rmse_aligned=distance, rmse_aligned_normalized=ratio)
-    frames = samples[frame_index(motion.times_s, len(motion.frames))]
-    distance = trajectory_rmse(frames, band.mean)
-    published = normalizing_baselines(motion.experiment, band).get("rmse")
-    ratio = _over_published(distance, published)
-    return replace(score, rmse=distance, rmse_normalized=ratio)
-
-
-def _ratio_to_exact(
-    score: Score, motion: _ComparedMotion, solution: MotionOfTime
-) -> float:
-    """Return the distance of a motion from the exact one over the mean distance of real trials."""
-    distance, ratio = score.distance, score.primary_normalized
-    assert distance and ratio, "the motion has a distance from the trials"
+    else:
+        frames = samples[frame_index(motion.times_s, len(motion.frames))]
+        distance = trajectory_rmse(frames, band.mean)
+        published = normalizing_baselines(experiment, band).get("rmse")
+        ratio = _over_published(distance, published)
     from_exact = distance_from_exact(
         solution,
-        motion.band,
+        band,
         motion.frames,
-        is_aligned=score.primary == "rmse_aligned",
+        is_aligned=is_aligned,
         time_offset_s=score.time_offset_s or 0.0,
     )
-    of_trials = distance / ratio
-    return from_exact / of_trials
-
-
-def _in_scatter(score: Score, motion: _ComparedMotion) -> Score:
-    """Return a score with the place of a motion in the scatter of real trials at measured frames."""
-    band = motion.band
-    # Extrapolated frames have a usable mean. Their scatter was not measured.
-    sigma = np.where(band.measured[:, None], band.sigma, np.nan)
-    z = np.abs(z_scores(motion.frames, band.mean, sigma))
-    z = z[np.isfinite(z)]
-    if not z.size:
-        return score
-    return replace(score, mean_abs_z=float(z.mean()))
+    of_engine = score.distance
+    assert of_engine is not None and score.real_limit is not None, "as documented"
+    cause = cause_of(
+        is_real=of_engine <= score.real_limit,
+        is_exact_real=distance <= score.real_limit,
+        is_near_exact=from_exact <= limit,
+    )
+    return replace(score, exact=ratio, cause=cause)
 
 
 def _events(

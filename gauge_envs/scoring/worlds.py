@@ -9,8 +9,8 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLES_PER_FRAME
+from gauge_envs.scoring.answers import normalizing_baselines
 from gauge_envs.scoring.metrics import time_offset
-from gauge_envs.scoring.score import normalizing_baselines
 
 
 def score_worlds(

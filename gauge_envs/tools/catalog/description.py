@@ -17,7 +17,6 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Substituted
 from gauge_envs.files import data_folder, json_ready
 from gauge_envs.references.band import (
-    Band,
     band_file,
     read_band_file,
     recorded_events,
@@ -28,15 +27,12 @@ from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Deformable, Hinge, RigidBody, Tether
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
+from gauge_envs.scoring.answers import Answer, is_like_trials, real_limit, solves
+from gauge_envs.scoring.estimates import ComparedQuantity
 from gauge_envs.scoring.events import PUBLISHED_TRIALS
 from gauge_envs.scoring.exact import exact_motion
-from gauge_envs.scoring.interval import prediction_limit
 from gauge_envs.scoring.reference import reference_band, reference_kind
-from gauge_envs.scoring.score import (
-    COVERAGE_FACTOR,
-    normalizing_baselines,
-    score_trajectory,
-)
+from gauge_envs.scoring.score import score_trajectory
 from gauge_envs.text import toml_document
 from gauge_envs.tools.catalog.listing import engine_rows
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
@@ -202,33 +198,43 @@ def _exact_scores(experiment: Experiment) -> dict[str, float]:
 def planted_errors(experiment: Experiment) -> list[dict[str, Any]]:
     """Return the scores of MuJoCo with planted errors, a row for each metric.
 
-    `inside` has the smallest and the largest score with the verdict `inside`; None without a verdict.
+    `answers` has the answer to each score, by column: whether the motion solves the scene, or is like reality.
     """
     file = data_folder("scoring") / "sees.csv"
     rows: list[dict[str, Any]] = []
     with file.open(encoding="utf-8", newline="") as stream:
         for texts in csv.DictReader(stream):
-            if texts.pop("id") == experiment.name:
-                names = {key: texts.pop(key) for key in ("metric", "unit")}
-                scores = {key: float(text or "nan") for key, text in texts.items()}
-                inside = _inside(experiment, names["metric"])
-                rows.append(names | {"inside": inside} | scores)
+            if texts.pop("id") != experiment.name:
+                continue
+            names: dict[str, Any] = {key: texts.pop(key) for key in ("metric", "unit")}
+            scores = {key: float(text or "nan") for key, text in texts.items()}
+            names["answers"] = {
+                key: _answer(experiment, names["metric"], score)
+                for key, score in scores.items()
+            }
+            rows.append(names | scores)
     return rows
 
 
-def _inside(experiment: Experiment, metric: str) -> tuple[float, float] | None:
-    """Return the smallest and the largest score of a metric with the verdict `inside`; None without a verdict."""
+def _answer(experiment: Experiment, metric: str, score: float) -> Answer | None:
+    """Return the answer to a score; None without a reference."""
     real = _real_event(experiment, metric)
     if real is not None:
-        value, uncertainty = real
-        if uncertainty is None:
-            return None
-        half_width = COVERAGE_FACTOR * uncertainty
-        return value - half_width, value + half_width
+        mean, uncertainty = real
+        quantity = ComparedQuantity(
+            value=None if math.isnan(score) else score,
+            unit="",
+            real=mean,
+            real_uncertainty=uncertainty,
+        )
+        return quantity.answer
     band = reference_band(experiment)
     if band is None:
         return None
-    return 0.0, _largest_inside(experiment, band, metric)
+    if band.kind.is_solution:
+        return solves(band, score)
+    limit = real_limit(experiment, band, is_aligned=metric == "rmse_aligned")
+    return is_like_trials(band, score, limit)
 
 
 def _real_event(
@@ -244,20 +250,6 @@ def _real_event(
         if event.name == metric:
             return event.value, event.standard_uncertainty
     return None
-
-
-def _largest_inside(experiment: Experiment, band: Band, metric: str) -> float:
-    """Return the largest distance with the verdict `inside`, by the rules of `Score.verdict`."""
-    of_trials = band.trial_rmse
-    if metric == "rmse_aligned":
-        of_trials = band.trial_rmse_aligned
-    limit = None if of_trials is None else prediction_limit(of_trials)
-    if limit is not None:
-        return limit
-    published = normalizing_baselines(experiment, band)
-    if "rmse" in published:
-        return 2.0 * published["rmse"].mean
-    return COVERAGE_FACTOR * band.standard_uncertainty
 
 
 def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any]:

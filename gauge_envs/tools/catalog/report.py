@@ -31,6 +31,7 @@ from gauge_envs.pages.text import (
     value_text,
 )
 from gauge_envs.references.kind import Kind
+from gauge_envs.scoring.answers import Answer
 from gauge_envs.tools.catalog.spaces import shape_text
 
 PLANTED_ERRORS = {
@@ -239,9 +240,9 @@ def planted_errors_text(reference: Mapping[str, Any]) -> str:
     for row, (metric, scores) in zip(
         rows, planted_error_scores(reference), strict=True
     ):
-        if row["inside"] is not None and not _is_inside(row["inside"], row["nominal"]):
-            text = f"{UNCHANGED} {scores[UNCHANGED]} is outside already"
-            texts.append(f"{metric}: {text}, so no error changes the verdict")
+        if row["answers"]["nominal"] == Answer.NO:
+            text = f"the answer to {UNCHANGED} {scores[UNCHANGED]} is no already"
+            texts.append(f"{metric}: {text}, so no error changes it")
             continue
         detected = [f"{title} {score}" for title, score in scores.items() if score]
         text = f"{metric}: {', '.join(detected)}"
@@ -257,8 +258,8 @@ def planted_error_scores(
 ) -> Iterator[tuple[str, dict[str, str]]]:
     """Yield each metric with its unit, and the score of each planted error by name; empty if it is not detected.
 
-    An error is detected if it changes the verdict of the unchanged scene from inside to outside. The score of that
-    scene has the name `UNCHANGED`.
+    An error is detected if it changes the answer to the unchanged scene to no. The score of that scene has the name
+    `UNCHANGED`.
     """
     for row in reference["sees"]:
         scores = {UNCHANGED: digits_text(row["nominal"])}
@@ -267,31 +268,12 @@ def planted_error_scores(
             if score is None:
                 continue
             scores[title] = ""
-            if _is_detected(row["inside"], row["nominal"], score):
+            if row["answers"][key] == Answer.NO != row["answers"]["nominal"]:
                 scores[title] = digits_text(score)
         metric = event_title(row["metric"])
         if row["unit"] != "1":
             metric += f" [{row['unit']}]"
         yield metric, scores
-
-
-def _is_detected(inside: Sequence[float] | None, nominal: float, score: float) -> bool:
-    """Return whether a planted error changes the verdict from inside to outside.
-
-    Args:
-        inside: The smallest and the largest score inside; None without a verdict.
-        nominal: Score of the unchanged scene.
-        score: Score with the planted error.
-    """
-    if inside is None:
-        return False
-    return _is_inside(inside, nominal) and not _is_inside(inside, score)
-
-
-def _is_inside(inside: Sequence[float], score: float) -> bool:
-    """Return whether a score is between the smallest and the largest one with the verdict `inside`."""
-    low, high = inside
-    return low <= score <= high
 
 
 def _engines_text(engines: Sequence[Mapping[str, Any]]) -> str:

@@ -79,7 +79,7 @@ class ReferenceFacts(TypedDict):
         exact: Distance of the exact motion, divided by real trials, by parameter set.
         exact_source: Computation of the exact motion, or the reason for a missing one.
         events: Events with a real value.
-        sees: Scores of MuJoCo with planted errors, and the range `inside`, for each metric; null if not measured.
+        sees: Scores of MuJoCo with planted errors, and `answers` to them, for each metric; null if not measured.
         imported: Whether imported trials are used.
         impossible: Impossible published scores; empty without such scores.
         reward: Reward of a step.

@@ -29,13 +29,9 @@ from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.runs.configuration import RunConfiguration, group_by_configuration
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import recorded_experiment
+from gauge_envs.scoring.answers import Answer, normalizing_baselines
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.score import (
-    OVER_U,
-    Interval,
-    ScoreVerdict,
-    normalizing_baselines,
-)
+from gauge_envs.scoring.score import FROM_SOLUTION, Interval
 from gauge_envs.tools.compare.distance import Distance, trajectory_distance
 from gauge_envs.tools.compare.ranks import (
     KindComparison,
@@ -48,6 +44,9 @@ from gauge_envs.tools.compare.statistics import (
     ScoreSpread,
     repeats_interval,
 )
+
+QUESTIONS = {"solves": "solves the scene", "like_reality": "like reality"}
+"""Questions that a score answers, by field."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,28 +92,29 @@ class Cell:
         return repeats_interval(values, intervals) if values else None
 
     @cached_property
-    def verdicts(self) -> Counter[ScoreVerdict]:
-        """Number of finished repeats with each verdict."""
-        return Counter(
-            result.score.verdict
+    def answers(self) -> dict[str, Counter[Answer]]:
+        """Number of finished repeats with each answer, by question; questions without an answer are left out."""
+        finished = [
+            result.score
             for result in self.results
             if result.outcome is Outcome.FINISHED
-        )
+        ]
+        counts = {}
+        for field, question in QUESTIONS.items():
+            known = Counter(filter(None, (getattr(one, field) for one in finished)))
+            if known:
+                counts[question] = known
+        return counts
 
     @property
-    def is_judged(self) -> bool:
-        """Whether a finished repeat was compared with a reference."""
-        return any(
-            verdict is not ScoreVerdict.NO_REFERENCE for verdict in self.verdicts
-        )
-
-    @property
-    def verdict_text(self) -> str:
-        """The verdict of the finished repeats, or the count of each."""
-        if len(self.verdicts) == 1:
-            return next(iter(self.verdicts)).value
-        counts = [f"{count} {verdict}" for verdict, count in self.verdicts.items()]
-        return ", ".join(counts)
+    def answers_text(self) -> str:
+        """The answers of the finished repeats, as `solves the scene: yes`, with counts if they differ."""
+        texts = []
+        for question, counts in self.answers.items():
+            parts = [f"{count} {answer}" for answer, count in counts.items()]
+            answer = next(iter(counts)).value if len(counts) == 1 else ", ".join(parts)
+            texts.append(f"{question}: {answer}")
+        return "; ".join(texts)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,12 +189,14 @@ class ExperimentComparison:
         return [
             name
             for name in self.metrics(among)
-            if not self.is_solution or name == OVER_U or SCORE_METRICS[name].is_event
+            if not self.is_solution
+            or name == FROM_SOLUTION
+            or SCORE_METRICS[name].is_event
         ]
 
     def unit_of(self, metric: str) -> str:
         """Return the unit of a metric before normalization."""
-        if metric == OVER_U:
+        if metric == FROM_SOLUTION:
             return self.results[0].score.distance_unit
         return SCORE_METRICS[metric].unit_of(self.unit)
 
@@ -375,8 +377,8 @@ def _deviations(results: Sequence[Result], notes: list[str]) -> Deviations | Non
 
 def _scale(experiment: Experiment, band: Band, primary: str | None) -> float:
     """Return the distance with a normalized score of 1, in the unit of the band; NaN without a normalization."""
-    if primary == OVER_U:
-        return band.standard_uncertainty
+    if primary == FROM_SOLUTION:
+        return band.zero_motion_distance
     if primary == ALIGNED.key and band.trial_rmse_aligned is not None:
         return float(band.trial_rmse_aligned.mean())
     baseline = normalizing_baselines(experiment, band).get("rmse")

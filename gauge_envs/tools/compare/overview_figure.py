@@ -10,7 +10,8 @@ from gauge_envs.pages.figures import OURS, REAL, new_figure, save_png, tidy_axis
 from gauge_envs.pages.results import SCORE_METRICS
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.scoring.score import COVERAGE_FACTOR, OVER_U
+from gauge_envs.scoring.answers import MATTERING_SHARE
+from gauge_envs.scoring.score import FROM_SOLUTION
 from gauge_envs.tools.compare.comparison import (
     ExperimentComparison,
     ScoreComparison,
@@ -70,7 +71,7 @@ def draw_overview(
     Returns:
         The picture; None if no experiment has a score of this metric.
     """
-    panels = [PRIMARY, "rmse", OVER_U]
+    panels = [PRIMARY, "rmse", FROM_SOLUTION]
     if metric is not None:
         panels = [metric]
     experiments = []
@@ -149,9 +150,9 @@ def _draw_panel(
 
 def _scale_of(panel: str) -> tuple[float, str]:
     """Return the score of a motion at its limit or of a real trial, and the label of the axis."""
-    if panel == OVER_U:
-        limit = f"up to {COVERAGE_FACTOR} u is inside"
-        return COVERAGE_FACTOR, f"divided by u of the solution, log scale;\n{limit}"
+    if panel == FROM_SOLUTION:
+        limit = f"a difference of {MATTERING_SHARE:g} matters; bars: 95 %"
+        return MATTERING_SHARE, f"divided by the motion, log scale;\n{limit}"
     ideal = "lower is closer"
     if panel in ("lsd", "mte", "pd"):
         ideal = "1 is ideal"

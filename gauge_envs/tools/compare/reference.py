@@ -15,9 +15,9 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.runs.result import RecordedTrajectory, Result, recorded_frames
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.interval import COVERAGE_FACTOR
 from gauge_envs.scoring.metrics import interpolated
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.score import COVERAGE_FACTOR
 
 NAMES = {
     Kind.ANALYTIC: "the analytical solution",

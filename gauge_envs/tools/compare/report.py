@@ -26,7 +26,8 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome
-from gauge_envs.scoring.score import OVER_U, ScoreVerdict
+from gauge_envs.scoring.answers import Answer
+from gauge_envs.scoring.score import FROM_SOLUTION
 from gauge_envs.tools.compare.comparison import (
     Cell,
     ExperimentComparison,
@@ -41,14 +42,14 @@ NAME = Column("name", "experiment")
 REFERENCE = Column("kind", "reference", place=Place.HEADING)
 
 INTERVAL_NOTE = (
-    "[low, high]: 95 % interval. +-: standard deviation of repeats (how many). *: outside the scatter of real trials, "
-    "or the uncertainty of a solution. -: not run, or not published. no score: no reference scores it, or the measured "
+    "[low, high]: 95 % interval. +-: standard deviation of repeats (how many). *: does not solve the scene, or is "
+    "unlike reality. -: not run, or not published. no score: no reference scores it, or the measured "
     "event did not happen."
 )
 
 SCALE_NOTE = (
     "RMSE and DTW are divided by the mean of real trials; LSD, MTE and PD by the real value. EL: 0 is ideal. "
-    "Distances from a solution are divided by u, its standard uncertainty."
+    "Distances from a solution are divided by its motion."
 )
 
 RANK_NOTE = (
@@ -126,7 +127,7 @@ def compared_parts(
     Args:
         comparison: The comparison.
         metrics: Metrics to show; empty for all in a full report, and for the primary metrics in a short one.
-        is_full: Whether to show verdicts in words, published engines, and the mean ranks of few experiments.
+        is_full: Whether to show answers in words, published engines, and the mean ranks of few experiments.
     """
     parts: list[Part] = [
         Paragraph(answer, Tone.ANSWER) for answer in _answers(comparison)
@@ -254,7 +255,8 @@ def _cell_row(cell: Cell, metric: str | None) -> dict[str, Any]:
         "raw": _spread_row(cell, metric, normalized=False),
         "normalized": _spread_row(cell, metric, normalized=True),
         "normalized_95": metric and cell.interval_95(metric),
-        "verdicts": [result.score.verdict.value for result in cell.results],
+        "solves": [result.score.solves for result in cell.results],
+        "like_reality": [result.score.like_reality for result in cell.results],
         "settings": ran and ran.settings,
         "versions": ran and ran.versions,
     }
@@ -315,8 +317,8 @@ def score_cell_text(cell: Cell, metric: str, unit: str) -> str:
     spread = cell.spread(metric, normalized=True)
     if spread is None:
         spread = cell.spread(metric, normalized=False)
-    elif metric == OVER_U:
-        unit = "u"
+    elif metric == FROM_SOLUTION:
+        unit = "of the motion"
     else:
         unit = "1"
     if spread is None:
@@ -335,7 +337,7 @@ def _score_table(
     Args:
         comparison: The comparison.
         metrics: Metrics to show; empty for the primary metric of each experiment.
-        is_full: Whether to show verdicts in words and published engines as columns.
+        is_full: Whether to show answers in words and published engines as columns.
     """
     rows = []
     for kind in Kind:
@@ -406,11 +408,11 @@ def _score_text(
         texts.insert(0, score_cell_text(cell, metric, experiment.unit_of(metric)))
     text = ", ".join(filter(None, texts))
     is_primary = metric in (experiment.primary, None)
-    if not is_primary or not cell.is_judged:
+    if not is_primary or not cell.answers:
         return text or "no score"
     if is_full or not text:
-        return f"{text} {cell.verdict_text}".strip()
-    if cell.verdicts[ScoreVerdict.OUTSIDE]:
+        return f"{text} {cell.answers_text}".strip()
+    if any(counts[Answer.NO] for counts in cell.answers.values()):
         return f"{text} *"
     return text
 

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal, TypedDict
 
 from gauge_envs.cli.schemas import Form
 from gauge_envs.runs.configuration import RunConfiguration
+from gauge_envs.scoring.answers import Answer
 from gauge_envs.scoring.score import Interval
 from gauge_envs.tools.compare.distance import Distance
 from gauge_envs.tools.compare.ranks import Mean
@@ -45,9 +46,10 @@ class CellFacts(TypedDict):
         reasons: Why a repeat was unsupported, failed or diverged, or why its reference does not score it.
         seeds: Seed of each repeat.
         raw: Metric in its unit.
-        normalized: Metric divided by its value for real trials, or by u of a solution.
+        normalized: Metric divided by its value for real trials, or by the motion of a solution.
         normalized_95: 95 % interval of the mean of `normalized`.
-        verdicts: `inside`, `outside` or `no reference`, of each repeat.
+        solves: Whether each repeat solves the scene; null without a solution.
+        like_reality: Whether each repeat is like reality; null if nothing real is known.
         settings: Numerical settings of the engine.
         versions: Versions of the packages.
     """
@@ -59,7 +61,8 @@ class CellFacts(TypedDict):
     raw: SpreadFacts | None
     normalized: SpreadFacts | None
     normalized_95: Interval | None
-    verdicts: Sequence[str]
+    solves: Sequence[Answer | None]
+    like_reality: Sequence[Answer | None]
     settings: Mapping[str, Any] | None
     versions: Mapping[str, str] | None
 

@@ -19,8 +19,12 @@ import numpy as np
 
 from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray, length_of
-from gauge_envs.scoring.interval import mean_half_width, student_t
-from gauge_envs.scoring.score import COVERAGE_FACTOR, Interval
+from gauge_envs.scoring.interval import (
+    COVERAGE_FACTOR,
+    mean_half_width,
+    student_t,
+)
+from gauge_envs.scoring.score import Interval
 
 SMALLEST = 1e-300
 """Smallest divisor: 0 / SMALLEST is 0."""

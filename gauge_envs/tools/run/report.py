@@ -17,37 +17,41 @@ from gauge_envs.pages.table import Column, Facts, Place, Table, grid
 from gauge_envs.pages.text import (
     digits_text,
     event_title,
-    interval_text,
     score_text,
     short_id,
     shortened,
     with_unit,
 )
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.scoring.answers import Answer
 from gauge_envs.scoring.cause import DistanceCause
 from gauge_envs.scoring.estimates import ComparedQuantity
-from gauge_envs.scoring.score import COVERAGE_FACTOR, OVER_U, Score
+from gauge_envs.scoring.interval import COVERAGE_FACTOR
+from gauge_envs.scoring.score import FROM_SOLUTION, Score
 from gauge_envs.tools.run.plan import PlannedRun, episode_count
 
 MAX_EXPLAINED = 5
 """Maximum number of results with explanations below their rows."""
 
 NOTE = (
-    "Distances are divided by the mean distance of real trials, or by u, the standard uncertainty. "
-    "[95 % interval]. More: --details"
+    "Real trials: their mean distance. Exact solver: distance of an exact motion with the same constants. "
+    "Intervals and events: --details"
 )
 
 COLUMNS = (
     Column("id", "id", short_id),
     Column("label", "run"),
-    Column("kind", "kind"),
-    Column("distance", "distance", is_number=True),
-    Column("scaled", "over real trials or u", is_number=True),
-    Column("exact", "exact", digits_text, is_number=True),
-    Column("verdict", "verdict"),
-    Column("motion", "motion", place=Place.BELOW),
+    Column("distance", "distance", score_text, is_number=True),
+    Column("motion", "motion", score_text, is_number=True),
+    Column("trials", "real trials", score_text, is_number=True),
+    Column("exact", "exact solver", score_text, is_number=True),
+    Column("unit", "unit"),
+    Column("solves", "solves the scene"),
+    Column("like_reality", "like reality"),
+    Column("event", "event", place=Place.BELOW),
     Column("cause", "cause", place=Place.BELOW),
 )
 """Columns of the summary; empty columns are left out."""
@@ -78,6 +82,28 @@ def summary_document(results: Sequence[Result], *, details: bool = False) -> Doc
     return Document(parts=[*summary, *_outcomes(results)])
 
 
+def answers_text(results: Sequence[Result]) -> str:
+    """Return how many results solve their scene, and how many are like reality, in one line."""
+    scores = [result.score for result in results if not result.diverged]
+    return "; ".join(
+        [
+            _count_text([score.solves for score in scores], "solve their scene"),
+            _count_text([score.like_reality for score in scores], "are like reality"),
+        ]
+    )
+
+
+def _count_text(answers: Sequence[Answer | None], words: str) -> str:
+    """Return how many answers are yes, as `1 of 4 are like reality`, and how many cannot be told."""
+    known = [answer for answer in answers if answer is not None]
+    if not known:
+        return f"none can be asked whether they {words}"
+    text = f"{known.count(Answer.YES)} of {len(known)} {words}"
+    if unknown := known.count(Answer.CANNOT_TELL):
+        text += f" ({unknown} cannot be told)"
+    return text
+
+
 def _summary(results: Sequence[Result], *, details: bool) -> Iterator[Part]:
     """Yield the common configuration, a row for each result, and the details."""
     texts = [_configuration_texts(result) for result in results]
@@ -93,6 +119,7 @@ def _summary(results: Sequence[Result], *, details: bool) -> Iterator[Part]:
         key for row in rows for key, value in row.items() if value not in (None, "")
     }
     columns = [column for column in COLUMNS if column.key in filled]
+    yield Paragraph(f"{answers_text(results)}.", Tone.ANSWER)
     yield Paragraph(", ".join(shared), Tone.NOTE)
     yield Table(columns=tuple(columns), rows=rows, notes=(NOTE,))
     if details:
@@ -113,19 +140,22 @@ def _configuration_texts(result: Result) -> list[str]:
 def _row(result: Result) -> dict[str, Any]:
     """Return the row of a result without its explanation."""
     score = result.score
-    row: dict[str, Any] = {"id": result.id, "kind": score.kind, "exact": score.exact}
     if result.diverged:
-        return row | {"verdict": Outcome.DIVERGED.value}
-    row["verdict"] = score.verdict
-    if score.distance is not None:
-        row["distance"] = with_unit(score_text(score.distance), score.distance_unit)
-    if score.primary_normalized is not None:
-        text = interval_text(
-            score.primary_normalized, score.primary_interval, digits_text
-        )
-        unit = "u" if score.primary == OVER_U else "1"
-        row["scaled"] = with_unit(text, unit)
-    return row
+        return {"id": result.id, "solves": Outcome.DIVERGED.value}
+    of_trials = exact = None
+    if score.primary != FROM_SOLUTION and score.distance and score.primary_normalized:
+        of_trials = score.distance / score.primary_normalized
+        exact = None if score.exact is None else score.exact * of_trials
+    return {
+        "id": result.id,
+        "distance": score.distance,
+        "motion": score.solution_motion,
+        "trials": of_trials,
+        "exact": exact,
+        "unit": None if score.distance is None else score.distance_unit,
+        "solves": score.solves or "no solution",
+        "like_reality": score.like_reality or "nothing real",
+    }
 
 
 def _explanation(result: Result) -> dict[str, Any]:
@@ -139,7 +169,7 @@ def _explanation(result: Result) -> dict[str, Any]:
     cause = score.refused or cause_text(score, result.parameters)
     if result.is_edited and score.refused is None:
         cause = f"modified: {shortened(result.asset['changes'])}"
-    return {"motion": "; ".join(filter(None, texts)), "cause": cause}
+    return {"event": "; ".join(filter(None, texts)), "cause": cause}
 
 
 def motion_text(score: Score) -> str | None:
@@ -158,6 +188,8 @@ def motion_text(score: Score) -> str | None:
     # Estimates and published metrics come from several trials; the remaining events come from one recording.
     is_of_trials = name in score.estimates or name in METRICS
     owner = "real trials" if is_of_trials else "the recording"
+    if score.kind == Kind.PUBLISHED:
+        owner = "published trials"
     return f"{text}; {owner} {_real_text(quantity)}"
 
 
