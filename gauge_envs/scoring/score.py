@@ -255,7 +255,7 @@ def _text(value: float | None) -> str:
     """Return a number with three digits."""
     if value is None:
         return "-"
-    if abs(value) < 5e-4:
+    if 0.0 < abs(value) < 5e-4:
         return "0.000"
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 

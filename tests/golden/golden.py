@@ -40,11 +40,9 @@ SCORE_FIELDS = (
     "time_offset_s",
     "rmse_aligned",
     "compared_frames",
-    "signed_error",
     "rmse_normalized",
     "dtw_normalized",
     "rmse_aligned_normalized",
-    "mean_abs_z",
 )
 
 
@@ -108,9 +106,9 @@ def score_values(score):
         ]
         for name, estimate in score.estimates.items()
     }
-    if score.over_uncertainty is not None:
+    if score.primary == "solution_distance" and score.distance is not None:
         values["distance"] = score.distance
-        values["uncertainty"] = score.distance / score.over_uncertainty
+        values["motion"] = score.solution_motion
     absent = (None, {}, [None, None])
     return {key: value for key, value in values.items() if value not in absent}
 

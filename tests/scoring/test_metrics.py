@@ -11,11 +11,9 @@ from gauge_envs.scoring.metrics import (
     MAX_TIME_OFFSET_S,
     frame_index,
     interpolated,
-    signed_error,
     time_offset,
     trajectory_dtw,
     trajectory_rmse,
-    z_scores,
 )
 
 FRAMES_S = np.arange(31) / 30
@@ -126,15 +124,7 @@ def test_the_time_shift_of_an_object_at_rest_is_zero():
         time_offset([0.0, 0.0, 1.0], still[:3], np.zeros((3, 2)))
 
 
-# --- scatter and samples ---------------------------------------------------------------------------------------------
-
-
-def test_z_scores_and_signed_error_leave_out_what_was_not_measured():
-    z = z_scores([[2.0, 2.0, 2.0]], [[1.0, np.nan, 0.0]], [0.5, 1.0, 0.0])
-    np.testing.assert_array_equal(z, [[2.0, np.nan, np.nan]])
-    real = np.array([[0.0, 0.0, np.nan], [np.nan, 0.0, np.nan]])
-    error = signed_error([[1.0, -2.0, 5.0], [9.0, 4.0, 5.0]], real)
-    np.testing.assert_array_equal(error, [1.0, 1.0, np.nan])
+# --- samples ---------------------------------------------------------------------------------------------
 
 
 def test_frames_are_the_samples_at_30_hz_within_a_tenth_of_a_millisecond():

@@ -90,7 +90,7 @@ class Series:
         score = self.results[0].score
         cell, shift_s = Cell(results=self.results), score.time_offset_s
         parts = [self.label]
-        if score.primary is not None:
+        if score.distance is not None and score.primary is not None:
             parts.append(score_cell_text(cell, score.primary, score.distance_unit))
         elif len(self.results) > 1:
             parts.append(f"{len(self.results)} repeats")

@@ -37,8 +37,8 @@ MAX_EXPLAINED = 5
 """Maximum number of results with explanations below their rows."""
 
 NOTE = (
-    "Real trials: their mean distance. Exact solver: distance of an exact motion with the same constants. "
-    "Intervals and events: --details"
+    "Real trials: their mean distance. Exact solver: that of the exact motion with the same constants. "
+    "More: --details"
 )
 
 COLUMNS = (

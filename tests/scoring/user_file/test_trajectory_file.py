@@ -133,7 +133,7 @@ def test_a_stored_result_is_scored_again(tmp_path):
         stored = tmp_path / "result.json"
         stored.write_text(json.dumps(result.to_dict()))
         again = score_file(stored)[0].score
-        for field in ("rmse", "rmse_aligned", "time_offset_s", "marker_rmse_mm"):
+        for field in ("rmse", "rmse_aligned", "time_offset_s", "solution_distance"):
             expected = getattr(result.score, field)
             assert getattr(again, field) == pytest.approx(expected, abs=1e-4)
     np.savez(tmp_path / "b.npz", g=foam, markers_m=1e3 * markers_m)

@@ -63,8 +63,8 @@ def made(
     score = Score(
         kind=KINDS[name],
         unit="mm",
-        primary="rmse",
         rmse_normalized=rmse,
+        like_reality=None if rmse is None else "yes" if rmse < 2.0 else "no",
         rmse=None if rmse is None else 18.0 * rmse,
     )
     values = {
@@ -265,7 +265,7 @@ def test_the_overview_shows_published_engines_only_with_raw_scores_of_trials(rea
     score = real[SLIDER].score
     assert score.rmse_aligned_normalized in primary
     assert score.rmse_normalized in raw
-    assert real[TURNED].score.over_uncertainty in solved - primary
+    assert real[TURNED].score.primary_normalized in solved - primary
     published = set(published_baselines(SLIDER)["rmse"].engines.values())
     assert published <= raw - primary
 
@@ -297,8 +297,8 @@ def test_the_tables_show_each_outcome(gauge, tmp_path):
     assert "cut.json: not a result file" in result.stderr
     text = result.stdout
     for cell in (
-        "0.51 +- 0.14 (2) inside",
-        "5.00 outside",
+        "0.51 +- 0.14 (2) like reality: yes",
+        "5.00 like reality: no",
         "| mujoco, iterations=5 |",
         "| diverged |",
         "| LSD | 0.50 |",
