@@ -5,16 +5,18 @@ The tables leave out imported trials, which differ between users: `gauge list re
 
 from __future__ import annotations
 
+import csv
 from collections import Counter
 from pathlib import Path
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.experiments.variants import Variant, variants
 from gauge_envs.references.kind import Kind
-from scripts.generated import ROOT, markdown_table, page_part
+from scripts.generated import ROOT, SCORING, markdown_table, page_part, with_part
 
 SCRIPT = f"scripts/{Path(__file__).name}"
 PAGE = ROOT / "docs" / "coverage.md"
+ANSWERS = SCORING / "answers.csv"
 
 REFERENCES = {
     Kind.TRIALS: "several measured motions: slides, drops",
@@ -39,6 +41,14 @@ def experiments_of(names: list[str]) -> str:
     return ", ".join(f"{experiment} ({count})" for experiment, count in counts.items())
 
 
+def answers_table() -> str:
+    """Return the answers of MuJoCo to each id, as `studies/solutions/answers.py` stored them."""
+    with ANSWERS.open(encoding="utf-8", newline="") as stream:
+        rows = [list(row.values()) for row in csv.DictReader(stream)]
+    head = ("id", "solves", "distance", "motion", "unit", "like reality", "because")
+    return "\n".join(markdown_table(head, rows))
+
+
 def contents() -> dict[Path, str]:
     """Return the pages with their generated parts replaced."""
     names: dict[Kind, list[str]] = {kind: [] for kind in REFERENCES}
@@ -52,6 +62,7 @@ def contents() -> dict[Path, str]:
     head = ("kind", "compared with", "ids", "experiments (ids)")
     coverage = "\n".join(markdown_table(head, rows))
     references = "\n".join(markdown_table(("ids", "compared with"), counts))
-    pages = page_part(PAGE, "coverage", SCRIPT, coverage)
+    page = with_part(PAGE.read_text(encoding="utf-8"), "coverage", SCRIPT, coverage)
+    pages = {PAGE: with_part(page, "answers", SCRIPT, answers_table())}
     pages |= page_part(ROOT / "README.md", "references", SCRIPT, references)
     return pages

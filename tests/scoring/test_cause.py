@@ -9,6 +9,7 @@ import pytest
 from closed_forms import ball_mm, slide_mm
 
 from gauge_envs import load_experiment
+from gauge_envs.scoring.answers import Answer
 from gauge_envs.scoring.cause import DistanceCause
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import score_trajectory
@@ -111,15 +112,35 @@ class PlantedMotion:
             return DistanceCause.ENGINE
         return DistanceCause.CONSTANTS if self.error == "late" else DistanceCause.BOTH
 
-    def found(self):
-        """Return the cause in the score."""
+    def expected_answers(self):
+        """Return whether the motion solves the scene, and whether it is like reality, by closed forms."""
+        frames_s = np.arange(self.experiment.frame_count) / 30.0
+        band = reference_band(self.experiment)
+        exact = self.exact_mm(frames_s) @ band.projection.T
+        error = self.values_mm(frames_s) @ band.projection.T - exact
+        size_mm, distance_mm = map(rms, (exact - exact[0], error))
+        limit_mm = min(0.02 * size_mm, 0.5 * band.trial_rmse_aligned.mean())
+        is_like = self.over_limit(self.values_mm) <= 1.0
+        return [yes_or_no(distance_mm <= limit_mm), yes_or_no(is_like)]
+
+    def score(self):
+        """Return the score."""
         count = round((self.experiment.frame_count - 1) * self.rate_hz / 30) + 1
         times_s = np.arange(count) / self.rate_hz
         band = reference_band(self.experiment)
         values_mm = self.values_mm(times_s)
         return score_trajectory(
             self.experiment, band, times_s=times_s, values=values_mm
-        ).cause
+        )
+
+
+def rms(deviation):
+    """Return the root mean square length of deviations, shape [T, C]."""
+    return np.sqrt(np.square(deviation).sum(axis=1).mean())
+
+
+def yes_or_no(is_true):
+    return Answer.YES if is_true else Answer.NO
 
 
 @pytest.mark.parametrize("seed", [1, 20261130])
@@ -129,7 +150,11 @@ def test_the_cause_of_wrong_motions(seed):
     drawn = [PlantedMotion(generator) for _ in range(60)]
     motions = [motion for motion in drawn if motion.is_clear()]
     assert len(motions) >= 50
-    causes = [(motion.expected(), motion.found()) for motion in motions]
+    scores = [motion.score() for motion in motions]
+    causes = [
+        (motion.expected(), score.cause)
+        for motion, score in zip(motions, scores, strict=True)
+    ]
     wrong = [
         (motion, *pair)
         for motion, pair in zip(motions, causes, strict=True)
@@ -137,6 +162,12 @@ def test_the_cause_of_wrong_motions(seed):
     ]
     assert len(wrong) <= 1, wrong
     assert {expected for expected, _ in causes} == set(DistanceCause)
+    misjudged = [
+        motion
+        for motion, score in zip(motions, scores, strict=True)
+        if motion.expected_answers() != [score.solves, score.like_reality]
+    ]
+    assert len(misjudged) <= 1, misjudged
 
 
 def test_friction_on_the_other_side_of_reality_is_an_error_of_the_engine():
