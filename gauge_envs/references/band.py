@@ -52,6 +52,7 @@ ARRAYS = (
     "trials",
     "trial_rmse",
     "trial_rmse_aligned",
+    "baselines_without",
 )
 """Arrays of a band; `projection`, `uncertainty`, `measured` and those of trials may be absent."""
 
@@ -62,7 +63,6 @@ FILE_FIELDS = (
     "licence",
     "trial_count",
     "normalized",
-    "baseline_uncertainty",
     "exact_law",
 )
 """Fields of a band with the same name in its TOML file."""
@@ -111,7 +111,6 @@ class BandFile(FileModel):
         licence: Licence of the data.
         trial_count: Number of real trials; None is unknown.
         normalized: Whether distances are divided by the published distance of real trials.
-        baseline_uncertainty: As `Band.baseline_uncertainty`.
         standard_uncertainty: As `Band.standard_uncertainty`; for readers of the file.
         zero_motion_distance: As `Band.zero_motion_distance`; for readers of the file.
         exact_law: As `Band.exact_law`.
@@ -127,7 +126,6 @@ class BandFile(FileModel):
     licence: str = ""
     trial_count: int | None = None
     normalized: bool = True
-    baseline_uncertainty: float | None = None
     standard_uncertainty: float | None = None
     zero_motion_distance: float | None = None
     exact_law: ExactLaw | None = None
@@ -158,8 +156,8 @@ class Band:
         trial_rmse: RMSE of each real trial to the mean of the others, shape [N]; None without single trials.
         trial_rmse_aligned: The same after the time shift with the smallest RMSE, shape [N].
         normalized: Whether distances are divided by the published distance of real trials.
-        baseline_uncertainty: Standard uncertainty of the mean of `trial_rmse_aligned`, by the jackknife over trials.
-            The distances depend on each other, because each is from the mean of the others. None below three trials.
+        baselines_without: Mean of `trial_rmse_aligned` without each of the trials, for the jackknife, shape [N]; None
+            below three trials.
         points: Positions of the markers as a band in mm; scores and rewards of cloth and foam use them.
         exact_law: Law of the exact motion of the scene, see `gauge_envs.scoring.exact`; None without a closed form.
         given_uncertainty: `standard_uncertainty` from a file; None computes it from the arrays.
@@ -183,7 +181,7 @@ class Band:
     trial_rmse: FloatArray | None = None
     trial_rmse_aligned: FloatArray | None = None
     normalized: bool = True
-    baseline_uncertainty: float | None = None
+    baselines_without: FloatArray | None = None
     points: Band | None = None
     exact_law: ExactLaw | None = None
     given_uncertainty: float | None = None
@@ -294,7 +292,7 @@ class Band:
             trial_rmse=None,
             trial_rmse_aligned=None,
             normalized=False,
-            baseline_uncertainty=None,
+            baselines_without=None,
             given_uncertainty=None,
             exact_law=None,
         )

@@ -31,7 +31,6 @@ WRITTEN_FIELDS = (
     "trial_count",
     "source",
     "licence",
-    "baseline_uncertainty",
     "standard_uncertainty",
     "zero_motion_distance",
 )

@@ -23,7 +23,7 @@ MIN_PREDICTING_TRIALS = 5
 """Smallest number of real trials whose scatter predicts the distance of one more."""
 
 
-def student_t(freedom: int, coverage: float = 0.95) -> float:
+def student_t(freedom: float, coverage: float = 0.95) -> float:
     """Return the distance from 0 within which Student's t is with a probability.
 
     Args:
@@ -53,25 +53,62 @@ def distance_interval(distance: float, uncertainty: float) -> tuple[float, float
 
 
 def ratio_interval(
-    distance: float, interval: tuple[float, float], baseline: float, half_width: float
+    ratio: float,
+    relative: tuple[float, float],
+    half_width: float,
+    correlation: float = 0.0,
 ) -> tuple[float, float]:
     """Return the 95 % interval of a distance over the mean distance of real trials.
 
-    Relative errors of both add in quadrature on a logarithmic scale.
+    Errors of the logarithms of both add. A correlation widens the interval if it is negative: an outlier among the
+    trials makes their mean distance larger, and moves their mean.
 
     Args:
-        distance: The distance, above 0.
-        interval: Its 95 % interval.
-        baseline: Mean distance of real trials, in the same unit.
-        half_width: Half the 95 % interval of this mean.
+        ratio: The distance over the mean distance.
+        relative: 95 % interval of the distance, over the distance.
+        half_width: Half the 95 % interval of the logarithm of the mean distance.
+        correlation: Correlation between the errors of both logarithms.
     """
-    low, high = interval
-    ratio, error = distance / baseline, half_width / baseline
-    above = math.exp(math.hypot(math.log(high / distance), error))
-    if low <= 0.0:
-        return 0.0, ratio * above
-    below = math.exp(math.hypot(math.log(distance / low), error))
-    return ratio / below, ratio * above
+
+    def half_with(of_distance: float) -> float:
+        product = 2.0 * correlation * of_distance * half_width
+        return math.sqrt(max(of_distance**2 + half_width**2 - product, 0.0))
+
+    low, high = relative
+    above = ratio * math.exp(half_with(math.log(high)))
+    return ratio / math.exp(half_with(-math.log(low))) if low > 0.0 else 0.0, above
+
+
+def jackknife_half_width(without: FloatArray) -> float:
+    """Return half the 95 % interval of a value by the jackknife, from the values without each trial, shape [N].
+
+    Heavy tails make the variance uncertain. Its variance, sigma^4 (2 / (N - 1) + k / N) with the excess kurtosis k,
+    gives the degrees of freedom of Student's t (Satterthwaite).
+    """
+    count = len(without)
+    squares = np.square(without - without.mean())
+    total = float(squares.sum())
+    if total == 0.0:
+        return 0.0
+    kurtosis = count * float(np.square(squares).sum()) / total**2 - 3.0
+    freedom = 2.0 / (2.0 / (count - 1) + max(kurtosis, 0.0) / count)
+    return student_t(freedom) * math.sqrt((count - 1) / count * total)
+
+
+def distances_without(deviation: FloatArray, trials: FloatArray) -> FloatArray:
+    """Return the distance of a motion from the mean of the other trials, without each trial, shape [N].
+
+    Args:
+        deviation: Motion minus the mean of all trials, shape [T, C]; NaN is unknown.
+        trials: The trials, shape [N, T, C]; NaN is unknown.
+    """
+    seen = np.isfinite(trials)
+    counts = seen.sum(axis=0)
+    mean = np.nansum(trials, axis=0) / np.maximum(counts, 1)
+    moved = np.where(seen, trials - mean, 0.0) / np.maximum(counts - 1, 1)
+    squares = np.nansum(np.square(deviation + moved), axis=2)
+    is_known = np.isfinite(deviation).any(axis=1)
+    return np.asarray(np.sqrt(squares[:, is_known].mean(axis=1)))
 
 
 def mean_half_width(values: Sequence[float] | FloatArray) -> float:

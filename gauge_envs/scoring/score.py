@@ -35,6 +35,8 @@ from gauge_envs.scoring.events import PUBLISHED_TRIALS, event_values
 from gauge_envs.scoring.exact import MotionOfTime, exact_solution
 from gauge_envs.scoring.interval import (
     distance_interval,
+    distances_without,
+    jackknife_half_width,
     mean_half_width,
     ratio_interval,
     student_t,
@@ -433,49 +435,54 @@ def _from_trials(score: Score, motion: _ComparedMotion) -> Score:
     """Return a score with the distance from real trials, and whether the motion is like theirs."""
     band, experiment = motion.band, motion.experiment
     # The start of a driven motion is known.
-    is_aligned = band.has_release and experiment.trial is None
-    if is_aligned and not experiment.scene.drivers:
-        score, interval = _aligned(score, motion)
-    else:
-        assert score.rmse is not None, "each compared motion has an RMSE"
-        is_aligned = False
-        interval = _real_interval(band, score.rmse, motion.deviation)
+    is_free = experiment.trial is None and not experiment.scene.drivers
+    is_aligned = band.has_release and is_free
+    with_distance = _aligned if is_aligned else _unaligned
+    score = with_distance(score, motion)
     assert score.distance is not None, "the RMSE is a distance"
     limit = real_limit(experiment, band, is_aligned=is_aligned)
     of_motion = is_like_trials(band, score.distance, limit)
-    return replace(
-        score,
-        primary_interval=_primary_interval(score, motion, interval),
-        real_limit=limit,
-        like_reality=united([of_motion, score.like_reality]),
-    )
+    answer = united([of_motion, score.like_reality])
+    return replace(score, real_limit=limit, like_reality=answer)
 
 
-def _primary_interval(
-    score: Score, motion: _ComparedMotion, interval: Interval
-) -> Interval | None:
-    """Return the interval of the primary distance over the mean of real trials, whose error counts too."""
-    band = motion.band
-    if not score.distance or score.primary_normalized is None:
-        return None
-    baseline = score.distance / score.primary_normalized
-    if score.primary == "rmse_aligned":
-        assert band.trial_rmse_aligned is not None, "they normalize the distance"
-        half = mean_half_width(band.trial_rmse_aligned)
-        if band.baseline_uncertainty is not None:
-            freedom = len(band.trial_rmse_aligned) - 1
-            half = student_t(freedom) * band.baseline_uncertainty
-        return ratio_interval(score.distance, interval, baseline, half)
+def _unaligned(score: Score, motion: _ComparedMotion) -> Score:
+    """Return a score with the interval of the RMSE over its published value for real trials."""
+    band, distance, ratio = motion.band, score.rmse, score.rmse_normalized
+    if not distance or ratio is None:
+        return score
+    ends = distance_interval(distance, band.standard_uncertainty)
+    if band.trials is not None and len(band.trials) > 1:
+        ends = trials_interval(
+            motion.deviation, band.trials, uncertainty=band.uncertainty
+        )
     published = normalizing_baselines(motion.experiment, band)["rmse"]
     error = (published.std or 0.0) / math.sqrt(PUBLISHED_TRIALS)
-    half = student_t(PUBLISHED_TRIALS - 1) * error
-    return ratio_interval(score.distance, interval, baseline, half)
+    half_width = student_t(PUBLISHED_TRIALS - 1) * error / published.mean
+    interval = ratio_interval(ratio, _relative(ends, distance), half_width)
+    return replace(score, primary_interval=interval)
 
 
-def _aligned(score: Score, motion: _ComparedMotion) -> tuple[Score, Interval]:
-    """Return a score with the distance after the best time shift, and the interval of this distance."""
+def _relative(ends: Interval, distance: float) -> Interval:
+    """Return an interval over the distance that it belongs to."""
+    low, high = ends
+    return low / distance, high / distance
+
+
+def _aligned(score: Score, motion: _ComparedMotion) -> Score:
+    """Return a score with the distance after the best time shift."""
     band, frame_count = motion.band, len(motion.band.mean)
     offset_s, rmse = time_offset(motion.times_s, motion.samples, band.mean)
+    ratio = _over_trials(rmse, band)
+    score = replace(
+        score,
+        time_offset_s=offset_s,
+        rmse_aligned=rmse,
+        rmse_aligned_normalized=ratio,
+    )
+    trials = band.trials
+    if not rmse or ratio is None or trials is None or len(trials) < 2:
+        return score
     shifted = shifted_frames(
         motion.times_s, motion.samples, offset_s, frame_count=frame_count
     )
@@ -490,13 +497,30 @@ def _aligned(score: Score, motion: _ComparedMotion) -> tuple[Score, Interval]:
         )
         # The simulation rests before its start.
         velocity[np.arange(frame_count) / FRAME_RATE_HZ < offset_s] = 0.0
-    score = replace(
-        score,
-        time_offset_s=offset_s,
-        rmse_aligned=rmse,
-        rmse_aligned_normalized=_over_trials(rmse, band),
+    deviation = shifted - band.mean
+    ends = trials_interval(
+        deviation, trials, velocity=velocity, uncertainty=band.uncertainty
     )
-    return score, _real_interval(band, rmse, shifted - band.mean, velocity)
+    half_width, correlation = _error_of_baseline(band, deviation)
+    interval = ratio_interval(ratio, _relative(ends, rmse), half_width, correlation)
+    return replace(score, primary_interval=interval)
+
+
+def _error_of_baseline(band: Band, deviation: FloatArray) -> tuple[float, float]:
+    """Return half the 95 % interval of the logarithm of the mean distance of trials, and its correlation.
+
+    The correlation is that with the logarithm of the length of a deviation from their mean, shape [T, C].
+    """
+    assert band.trials is not None and band.trial_rmse_aligned is not None
+    if band.baselines_without is None:
+        distances = band.trial_rmse_aligned
+        return mean_half_width(distances) / float(distances.mean()), 0.0
+    of_baseline = np.log(band.baselines_without)
+    of_distance = np.log(distances_without(deviation, band.trials))
+    half_width = jackknife_half_width(of_baseline)
+    if half_width == 0.0 or np.ptp(of_distance) == 0.0:
+        return half_width, 0.0
+    return half_width, float(np.corrcoef(of_distance, of_baseline)[0, 1])
 
 
 def _over_trials(rmse_aligned: float, band: Band) -> float | None:
@@ -505,20 +529,6 @@ def _over_trials(rmse_aligned: float, band: Band) -> float | None:
         return None
     mean = float(band.trial_rmse_aligned.mean())
     return rmse_aligned / mean if 0.0 < mean < math.inf else None
-
-
-def _real_interval(
-    band: Band,
-    distance: float,
-    deviation: FloatArray,
-    velocity: FloatArray | None = None,
-) -> Interval:
-    """Return the 95 % interval of a distance from real trials; see `trials_interval` for the arguments."""
-    if band.trials is None or len(band.trials) < 2:
-        return distance_interval(distance, band.standard_uncertainty)
-    return trials_interval(
-        deviation, band.trials, velocity=velocity, uncertainty=band.uncertainty
-    )
 
 
 def _from_exact(score: Score, motion: _ComparedMotion) -> Score:

@@ -37,7 +37,7 @@ from gauge_envs.tools.dataset.observation import (
 )
 from gauge_envs.tools.dataset.schema import BaselineLine
 from gauge_envs.tools.dataset.statistics import (
-    baseline_uncertainty,
+    baselines_without,
     distances_to_mean,
     leave_one_out_distances,
     mean_and_sigma,
@@ -325,7 +325,7 @@ def _band(experiment: Experiment, trajectories: FloatArray, source: str) -> Band
         trials=trajectories,
         trial_rmse=trial_rmse,
         trial_rmse_aligned=trial_rmse_aligned,
-        baseline_uncertainty=baseline_uncertainty(trajectories),
+        baselines_without=baselines_without(trajectories),
         given_uncertainty=rms_over_frames(sigma) / np.sqrt(count),
     )
 

@@ -75,11 +75,11 @@ def leave_one_out_distances(trials: FloatArray) -> tuple[FloatArray, FloatArray]
     return raw_rmse, aligned_rmse
 
 
-def baseline_uncertainty(trials: FloatArray) -> float | None:
-    """Return the standard uncertainty of the mean aligned distance of trials, shape [N, T, C]; None below three trials.
+def baselines_without(trials: FloatArray) -> FloatArray | None:
+    """Return the mean aligned distance of trials, shape [N, T, C], without each of them, shape [N]; None below three.
 
-    It is the jackknife: the mean is computed again without each trial. The distances depend on each other, so their
-    scatter alone would give half of it.
+    The distances depend on each other, because each is from the mean of the others. So only their jackknife gives the
+    uncertainty of their mean.
     """
     count = len(trials)
     if count < 3:
@@ -87,8 +87,8 @@ def baseline_uncertainty(trials: FloatArray) -> float | None:
     means = []
     for index in range(count):
         _, distances = leave_one_out_distances(np.delete(trials, index, axis=0))
-        means.append(distances.mean())
-    return math.sqrt((count - 1) * float(np.var(means)))
+        means.append(float(distances.mean()))
+    return np.array(means)
 
 
 def _aligned_rmse(trial: FloatArray, mean: FloatArray) -> float:
