@@ -95,9 +95,11 @@ def counted(number: int, noun: str) -> str:
 
 
 def score_text(value: float | None) -> str:
-    """Return a score to two decimals, or to two digits below 0.1; a dash for None."""
+    """Return a score to two decimals, or to two digits below 0.1; 0.000 below 0.0005; a dash for None."""
     if value is None:
         return "-"
+    if 0.0 < abs(value) < 5e-4:
+        return "0.000"
     if abs(value) < 0.1:
         return f"{value:.2g}"
     if abs(value) < 100.0:

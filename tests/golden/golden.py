@@ -84,7 +84,10 @@ def episode(name, *, engine="mujoco", seed=0, options=None, last_frame=None):
     if load_experiment(name).score.observable.unit == "mm":
         del entry["markers"]
     if last_frame is None and not is_chaotic:
-        entry |= {"reward": sum(rewards), "score": score_values(info["score"])}
+        score = info["score"]
+        entry |= {"reward": sum(rewards), "score": score_values(score)}
+        if engine == "mujoco" and options is None and last_frame is None:
+            entry["answers"] = [score.solves, score.like_reality]
     env.close()
     return entry
 

@@ -6,6 +6,7 @@ are newer (`scoring/PROVENANCE.md`). No tumbling body is compared on other engin
 moves it by millimetres. Tolerances exceed what rounding noise in each step, and NumPy on an older processor, move.
 """
 
+import csv
 import warnings
 
 import gymnasium
@@ -18,6 +19,7 @@ import gauge_envs
 from gauge_envs import load_experiment, variants
 from gauge_envs.backends import backend
 from gauge_envs.errors import MissingExtraError, NoRewardWarning
+from gauge_envs.files import data_folder
 from gauge_envs.tools.control import names
 from tests.golden import golden
 
@@ -78,6 +80,18 @@ def limits(name, engine="mujoco"):
         "reward": (near, relative),
         "score": (SCORE_MM.get(family, near), relative),
     }
+
+
+def test_the_documented_answers_are_those_of_the_episodes():
+    """Chaotic episodes have only ten frames here, and no answers."""
+    with (data_folder("scoring") / "answers.csv").open(encoding="utf-8") as stream:
+        documented = {row["id"]: row for row in csv.DictReader(stream)}
+    assert list(documented) == IDS
+    absent = {"solves": "no solution", "like_reality": "-"}
+    for name, entry in STORED["episodes"].items():
+        answers = entry.get("answers", [None, None])
+        for field, answer in zip(("solves", "like_reality"), answers, strict=True):
+            assert documented[name][field] == (answer or absent[field]), name
 
 
 def differences(computed, stored, limit=(1e-9, 1e-9), path=""):
