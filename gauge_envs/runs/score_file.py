@@ -11,11 +11,13 @@ from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import json_ready
 from gauge_envs.references.band import Band
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import load_result, recorded_experiment, result_of
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.answers import Answer
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, frame_index
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import score_trajectory
@@ -101,6 +103,9 @@ def score_file(
     if origin.parameters is None and parameters is None:
         # The simulator of the file may have other constants than the exact motion.
         score = replace(score, exact=None, cause=None)
+        is_other = score.solves is Answer.NO and not Kind(score.kind).is_solution
+        if is_other:
+            score = replace(score, solves=Answer.CANNOT_TELL)
     result = result_of(
         experiment,
         outcome=Outcome.FINISHED,
