@@ -117,6 +117,8 @@ class Aim:
         return {
             "friction": self.friction,
             "restitution": self.rebound,
+            "impact_friction": self.friction,
+            "slip_restitution": self.rebound,
             "penetration_m": self.depth_m(),
             "creep_m_s": self.creep_m_s,
             "torsion_m": self.torsion_m,

@@ -66,10 +66,31 @@ SAMPLE_S = 1e-3
 NAMES = (
     "friction",
     "restitution",
+    "impact_friction",
+    "slip_restitution",
     "penetration_m",
     "creep_m_s",
+    "hop_m",
 )
 """Names of the values of all settings; `friction` is the friction of bodies in sustained contact."""
+
+IMPACT_M_PER_S = 2.0
+"""Speed of oblique impacts along the normal [m/s]."""
+
+IMPACT_PHASES = 4
+"""Number of balls for each direction of an oblique impact, in different phases within a step."""
+
+GRIPPING = (0.5, 1.0)
+"""Tangential over normal speed of impacts that should stop the slip: 27 and 45 degrees from the normal."""
+
+SLIPPING_SHARE = 2.0
+"""Tangential speed of the grazing impact, over the largest at which friction would stop the slip."""
+
+IMPACT_DROP_M, IMPACT_S = 0.02, 0.06
+"""Height at which a ball is thrown [m], and duration [s]."""
+
+HOP_M_PER_S, HOP_S = (1.0, 4.0), 0.3
+"""Speeds of a plate that slides on a level ground [m/s], and duration [s]."""
 
 TURNING = {"torsion_m": SPIN, "rolling_m": ROLL}
 """Rotation axis of a ball for each optional friction."""
@@ -141,6 +162,51 @@ class Probe:
             bounce.restitution if bounce else math.nan for bounce in bounces
         ]
         return {"restitution": float(np.mean(restitutions))}
+
+    def impact(self) -> dict[str, float]:
+        """Return the friction of oblique impacts that is farthest from Coulomb's, and the rebound where a ball slips.
+
+        With the normal impulse N and the mass m, friction takes the tangential impulse min(mu N, 2/7 m v) from a ball
+        that arrives without spin at the tangential speed v. Both impulses follow from the change of momentum.
+        """
+        friction = self.settings.sliding_friction
+        slips_from = 3.5 * friction * (1.0 + getattr(self.settings, "restitution", 0.5))
+        speeds = np.array([*GRIPPING, SLIPPING_SHARE * slips_from]) * IMPACT_M_PER_S
+        along = np.array(
+            [math.cos(math.radians(TURN_DEG)), math.sin(math.radians(TURN_DEG))]
+        )
+        down = math.sqrt(IMPACT_M_PER_S**2 - 2.0 * G * IMPACT_DROP_M)
+        step_m = IMPACT_M_PER_S * self.settings.timestep_s
+        balls = []
+        for index, speed in enumerate(np.repeat(speeds, IMPACT_PHASES)):
+            phase = index % IMPACT_PHASES / IMPACT_PHASES
+            height_m = RADIUS_M + IMPACT_DROP_M + phase * step_m
+            place_m = (0.0, BALL_DISTANCE_M * index, height_m)
+            still = ball(f"ball{index}", place_m, mass_kg=self.mass_kg)
+            balls.append(thrown(still, (*(speed * along), -down)))
+        rollout = self._rollout(balls, LEVEL, IMPACT_S)
+        ratios, rebounds = [], []
+        for one, speed in zip(balls, np.repeat(speeds, IMPACT_PHASES), strict=True):
+            velocity = rollout.velocity(one.name)
+            taken = (velocity[0, :2] - velocity[-1, :2]) @ along
+            pressed = velocity[-1, 2] - velocity[0, 2] + G * rollout.times_s[-1]
+            ratios.append(taken / min(friction * pressed, 2.0 / 7.0 * speed))
+            rebounds.append(float(velocity[:, 2].max()) / IMPACT_M_PER_S)
+        means = np.mean(np.reshape(ratios, (len(speeds), IMPACT_PHASES)), axis=1)
+        worst = float(means[np.abs(means - 1.0).argmax()])
+        return {
+            "impact_friction": worst * friction,
+            "slip_restitution": float(np.mean(rebounds[-IMPACT_PHASES:])),
+        }
+
+    def hop(self) -> dict[str, float]:
+        """Return how high a plate rises that slides on a level ground [m]."""
+        heights_m = []
+        for speed in HOP_M_PER_S:
+            plate = thrown(self._plate(LEVEL), (speed, 0.0, 0.0))
+            heights = self._rollout([plate], LEVEL, HOP_S).position(plate.name)[:, 2]
+            heights_m.append(float(heights.max() - heights[0]))
+        return {"hop_m": max(heights_m)}
 
     def turning(self) -> dict[str, float]:
         """Return torsional and rolling friction [m] from the spin loss of a ball, if the settings have them.
@@ -220,7 +286,9 @@ def measured(settings: ContactSettings, mass_kg: float) -> dict[str, float]:
     return {
         **probe.slide(),
         **probe.drop(),
+        **probe.impact(),
         **probe.rest(),
         **probe.creep(),
+        **probe.hop(),
         **probe.turning(),
     }

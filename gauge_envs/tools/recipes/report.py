@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from gauge_envs.pages.document import Document, Part
+from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.tools.recipes.fabrics import fabric_constants
@@ -12,6 +12,9 @@ from gauge_envs.tools.recipes.search import Recipe
 TITLES = {
     "penetration_m": "penetration [m]",
     "creep_m_s": "creep [m/s]",
+    "impact_friction": "friction in impacts",
+    "slip_restitution": "restitution in a slip",
+    "hop_m": "hop [m]",
     "torsion_m": "torsion [m]",
     "rolling_m": "rolling [m]",
     "stretch_n_per_m": "stretch [N/m]",
@@ -58,8 +61,9 @@ def recipe_document(
     if any(target is not None for _, target, _, _ in rows):
         columns.insert(1, _number("1", "asked"))
         columns.append(Column("3", "error", _error_text, is_number=True))
-    notes = ("", recipe.explanation) if recipe.explanation else ()
-    parts.append(Table(columns=tuple(columns), rows=rows, notes=notes))
+    if recipe.explanation:
+        parts.insert(0, Paragraph(recipe.explanation, Tone.ANSWER))
+    parts.append(Table(columns=tuple(columns), rows=rows))
     return Document(parts=parts, rows=[row])
 
 

@@ -20,13 +20,24 @@ from gauge_envs.tools.recipes.probes import (
 RESTITUTION_TOLERANCE = 0.01
 """Largest accepted error of a restitution, as in the conformance checks of rebounds."""
 
+SLIP_TOLERANCE = 0.05
+"""Largest accepted error of a restitution where a ball slips."""
+
 SHARES = {
     "friction": 0.005,
+    "impact_friction": 0.1,
     "penetration_m": 0.05,
     "torsion_m": 0.01,
     "rolling_m": 0.01,
 }
 """Largest accepted relative errors; the error of the depth at rest applies to a requested stiffness."""
+
+TOLERANCES = {
+    "restitution": RESTITUTION_TOLERANCE,
+    "slip_restitution": SLIP_TOLERANCE,
+    "creep_m_s": 0.0,
+}
+"""Largest accepted errors of the other values."""
 
 CREEP_MARGIN = 1.2
 """Safety factor on the ratio of impedances for a requested creep."""
@@ -118,7 +129,7 @@ def _simulated(settings: ContactSettings, aim: Aim) -> Recipe:
     try:
         values = measured(settings, aim.mass_kg)
         misses = _misses(aim, values)
-        explanation = _explanation(settings, aim, misses)
+        explanation = _explanation(settings, aim, misses, values)
     except DivergedError as error:
         explanation = f"The simulation diverges: {error}. Choose a shorter time step or a softer contact."
     return Recipe(
@@ -155,19 +166,47 @@ def _misses(aim: Aim, values: Mapping[str, float]) -> list[str]:
         if target is None:
             continue
         error = values[name] - target
-        tolerance = SHARES.get(name, 0.0) * target or RESTITUTION_TOLERANCE
+        tolerance = SHARES.get(name, 0.0) * target or TOLERANCES[name]
         if error > 0.0 if name in limits else abs(error) > tolerance:
             misses.append(name)
     return misses
 
 
-def _explanation(settings: ContactSettings, aim: Aim, misses: Sequence[str]) -> str:
-    """Return why values are missed; empty without a request."""
+def _explanation(
+    settings: ContactSettings,
+    aim: Aim,
+    misses: Sequence[str],
+    values: Mapping[str, float],
+) -> str:
+    """Return the values that are missed and why; empty without a request."""
     if not any(aim.targets.values()):
         return ""
-    limits = settings.limits
-    reasons = [f"{name}: {limits.get(name, 'not reached')}." for name in misses]
-    return " ".join(reasons) or "All requested values are reached."
+    if not misses:
+        return "All requested values are reached."
+    texts = []
+    for name in misses:
+        target = aim.targets[name]
+        assert target is not None, "a value without a target is no miss"
+        text = f"{name} {values[name]:.3g} (asked {target:.3g})"
+        if name in settings.limits:
+            text += f": {settings.limits[name]}"
+        texts.append(text)
+    text = f"Not reached: {'; '.join(texts)}."
+    other = settings.gripping() if "impact_friction" in misses else None
+    return text if other is None else f"{text} {_price(other, aim)}".strip()
+
+
+def _price(settings: ContactSettings, aim: Aim) -> str:
+    """Return what other settings reach, and how high a sliding plate then hops; empty if they miss it too."""
+    probe = Probe(settings=settings, mass_kg=aim.mass_kg)
+    values = probe.impact() | probe.hop()
+    error = values["impact_friction"] / aim.sliding_friction - 1.0
+    if abs(error) > SHARES["impact_friction"]:
+        return ""
+    return (
+        f"With {settings.gripping_text} the impact friction is {values['impact_friction']:.3g}, but a ball that slips "
+        f"rebounds with {values['slip_restitution']:.3g}, and a plate at 4 m/s hops by {values['hop_m']:.2g} m."
+    )
 
 
 # --- search ----------------------------------------------------------------------------------------------------------

@@ -60,6 +60,34 @@ def rebound(loop, snippet, mass_kg, step_s):
     return float(np.mean(restitutions))
 
 
+def impact_friction(loop, snippet, friction, mass_kg, step_s):
+    """Return the friction of three oblique impacts that is farthest from Coulomb's law.
+
+    Tilted gravity throws a ball obliquely onto the plane. Velocities after n steps give the impulses of the contact.
+    """
+    ratios = []
+    for tangent in (0.5, 1.0, 7.0 * friction * 1.6):
+        of_phases = []
+        for phase in range(PHASES):
+            drop = DROP_M + math.sqrt(2.0 * G * DROP_M) * step_s * phase / PHASES
+            foot = Foot(
+                mass_kg=mass_kg,
+                step_s=step_s,
+                height_m=RADIUS_M + drop,
+                gravity=(tangent * G, 0.0, -G),
+            )
+            places = loop(snippet, foot)
+            impact_s = math.sqrt(2.0 * drop / G)
+            last = round((impact_s + 0.05) / step_s)
+            velocity = (places[last] - places[last - 1]) / step_s
+            pressed = velocity[2] + G * last * step_s
+            taken = tangent * G * last * step_s - velocity[0]
+            grip = 2.0 / 7.0 * tangent * G * impact_s
+            of_phases.append(taken / min(friction * pressed, grip))
+        ratios.append(float(np.mean(of_phases)))
+    return friction * max(ratios, key=lambda ratio: abs(ratio - 1.0))
+
+
 def names_of(snippet):
     """Return the names that a snippet of Python defines."""
     names = {}
@@ -140,7 +168,10 @@ def physx(snippet, foot):
         actor = builder.build()
         actor.set_pose(sapien.Pose([0.0, 0.0, foot.height_m]))
         kind = sapien.physx.PhysxRigidDynamicComponent
-        actor.find_component_by_type(kind).mass = foot.mass_kg
+        part = actor.find_component_by_type(kind)
+        # A new mass keeps the inertia of the density.
+        part.inertia = part.inertia * foot.mass_kg / part.mass
+        part.mass = foot.mass_kg
         return stepped_places(foot, scene.step, lambda: actor.pose.p)
     finally:
         sapien.physx.set_scene_config(**kept)

@@ -132,6 +132,15 @@ class ContactSettings(BaseModel, ABC):
         """Coefficient of friction of the pair."""
         return float(getattr(self, self.friction_field))
 
+    def gripping(self) -> Self | None:
+        """Return settings with more friction in impacts, at a price; None if the engine has none."""
+        return None
+
+    @property
+    def gripping_text(self) -> str:
+        """What `gripping` changed, in the language of the engine."""
+        return ""
+
     def backend_settings(self, mass_kg: float) -> dict[str, Any]:
         """Return the settings of the backend for a body with this mass [kg]."""
         given = {setting: getattr(self, name) for name, setting in self.natives.items()}

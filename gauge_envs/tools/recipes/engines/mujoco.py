@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field
 
@@ -10,7 +10,7 @@ from gauge_envs.backends.mujoco.settings import SolImp, SolRef
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.bodies import friction_dimension
 from gauge_envs.tools.recipes.aim import Aim
-from gauge_envs.tools.recipes.engines.base import ContactSettings, numbers
+from gauge_envs.tools.recipes.engines.base import ContactSettings, numbers, rounded
 
 PLATE_CONTACTS = 4
 """Number of corners on which the plate of the probes rests."""
@@ -32,6 +32,9 @@ lifts a sliding body more. A plate with friction 0.4, restitution 0.6 and a step
 and by 0.8 mm at 0.2. At 0.05 it hops by 0.1 mm, but friction is 5 % too low. A smaller share also creeps more, and
 removes less speed and spin in an oblique impact.
 """
+
+GRIPPING_SHARE = 0.95
+"""Share with which impacts that should stop the slip follow Coulomb's law. Then a sliding body hops much higher."""
 
 BOUNCY_RESTITUTION = 0.7
 """Restitution above which a contact is bouncy."""
@@ -97,6 +100,8 @@ class ConstraintSettings(ContactSettings):
         "restitution": "MuJoCo has no coefficient of restitution: the damping of a contact equation, evaluated once "
         "a step, determines the rebound",
         "friction": "MuJoCo solves friction and normal force together as one soft constraint",
+        "impact_friction": "MuJoCo's friction removes a share of the slip in each step, and an impact lasts a step",
+        "slip_restitution": "MuJoCo's friction raises the normal force of a body that slips",
         "penetration_m": SOFT_DEPTH.format("MuJoCo"),
     }
 
@@ -133,6 +138,18 @@ class MuJoCoSettings(ConstraintSettings):
     def constants(cls, aim: Aim) -> dict[str, Any]:
         """Return a hard contact without rebound, a one-step impact, or a spring and damper."""
         return contact_of(aim)
+
+    def gripping(self) -> Self | None:
+        """Return the settings with a friction that stops the slip in a step; None if they have it already."""
+        gripping = (0.0, rounded(-GRIPPING_SHARE / self.timestep_s))
+        if self.solreffriction == gripping:
+            return None
+        return self.model_copy(update={"solreffriction": gripping})
+
+    @property
+    def gripping_text(self) -> str:
+        """The tangential time constant in MJCF."""
+        return f'solreffriction="{numbers(self.solreffriction)}"'
 
     def snippet(self) -> str:
         """Return options and a pair in MJCF."""
