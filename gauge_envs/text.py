@@ -4,7 +4,11 @@ import codecs
 import io
 import json
 import tomllib
+from collections.abc import Callable
 from typing import Any
+
+MAX_DEPTH = 32
+"""Deepest nesting of a document. Files of this package have up to 6 levels."""
 
 
 def printable(text: str) -> str:
@@ -32,9 +36,29 @@ def json_document(content: bytes) -> Any:
     """Return the value of a JSON document; see `text_of` for the encoding.
 
     Raises:
-        ValueError: The content is not JSON.
+        ValueError: The content is not JSON, or nested too deeply.
     """
-    return json.loads(text_of(content))
+    return _flat(json.loads, content)
+
+
+def _flat(parse: Callable[[str], Any], content: bytes) -> Any:
+    """Return a parsed document whose nesting no later function can fail on."""
+    deep = ValueError(f"it is nested more than {MAX_DEPTH} levels deep")
+    try:
+        value = parse(text_of(content))
+    except RecursionError:
+        raise deep from None
+    level = [value]
+    for _ in range(MAX_DEPTH):
+        level = [
+            entry
+            for parent in level
+            if isinstance(parent, dict | list)
+            for entry in (parent.values() if isinstance(parent, dict) else parent)
+        ]
+    if level:
+        raise deep
+    return value
 
 
 def csv_text(content: bytes) -> io.StringIO:
@@ -57,6 +81,7 @@ def toml_document(content: bytes) -> dict[str, Any]:
     """Return the tables of a TOML document; see `text_of` for the encoding.
 
     Raises:
-        ValueError: The content is not TOML.
+        ValueError: The content is not TOML, or nested too deeply.
     """
-    return tomllib.loads(text_of(content))
+    document: dict[str, Any] = _flat(tomllib.loads, content)
+    return document

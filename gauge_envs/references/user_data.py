@@ -46,14 +46,14 @@ def user_data_folder() -> Path:
         ) from None
 
 
-def trials_folder() -> Path:
-    """Return the folder of imported trials, which need not exist."""
-    return user_data_folder() / "trials"
+def imported_file(variant: str) -> Path:
+    """Return the file of the imported trials of a variant, which need not exist."""
+    return user_data_folder() / "trials" / f"{variant}.npz"
 
 
 def has_import(variant: str) -> bool:
     """Return whether trials of a variant were imported, without reading them."""
-    return (trials_folder() / f"{variant}.toml").is_file()
+    return imported_file(variant).is_file()
 
 
 def own_task_files() -> tuple[Path, ...]:
