@@ -20,15 +20,12 @@ def content_of(file: Path) -> bytes:
     """Return the content of a file.
 
     Raises:
-        OSError: The file cannot be read, has no content, or is a folder, a pipe or a device.
+        OSError: The file cannot be read, or is a folder, a pipe or a device.
     """
     mode = os.stat(file).st_mode  # noqa: PTH116
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise OSError("it is a pipe or a device: give a file")
-    content = file.read_bytes()
-    if not content.strip():
-        raise OSError("it is empty")
-    return content
+    return file.read_bytes()
 
 
 @contextmanager
@@ -80,10 +77,16 @@ def _fault(error: Exception) -> tuple[str, str]:
     from pydantic import ValidationError
 
     if isinstance(error, ValidationError):
-        return first_fault(error)
-    reason = printable(" ".join(str(error).split()))[:MAX_REASON]
+        place, reason = map(_short, first_fault(error))
+        return place, reason
+    reason = _short(str(error))
     if isinstance(error, KeyError):
         return "", f"no {reason}"
     if isinstance(error, OSError | ValueError | GaugeError) and reason:
         return "", reason
     return "", f"it is damaged ({type(error).__name__}: {reason})"
+
+
+def _short(text: str) -> str:
+    """Return a text of a reader, which may quote a damaged file, on one line."""
+    return printable(" ".join(text.split()))[:MAX_REASON]

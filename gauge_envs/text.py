@@ -36,16 +36,28 @@ def json_document(content: bytes) -> Any:
     """Return the value of a JSON document; see `text_of` for the encoding.
 
     Raises:
-        ValueError: The content is not JSON, or nested too deeply.
+        ValueError: The content is empty, not JSON, or nested too deeply.
     """
-    return _flat(json.loads, content)
+    return _flat(json.loads, filled_text(content))
 
 
-def _flat(parse: Callable[[str], Any], content: bytes) -> Any:
+def filled_text(content: bytes) -> str:
+    """Return text that is not empty; see `text_of`.
+
+    Raises:
+        ValueError: The content is empty or no text.
+    """
+    text = text_of(content)
+    if not text.strip():
+        raise ValueError("it is empty")
+    return text
+
+
+def _flat(parse: Callable[[str], Any], text: str) -> Any:
     """Return a parsed document whose nesting no later function can fail on."""
     deep = ValueError(f"it is nested more than {MAX_DEPTH} levels deep")
     try:
-        value = parse(text_of(content))
+        value = parse(text)
     except RecursionError:
         raise deep from None
     level = [value]
@@ -65,9 +77,9 @@ def csv_text(content: bytes) -> io.StringIO:
     """Return CSV with commas; the file may have semicolons, tabs or spaces, and decimal commas with the first two.
 
     Raises:
-        ValueError: The content is not text.
+        ValueError: The content is empty or no text.
     """
-    text = text_of(content)
+    text = filled_text(content)
     header = next((line for line in text.splitlines() if not line.startswith("#")), "")
     separator = next((mark for mark in ";\t" if mark in header), None)
     if separator is not None:
@@ -83,5 +95,8 @@ def toml_document(content: bytes) -> dict[str, Any]:
     Raises:
         ValueError: The content is not TOML, or nested too deeply.
     """
-    document: dict[str, Any] = _flat(tomllib.loads, content)
+    try:
+        document: dict[str, Any] = _flat(tomllib.loads, text_of(content))
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"not a TOML file: {error}") from None
     return document

@@ -40,17 +40,23 @@ MARKER_SIGMA_MM = 1.0
 MAX_TEXT = 80
 """Longest list of coordinates, and longest source, in the text of a band."""
 
-ARRAYS = (
-    "projection",
-    "mean",
-    "sigma",
-    "uncertainty",
-    "measured",
-    "trials",
-    "trial_rmse",
-    "trial_rmse_aligned",
-)
-"""Arrays of a band; `projection`, `uncertainty`, `measured` and those of trials may be absent."""
+AXES = {
+    "projection": "CD",
+    "mean": "TC",
+    "sigma": "TC",
+    "uncertainty": "TC",
+    "measured": "T",
+    "trials": "NTC",
+    "trial_rmse": "N",
+    "trial_rmse_aligned": "N",
+}
+"""Axes of the arrays of a band: frames T, coordinates C, coordinates of g(t) D and trials N.
+
+`projection`, `uncertainty`, `measured` and those of trials may be absent.
+"""
+
+ARRAYS = tuple(AXES)
+"""Arrays of a band."""
 
 ABOUT = "about"
 """Array of an import with its `BandFile`: JSON in UTF-8, as bytes."""
@@ -195,13 +201,17 @@ class Band:
                 values = np.array(given, dtype=bool if name == "measured" else float)
                 values.setflags(write=False)
                 object.__setattr__(self, name, values)
-        shape = (len(self.mean), len(self.coordinates))
-        for name in ("mean", "sigma", "uncertainty", "trials"):
+        sizes = {"C": len(self.coordinates)}
+        for name, axes in AXES.items():
             values = getattr(self, name)
-            # The first axis of `trials` is the trial.
-            if values is not None and values.shape[-2:] != shape:
+            if values is None:
+                continue
+            found = dict(zip(axes, values.shape, strict=False))
+            sizes = found | sizes
+            expected = tuple(sizes.get(axis) for axis in axes)
+            if values.shape != expected:
                 raise ShapeError(
-                    f"{name} has shape {values.shape}, expected {shape} for frames and coordinates"
+                    f"{name} has shape {values.shape}, expected {axes} = {expected}: frames T, coordinates C, trials N"
                 )
 
     def __repr__(self) -> str:

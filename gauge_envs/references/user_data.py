@@ -7,6 +7,7 @@ from pathlib import Path
 
 from gauge_envs.errors import DatasetError
 from gauge_envs.files import is_folder
+from gauge_envs.reading import content_of
 from gauge_envs.text import toml_document
 
 OWN_TASKS = "GAUGE_TASKS"
@@ -71,7 +72,7 @@ def own_task_files() -> tuple[Path, ...]:
 def _is_task_file(path: Path) -> bool:
     """Return whether a TOML file is a task file; its folder may have other TOML files."""
     with suppress(OSError, ValueError):
-        return "family" in toml_document(path.read_bytes())
+        return "family" in toml_document(content_of(path))
     return False
 
 

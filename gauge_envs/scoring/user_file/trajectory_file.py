@@ -108,11 +108,17 @@ def file_origin(file: Path) -> FileOrigin:
         raise TrajectoryFileError(
             f"{file}: id is {name!r}, expected text such as 'GAUGE/SlopeSlider-2-wood'"
         )
+    jitter = jitter or {}
+    if not isinstance(jitter, dict) or not all(
+        isinstance(value, int | float) and math.isfinite(value)
+        for value in jitter.values()
+    ):
+        raise TrajectoryFileError(f"{file}: jitter is {jitter!r:.40}, expected numbers")
     return FileOrigin(
         id=name,
         parameters=content.get("parameters"),
         has_asset=bool(content.get("asset")),
-        jitter=jitter if isinstance(jitter, dict) else {},
+        jitter=jitter,
     )
 
 

@@ -383,6 +383,9 @@ def _check_numbers(log: Log) -> Iterator[str]:
             f"the next time is {steps.min():g} s later; sort the rows, and give seconds"
         )
         raise FileError(log.name, place, reason)
+    if not len(log.command) or (np.diff(log.command_time_s) <= 0.0).any():
+        reason = "expected numbers at times that increase"
+        raise FileError(log.name, log.command_kind or "time", reason)
 
 
 def _check_samples(log: Log) -> Iterator[str]:

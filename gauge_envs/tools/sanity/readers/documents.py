@@ -13,7 +13,7 @@ from typing import Any
 from gauge_envs.errors import TargetError
 from gauge_envs.optional import needs_extra
 from gauge_envs.reading import reading
-from gauge_envs.text import text_of
+from gauge_envs.text import filled_text
 
 PYTHON = "tag:yaml.org,2002:python/"
 
@@ -25,7 +25,7 @@ def file_text(path: Path) -> str:
         TargetError: The file is not there, is empty, or is no text.
     """
     with reading(path, TargetError) as content:
-        return text_of(content)
+        return filled_text(content)
 
 
 def file_value(path: Path, parse: Callable[[bytes], Any]) -> Any:
@@ -54,7 +54,7 @@ def yaml_document(content: bytes) -> Any:
         f"{PYTHON}object/apply:builtins.slice", lambda loader, node: None
     )
     try:
-        return yaml.load(text_of(content), Loader=Loader)
+        return yaml.load(filled_text(content), Loader=Loader)
     except (
         Exception
     ) as error:  # Constructors of dates and numbers raise anything for damaged ones.
