@@ -64,11 +64,6 @@ def is_regular_file(text: str | Path) -> bool:
     return os.path.isfile(text)  # noqa: PTH113
 
 
-def is_pipe(text: str | Path) -> bool:
-    """Return whether a text of a user is the path of a named pipe, which blocks a reader until somebody writes."""
-    return path_exists(text) and Path(text).is_fifo()
-
-
 # --- reading ---------------------------------------------------------------------------------------------------------
 
 
