@@ -14,7 +14,7 @@ from gauge_envs.runs.workers import Worker
 SAMPLE = range(8)
 """Seeds of the damages of a kind of file."""
 
-MANY = range(1000, 1700)
+MANY = range(1000, 1400)
 """Seeds of the slow test."""
 
 EXTRAS = {"film.mp4": "cv2", "log.parquet": "pyarrow", "env.yaml": "yaml"}

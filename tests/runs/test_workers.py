@@ -235,7 +235,7 @@ def test_kills_at_random_times_neither_lose_nor_duplicate_nor_cut_results(tmp_pa
     expected = contents(tmp_path / "whole")
     assert len(expected) == 15
     kills = between = 0
-    while kills < 100:
+    while kills < 40:
         folder = tmp_path / f"round-{kills}"
         exitcode = None
         while exitcode != 0:

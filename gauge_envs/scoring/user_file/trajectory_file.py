@@ -23,6 +23,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,9 @@ FILE_TOLERANCE_S = 5e-4
 
 TIME = "time_s"
 """Name of the column of times."""
+
+MAX_HEADER = 200
+"""Longest header of a file in an error [characters]."""
 
 LARGEST = 10**12
 """Largest value; larger ones are mistakes, and their squares overflow."""
@@ -235,7 +239,7 @@ def _column_names(
         wanted = _unit_of(name, experiment)
         if bracket and name in (TIME, *coordinates) and unit != wanted:
             raise TrajectoryFileError(
-                f"{file}: header: column {name} is in [{unit}], expected [{wanted}]"
+                f"{file}: header: column {name} is in [{unit:.20}], expected [{wanted}]"
             )
         names.append(name)
     columns = {name for name in names if name != TIME}
@@ -245,8 +249,9 @@ def _column_names(
         names = [name if name == TIME else next(in_order, "") for name in names]
     is_complete = {TIME, *names} == {TIME, *coordinates}
     if not is_complete or len(names) != len(set(names)):
+        titles = shorten(", ".join(header), MAX_HEADER, placeholder=" ...")
         raise TrajectoryFileError(
-            f"{file}: header: the columns are {', '.join(header)}; {_expected(experiment)}, "
+            f"{file}: header: the columns are {titles}; {_expected(experiment)}, "
             f"separated by commas, and {TIME} for the times"
         )
     return names
