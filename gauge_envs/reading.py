@@ -77,9 +77,9 @@ def _fault(error: Exception) -> tuple[str, str]:
     from pydantic import ValidationError
 
     if isinstance(error, ValidationError):
-        place, reason = map(_short, first_fault(error))
+        place, reason = map(one_line, first_fault(error))
         return place, reason
-    reason = _short(str(error))
+    reason = one_line(str(error))
     if isinstance(error, KeyError):
         return "", f"no {reason}"
     if isinstance(error, OSError | ValueError | GaugeError) and reason:
@@ -87,6 +87,6 @@ def _fault(error: Exception) -> tuple[str, str]:
     return "", f"it is damaged ({type(error).__name__}: {reason})"
 
 
-def _short(text: str) -> str:
+def one_line(text: str) -> str:
     """Return a text of a reader, which may quote a damaged file, on one line."""
     return printable(" ".join(text.split()))[:MAX_REASON]

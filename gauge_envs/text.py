@@ -3,12 +3,17 @@
 import codecs
 import io
 import json
+import re
 import tomllib
 from collections.abc import Callable
 from typing import Any
 
 MAX_DEPTH = 32
 """Deepest nesting of a document. Files of this package have up to 6 levels."""
+
+
+LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}""")
+"""A dotted key of TOML, which takes memory that grows with the square of its length."""
 
 
 def printable(text: str) -> str:
@@ -95,8 +100,11 @@ def toml_document(content: bytes) -> dict[str, Any]:
     Raises:
         ValueError: The content is not TOML, or nested too deeply.
     """
+    text = text_of(content)
+    if LONG_KEY.search(text):
+        raise ValueError(f"it has a key of more than {MAX_DEPTH} parts")
     try:
-        document: dict[str, Any] = _flat(tomllib.loads, text_of(content))
+        document: dict[str, Any] = _flat(tomllib.loads, text)
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"not a TOML file: {error}") from None
     return document

@@ -280,6 +280,15 @@ def csv_of(table):
     ).encode()
 
 
+def edited_result():
+    """Return a result whose scene is in the file."""
+    from gauge_envs.formats.usd import to_usd
+
+    to_usd(load_experiment(ID, {"cube.friction": 0.3}).scene, Path("edited.usda"))
+    result = run_episode(RunRequest(ID, asset="edited.usda"))
+    return json.dumps(result.to_dict()).encode()
+
+
 def own_json():
     jitter = {"position_m": 0.001}
     content = {"id": ID, "g": frames_of(ID).tolist(), "jitter": jitter}
@@ -425,6 +434,11 @@ def read_scored(file):
     json.dumps(result.to_dict())
 
 
+def read_scored_as_written(file):
+    """Score a result in the scene of the file."""
+    score_file(file)
+
+
 def read_own(file):
     """Read an experiment of a user with its band."""
     # A family belongs to one file in a process.
@@ -504,6 +518,8 @@ def a_result():
 TARGETS = {
     "results/result.json": (a_result, read_results),
     "scored/result.json": (a_result, read_scored),
+    "edited/result.json": (edited_result, read_results),
+    "edited/scored.json": (edited_result, read_scored_as_written),
     "swept/result.json": (a_result, read_swept),
     "g.json": (own_json, read_scored),
     "g.npz": (lambda: packed(g=frames_of(ID), time_s=np.arange(19) / 30), read_scored),

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from gauge_envs.errors import ResultFileError, UnknownNameError
+from gauge_envs.errors import AssetError, ResultFileError, UnknownNameError
 from gauge_envs.experiments.experiment import (
     Asset,
     AssetKind,
@@ -232,7 +232,13 @@ def recorded_experiment(result: Result) -> Experiment:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "scene.usda"
         path.write_text(record["scene"], encoding="utf-8")
-        scene = read_usd(path).scene
+        try:
+            scene = read_usd(path).scene
+        except AssetError as error:
+            reason = error.reason.replace(str(path), "line")
+            raise ResultFileError(
+                f"{result.id}: the scene of the result: {reason}"
+            ) from error
     experiment = load_experiment(result.id, reference=result.dataset["reference"])
     asset = Asset(
         path=Path(record["file"]),

@@ -186,7 +186,8 @@ def _experiment_of_file(
                 f"{file}: the result lacks its scene, which was the edited file {result.asset['file']}: run it again "
                 "with --asset to score it"
             )
-        return recorded_experiment(result)
+        with faults_of(file, TrajectoryFileError):
+            return recorded_experiment(result)
     name = variant or origin.id
     if name is None:
         raise TrajectoryFileError(
