@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Self
 
 from gauge_envs.names import nearest
 
 
 class GaugeError(Exception):
     """Base of all errors of gauge-envs; the command line prints them without a traceback."""
+
+    @classmethod
+    def in_file(cls, file: Path | str, place: str | int | None, reason: str) -> Self:
+        """Return the error of a file; see `FileError` for the arguments."""
+        where = f"line {place}" if isinstance(place, int) else place
+        return cls(": ".join(part for part in (str(file), where, reason) if part))
 
 
 class ShapeError(GaugeError, ValueError):
@@ -35,11 +42,15 @@ class FileError(GaugeError, ValueError):
     """
 
     def __init__(self, file: Path | str, place: str | int | None, reason: str) -> None:
-        where = f"line {place}" if isinstance(place, int) else place
-        super().__init__(": ".join(part for part in (str(file), where, reason) if part))
+        super().__init__(str(GaugeError.in_file(file, place, reason)))
         self.file = Path(file)
         self.place = place
         self.reason = reason
+
+    @classmethod
+    def in_file(cls, file: Path | str, place: str | int | None, reason: str) -> Self:
+        """Return the error of a file."""
+        return cls(file, place, reason)
 
 
 class AssetError(FileError):

@@ -3,8 +3,17 @@
 import codecs
 import io
 import json
+import re
 import tomllib
+from collections.abc import Callable
 from typing import Any
+
+MAX_DEPTH = 32
+"""Deepest nesting of a document. Files of this package have up to 6 levels."""
+
+
+LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}""")
+"""A dotted key of TOML, which takes memory that grows with the square of its length."""
 
 
 def printable(text: str) -> str:
@@ -32,18 +41,50 @@ def json_document(content: bytes) -> Any:
     """Return the value of a JSON document; see `text_of` for the encoding.
 
     Raises:
-        ValueError: The content is not JSON.
+        ValueError: The content is empty, not JSON, or nested too deeply.
     """
-    return json.loads(text_of(content))
+    return _flat(json.loads, filled_text(content))
+
+
+def filled_text(content: bytes) -> str:
+    """Return text that is not empty; see `text_of`.
+
+    Raises:
+        ValueError: The content is empty or no text.
+    """
+    text = text_of(content)
+    if not text.strip():
+        raise ValueError("it is empty")
+    return text
+
+
+def _flat(parse: Callable[[str], Any], text: str) -> Any:
+    """Return a parsed document whose nesting no later function can fail on."""
+    deep = ValueError(f"it is nested more than {MAX_DEPTH} levels deep")
+    try:
+        value = parse(text)
+    except RecursionError:
+        raise deep from None
+    level = [value]
+    for _ in range(MAX_DEPTH):
+        level = [
+            entry
+            for parent in level
+            if isinstance(parent, dict | list)
+            for entry in (parent.values() if isinstance(parent, dict) else parent)
+        ]
+    if level:
+        raise deep
+    return value
 
 
 def csv_text(content: bytes) -> io.StringIO:
     """Return CSV with commas; the file may have semicolons, tabs or spaces, and decimal commas with the first two.
 
     Raises:
-        ValueError: The content is not text.
+        ValueError: The content is empty or no text.
     """
-    text = text_of(content)
+    text = filled_text(content)
     header = next((line for line in text.splitlines() if not line.startswith("#")), "")
     separator = next((mark for mark in ";\t" if mark in header), None)
     if separator is not None:
@@ -57,6 +98,13 @@ def toml_document(content: bytes) -> dict[str, Any]:
     """Return the tables of a TOML document; see `text_of` for the encoding.
 
     Raises:
-        ValueError: The content is not TOML.
+        ValueError: The content is not TOML, or nested too deeply.
     """
-    return tomllib.loads(text_of(content))
+    text = text_of(content)
+    if LONG_KEY.search(text):
+        raise ValueError(f"it has a key of more than {MAX_DEPTH} parts")
+    try:
+        document: dict[str, Any] = _flat(tomllib.loads, text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"not a TOML file: {error}") from None
+    return document

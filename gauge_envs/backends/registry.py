@@ -77,6 +77,13 @@ def backend_class(name: str) -> type[Backend]:
     return Backend
 
 
+def shares_worlds(name: str) -> bool:
+    """Return whether a backend advances the worlds of `build_worlds` together, in one simulation."""
+    kind = backend_class(name)
+    is_batched = kind.build_worlds is not Backend.build_worlds
+    return kind.worlds_share_simulation and is_batched
+
+
 def uninstalled_backend(name: str) -> Backend:
     """Return a backend of this package that answers `supports` and `resolved_settings` without its engine.
 

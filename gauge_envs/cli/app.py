@@ -26,8 +26,8 @@ from gauge_envs.cli.output import (
     quieted,
 )
 from gauge_envs.cli.streams import reserved_stdout
-from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
-from gauge_envs.files import is_pipe, path_exists
+from gauge_envs.errors import GaugeError, UnknownNameError
+from gauge_envs.files import path_exists
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Errors of a full or broken disk."""
@@ -156,19 +156,6 @@ def _split_lists(command: Any, values: dict[str, Any]) -> None:
             ]
 
 
-def _reject_pipes(values: dict[str, Any]) -> None:
-    """Raise an error for a named pipe among the values, because reading it would wait for a writer.
-
-    Args:
-        values: Values by the names of the parameters.
-    """
-    for value in values.values():
-        parts = value if isinstance(value, list | tuple) else [value]
-        for part in parts:
-            if isinstance(part, str | Path) and is_pipe(part):
-                raise ParameterError(f"{part} is a pipe: give a file")
-
-
 def _separated(value: str | Path, metavar: str) -> list[str | Path]:
     """Return the parts of a value between commas; the name of an existing file stays whole."""
     if path_exists(value):
@@ -183,7 +170,6 @@ class _ExitingCommand(typer.core.TyperCommand):
     """
 
     def invoke(self, ctx: Any) -> Any:
-        _reject_pipes(ctx.params)
         _split_lists(self, ctx.params)
         with reserved_stdout():
             try:

@@ -106,7 +106,7 @@ BUNDLED_COMMANDS = {
     "data import": CommandInfo(
         "Import real trials as bands and prescribed motions, and compare them with published baselines; offline."
     ),
-    "list references": CommandInfo(version=3),
+    "list references": CommandInfo(version=4),
     "data scenes": CommandInfo(
         "Write every scene as USD and MJCF, and every solid as OBJ.", extra="usd"
     ),

@@ -10,6 +10,7 @@ import gymnasium
 
 from gauge_envs.backends.registry import versions_of
 from gauge_envs.envs.arguments import EnvArguments, checked_action
+from gauge_envs.envs.guards import GuardedEnv, one_thread
 from gauge_envs.envs.initial_states import InitialStates, Scatter
 from gauge_envs.envs.pictures import (
     RENDER_MODES,
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from gauge_envs.scoring.score import Score
 
 
-class GaugeEnv(gymnasium.Env[Observation, Any]):
+class GaugeEnv(GuardedEnv, gymnasium.Env[Observation, Any]):
     """One experiment of the GAUGE benchmark.
 
     An episode starts from the motion-capture initial state and has the published number of frames. `reset` returns
@@ -98,7 +99,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         versions: Versions of the engine's packages.
 
     Raises:
-        UnknownNameError: No such variant or backend.
+        UnknownNameError: No such variant, backend or argument.
         ParameterError: A parameter or setting does not exist or is out of range.
         UnsupportedSceneError: The backend cannot build the scene.
         AssetError: The asset cannot be used.
@@ -170,6 +171,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         """Reference of the rewards and the score of the episode, or None."""
         return self.references.bands[0]
 
+    @one_thread
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -202,6 +204,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         self._show()
         return self._observation(), self._info()
 
+    @one_thread
     def step(
         self, action: Any
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -230,6 +233,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
     def _info(self) -> dict[str, Any]:
         return {**self.rollout.info(0), "reference": self.references.kind(0)}
 
+    @one_thread
     def trajectory(self) -> Trajectory:
         """Return the recorded motion of the current episode so far.
 
@@ -240,6 +244,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             raise EpisodeError(f"{self.experiment.id}: no trajectory before reset")
         return self.rollout.recording.trajectory()
 
+    @one_thread
     def score(self) -> Score | None:
         """Return the score of the episode, or None before it is over.
 
@@ -250,6 +255,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             return None
         return self.references.score()
 
+    @one_thread
     def render(self) -> Rendered | None:
         """Return a picture of the scene in the form of the render mode; None without a mode and with a window.
 
@@ -262,6 +268,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         self._check_started("render")
         return rollout_picture(self._pictures, self.rollout, self.references.bands)
 
+    @one_thread
     def close(self) -> None:
         """Free the simulation and the renderer. A second call does nothing."""
         if not self._is_closed:

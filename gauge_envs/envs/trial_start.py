@@ -10,8 +10,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.imported import START_FRAMES, ImportedVariant, load_imported
-from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
-from gauge_envs.references.user_data import DataSource
+from gauge_envs.references.tables import FileModel, read_toml
 from gauge_envs.scene import Hinge, RigidBody, Sphere, Tether
 from gauge_envs.scene.contact_faces import blocked_directions
 from gauge_envs.scene.drivers import Driver
@@ -20,6 +19,7 @@ from gauge_envs.scene.jitter import across, rotate
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.states import nominal_states, row_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.reference import driven_trials_file
 
 DIFFERENCE_PER_FRAME = (-1.5, 2.0, -0.5)
 """Weights of the first three frames in the initial velocity, exact for a constant acceleration."""
@@ -45,12 +45,8 @@ class DrivenTrial(NamedTuple):
 
 def driven_trial(experiment: Experiment, trial: int) -> DrivenTrial | None:
     """Return initial states and driven paths of a bundled trial; None if the experiment has no such trials."""
-    file = scoring_folder("trials") / f"{experiment.name}.toml"
-    is_imported = DataSource.IMPORTED in (
-        experiment.drivers,
-        experiment.reference_source,
-    )
-    if experiment.edited or is_imported or not file.is_file():
+    file = driven_trials_file(experiment)
+    if file is None:
         return None
     known = read_toml(file, _DrivenTrials)
     scene = experiment.scene

@@ -29,6 +29,7 @@ from gauge_envs.envs.arguments import (
     checked_action,
     warn_before_use,
 )
+from gauge_envs.envs.guards import GuardedEnv, one_thread
 from gauge_envs.envs.initial_states import InitialStates, Scatter
 from gauge_envs.envs.pictures import WORLDS_RENDER_MODES, Pictures, rollout_picture
 from gauge_envs.envs.spaces import (
@@ -55,7 +56,7 @@ Step = tuple[
 ]
 
 
-class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
+class GaugeVectorEnv(GuardedEnv, VectorEnv[Observation, Any, NDArray[Any]]):
     """Synchronous worlds of one experiment on one backend, which may simulate them in a batch.
 
     Each world behaves as a `GaugeEnv`. Spaces, rewards and `infos` have the form of `gymnasium.vector.SyncVectorEnv`.
@@ -188,6 +189,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
 
+    @one_thread
     def reset(
         self,
         *,
@@ -235,6 +237,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
             )
         return list(seed)
 
+    @one_thread
     def step(self, actions: Any) -> Step:
         """Simulate one frame, 1/30 s, in every world; if all have ended, start the next episode of all instead.
 
@@ -292,6 +295,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
                 infos[f"_{key}"][members] = True
         return infos
 
+    @one_thread
     def scores(self) -> tuple[Score | None, ...]:
         """Return the score of each world's episode, None before its end; see `GaugeEnv.score`."""
         is_over = self.rollout.is_over
@@ -300,6 +304,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
             for world in range(self.num_envs)
         )
 
+    @one_thread
     def score_arrays(self) -> dict[str, FloatArray]:
         """Return the scores of all worlds in one pass over their trajectories, as arrays of shape [num_envs].
 
@@ -313,6 +318,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
             )
         return self.references.score_arrays()
 
+    @one_thread
     def render(self) -> tuple[Any, ...] | None:
         """Return a picture of each world in the form of the render mode, or None without one."""
         if self.render_mode is None:
@@ -323,6 +329,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
             for world in range(self.num_envs)
         )
 
+    @one_thread
     def close_extras(self, **_: Any) -> None:
         """Free the worlds and the renderer."""
         self._pictures.close()

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 
 from gauge_envs.errors import AssetError
 from gauge_envs.experiments.experiment import Asset, AssetKind, Experiment
-from gauge_envs.files import os_errors
 from gauge_envs.formats import USD_SUFFIXES
 from gauge_envs.names import first_names
 from gauge_envs.optional import needs_extra
+from gauge_envs.reading import reading
 from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.scene import Motion
 from gauge_envs.scene.diff import Change, scene_changes
@@ -78,8 +78,8 @@ def with_asset(experiment: Experiment, path: Path) -> Experiment:
 
 
 def _digest(path: Path) -> bytes:
-    with os_errors(lambda cause: AssetError(path, "", f"cannot be read: {cause}")):
-        return hashlib.sha256(path.read_bytes()).digest()
+    with reading(path, AssetError) as content:
+        return hashlib.sha256(content).digest()
 
 
 def _scene_of_file(experiment: Experiment, path: Path) -> UsdScene:

@@ -2,13 +2,11 @@
 
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from gauge_envs.errors import TaskFileError
 from gauge_envs.experiments.scene_builder import SceneBuilder
 from gauge_envs.experiments.task_format import TaskSpec
+from gauge_envs.reading import faults_of, reading
 from gauge_envs.text import toml_document
-from gauge_envs.validation import first_fault
 
 
 def load_task(path: Path) -> TaskSpec:
@@ -19,22 +17,13 @@ def load_task(path: Path) -> TaskSpec:
             variant lacks a placement, a constant or a number of frames.
     """
     spec = read_task(path)
-    for variant in spec.variants():
-        try:
+    with faults_of(path, TaskFileError):
+        for variant in spec.variants():
             SceneBuilder(spec, variant, {}).build()
-        except ValueError as error:
-            raise TaskFileError(path, None, str(error)) from error
     return spec
 
 
 def read_task(path: Path) -> TaskSpec:
     """Read one task file without building its scenes."""
-    try:
-        return TaskSpec.model_validate(toml_document(path.read_bytes()))
-    except OSError as error:
-        reason = f"cannot be read: {error.strerror or error}"
-        raise TaskFileError(path, None, reason) from error
-    except ValidationError as error:
-        raise TaskFileError(path, *first_fault(error)) from error
-    except ValueError as error:
-        raise TaskFileError(path, None, str(error)) from error
+    with reading(path, TaskFileError) as content:
+        return TaskSpec.model_validate(toml_document(content))

@@ -1,8 +1,9 @@
 """Bands: the reference motion of each experiment, with its scatter and its uncertainty.
 
 `scoring/bands/<id>.toml` describes a reference, and `<id>.npz` has its arrays; `scoring/README.md` explains both.
-`gauge data import` writes the same pair for imported trials in the folder of the user. A user's task file may have the
-pair `<id>.band.toml` and `<id>.band.npz` next to it.
+A user's task file may have the pair `<id>.band.toml` and `<id>.band.npz` next to it. `gauge data import` writes one
+file `<id>.npz` in the folder of the user, with the description in the array `ABOUT`. An archive has a checksum of each
+array.
 """
 
 from __future__ import annotations
@@ -20,22 +21,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from gauge_envs.errors import ShapeError
+from gauge_envs.errors import ReferenceFileError, ShapeError
 from gauge_envs.files import npz_arrays
+from gauge_envs.reading import reading
 from gauge_envs.references.kind import Kind
-from gauge_envs.references.tables import (
-    FileModel,
-    faults_of,
-    read_content,
-    scoring_folder,
-)
+from gauge_envs.references.tables import FileModel, scoring_folder
 from gauge_envs.references.user_data import (
     DataSource,
+    imported_file,
     own_band_file,
-    trials_folder,
 )
 from gauge_envs.scene.geometry import BoolArray, FloatArray
-from gauge_envs.text import toml_document
+from gauge_envs.text import json_document, toml_document
 
 MARKER_SIGMA_MM = 1.0
 """Smallest scale of a marker's distance in a reward [mm]; chosen, because no scatter of markers is published."""
@@ -43,18 +40,27 @@ MARKER_SIGMA_MM = 1.0
 MAX_TEXT = 80
 """Longest list of coordinates, and longest source, in the text of a band."""
 
-ARRAYS = (
-    "projection",
-    "mean",
-    "sigma",
-    "uncertainty",
-    "measured",
-    "trials",
-    "trial_rmse",
-    "trial_rmse_aligned",
-    "baselines_without",
-)
-"""Arrays of a band; `projection`, `uncertainty`, `measured` and those of trials may be absent."""
+AXES = {
+    "projection": "CD",
+    "mean": "TC",
+    "sigma": "TC",
+    "uncertainty": "TC",
+    "measured": "T",
+    "trials": "NTC",
+    "trial_rmse": "N",
+    "trial_rmse_aligned": "N",
+    "baselines_without": "N",
+}
+"""Axes of the arrays of a band: frames T, coordinates C, coordinates of g(t) D and trials N.
+
+`projection`, `uncertainty`, `measured` and those of trials may be absent.
+"""
+
+ARRAYS = tuple(AXES)
+"""Arrays of a band."""
+
+ABOUT = "about"
+"""Array of an import with its `BandFile`: JSON in UTF-8, as bytes."""
 
 FILE_FIELDS = (
     "unit",
@@ -101,7 +107,7 @@ class RecordedEvent(FileModel):
 
 
 class BandFile(FileModel):
-    """The file `<id>.toml` of a reference.
+    """The description of a reference, such as its file `<id>.toml`.
 
     Attributes:
         kind: What the reference motion is; `none` for events alone.
@@ -193,13 +199,17 @@ class Band:
                 values = np.array(given, dtype=bool if name == "measured" else float)
                 values.setflags(write=False)
                 object.__setattr__(self, name, values)
-        shape = (len(self.mean), len(self.coordinates))
-        for name in ("mean", "sigma", "uncertainty", "trials"):
+        sizes = {"C": len(self.coordinates)}
+        for name, axes in AXES.items():
             values = getattr(self, name)
-            # The first axis of `trials` is the trial.
-            if values is not None and values.shape[-2:] != shape:
+            if values is None:
+                continue
+            found = dict(zip(axes, values.shape, strict=False))
+            sizes = found | sizes
+            expected = tuple(sizes.get(axis) for axis in axes)
+            if values.shape != expected:
                 raise ShapeError(
-                    f"{name} has shape {values.shape}, expected {shape} for frames and coordinates"
+                    f"{name} has shape {values.shape}, expected {axes} = {expected}: frames T, coordinates C, trials N"
                 )
 
     def __repr__(self) -> str:
@@ -311,14 +321,13 @@ class Band:
 
 
 def band_file(variant: str, source: DataSource = DataSource.BUNDLED) -> Path | None:
-    """Return the TOML file of the reference of a variant; None without one.
+    """Return the file that describes the reference of a variant; None without one.
 
     The first file that exists counts: of the package, next to the user's task file, of imported trials. With
     `source=imported` the order is reversed.
     """
     bundled = scoring_folder("bands") / f"{variant}.toml"
-    imported = trials_folder() / f"{variant}.toml"
-    files = [bundled, own_band_file(variant), imported]
+    files = [bundled, own_band_file(variant), imported_file(variant)]
     if source is DataSource.IMPORTED:
         files.reverse()
     return next((file for file in files if file is not None and file.is_file()), None)
@@ -339,26 +348,35 @@ def load_band(variant: str, source: DataSource = DataSource.BUNDLED) -> Band | N
 
 
 def read_band_file(file: Path) -> BandFile:
-    """Return the content of the TOML file of a reference."""
+    """Return the description in a file of `band_file`."""
     return _read_band_file(file, file.stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=256)
 def _read_band_file(file: Path, modified_ns: int) -> BandFile:
     """Return the content of a file; its time distinguishes versions in the cache."""
-    with faults_of(file):
-        return BandFile.model_validate(toml_document(read_content(file)))
+    with reading(file, ReferenceFileError, hint=renewal(file)) as content:
+        if file.suffix == ".toml":
+            return BandFile.model_validate(toml_document(content))
+        about = npz_arrays(content, [ABOUT])[ABOUT]
+        return BandFile.model_validate(json_document(about.tobytes()))
+
+
+def renewal(file: Path) -> str:
+    """Return the command that renews a damaged file of a reference; empty if it is no import."""
+    is_import = file.suffix == ".npz" and file == imported_file(file.stem)
+    return f"gauge data import DIR {file.stem} renews it" if is_import else ""
 
 
 @lru_cache(maxsize=128)
 def _read_band(file: Path, modified_ns: int) -> Band | None:
-    """Return the band of a TOML file and its NPZ file."""
+    """Return the band of a file of `band_file`, and of the NPZ file of its name."""
     content = read_band_file(file)
     if Kind(content.kind) is Kind.NONE:
         return None
     arrays_file = file.with_suffix(".npz")
-    with faults_of(arrays_file):
-        arrays = npz_arrays(read_content(arrays_file), (*ARRAYS, *MARKER_ARRAYS))
+    with reading(arrays_file, ReferenceFileError, hint=renewal(file)) as packed:
+        arrays = npz_arrays(packed, (*ARRAYS, *MARKER_ARRAYS))
         arrays.setdefault("projection", np.eye(len(content.coordinates)))
         arrays.setdefault("measured", np.isfinite(arrays["mean"]).all(axis=1))
         facts: dict[str, Any] = {name: getattr(content, name) for name in FILE_FIELDS}

@@ -1,7 +1,7 @@
 """Imported trials: the reference of each variant, its driven motion and its initial states, in the user's folder.
 
-An import is a reference like the bundled ones, `<variant>.toml` and `<variant>.npz`. The TOML file also has the origin
-of the trials. The NPZ file also has the recorded motion of driven bodies and initial orientations. The environment
+An import is one file `<variant>.npz`, so an interrupted import leaves the earlier one. It has the arrays of a band, the
+recorded motion of driven bodies, initial orientations, and a description with the origin of the trials. The environment
 variable `GAUGE_DATA_DIR` sets the folder. The default is the platform's folder for user data, on Linux
 `$XDG_DATA_HOME/gauge-envs` or `~/.local/share/gauge-envs`.
 """
@@ -17,15 +17,24 @@ import numpy as np
 
 from gauge_envs.errors import DatasetError, ReferenceFileError
 from gauge_envs.files import npz_arrays, os_errors, write_whole
-from gauge_envs.references.band import ARRAYS, Band, load_band, read_band_file
-from gauge_envs.references.tables import FileModel, faults_of, read_content
-from gauge_envs.references.user_data import DataSource, trials_folder
+from gauge_envs.reading import reading
+from gauge_envs.references.band import (
+    ABOUT,
+    ARRAYS,
+    Band,
+    load_band,
+    read_band_file,
+    renewal,
+)
+from gauge_envs.references.tables import FileModel
+from gauge_envs.references.user_data import DataSource, imported_file
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 WRITTEN_FIELDS = (
+    "kind",
     "unit",
     "coordinates",
     "trial_count",
@@ -34,7 +43,7 @@ WRITTEN_FIELDS = (
     "standard_uncertainty",
     "zero_motion_distance",
 )
-"""Attributes of a band in its TOML file."""
+"""Attributes of a band in the description of its import."""
 
 START_FRAMES = 3
 """Number of first frames from which the initial velocities of a trial are computed."""
@@ -152,56 +161,43 @@ def write_imported(
     arrays = {name: getattr(band, name) for name in ARRAYS}
     arrays |= {f"driver.{body}": values for body, values in drivers.items()}
     arrays["start_quaternions"] = start_quaternions
+    about = {name: getattr(band, name) for name in WRITTEN_FIELDS}
+    about["imported"] = facts.model_dump()
+    arrays[ABOUT] = np.frombuffer(json.dumps(about).encode(), np.uint8)
     stream = io.BytesIO()
     np.savez_compressed(
         stream,
         **{name: values for name, values in arrays.items() if values is not None},
     )
-    # JSON texts, numbers and lists are valid TOML. A JSON string holds the nested facts.
-    lines = [f"kind = {json.dumps(band.kind.value)}"]
-    for name in WRITTEN_FIELDS:
-        value = getattr(band, name)
-        if value is not None:
-            lines.append(f"{name} = {json.dumps(value)}")
-    lines += ["", "[imported]", f"facts = {json.dumps(facts.model_dump_json())}"]
-    folder = trials_folder()
-    with os_errors(
-        lambda cause: DatasetError(
-            f"{folder}: {facts.variant} cannot be written: {cause}"
-        )
-    ):
-        folder.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / f"{facts.variant}.npz", stream.getvalue())
-        text = "\n".join(lines) + "\n"
-        write_whole(folder / f"{facts.variant}.toml", text.encode())
+    file = imported_file(facts.variant)
+    with os_errors(lambda cause: DatasetError(f"{file}: cannot be written: {cause}")):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(file, stream.getvalue())
 
 
 def load_imported(variant: str) -> ImportedVariant | None:
     """Return the import of a variant, or None.
 
     Raises:
-        ReferenceFileError: A file is damaged; `gauge data import` renews it.
+        ReferenceFileError: The file is damaged; the message has the command that renews it.
     """
-    file = trials_folder() / f"{variant}.toml"
-    if not file.is_file():
-        return None
-    content = read_band_file(file)
+    file = imported_file(variant)
     band = load_band(variant, DataSource.IMPORTED)
-    if band is None or "facts" not in content.imported:
-        raise ReferenceFileError(file, "imported", "gauge data import renews it")
-    with faults_of(file):
-        facts = ImportFacts.model_validate_json(content.imported["facts"])
-    arrays_file = file.with_suffix(".npz")
-    bodies = [driver.body for driver in facts.drivers]
-    names = [f"driver.{body}" for body in bodies]
-    with faults_of(arrays_file):
-        arrays = npz_arrays(read_content(arrays_file), (*names, "start_quaternions"))
-    return ImportedVariant(
-        facts=facts,
-        band=band,
-        driver_values={body: arrays[f"driver.{body}"] for body in bodies},
-        start_quaternions=arrays.get("start_quaternions"),
-    )
+    if band is None or not file.is_file():
+        return None
+    with reading(file, ReferenceFileError, hint=renewal(file)) as content:
+        facts = ImportFacts.model_validate(read_band_file(file).imported)
+        if facts.variant != variant:
+            raise ValueError(f"it is the import of {facts.variant}")
+        bodies = [driver.body for driver in facts.drivers]
+        names = [f"driver.{body}" for body in bodies]
+        arrays = npz_arrays(content, (*names, "start_quaternions"))
+        return ImportedVariant(
+            facts=facts,
+            band=band,
+            driver_values={body: arrays[f"driver.{body}"] for body in bodies},
+            start_quaternions=arrays.get("start_quaternions"),
+        )
 
 
 def recorded_drivers(variant: str, bundled: tuple[Driver, ...]) -> tuple[Driver, ...]:
@@ -225,11 +221,12 @@ def recorded_drivers(variant: str, bundled: tuple[Driver, ...]) -> tuple[Driver,
         elif values.shape[1:] == (len(driver.motions),):
             drivers.append(_recorded(driver, values))
         else:
+            file = imported_file(variant)
             raise ReferenceFileError(
-                trials_folder() / f"{variant}.npz",
+                file,
                 None,
                 f"the driver of {driver.body} has {len(driver.motions)} motions, the import has {values.shape[-1]}; "
-                "gauge data import renews it",
+                f"{renewal(file)}",
             )
     return tuple(drivers)
 

@@ -1,8 +1,6 @@
 """Read the CSV, TOML and JSON files of reference data; a pydantic model checks each row and table."""
 
 import csv
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Annotated, TypeVar
@@ -11,14 +9,13 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
-    ValidationError,
 )
 
 from gauge_envs.errors import ReferenceFileError
-from gauge_envs.files import data_folder, os_errors
+from gauge_envs.files import data_folder
+from gauge_envs.reading import reading
 from gauge_envs.scene.geometry import Vector, length_of
 from gauge_envs.text import csv_text, toml_document
-from gauge_envs.validation import first_fault
 
 
 def _unit(axis: Vector) -> Vector:
@@ -47,40 +44,19 @@ def scoring_folder(name: str) -> Path:
     return data_folder("scoring") / name
 
 
-def read_content(file: Path) -> bytes:
-    """Return the content of a file of reference data."""
-    with os_errors(
-        lambda cause: ReferenceFileError(file, None, f"cannot be read: {cause}")
-    ):
-        return file.read_bytes()
-
-
-@contextmanager
-def faults_of(file: Path) -> Iterator[None]:
-    """Turn an error of pydantic, or another ValueError, into an error with the file and the reason."""
-    try:
-        yield
-    except ValidationError as error:
-        reason = ": ".join(filter(None, first_fault(error)))
-        raise ReferenceFileError(file, None, reason) from None
-    except ReferenceFileError:
-        raise
-    except ValueError as error:
-        raise ReferenceFileError(file, None, str(error)) from None
-
-
 @cache
 def read_toml(file: Path, model: type[Model]) -> Model:
     """Read a TOML file, once."""
-    with faults_of(file):
-        return model.model_validate(toml_document(read_content(file)))
+    with reading(file, ReferenceFileError) as content:
+        return model.model_validate(toml_document(content))
 
 
 def read_rows(file: Path, model: type[Model]) -> list[Model]:
     """Return the rows of a bundled CSV file as models; columns are fields, and an empty cell is None."""
-    lines = csv_text(read_content(file))
-    rows = csv.DictReader(line for line in lines if not line.startswith("#"))
-    return [
-        model.model_validate({name: cell or None for name, cell in row.items()})
-        for row in rows
-    ]
+    with reading(file, ReferenceFileError) as content:
+        lines = csv_text(content)
+        rows = csv.DictReader(line for line in lines if not line.startswith("#"))
+        return [
+            model.model_validate({name: cell or None for name, cell in row.items()})
+            for row in rows
+        ]

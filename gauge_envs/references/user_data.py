@@ -7,6 +7,7 @@ from pathlib import Path
 
 from gauge_envs.errors import DatasetError
 from gauge_envs.files import is_folder
+from gauge_envs.reading import content_of
 from gauge_envs.text import toml_document
 
 OWN_TASKS = "GAUGE_TASKS"
@@ -46,14 +47,14 @@ def user_data_folder() -> Path:
         ) from None
 
 
-def trials_folder() -> Path:
-    """Return the folder of imported trials, which need not exist."""
-    return user_data_folder() / "trials"
+def imported_file(variant: str) -> Path:
+    """Return the file of the imported trials of a variant, which need not exist."""
+    return user_data_folder() / "trials" / f"{variant}.npz"
 
 
 def has_import(variant: str) -> bool:
     """Return whether trials of a variant were imported, without reading them."""
-    return (trials_folder() / f"{variant}.toml").is_file()
+    return imported_file(variant).is_file()
 
 
 def own_task_files() -> tuple[Path, ...]:
@@ -71,7 +72,7 @@ def own_task_files() -> tuple[Path, ...]:
 def _is_task_file(path: Path) -> bool:
     """Return whether a TOML file is a task file; its folder may have other TOML files."""
     with suppress(OSError, ValueError):
-        return "family" in toml_document(path.read_bytes())
+        return "family" in toml_document(content_of(path))
     return False
 
 

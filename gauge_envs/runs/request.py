@@ -1,6 +1,10 @@
 """The request of a run: one experiment on one engine, once or with repeats."""
 
+from collections.abc import Container
 from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
 
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.errors import ParameterError
@@ -62,6 +66,21 @@ class RunRequest(EnvArguments):
         experiment = self.published_experiment()
         is_nominal = shots_of(experiment) or not can_scatter(experiment.scene)
         return None if is_nominal else Jitter()
+
+    def parts(self, done: Container[int], *, together: bool) -> list[Self]:
+        """Return requests of the episodes that are not done.
+
+        Args:
+            done: Seeds of the episodes that are done.
+            together: Whether consecutive seeds are one request; False gives each seed its own.
+        """
+        seeds = np.array([seed for seed in self.seeds if seed not in done])
+        splits = np.flatnonzero(np.diff(seeds) > int(together)) + 1
+        return [
+            replace(self, seed=int(part[0]), repeats=len(part))
+            for part in np.split(seeds, splits)
+            if part.size
+        ]
 
     def published_experiment(self) -> Experiment:
         """Load the experiment with published parameters; it exists even if the parameters are wrong."""

@@ -13,9 +13,9 @@ from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from gauge_envs.errors import ResultFileError, UnknownNameError
+from gauge_envs.errors import AssetError, ResultFileError, UnknownNameError
 from gauge_envs.experiments.experiment import (
     Asset,
     AssetKind,
@@ -27,6 +27,7 @@ from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import os_errors, write_whole
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.optional import needs_extra
+from gauge_envs.reading import reading
 from gauge_envs.references.imported import dataset_record
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.user_data import BUNDLED_DATA, OWN_TASKS, DataSource
@@ -34,7 +35,6 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scoring.user_file.trajectory_file import LARGEST
 from gauge_envs.text import json_document
-from gauge_envs.validation import first_fault
 
 
 def result_file_name(result: Result) -> str:
@@ -82,35 +82,25 @@ def write_result(result: Result, file: Path) -> None:
 
 def load_result(file: Path) -> Result:
     """Read a result file."""
-    with os_errors(lambda cause: ResultFileError(f"{file}: cannot be read: {cause}")):
-        text = file.read_bytes()
-    return parse_result(text, str(file))
+    with reading(file, ResultFileError, "a result file") as text:
+        return parse_result(text)
 
 
-def parse_result(text: bytes, name: str) -> Result:
+def parse_result(text: bytes) -> Result:
     """Return the result in the content of a result file.
 
-    Args:
-        text: Content of the file.
-        name: Its name in messages.
+    Raises:
+        ValueError: The content is not a result.
     """
-    try:
-        content = json_document(text)
-        if not isinstance(content, dict):
-            raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
-        for key in fields(Result):
-            if key.name not in content:
-                raise ValueError(f"no {key.name!r}")
-        result = _result_adapter().validate_python(content)
-        _check(result)
-        _check_trajectory(result)
-    except ValidationError as error:
-        place, reason = first_fault(error)
-        raise ResultFileError(
-            f"{name}: not a result file: {place}: {reason}"
-        ) from error
-    except (ValueError, UnknownNameError) as error:
-        raise ResultFileError(f"{name}: not a result file: {error}") from error
+    content = json_document(text)
+    if not isinstance(content, dict):
+        raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
+    for key in fields(Result):
+        if key.name not in content:
+            raise ValueError(f"no {key.name!r}")
+    result = _result_adapter().validate_python(content)
+    _check(result)
+    _check_trajectory(result)
     return result
 
 
@@ -242,7 +232,13 @@ def recorded_experiment(result: Result) -> Experiment:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "scene.usda"
         path.write_text(record["scene"], encoding="utf-8")
-        scene = read_usd(path).scene
+        try:
+            scene = read_usd(path).scene
+        except AssetError as error:
+            reason = error.reason.replace(str(path), "line")
+            raise ResultFileError(
+                f"{result.id}: the scene of the result: {reason}"
+            ) from error
     experiment = load_experiment(result.id, reference=result.dataset["reference"])
     asset = Asset(
         path=Path(record["file"]),

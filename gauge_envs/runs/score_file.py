@@ -10,6 +10,7 @@ from gauge_envs.experiments.resolve import load_experiment, shots_of, with_trial
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import json_ready
+from gauge_envs.reading import faults_of
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.user_data import DataSource
@@ -190,7 +191,8 @@ def _experiment_of_file(
                 f"{file}: the result lacks its scene, which was the edited file {result.asset['file']}: run it again "
                 "with --asset to score it"
             )
-        return recorded_experiment(result)
+        with faults_of(file, TrajectoryFileError):
+            return recorded_experiment(result)
     name = variant or origin.id
     if name is None:
         raise TrajectoryFileError(
@@ -199,14 +201,13 @@ def _experiment_of_file(
     if parameters is None:
         known = isinstance(origin.parameters, str | dict) and not origin.has_asset
         parameters = origin.parameters if known else "published"
-    experiment = load_experiment(name, parameters, reference=reference)
-    file_id = (
-        origin.id
-        if origin.id is None or origin.has_asset
-        else find_variant(origin.id).id
-    )
-    if file_id is not None and file_id != experiment.id:
-        raise TrajectoryFileError(
-            f"{file}: the id in the file is {origin.id!r}, not {experiment.id}"
-        )
-    return experiment
+    if origin.id is None:
+        return load_experiment(name, parameters, reference=reference)
+    with faults_of(file, TrajectoryFileError):
+        experiment = load_experiment(name, parameters, reference=reference)
+        file_id = origin.id if origin.has_asset else find_variant(origin.id).id
+        if file_id != experiment.id:
+            raise ValueError(
+                f"the id in the file is {origin.id!r}, not {experiment.id}"
+            )
+        return experiment

@@ -17,6 +17,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
@@ -40,6 +41,9 @@ END_S = 10.0
 
 GRACE_S = 10.0
 """Time after the limit of a call at which a process ends itself if the program is gone [s]."""
+
+PARENT_INTERVAL_S = 0.5
+"""Time between two checks whether the program is gone [s]."""
 
 Parameters = ParamSpec("Parameters")
 Value = TypeVar("Value")
@@ -152,7 +156,7 @@ class Worker:
 
     def _started(self) -> subprocess.Popen[bytes]:
         """Return the process, which has the import path of this one and its own session."""
-        limits = f"{self._time_limit_s!r}, {self._memory_limit_gb!r}"
+        serving = f"{self._time_limit_s!r}, {self._memory_limit_gb!r}, {os.getpid()}"
         path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)  # noqa: PTH109
         with self._lock:
             if self._is_killed:
@@ -162,7 +166,7 @@ class Worker:
             self._process = self._process or subprocess.Popen(
                 [
                     *(sys.executable, "-u", "-P", "-c"),
-                    f"from {__name__} import serve; serve({limits})",
+                    f"from {__name__} import serve; serve({serving})",
                 ],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -249,7 +253,7 @@ class Limits:
     """Limits of the processes of workers.
 
     Attributes:
-        time_limit_s: Time limit of a request, with all its repeats [s].
+        time_limit_s: Time limit of a request [s].
         memory_limit_gb: Limit of the memory of a process [GB], on Linux; None: no limit.
         is_per_request: Whether each request has its own process.
     """
@@ -407,13 +411,16 @@ def run_tasks(
 # --- in the process of a worker ---
 
 
-def serve(time_limit_s: float, memory_limit_gb: float | None) -> None:
+def serve(time_limit_s: float, memory_limit_gb: float | None, parent: int) -> None:
     """Run the calls from stdin until it ends; output on stdout goes to stderr.
 
     Args:
         time_limit_s: Time limit of each call [s].
         memory_limit_gb: Limit of the memory for data [GB], or None.
+        parent: Process of the program; the end of the program ends a call.
     """
+    is_called = threading.Event()
+    threading.Thread(target=_end_with, args=(parent, is_called), daemon=True).start()
     tasks = os.fdopen(os.dup(0), "rb")
     replies = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
@@ -428,13 +435,26 @@ def serve(time_limit_s: float, memory_limit_gb: float | None) -> None:
     # At the end of stdin or after a failed reply, the program has closed the worker or is gone.
     with suppress(EOFError, OSError):
         while True:
+            is_called.clear()
             function, args, kwargs = pickle.load(tasks)
+            is_called.set()
             # The program stops a call at its time limit, unless the program is gone.
             faulthandler.dump_traceback_later(time_limit_s + GRACE_S, exit=True)
             reply = _reply(function, args, kwargs)
             faulthandler.cancel_dump_traceback_later()
             replies.write(reply)
             replies.flush()
+
+
+def _end_with(parent: int, is_called: threading.Event) -> None:
+    """End this process and its child processes in a call whose program is gone; a waiting process ends itself.
+
+    Windows keeps the number of the parent, so there the time limit ends the call.
+    """
+    while os.getppid() == parent or not is_called.is_set():
+        time.sleep(PARENT_INTERVAL_S)
+    if sys.platform != "win32":
+        os.killpg(os.getpgrp(), signal.SIGKILL)
 
 
 def _reply(function: Callable[..., Any], args: Any, kwargs: Any) -> bytes:

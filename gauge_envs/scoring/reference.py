@@ -3,6 +3,7 @@
 from collections.abc import Collection
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from gauge_envs.experiments.resolve import load_experiment, shots_of, with_trial
 from gauge_envs.references.band import Band, band_file, load_band
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.single_shot import single_shots
+from gauge_envs.references.tables import scoring_folder
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Box, Cloth, Deformable, RigidBody, Scene
 from gauge_envs.scene.diff import Change, ChangeKind, scene_changes
@@ -60,7 +62,20 @@ def reference_band(experiment: Experiment) -> Band | None:
             None,
             f"its frames and coordinates of g(t) are {shape}, but those of {experiment.name} are {expected_shape}",
         )
-    return band if experiment.trial is None else band.of_trial(experiment.trial)
+    if experiment.trial is None or driven_trials_file(experiment) is None:
+        return band
+    return band.of_trial(experiment.trial)
+
+
+def driven_trials_file(experiment: Experiment) -> Path | None:
+    """Return the file of the bundled trials that an experiment can replay, or None.
+
+    A replayed trial is the reference. A trial of an import only gives the start.
+    """
+    file = scoring_folder("trials") / f"{experiment.name}.toml"
+    sources = (experiment.drivers, experiment.reference_source)
+    is_other = experiment.edited or DataSource.IMPORTED in sources
+    return None if is_other or not file.is_file() else file
 
 
 def refusal(

@@ -3,7 +3,10 @@
 Expected numbers are closed forms (free fall, prescribed rotation) or hand calculations with documented formulas.
 """
 
+import copy
+import pickle
 import shutil
+import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -275,6 +278,7 @@ def test_wrong_states_of_an_engine_raise_an_error(fault, message, monkeypatch):
         ({"settings": "fast"}, "settings is 'fast', expected a mapping"),
         ({"marker_proxy": "nearest"}, "choose 'material' or 'node'"),
         ({"render_mode": "ansi"}, "choose None or .*'rgb_array'"),
+        ({"backnd": "newton"}, "unknown argument of .* 'backnd'; did you mean backend"),
     ],
 )
 def test_make_and_make_vec_name_wrong_arguments(maker, changes, message):
@@ -301,6 +305,48 @@ def test_calls_out_of_order_raise_an_error():
     for call in (lambda: env.step(0), env.render, env.reset, env.score):
         with pytest.raises(EpisodeError, match="after close; make the environment"):
             call()
+
+
+UNIQUE = [
+    lambda: gymnasium.make(f"GAUGE/{SLIDE}"),
+    lambda: gymnasium.make_vec(f"GAUGE/{SLIDE}", num_envs=2),
+    lambda: gymnasium.make("GAUGE/SlopeSlider-Limit-wood"),
+]
+"""An environment of each class."""
+
+
+@pytest.mark.parametrize("build", UNIQUE)
+@pytest.mark.parametrize("copied", [pickle.dumps, copy.copy, copy.deepcopy])
+def test_an_environment_cannot_be_copied(build, copied):
+    with pytest.raises(GaugeError, match="cannot be copied or pickled: make it again"):
+        copied(build().unwrapped)
+
+
+@pytest.mark.parametrize("build", UNIQUE)
+def test_two_threads_in_one_environment_get_an_error(build):
+    """Each call of the second thread falls into a call of the first one, or between two."""
+    env = build().unwrapped
+    inside, outside = threading.Event(), threading.Event()
+    advance = env.rollout.simulation.advance
+
+    def slow(seconds):
+        inside.set()
+        outside.wait(60.0)
+        advance(seconds)
+
+    env.rollout.simulation.advance = slow
+    env.reset(seed=0)
+    action = np.zeros(env.action_space.shape, env.action_space.dtype)
+    with ThreadPoolExecutor(1) as other:
+        step = other.submit(env.step, action)
+        assert inside.wait(60.0)
+        for call in (env.reset, lambda: env.step(action), env.render, env.close):
+            with pytest.raises(EpisodeError, match="make one for each thread"):
+                call()
+        outside.set()
+        step.result()
+    env.step(action)
+    env.close()
 
 
 @pytest.mark.parametrize(

@@ -282,6 +282,24 @@ def test_a_ball_starts_as_in_its_trial(imported):
     assert episode_result(env, info).jitter == {"trial": 1}
 
 
+@pytest.mark.parametrize("reference", ["bundled", "imported"])
+@pytest.mark.parametrize("name", [BALL, SLIDE])
+def test_a_trial_of_an_import_gives_the_start_and_not_the_reference(
+    imported, name, reference
+):
+    velocity_mm_per_s = np.array([3.0, 0.0, 0.0])
+    imported(name, lambda _, times_s: 1e3 * start_m(name) + times_s * velocity_mm_per_s)
+    env = make(name, reference=reference)
+    env.reset()
+    mean = env.unwrapped.band.mean
+    for trial in range(3):
+        _, info = run_to_end(env, options={"trial": trial})
+        assert env.unwrapped.band.mean is mean
+        assert info["trial"] == trial and info["score"].rmse > 0.0
+    with pytest.raises(ParameterError, match="trial 3 does not exist"):
+        env.reset(options={"trial": 3})
+
+
 def test_a_cube_moves_and_rotates_only_on_its_face(imported):
     """Trials are also tilted; only translations in the face and rotations about its normal remain."""
     offset_m, speed = np.array([1e-3, 2e-3, 3e-3]), np.array([0.2, 0.1, 0.3])

@@ -124,7 +124,7 @@ def test_a_wrong_task_file_raises_an_error(example, monkeypatch):
         ("silent", silent, "no body is recorded"),
         ("fixed", fixed, r"bodies\.crate: its motion is fixed"),
         ("mass", text.replace("kg = 4.0", "kg = -4.0"), r"crate\.pine\.mass_kg: "),
-        ("syntax", "family = [", r"syntax\.toml: Invalid value"),
+        ("syntax", "family = [", r"syntax\.toml: not a TOML file: Invalid value"),
     ):
         (example / f"{name}.toml").write_text(content)
         with pytest.raises((TaskFileError, ParameterError), match=message):

@@ -248,7 +248,7 @@ def keyframe(values):
 @pytest.mark.parametrize(
     ("name", "replacement", "message"),
     [
-        (SLIDE, ('mass="0.0903"', 'mas="0.1"'), "MuJoCo cannot load it: "),
+        (SLIDE, ('mass="0.0903"', 'mas="0.1"'), "not a model that MuJoCo can load: "),
         (
             SLIDE,
             ('<body name="cube"', '<body name="box"'),

@@ -1,6 +1,9 @@
 """The bands: complete, consistent with their arrays, equal to closed forms, and read back as an import writes them."""
 
+import json
 import math
+import os
+import shutil
 import tomllib
 from collections import Counter
 from dataclasses import replace
@@ -182,11 +185,56 @@ def test_an_import_is_read_as_written_and_only_on_request(tmp_path, monkeypatch)
     for array in ("trials", "projection", "mean", "sigma", "measured"):
         np.testing.assert_array_equal(getattr(imported, array), getattr(bundled, array))
     assert load_imported(name).facts == facts
-    (tmp_path / "trials" / f"{name}.npz").write_bytes(b"nothing")
-    file = tmp_path / "trials" / f"{name}.toml"
-    file.write_text(file.read_text() + "\n")
-    with pytest.raises(ReferenceFileError, match=rf"{name}\.npz"):
-        load_band(name, DataSource.IMPORTED)
+    (file,) = (tmp_path / "trials").iterdir()
+    other = file.with_name("SlopeSlider-2-metal.npz")
+    shutil.copy(file, other)
+    with pytest.raises(ReferenceFileError, match="it is the import of Slope"):
+        load_imported(other.stem)
+
+
+def test_a_flipped_bit_of_an_import_is_an_error_of_its_id_alone(
+    tmp_path, monkeypatch, gauge
+):
+    """An import is one file whose arrays have checksums, so a flipped bit is harmless or is found."""
+    monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path))
+    name = "SlopeSlider-2-wood"
+    bundled = load_band(name)
+    facts = ImportFacts(
+        variant=name,
+        left_out=0,
+        files=("a.json",),
+        files_sha256="0" * 64,
+        task_sha256="1" * 64,
+        metrics={},
+        drivers=(),
+    )
+    write_imported(bundled, {}, facts)
+    (file,) = (tmp_path / "trials").iterdir()
+    content = file.read_bytes()
+    faults = []
+    for place in np.linspace(0, len(content) - 1, 200).astype(int):
+        damaged = bytearray(content)
+        damaged[place] ^= 1 << place % 8
+        file.write_bytes(damaged)
+        os.utime(file, ns=(place, place))
+        try:
+            imported = load_imported(name)
+        except ReferenceFileError as error:
+            faults.append(str(error))
+            continue
+        assert imported.facts == facts
+        np.testing.assert_array_equal(imported.band.mean, bundled.mean)
+    assert len(faults) > 150
+    for fault in faults:
+        assert f"{name}.npz" in fault
+        assert fault.endswith(f"gauge data import DIR {name} renews it")
+    file.write_bytes(content[:-40])
+    done = gauge("list", "references", "SlopeSlider-2-*", "--json")
+    faults = {
+        row["id"]: row["fault"] for row in map(json.loads, done.stdout.split("\n")[:-1])
+    }
+    assert len(faults) == 3
+    assert [key for key, fault in faults.items() if fault] == [f"GAUGE/{name}"]
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "newton"])

@@ -245,6 +245,34 @@ def test_resume_continues_after_an_interrupt(tmp_path, monkeypatch, played):
     assert len(played) == 5
 
 
+def test_an_interrupt_keeps_finished_repeats_and_resume_runs_the_others(
+    tmp_path, monkeypatch, played
+):
+    request = RunRequest(NAME, repeats=5, seed=3)
+    whole = list(map(plain, run_many([request])))
+    with monkeypatch.context() as patched:
+        interrupt_in_episode(patched, 3)
+        with pytest.raises(KeyboardInterrupt):
+            list(run_many([request], out=tmp_path))
+    assert len(list(tmp_path.iterdir())) == 2
+    for missing in (3, 1, 0):
+        played.clear()
+        resumed = run_many([request], out=tmp_path, resume=True)
+        assert list(map(plain, resumed)) == whole
+        assert len(played) == missing
+        (lost, *_) = tmp_path.glob("*.seed-5.json")
+        lost.unlink() if missing == 3 else None
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_repeats_in_one_simulation_are_one_request(together):
+    request = RunRequest(NAME, repeats=6, seed=10)
+    parts = request.parts({12, 13}, together=together)
+    assert [[*part.seeds] for part in parts] == (
+        [[10, 11], [14, 15]] if together else [[10], [11], [14], [15]]
+    )
+
+
 @pytest.mark.parametrize(
     "changes",
     [

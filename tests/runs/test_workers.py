@@ -158,16 +158,25 @@ def wait_for_the_end_of(process):
 
 
 @needs_proc
-def test_a_worker_ends_after_its_call_when_its_parent_is_gone():
+@pytest.mark.parametrize(
+    "call", ["time.sleep, 0", "time.sleep, 600", "os.system, 'sleep 600'"]
+)
+def test_a_worker_and_its_child_processes_end_with_their_parent(call):
     code = (
         "import os, time; from gauge_envs.runs.workers import Worker; worker = Worker(); "
-        "print(worker.call(os.getpid), flush=True); worker.call(time.sleep, 0.5)"
+        f"print(worker.call(os.getpid), flush=True); worker.call({call}); time.sleep(600)"
     )
     command = [sys.executable, "-c", code]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
         worker = int(parent.stdout.readline())
+        processes = [worker]
+        if "system" in call:
+            while not (found := children(worker)):
+                time.sleep(0.02)
+            processes += found
         parent.kill()
-    wait_for_the_end_of(worker)
+    for process in processes:
+        wait_for_the_end_of(process)
 
 
 @needs_proc
@@ -211,7 +220,7 @@ def run_in_a_fork(folder):
     with open(os.devnull, "w") as nothing:  # noqa: PTH123
         os.dup2(nothing.fileno(), 1)
         os.dup2(nothing.fileno(), 2)
-    app(["run", "SlopeSlider-2-*", "--repeats=2", "--resume", "--out", str(folder)])
+    app(["run", "SlopeSlider-2-*", "--repeats=5", "--resume", "--out", str(folder)])
 
 
 @pytest.mark.slow
@@ -224,9 +233,9 @@ def test_kills_at_random_times_neither_lose_nor_duplicate_nor_cut_results(tmp_pa
     whole.join()
     duration_s = time.monotonic() - start_s
     expected = contents(tmp_path / "whole")
-    assert len(expected) == 6
+    assert len(expected) == 15
     kills = between = 0
-    while kills < 20:
+    while kills < 40:
         folder = tmp_path / f"round-{kills}"
         exitcode = None
         while exitcode != 0:
@@ -241,4 +250,4 @@ def test_kills_at_random_times_neither_lose_nor_duplicate_nor_cut_results(tmp_pa
             assert results.items() <= expected.items()
             between += 0 < len(results) < len(expected)
         assert contents(folder) == expected
-    assert between > 2
+    assert between > 10

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
 
+from gauge_envs.errors import AssetError
 from gauge_envs.formats.usd.bodies import read_body
 from gauge_envs.formats.usd.contacts import (
     Collider,
@@ -31,6 +32,7 @@ from gauge_envs.formats.usd.deformables import (
 from gauge_envs.formats.usd.joints import joint_prims, read_joint
 from gauge_envs.formats.usd.layer import WRITTEN
 from gauge_envs.formats.usd.source import Source
+from gauge_envs.reading import faults_of
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Motion,
@@ -86,8 +88,9 @@ def read_usd(
     Raises:
         AssetError: The file cannot be read, or has a part that scenes lack; the message names the prim.
     """
-    source = Source(Path(path))
-    with source.errors_at(""):
+    # Messages of USD about damaged bytes are no text, which is an error of another kind.
+    with faults_of(path, AssetError):
+        source = Source(Path(path))
         notes = source.stage.GetRootLayer().customLayerData.get("gauge", {})
         return UsdScene(
             scene=_read_scene(source, duration_s),

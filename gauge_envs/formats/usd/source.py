@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.errors import AssetError
 from gauge_envs.files import is_regular_file
 from gauge_envs.formats.usd.layer import FOLLOWS, WRITTEN, as_array, digest
+from gauge_envs.reading import one_line
 from gauge_envs.scene import Pose
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.validation import first_fault
@@ -363,4 +364,4 @@ def _reason(error: Exception) -> str:
         return " ".join(first_fault(error)).strip()
     if not isinstance(error, Tf.ErrorException):
         return str(error)
-    return f"USD cannot read it: {error.args[0].commentary.strip()}"
+    return one_line(f"USD cannot read it: {error.args[0].commentary}")

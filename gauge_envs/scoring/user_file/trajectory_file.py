@@ -23,14 +23,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
 
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.files import npz_arrays, os_errors
+from gauge_envs.files import npz_arrays
 from gauge_envs.observables.kinds import Observable
+from gauge_envs.reading import faults_of, reading
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.metrics import frame_index, interpolated
@@ -48,6 +50,9 @@ FILE_TOLERANCE_S = 5e-4
 
 TIME = "time_s"
 """Name of the column of times."""
+
+MAX_HEADER = 200
+"""Longest header of a file in an error [characters]."""
 
 LARGEST = 10**12
 """Largest value; larger ones are mistakes, and their squares overflow."""
@@ -107,11 +112,17 @@ def file_origin(file: Path) -> FileOrigin:
         raise TrajectoryFileError(
             f"{file}: id is {name!r}, expected text such as 'GAUGE/SlopeSlider-2-wood'"
         )
+    jitter = jitter or {}
+    if not isinstance(jitter, dict) or not all(
+        isinstance(value, int | float) and math.isfinite(value)
+        for value in jitter.values()
+    ):
+        raise TrajectoryFileError(f"{file}: jitter is {jitter!r:.40}, expected numbers")
     return FileOrigin(
         id=name,
         parameters=content.get("parameters"),
         has_asset=bool(content.get("asset")),
-        jitter=jitter if isinstance(jitter, dict) else {},
+        jitter=jitter,
     )
 
 
@@ -188,8 +199,8 @@ def _read_csv(file: Path, experiment: Experiment) -> _Samples:
     header: list[str] | None = None
     rows: list[list[str]] = []
     places: list[str] = []
-    try:
-        reader = csv.reader(csv_text(_content(file)))
+    with reading(file, TrajectoryFileError, "a CSV file") as content:
+        reader = csv.reader(csv_text(content))
         for line in reader:
             cells = [cell.strip() for cell in line]
             # Spreadsheets write separators of empty columns.
@@ -206,8 +217,6 @@ def _read_csv(file: Path, experiment: Experiment) -> _Samples:
             else:
                 rows.append(cells)
                 places.append(f"line {reader.line_num}")
-    except (ValueError, csv.Error) as error:
-        raise TrajectoryFileError(f"{file}: not a CSV file: {error}") from error
     coordinates = experiment.coordinates
     names = list(coordinates)
     if header is not None:
@@ -230,7 +239,7 @@ def _column_names(
         wanted = _unit_of(name, experiment)
         if bracket and name in (TIME, *coordinates) and unit != wanted:
             raise TrajectoryFileError(
-                f"{file}: header: column {name} is in [{unit}], expected [{wanted}]"
+                f"{file}: header: column {name} is in [{unit:.20}], expected [{wanted}]"
             )
         names.append(name)
     columns = {name for name in names if name != TIME}
@@ -240,18 +249,17 @@ def _column_names(
         names = [name if name == TIME else next(in_order, "") for name in names]
     is_complete = {TIME, *names} == {TIME, *coordinates}
     if not is_complete or len(names) != len(set(names)):
+        titles = shorten(", ".join(header), MAX_HEADER, placeholder=" ...")
         raise TrajectoryFileError(
-            f"{file}: header: the columns are {', '.join(header)}; {_expected(experiment)}, "
+            f"{file}: header: the columns are {titles}; {_expected(experiment)}, "
             f"separated by commas, and {TIME} for the times"
         )
     return names
 
 
 def _read_npz(file: Path, experiment: Experiment) -> _Samples:
-    try:
-        arrays = npz_arrays(_content(file), ("g", TIME, "markers_m"))
-    except ValueError as error:
-        raise TrajectoryFileError(f"{file}: not an NPZ file: {error}") from error
+    with reading(file, TrajectoryFileError, "an NPZ file") as content:
+        arrays = npz_arrays(content, ("g", TIME, "markers_m"))
     plain = {name: array.tolist() for name, array in arrays.items()}
     return _of_rows(
         file,
@@ -272,8 +280,9 @@ def _read_json(file: Path, experiment: Experiment) -> _Samples:
     # It is a result file.
     markers_m = None
     if recorded.get("markers_mm"):
-        markers_mm = np.asarray(recorded["markers_mm"], dtype=np.float64)
-        markers_m = 1e-3 * markers_mm.reshape(len(markers_mm), -1, 3)
+        with faults_of(file, TrajectoryFileError, "a result file"):
+            markers_mm = np.asarray(recorded["markers_mm"], dtype=np.float64)
+            markers_m = 1e-3 * markers_mm.reshape(len(markers_mm), -1, 3)
     return _of_rows(
         file,
         experiment,
@@ -364,21 +373,9 @@ def _expected(experiment: Experiment) -> str:
     return f"expected {len(names)} columns [{unit}]: {', '.join(shown)}"
 
 
-def _content(file: Path) -> bytes:
-    with os_errors(
-        lambda cause: TrajectoryFileError(f"{file}: cannot be read: {cause}")
-    ):
-        content = file.read_bytes()
-    if not content.strip():
-        raise TrajectoryFileError(f"{file}: the file is empty")
-    return content
-
-
 def _json_object(file: Path) -> dict[str, Any]:
-    try:
-        content = json_document(_content(file))
-    except ValueError as error:
-        raise TrajectoryFileError(f"{file}: not a JSON file: {error}") from error
+    with reading(file, TrajectoryFileError, "a JSON file") as text:
+        content = json_document(text)
     if not isinstance(content, dict):
         raise TrajectoryFileError(
             f"{file}: expected a JSON object with 'g', got a {type(content).__name__}"

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.reading import reading
 from gauge_envs.text import toml_document
 from gauge_envs.tools.conformance.catalog import checks
 from gauge_envs.tools.conformance.model import CheckResult, Status
@@ -102,27 +103,22 @@ def read_known_failures(file: Path) -> KnownFailures:
         "cloth-*" = "rigid bodies only"
 
     Raises:
-        ParameterError: The file cannot be read, or an entry has no reason or no value.
-        UnknownNameError: It names a check that does not exist.
+        ParameterError: The file cannot be read, an entry has no reason or no value, or a check does not exist.
     """
-    try:
-        document = toml_document(file.read_bytes())
-    except (OSError, ValueError) as error:
-        raise ParameterError(f"{file}: cannot be read as TOML: {error}") from None
-    unsupported = document.pop("unsupported", {})
-    ids = [check.id for check in checks()]
-    for name in document:
-        if name not in ids:
-            raise UnknownNameError("check", name, ids)
-    for pattern, reason in unsupported.items():
-        if not any(fnmatchcase(name, pattern) for name in ids):
-            raise UnknownNameError("check", pattern, ids)
-        if not str(reason).strip():
-            raise ParameterError(
-                f"{file}: unsupported {pattern!r} needs a reason in words"
-            )
-    failures = {name: _known(file, name, entry) for name, entry in document.items()}
-    return KnownFailures(failures=failures, unsupported=unsupported)
+    with reading(file, ParameterError) as content:
+        document = toml_document(content)
+        unsupported = document.pop("unsupported", {})
+        ids = [check.id for check in checks()]
+        for name in document:
+            if name not in ids:
+                raise UnknownNameError("check", name, ids)
+        for pattern, reason in unsupported.items():
+            if not any(fnmatchcase(name, pattern) for name in ids):
+                raise UnknownNameError("check", pattern, ids)
+            if not str(reason).strip():
+                raise ValueError(f"unsupported {pattern!r} needs a reason in words")
+        failures = {name: _known(file, name, entry) for name, entry in document.items()}
+        return KnownFailures(failures=failures, unsupported=unsupported)
 
 
 def _known(file: Path, name: str, entry: Any) -> KnownFailure:

@@ -17,6 +17,7 @@ from gauge_envs.errors import (
 )
 from gauge_envs.files import json_ready
 from gauge_envs.pages.document import save_file
+from gauge_envs.reading import reading
 from gauge_envs.registry import package_versions
 from gauge_envs.runs.workers import Worker, call_engine
 from gauge_envs.text import json_document
@@ -208,16 +209,12 @@ def read_columns(path: Path) -> list[EngineColumn]:
         ResultFileError: The file cannot be read or has no columns.
     """
     hint = "write it with gauge backend check NAME --out FILE.json"
-    try:
-        document = json_document(path.read_bytes())
-    except (OSError, ValueError) as error:
-        raise ResultFileError(f"{path}: cannot be read ({error}); {hint}") from None
-    if not isinstance(document, dict) or document.get("kind") != KIND:
-        raise ResultFileError(f"{path}: has no results of conformance checks; {hint}")
-    try:
+    noun = "a file of conformance checks"
+    with reading(path, ResultFileError, noun, hint) as content:
+        document = json_document(content)
+        if document["kind"] != KIND:
+            raise ValueError(f"its kind is {document['kind']!r}")
         return [_read_column(row) for row in document["columns"]]
-    except (KeyError, TypeError, ValueError) as error:
-        raise ResultFileError(f"{path}: is damaged ({error!r}); {hint}") from None
 
 
 def _read_column(row: Mapping[str, Any]) -> EngineColumn:

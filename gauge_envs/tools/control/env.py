@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.envs.arguments import EnvArguments, checked_action
 from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.envs.guards import GuardedEnv, one_thread
 from gauge_envs.envs.initial_states import SEEDS, InitialStates, Scatter
 from gauge_envs.envs.pictures import Pictures, Rendered, rollout_picture
 from gauge_envs.envs.rollout import intervals
@@ -105,7 +106,7 @@ class LimitReport:
         return (self.reached - self.limit.value) / self.limit.sigma
 
 
-class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
+class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
     """A control task in a published scene of the benchmark; a law gives its true optimum.
 
     One step is 1/30 s, in six intervals of 1/180 s with a constant action. The action is a Box [-1, 1] with an entry
@@ -303,6 +304,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """Time since the start of the episode [s]."""
         return (self._frame or 0) / FRAME_RATE_HZ
 
+    @one_thread
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[FloatArray, dict[str, Any]]:
@@ -342,6 +344,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         value, sigma = self._prepare(scene)
         self.limit = replace(self.LIMIT, value=value, sigma=sigma)
 
+    @one_thread
     def step(self, action: Any) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
         """Simulate one frame, 1/30 s, or less if the episode ends within it.
 
@@ -408,6 +411,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
             limit=self.limit, reached=reached, ending=self._ending, time_s=self.time_s
         )
 
+    @one_thread
     def close(self) -> None:
         """Free the simulation and the renderer. A second call does nothing."""
         self._pictures.close()
@@ -419,6 +423,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """Return the state of a rigid body, shape [13]."""
         return self.simulation.body_states((name,))[0, 0]
 
+    @one_thread
     def render(self) -> Rendered | None:
         """Return a picture of the scene in the form of the render mode; None without one, and with a window."""
         if self.render_mode is None:

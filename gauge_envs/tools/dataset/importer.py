@@ -13,6 +13,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready
+from gauge_envs.reading import content_of
 from gauge_envs.references.band import Band
 from gauge_envs.references.imported import (
     DriverRecord,
@@ -209,9 +210,9 @@ def _read(
         TrialError: The trial is not usable.
     """
     try:
-        content = path.read_bytes()
+        content = content_of(path)
     except OSError as error:
-        problem = f"it cannot be read: {error.strerror}"
+        problem = f"it cannot be read: {error.strerror or error}"
         raise TrialError("(file)", problem, "a file is expected") from None
     sha256 = hashlib.sha256(content).hexdigest()
     if sha256 in file_of:

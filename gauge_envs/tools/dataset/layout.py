@@ -27,6 +27,7 @@ from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.task_format import Matter
 from gauge_envs.experiments.variants import Variant, matching_variants, variants
 from gauge_envs.files import is_folder
+from gauge_envs.reading import content_of
 from gauge_envs.text import json_document, printable
 from gauge_envs.tools.dataset.findings import ImportFinding, TrialError
 
@@ -108,7 +109,7 @@ def _revision(root: Path) -> str | None:
     """Return the revision, or None if its file is missing or damaged."""
     for folder in (root, root.parent):
         with suppress(OSError, ValueError, TypeError, KeyError):
-            document = json_document((folder / REVISION_FILE).read_bytes())
+            document = json_document(content_of(folder / REVISION_FILE))
             return printable(document["revision"])
     return None
 

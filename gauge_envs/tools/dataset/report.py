@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from gauge_envs.errors import ReferenceFileError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import Variant
@@ -22,6 +23,7 @@ from gauge_envs.references.imported import (
     SpreadRecord,
     load_imported,
 )
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scoring.reference import reference_kind
@@ -94,6 +96,8 @@ def status_table(rows: Sequence[dict[str, Any]]) -> Table:
     """Return the rows of `status_row` as a table."""
 
     def kind(row: Mapping[str, Any]) -> str:
+        if row["fault"]:
+            return row["fault"]
         text = row["kind"]
         if row["imported"]:
             text += ", imported"
@@ -126,6 +130,17 @@ def status_table(rows: Sequence[dict[str, Any]]) -> Table:
 
 def status_row(variant: Variant) -> dict[str, Any]:
     """Return the reference and the prescribed motions of a variant as a `schema.StatusLine`."""
+    try:
+        return {"id": variant.id, "fault": None, **_status(variant)}
+    except ReferenceFileError as error:
+        nothing = dict.fromkeys(("trials", "revision", "is_current"))
+        empty: dict[str, Any] = {"drivers": [], "baselines": []}
+        state = {"kind": Kind.NONE.value, "imported": False, "fault": str(error)}
+        return {"id": variant.id, **state, **nothing, **empty}
+
+
+def _status(variant: Variant) -> dict[str, Any]:
+    """Return the entries of a `schema.StatusLine` that need the files of the reference."""
     source, facts = DataSource.BUNDLED, None
     records: Sequence[DriverRecord] = ()
     metrics: Mapping[str, SpreadRecord] = {}
@@ -146,7 +161,6 @@ def status_row(variant: Variant) -> dict[str, Any]:
     published = published_baselines(variant.name)
     return json_ready(
         {
-            "id": variant.id,
             "kind": reference_kind(variant.name, source).value,
             "imported": facts is not None,
             "trials": band and band.trial_count,

@@ -85,6 +85,7 @@ class StatusLine(TypedDict):
         id: Gymnasium id.
         kind: Kind of the reference.
         imported: Whether trials are imported.
+        fault: Why the reference cannot be read, and the fix; null if it can. The other entries are then empty.
         trials: Number of trials of the reference.
         revision: Revision of the imported dataset.
         is_current: Whether the task file is unchanged since the import; null without an import.
@@ -95,6 +96,7 @@ class StatusLine(TypedDict):
     id: str
     kind: Kind
     imported: bool
+    fault: str | None
     trials: int | None
     revision: str | None
     is_current: bool | None

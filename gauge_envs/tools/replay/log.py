@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import csv
+import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.errors import FileError
 from gauge_envs.names import first_names
 from gauge_envs.optional import needs_extra
-from gauge_envs.references.tables import faults_of, read_content
+from gauge_envs.reading import reading
 from gauge_envs.text import csv_text, toml_document
 
 FloatArray: TypeAlias = NDArray[np.float64]
@@ -215,8 +215,8 @@ def read_map(file: Path | None) -> LogMap:
     """
     if file is None:
         return LogMap()
-    with faults_of(file):
-        return LogMap.model_validate(toml_document(read_content(file)))
+    with reading(file, FileError) as content:
+        return LogMap.model_validate(toml_document(content))
 
 
 def read_log(
@@ -302,22 +302,20 @@ def _matrix(
 
 def _read_columns(file: Path) -> list[tuple[str, Any]]:
     """Return the titles and values of the columns of a file."""
-    try:
+    with reading(file, FileError, "a CSV, NPZ or Parquet file") as content:
         if file.suffix == ".npz":
-            with np.load(file) as archive:
+            with np.load(io.BytesIO(content)) as archive:
                 return list(archive.items())
         if file.suffix == ".parquet":
             with needs_extra("reading Parquet", "data"):
                 from pyarrow import parquet
-            return list(parquet.read_table(file).to_pydict().items())
-        rows = csv.reader(csv_text(file.read_bytes()))
+            table = parquet.read_table(io.BytesIO(content))
+            return list(table.to_pydict().items())
+        rows = csv.reader(csv_text(content))
         return [
             (title.strip("# "), [cell.strip() or "nan" for cell in cells])
             for title, *cells in zip_longest(*rows, fillvalue="")
         ]
-    except (OSError, ValueError, EOFError, BadZipFile) as error:
-        reason = f"cannot be read as CSV, NPZ or Parquet: {error}"
-        raise FileError(file, None, reason) from error
 
 
 def _by_joint(
@@ -385,6 +383,9 @@ def _check_numbers(log: Log) -> Iterator[str]:
             f"the next time is {steps.min():g} s later; sort the rows, and give seconds"
         )
         raise FileError(log.name, place, reason)
+    if not len(log.command) or (np.diff(log.command_time_s) <= 0.0).any():
+        reason = "expected numbers at times that increase"
+        raise FileError(log.name, log.command_kind or "time", reason)
 
 
 def _check_samples(log: Log) -> Iterator[str]:

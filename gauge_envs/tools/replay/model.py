@@ -16,6 +16,7 @@ from scipy.interpolate import PPoly
 from gauge_envs.errors import FileError, ParameterError
 from gauge_envs.names import first_names
 from gauge_envs.processors import processor_count
+from gauge_envs.reading import reading
 from gauge_envs.tools.replay.log import (
     MIN_NOISE,
     MIN_RATE_NOISE,
@@ -86,13 +87,10 @@ def load_model(file: Path) -> mujoco.MjModel:
     Raises:
         FileError: MuJoCo cannot read the file.
     """
-    try:
+    with reading(file, FileError, "a model that MuJoCo can load"):
         spec = mujoco.MjSpec.from_file(str(file))
         spec.compiler.discardvisual = True
         return spec.compile()
-    except (ValueError, OSError) as error:
-        reason = " ".join(f"MuJoCo cannot read the model: {error}".split())
-        raise FileError(file, None, reason) from error
 
 
 def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:

@@ -9,14 +9,16 @@ A sweep continues with the episodes that have no file.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 
+from gauge_envs.errors import ResultFileError
+from gauge_envs.reading import reading
 from gauge_envs.runs.batch import check_writable
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import write_result
 from gauge_envs.runs.workers import RequestWorker, run_tasks
+from gauge_envs.text import json_document
 from gauge_envs.tools.run.plan import PlannedRun
 
 SUBFOLDERS = {Outcome.FAILED: "failed", Outcome.UNSUPPORTED: "unsupported"}
@@ -40,9 +42,11 @@ def earlier_outcomes(
     for folder in _folders(path):
         for file in folder.glob("[!.]*.json"):
             try:
-                outcome = Outcome(json.loads(file.read_bytes())["outcome"])
-            except (OSError, LookupError, TypeError, ValueError) as error:
-                notify(f"{file}: not a result file: {error}; run again")
+                hint = "the episode runs again"
+                with reading(file, ResultFileError, "a result file", hint) as content:
+                    outcome = Outcome(json_document(content)["outcome"])
+            except ResultFileError as error:
+                notify(str(error))
                 continue
             if not (without_failed and outcome is Outcome.FAILED):
                 outcomes[file.name] = outcome

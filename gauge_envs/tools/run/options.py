@@ -71,7 +71,7 @@ class RunOptions:
     timeout: Annotated[
         float | None,
         arguments.timeout(
-            "Longest time of an experiment, which then has a process of its own.",
+            "Longest time of an episode, which then has a process of its own.",
             "3600 in such a process, else none",
         ),
     ] = None

@@ -11,8 +11,6 @@ from itertools import chain, product
 from math import prod
 from typing import Any
 
-import numpy as np
-
 from gauge_envs.backends import (
     Backend,
     backend_for,
@@ -20,6 +18,7 @@ from gauge_envs.backends import (
     support_of,
     versions_of,
 )
+from gauge_envs.backends.registry import shares_worlds
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import matching_variants
@@ -232,10 +231,7 @@ def _answer_of(
 ) -> _Answer:
     """Return the answer of an engine; its process calls this."""
     engine = backend_for(backend, experiments[0].model_file)
-    is_batched = type(engine).build_worlds is not Backend.build_worlds
-    answer = _Answer(
-        versions_of(backend), engine.worlds_share_simulation and is_batched, [], []
-    )
+    answer = _Answer(versions_of(backend), shares_worlds(backend), [], [])
     for experiment in experiments:
         support = support_of(backend, experiment.scene, experiment.model_file)
         answer.missing.append("; ".join(support.missing))
@@ -282,13 +278,9 @@ def remaining_tasks(
     """
     for run in runs:
         names = zip(run.request.seeds, run.file_names, strict=True)
-        seeds = np.array([seed for seed, name in names if name not in done])
-        max_step = 1 if run.shares_worlds else 0
-        splits = np.flatnonzero(np.diff(seeds) > max_step) + 1
-        for part in np.split(seeds, splits):
-            if part.size:
-                request = replace(run.request, seed=int(part[0]), repeats=len(part))
-                yield replace(run, request=request)
+        seeds = {seed for seed, name in names if name in done}
+        for request in run.request.parts(seeds, together=run.shares_worlds):
+            yield replace(run, request=request)
 
 
 def part_of(runs: list[PlannedRun], text: str) -> list[PlannedRun]:

@@ -37,19 +37,18 @@ MAX_EXPLAINED = 5
 """Maximum number of results with explanations below their rows."""
 
 NOTE = (
-    "Real trials: their mean distance. Exact solver: that of the exact motion with the same constants. "
-    "More: --details"
+    "Trials: mean distance of real trials. Exact: distance of the exact motion with the same constants. "
+    "Solves: the scene. --details: more."
 )
 
 COLUMNS = (
     Column("id", "id", short_id),
     Column("label", "run"),
-    Column("distance", "distance", score_text, is_number=True),
+    Column("distance", "distance", is_number=True),
     Column("motion", "motion", score_text, is_number=True),
-    Column("trials", "real trials", score_text, is_number=True),
-    Column("exact", "exact solver", score_text, is_number=True),
-    Column("unit", "unit"),
-    Column("solves", "solves the scene"),
+    Column("trials", "trials", score_text, is_number=True),
+    Column("exact", "exact", score_text, is_number=True),
+    Column("solves", "solves"),
     Column("like_reality", "like reality"),
     Column("event", "event", place=Place.BELOW),
     Column("cause", "cause", place=Place.BELOW),
@@ -142,17 +141,18 @@ def _row(result: Result) -> dict[str, Any]:
     score = result.score
     if result.diverged:
         return {"id": result.id, "solves": Outcome.DIVERGED.value}
-    of_trials = exact = None
+    of_trials = exact = distance = None
+    if score.distance is not None:
+        distance = with_unit(score_text(score.distance), score.distance_unit)
     if score.primary != FROM_SOLUTION and score.distance and score.primary_normalized:
         of_trials = score.distance / score.primary_normalized
         exact = None if score.exact is None else score.exact * of_trials
     return {
         "id": result.id,
-        "distance": score.distance,
+        "distance": distance,
         "motion": score.solution_motion,
         "trials": of_trials,
         "exact": exact,
-        "unit": None if score.distance is None else score.distance_unit,
         "solves": score.solves or "no solution",
         "like_reality": score.like_reality or "nothing real",
     }

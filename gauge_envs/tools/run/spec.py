@@ -34,7 +34,7 @@ from pydantic import (
 
 from gauge_envs.errors import ParameterError, SweepFileError
 from gauge_envs.experiments.variants import Variant, is_task_path
-from gauge_envs.files import os_errors
+from gauge_envs.reading import reading
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.text import toml_document
@@ -160,15 +160,9 @@ def load_sweep_file(path: Path) -> dict[str, Any]:
     Raises:
         SweepFileError: The file cannot be read, or a value is wrong.
     """
-    with os_errors(
-        lambda cause: SweepFileError(path, None, f"cannot be read: {cause}")
-    ):
-        content = path.read_bytes()
-    try:
+    with reading(path, SweepFileError) as content:
         values = toml_document(content)
-    except ValueError as error:
-        raise SweepFileError(path, None, f"not a TOML file: {error}") from error
-    spec = run_spec(values, path)
+        spec = run_spec(values, path)
     values["variants"] = list(spec.variants)
     for index, name in enumerate(spec.variants):
         if is_task_path(name):

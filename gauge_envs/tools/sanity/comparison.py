@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.errors import TargetError
-from gauge_envs.files import os_errors
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import counted, quantity_text, with_unit
+from gauge_envs.reading import reading
 from gauge_envs.text import json_document
 from gauge_envs.tools.sanity.verdict import (
     MAX_PASSED,
@@ -43,9 +43,8 @@ def read_baseline(path: Path) -> dict[tuple[str, str], float]:
     Raises:
         TargetError: The file is not the output of this version.
     """
-    with os_errors(lambda cause: TargetError(f"{path}: cannot be read: {cause}")):
-        content = path.read_bytes()
-    try:
+    noun = "the output of this version's gauge sanity TARGET --json"
+    with reading(path, TargetError, noun) as content:
         lines = [json_document(line) for line in content.splitlines() if line.strip()]
         deviations = {
             (line["id"], part["name"]): _deviation(part)
@@ -53,10 +52,6 @@ def read_baseline(path: Path) -> dict[tuple[str, str], float]:
             if "id" in line
             for part in line["parts"]
         }
-    except (TypeError, ValueError, KeyError) as error:
-        raise TargetError(
-            f"{path}: expected the output of this version's gauge sanity TARGET --json: {error}"
-        ) from None
     if not deviations:
         raise TargetError(
             f"{path}: has no check; write it with gauge sanity TARGET --json > {path}"

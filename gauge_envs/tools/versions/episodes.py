@@ -5,8 +5,9 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from scipy.special import stdtrit
 
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.variants import find_variant
+from gauge_envs.reading import faults_of
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import RecordedTrajectory, Result
 from gauge_envs.runs.result_file import parse_result
@@ -81,7 +82,8 @@ def compare_motions(
 def _results(outputs: Sequence[Arrays], index: int, subject: str) -> list[Result]:
     """Return a result of each side: 0 is the run, 1 the run from a shifted position."""
     texts = [str(output["results"][index]) for output in outputs]
-    return [parse_result(text.encode(), subject) for text in texts]
+    with faults_of(subject, ResultFileError, "a result"):
+        return [parse_result(text.encode()) for text in texts]
 
 
 def _closer_side(scores: ScoreComparison, sides: Iterable[tuple[Side, Result]]) -> str:

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.stats import median_abs_deviation
 
 from gauge_envs.errors import VideoError
-from gauge_envs.files import os_errors
 from gauge_envs.pages.document import save_file
+from gauge_envs.reading import reading
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 from gauge_envs.text import csv_text
 from gauge_envs.tools.video.frames import FileFrames, Registration, laid_out
@@ -169,14 +169,10 @@ def save_track(track: Track, path: Path) -> Path:
 
 def _columns(path: Path) -> dict[str, FloatArray]:
     """Return the known columns of a CSV file by name; empty cells are NaN."""
-    with os_errors(lambda cause: VideoError(f"{path}: cannot be read: {cause}")):
-        content = path.read_bytes()
-    try:
+    with reading(path, VideoError, "a CSV file of numbers") as content:
         rows = list(csv.DictReader(csv_text(content)))
         names = COLUMNS & {*rows[0]} if rows else ()
         return {
             name: np.array([float(row[name] or "nan") for row in rows])
             for name in names
         }
-    except (ValueError, csv.Error) as error:
-        raise VideoError(f"{path}: not a CSV file of numbers: {error}") from error

@@ -21,7 +21,7 @@ from gauge_envs.tools.sanity.training import Need
 pytest.importorskip("sapien")
 
 G1 = Path(__file__).parent / "data" / "isaac_lab_g1_flat.yaml"
-DUMPED = yaml_document(G1.read_text())
+DUMPED = yaml_document(G1.read_bytes())
 ITERATIONS = "scene__robot__spawn__articulation_props__solver_position_iteration_count"
 
 

@@ -256,7 +256,7 @@ def test_a_baseline_of_another_kind_is_an_error(monkeypatch, tmp_path):
     before.write_text('{"id": "creep-wood"}')
     outcome = run(monkeypatch, report(CREEP), "--baseline", str(before))
     assert outcome.exit_code == 2
-    assert "expected the output of this version" in outcome.stderr
+    assert "not the output of this version" in outcome.stderr
 
 
 # --- in training -----------------------------------------------------------------------------------------------------

@@ -206,7 +206,7 @@ def arm(mesh="tetra.obj", geom='size=".1"', more=""):
             arm(more='\n<include file="part.xml"/>'),
             r"part\.xml:3: <geom>: unrecognized attribute: 'hue'",
         ),
-        ("a.xml", "", "a.xml: is empty"),
+        ("a.xml", "", "a.xml: it is empty"),
         (
             "a.urdf",
             "<robot xmlns:xacro='x'><link name='b'><inertial><mass value='${m}'/></inertial></link></robot>",
@@ -236,7 +236,7 @@ def test_a_file_that_cannot_be_read_names_the_line_and_what_to_do(
         ("Nope-v1", r"'Nope-v1': gymnasium.make fails: .*Nope.*; give a Gymnasium id"),
         ("CartPole-v1", r"CartPole-v1 is .*, which has no MuJoCo model; give"),
         ("a.usda", "a.usda: .* gauge run ID --asset a.usda"),
-        ("nowhere.xml", "nowhere.xml: there is no such file"),
+        ("nowhere.xml", "nowhere.xml: cannot be read: No such file"),
         (".", "has no params/env.yaml: give the file of a model"),
         (3, "int cannot be checked; give a Gymnasium id"),
     ],

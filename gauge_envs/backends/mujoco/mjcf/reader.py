@@ -46,8 +46,8 @@ from gauge_envs.backends.mujoco.simulation import (
 )
 from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import AssetError, ParameterError
-from gauge_envs.files import os_errors
 from gauge_envs.names import first_names
+from gauge_envs.reading import reading
 from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.diff import Change
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
@@ -153,14 +153,9 @@ def read_model(path: Path, scene: Scene) -> tuple[Scene, tuple[Change, ...]]:
 
 def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     """Return the editable and the compiled model of a file."""
-    with os_errors(lambda cause: AssetError(path, "", f"cannot be read: {cause}")):
-        content = path.read_bytes()
-    try:
+    with reading(path, AssetError, "a model that MuJoCo can load") as content:
         spec = mujoco.MjSpec.from_string(content.decode())
         model = spec.compile()
-    except ValueError as error:
-        reason = " ".join(str(error).split())
-        raise AssetError(path, "", f"MuJoCo cannot load it: {reason}") from None
     _apply_tables(path, model)
     return spec, model
 

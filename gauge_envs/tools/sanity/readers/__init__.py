@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 from gauge_envs.errors import TargetError
 from gauge_envs.files import is_folder
+from gauge_envs.reading import faults_of
+from gauge_envs.text import toml_document
 from gauge_envs.tools.sanity.readers import probe, settings
 from gauge_envs.tools.sanity.readers.dialect import TOML, Dialect
 from gauge_envs.tools.sanity.readers.documents import file_value
@@ -33,7 +34,7 @@ __all__ = ["Dialect", "configuration", "dialect"]
 
 def _read_toml(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
     """Return the configuration of a settings file or a task file."""
-    values = file_value(path, tomllib.loads)
+    values = file_value(path, toml_document)
     if "family" in values:
         return read_task(path)
     return settings.read_settings(path, values)
@@ -104,7 +105,8 @@ def _read_text(target: Target, pair: GeomPair | None) -> TrainingConfiguration:
     if is_folder(path):
         path = file_of_run(path)
     if reader := READERS.get(path.suffix.lower()):
-        return reader(path, pair)
+        with faults_of(path, TargetError):
+            return reader(path, pair)
     if backend := settings.read_backend(str(target)):
         return backend
     if is_folder(path):

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.errors import TargetError
-from gauge_envs.files import os_errors, path_exists
 from gauge_envs.optional import needs_extra
-from gauge_envs.text import text_of
+from gauge_envs.reading import reading
+from gauge_envs.text import filled_text
 
 PYTHON = "tag:yaml.org,2002:python/"
 
@@ -24,29 +24,17 @@ def file_text(path: Path) -> str:
     Raises:
         TargetError: The file is not there, is empty, or is no text.
     """
-    if not path_exists(path):
-        raise TargetError(f"{path}: there is no such file")
-    with os_errors(lambda cause: TargetError(f"{path}: cannot be read: {cause}")):
-        content = path.read_bytes()
-    try:
-        text = text_of(content)
-    except ValueError as error:
-        raise TargetError(f"{path}: {error}") from None
-    if not text.strip():
-        raise TargetError(f"{path}: is empty")
-    return text
+    with reading(path, TargetError) as content:
+        return filled_text(content)
 
 
-def file_value(path: Path, parse: Callable[[str], Any]) -> Any:
-    """Return the value of a file, by a function that raises `ValueError` for what it cannot parse."""
-    text = file_text(path)
-    try:
-        return parse(text)
-    except ValueError as error:
-        raise TargetError(f"{path}: {error}") from None
+def file_value(path: Path, parse: Callable[[bytes], Any]) -> Any:
+    """Return the value of a file, by a function that parses its content."""
+    with reading(path, TargetError) as content:
+        return parse(content)
 
 
-def yaml_document(text: str) -> Any:
+def yaml_document(content: bytes) -> Any:
     """Return the value of a YAML document.
 
     Raises:
@@ -66,7 +54,7 @@ def yaml_document(text: str) -> Any:
         f"{PYTHON}object/apply:builtins.slice", lambda loader, node: None
     )
     try:
-        return yaml.load(text, Loader=Loader)
+        return yaml.load(filled_text(content), Loader=Loader)
     except (
         Exception
     ) as error:  # Constructors of dates and numbers raise anything for damaged ones.

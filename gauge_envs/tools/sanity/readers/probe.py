@@ -6,7 +6,6 @@ Nothing of a file is run.
 
 from __future__ import annotations
 
-import json
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from pathlib import Path
 import mujoco
 
 from gauge_envs.errors import TargetError
+from gauge_envs.text import json_document
 from gauge_envs.tools.sanity.readers import genesis, isaac_lab, maniskill
 from gauge_envs.tools.sanity.readers.documents import file_value
 from gauge_envs.tools.sanity.readers.gauge_probe import FORMAT, VERSION
@@ -36,7 +36,7 @@ def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration
     Raises:
         TargetError: The file is none of the kinds, or of another version of the probe.
     """
-    file = file_value(path, json.loads)
+    file = file_value(path, json_document)
     if not isinstance(file, dict) or "format" not in file:
         if isinstance(file, dict) and "sim" in file and "rigid" in file:
             source = f"options file {path}"

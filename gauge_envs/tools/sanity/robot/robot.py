@@ -142,7 +142,7 @@ class Robot:
         mujoco.mj_kinematics(model, data)
         if not np.isfinite(np.hstack([data.geom_xpos, data.geom_xmat])).all():
             raise TargetError(
-                "the poses of the model's geoms are not finite: it has a NaN or an infinite number"
+                f"{self.file or 'model'}: the poses of its geoms are not finite: it has a NaN or an infinite number"
             )
         to_z_up = Rotation.align_vectors([[0.0, 0.0, 1.0]], [self.up])[0]
         return Stance(
