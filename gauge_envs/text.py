@@ -32,9 +32,18 @@ def json_document(content: bytes) -> Any:
     """Return the value of a JSON document; see `text_of` for the encoding.
 
     Raises:
-        ValueError: The content is not JSON.
+        ValueError: The content is not JSON, or a name occurs twice in an object.
     """
-    return json.loads(text_of(content))
+    return json.loads(text_of(content), object_pairs_hook=_unique)
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    entries = dict(pairs)
+    if len(entries) == len(pairs):
+        return entries
+    names = [name for name, _ in pairs]
+    doubled = next(name for name in names if names.count(name) > 1)
+    raise ValueError(f"the name {doubled!r} occurs twice")
 
 
 def csv_text(content: bytes) -> io.StringIO:

@@ -1,0 +1,295 @@
+"""Check the trials of one experiment against each other: lost frames, copies, and motions that are too far."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from gauge_envs.references.band import Band
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, MIN_OVERLAP
+from gauge_envs.scoring.user_file.likely_mistakes import corrections
+from gauge_envs.scoring.user_file.motion_checks import (
+    RATES_HZ,
+    Fault,
+    against_law,
+    filled,
+    motion_fault,
+    owners_of,
+)
+
+MIN_WHOLE_SHARE = 0.9
+"""Smallest share of the frames of most trials that a trial has; bodies hide each other for a few frames at most."""
+
+MIN_TRIALS = 5
+"""Smallest number of trials whose scatter is known."""
+
+MAX_RMS_MM, MAX_DISTANCE_MM = 3.0, 7.0
+"""Root mean square and largest distance of a point by noise of 1 mm in each coordinate [mm]; these are never too far.
+
+The root mean square is 1.7 mm with its scatter over eight frames; the distance is the largest of a million."""
+
+MAX_RATIO, MAX_RATIO_OF_FEW = 10.0, 150.0
+"""Largest distance over the median of the trials, and its addition over the square of their number.
+
+The logarithms of the distances of 81 real slides and falls have a standard deviation of 0.65, so one real trial in
+5,000 is ten times as far as the median. The median of few trials is uncertain itself."""
+
+MAX_LEFT = 0.3
+"""Largest share of a distance that is left after a correction, so that the correction is the cause."""
+
+MAX_EXCHANGED = 10
+"""Largest number of bodies or markers whose pairs are tried as exchanged."""
+
+SAME_MM = 1e-3
+"""Largest distance of a copy [mm], the digits of files; noise of motion capture alone is larger."""
+
+SHIFT_STEP_S = 1.0 / 120.0
+"""Step of the grid of time shifts [s]."""
+
+SHIFTS_S = SHIFT_STEP_S * np.array(sorted(range(-40, 41), key=abs))
+"""Grid of time shifts up to `MAX_TIME_OFFSET_S`, whose best shift is refined [s]; of equal shifts the smallest."""
+
+SHIFT_TOLERANCE_S = 1e-7
+"""Largest error of the best time shift [s]."""
+
+
+def trial_faults(
+    names: Sequence[str],
+    trials: Mapping[str, FloatArray],
+    *,
+    unit: str = "mm",
+    law: Band | None = None,
+    may_repeat: bool = False,
+) -> dict[str, Fault]:
+    """Return the fault of each trial that has one, by its file or number.
+
+    Args:
+        names: Names of the coordinates, as `cube.x`.
+        trials: The trials at the 30 Hz frames by file or number, shape [T, C] each; NaN is not captured.
+        unit: Unit of the coordinates.
+        law: Reference of the experiment in the coordinates of the trials; None without one.
+        may_repeat: Whether trials may be equal, as the motion of a machine.
+    """
+    if not trials:
+        return {}
+    faults = dict(_incomplete(names, trials))
+    motions: dict[str, FloatArray] = {}
+    for file, trial in trials.items():
+        if file in faults:
+            continue
+        motion = filled(trial)
+        fault = motion_fault(names, unit, motion)
+        if fault is None and not may_repeat:
+            fault = _copy(motion, motions)
+        if fault is None and law is not None:
+            fault = against_law(law, motion)
+        if fault is None:
+            motions[file] = motion
+        else:
+            faults[file] = fault
+    if len(motions) >= MIN_TRIALS:
+        faults |= _far(names, motions, unit)
+    return faults
+
+
+def band_fault(band: Band) -> Fault | None:
+    """Return the first fault of the trials of a band, or of its mean if it has none."""
+    trials = band.mean[None] if band.trials is None else band.trials
+    numbered = {f"trial {number}": trial for number, trial in enumerate(trials)}
+    faults = trial_faults(band.coordinates, numbered, unit=band.unit)
+    for trial, fault in faults.items():
+        return fault._replace(place=f"{trial}, {fault.place}")
+    return None
+
+
+def _incomplete(
+    names: Sequence[str], trials: Mapping[str, FloatArray]
+) -> Iterator[tuple[str, Fault]]:
+    """Yield trials in which a body or marker lacks too many of the frames that half of the trials have."""
+    owners, is_of = owners_of(names)
+    seen = np.isfinite([*trials.values()]) @ is_of == is_of.sum(axis=0)
+    known = 2 * seen.sum(axis=0) >= len(trials)
+    counts, needed = (seen & known).sum(axis=1), known.sum(axis=0)
+    for file, seen_counts in zip(trials, counts, strict=True):
+        is_short = seen_counts < np.floor(MIN_WHOLE_SHARE * needed)
+        if is_short.any():
+            owner = int(is_short.argmax())
+            problem = f"it has {seen_counts[owner]} of {needed[owner]} frames"
+            remedy = f"at least {100 * MIN_WHOLE_SHARE:g} % are needed: fill its gaps"
+            yield file, Fault(owners[owner], problem, remedy)
+
+
+def _copy(motion: FloatArray, others: Mapping[str, FloatArray]) -> Fault | None:
+    """Return which of the other trials a trial copies; None if none."""
+    for file, other in others.items():
+        if np.nanmax(np.abs(motion - other), initial=0.0) <= SAME_MM:
+            return Fault("(file)", f"it is a copy of {file}", "each trial counts once")
+    return None
+
+
+def _far(
+    names: Sequence[str], trials: Mapping[str, FloatArray], unit: str
+) -> Iterator[tuple[str, Fault]]:
+    """Yield trials that are too far from the median trial, as recorded or after the best time shift."""
+    owners, is_of = owners_of(names)
+    motions = np.stack([*trials.values()])
+    recorded = _sizes(motions - _median(motions), is_of)
+    centre = _median(_aligned(motions, _median(motions)))
+    sizes = _sizes(_aligned(motions, centre) - centre, is_of)
+    ratios = np.zeros(len(motions))
+    for distances in (recorded, sizes):
+        root_mean_squares = np.sqrt(np.square(distances).mean(axis=1))
+        ratios = np.fmax(ratios, _ratios(root_mean_squares, unit, MAX_RMS_MM))
+        ratios = np.fmax(ratios, _ratios(distances.max(axis=1), unit, MAX_DISTANCE_MM))
+    for file, motion, ratio, size in zip(trials, motions, ratios, sizes, strict=True):
+        if ratio <= 1.0:
+            continue
+        frame, owner = np.unravel_index(size.argmax(), size.shape)
+        yield (
+            file,
+            Fault(
+                f"frame {frame} (t = {frame / FRAME_RATE_HZ:.4f} s)",
+                f"{owners[owner]} is {size[frame, owner]:.3g} {unit} from the median trial, {ratio:.2g} times what the "
+                "scatter of the trials allows",
+                _remedy(motion, centre, owners, is_of),
+                is_far=True,
+            ),
+        )
+
+
+def _sizes(deviations: FloatArray, is_of: FloatArray) -> FloatArray:
+    """Return the distance of each body or marker, shape [N, T, owner_count]; 0 where it is unknown."""
+    return np.sqrt(np.nan_to_num(np.square(deviations)) @ is_of)
+
+
+def _ratios(sizes: FloatArray, unit: str, noise_mm: float) -> FloatArray:
+    """Return the largest size of each trial over the largest plausible one, for sizes of shape [N, owner_count]."""
+    largest = sizes.max(axis=1)
+    factor = MAX_RATIO + MAX_RATIO_OF_FEW / len(largest) ** 2
+    noise = noise_mm if unit == "mm" else 0.0
+    return largest / (max(noise, factor * float(np.median(largest))) or math.inf)
+
+
+def _median(motions: FloatArray) -> FloatArray:
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
+        return np.asarray(np.nanmedian(motions, axis=0))
+
+
+def _aligned(motions: FloatArray, centre: FloatArray) -> FloatArray:
+    return np.stack([shifted(one, best_shift(one, centre)[0]) for one in motions])
+
+
+def _remedy(
+    motion: FloatArray, centre: FloatArray, owners: Sequence[str], is_of: FloatArray
+) -> str:
+    """Return the correction that explains the distance of a trial from the others."""
+    remedy, least = (
+        "is it of this material and task?",
+        MAX_LEFT * _nearest(motion, centre),
+    )
+    for text, candidate in _corrected(motion, centre, owners, is_of):
+        size = _nearest(candidate, centre)
+        if size < least:
+            remedy, least = text, size
+    return remedy
+
+
+def _corrected(
+    motion: FloatArray, centre: FloatArray, owners: Sequence[str], is_of: FloatArray
+) -> Iterator[tuple[str, FloatArray]]:
+    """Yield likely mistakes, each with the trial after its correction."""
+    frames = np.arange(len(motion))
+    for rate_hz in RATES_HZ:
+        text = f"the rows look like {rate_hz} Hz: resample them at 30 Hz"
+        yield text, _at_rows(motion, frames * rate_hz / FRAME_RATE_HZ)
+    yield "the frames look reversed", motion[::-1]
+    if len(owners) <= MAX_EXCHANGED:
+        for one, other in combinations(range(len(owners)), 2):
+            columns = np.arange(motion.shape[1])
+            is_one, is_other = is_of[:, one] > 0.0, is_of[:, other] > 0.0
+            columns[is_one], columns[is_other] = columns[is_other], columns[is_one]
+            yield (
+                f"{owners[one]} and {owners[other]} look exchanged",
+                motion[:, columns],
+            )
+    if motion.shape[1] % 3 == 0:
+        # The start is right in recordings whose motion alone is mirrored.
+        for start, origin in ((0.0, 0.0), (motion[0], centre[0])):
+            for text, places in corrections((motion - start).reshape(-1, 3), "mm"):
+                yield text, places.reshape(motion.shape) + origin
+
+
+def _nearest(motion: FloatArray, centre: FloatArray) -> float:
+    """Return the smallest distance of a motion over shifts by whole frames, with a quarter of the frames in common."""
+    shifts_s = np.arange(-10, 11) / FRAME_RATE_HZ
+    return min(_shifted_rms(motion, centre, shift_s, 0.25) for shift_s in shifts_s)
+
+
+def best_shift(motion: FloatArray, mean: FloatArray) -> tuple[float, float]:
+    """Return the time shift of a trial with the smallest distance from a mean [s], and the distance.
+
+    Args:
+        motion: The trial, shape [T, C]; NaN is not captured.
+        mean: The mean, shape [T, C].
+    """
+    sizes = [_shifted_rms(motion, mean, shift_s) for shift_s in SHIFTS_S]
+    best = int(np.argmin(sizes))
+    near_s = SHIFTS_S[best] + SHIFT_STEP_S * np.array([-1.0, 1.0])
+    finest = minimize_scalar(
+        lambda shift_s: _shifted_rms(motion, mean, shift_s),
+        bounds=np.clip(near_s, -MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S),
+        options={"xatol": SHIFT_TOLERANCE_S},
+    )
+    if finest.fun < sizes[best]:
+        return float(finest.x), float(finest.fun)
+    return float(SHIFTS_S[best]), sizes[best]
+
+
+def _shifted_rms(
+    motion: FloatArray, mean: FloatArray, shift_s: float, share: float = MIN_OVERLAP
+) -> float:
+    """Return the distance of a shifted trial from a mean; infinity with less than a share of its known frames."""
+    deviation = shifted(motion, shift_s) - mean
+    common, known = (np.isfinite(x).any(axis=1).sum() for x in (deviation, mean))
+    return rms_over_frames(deviation) if common >= max(share * known, 1) else math.inf
+
+
+def shifted(motion: FloatArray, shift_s: float) -> FloatArray:
+    """Return a trial after a delay [s], shape [T, C].
+
+    A body rests before its release, so earlier times have the value of the first sample. Times after the last sample
+    are unknown.
+    """
+    rows = np.arange(len(motion)) - shift_s * FRAME_RATE_HZ
+    first = np.isfinite(motion).any(axis=1).argmax()
+    return _at_rows(motion, np.where(rows < 0.0, first, rows))
+
+
+def _at_rows(motion: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return a trial at fractional rows, shape [T, C]; NaN after the last row."""
+    # Whole rows have rounding errors.
+    rows = np.minimum(np.round(rows, 9), len(motion))
+    low = np.floor(rows).astype(int)
+    part = (rows - low)[:, None]
+    padded = np.vstack([motion, np.full((2, motion.shape[1]), np.nan)])
+    between = padded[low] + part * (padded[low + 1] - padded[low])
+    return np.where(part > 0.0, between, padded[low])
+
+
+def rms_over_frames(deviation: FloatArray) -> float:
+    """Return the root mean square over frames; each coordinate counts at the frames at which it is known.
+
+    A coordinate that is never known does not count; without any, the result is NaN.
+    """
+    counts = np.isfinite(deviation).sum(axis=0)
+    if not counts.any():
+        return math.nan
+    sums = np.nansum(np.square(deviation), axis=0)
+    return math.sqrt((sums / np.maximum(counts, 1)).sum())
