@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.optimize import minimize_scalar
 
 from gauge_envs.references.band import Band
@@ -16,12 +17,13 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, MIN_OVERLAP
 from gauge_envs.scoring.user_file.likely_mistakes import corrections
 from gauge_envs.scoring.user_file.motion_checks import (
+    MIN_HELD_FRAMES,
     RATES_HZ,
     Fault,
     against_law,
-    filled,
     motion_fault,
     owners_of,
+    place_of,
 )
 
 MIN_WHOLE_SHARE = 0.9
@@ -35,11 +37,19 @@ MAX_RMS_MM, MAX_DISTANCE_MM = 3.0, 7.0
 
 The root mean square is 1.7 mm with its scatter over eight frames; the distance is the largest of a million."""
 
-MAX_RATIO, MAX_RATIO_OF_FEW = 10.0, 150.0
-"""Largest distance over the median of the trials, and its addition over the square of their number.
+MAX_QUARTERS = 20.0
+"""Largest distance beyond the median of the trials, over that of the upper quartile.
 
-The logarithms of the distances of 81 real slides and falls have a standard deviation of 0.65, so one real trial in
-5,000 is ten times as far as the median. The median of few trials is uncertain itself."""
+The logarithms of the distances of 81 real slides and falls have a standard deviation of 0.65. Of such trials, one in
+10,000 is further away."""
+
+MIN_RATIO, MIN_RATIO_OF_FEW = 4.0, 150.0
+"""Distance over the median of the trials that is always plausible, and its addition over the square of their number.
+
+The largest of the 81 is 3.3 times the median. The quartiles of few trials are uncertain."""
+
+MAX_HELD_SHARE = 0.1
+"""Largest share of trials with held values, so that holding them is a fault and not a rest without noise."""
 
 MAX_LEFT = 0.3
 """Largest share of a distance that is left after a correction, so that the correction is the cause."""
@@ -52,9 +62,6 @@ SAME_MM = 1e-3
 
 SHIFT_STEP_S = 1.0 / 120.0
 """Step of the grid of time shifts [s]."""
-
-SHIFTS_S = SHIFT_STEP_S * np.array(sorted(range(-40, 41), key=abs))
-"""Grid of time shifts up to `MAX_TIME_OFFSET_S`, whose best shift is refined [s]; of equal shifts the smallest."""
 
 SHIFT_TOLERANCE_S = 1e-7
 """Largest error of the best time shift [s]."""
@@ -84,18 +91,18 @@ def trial_faults(
     for file, trial in trials.items():
         if file in faults:
             continue
-        motion = filled(trial)
-        fault = motion_fault(names, unit, motion)
+        fault = motion_fault(names, unit, trial)
         if fault is None and not may_repeat:
-            fault = _copy(motion, motions)
+            fault = _copy(trial, motions)
         if fault is None and law is not None:
-            fault = against_law(law, motion)
+            fault = against_law(law, trial)
         if fault is None:
-            motions[file] = motion
+            motions[file] = trial
         else:
             faults[file] = fault
     if len(motions) >= MIN_TRIALS:
         faults |= _far(names, motions, unit)
+        faults |= _held(names, motions)
     return faults
 
 
@@ -155,13 +162,31 @@ def _far(
         yield (
             file,
             Fault(
-                f"frame {frame} (t = {frame / FRAME_RATE_HZ:.4f} s)",
+                place_of(frame),
                 f"{owners[owner]} is {size[frame, owner]:.3g} {unit} from the median trial, {ratio:.2g} times what the "
                 "scatter of the trials allows",
                 _remedy(motion, centre, owners, is_of),
                 is_far=True,
             ),
         )
+
+
+def _held(
+    names: Sequence[str], trials: Mapping[str, FloatArray]
+) -> Iterator[tuple[str, Fault]]:
+    """Yield trials in which a body or marker keeps its values, if it moves or has noise in nearly all others."""
+    owners, is_of = owners_of(names)
+    motions = np.stack([*trials.values()])
+    equal = (np.diff(motions, axis=1) == 0.0) @ is_of == is_of.sum(axis=0)
+    runs = sliding_window_view(equal, MIN_HELD_FRAMES, axis=1).all(axis=-1)
+    is_held = runs.any(axis=(1, 2))
+    if is_held.sum() > max(1.0, MAX_HELD_SHARE * len(motions)):
+        return
+    for index, file in enumerate(trials):
+        if is_held[index]:
+            frame, owner = np.argwhere(runs[index])[0]
+            problem = f"{owners[owner]} keeps its values, unlike in the other trials"
+            yield file, Fault(place_of(frame), problem, "write null for lost frames")
 
 
 def _sizes(deviations: FloatArray, is_of: FloatArray) -> FloatArray:
@@ -172,9 +197,10 @@ def _sizes(deviations: FloatArray, is_of: FloatArray) -> FloatArray:
 def _ratios(sizes: FloatArray, unit: str, noise_mm: float) -> FloatArray:
     """Return the largest size of each trial over the largest plausible one, for sizes of shape [N, owner_count]."""
     largest = sizes.max(axis=1)
-    factor = MAX_RATIO + MAX_RATIO_OF_FEW / len(largest) ** 2
-    noise = noise_mm if unit == "mm" else 0.0
-    return largest / (max(noise, factor * float(np.median(largest))) or math.inf)
+    median, quarter = np.quantile(largest, (0.5, 0.75))
+    factor = MIN_RATIO + MIN_RATIO_OF_FEW / len(largest) ** 2
+    limit = max(factor * median, median + MAX_QUARTERS * (quarter - median))
+    return largest / (max(limit, noise_mm if unit == "mm" else 0.0) or math.inf)
 
 
 def _median(motions: FloatArray) -> FloatArray:
@@ -183,17 +209,17 @@ def _median(motions: FloatArray) -> FloatArray:
 
 
 def _aligned(motions: FloatArray, centre: FloatArray) -> FloatArray:
-    return np.stack([shifted(one, best_shift(one, centre)[0]) for one in motions])
+    step_s = 1.0 / FRAME_RATE_HZ
+    shifts_s = [best_shift(motion, centre, step_s)[0] for motion in motions]
+    return np.stack([*map(shifted, motions, shifts_s)])
 
 
 def _remedy(
     motion: FloatArray, centre: FloatArray, owners: Sequence[str], is_of: FloatArray
 ) -> str:
     """Return the correction that explains the distance of a trial from the others."""
-    remedy, least = (
-        "is it of this material and task?",
-        MAX_LEFT * _nearest(motion, centre),
-    )
+    remedy = "is it of this material and task?"
+    least = MAX_LEFT * _nearest(motion, centre)
     for text, candidate in _corrected(motion, centre, owners, is_of):
         size = _nearest(candidate, centre)
         if size < least:
@@ -215,10 +241,8 @@ def _corrected(
             columns = np.arange(motion.shape[1])
             is_one, is_other = is_of[:, one] > 0.0, is_of[:, other] > 0.0
             columns[is_one], columns[is_other] = columns[is_other], columns[is_one]
-            yield (
-                f"{owners[one]} and {owners[other]} look exchanged",
-                motion[:, columns],
-            )
+            text = f"{owners[one]} and {owners[other]} look exchanged"
+            yield text, motion[:, columns]
     if motion.shape[1] % 3 == 0:
         # The start is right in recordings whose motion alone is mirrored.
         for start, origin in ((0.0, 0.0), (motion[0], centre[0])):
@@ -232,24 +256,32 @@ def _nearest(motion: FloatArray, centre: FloatArray) -> float:
     return min(_shifted_rms(motion, centre, shift_s, 0.25) for shift_s in shifts_s)
 
 
-def best_shift(motion: FloatArray, mean: FloatArray) -> tuple[float, float]:
+def best_shift(
+    motion: FloatArray, mean: FloatArray, step_s: float = SHIFT_STEP_S
+) -> tuple[float, float]:
     """Return the time shift of a trial with the smallest distance from a mean [s], and the distance.
 
     Args:
         motion: The trial, shape [T, C]; NaN is not captured.
         mean: The mean, shape [T, C].
+        step_s: Step of the grid of shifts, of which the best is refined [s].
     """
-    sizes = [_shifted_rms(motion, mean, shift_s) for shift_s in SHIFTS_S]
+    count = round(MAX_TIME_OFFSET_S / step_s)
+    # Of equal shifts, the smallest comes first.
+    shifts_s = step_s * np.array(sorted(range(-count, count + 1), key=abs))
+    sizes = [_shifted_rms(motion, mean, shift_s) for shift_s in shifts_s]
     best = int(np.argmin(sizes))
-    near_s = SHIFTS_S[best] + SHIFT_STEP_S * np.array([-1.0, 1.0])
-    finest = minimize_scalar(
-        lambda shift_s: _shifted_rms(motion, mean, shift_s),
-        bounds=np.clip(near_s, -MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S),
-        options={"xatol": SHIFT_TOLERANCE_S},
-    )
+    near_s = shifts_s[best] + step_s * np.array([-1.0, 1.0])
+    # Shifts with too few common frames have an infinite distance.
+    with np.errstate(invalid="ignore"):
+        finest = minimize_scalar(
+            lambda shift_s: _shifted_rms(motion, mean, shift_s),
+            bounds=np.clip(near_s, -MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S),
+            options={"xatol": SHIFT_TOLERANCE_S},
+        )
     if finest.fun < sizes[best]:
         return float(finest.x), float(finest.fun)
-    return float(SHIFTS_S[best]), sizes[best]
+    return float(shifts_s[best]), sizes[best]
 
 
 def _shifted_rms(

@@ -57,8 +57,8 @@ MAX_ACROSS_MM = 5.0
 MAX_SPEED_M_PER_S = 10.0
 """Largest speed of a real body or marker [m/s]; a fall from the ceiling of a laboratory, 3 m, ends at 7.7 m/s."""
 
-MAX_PATH_M = 4.0
-"""Largest distance from the start [m]; the capture volume is a few metres wide."""
+MAX_PATH_M = 8.0
+"""Largest distance from the start [m]; a capture volume is a few metres wide."""
 
 MIN_HELD_FRAMES = 3
 """Smallest number of equal frames at the end of a motion."""
@@ -105,11 +105,11 @@ def motion_fault(names: Sequence[str], unit: str, values: FloatArray) -> Fault |
     Args:
         names: Names of the coordinates, as `cube.x`.
         unit: Unit of the values.
-        values: g(t) at the 30 Hz frames, shape [T, C]; frames at the ends may be NaN.
+        values: g(t) at the 30 Hz frames, shape [T, C]; NaN is not captured.
     """
-    times_s = np.arange(len(values)) / FRAME_RATE_HZ
-    lost = lost_marker(names, unit, times_s, values)
-    return lost or next(impossible_path(names, unit, values), None)
+    times_s, whole = np.arange(len(values)) / FRAME_RATE_HZ, filled(values)
+    lost = lost_marker(names, unit, times_s, whole)
+    return lost or next(impossible_path(names, unit, whole), None)
 
 
 def impossible_path(
@@ -130,7 +130,7 @@ def impossible_path(
         frame, owner = np.unravel_index(sizes.argmax(), sizes.shape)
         if sizes[frame, owner] > largest:
             yield Fault(
-                _place(int(frame)),
+                place_of(int(frame)),
                 f"{owners[owner]} {text.format(sizes[frame, owner])}",
                 f"In a laboratory, it is at most {largest:g}: check the unit and lost markers",
             )
@@ -311,7 +311,7 @@ def unusual_motion(
     last = int(across_size.argmax())
     if across_size[last] > max(MIN_JUMP_MM, MAX_UNSCORED * scored_size.max()):
         name = experiment.coordinates[np.abs(across[last]).argmax()]
-        yield f"{_place(last)}: {across_size[last]:.3g} {unit} of motion across is not scored, mainly {name}"
+        yield f"{place_of(last)}: {across_size[last]:.3g} {unit} of motion across is not scored, mainly {name}"
     yield from _held_to_end(experiment, band, frames)
 
 
@@ -326,7 +326,9 @@ def against_law(band: Band, frames: FloatArray) -> Fault | None:
     if not against > 0.5 * size:
         return None
     problem = f"moves {against:.3g} {band.unit} against the reference"
-    return Fault(_place(early), problem, "Check the axes, and the order of the frames")
+    return Fault(
+        place_of(early), problem, "Check the axes, and the order of the frames"
+    )
 
 
 def _held_to_end(
@@ -359,7 +361,7 @@ def _held_to_end(
         rest = float(np.linalg.norm(np.ptp(real[start:][band.known[start:]], axis=0)))
         if is_smooth and rest > MIN_REST_SHARE * np.linalg.norm(np.ptp(real, axis=0)):
             yield (
-                f"{_place(start)} to the end: {owner} keeps its values, and the reference moves on by "
+                f"{place_of(start)} to the end: {owner} keeps its values, and the reference moves on by "
                 f"{rest:.3g} {experiment.score.observable.unit}: the marker was lost"
             )
 
@@ -373,5 +375,6 @@ def _displacements(band: Band) -> FloatArray:
     return np.nan_to_num(band.mean - band.mean[band.known][0])
 
 
-def _place(frame: int) -> str:
+def place_of(frame: int) -> str:
+    """Return a frame and its time in words."""
     return f"frame {frame} (t = {frame / FRAME_RATE_HZ:.4f} s)"

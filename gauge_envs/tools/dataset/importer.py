@@ -31,7 +31,7 @@ from gauge_envs.scoring.events import PUBLISHED_TRIALS, event_values
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import COVERAGE_FACTOR
 from gauge_envs.scoring.user_file.gate import rms_over_frames, trial_faults
-from gauge_envs.scoring.user_file.motion_checks import Fault, filled
+from gauge_envs.scoring.user_file.motion_checks import filled
 from gauge_envs.text import printable
 from gauge_envs.tools.dataset.findings import ImportFinding, TrialError
 from gauge_envs.tools.dataset.layout import Layout
@@ -366,7 +366,6 @@ def _band(experiment: Experiment, trajectories: FloatArray, source: str) -> Band
     """Return the band of trials of shape [trial_count, frame_count, coordinate_count]."""
     count = len(trajectories)
     mean, sigma = mean_and_sigma(trajectories)
-    seen_counts = np.isfinite(trajectories).sum(axis=0)
     trial_rmse, trial_rmse_aligned = leave_one_out_distances(trajectories)
     return Band(
         kind=Kind.TRIALS,
@@ -375,7 +374,7 @@ def _band(experiment: Experiment, trajectories: FloatArray, source: str) -> Band
         projection=np.eye(len(experiment.coordinates)),
         mean=mean,
         sigma=sigma,
-        measured=(2 * seen_counts >= count).any(axis=1),
+        measured=np.isfinite(mean).any(axis=1),
         source=source,
         trial_count=count,
         trials=trajectories,
