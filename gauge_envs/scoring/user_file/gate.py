@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import combinations
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -53,9 +52,6 @@ MAX_HELD_SHARE = 0.1
 
 MAX_LEFT = 0.3
 """Largest share of a distance that is left after a correction, so that the correction is the cause."""
-
-MAX_EXCHANGED = 10
-"""Largest number of bodies or markers whose pairs are tried as exchanged."""
 
 SAME_MM = 1e-3
 """Largest distance of a copy [mm], the digits of files; noise of motion capture alone is larger."""
@@ -165,7 +161,7 @@ def _far(
                 place_of(frame),
                 f"{owners[owner]} is {size[frame, owner]:.3g} {unit} from the median trial, {ratio:.2g} times what the "
                 "scatter of the trials allows",
-                _remedy(motion, centre, owners, is_of),
+                _remedy(motion, centre),
                 is_far=True,
             ),
         )
@@ -178,13 +174,13 @@ def _held(
     owners, is_of = owners_of(names)
     motions = np.stack([*trials.values()])
     equal = (np.diff(motions, axis=1) == 0.0) @ is_of == is_of.sum(axis=0)
-    runs = sliding_window_view(equal, MIN_HELD_FRAMES, axis=1).all(axis=-1)
-    is_held = runs.any(axis=(1, 2))
-    if is_held.sum() > max(1.0, MAX_HELD_SHARE * len(motions)):
+    runs = np.all(sliding_window_view(equal, MIN_HELD_FRAMES, axis=1), axis=-1)
+    places = [np.argwhere(trial_runs) for trial_runs in runs]
+    if sum(map(bool, map(len, places))) > max(1.0, MAX_HELD_SHARE * len(motions)):
         return
-    for index, file in enumerate(trials):
-        if is_held[index]:
-            frame, owner = np.argwhere(runs[index])[0]
+    for file, held in zip(trials, places, strict=True):
+        if len(held):
+            frame, owner = held[0]
             problem = f"{owners[owner]} keeps its values, unlike in the other trials"
             yield file, Fault(place_of(frame), problem, "write null for lost frames")
 
@@ -210,44 +206,28 @@ def _median(motions: FloatArray) -> FloatArray:
 
 def _aligned(motions: FloatArray, centre: FloatArray) -> FloatArray:
     step_s = 1.0 / FRAME_RATE_HZ
-    shifts_s = [best_shift(motion, centre, step_s)[0] for motion in motions]
+    shifts_s = [best_shift(motion, centre, step_s)[1] for motion in motions]
     return np.stack([*map(shifted, motions, shifts_s)])
 
 
-def _remedy(
-    motion: FloatArray, centre: FloatArray, owners: Sequence[str], is_of: FloatArray
-) -> str:
+def _remedy(motion: FloatArray, centre: FloatArray) -> str:
     """Return the correction that explains the distance of a trial from the others."""
-    remedy = "is it of this material and task?"
-    least = MAX_LEFT * _nearest(motion, centre)
-    for text, candidate in _corrected(motion, centre, owners, is_of):
-        size = _nearest(candidate, centre)
-        if size < least:
-            remedy, least = text, size
-    return remedy
-
-
-def _corrected(
-    motion: FloatArray, centre: FloatArray, owners: Sequence[str], is_of: FloatArray
-) -> Iterator[tuple[str, FloatArray]]:
-    """Yield likely mistakes, each with the trial after its correction."""
     frames = np.arange(len(motion))
-    for rate_hz in RATES_HZ:
-        text = f"the rows look like {rate_hz} Hz: resample them at 30 Hz"
-        yield text, _at_rows(motion, frames * rate_hz / FRAME_RATE_HZ)
-    yield "the frames look reversed", motion[::-1]
-    if len(owners) <= MAX_EXCHANGED:
-        for one, other in combinations(range(len(owners)), 2):
-            columns = np.arange(motion.shape[1])
-            is_one, is_other = is_of[:, one] > 0.0, is_of[:, other] > 0.0
-            columns[is_one], columns[is_other] = columns[is_other], columns[is_one]
-            text = f"{owners[one]} and {owners[other]} look exchanged"
-            yield text, motion[:, columns]
+    corrected = [
+        (f"the rows look like {hz} Hz", _at_rows(motion, frames * hz / FRAME_RATE_HZ))
+        for hz in RATES_HZ
+    ]
+    corrected.append(("the frames look reversed", motion[::-1]))
     if motion.shape[1] % 3 == 0:
         # The start is right in recordings whose motion alone is mirrored.
         for start, origin in ((0.0, 0.0), (motion[0], centre[0])):
             for text, places in corrections((motion - start).reshape(-1, 3), "mm"):
-                yield text, places.reshape(motion.shape) + origin
+                corrected.append((text, places.reshape(motion.shape) + origin))
+    sizes = [_nearest(candidate, centre) for _, candidate in corrected]
+    best = int(np.argmin(sizes))
+    if sizes[best] < MAX_LEFT * _nearest(motion, centre):
+        return corrected[best][0]
+    return "is it of this material and task?"
 
 
 def _nearest(motion: FloatArray, centre: FloatArray) -> float:
@@ -259,7 +239,7 @@ def _nearest(motion: FloatArray, centre: FloatArray) -> float:
 def best_shift(
     motion: FloatArray, mean: FloatArray, step_s: float = SHIFT_STEP_S
 ) -> tuple[float, float]:
-    """Return the time shift of a trial with the smallest distance from a mean [s], and the distance.
+    """Return the smallest distance of a trial from a mean over time shifts, and the shift [s].
 
     Args:
         motion: The trial, shape [T, C]; NaN is not captured.
@@ -279,9 +259,8 @@ def best_shift(
             bounds=np.clip(near_s, -MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S),
             options={"xatol": SHIFT_TOLERANCE_S},
         )
-    if finest.fun < sizes[best]:
-        return float(finest.x), float(finest.fun)
-    return float(shifts_s[best]), sizes[best]
+    on_grid = sizes[best], float(shifts_s[best])
+    return min(on_grid, (float(finest.fun), float(finest.x)))
 
 
 def _shifted_rms(
@@ -308,11 +287,10 @@ def _at_rows(motion: FloatArray, rows: FloatArray) -> FloatArray:
     """Return a trial at fractional rows, shape [T, C]; NaN after the last row."""
     # Whole rows have rounding errors.
     rows = np.minimum(np.round(rows, 9), len(motion))
-    low = np.floor(rows).astype(int)
-    part = (rows - low)[:, None]
-    padded = np.vstack([motion, np.full((2, motion.shape[1]), np.nan)])
-    between = padded[low] + part * (padded[low + 1] - padded[low])
-    return np.where(part > 0.0, between, padded[low])
+    padded = np.vstack([motion, np.full(motion.shape[1], np.nan)])
+    low = padded[np.floor(rows).astype(int)]
+    high = padded[np.ceil(rows).astype(int)]
+    return low + (rows % 1.0)[:, None] * (high - low)
 
 
 def rms_over_frames(deviation: FloatArray) -> float:

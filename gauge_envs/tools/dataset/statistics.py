@@ -54,7 +54,7 @@ def leave_one_out_distances(trials: FloatArray) -> tuple[FloatArray, FloatArray]
     pairs = []
     for index, trial in enumerate(trials):
         mean, _ = mean_and_sigma(np.delete(trials, index, axis=0))
-        _, aligned = best_shift(filled(trial), mean)
+        aligned, _ = best_shift(filled(trial), mean)
         pairs.append((rms_over_frames(trial - mean), aligned))
     raw_rmse, aligned_rmse = np.array(pairs).T
     return raw_rmse, aligned_rmse

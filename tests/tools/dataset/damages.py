@@ -363,4 +363,3 @@ FILE_DAMAGES = {
     ),
 }
 """Damages of the text of the first trial, from the contents of all."""
-

@@ -7,6 +7,7 @@ by more than 5 %.
 from __future__ import annotations
 
 import copy
+import math
 
 import numpy as np
 import pytest
@@ -184,22 +185,41 @@ def test_another_material_is_named_and_kept_on_request(tmp_path, gauge):
         assert "from the median trial" in said
 
 
-def test_a_glued_cube_is_outside_whatever_a_trial_lacks(tmp_path):
-    """A lost coordinate made the limit infinite, so that each motion was inside."""
-    rng = np.random.default_rng(1)
-    contents = clean_contents(SLIDER, rng)
-    contents[0]["cube"]["x"] = [None] * len(contents[0]["cube"]["x"])
-    outcome = import_files(tmp_path, SLIDER, [*map(as_text, contents)])
-    assert (outcome.used, outcome.left_out) == (19, 1)
+def verdicts():
+    """Return the verdicts of exact slides against the import; glued is a friction without motion."""
     experiment = load_experiment(SLIDER, reference="imported")
     start_mm = 1e3 * np.asarray(experiment.scene.body("cube").pose.position_m)
     times_s = np.arange(experiment.frame_count) / 30.0
-    values = np.tile(start_mm, (len(times_s), 1))
-    score = score_trajectory(
-        experiment, band_of(SLIDER), times_s=times_s, values=values
-    )
-    assert score.verdict is ScoreVerdict.OUTSIDE
-    assert np.isfinite(score.real_limit)
+    found = {}
+    for friction in (0.20, 0.257, 0.40, math.inf):
+        acceleration = 9806.65 * max(0.0, 0.5 - friction * math.sqrt(0.75))
+        path_mm = 0.5 * acceleration * times_s[:, None] ** 2
+        values = start_mm + path_mm * [math.sqrt(0.75), 0.0, -0.5]
+        score = score_trajectory(
+            experiment, band_of(SLIDER), times_s=times_s, values=values
+        )
+        assert np.isfinite(score.real_limit)
+        found[friction] = score.verdict
+    return found
+
+
+def test_verdicts_are_those_of_the_clean_trials(tmp_path):
+    """A lost coordinate made the limit infinite, so that each motion was inside."""
+    rng = np.random.default_rng(1)
+    contents = clean_contents(SLIDER, rng)
+    texts = [*map(as_text, contents)]
+    import_files(tmp_path, SLIDER, texts)
+    expected = verdicts()
+    assert expected[math.inf] is ScoreVerdict.OUTSIDE
+    damages = drawn(PATH_DAMAGES, rng, 3) | {
+        "x": PATH_DAMAGES["x never captured"],
+        "half": PATH_DAMAGES["half of the frames"],
+    }
+    for damage, make in path_cases(SLIDER, ("cube", None), damages, rng).items():
+        text = make(copy.deepcopy(contents))
+        outcome = import_files(tmp_path, SLIDER, [text, *texts[1:]])
+        assert (outcome.used, outcome.left_out) == (19, 1)
+        assert verdicts() == expected, damage
 
 
 def test_bundled_real_trials_pass_the_gate():
