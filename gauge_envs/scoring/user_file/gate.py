@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.optimize import minimize_scalar
 
 from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray
@@ -174,6 +173,9 @@ def _held(
     owners, is_of = owners_of(names)
     motions = np.stack([*trials.values()])
     equal = (np.diff(motions, axis=1) == 0.0) @ is_of == is_of.sum(axis=0)
+    # A body rests before its release.
+    rests = np.logical_and.accumulate(equal, axis=1)
+    equal &= ~rests | rests[:, -1:]
     runs = np.all(sliding_window_view(equal, MIN_HELD_FRAMES, axis=1), axis=-1)
     places = [np.argwhere(trial_runs) for trial_runs in runs]
     if sum(map(bool, map(len, places))) > max(1.0, MAX_HELD_SHARE * len(motions)):
@@ -246,6 +248,8 @@ def best_shift(
         mean: The mean, shape [T, C].
         step_s: Step of the grid of shifts, of which the best is refined [s].
     """
+    from scipy.optimize import minimize_scalar
+
     count = round(MAX_TIME_OFFSET_S / step_s)
     # Of equal shifts, the smallest comes first.
     shifts_s = step_s * np.array(sorted(range(-count, count + 1), key=abs))

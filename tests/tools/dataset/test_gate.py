@@ -172,9 +172,17 @@ def test_clean_trials_are_all_imported(name, tmp_path):
 
 
 def test_another_material_is_named_and_kept_on_request(tmp_path, gauge):
+    """A friction that is higher by 0.06 shortens the path by a fifth."""
     rng = np.random.default_rng(0)
     contents = clean_contents(SLIDER, rng)
-    contents[3] = clean_contents("SlopeSlider-2-plastic", rng)[3]
+    damaged(
+        contents[3],
+        load_experiment(SLIDER),
+        "cube",
+        None,
+        lambda path, rng: path[0] + 0.8 * (path - path[0]),
+        rng,
+    )
     for number, content in enumerate(contents):
         write_trial(tmp_path, SLIDER, number, as_text(content).encode())
     for options, code, count in (((), 1, 19), (("--keep",), 0, 20)):
