@@ -41,10 +41,11 @@ MAX_QUARTERS = 20.0
 The logarithms of the distances of 81 real slides and falls have a standard deviation of 0.65. Of such trials, one in
 10,000 is further away."""
 
-MIN_RATIO, MIN_RATIO_OF_FEW = 4.0, 150.0
+MIN_RATIO, MIN_RATIO_OF_FEW = 6.0, 200.0
 """Distance over the median of the trials that is always plausible, and its addition over the square of their number.
 
-The largest of the 81 is 3.3 times the median. The quartiles of few trials are uncertain."""
+The largest of the 81 is 3.3 times the median, and twice as many with a twentieth of the frames lost. The quartiles of
+few trials are uncertain."""
 
 MAX_HELD_SHARE = 0.1
 """Largest share of trials with held values, so that holding them is a fault and not a rest without noise."""

@@ -86,7 +86,7 @@ def clean_paths(experiment, rng, count):
     for _ in range(count):
         delay = 0.0
         if not experiment.scene.drivers:
-            delay = rng.uniform(0.0, MAX_RELEASE_FRAMES)
+            delay = rng.uniform(0.0, min(MAX_RELEASE_FRAMES, len(mean) / 4.0))
         rows = np.clip(frames - delay, 0.0, None)
         moved = np.stack(
             [
