@@ -83,26 +83,18 @@ class ImportedTrials:
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready dictionary."""
-        line = {
+        facts = self.facts
+        return {
             "id": self.variant.id,
-            "imported": False,
+            "imported": facts is not None,
             "trials": self.used,
             "left_out": self.left_out,
-            "frames": None,
-            "revision": None,
-            "sha256": None,
+            "frames": facts and self.frame_count,
+            "revision": facts and facts.revision,
+            "sha256": facts and facts.files_sha256,
             "baselines": json_ready(self.baselines),
-            "drivers": [],
+            "drivers": [] if facts is None else facts.model_dump()["drivers"],
         }
-        if self.facts is not None:
-            line |= {
-                "imported": True,
-                "frames": self.frame_count,
-                "revision": self.facts.revision,
-                "sha256": self.facts.files_sha256,
-                "drivers": self.facts.model_dump()["drivers"],
-            }
-        return line
 
 
 def baseline_lines(
