@@ -35,17 +35,16 @@ MAX_RMS_MM, MAX_DISTANCE_MM = 3.0, 7.0
 
 The root mean square is 1.7 mm with its scatter over eight frames; the distance is the largest of a million."""
 
-MAX_QUARTERS = 20.0
+MAX_QUARTERS = 12.0
 """Largest distance beyond the median of the trials, over that of the upper quartile.
 
-The logarithms of the distances of 81 real slides and falls have a standard deviation of 0.65. Of such trials, one in
-10,000 is further away."""
+If a single normal constant scatters, such as a friction, the limit is 6 of its standard deviations."""
 
-MIN_RATIO, MIN_RATIO_OF_FEW = 6.0, 200.0
+MIN_RATIO, MIN_RATIO_OF_FEW = 8.0, 200.0
 """Distance over the median of the trials that is always plausible, and its addition over the square of their number.
 
-The largest of the 81 is 3.3 times the median, and twice as many with a twentieth of the frames lost. The quartiles of
-few trials are uncertain."""
+The largest of the 81 is 5.5 times the median, and 6.9 times with a twentieth of the frames lost. The quartiles of few
+trials are uncertain."""
 
 MAX_HELD_SHARE = 0.1
 """Largest share of trials with held values, so that holding them is a fault and not a rest without noise."""
