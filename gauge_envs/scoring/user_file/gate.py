@@ -279,12 +279,11 @@ def _shifted_rms(
 def shifted(motion: FloatArray, shift_s: float) -> FloatArray:
     """Return a trial after a delay [s], shape [T, C].
 
-    A body rests before its release, so earlier times have the value of the first sample. Times after the last sample
-    are unknown.
+    A body rests before its release, so earlier times have the value of the first frame. Times after the last frame are
+    unknown.
     """
     rows = np.arange(len(motion)) - shift_s * FRAME_RATE_HZ
-    first = np.isfinite(motion).any(axis=1).argmax()
-    return _at_rows(motion, np.where(rows < 0.0, first, rows))
+    return _at_rows(motion, np.maximum(rows, 0.0))
 
 
 def _at_rows(motion: FloatArray, rows: FloatArray) -> FloatArray:
