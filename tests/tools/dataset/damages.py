@@ -253,7 +253,7 @@ def every(*changes):
     return change
 
 
-PATH_DAMAGES = {
+LOST_DAMAGES = {
     "x never captured": lambda path, rng: path * [np.nan, 1, 1],
     "z never captured": lambda path, rng: path * [1, 1, np.nan],
     "never captured": lambda path, rng: path * np.nan,
@@ -278,6 +278,10 @@ PATH_DAMAGES = {
     "step of 120 mm": added(120.0),
     "drift of 15 m": drift(15000.0),
     "drift of 2 m": drift(2000.0),
+}
+"""Damages of the path of a body or marker, shape [T, 3]; each returns the damaged path."""
+
+RECORDING_DAMAGES = {
     "60 Hz": at_rate(60.0),
     "120 Hz": at_rate(120.0),
     "15 Hz": at_rate(15.0),
@@ -293,9 +297,9 @@ PATH_DAMAGES = {
     "cm as mm": lambda path, rng: path / 10.0,
     "reversed": lambda path, rng: path[::-1],
 }
-"""Damages of a path, shape [T, 3]; each returns the damaged path."""
+"""Damages of all paths of a recording."""
 
-UNSEEN_DAMAGES = {
+UNSEEN_LOST_DAMAGES = {
     "y never captured": lambda path, rng: path * [1, np.nan, 1],
     "15 % not captured": put(np.nan, some(0.15, 3)),
     "1e5 in a frame": put(1e4),
@@ -305,17 +309,21 @@ UNSEEN_DAMAGES = {
     ),
     "3 m in frames": added(3000.0, 2),
     "200 mm in frames": added(200.0, 3),
+    "stopped, then on": every(held(some(0.3, 4)), added(150.0)),
+}
+"""Damages of a path that were written after the gate."""
+
+UNSEEN_RECORDING_DAMAGES = {
     "noise of 60 mm": lambda path, rng: path + rng.normal(0.0, 60.0, path.shape),
     "90 Hz": at_rate(90.0),
     "10 Hz": at_rate(10.0),
     "rotated axes": axes((1, 2, 0), about_start=True),
     "x and y mirrored": axes((0, 1, 2), (-1, -1, 1), about_start=False),
-    "stopped, then on": every(held(some(0.3, 4)), added(150.0)),
     "half as large": lambda path, rng: path[0] + 0.5 * (path - path[0]),
     "inch as mm": lambda path, rng: path / 25.4,
     "a frame twice, twice as often": lambda path, rng: path[np.arange(len(path)) // 2],
 }
-"""Damages that were written after the gate."""
+"""Damages of a recording that were written after the gate."""
 
 
 def damaged(content, experiment, asset, marker, change, rng):

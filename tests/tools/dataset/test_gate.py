@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from damages import (
     FILE_DAMAGES,
-    PATH_DAMAGES,
-    UNSEEN_DAMAGES,
+    LOST_DAMAGES,
+    RECORDING_DAMAGES,
+    UNSEEN_LOST_DAMAGES,
+    UNSEEN_RECORDING_DAMAGES,
     as_text,
     clean_contents,
     damaged,
@@ -30,6 +32,8 @@ from gauge_envs.scoring.user_file.gate import band_fault
 from gauge_envs.tools.dataset import importer
 
 SLIDER, PLATE, ROPE = "SlopeSlider-2-wood", "Turntable-2-wood", "RopeWinding-rubber"
+ALL_DAMAGES = LOST_DAMAGES | RECORDING_DAMAGES
+
 PARTS = {
     SLIDER: [("cube", None)],
     "BouncingBall-rubber": [("ball", None)],
@@ -119,17 +123,26 @@ def drawn(damages, rng, count):
 def test_a_damaged_trial_is_named(name, tmp_path):
     rng = np.random.default_rng(5)
     (part,) = PARTS[name]
-    cases = path_cases(name, part, drawn(PATH_DAMAGES, rng, 5), rng)
+    cases = path_cases(name, part, drawn(ALL_DAMAGES, rng, 5), rng)
     assert silent(tmp_path, name, rng, cases | drawn(FILE_DAMAGES, rng, 3)) == []
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("damages", [PATH_DAMAGES, UNSEEN_DAMAGES], ids=["", "unseen"])
+@pytest.mark.parametrize(
+    ("lost", "recording"),
+    [
+        (LOST_DAMAGES, RECORDING_DAMAGES),
+        (UNSEEN_LOST_DAMAGES, UNSEEN_RECORDING_DAMAGES),
+    ],
+    ids=["seen", "unseen"],
+)
 @pytest.mark.parametrize(
     ("name", "part"), [(name, part) for name in PARTS for part in PARTS[name]]
 )
-def test_each_damaged_trial_is_named(name, part, damages, tmp_path):
-    rng = np.random.default_rng(len(damages))
+def test_each_damaged_trial_is_named(name, part, lost, recording, tmp_path):
+    rng = np.random.default_rng(len(lost))
+    _, marker = part
+    damages = lost | recording if marker is None else lost
     cases = path_cases(name, part, damages, rng) | FILE_DAMAGES
     assert silent(tmp_path, name, rng, cases) == []
 
@@ -219,9 +232,9 @@ def test_verdicts_are_those_of_the_clean_trials(tmp_path):
     import_files(tmp_path, SLIDER, texts)
     expected = verdicts()
     assert expected[math.inf] is ScoreVerdict.OUTSIDE
-    damages = drawn(PATH_DAMAGES, rng, 3) | {
-        "x": PATH_DAMAGES["x never captured"],
-        "half": PATH_DAMAGES["half of the frames"],
+    damages = drawn(ALL_DAMAGES, rng, 3) | {
+        "x": LOST_DAMAGES["x never captured"],
+        "half": LOST_DAMAGES["half of the frames"],
     }
     for damage, make in path_cases(SLIDER, ("cube", None), damages, rng).items():
         text = make(copy.deepcopy(contents))
