@@ -6,11 +6,11 @@ import json
 import re
 import tomllib
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 MAX_DEPTH = 32
 """Deepest nesting of a document. Files of this package have up to 6 levels."""
-
 
 LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}""")
 """A dotted key of TOML, which takes memory that grows with the square of its length."""
@@ -41,9 +41,10 @@ def json_document(content: bytes) -> Any:
     """Return the value of a JSON document; see `text_of` for the encoding.
 
     Raises:
-        ValueError: The content is empty, not JSON, or nested too deeply.
+        ValueError: The content is empty, not JSON, nested too deeply, or has a name twice in an object.
     """
-    return _flat(json.loads, filled_text(content))
+    parse = partial(json.loads, object_pairs_hook=_unique)
+    return _flat(parse, filled_text(content))
 
 
 def filled_text(content: bytes) -> str:
@@ -76,6 +77,15 @@ def _flat(parse: Callable[[str], Any], text: str) -> Any:
     if level:
         raise deep
     return value
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    entries = dict(pairs)
+    if len(entries) == len(pairs):
+        return entries
+    names = [name for name, _ in pairs]
+    doubled = next(name for name in names if names.count(name) > 1)
+    raise ValueError(f"the name {doubled!r} occurs twice")
 
 
 def csv_text(content: bytes) -> io.StringIO:

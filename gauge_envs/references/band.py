@@ -211,6 +211,13 @@ class Band:
                 raise ShapeError(
                     f"{name} has shape {values.shape}, expected {axes} = {expected}: frames T, coordinates C, trials N"
                 )
+        for name in ("trial_rmse", "trial_rmse_aligned"):
+            values = getattr(self, name)
+            if values is not None and not np.isfinite(values).all():
+                trial = int(np.isfinite(values).argmin())
+                raise ShapeError(
+                    f"{name}: trial {trial} has the distance {values[trial]}; leave this trial out of the band"
+                )
 
     def __repr__(self) -> str:
         """Return kind, size, standard uncertainty and source in five lines."""

@@ -14,12 +14,14 @@ from gauge_envs.references.band import Band, band_file, load_band
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.references.tables import scoring_folder
-from gauge_envs.references.user_data import DataSource
+from gauge_envs.references.user_data import DataSource, own_band_file
 from gauge_envs.scene import Box, Cloth, Deformable, RigidBody, Scene
 from gauge_envs.scene.diff import Change, ChangeKind, scene_changes
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.states import nominal_states, scene_at
+from gauge_envs.scoring.user_file.gate import band_fault
 from gauge_envs.scoring.user_file.likely_mistakes import START_TOLERANCE_MM
+from gauge_envs.scoring.user_file.motion_checks import Fault
 
 SOLUTION_ALLOWS = frozenset({ChangeKind.SETTING, ChangeKind.LABEL})
 """Changes with which a solution of the scene of the task file still scores a scene."""
@@ -62,6 +64,9 @@ def reference_band(experiment: Experiment) -> Band | None:
             None,
             f"its frames and coordinates of g(t) are {shape}, but those of {experiment.name} are {expected_shape}",
         )
+    fault = _own_fault(band) if file == own_band_file(experiment.name) else None
+    if fault is not None:
+        raise ReferenceFileError(file.with_suffix(".npz"), None, str(fault))
     if experiment.trial is None or driven_trials_file(experiment) is None:
         return band
     return band.of_trial(experiment.trial)
@@ -76,6 +81,12 @@ def driven_trials_file(experiment: Experiment) -> Path | None:
     sources = (experiment.drivers, experiment.reference_source)
     is_other = experiment.edited or DataSource.IMPORTED in sources
     return None if is_other or not file.is_file() else file
+
+
+@lru_cache(maxsize=16)
+def _own_fault(band: Band) -> Fault | None:
+    """Return the fault of a band of a user, once for each version of its file."""
+    return band_fault(band)
 
 
 def refusal(

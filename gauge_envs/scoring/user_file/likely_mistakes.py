@@ -107,7 +107,7 @@ def _place_mistake(
     # If several mistakes explain the start equally well, take the first, which is the simplest.
     mistakes = [
         (round(float(np.linalg.norm(corrected - start, axis=1).max()), 6), text)
-        for text, corrected in _corrections(places, unit)
+        for text, corrected in corrections(places, unit)
     ]
     remaining, text = min(mistakes, key=lambda mistake: mistake[0])
     if remaining <= tolerance:
@@ -119,7 +119,7 @@ def _place_mistake(
     )
 
 
-def _corrections(places: FloatArray, unit: str) -> Iterator[tuple[str, FloatArray]]:
+def corrections(places: FloatArray, unit: str) -> Iterator[tuple[str, FloatArray]]:
     """Yield likely mistakes, each with the places after its fix [mm or m], shape [point_count, 3].
 
     Args:

@@ -1,8 +1,12 @@
-"""Check the motion in a trajectory file: lost markers, another sampling rate, and motion that a score does not show."""
+"""Check a motion: lost markers, jumps, another sampling rate, and motion that a score does not show.
+
+`gauge score` checks a trajectory, `gauge data import` each trial, and `reference_band` the band of a user.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,6 +54,12 @@ MAX_REST_MM = 1.0
 MAX_ACROSS_MM = 5.0
 """Largest distance of the start from that of the scene, across the scored directions, without a note [mm]."""
 
+MAX_SPEED_M_PER_S = 10.0
+"""Largest speed of a real body or marker [m/s]; a fall from the ceiling of a laboratory, 3 m, ends at 7.7 m/s."""
+
+MAX_PATH_M = 8.0
+"""Largest distance from the start [m]; a capture volume is a few metres wide."""
+
 MIN_HELD_FRAMES = 3
 """Smallest number of equal frames at the end of a motion."""
 
@@ -57,27 +67,101 @@ MIN_REST_SHARE = 0.1
 """Smallest motion of the reference from these frames on, over its whole motion."""
 
 
+class Fault(NamedTuple):
+    """Fault of a motion: its place, the value there, what to do, and whether only its distance from others shows it."""
+
+    place: str
+    problem: str
+    remedy: str
+    is_far: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.place}: {self.problem}. {self.remedy}"
+
+
+def owners_of(names: Sequence[str]) -> tuple[list[str], FloatArray]:
+    """Return the bodies or markers of coordinates, and 1 where a coordinate is of one, shape [C, owner_count]."""
+    owners = [name.rpartition(".")[0] or name for name in names]
+    unique = [*dict.fromkeys(owners)]
+    rows = [unique.index(owner) for owner in owners]
+    return unique, np.eye(len(unique))[rows]
+
+
+def filled(values: FloatArray) -> FloatArray:
+    """Return g(t) with lines over lost frames; frames before the first and after the last sample stay NaN."""
+    columns = values.copy()
+    frames = np.arange(len(values))
+    for column in columns.T:
+        known = np.isfinite(column)
+        if known.any():
+            at_known = frames[known], column[known]
+            column[:] = np.interp(frames, *at_known, left=np.nan, right=np.nan)
+    return columns
+
+
+def motion_fault(names: Sequence[str], unit: str, values: FloatArray) -> Fault | None:
+    """Return a lost marker, a jump, or a path out of the capture volume; None if the motion is possible.
+
+    Args:
+        names: Names of the coordinates, as `cube.x`.
+        unit: Unit of the values.
+        values: g(t) at the 30 Hz frames, shape [T, C]; NaN is not captured.
+    """
+    times_s, whole = np.arange(len(values)) / FRAME_RATE_HZ, filled(values)
+    lost = lost_marker(names, unit, times_s, whole)
+    return lost or next(impossible_path(names, unit, whole), None)
+
+
+def impossible_path(
+    names: Sequence[str], unit: str, frames: FloatArray
+) -> Iterator[Fault]:
+    """Yield a speed and a distance from the start that no real body has; for the arguments, see `motion_fault`."""
+    if unit != "mm":
+        return
+    owners, is_of = owners_of(names)
+    known = np.isfinite(frames)
+    starts = np.take_along_axis(frames, known.argmax(axis=0)[None], axis=0)
+    speeds_m_per_s = FRAME_RATE_HZ * 1e-3 * np.diff(frames, axis=0)
+    for motion, largest, text in (
+        (speeds_m_per_s, MAX_SPEED_M_PER_S, "moves at {:.3g} m/s"),
+        (1e-3 * (frames - starts), MAX_PATH_M, "is {:.3g} m from its start"),
+    ):
+        sizes = np.sqrt(np.square(np.nan_to_num(motion)) @ is_of)
+        frame, owner = np.unravel_index(sizes.argmax(), sizes.shape)
+        if sizes[frame, owner] > largest:
+            yield Fault(
+                place_of(int(frame)),
+                f"{owners[owner]} {text.format(sizes[frame, owner])}",
+                f"In a laboratory, it is at most {largest:g}: check the unit and lost markers",
+            )
+
+
 def lost_marker(
-    experiment: Experiment, times_s: FloatArray, values: FloatArray
-) -> str | None:
+    names: Sequence[str], unit: str, times_s: FloatArray, values: FloatArray
+) -> Fault | None:
     """Return the rows at which a marker was lost, and their value; None if none was.
 
     A lost marker has zeros, another constant, its last position, or one wrong position.
 
     Args:
-        experiment: Experiment that was simulated.
+        names: Names of the coordinates, as `cube.x`.
+        unit: Unit of the values.
         times_s: Times of the rows [s], shape [row_count].
-        values: g(t), shape [row_count, coordinate_count].
+        values: g(t), shape [row_count, coordinate_count]; rows at the ends may be NaN.
     """
-    observable = experiment.score.observable
     min_jump = max(MIN_JUMP, MIN_JUMP_SHARE * float(np.ptp(values, axis=0).max()))
-    for name, column in zip(experiment.coordinates, values.T, strict=True):
+    for name, given in zip(names, values.T, strict=True):
+        rows = np.flatnonzero(np.isfinite(given))
+        column = given[rows]
+        if not rows.size:
+            continue
         # Equal rows count as one sample. So zeros and held values are one sample off the path of its neighbours.
         starts = np.flatnonzero(np.append(True, np.diff(column) != 0.0))
         counts = np.diff(np.append(starts, len(column)))
         path = column[starts]
+        starts += rows[0]
         is_integer = path == np.round(path)
-        if observable in (Observable.POSITION, Observable.MARKER_POSITION):
+        if unit == "mm":
             limits = np.where(counts > 1, MIN_HELD_JUMP_MM, MIN_JUMP_MM)
             # Elsewhere, a motion may begin or end with an impact.
             limits[[0, -1]] = np.where(is_integer[[0, -1]], MIN_JUMP_MM, np.inf)
@@ -90,10 +174,12 @@ def lost_marker(
         if distances.any():
             sample = int(distances.argmax())
             first, last = starts[sample], starts[sample] + counts[sample] - 1
-            rows = f"rows {first} to {last}" if last > first else f"row {first}"
-            return (
-                f"{rows} (t = {times_s[first]:.4f} s): {name} is {path[sample]:.6g}, {distances[sample]:.3g} "
-                f"{observable.unit} off the path of the other rows: the marker was lost. Interpolate over these rows"
+            place = f"rows {first} to {last}" if last > first else f"row {first}"
+            return Fault(
+                f"{place} (t = {times_s[first]:.4f} s)",
+                f"{name} is {path[sample]:.6g}, {distances[sample]:.3g} {unit} off the path of the other rows: "
+                "the marker was lost",
+                "Interpolate over these rows",
             )
     return None
 
@@ -216,22 +302,33 @@ def unusual_motion(
     """
     unit = experiment.score.observable.unit
     moved = frames - frames[0]
-    scored, real = band.project(moved), _displacements(band)
-    scored_size, real_size = (
-        np.linalg.norm(motion, axis=1) for motion in (scored, real)
-    )
-    # Later, oscillations of another period also move against each other.
-    early = int(np.argmax(real_size >= 0.5 * real_size.max()))
-    against = -float(scored[early] @ real[early]) / max(real_size[early], 1e-12)
-    if against > 0.5 * max(scored_size[early], 0.2 * real_size[early]):
-        yield f"{_place(early)}: moves {against:.3g} {unit} against the reference"
+    scored = band.project(moved)
+    scored_size = np.linalg.norm(scored, axis=1)
+    yield from map(str, filter(None, [against_law(band, frames)]))
+    yield from map(str, impossible_path(experiment.coordinates, unit, frames))
     across = moved - scored @ np.linalg.pinv(band.projection).T
     across_size = np.linalg.norm(across, axis=1)
     last = int(across_size.argmax())
     if across_size[last] > max(MIN_JUMP_MM, MAX_UNSCORED * scored_size.max()):
         name = experiment.coordinates[np.abs(across[last]).argmax()]
-        yield f"{_place(last)}: {across_size[last]:.3g} {unit} of motion across is not scored, mainly {name}"
+        yield f"{place_of(last)}: {across_size[last]:.3g} {unit} of motion across is not scored, mainly {name}"
     yield from _held_to_end(experiment, band, frames)
+
+
+def against_law(band: Band, frames: FloatArray) -> Fault | None:
+    """Return where a motion is against its reference; None if nowhere. For the arguments, see `unusual_motion`."""
+    moved, real = band.project(frames - frames[0]), _displacements(band)
+    real_size = np.linalg.norm(real, axis=1)
+    # Later, oscillations of another period also move against each other.
+    early = int(np.argmax(real_size >= 0.5 * real_size.max()))
+    against = -float(moved[early] @ real[early]) / max(real_size[early], 1e-12)
+    size = max(float(np.linalg.norm(moved[early])), 0.2 * real_size[early])
+    if not against > 0.5 * size:
+        return None
+    problem = f"moves {against:.3g} {band.unit} against the reference"
+    return Fault(
+        place_of(early), problem, "Check the axes, and the order of the frames"
+    )
 
 
 def _held_to_end(
@@ -264,7 +361,7 @@ def _held_to_end(
         rest = float(np.linalg.norm(np.ptp(real[start:][band.known[start:]], axis=0)))
         if is_smooth and rest > MIN_REST_SHARE * np.linalg.norm(np.ptp(real, axis=0)):
             yield (
-                f"{_place(start)} to the end: {owner} keeps its values, and the reference moves on by "
+                f"{place_of(start)} to the end: {owner} keeps its values, and the reference moves on by "
                 f"{rest:.3g} {experiment.score.observable.unit}: the marker was lost"
             )
 
@@ -278,5 +375,6 @@ def _displacements(band: Band) -> FloatArray:
     return np.nan_to_num(band.mean - band.mean[band.known][0])
 
 
-def _place(frame: int) -> str:
+def place_of(frame: int) -> str:
+    """Return a frame and its time in words."""
     return f"frame {frame} (t = {frame / FRAME_RATE_HZ:.4f} s)"

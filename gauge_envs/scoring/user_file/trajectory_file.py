@@ -151,7 +151,12 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     if samples.times_s is None:
         rate_hz = likely_rate_hz(reference_band(experiment), samples.values)
     times_s = _times_at_frames(file, samples, frames_s, rate_hz)
-    lost = lost_marker(experiment, times_s, samples.values)
+    lost = lost_marker(
+        experiment.coordinates,
+        experiment.score.observable.unit,
+        times_s,
+        samples.values,
+    )
     if lost is not None:
         raise TrajectoryFileError(f"{file}: {lost}")
     missing_s = np.setdiff1d(frames_s, times_s)

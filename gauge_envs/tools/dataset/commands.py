@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -22,7 +22,6 @@ from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
-    from gauge_envs.tools.dataset.findings import ImportFinding
 
 
 def data_download(
@@ -90,11 +89,19 @@ def data_import(
             is_positive=True,
         ),
     ] = None,
+    keep: Annotated[
+        bool,
+        arguments.option(
+            arguments.SELECTION,
+            "Keep trials that are only too far from the others.",
+            "--keep",
+        ),
+    ] = False,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Import real trials as bands and prescribed motions, and compare them with published baselines; offline.
 
-    Damaged files are reported and left out. Exit code 1: a file was left out.
+    Damaged trials are listed and left out. Exit code 1: a trial or its prescribed motion was left out.
     """
     from gauge_envs.tools.dataset.importer import import_trials
     from gauge_envs.tools.dataset.layout import find_trials
@@ -104,34 +111,25 @@ def data_import(
     defaults = {"translation unit": unit, "FPS": rate_hz}
     imports, findings = [], [*layout.findings]
     with Progress("experiments", len(layout.files)) as progress:
-        for trials in import_trials(layout, defaults=defaults):
+        for trials in import_trials(layout, defaults=defaults, keep=keep):
             progress.advance(trials.variant.name)
             imports.append(trials)
             findings += trials.findings
             if form is Format.JSON:
                 print_json_lines([trials.to_dict()])
-    _print_findings(findings)
+    for finding in findings:
+        if not finding.left_out:
+            message(finding, "note")
     if form is Format.JSON:
         print_json_lines([{"finding": asdict(finding)} for finding in findings])
     else:
-        print_document(import_document(imports), form)
+        print_document(import_document(imports, findings), form)
     stored = [trials.used for trials in imports if trials.facts is not None]
     message(
         f"{counted(sum(stored), 'trial')} of {counted(len(stored), 'experiment')} imported; "
         "use them by gauge run ID --use imported"
     )
     return any(finding.left_out for finding in findings)
-
-
-def _print_findings(findings: Iterable[ImportFinding]) -> None:
-    """Print findings on stderr; files with the same problem share a line."""
-    groups: dict[tuple[str, str, bool], list[ImportFinding]] = {}
-    for finding in findings:
-        group = finding.key, finding.problem, finding.left_out
-        groups.setdefault(group, []).append(finding)
-    for first, *repeats in groups.values():
-        more = f" (also in {counted(len(repeats), 'other file')})" if repeats else ""
-        message(f"{first}{more}", "left out" if first.left_out else "note")
 
 
 def list_references(patterns: Sequence[str]) -> list[Table]:

@@ -10,6 +10,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.kinds import Observable, coordinate_names
 from gauge_envs.observables.observer import observe_markers
 from gauge_envs.references.imported import START_FRAMES
 from gauge_envs.references.published import published_baselines
@@ -23,6 +24,9 @@ from gauge_envs.tools.dataset.trial import PoseTrack, Trial, check_lengths
 MAX_START_DISTANCE_MM = 300.0
 """Largest distance from the published initial position; a larger one means a wrong frame, unit or body."""
 
+LEVERS_MM = ((100.0, 0.0, 0.0), (0.0, 0.0, 100.0))
+"""Points whose motion shows the rotation of a driven body [mm]."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DriverTrack:
@@ -35,24 +39,45 @@ class DriverTrack:
         residual_rad: Angle between the recorded and the projected rotation [rad], shape [captured_count]; empty for a
             file without orientation.
         start_offset_mm: Distance of the first position from the published initial position [mm].
+        points_mm: The origin, and two points of the body 100 mm from it, turned since the first frame, shape
+            [frame_count, 9]; NaN if the body was not captured.
     """
 
     coordinates: FloatArray
     residual_mm: FloatArray
     residual_rad: FloatArray
     start_offset_mm: float
+    points_mm: FloatArray
 
 
-def trial_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
-    """Return g(t) of a trial over the frames of an experiment.
+def point_names(experiment: Experiment) -> tuple[str, ...]:
+    """Return the names of the coordinates of `trial_points`, as `cube.x` or `marker-3.x`."""
+    points: Sequence[str] = experiment.recorded
+    if not points and experiment.scene.markers is not None:
+        count = len(experiment.scene.markers.positions_m)
+        points = [f"marker-{number}" for number in range(count)]
+    return coordinate_names(Observable.POSITION, recorded=points, markers=None)
+
+
+def generalized_trajectory(points_mm: FloatArray, experiment: Experiment) -> FloatArray:
+    """Return g(t) of the points of a trial, shape [frame_count, coordinate_count]; NaN for missing samples."""
+    markers = experiment.scene.markers
+    if experiment.recorded or markers is None:
+        return points_mm
+    markers_m = 1e-3 * points_mm.reshape(len(points_mm), -1, 3)
+    return observe_markers(markers_m, markers, experiment.score.observable)
+
+
+def trial_points(trial: Trial, experiment: Experiment) -> FloatArray:
+    """Return the positions of the recorded bodies or markers of a trial over the frames of an experiment.
 
     Args:
         trial: The trial.
         experiment: Experiment of the trial.
 
     Returns:
-        g(t) in the observable's unit, shape [frame_count, coordinate_count]; NaN for missing samples. A trial may end
-        early if the variant has no published frame count; its later frames are NaN.
+        Positions [mm], shape [frame_count, 3 point_count]; NaN for missing samples. A trial may end early if the
+        variant has no published frame count; its later frames are NaN.
 
     Raises:
         TrialError: The recording is missing, damaged, too short, or has a wrong initial position.
@@ -65,8 +90,7 @@ def trial_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
             _check_start(name, track, experiment.scene.body(name).pose)
         values = np.hstack([track.positions_mm for track in tracks.values()])
     else:
-        markers_m = trial_markers_m(trial, markers)
-        values = observe_markers(markers_m, markers, experiment.score.observable)
+        values = trial_markers_mm(trial, markers)
     needed = START_FRAMES
     if published_baselines(experiment.name):
         needed = experiment.frame_count
@@ -110,11 +134,11 @@ def _check_place(name: str, place_mm: FloatArray, start_mm: FloatArray) -> None:
 # --- markers ---------------------------------------------------------------------------------------------------------
 
 
-def trial_markers_m(trial: Trial, markers: Markers) -> FloatArray:
+def trial_markers_mm(trial: Trial, markers: Markers) -> FloatArray:
     """Return the marker positions of a trial in the order of the task file.
 
     Returns:
-        Positions [m], shape [recorded_frame_count, marker_count, 3]; NaN for missing markers.
+        Positions [mm], shape [recorded_frame_count, 3 marker_count]; NaN for missing markers.
 
     Raises:
         TrialError: Markers are missing, damaged, or in a wrong order.
@@ -131,7 +155,7 @@ def trial_markers_m(trial: Trial, markers: Markers) -> FloatArray:
     # A marker with a missing coordinate counts as missing.
     positions_mm[np.isnan(positions_mm).any(axis=2)] = np.nan
     _check_order(ids, positions_mm, 1e3 * np.asarray(markers.positions_m))
-    return 1e-3 * positions_mm
+    return positions_mm.reshape(len(positions_mm), -1)
 
 
 def _check_order(
@@ -182,26 +206,33 @@ def driver_track(driver: Driver, trial: Trial, experiment: Experiment) -> Driver
         raise TrialError(f"{driver.body}.qx", "it is missing", expected)
     samples = np.hstack([positions_m, quaternions]) if has_rotation else positions_m
     known = np.flatnonzero(np.isfinite(samples).all(axis=1))
-    if 0 not in known:
-        expected = "a prescribed motion is measured from frame 0"
-        raise TrialError(f"{driver.body}[0]", "frame 0 was not captured", expected)
+    if not (known < START_FRAMES).any():
+        expected = "a prescribed motion is measured from its start"
+        problem = f"the first {START_FRAMES} frames were not captured"
+        raise TrialError(f"{driver.body}[0]", problem, expected)
+    first_m = positions_m[known[0]]
     rotations = Rotation.identity(len(known))
     if has_rotation:
         rotations = Rotation.from_quat(quaternions[known])
     # The axis of a motion belongs to the body, so it moves with the initial offset of the trial.
-    offset_m = positions_m[0] - start.position_m
+    offset_m = first_m - start.position_m
     motions = [
         replace(motion, point_m=tuple((motion.point_m + offset_m).tolist()))
         for motion in driver.motions
     ]
+    turned = rotations * rotations[0].inv()
     values, missed_m, missed_rad = motion_coordinates(
-        motions, positions_m[0], positions_m[known], rotations * rotations[0].inv()
+        motions, first_m, positions_m[known], turned
     )
     coordinates = np.full((frame_count, len(motions)), np.nan)
     coordinates[known] = values
+    points_mm = np.full((frame_count, 9), np.nan)
+    levers_mm = [turned.apply(lever_mm) for lever_mm in LEVERS_MM]
+    points_mm[known] = np.hstack([1e3 * positions_m[known], *levers_mm])
     return DriverTrack(
         coordinates=coordinates,
         residual_mm=1e3 * missed_m,
         residual_rad=missed_rad if has_rotation else np.empty(0),
         start_offset_mm=1e3 * length_of(offset_m),
+        points_mm=points_mm,
     )

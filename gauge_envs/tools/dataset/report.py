@@ -1,6 +1,6 @@
 """Report imports and the state of the dataset."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -27,6 +27,7 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scoring.reference import reference_kind
+from gauge_envs.tools.dataset.findings import ImportFinding
 from gauge_envs.tools.dataset.importer import (
     FLAGGED_DIFFERENCE,
     ImportedTrials,
@@ -40,8 +41,10 @@ MAX_LINES = 20
 """Maximum number of baselines that an import shows in full."""
 
 
-def import_document(imports: Sequence[ImportedTrials]) -> Document:
-    """Return the imported and the published baselines, a row for each metric; of many, only the flagged ones."""
+def import_document(
+    imports: Sequence[ImportedTrials], findings: Iterable[ImportFinding]
+) -> Document:
+    """Return what was left out, and the imported and published baselines; of many baselines, only the flagged ones."""
     lines = [(trials, line) for trials in imports for line in trials.baselines]
     flagged = [(trials, line) for trials, line in lines if line["flagged"]]
     shown = flagged
@@ -57,12 +60,19 @@ def import_document(imports: Sequence[ImportedTrials]) -> Document:
     ]
     note = (
         f"{len(flagged)} of {counted(len(lines), 'baseline')} differ from published baselines by more than "
-        f"{100 * FLAGGED_DIFFERENCE:.0f} %. All baselines: gauge list references"
+        f"{100 * FLAGGED_DIFFERENCE:.0f} % and their sampling. All baselines: gauge list references"
     )
     tone = Tone.WARNING if flagged else Tone.NOTE
     parts: list[Part] = [Paragraph(""), Paragraph(note, tone)]
     if rows:
         parts.insert(0, Table(columns=BASELINE_COLUMNS, rows=rows))
+    left_out = [
+        {"file": finding.file, "reason": str(finding).removeprefix(f"{finding.file}: ")}
+        for finding in findings
+        if finding.left_out
+    ]
+    if left_out:
+        parts.insert(0, Table(columns=LEFT_OUT_COLUMNS, rows=left_out))
     return Document(parts=parts)
 
 
@@ -80,6 +90,9 @@ def _spread(source: str, line: Mapping[str, Any]) -> str:
         text += f" ({std:.3g})"
     return with_unit(text, line["unit"])
 
+
+LEFT_OUT_COLUMNS = (Column("file", "left out"), Column("reason", "reason"))
+"""Columns of the trials that an import leaves out."""
 
 BASELINE_COLUMNS = (
     Column("id", "experiment", short_id, place=Place.HEADING),

@@ -64,7 +64,11 @@ class Trial:
         Raises:
             TrialError: The body is missing or damaged.
         """
-        for name in self._named([body]):
+        names = self._named([body])
+        if len(names) > 1:
+            problem = f"it is a second {body!r}"
+            raise TrialError(names[1], problem, "each body occurs once")
+        for name in names:
             asset = self.assets[name]
             positions_mm = _positions_mm(name, asset, self.scale_mm)
             if not any(key in asset for key in QUATERNION_KEYS):
@@ -93,6 +97,9 @@ class Trial:
         for name in self._named([*bodies, "markers"]) or sets:
             for marker, entry in self.assets[name].items():
                 place = f"{name}.{marker}"
+                if marker in positions_mm:
+                    expected = "each marker occurs once"
+                    raise TrialError(place, "its id occurs twice", expected)
                 positions_mm[marker] = _positions_mm(place, entry, self.scale_mm)
         if not positions_mm:
             raise TrialError("markers", "the marker set is missing", self._contents())

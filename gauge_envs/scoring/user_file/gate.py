@@ -1,0 +1,308 @@
+"""Check the trials of one experiment against each other: lost frames, copies, and motions that are too far."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from gauge_envs.references.band import Band
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, MIN_OVERLAP
+from gauge_envs.scoring.user_file.likely_mistakes import corrections
+from gauge_envs.scoring.user_file.motion_checks import (
+    MIN_HELD_FRAMES,
+    RATES_HZ,
+    Fault,
+    against_law,
+    motion_fault,
+    owners_of,
+    place_of,
+)
+
+MIN_WHOLE_SHARE = 0.9
+"""Smallest share of the frames of most trials that a trial has; bodies hide each other for a few frames at most."""
+
+MIN_TRIALS = 5
+"""Smallest number of trials whose scatter is known."""
+
+MAX_RMS_MM, MAX_DISTANCE_MM = 3.0, 7.0
+"""Root mean square and largest distance of a point by noise of 1 mm in each coordinate [mm]; these are never too far.
+
+The root mean square is 1.7 mm with its scatter over eight frames; the distance is the largest of a million."""
+
+MAX_QUARTERS = 12.0
+"""Largest distance beyond the median of the trials, over that of the upper quartile.
+
+If a single normal constant scatters, such as a friction, the limit is 6 of its standard deviations."""
+
+MIN_RATIO, MIN_RATIO_OF_FEW = 8.0, 200.0
+"""Distance over the median of the trials that is always plausible, and its addition over the square of their number.
+
+The largest of the 81 is 5.5 times the median, and 6.9 times with a twentieth of the frames lost. The quartiles of few
+trials are uncertain."""
+
+MAX_HELD_SHARE = 0.1
+"""Largest share of trials with held values, so that holding them is a fault and not a rest without noise."""
+
+MAX_LEFT = 0.3
+"""Largest share of a distance that is left after a correction, so that the correction is the cause."""
+
+SAME_MM = 1e-3
+"""Largest distance of a copy [mm], the digits of files; noise of motion capture alone is larger."""
+
+SHIFT_STEP_S = 1.0 / 120.0
+"""Step of the grid of time shifts [s]."""
+
+SHIFT_TOLERANCE_S = 1e-7
+"""Largest error of the best time shift [s]."""
+
+
+def trial_faults(
+    names: Sequence[str],
+    trials: Mapping[str, FloatArray],
+    *,
+    unit: str = "mm",
+    law: Band | None = None,
+    may_repeat: bool = False,
+) -> dict[str, Fault]:
+    """Return the fault of each trial that has one, by its file or number.
+
+    Args:
+        names: Names of the coordinates, as `cube.x`.
+        trials: The trials at the 30 Hz frames by file or number, shape [T, C] each; NaN is not captured.
+        unit: Unit of the coordinates.
+        law: Reference of the experiment in the coordinates of the trials; None without one.
+        may_repeat: Whether trials may be equal, as the motion of a machine.
+    """
+    if not trials:
+        return {}
+    faults = dict(_incomplete(names, trials))
+    motions: dict[str, FloatArray] = {}
+    for file, trial in trials.items():
+        if file in faults:
+            continue
+        fault = motion_fault(names, unit, trial)
+        if fault is None and not may_repeat:
+            fault = _copy(trial, motions)
+        if fault is None and law is not None:
+            fault = against_law(law, trial)
+        if fault is None:
+            motions[file] = trial
+        else:
+            faults[file] = fault
+    if len(motions) >= MIN_TRIALS:
+        faults |= _far(names, motions, unit)
+        faults |= _held(names, motions)
+    return faults
+
+
+def band_fault(band: Band) -> Fault | None:
+    """Return the first fault of the trials of a band, or of its mean if it has none."""
+    trials = band.mean[None] if band.trials is None else band.trials
+    numbered = {f"trial {number}": trial for number, trial in enumerate(trials)}
+    faults = trial_faults(band.coordinates, numbered, unit=band.unit)
+    for trial, fault in faults.items():
+        return fault._replace(place=f"{trial}, {fault.place}")
+    return None
+
+
+def _incomplete(
+    names: Sequence[str], trials: Mapping[str, FloatArray]
+) -> Iterator[tuple[str, Fault]]:
+    """Yield trials in which a body or marker lacks too many of the frames that half of the trials have."""
+    owners, is_of = owners_of(names)
+    seen = np.isfinite([*trials.values()]) @ is_of == is_of.sum(axis=0)
+    known = 2 * seen.sum(axis=0) >= len(trials)
+    counts, needed = (seen & known).sum(axis=1), known.sum(axis=0)
+    for file, seen_counts in zip(trials, counts, strict=True):
+        is_short = seen_counts < np.floor(MIN_WHOLE_SHARE * needed)
+        if is_short.any():
+            owner = int(is_short.argmax())
+            problem = f"it has {seen_counts[owner]} of {needed[owner]} frames"
+            remedy = f"at least {100 * MIN_WHOLE_SHARE:g} % are needed: fill its gaps"
+            yield file, Fault(owners[owner], problem, remedy)
+
+
+def _copy(motion: FloatArray, others: Mapping[str, FloatArray]) -> Fault | None:
+    """Return which of the other trials a trial copies; None if none."""
+    for file, other in others.items():
+        if np.nanmax(np.abs(motion - other), initial=0.0) <= SAME_MM:
+            return Fault("(file)", f"it is a copy of {file}", "each trial counts once")
+    return None
+
+
+def _far(
+    names: Sequence[str], trials: Mapping[str, FloatArray], unit: str
+) -> Iterator[tuple[str, Fault]]:
+    """Yield trials that are too far from the median trial, as recorded or after the best time shift."""
+    owners, is_of = owners_of(names)
+    motions = np.stack([*trials.values()])
+    recorded = _sizes(motions - _median(motions), is_of)
+    centre = _median(_aligned(motions, _median(motions)))
+    sizes = _sizes(_aligned(motions, centre) - centre, is_of)
+    ratios = np.zeros(len(motions))
+    for distances in (recorded, sizes):
+        root_mean_squares = np.sqrt(np.square(distances).mean(axis=1))
+        ratios = np.fmax(ratios, _ratios(root_mean_squares, unit, MAX_RMS_MM))
+        ratios = np.fmax(ratios, _ratios(distances.max(axis=1), unit, MAX_DISTANCE_MM))
+    for file, motion, ratio, size in zip(trials, motions, ratios, sizes, strict=True):
+        if ratio <= 1.0:
+            continue
+        frame, owner = np.unravel_index(size.argmax(), size.shape)
+        yield (
+            file,
+            Fault(
+                place_of(frame),
+                f"{owners[owner]} is {size[frame, owner]:.3g} {unit} from the median trial, {ratio:.2g} times what the "
+                "scatter of the trials allows",
+                _remedy(motion, centre),
+                is_far=True,
+            ),
+        )
+
+
+def _held(
+    names: Sequence[str], trials: Mapping[str, FloatArray]
+) -> Iterator[tuple[str, Fault]]:
+    """Yield trials in which a body or marker keeps its values, if it moves or has noise in nearly all others."""
+    owners, is_of = owners_of(names)
+    motions = np.stack([*trials.values()])
+    equal = (np.diff(motions, axis=1) == 0.0) @ is_of == is_of.sum(axis=0)
+    # A body rests before its release.
+    rests = np.logical_and.accumulate(equal, axis=1)
+    equal &= ~rests | rests[:, -1:]
+    runs = np.all(sliding_window_view(equal, MIN_HELD_FRAMES, axis=1), axis=-1)
+    places = [np.argwhere(trial_runs) for trial_runs in runs]
+    if sum(map(bool, map(len, places))) > max(1.0, MAX_HELD_SHARE * len(motions)):
+        return
+    for file, held in zip(trials, places, strict=True):
+        if len(held):
+            frame, owner = held[0]
+            problem = f"{owners[owner]} keeps its values, unlike in the other trials"
+            yield file, Fault(place_of(frame), problem, "write null for lost frames")
+
+
+def _sizes(deviations: FloatArray, is_of: FloatArray) -> FloatArray:
+    """Return the distance of each body or marker, shape [N, T, owner_count]; 0 where it is unknown."""
+    return np.sqrt(np.nan_to_num(np.square(deviations)) @ is_of)
+
+
+def _ratios(sizes: FloatArray, unit: str, noise_mm: float) -> FloatArray:
+    """Return the largest size of each trial over the largest plausible one, for sizes of shape [N, owner_count]."""
+    largest = sizes.max(axis=1)
+    median, quarter = np.quantile(largest, (0.5, 0.75))
+    factor = MIN_RATIO + MIN_RATIO_OF_FEW / len(largest) ** 2
+    limit = max(factor * median, median + MAX_QUARTERS * (quarter - median))
+    return largest / (max(limit, noise_mm if unit == "mm" else 0.0) or math.inf)
+
+
+def _median(motions: FloatArray) -> FloatArray:
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
+        return np.asarray(np.nanmedian(motions, axis=0))
+
+
+def _aligned(motions: FloatArray, centre: FloatArray) -> FloatArray:
+    step_s = 1.0 / FRAME_RATE_HZ
+    shifts_s = [best_shift(motion, centre, step_s)[1] for motion in motions]
+    return np.stack([*map(shifted, motions, shifts_s)])
+
+
+def _remedy(motion: FloatArray, centre: FloatArray) -> str:
+    """Return the correction that explains the distance of a trial from the others."""
+    frames = np.arange(len(motion))
+    corrected = [
+        (f"the rows look like {hz} Hz", _at_rows(motion, frames * hz / FRAME_RATE_HZ))
+        for hz in RATES_HZ
+    ]
+    corrected.append(("the frames look reversed", motion[::-1]))
+    if motion.shape[1] % 3 == 0:
+        # The start is right in recordings whose motion alone is mirrored.
+        for start, origin in ((0.0, 0.0), (motion[0], centre[0])):
+            for text, places in corrections((motion - start).reshape(-1, 3), "mm"):
+                corrected.append((text, places.reshape(motion.shape) + origin))
+    sizes = [_nearest(candidate, centre) for _, candidate in corrected]
+    best = int(np.argmin(sizes))
+    if sizes[best] < MAX_LEFT * _nearest(motion, centre):
+        return corrected[best][0]
+    return "is it of this material and task?"
+
+
+def _nearest(motion: FloatArray, centre: FloatArray) -> float:
+    """Return the smallest distance of a motion over shifts by whole frames, with a quarter of the frames in common."""
+    shifts_s = np.arange(-10, 11) / FRAME_RATE_HZ
+    return min(_shifted_rms(motion, centre, shift_s, 0.25) for shift_s in shifts_s)
+
+
+def best_shift(
+    motion: FloatArray, mean: FloatArray, step_s: float = SHIFT_STEP_S
+) -> tuple[float, float]:
+    """Return the smallest distance of a trial from a mean over time shifts, and the shift [s].
+
+    Args:
+        motion: The trial, shape [T, C]; NaN is not captured.
+        mean: The mean, shape [T, C].
+        step_s: Step of the grid of shifts, of which the best is refined [s].
+    """
+    from scipy.optimize import minimize_scalar
+
+    count = round(MAX_TIME_OFFSET_S / step_s)
+    # Of equal shifts, the smallest comes first.
+    shifts_s = step_s * np.array(sorted(range(-count, count + 1), key=abs))
+    sizes = [_shifted_rms(motion, mean, shift_s) for shift_s in shifts_s]
+    best = int(np.argmin(sizes))
+    near_s = shifts_s[best] + step_s * np.array([-1.0, 1.0])
+    # Shifts with too few common frames have an infinite distance.
+    with np.errstate(invalid="ignore"):
+        finest = minimize_scalar(
+            lambda shift_s: _shifted_rms(motion, mean, shift_s),
+            bounds=np.clip(near_s, -MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S),
+            options={"xatol": SHIFT_TOLERANCE_S},
+        )
+    on_grid = sizes[best], float(shifts_s[best])
+    return min(on_grid, (float(finest.fun), float(finest.x)))
+
+
+def _shifted_rms(
+    motion: FloatArray, mean: FloatArray, shift_s: float, share: float = MIN_OVERLAP
+) -> float:
+    """Return the distance of a shifted trial from a mean; infinity with less than a share of its known frames."""
+    deviation = shifted(motion, shift_s) - mean
+    common, known = (np.isfinite(x).any(axis=1).sum() for x in (deviation, mean))
+    return rms_over_frames(deviation) if common >= max(share * known, 1) else math.inf
+
+
+def shifted(motion: FloatArray, shift_s: float) -> FloatArray:
+    """Return a trial after a delay [s], shape [T, C].
+
+    A body rests before its release, so earlier times have the value of the first frame. Times after the last frame are
+    unknown.
+    """
+    rows = np.arange(len(motion)) - shift_s * FRAME_RATE_HZ
+    return _at_rows(motion, np.maximum(rows, 0.0))
+
+
+def _at_rows(motion: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return a trial at fractional rows, shape [T, C]; NaN after the last row."""
+    # Whole rows have rounding errors.
+    rows = np.minimum(np.round(rows, 9), len(motion))
+    padded = np.vstack([motion, np.full(motion.shape[1], np.nan)])
+    low = padded[np.floor(rows).astype(int)]
+    high = padded[np.ceil(rows).astype(int)]
+    return low + (rows % 1.0)[:, None] * (high - low)
+
+
+def rms_over_frames(deviation: FloatArray) -> float:
+    """Return the root mean square over frames; each coordinate counts at the frames at which it is known.
+
+    A coordinate that is never known does not count; without any, the result is NaN.
+    """
+    counts = np.isfinite(deviation).sum(axis=0)
+    if not counts.any():
+        return math.nan
+    sums = np.nansum(np.square(deviation), axis=0)
+    return math.sqrt((sums / np.maximum(counts, 1)).sum())
