@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Self
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 from gauge_envs.names import nearest
 
@@ -100,8 +104,27 @@ class MissingExtraError(GaugeError, ImportError):
         package: str = "gauge-envs",
     ) -> None:
         super().__init__(
-            f"{feature} needs {cause.name or cause}, which is not installed: pip install '{package}[{extra}]'"
+            f"{feature} needs {cause.name or cause}, which is not installed: {install_command(package, extra)}"
         )
+
+
+def install_command(package: str, extra: str) -> str:
+    """Return the command that installs an extra of a package, from the folder or file that it was installed from.
+
+    `direct_url.json` names that place (PEP 610). A package of an index has none.
+    """
+    try:
+        origin = json.loads(distribution(package).read_text("direct_url.json") or "{}")
+    except (PackageNotFoundError, ValueError):
+        origin = {}
+    source = urlsplit(origin.get("url", ""))
+    place = Path(url2pathname(source.path))
+    if source.scheme != "file" or not place.exists():
+        return f"pip install '{package}[{extra}]'"
+    command = "pip install"
+    if origin.get("dir_info", {}).get("editable", False):
+        command += " -e"
+    return f"{command} '{place}[{extra}]'"
 
 
 class TargetError(GaugeError, ValueError):

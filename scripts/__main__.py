@@ -21,6 +21,7 @@ from scripts import (
     build_conformance,
     build_coverage,
     build_environments,
+    build_hero,
     build_surface,
     release,
     test_matrix,
@@ -39,8 +40,9 @@ DRAWN: Mapping[str, Callable[[], object]] = {
     "assets": lambda: build_assets(assets_folder()),
     "pictures": build_environments.draw_missing,
     "cheat_sheet": build_cheat_sheet.draw,
+    "hero": build_hero.draw,
 }
-"""Builders of scenes in `assets/`, of deleted pictures of families, and of the cheat sheet as PDF."""
+"""Builders of scenes in `assets/`, of deleted pictures of families, of the cheat sheet as PDF, and of the first picture."""
 
 
 def build(names: Sequence[str]) -> None:

@@ -132,9 +132,9 @@ def test_outputs_in_the_readme_belong_to_commands_that_run():
     assert {command for _, command in SHOWN} <= set(texts)
 
 
-def test_the_readme_has_at_most_800_words():
+def test_the_readme_has_at_most_700_words():
     words = (ROOT / "README.md").read_text().split()
-    assert len(words) <= 800
+    assert len(words) <= 700
 
 
 def test_a_page_names_the_extras_that_its_commands_need():

@@ -8,6 +8,7 @@ import pytest
 from programs import printed
 
 import gauge_envs
+from gauge_envs.errors import install_command
 from scripts import build_surface
 
 
@@ -56,3 +57,28 @@ while not env.step(0)[3]:
 print(loaded("pandas", "matplotlib", "rich", "scipy.stats", "trimesh", "typer"))
 """
     assert printed("-c", code).splitlines() == ["[]", "[]"]
+
+
+@pytest.mark.parametrize(
+    ("origin", "command"),
+    [
+        (
+            '{"url": "file:///", "dir_info": {"editable": true}}',
+            "pip install -e '/[x]'",
+        ),
+        ('{"url": "file:///", "dir_info": {}}', "pip install '/[x]'"),
+        ('{"url": "file:///no/such.whl"}', "pip install 'gauge-envs[x]'"),
+        ('{"url": "https://example.org/a.whl"}', "pip install 'gauge-envs[x]'"),
+        (None, "pip install 'gauge-envs[x]'"),
+        ("{", "pip install 'gauge-envs[x]'"),
+    ],
+)
+def test_an_extra_is_installed_from_where_the_package_is_from(
+    origin, command, monkeypatch
+):
+    class Distribution:
+        def read_text(self, name):
+            return origin
+
+    monkeypatch.setattr("gauge_envs.errors.distribution", lambda name: Distribution())
+    assert install_command("gauge-envs", "x") == command
