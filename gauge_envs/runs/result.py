@@ -127,6 +127,25 @@ class RecordedTrajectory:
         """Numbers of the 30 Hz frames with finite samples, and g(t) there; see `recorded_frames`."""
         return recorded_frames(*self.arrays())
 
+    @property
+    def compared(self) -> RecordedTrajectory:
+        """What engines are compared by: positions of the markers of cloth and foam [mm], else g(t)."""
+        if not self.markers_mm.size:
+            return self
+        numbers = range(self.markers_mm.shape[1] // 3)
+        return RecordedTrajectory(
+            unit="mm",
+            coordinates=[f"marker-{n}.{axis}" for n in numbers for axis in "xyz"],
+            times_s=np.arange(len(self.markers_mm)) / FRAME_RATE_HZ,
+            samples=self.markers_mm,
+        )
+
+    @property
+    def marker_count(self) -> int:
+        """Number of markers if the coordinates are those of `compared` markers, else 1."""
+        is_of_markers = self.unit == "mm" and self.coordinates[0].startswith("marker-")
+        return len(self.coordinates) // 3 if is_of_markers else 1
+
     def markers_m(self) -> FloatArray | None:
         """Return the markers at the frames [m], shape [frame_count, marker_count, 3]; None without markers."""
         if not self.markers_mm.size:
@@ -187,6 +206,7 @@ class Result:
         asset: File with the scene: its name `file`, `kind`, `sha256`, whether it is `edited`, and its `changes`.
             A scene that the package does not have is in `scene`, as text of a USD layer. Empty if the scene is that of
             the task file.
+        task_file: Task file of the user with the id; None for the ids of the package.
         created: Time of creation, ISO 8601, UTC.
         error: Why the episode is unsupported or failed; None otherwise.
         trajectory: Its trajectory; None if it did not run.
@@ -215,6 +235,7 @@ class Result:
     driver_provenance: str | None = None
     dataset: dict[str, str] = field(default_factory=BUNDLED_DATA.copy)
     asset: dict[str, Any] = field(default_factory=dict)
+    task_file: str | None = None
     created: str = field(
         default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds")
     )

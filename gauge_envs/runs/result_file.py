@@ -23,14 +23,24 @@ from gauge_envs.experiments.experiment import (
 )
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import task_spec
-from gauge_envs.experiments.variants import find_variant
-from gauge_envs.files import os_errors, write_whole
+from gauge_envs.experiments.variants import (
+    find_variant,
+    matching_variants,
+    task_path,
+    user_variants,
+)
+from gauge_envs.files import is_regular_file, os_errors, write_whole
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.optional import needs_extra
 from gauge_envs.reading import reading
 from gauge_envs.references.imported import dataset_record
 from gauge_envs.references.kind import Kind
-from gauge_envs.references.user_data import BUNDLED_DATA, OWN_TASKS, DataSource
+from gauge_envs.references.user_data import (
+    BUNDLED_DATA,
+    OWN_TASKS,
+    DataSource,
+    own_task_files,
+)
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scoring.user_file.trajectory_file import LARGEST
@@ -127,6 +137,11 @@ def _check(result: Result) -> None:
     """Check values that the types do not check."""
     if result.asset:
         _AssetRecord.model_validate(result.asset)
+    own_ids = {variant.id for variant in user_variants()}
+    file = result.task_file
+    if file is not None and result.id not in own_ids and is_regular_file(Path(file)):
+        # The task file of the run names the experiment, wherever the result is read.
+        matching_variants(file)
     try:
         find_variant(result.id)
     except UnknownNameError as error:
@@ -185,8 +200,15 @@ def result_of(experiment: Experiment, **values: Any) -> Result:
             reference=experiment.reference_source,
         ),
         asset=_asset_record(experiment),
+        task_file=_own_task_file(experiment),
         **values,
     )
+
+
+def _own_task_file(experiment: Experiment) -> str | None:
+    """Return the path of the user's task file that has an experiment; None for the ids of the package."""
+    file = task_path(experiment.spec.family)
+    return str(file) if file in own_task_files() else None
 
 
 def _asset_record(experiment: Experiment) -> dict[str, Any]:

@@ -16,13 +16,21 @@ from texts import changed_text, fenced
 
 import gauge_envs
 from gauge_envs import GaugeEnv, load_experiment, reference_band
-from gauge_envs.errors import ParameterError, ReferenceFileError, TaskFileError
+from gauge_envs.errors import (
+    ParameterError,
+    ReferenceFileError,
+    ResultFileError,
+    TaskFileError,
+)
 from gauge_envs.experiments.variants import (
     find_variant,
     task_path,
     user_variants,
     variants,
 )
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result_file import load_result, write_result
 
 EXAMPLE = ROOT / "examples" / "own_experiment"
 NAME = "CrateSlide-pine"
@@ -68,6 +76,9 @@ def test_a_path_is_run_in_another_process_and_its_result_is_read_again(
     assert "analytic: closed form" in compared
     assert NAME in compared
     monkeypatch.setenv("GAUGE_TASKS", "")
+    assert NAME in gauge("compare", "results").stdout
+    monkeypatch.setenv("GAUGE_TASKS", "")
+    (example / "crate.toml").rename(example / "moved.toml")
     unknown = gauge("compare", "results")
     assert unknown.exit_code
     assert "If one of your task files has it, set GAUGE_TASKS" in unknown.stderr
@@ -181,3 +192,17 @@ def test_the_file_of_the_guide_loads(tmp_path):
     (tmp_path / "puck_slide.toml").write_text(fenced(GUIDE, "toml")[0])
     experiment = load_experiment(str(tmp_path / "puck_slide.toml"))
     assert (experiment.name, experiment.frame_count) == ("PuckSlide-steel", 16)
+
+
+def test_a_result_knows_the_task_file_of_its_experiment(example, tmp_path, monkeypatch):
+    """`gauge compare` of a later process needs no environment variable."""
+    monkeypatch.setenv("GAUGE_TASKS", str(example / "crate.toml"))
+    result = run_episode(RunRequest(NAME))
+    file = tmp_path / "result.json"
+    write_result(result, file)
+    monkeypatch.delenv("GAUGE_TASKS")
+    assert load_result(file).score == result.score
+    monkeypatch.delenv("GAUGE_TASKS")
+    (example / "crate.toml").unlink()
+    with pytest.raises(ResultFileError, match="unknown experiment"):
+        load_result(file)

@@ -20,8 +20,8 @@ MOTION_SHARE = 0.05
 class Distance:
     """Distance between the trajectories of two configurations, at the 30 Hz frames that both have.
 
-    The distance at a frame is Euclidean over all coordinates, as in E_RMSE. Repeats with the same seed are compared.
-    Without a common seed, all pairs of repeats are compared.
+    The distance at a frame is Euclidean over all coordinates, as in E_RMSE. For cloth and foam it is the root mean
+    square over their markers. Repeats with the same seed are compared; without a common seed, all pairs of repeats.
 
     Attributes:
         first: Index of the first configuration.
@@ -84,17 +84,22 @@ def trajectory_distance(
         return None
     motion_rms = float(np.mean([gap.motion_rms for gap in gaps]))
     threshold = MOTION_SHARE * motion_rms
+    pairs = list(_pairs(first_results, second_results))
+    shown = pairs[0][0].trajectory
+    assert shown is not None, "pairs have trajectories"
+    if shown.markers_mm.size:
+        # The published distances of cloth and foam are of curvatures and areas.
+        baseline = None
     if baseline is not None:
         threshold = baseline.mean
     apart_s = []
     for gap in gaps:
         times_s = gap.times_s[gap.distances > threshold]
         apart_s += times_s[:1].tolist()
-    pairs = list(_pairs(first_results, second_results))
     return Distance(
         first=configurations[0],
         second=configurations[1],
-        unit=pairs[0][0].score.unit,
+        unit=shown.compared.unit,
         rms=rms,
         motion_rms=motion_rms,
         threshold=threshold,
@@ -111,8 +116,9 @@ def trajectory_gaps(
     """Return the distance over time of each pair of repeats with common frames."""
     gaps = []
     for result, other_result in _pairs(first_results, second_results):
-        trajectory, other_trajectory = result.trajectory, other_result.trajectory
-        assert trajectory is not None and other_trajectory is not None
+        assert result.trajectory is not None and other_result.trajectory is not None
+        trajectory = result.trajectory.compared
+        other_trajectory = other_result.trajectory.compared
         if trajectory.coordinates != other_trajectory.coordinates:
             continue
         frames, values = trajectory.frames
@@ -123,8 +129,9 @@ def trajectory_gaps(
         if len(common):
             first, second = values[rows], other_values[other_rows]
             moved = np.concatenate((first - first[0], second - second[0]))
-            motion_rms = _root_mean_square(np.linalg.norm(moved, axis=1))
-            apart = np.linalg.norm(first - second, axis=1)
+            scale = trajectory.marker_count**-0.5
+            motion_rms = scale * _root_mean_square(np.linalg.norm(moved, axis=1))
+            apart = scale * np.linalg.norm(first - second, axis=1)
             gaps.append(TrajectoryGap(common / FRAME_RATE_HZ, apart, motion_rms))
     return gaps
 

@@ -74,7 +74,8 @@ class Reference:
         For markers, it is the root mean square over the markers.
         """
         if self.scored is None:
-            return np.asarray(np.linalg.norm(values, axis=1))
+            scale = self.band.marker_count**-0.5
+            return np.asarray(scale * np.linalg.norm(values, axis=1))
         squares = np.where(np.isfinite(self.band.mean), np.square(values), 0.0)
         lengths = np.sqrt(squares.sum(axis=1) / self.band.marker_count)
         return np.where(self.band.known, lengths, np.nan)
@@ -89,6 +90,7 @@ class Reference:
         width = len(self.band.coordinates)
         nothing = np.zeros(0), np.zeros((0, width))
         if self.scored is None:
+            recorded = recorded.compared
             if recorded.coordinates != list(self.band.coordinates):
                 return nothing
             return recorded.arrays()
@@ -130,7 +132,7 @@ def choose_reference(
     """
     if band is not None:
         return Reference(name=_name(band), band=band.compared, scored=band)
-    first = recorded_of(results[0])
+    first = recorded_of(results[0]).compared
     numbers, rows = first.frames
     mean = np.full((max(numbers, default=0) + 1, len(first.coordinates)), np.nan)
     mean[numbers] = rows

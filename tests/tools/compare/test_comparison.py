@@ -241,6 +241,24 @@ def test_only_common_finite_frames_count():
     assert compare(results).experiments[0].distances == ()
 
 
+def test_cloth_and_foam_are_compared_by_their_markers():
+    """One of two markers moves by 100 and by 104 mm; g(t) is the curvature, which is the same."""
+    results = []
+    for backend, way_mm in (("mujoco", 100.0), ("newton", 104.0)):
+        result = made(FOAM, backend=backend)
+        places_mm = np.zeros((31, 6))
+        places_mm[1:, 0] = way_mm
+        trajectory = replace(result.trajectory, unit="rad", markers_mm=places_mm)
+        results.append(replace(result, trajectory=trajectory))
+    far = distance(*results)
+    # The first frame is the start, at rest.
+    moving = np.sqrt(30 / 31)
+    assert (far.unit, far.frames, far.threshold_is_scatter) == ("mm", 31, False)
+    assert far.rms.mean == pytest.approx(4.0 * moving / np.sqrt(2.0))
+    mean_square = (100.0**2 + 104.0**2) / 2.0
+    assert far.motion_rms == pytest.approx(np.sqrt(mean_square / 2.0) * moving)
+
+
 def test_repeats_are_compared_seed_by_seed():
     ours = [made(FOAM, seed=seed, start=100.0 * seed) for seed in (1, 2, 3)]
     theirs = [
