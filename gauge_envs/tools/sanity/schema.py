@@ -48,5 +48,7 @@ ReportLine = Annotated[
 ]
 DifferenceLine = Annotated[TargetDifference, Form(without=("checks",))]
 
-SanityLine = ReportLine | SanityResult | DifferenceLine | CheckDifference
+ResultLine = Annotated[SanityResult, Form(properties=("severity",))]
+
+SanityLine = ReportLine | ResultLine | DifferenceLine | CheckDifference
 """First the configuration, then each check; with --against first both targets, then each check."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from enum import StrEnum
 from typing import Any
@@ -51,6 +51,19 @@ class SanityVerdict(StrEnum):
         if deviation <= MAX_PASSED:
             return cls.PASSED
         return cls.WARNING if deviation <= MAX_WARNING else cls.FAILED
+
+
+class Severity(StrEnum):
+    """Consequence of a finding."""
+
+    NONE = ""
+    """The check passed, was not measured, or follows from another finding."""
+    ADVICE = "advice"
+    """A measured object moves otherwise than in reality, or a check does not count."""
+    WARNING = "warning"
+    """The model does not do what its file says, or what real parts do."""
+    ERROR = "error"
+    """The model cannot be used: it falls through the floor, diverges, or does not reach its commands."""
 
 
 class NotApplicableError(Exception):
@@ -166,7 +179,12 @@ class SanityResult:
         geoms: Geoms whose contact constants decide the verdict; empty when all contacts have the same.
         parts: Outcome for each part that is checked; empty when nothing was measured.
         consequence: What a failure means for a policy, in one sentence; empty when the title says it.
-        place: Element of the target's own model that decides the verdict, with file and line; empty otherwise.
+        place: Element of the target's own model that decides the verdict; empty otherwise.
+        file: File of this element; empty where it is unknown.
+        line: Its line in the file; 0 where it is unknown.
+        cause: Id of the check that explains this one; empty for none.
+        effects: What else follows from the finding, in short sentences.
+        is_own: Whether the check is on the target itself or on its own foot.
     """
 
     id: str
@@ -185,6 +203,21 @@ class SanityResult:
     parts: tuple[PartOutcome, ...] = ()
     consequence: str = ""
     place: str = ""
+    file: str = ""
+    line: int = 0
+    cause: str = ""
+    effects: tuple[str, ...] = ()
+    is_own: bool = True
+
+    @property
+    def severity(self) -> Severity:
+        """Consequence of the finding."""
+        if not self.verdict.is_off or self.cause:
+            return Severity.NONE
+        if self.advisory or not self.is_own:
+            return Severity.ADVICE
+        is_error = self.is_on_target and self.verdict is SanityVerdict.FAILED
+        return Severity.ERROR if is_error else Severity.WARNING
 
     @property
     def is_on_target(self) -> bool:
@@ -193,8 +226,8 @@ class SanityResult:
 
     @property
     def is_flag(self) -> bool:
-        """Whether the check is a warning or failed, and counts."""
-        return self.verdict.is_off and not self.advisory
+        """Whether the check is a warning or failed, counts, and follows from no other one."""
+        return self.verdict.is_off and not (self.advisory or self.cause)
 
     @property
     def deviation(self) -> float:
@@ -241,7 +274,18 @@ class Fix:
     speed_ratio: float | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+class Findings(dict[str, "SanityResult"]):
+    """Findings of a report by the id of their check; a failed assertion shows the screen of the report."""
+
+    report: Report
+
+    def __repr__(self) -> str:
+        from gauge_envs.tools.sanity.report import screen_text
+
+        return screen_text(self.report)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Report:
     """Result of a sanity check.
 
@@ -270,9 +314,28 @@ class Report:
     asked: tuple[str, ...] = ()
 
     @property
-    def flags(self) -> dict[str, SanityResult]:
+    def flags(self) -> Findings:
         """Failed checks and warnings that count, by id."""
-        return {result.id: result for result in self.checks if result.is_flag}
+        return self._findings(*Severity)
+
+    @property
+    def errors(self) -> Findings:
+        """Findings with which the model cannot be used, by id."""
+        return self._findings(Severity.ERROR)
+
+    @property
+    def warnings(self) -> Findings:
+        """Findings with which the model does not do what its file says, by id."""
+        return self._findings(Severity.WARNING)
+
+    def _findings(self, *severities: Severity) -> Findings:
+        flags = [result for result in self.checks if result.is_flag]
+        found = Findings({f.id: f for f in flags if f.severity in severities})
+        found.report = self
+        return found
+
+    def __repr__(self) -> str:
+        return f"<Report of {self.configuration.name}>"
 
     @property
     def _missing(self) -> list[SanityResult]:
@@ -314,16 +377,11 @@ class Report:
         """Return all attributes, JSON-ready, without the target's own model."""
         bare = replace(self, configuration=replace(self.configuration, robot=None))
         values: dict[str, Any] = json_ready(asdict(bare))
+        for line, result in zip(values["checks"], self.checks, strict=True):
+            line["severity"] = result.severity.value
         del values["configuration"]["robot"]
         return values | {
             "worst": self.worst.value,
             "unmeasured": list(self.unmeasured),
             "counts": self.counts,
         }
-
-
-def flags_text(results: Sequence[SanityResult]) -> str:
-    """Return what failed checks and warnings are called together, such as `failed checks`."""
-    verdicts = {result.verdict for result in results}
-    nouns = {SanityVerdict.FAILED: "failed checks", SanityVerdict.WARNING: "warnings"}
-    return " and ".join(noun for verdict, noun in nouns.items() if verdict in verdicts)

@@ -26,11 +26,11 @@ INERTIAL = (
 )
 
 FAULTS = {
-    ("robot-mass", "denser"): ('mass="7.84"', 'density="150000"'),
-    ("robot-mass", "drawn"): ('<geom name="trunk"', SHELL),
-    ("robot-mass", "gyrates"): ('<geom name="trunk"', INERTIAL.format("9")),
-    ("robot-mass", "smaller"): ('<geom name="trunk"', INERTIAL.format("1e-4")),
-    ("robot-overlap", "FL_calf and RL_calf"): (
+    ("density", "lead has 12,000"): ('mass="7.84"', 'density="150000"'),
+    ("drawn-twice", "drawn"): ('<geom name="trunk"', SHELL),
+    ("inertia", "trunk"): ('<geom name="trunk"', INERTIAL.format("9")),
+    ("inertia", "times the inertia"): ('<geom name="trunk"', INERTIAL.format("1e-4")),
+    ("start-overlap", "RL_foot and FL_foot"): (
         'pos="-0.19 0.12 0"',
         'pos="0.18 0.12 0"',
     ),
@@ -65,7 +65,7 @@ FAULTS = {
         'name="FL_foot"',
         'name="FL_foot" condim="1" priority="1"',
     ),
-    ("robot-friction", "floor has friction"): (
+    ("stated-friction", "floor states friction 0.1"): (
         'name="floor"',
         'name="floor" friction="0.1 0.005 0.0001"',
     ),

@@ -7,13 +7,8 @@ import pytest
 from robot_faults import good_xml
 
 from gauge_envs.tools.sanity import configuration
-from gauge_envs.tools.sanity.model_checks import (
-    MODEL_CHECKS,
-    TARGET_CHECKS,
-    at_rest,
-    free_motion,
-)
-from gauge_envs.tools.sanity.verdict import SanityVerdict
+from gauge_envs.tools.sanity.model_checks import at_rest, free_motion
+from gauge_envs.tools.sanity.target_checks import MODEL_CHECKS, TARGET_CHECKS
 
 FLOOR = '<geom name="floor" type="plane" size="5 5 1"/>'
 
@@ -57,10 +52,6 @@ DRIFT = mjcf(
     '<keyframe><key qvel=".005 0 0 0 0 0"/></keyframe>',
 )
 
-CLOTH = """<flexcomp name="towel" type="grid" count="7 7 1" spacing=".05 .05 .05" dim="2" radius=".002" mass="{}"
- pos="0 0 .4"><edge equality="true"/><contact selfcollide="none"/></flexcomp>
- <geom type="sphere" size=".03" pos=".013 .011 .35"/>"""
-
 ARM = """<body name="upper" gravcomp="1"><joint name="j1" axis="0 1 0" armature=".1"/><geom size=".03" mass="2"/>
  <body name="fore" pos=".4 0 0" {}><joint name="j2" axis="0 1 0" armature=".1"/><geom size=".03" mass="1"/></body>
  </body>"""
@@ -89,7 +80,6 @@ def result(name, xml):
         ("model-sleep", DRIFT, 5.0, "ball sleeps"),
         # Explicit steps of 20 ms make a rod that turns once a second gain 29 % of its momentum in 2 s.
         ("model-spin", mjcf(ROD, 'timestep=".02">'), 0.29, "rod"),
-        ("model-cloth", mjcf(CLOTH.format(0.2), ">"), None, "towel"),
         (
             "model-creep",
             # A damping of 1,200 / s overshoots in a step of 2 ms, as 1,200 * 0.002 > 2, and not in one of 0.2 ms.
@@ -99,9 +89,9 @@ def result(name, xml):
         ),
         # A contact that swings at 1,000 rad / s gains energy in a step of 25 ms, as 1,000 * 0.025 > 2.
         ("model-creep", mjcf(FLOOR + STIFF, 'timestep=".025">'), None, "box moves"),
-        ("model-stated", mjcf(ARM.format(""), ">", MOTORS), 1.0, "not on fore"),
-        ("model-stated", mjcf(FLOOR + BALL.format(3), ">"), 1.0, "rolling"),
-        ("model-stated", ROLLING_PAIR.format(3), 1.0, "pair of floor and ball"),
+        ("stated-gravcomp", mjcf(ARM.format(""), ">", MOTORS), 1.0, "not act on fore"),
+        ("stated-rolling", mjcf(FLOOR + BALL.format(3), ">"), 1.0, "rolling"),
+        ("stated-rolling", ROLLING_PAIR.format(3), 1.0, "pair 0"),
     ],
 )
 def test_a_fault_is_named_with_its_size(name, xml, value, words):
@@ -130,14 +120,14 @@ def test_a_right_model_passes(xml):
     modules = at_rest.__name__, free_motion.__name__
     itself = [check for check in MODEL_CHECKS if check.finding.__module__ in modules]
     results = [check.result(read) for check in itself]
-    assert len(itself) == 11
+    assert len(itself) == 8
     assert [result.remark for result in results if result.verdict.is_off] == []
 
 
 def test_the_solver_is_compared_with_an_exact_one():
     rough = result("model-solver", stack(10, 'iterations="1" solver="PGS">'))
     exact = result("model-solver", stack(10))
-    assert rough.verdict is SanityVerdict.FAILED and rough.configured > exact.configured
+    assert rough.verdict.is_off and rough.configured > exact.configured
     creep = result("model-creep", stack(10, 'iterations="1" solver="PGS">'))
     assert (creep.applies, creep.remark) == (False, "model-solver has the cause")
 

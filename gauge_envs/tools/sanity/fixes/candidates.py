@@ -75,7 +75,6 @@ CANDIDATES: Mapping[str, Sequence[Settings]] = {
         ELLIPTIC | {"impratio": 10.0},
         ELLIPTIC | {"impratio": 10.0} | MARGIN,
         DAMPED,
-        ACCURATE,
         STEP,
         STEP | DAMPED,
         RECOMMENDED_MUJOCO,
@@ -109,7 +108,6 @@ MODEL_CANDIDATES: Mapping[str, Sequence[Settings]] = {
         STIFF_EQUALITY | HARD_EQUALITY,
     ),
     "model-overlap": (HARD, HARDEST),
-    "model-cloth-sink": (HARD, HARDEST),
     "model-creep": (SOLVED, HARD, ELLIPTIC | GRIPPING),
     "model-solver": (SOLVED, {"solver": "Newton"}, SOLVED | {"solver": "Newton"}),
     **dict.fromkeys(

@@ -20,7 +20,6 @@ from gauge_envs.tools.sanity.fixes.harm import (
     speed_ratio,
 )
 from gauge_envs.tools.sanity.fixes.text_change import write_change
-from gauge_envs.tools.sanity.model_checks import TARGET_CHECKS
 from gauge_envs.tools.sanity.object_checks import object_check
 from gauge_envs.tools.sanity.object_checks.measure import (
     Measurements,
@@ -28,6 +27,7 @@ from gauge_envs.tools.sanity.object_checks.measure import (
     worst_of,
 )
 from gauge_envs.tools.sanity.readers import dialect
+from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
 from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import (
     WORSE_BY,

@@ -143,7 +143,7 @@ class TextChange:
     def elsewhere(self) -> list[str]:
         """Changes of included files, as texts."""
         return [
-            f'{key}="{value}" in {self.model.line(element)}'
+            f'{key}="{value}" in {element.file.name}:{self.model.line(element)}'
             for (element, key), value in self._values.items()
             if element.file != self.model.file
         ]

@@ -7,7 +7,6 @@ from operator import attrgetter
 import mujoco
 import numpy as np
 
-from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.check import Finding, leave_to, model_check
 from gauge_envs.tools.sanity.model_checks.free_motion import solver
 from gauge_envs.tools.sanity.model_checks.runs import LATE, SAMPLES, SLEEP, Run, settled
@@ -45,6 +44,7 @@ The lowest of twenty equal blocks carries as much. The check rest-height covers 
     interval=(0.0, 0.01),
     source="solids yield at strains of 0.2 % (steel) to 2 % (plastics); MuJoCo softens a contact as its lighter body",
     consequence="Stacks sink into each other and are lower than in reality.",
+    is_usual=True,
     is_simulated=True,
 )
 def overlap(robot: Robot) -> Finding:
@@ -106,6 +106,7 @@ A longer time constant, a stiffness or a smaller impedance may mean a spring.
     interval=(0.0, 0.05),
     source="bearings and stops of machines yield by less than 1 %; MuJoCo's limits by up to 0.02 rad under a robot",
     consequence="Joined parts come apart under load, as on a rubber band.",
+    is_usual=True,
     is_simulated=True,
 )
 def constraints(robot: Robot) -> Finding:
@@ -182,6 +183,7 @@ def _opening(
     interval=(0.0, 1.0),
     source="the same model without sleep; 1 mm/s is MuJoCo's default tolerance of sleep",
     consequence="What should drift, tip or slide stands still.",
+    is_usual=True,
     is_simulated=True,
 )
 def sleeping(robot: Robot) -> Finding:
@@ -220,6 +222,7 @@ STILL_MM_PER_S, RESTING_MM_PER_S = 1.0, 10.0
     interval=(0.0, 2.0),
     source="the same model with a tenth of the step and an exact solver; 1 mm in a stance of 0.5 s",
     consequence="What rests creeps or hops, so that stances and grasps drift.",
+    is_usual=True,
     is_simulated=True,
 )
 def creep(robot: Robot) -> Finding:
@@ -244,48 +247,3 @@ def creep(robot: Robot) -> Finding:
         remark=f"{name_of(robot.model, 'body', body)} moves at {speeds[body]:.3g} mm/s; with a finer step it rests "
         f"({still[body]:.2g} mm/s)",
     )
-
-
-def _worst_flex(robot: Robot, ratios: FloatArray, text: str) -> Finding:
-    """Return the largest ratio that a flex has for a tenth of the run, with its text."""
-    quantiles = np.quantile(ratios, 0.9, axis=0)
-    flex = int(quantiles.argmax())
-    ratio = float(quantiles[flex])
-    return Finding(
-        value=ratio, remark=text.format(name_of(robot.model, "flex", flex), ratio)
-    )
-
-
-@model_check(
-    "model-cloth",
-    title="stretch of inextensible edges under gravity",
-    interval=(0.0, 0.05),
-    source="an edge with an equality has no elasticity; woven cloth stretches by less than 5 % under its weight",
-    consequence="Cloth flows like rubber, so that a grasp lifts a part of it.",
-    is_simulated=True,
-)
-def cloth(robot: Robot) -> Finding:
-    """Return the strain of the edges of flexes whose length an equality keeps."""
-    stretches = settled(robot).stretches
-    if not robot.model.flex_edgeequality.any():
-        raise NotApplicableError("the model has no flex whose edges keep their length")
-    text = "edges of {} stretch by {:.3g} of their length under gravity"
-    return _worst_flex(robot, stretches, text)
-
-
-@model_check(
-    "model-cloth-sink",
-    title="depth of cloth in its support, over its thickness",
-    interval=(0.0, 1.0),
-    source="two solids do not share a place; MuJoCo's flex is as thick as twice its radius",
-    consequence="Cloth passes into or through what it lies on.",
-    is_simulated=True,
-)
-def cloth_sink(robot: Robot) -> Finding:
-    """Return the depth of flexes in rigid bodies."""
-    run, model = settled(robot), robot.model
-    if not model.nflex:
-        raise NotApplicableError("the model has no flex")
-    ratios = run.sinks_m / (2.0 * np.maximum(model.flex_radius, 1e-3))
-    text = "{} is {:.3g} times its thickness inside what carries it"
-    return _worst_flex(robot, ratios, text)

@@ -164,9 +164,10 @@ class TargetCheck:
             return replace(unmeasured, remark=str(reason), applies=applies)
         whole = self._part(WHOLE, finding.value, finding)
         parts = [self._part(*part, finding) for part in finding.parts.items()]
-        place = ""
+        place, file, line = "", "", 0
         if finding.place is not None and configuration.robot is not None:
             place = configuration.robot.place_text(finding.place)
+            file, line = configuration.robot.source_of(finding.place)
         return replace(
             unmeasured,
             reality=finding.reality or self.reality,
@@ -175,6 +176,8 @@ class TargetCheck:
             verdict=whole.verdict,
             remark=finding.remark,
             place=place,
+            file=file,
+            line=line,
             consequence=self.consequence if whole.verdict.is_off else "",
             parts=tuple(parts or [whole]),
         )

@@ -23,10 +23,8 @@ from gauge_envs.tools.sanity.model_checks.drives import (
     servos,
     start,
 )
-from gauge_envs.tools.sanity.model_checks.masses import is_overweight
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
-    acts_on_joints,
     joints_of,
     name_of,
     reaches_m,
@@ -119,9 +117,6 @@ SLOW_S = 2.0
 SAG_RAD = 0.6
 """Error at which a servo carries its limb [rad]: twice that of the softest model of a maker, TALOS with 0.296."""
 
-COMMANDS = 30.0
-"""Largest range of commands over the range of the joint: degrees are 57 times too large."""
-
 MIN_RATE_PER_S = 1.0
 """Angular frequency below which a mode is of a free body and not of a servo [1/s]."""
 
@@ -134,7 +129,7 @@ GROWTH, GROWTH_STEPS, MAX_RATIO = 3.0, 200, 1.05
     title="response of a servo, over the limit of a drive",
     interval=(0.0, 1.0),
     source="a slow motion without gravity and contact never grows; closed forms of a loop of second order for ringing, "
-    "lag and sag; the error at which a servo saturates; commands in degrees",
+    "lag and sag; the error at which a servo saturates",
     consequence="The joint does not do what the policy commands.",
     is_simulated=True,
 )
@@ -216,28 +211,11 @@ def _response(drive: Drive) -> Iterator[Case]:
     is_floating = (
         robot.model.body_dofnum[root_of(robot.model, drive.body)] == 6 and kp != 1.0
     )
-    if drive.is_hinge and not is_floating and not is_overweight(robot, drive.body):
+    if drive.is_hinge and not is_floating:
         text = f"{drive.name} sags by {weight / kp:.2g} rad: {servo} carries {weight:.3g} N m"
         if kp == 1.0:
             text += ", MuJoCo's default kp"
         yield drive.case(weight / kp / SAG_RAD, text, True)
-    yield from _commands(drive)
-
-
-def _commands(drive: Drive) -> Iterator[Case]:
-    """Yield the range of commands of a servo over the range of its joint."""
-    model = drive.robot.model
-    if not (model.jnt_limited[drive.joint] and drive.is_hinge):
-        return
-    span = np.ptp(model.jnt_range[drive.joint])
-    is_its = acts_on_joints(model) & (model.actuator_trnid[:, 0] == drive.joint)
-    is_its &= servos(model) & (model.actuator_ctrllimited != 0)
-    gains = model.actuator_gainprm[is_its, 0] / model.actuator_biasprm[is_its, 1]
-    gains /= model.actuator_gear[is_its, 0]
-    spans = np.ptp(model.actuator_ctrlrange[is_its], axis=1) * np.abs(gains)
-    commands = spans.max(initial=0.0)
-    text = f"commands of {drive.name} span {commands:.3g} rad, its range {span:.3g}"
-    yield drive.case(commands / span / COMMANDS, text, True)
 
 
 # --- couplings and free joints ---------------------------------------------------------------------------------------

@@ -208,6 +208,7 @@ class AppliedCheck:
             reality=check.reality,
             verdict=SanityVerdict.NOT_MEASURED,
             remark=reason,
+            is_own=Need.FOOT in check.needs,
         )
 
     def result(self) -> SanityResult:

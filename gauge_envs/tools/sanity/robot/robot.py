@@ -26,6 +26,9 @@ Place: TypeAlias = tuple[str, int]
 STANDING = ("home", "stand", "standing")
 """Names of keyframes in which robots stand."""
 
+BODY_JOINS = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
+"""Types of equalities that join bodies."""
+
 MAX_GEOMS = 4
 """Largest number of geoms of a foot or of a group that a text lists; further ones are counted."""
 
@@ -98,14 +101,19 @@ class Robot:
     known: dict[tuple[object, ...], Any] = field(default_factory=dict, init=False)
 
     def place_text(self, place: Place) -> str:
-        """Return an element of the model as a text: its kind, its name or number, and its file and line."""
+        """Return an element of the model as a text: its kind, and its name or number."""
         kind, number = place
         name = getattr(self.model, kind)(number).name
-        text = f'{kind} "{name}"' if name else f"{kind} {number}"
+        return f'{kind} "{name}"' if name else f"{kind} {number}"
+
+    def source_of(self, place: Place) -> tuple[str, int]:
+        """Return file and line of an element of the model; no file where the text is unknown."""
         if self.text is None:
-            return text
-        element = self.text.element(self.model, kind, number)
-        return text if element is None else f"{text} ({self.text.line(element)})"
+            return "", 0
+        element = self.text.element(self.model, *place)
+        if element is None:
+            return "", 0
+        return str(element.file), self.text.line(element)
 
     @cached_property
     def text(self) -> ModelText | None:
@@ -358,6 +366,20 @@ def reaches_m(robot: Robot) -> FloatArray:
         arm = np.linalg.norm(model.body_pos[body]) + reaches[body]
         reaches[parent] = max(reaches[parent], arm)
     return reaches
+
+
+def unheld(model: mujoco.MjModel) -> list[int]:
+    """Return bodies with a free joint whose tree no weld or connection holds."""
+    ends = np.hstack([model.eq_obj1id, model.eq_obj2id])
+    of_sites = np.tile(model.eq_objtype == mujoco.mjtObj.mjOBJ_SITE, 2)
+    is_joined = np.tile(np.isin(model.eq_type, BODY_JOINS), 2)
+    bodies = np.where(
+        of_sites, model.site_bodyid[ends * of_sites] if model.nsite else 0, ends
+    )
+    held = model.body_treeid[bodies[is_joined & (ends >= 0)]]
+    free = model.jnt_bodyid[joints_of(model, "FREE")]
+    loose: list[int] = free[~np.isin(model.body_treeid[free], held)].tolist()
+    return loose
 
 
 def free_objects(model: mujoco.MjModel) -> list[int]:
