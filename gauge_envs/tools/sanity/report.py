@@ -12,12 +12,11 @@ from rich.console import Console
 
 from gauge_envs.backends.mujoco.contact_table import default_contact_settings
 from gauge_envs.names import first_names
-from gauge_envs.pages.document import Document, Heading, Paragraph, Part, Tone
-from gauge_envs.pages.table import Column, Facts, Place, Table
+from gauge_envs.pages.document import Document, Paragraph, Part, Tone
+from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.terminal import Terminal
 from gauge_envs.pages.text import counted, quantity_text, with_unit
 from gauge_envs.tools.sanity.object_checks import object_check
-from gauge_envs.tools.sanity.readers.dialect import toml_text
 from gauge_envs.tools.sanity.selection import selection
 from gauge_envs.tools.sanity.target_checks import (
     READ,
@@ -312,9 +311,8 @@ def _notes(report: Report, *, details: bool) -> list[Part]:
 
 
 def _details(report: Report) -> list[Part]:
-    """Return what was read, the sources of the problems, and the changes that were tried."""
-    checked = report.configuration
-    parts: list[Part] = [Heading("Read"), Facts(_facts(checked))]
+    """Return the sources of the findings, the changes that were tried, and why checks do not apply."""
+    parts: list[Part] = []
     for result in report.flags.values():
         reality = result.reality
         text = f"{result.id}: {result.title}; {reality.source}; {reality.rationale}"
@@ -329,27 +327,6 @@ def _details(report: Report) -> list[Part]:
         for reason, names in reasons.items()
     ]
     return parts
-
-
-def _facts(checked: TrainingConfiguration) -> dict[str, str]:
-    """Return what was read, and the settings by origin."""
-    facts = {"read from": checked.source, "backend": checked.backend}
-    if checked.frame_skip is not None:
-        facts["one action"] = f"{checked.frame_skip} steps"
-    if (foot := checked.foot_geometry) is not None:
-        facts["foot"] = f"in the {foot.pose}, {foot.description}"
-    for name, value in checked.settings.items():
-        origin = checked.origins.get(name, "settings")
-        text = f"{name} = {toml_text(value)}"
-        facts[origin] = f"{facts[origin]}, {text}" if origin in facts else text
-    for group in checked.contact_groups:
-        constants = [
-            f"{name} {toml_text(value)}" for name, value in group.constants.items()
-        ]
-        use = "" if group.is_used else "not used: "
-        pairs = counted(group.pair_count, "pair")
-        facts[group.geoms] = f"{use}{pairs}, {', '.join(constants)}"
-    return facts
 
 
 def _all_rows(report: Report) -> Table:

@@ -21,7 +21,6 @@ READ: tuple[ModelCheck, ...] = (
     ground.torsion,
     joints.joint_brakes,
     joints.servo_response,
-    joints.coupling_yield,
     joints.free_joint_drag,
 )
 """Checks that simulate nothing."""
@@ -32,7 +31,6 @@ RUN: tuple[ModelCheck, ...] = (
     ground.stands,
     at_rest.overlap,
     at_rest.constraints,
-    at_rest.sleeping,
     at_rest.creep,
     free_motion.spin,
     free_motion.energy,

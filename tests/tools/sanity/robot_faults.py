@@ -55,7 +55,7 @@ FAULTS = {
         'kv="2"',
         'kv="0"',
     ),
-    ("robot-coupling", "off its coupling"): ("<keyframe>", COUPLED),
+    ("start-coupling", "off its coupling"): ("<keyframe>", COUPLED),
     ("robot-free", "in the air"): ("<freejoint/>", '<joint type="free"/>'),
     ("robot-feet", "FL_foot"): (
         'name="FL_foot"',

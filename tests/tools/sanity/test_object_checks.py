@@ -29,8 +29,6 @@ foot-creep         0         1.4111
 foot-push          0.48192   0.082014
 foot-slide         2.7194    0.082014
 foot-landing-depth 0         9
-foot-rebound       0         0.2
-foot-rest          0         0.2
 creep-wood         0         1.4111
 creep-plastic      0         2.5323
 creep-metal        0         1.7037

@@ -1,4 +1,4 @@
-"""Stacks on PhysX: Isaac Lab's `env.yaml` and ManiSkill's SimConfig, which both stacks wrote themselves."""
+"""Isaac Lab's `env.yaml`, which the stack wrote itself."""
 
 import copy
 import json
@@ -12,7 +12,6 @@ from gauge_envs.tools.sanity import configuration
 from gauge_envs.tools.sanity.readers import dialect
 from gauge_envs.tools.sanity.readers.documents import yaml_document
 from gauge_envs.tools.sanity.readers.isaac_lab import isaac_lab_configuration
-from gauge_envs.tools.sanity.readers.maniskill import maniskill_configuration
 from gauge_envs.tools.sanity.training import Need
 
 pytest.importorskip("sapien")
@@ -134,47 +133,3 @@ def test_isaac_lab_3_has_its_solver_at_another_place():
     changes = {"bounce_threshold_m_per_s": 0.1, "solver": "TGS"}
     key, text = "self.sim.physics", dialect(task.language).paste_text(changes)
     assert text == f"{key}.bounce_threshold_velocity = 0.1; {key}.solver_type = 1"
-
-
-# --- ManiSkill -------------------------------------------------------------------------------------------------------
-
-CONFIGS = json.loads((G1.parent / "maniskill_sim_configs.json").read_text())
-"""What ManiSkill 3.0.1 returns."""
-
-
-def read_task(**values):
-    cfg = CONFIGS["tasks"]["PickCube-v1"] | values
-    return maniskill_configuration(cfg, name="PickCube-v1", source="test")
-
-
-def test_a_sim_config_is_read():
-    task = read_task()
-    settings = {
-        "timestep_s": 0.01,
-        "bounce_threshold_m_per_s": 2.0,
-        "position_iterations": 15,
-        "solver": "TGS",
-        # SAPIEN's default for links
-        "link_linear_damping_per_s": 0.05,
-    }
-    assert settings.items() <= task.settings.items()
-    assert (task.frame_skip, task.gravity_m_per_s2) == (5, (0.0, 0.0, -9.81))
-    assert task.origins["timestep_s"] == "sim_config.sim_freq"
-
-
-# --- YAML ------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        ("!!python/object/apply:os.system ['touch RAN']", "line 2: .*is not run"),
-        ("2020-99-99", "it is no YAML: "),
-    ],
-)
-def test_nothing_of_a_file_is_run(value, message, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "env.yaml").write_text(f"sim:\n  dt: {value}\n")
-    with pytest.raises(TargetError, match=rf"env\.yaml: .*{message}"):
-        configuration(tmp_path / "env.yaml")
-    assert not (tmp_path / "RAN").exists()

@@ -18,8 +18,6 @@ import pytest
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import check, configuration
 from gauge_envs.tools.sanity.readers import gauge_probe as program
-from gauge_envs.tools.sanity.readers.dialect import NestedTable
-from gauge_envs.tools.sanity.readers.genesis import options_settings
 
 PROGRAM = Path(program.__file__).read_text()
 
@@ -203,15 +201,3 @@ def test_settings_of_other_stacks_become_plain(tmp_path):
     saved = json.loads((tmp_path / "lab.json").read_text())
     assert saved["kind"] == "isaac_lab"
     assert saved["data"] == {"sim": {"gravity": gravity.tolist()}, "f": "ast:parse"}
-
-
-def test_options_of_genesis_are_read():
-    rigid = {"iterations": 7, "constraint_timeconst": None, "integrator": 1}
-    simulation = {"dt": 0.04, "substeps": 2}
-    tables = (
-        NestedTable(values, source="scene.json") for values in (simulation, rigid)
-    )
-    settings = options_settings(*tables)
-    assert (settings["timestep_s"], settings["integrator"]) == (0.02, "implicitfast")
-    # Genesis raises a shorter time constant to two steps.
-    assert settings["sustained_timeconst_s"] == pytest.approx(0.04)

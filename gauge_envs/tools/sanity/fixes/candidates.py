@@ -101,7 +101,6 @@ ABSENT = {"contact_margin_m": 0.0, "refsafe": True, "condim": 3}
 """Effective values where a target gives none."""
 
 MODEL_CANDIDATES: Mapping[str, Sequence[Settings]] = {
-    "model-sleep": ({"sleep_tolerance": 1e-5}, {"sleep": False}),
     "model-constraints": (
         STIFF_EQUALITY,
         HARD_EQUALITY,

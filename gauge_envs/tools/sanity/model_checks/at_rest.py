@@ -9,7 +9,7 @@ import numpy as np
 
 from gauge_envs.tools.sanity.model_checks.check import Finding, leave_to, model_check
 from gauge_envs.tools.sanity.model_checks.free_motion import solver
-from gauge_envs.tools.sanity.model_checks.runs import LATE, SAMPLES, SLEEP, Run, settled
+from gauge_envs.tools.sanity.model_checks.runs import LATE, Run, settled
 from gauge_envs.tools.sanity.robot.robot import Robot, joints_of, name_of
 from gauge_envs.tools.sanity.verdict import NotApplicableError
 
@@ -175,41 +175,6 @@ def _opening(
     remark = f"{names}: {residual:.3g} {units[0]} {text} under {force:.3g} {units[1]}"
     return residual / float(size or model.stat.meansize), remark
 
-
-@model_check(
-    "model-sleep",
-    title="speed of a body that sleeps and should move",
-    unit="mm/s",
-    interval=(0.0, 1.0),
-    source="the same model without sleep; 1 mm/s is MuJoCo's default tolerance of sleep",
-    consequence="What should drift, tip or slide stands still.",
-    is_usual=True,
-    is_simulated=True,
-)
-def sleeping(robot: Robot) -> Finding:
-    """Return the largest mean speed in the refined run of a body that sleeps in the target's run."""
-    if not robot.model.opt.enableflags & SLEEP:
-        raise NotApplicableError("the model does not let bodies sleep")
-    run, finer, findings = settled(robot), settled(robot, is_refined=True), []
-    for body in np.flatnonzero(~run.is_awake[-1]).tolist():
-        begin = int(np.flatnonzero(run.is_awake[:, body]).max(initial=-1)) + 1
-        paths = finer.points_m[:, body]
-        moved_m = float(np.linalg.norm(paths[-1] - paths[begin], axis=-1).max())
-        speed = 1e3 * moved_m / (run.sample_s * max(SAMPLES - 1 - begin, LATE))
-        # Chaos separates two runs that differ before the body sleeps.
-        if np.abs(paths[begin] - run.points_m[begin, body]).max() < SAME_M:
-            findings.append(
-                Finding(
-                    value=speed,
-                    place=("body", body),
-                    remark=f"{name_of(robot.model, 'body', body)} sleeps; awake it moves at {speed:.3g} mm/s",
-                )
-            )
-    return worst(findings)
-
-
-SAME_M = 1e-3
-"""Distance up to which two runs agree [m]."""
 
 STILL_MM_PER_S, RESTING_MM_PER_S = 1.0, 10.0
 """Speeds at rest [mm/s]: of each body of a tree in the refined run, and of a body in the run of the model."""

@@ -218,52 +218,7 @@ def _response(drive: Drive) -> Iterator[Case]:
         yield drive.case(weight / kp / SAG_RAD, text, True)
 
 
-# --- couplings and free joints ---------------------------------------------------------------------------------------
-
-YIELD_SHARE = 0.3
-"""Share of its range by which a coupling may yield.
-
-Stiff linkages in grippers of makers yield by 0.001 to 0.02, and MuJoCo's default solref by 0.14 to 0.23.
-"""
-
-
-@model_check(
-    "robot-coupling",
-    title="force of a motor, over that of a yielding coupling",
-    interval=(0.0, 1.0),
-    source="inverse dynamics of a coupling that has yielded by 30 % of the joint's range; stiff linkages yield by 2 %",
-    consequence="One finger gives way, so that a grasp holds less than the real one.",
-)
-def coupling_yield(robot: Robot) -> Finding:
-    """Return the coupling between joints that is weakest against the force of a motor."""
-    model = robot.without("contact", "limit", "frictionloss")
-    data, cases = start(robot, model), []
-    begin, pushes = data.qpos.copy(), np.zeros(model.nv)
-    for drive in drives(robot):
-        pushes[drive.dof] = drive.push if np.isfinite(drive.push) else 0.0
-    is_coupling = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
-    is_coupling &= (model.eq_obj2id >= 0) & (model.eq_active0 != 0)
-    for number in np.flatnonzero(is_coupling).tolist():
-        joints = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
-        dofs, (place, leader) = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
-        lead = begin[leader] - model.qpos0[leader]
-        coupled = np.polyval(model.eq_data[number, 4::-1], lead) + model.qpos0[place]
-        span = np.ptp(model.jnt_range[joints[0]]) or 1.0
-        data.qpos[:] = begin
-        data.qpos[place], data.qacc[:] = coupled + YIELD_SHARE * span, 0.0
-        mujoco.mj_inverse(model, data)
-        load, force = pushes[dofs].max(), abs(data.qfrc_constraint[dofs[0]])
-        at, name = ("equality", number), name_of(model, "joint", joints[0])
-        text = f"{name}, {100 * YIELD_SHARE:g} % of its range off its coupling, is pushed back by {force:.3g}; "
-        text += f"its motor makes {load:.3g}"
-        cases.append(Case(load / max(force, 1e-9), at, name, text, True))
-        off = abs(coupled - begin[place])
-        text = f"{name} starts {off:.2g} off its coupling; its range is {span:.3g}"
-        cases.append(Case(off / span / YIELD_SHARE, at, name, text))
-    if not cases:
-        raise NotApplicableError("no equality couples joints")
-    return worst_case(cases)
-
+# --- free joints ---------------------------------------------------------------------------------------
 
 FREE_SHARE = 0.05
 """Share of its speed that a free base may lose in 1 s: air takes less from anything heavier than a balloon."""

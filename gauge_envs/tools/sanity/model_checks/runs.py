@@ -52,7 +52,6 @@ class Run:
         data: The state at the end.
         points_m: Three points of each body, at its radius of gyration, in each sample [m], shape
             [sample_count, nbody, 3, 3].
-        is_awake: Whether each body was awake, shape [sample_count, nbody].
         late_state: State at the start of the last quarter, of MuJoCo's kind `mjSTATE_INTEGRATION`.
         sample_s: Time between samples [s].
         diverged_s: Time at which the state diverged [s]; infinite when it did not.
@@ -72,7 +71,6 @@ class Run:
             mujoco.mj_setState(model, data, state, STATE)
             data.time = 0.0
         self.points_m = np.full((samples, model.nbody, 3, 3), np.nan)
-        self.is_awake = np.ones((samples, model.nbody), bool)
         self.late_state = np.zeros(mujoco.mj_stateSize(model, STATE))
         self.sample_s, self.diverged_s = sample_s, np.inf
         squares = model.body_inertia.max(axis=1) / np.maximum(model.body_mass, 1e-12)
@@ -86,7 +84,6 @@ class Run:
                     return
             axes = data.ximat.reshape(-1, 3, 3).transpose(0, 2, 1)
             self.points_m[sample] = data.xipos[:, None] + radii_m * axes
-            self.is_awake[sample] = data.body_awake != 0
             if sample == samples - LATE:
                 mujoco.mj_getState(model, data, self.late_state, STATE)
 

@@ -20,8 +20,6 @@ FOOT: Mapping[str, Callable[[FootGeometry], ObjectCheck]] = {
     "foot-push": foot.push,
     "foot-slide": foot.steep_slide,
     "foot-landing-depth": foot.depth,
-    "foot-rebound": foot.rebound,
-    "foot-rest": foot.rest,
 }
 """Checks of the target's foot by id, in their order."""
 

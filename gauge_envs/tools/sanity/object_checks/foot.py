@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.fixtures.parts import body, contact, ground
 from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Pose, Scene
-from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.sanity.object_checks.check import (
     ObjectCheck,
     Scenario,
@@ -214,50 +214,4 @@ def depth(foot: FootGeometry) -> ObjectCheck:
         DEPTH_MM,
         "a rubber ball of 20 mm radius (2 MPa) that lands with 3 kg is compressed as much (Hertz)",
         lambda rollout: -1e3 * float(lowest_m(rollout, FOOT, foot.soles_m).min()),
-    )
-
-
-def rebound(foot: FootGeometry) -> ObjectCheck:
-    """Return the speed of a foot after a landing over that before."""
-
-    def ratio(rollout: Recording) -> float:
-        heights_m: FloatArray = lowest_m(rollout, FOOT, foot.soles_m)
-        hop_m = max(float(heights_m[heights_m.argmin() :].max()), 0.0)
-        return float(np.sqrt(hop_m / DROP_M))
-
-    return _landed(
-        foot,
-        "rebound speed of the foot over its impact speed",
-        "1",
-        STAYS,
-        HOP,
-        f"a hop of {1e3 * HOP**2 * DROP_M:.0f} mm, which the eye sees",
-        ratio,
-        is_impact=True,
-    )
-
-
-def rest(foot: FootGeometry) -> ObjectCheck:
-    """Return the time of a foot from a landing to rest."""
-    fall_s = float(np.sqrt(2.0 * DROP_M / G))
-
-    def last_s(rollout: Recording) -> float:
-        """Return the last time at which the foot moves [s]."""
-        is_moving = np.abs(rollout.velocity(FOOT)[:, 2]) > AT_REST_M_PER_S
-        return float(rollout.times_s[is_moving].max(initial=0.0))
-
-    def failure(rollout: Recording) -> str:
-        if last_s(rollout) > rollout.times_s[-1] - STILL_S:
-            return "it still moves at the end"
-        return ""
-
-    return _landed(
-        foot,
-        "time of the foot from a landing to rest",
-        "s",
-        STAYS,
-        STANCE_S,
-        "the stance of a trot; a foot that lands longer never rests before the next step",
-        lambda rollout: max(last_s(rollout) - fall_s, 0.0),
-        failure=failure,
     )

@@ -10,7 +10,6 @@ from gauge_envs.files import is_folder
 from gauge_envs.tools.sanity.readers import probe, settings
 from gauge_envs.tools.sanity.readers.dialect import TOML, Dialect
 from gauge_envs.tools.sanity.readers.documents import file_value
-from gauge_envs.tools.sanity.readers.genesis import GENESIS
 from gauge_envs.tools.sanity.readers.gymnasium_env import (
     Target,
     read_id,
@@ -23,7 +22,6 @@ from gauge_envs.tools.sanity.readers.isaac_lab import (
     file_of_run,
     read_file,
 )
-from gauge_envs.tools.sanity.readers.maniskill import MANISKILL
 from gauge_envs.tools.sanity.readers.mjcf import MJCF, GeomPair, read_model_file
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.training import TrainingConfiguration
@@ -55,7 +53,7 @@ READERS = {
 }
 """Function that reads a file, by its suffix."""
 
-DIALECTS = (TOML, MJCF, GENESIS, MANISKILL, ISAAC_LAB, ISAAC_LAB_3)
+DIALECTS = (TOML, MJCF, ISAAC_LAB, ISAAC_LAB_3)
 
 
 @mujoco_warnings()
@@ -73,7 +71,6 @@ def configuration(
             a settings file: `backend`, optionally `preset`, and a table `settings`;
             a backend, with or without a preset (`mujoco:out_of_box`, `newton`);
             the `params/env.yaml` of a training run with Isaac Lab, or the folder of the run;
-            the saved options of a Genesis scene;
             a file that the probe writes in the Python of another stack (`NAME.gaugeprobe.json`);
             a `mujoco.MjModel`, a pair of it and its `mujoco.MjData`, in whose pose checks of the model start, or a
             `gymnasium.Env`;

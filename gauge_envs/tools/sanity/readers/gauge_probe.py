@@ -8,7 +8,6 @@ Run this file in the training environment. It needs Python 3.8 or later, and not
     python gauge_probe.py "mujoco_playground:registry.load('CheetahRun')"
     python gauge_probe.py "mjlab.tasks.registry:load_env_cfg('Mjlab-Velocity-Flat-Unitree-Go1')"
     python gauge_probe.py "dm_control.suite:load('walker', 'walk')"
-    python gauge_probe.py "mani_skill.envs.tasks:PickCubeEnv"
 
 `MODULE:EXPRESSION` is Python, evaluated in that module; what can be called without arguments is called. A program that
 has the environment, model or configuration already writes it itself:
@@ -434,11 +433,6 @@ def is_isaac_lab(value: Any) -> bool:
     return value_at(value, "sim.physx") or value_at(value, "sim.physics_material")
 
 
-def is_sim_config(value: Any) -> bool:
-    """Return whether a value is a configuration of ManiSkill."""
-    return kind_of(value).endswith(".SimConfig")
-
-
 def mujoco_model(target: Any) -> Any:
     """Return the compiled model of a target; None without one."""
     if kind_of(target).endswith(".MjSpec"):
@@ -479,20 +473,9 @@ def capture_mujoco(target: Any) -> dict[str, Any] | None:
 
 
 def capture_settings(target: Any) -> dict[str, Any] | None:
-    """Return the configuration of Isaac Lab, the SimConfig of ManiSkill or the options of Genesis; None without."""
+    """Return the configuration of Isaac Lab; None without."""
     cfg = first(target, ("cfg", "unwrapped.cfg"), is_isaac_lab)
-    if cfg is not None:
-        return {"kind": "isaac_lab", "data": cfg}
-    task = value_at(target, "_default_sim_config")
-    if isinstance(task, property):
-        # A task of ManiSkill gives its settings without being started.
-        target = task.__get__(object())
-    cfg = first(target, ("sim_config", "unwrapped.sim_config"), is_sim_config)
-    if cfg is not None:
-        return {"kind": "maniskill", "data": cfg}
-    options = value_at(target, "options") or target
-    parts = {part: value_at(options, part) for part in ("sim", "rigid")}
-    return {"kind": "genesis", "data": parts} if all(parts.values()) else None
+    return None if cfg is None else {"kind": "isaac_lab", "data": cfg}
 
 
 def plain(value: Any) -> Any:
@@ -520,7 +503,7 @@ def save(target: Any, file: str) -> None:
     kind = kind_of(target)
     if captured is None:
         raise ProbeError(
-            f"{kind} has no mujoco.MjModel, Isaac Lab cfg, SimConfig or Genesis options: give that object itself"
+            f"{kind} has no mujoco.MjModel, and no Isaac Lab cfg: give that object itself"
         )
     head = {"format": FORMAT, "version": VERSION, "source": kind}
     content = json.dumps({**head, **captured}, default=plain, skipkeys=True)
@@ -536,8 +519,7 @@ def resolve(target: str) -> Any:
     module, colon, expression = target.partition(":")
     if colon and not re.search(r"-v\d+$", target):
         value = eval(expression, dict(vars(importlib.import_module(module))))
-        is_called = callable(value) and not hasattr(value, "_default_sim_config")
-        return value() if is_called else value
+        return value() if callable(value) else value
     import gymnasium
 
     return gymnasium.make(target)

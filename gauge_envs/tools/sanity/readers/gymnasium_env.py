@@ -32,7 +32,7 @@ Target: TypeAlias = (
 ACCEPTED = (
     "a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a model file (.xml, .mjcf, .urdf), a mujoco.MjModel or a "
     "pair (model, data), an env, a probe file (NAME.gaugeprobe.json, see gauge sanity probe), the params/env.yaml of "
-    "Isaac Lab, options of a Genesis scene (options.json), a settings file (.toml, .json), or a backend with or "
+    "Isaac Lab, a settings file (.toml, .json), or a backend with or "
     "without a preset (mujoco:out_of_box)"
 )
 """Targets that can be checked, as a text."""

@@ -21,6 +21,7 @@ STATIC_RULES = (
     consistent.start_command,
     consistent.start_overlap,
     consistent.start_tendon,
+    consistent.start_coupling,
     plausible.imu_frame,
     plausible.medium,
     stated.solimp,

@@ -147,7 +147,8 @@ def servo_gain(robot: Robot) -> Iterator[Fault]:
     for drive in drives(robot):
         span = float(np.ptp(robot.model.jnt_range[drive.joint]))
         error = drive.limit / drive.kp if drive.kp else 0.0
-        if span and np.isfinite(error) and error > WEAK * max(span, drive.scale):
+        is_weak = np.isfinite(error) and error > WEAK * max(span, 1.0)
+        if drive.is_hinge and span and is_weak:
             force, angle = drive.units
             most = f"{drive.kp * span:.2g} of its {drive.limit:.3g} {force}"
             text = f"{drive.name} with kp {drive.kp:.3g} {force}/{angle} makes at most {most} within its range"
@@ -383,13 +384,16 @@ MAX_DEPTH_M, MAX_DEPTH = 0.005, 0.05
 def start_overlap(robot: Robot) -> Iterator[Fault]:
     """Yield pairs of bodies, objects and the ground included, that overlap in the first pose."""
     model, depths_m = robot.model, _overlaps_m(robot.model, start(robot))
+    trees = model.body_treeid[model.geom_bodyid]
     usual = dict.fromkeys(depths_m, POSES)
     if depths_m and not model.nkey:
         poses = [_overlaps_m(model, data) for data in random_poses(model, POSES)]
         usual = {pair: sum(pair in pose for pose in poses) for pair in depths_m}
     for (first, second), depth_m in depths_m.items():
-        is_machine = model.body_rootid[model.geom_bodyid[second]] in robot.bodies
-        if is_machine and 2 * usual[first, second] < POSES:
+        is_robot = int(model.geom_bodyid[second]) in robot.bodies
+        # Code raises a robot without a keyframe above the ground, and moves its joints.
+        is_raised = robot.standing is not None and trees[first] < 0 and not model.nkey
+        if is_robot and (is_raised or 2 * usual[first, second] < POSES):
             continue
         size_m = model.geom_rbound[second]
         label = " and ".join(geom_name(model, geom) for geom in (second, first))
@@ -441,6 +445,32 @@ def start_tendon(robot: Robot) -> Iterator[Fault]:
             )
             text = f"tendon {name} starts at {length:.4g} {unit}, outside of its range {low:.4g} to {high:.4g}"
             yield Fault(("tendon", tendon), name, text, out / span)
+
+
+@rule(
+    "start-coupling",
+    title="couplings that the start does not meet",
+    source="an equality of joints is a polynomial of the second one",
+    consequence="Episodes begin with a jump.",
+)
+def start_coupling(robot: Robot) -> Iterator[Fault]:
+    """Yield joints whose first position is off that of their coupling, by a share of their range."""
+    model, begin = robot.model, start(robot).qpos
+    is_coupling = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_active0 != 0)
+    for number in np.flatnonzero(is_coupling & (model.eq_obj2id >= 0)).tolist():
+        joint, other = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
+        place, leader = model.jnt_qposadr[[joint, other]]
+        lead = begin[leader] - model.qpos0[leader]
+        coupled = np.polyval(model.eq_data[number, 4::-1], lead) + model.qpos0[place]
+        off, span = abs(coupled - begin[place]), np.ptp(model.jnt_range[joint]) or 1.0
+        if off > MAX_OFF * span:
+            name = name_of(model, "joint", joint)
+            text = f"{name} starts {off:.2g} off its coupling; its range is {span:.3g}"
+            yield Fault(("equality", number), name, text, float(off / span))
+
+
+MAX_OFF = 0.1
+"""Distance of a joint from its coupling at the start, over its range."""
 
 
 @rule(

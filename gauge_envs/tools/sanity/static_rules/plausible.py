@@ -16,7 +16,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     switched_off,
 )
 from gauge_envs.tools.sanity.robot.standing import LIQUID_KG_PER_M3
-from gauge_envs.tools.sanity.static_rules.rule import Fault, rule, unit_text
+from gauge_envs.tools.sanity.static_rules.rule import Fault, rule
 from gauge_envs.tools.sanity.static_rules.shapes import (
     body_shapes,
     mesh_volume_m3,
@@ -95,7 +95,7 @@ def inertia(robot: Robot) -> Iterator[Fault]:
             yield Fault(
                 ("body", body),
                 name,
-                text + unit_text(ratio),
+                text,
                 max(ratio, 1.0 / max(ratio, 1e-12)),
             )
 

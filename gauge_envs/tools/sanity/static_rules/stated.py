@@ -90,6 +90,10 @@ def solref(robot: Robot) -> Iterator[Fault]:
             yield Fault((kind, number), name, text, least_s / constants[0])
 
 
+MAX_IMPEDANCE = 0.9999
+"""Largest impedance of MuJoCo, to which it clips solimp."""
+
+
 @rule(
     "stated-solimp",
     title="impedance that falls with depth",
@@ -99,7 +103,7 @@ def solref(robot: Robot) -> Iterator[Fault]:
 def solimp(robot: Robot) -> Iterator[Fault]:
     """Yield elements whose impedance at the surface exceeds that in the depth."""
     for kind, number, constants in _constraints(robot.model):
-        low, high = constants[2:4]
+        low, high = np.minimum(constants[2:4], MAX_IMPEDANCE).tolist()
         if low > high:
             name = name_of(robot.model, kind, number)
             text = f"{name} has solimp {low:g} at the surface and {high:g} in the depth: exchange the two"
