@@ -16,6 +16,7 @@ EFFECTS = {
     "robot-joint": "its joints are braked",
     "model-overlap": "bodies are crushed",
     "model-constraints": "joints leave their ranges",
+    "model-slip": "it creeps where friction holds",
     "model-creep": "it creeps at rest",
     "model-spin": "it turns by itself in flight",
     "robot-energy": "it gains energy",

@@ -107,6 +107,7 @@ MODEL_CANDIDATES: Mapping[str, Sequence[Settings]] = {
         STIFF_EQUALITY | HARD_EQUALITY,
     ),
     "model-overlap": (HARD, HARDEST),
+    "model-slip": (HARD, GRIPPING, ELLIPTIC | GRIPPING),
     "model-creep": (SOLVED, HARD, ELLIPTIC | GRIPPING),
     "model-solver": (SOLVED, {"solver": "Newton"}, SOLVED | {"solver": "Newton"}),
     **dict.fromkeys(

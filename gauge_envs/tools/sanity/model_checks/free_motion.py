@@ -134,21 +134,22 @@ def holds(robot: Robot) -> Finding:
     )
 
 
-ENERGY_S = 1.0
-"""Time of the free motion whose energy is read [s]."""
+ENERGY_S, UNDAMPED_S = 1.0, 20.0
+"""Time of the free motion whose energy is read, and of a motion without damping [s]."""
 
 
 @model_check(
     "robot-energy",
-    title="energy that a free motion gains, over its kinetic",
+    title="energy that a free motion gains, or loses without damping",
     interval=(0.0, 0.1),
-    source="without contact and motors, with the damping and friction of joints and servos, energy only falls",
-    consequence="The policy is paid for motions that the engine feeds.",
+    source="without contact and motors, with the damping and friction of joints and servos, energy only falls; without "
+    "them it stays",
+    consequence="The policy is paid for motions that the engine feeds or brakes.",
     is_usual=True,
     is_simulated=True,
 )
 def energy(robot: Robot) -> Finding:
-    """Return the growth of energy from the first tenth of a free motion to the tenth with the highest energy."""
+    """Return the change of energy from the first tenth of a free motion to the farthest one, over the kinetic."""
     leave_to(holds, robot)
     bare = _in_flight(robot.model, "limit", "equality")
     # MuJoCo's energy has no term for gravity compensation. Servos keep only their damping.
@@ -156,20 +157,30 @@ def energy(robot: Robot) -> Finding:
     bare.actuator_gainprm[:], bare.actuator_biasprm[:, :2] = 0.0, 0.0
     bare.actuator_forcerange[:] = [-1e9, 1e9]
     bare.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    brakes = (
+        bare.dof_damping,
+        bare.dof_frictionloss,
+        bare.actuator_biasprm[:, 2],
+        bare.tendon_damping,
+    )
+    is_undamped = not any(np.any(array) for array in brakes)
+    time_s = seconds(bare, UNDAMPED_S if is_undamped else ENERGY_S)
     data, values = start_data(bare), []
     is_free = joints_of(bare, "FREE")[bare.dof_jntid]
     rates = np.random.default_rng(0).uniform(-1.0, 1.0, bare.nv)
     data.qvel[:] = np.where(is_free, 0.0, rates)
-    while data.time < seconds(bare, ENERGY_S) and not has_diverged(data):
+    while data.time < time_s and not has_diverged(data):
         mujoco.mj_step(bare, data)
         values.append(data.energy.copy())
     tenths = np.array_split(values, min(10, len(values)))
     energies_j = np.array([tenth.mean(axis=0) for tenth in tenths])
     totals_j, largest_j = energies_j.sum(axis=1), float(energies_j[:, 1].max())
     gained_j = np.inf if has_diverged(data) else float(totals_j.max() - totals_j[0])
+    lost_j = float(totals_j[0] - totals_j.min()) if is_undamped else 0.0
+    change_j, word = max((gained_j, "gains"), (lost_j, "has no damping and loses"))
     return Finding(
-        value=gained_j / max(largest_j, 1e-9),
-        remark=f"a free motion of its joints gains {gained_j:.3g} J; its kinetic energy is at most {largest_j:.3g} J",
+        value=change_j / max(largest_j, 1e-9),
+        remark=f"a free motion of its joints {word} {change_j:.3g} of {largest_j:.3g} J in {data.time:.3g} s",
     )
 
 

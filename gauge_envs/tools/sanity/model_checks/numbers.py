@@ -35,9 +35,11 @@ def gravity_finding(configuration: TrainingConfiguration) -> Finding:
     if gravity is None:
         raise NotApplicableError("the target does not give its gravity")
     size = length_of(np.asarray(gravity))
+    down = -float(np.asarray(configuration.up) @ gravity)
+    tilt_deg = math.degrees(math.acos(np.clip(down / size, -1.0, 1.0)))
+    # A tilted gravity pushes to the side.
+    size = min(size, down, key=lambda value: abs(value - GRAVITY_M_PER_S2))
     found = Finding(value=size, parts={TARGET: size}, is_usual=True)
-    cosine = -float(np.asarray(configuration.up) @ gravity) / size
-    tilt_deg = math.degrees(math.acos(np.clip(cosine, -1.0, 1.0)))
     if tilt_deg <= MAX_SLOPE_DEG:
         return found
     remark = f"gravity and the ground's normal are {tilt_deg:.3g} degrees apart"
