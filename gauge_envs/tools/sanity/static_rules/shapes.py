@@ -18,10 +18,16 @@ MARKER_M = 0.01
 
 
 def mesh_volume_m3(model: mujoco.MjModel, geom: int) -> float:
-    """Return the volume of the closed mesh of a geom, by the divergence theorem [m^3]."""
+    """Return the volume of the mesh of a geom by the divergence theorem [m^3]; NaN where it is not closed."""
     mesh = int(model.geom_dataid[geom])
     vertices = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
     faces = model.mesh_face[model.mesh_faceadr[mesh] :][: model.mesh_facenum[mesh]]
+    begins, ends = faces.ravel(), faces[:, [1, 2, 0]].ravel()
+    edges, reverse = (
+        a.astype(np.int64) << 32 | b for a, b in ((begins, ends), (ends, begins))
+    )
+    if len(np.unique(edges)) < len(edges) or not np.isin(reverse, edges).all():
+        return float("nan")
     first, second, third = vertices.astype(np.float64)[faces].transpose(1, 0, 2)
     return abs(float(np.einsum("ni,ni->", first, np.cross(second, third)))) / 6.0
 
