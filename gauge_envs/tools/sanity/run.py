@@ -79,14 +79,11 @@ def check(
             report = FixSearch(report, measurements).run()
         except TimeLimitError:
             is_cut_short = True
-    notes = []
-    if "grasp-torsion" in chosen:
-        notes += point_notes(configuration)
     if is_cut_short:
         limit = f"the time limit, {time_limit_s} s, is reached"
-        notes = [f"{limit}: the check is incomplete", *notes]
+        report = replace(report, notes=(f"{limit}: the check is incomplete",))
     wall_s = time.perf_counter() - started
-    return replace(report, notes=tuple(notes), wall_s=wall_s)
+    return replace(report, wall_s=wall_s)
 
 
 def _target_results(
@@ -142,16 +139,3 @@ def _check_accepted(
         raise ParameterError(
             f"{configuration.name}: {engine} rejects these settings: {cause}"
         )
-
-
-# --- notes -----------------------------------------------------------------------------------------------------------
-
-
-def point_notes(configuration: TrainingConfiguration) -> list[str]:
-    """Return a note on each hand between whose fingertips a body turns freely."""
-    return [
-        f"{group.geoms}: a round fingertip has one contact, which with condim 3 holds no torque: "
-        "see gauge recipe --torsion"
-        for group in configuration.contact_groups
-        if group.is_point and group.constants["condim"] == 3
-    ]

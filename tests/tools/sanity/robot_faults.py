@@ -40,7 +40,7 @@ FAULTS = {
         'armature="0.005" damping="0.5"',
         'armature="1" damping="30"',
     ),
-    ("robot-joint", "whole robot"): ('frictionloss="0.2"', 'frictionloss="200"'),
+    ("robot-joint", "friction 200"): ('frictionloss="0.2"', 'frictionloss="200"'),
     ("robot-drive", "switch"): ('kp="80"', 'kp="10000"'),
     ("robot-drive", "step of 2 ms"): (
         "implicitfast",

@@ -41,8 +41,6 @@ slide-turned       2.7194    0.082014
 rebound            0.73693   0.0047673
 grasp-creep        0         10
 grasp-sink         0         200
-grasp-torsion      0.545     0.16845
-rolling            0         7
 """
 """Id, value and half-width of the interval of each check.
 

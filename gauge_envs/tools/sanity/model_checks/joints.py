@@ -83,13 +83,6 @@ def _brakes(drive: Drive) -> Iterator[Case]:
     if drags(robot, FALL_PER_S)[drive.dof] > drive.push:
         text = f"{drive.name} has friction {dry:.3g} N m; its motor makes {drive.push:.3g} and gravity {limb:.2g}"
         yield drive.case(dry / (drive.push + limb), text)
-    weight = model.body_subtreemass[root] * lever
-    if drive.is_leg and weight:
-        fall = dry + damping * FALL_PER_S
-        yield drive.case(
-            fall / weight,
-            f"{brakes} take {fall:.3g} N m at {FALL_PER_S:g} rad/s; the whole robot makes {weight:.2g}",
-        )
     # The rotor of a slide moves through a screw, whose gear makes it heavier than any robot.
     if not np.isfinite(drive.limit):
         whole = model.body_subtreemass[root] * reaches[root] ** 2

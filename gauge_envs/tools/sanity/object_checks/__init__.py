@@ -45,8 +45,6 @@ RIGID = (*FOOT, *BODIES)
 GRASP: Mapping[str, Maker] = {
     "grasp-creep": grasp.creep,
     "grasp-sink": grasp.sink,
-    "grasp-torsion": grasp.torsion,
-    "rolling": grasp.rolling,
 }
 """Checks of grasps; run where a model has a hand, or by name."""
 

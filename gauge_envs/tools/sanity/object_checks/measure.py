@@ -295,13 +295,7 @@ def _sets_of(configuration: TrainingConfiguration, check: ObjectCheck) -> Sets:
     Raises:
         NotApplicableError: There is none; the message is the reason.
     """
-    contacts: TrainingConfiguration | None = configuration
-    if check.id in GRASP:
-        contacts = configuration.of_hand(is_flat=check.id == "grasp-torsion")
-    if contacts is None:
-        raise NotApplicableError(
-            "round fingertips: their torsional friction alone holds a torque"
-        )
+    contacts = configuration.of_hand if check.id in GRASP else configuration
     sets: Sets = contacts.contact_sets
     if Need.FOOT in check.needs:
         foot = configuration.foot_geometry

@@ -31,7 +31,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     free_balls,
     geom_name,
-    grasp_kinds,
+    grasping_pairs,
     listed,
     never_touches,
     switched_off,
@@ -185,7 +185,7 @@ def _groups(
     Groups with the constants `used` are in use, and with `all_on_ground` all groups of the first kind. Groups of free
     balls alone are not: balls roll and bounce where the objects of the experiments rest and slide.
     """
-    grasped = all_on_ground * grasp_kinds(model, pairs)
+    grasped = all_on_ground * grasping_pairs(model, pairs)
     keys = np.column_stack([pairs.kinds, grasped, pairs.constants])
     _, inverse = np.unique(keys, axis=0, return_inverse=True)
     groups = []
@@ -208,7 +208,6 @@ def _groups(
                 or (all_on_ground and kind == pairs.kinds.min() and not rolls)
             ),
             is_held=bool(grasp),
-            is_point=bool(grasp == 2),
             settings=contact_settings(model, constants),
         )
         groups.append(((kind, -len(rows), number), group))

@@ -314,18 +314,14 @@ def listed(names: list[str]) -> str:
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
-def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> IntArray:
-    """Return for each pair 1 where a driven part can grasp a free body, 2 where it does so at a point, else 0."""
+def grasping_pairs(model: mujoco.MjModel, pairs: ContactPairs) -> BoolArray:
+    """Return for each pair whether a driven part can grasp a free body."""
     roots = model.body_rootid
     driven = np.isin(roots, roots[model.jnt_bodyid[joints_of_motors(model)]])
     free = np.isin(roots, model.jnt_bodyid[joints_of(model, "FREE")]) & ~driven
     bodies = model.geom_bodyid[pairs.geoms]
-    round_types = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID
-    is_round = np.isin(model.geom_type[pairs.geoms], round_types)
-    at_point = (driven[bodies] & is_round).any(axis=1)
-    grasps = driven[bodies].any(axis=1) & free[bodies].any(axis=1)
-    kinds: IntArray = grasps * (1 + at_point)
-    return kinds
+    grasps: BoolArray = driven[bodies].any(axis=1) & free[bodies].any(axis=1)
+    return grasps
 
 
 def never_touches(robot: Robot) -> bool:
