@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from gauge_envs.tools.sanity.target_checks import READ, RUN
+from gauge_envs.tools.sanity.static_rules import STATIC_RULES
 from gauge_envs.tools.sanity.verdict import SanityResult, SanityVerdict
 
 EFFECTS = {
@@ -35,10 +35,10 @@ def absorb(results: Sequence[SanityResult]) -> list[SanityResult]:
     error makes its cause one.
     """
     found: dict[str, SanityResult] = {}
-    read, run = {check.id for check in READ}, {check.id for check in RUN}
+    read = {check.id for check in STATIC_RULES}
     for result in results:
         found[result.id] = result
-        if result.id not in read | run or not result.is_flag:
+        if result.id not in read | EFFECTS.keys() or not result.is_flag:
             continue
         cause = next(
             (cause for cause in found.values() if _explains(cause, result, read)), None

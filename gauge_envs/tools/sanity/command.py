@@ -112,7 +112,7 @@ def sanity(
         bool,
         arguments.option(
             arguments.OUTPUT,
-            "Also print settings, sources, and the changes that were tried.",
+            "Also print sources, and why checks do not apply.",
             "--details",
         ),
     ] = False,

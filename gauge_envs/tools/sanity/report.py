@@ -81,7 +81,7 @@ def sanity_document(
 
     Args:
         report: The report.
-        details: Whether to show what was read, the sources of reality and the changes that were tried.
+        details: Whether to show the sources of reality, and why checks do not apply.
         is_all: Whether to show the table of all checks.
     """
     whole = report.to_dict()
@@ -199,18 +199,10 @@ def _findings(report: Report) -> list[Part]:
             place = f" ({Path(result.file).name}:{result.line})" if result.file else ""
             text = f"{result.severity:8} {finding_text(result)}{place}"
             parts.append(Paragraph(text, TONES[result.severity]))
-            more = "; ".join([*result.effects, *_fix_texts(report, result)])
-            if more:
-                parts.append(Paragraph(f"         also: {more}"))
+            if result.effects:
+                effects = "; ".join(result.effects)
+                parts.append(Paragraph(f"         also: {effects}"))
     return parts
-
-
-def _fix_texts(report: Report, result: SanityResult) -> list[str]:
-    """Return the part of the fix that resolves a finding."""
-    if report.fix is None or result.id not in report.fix.fixed:
-        return []
-    parts = [part.text for part in report.fix.parts if result.id in part.corrects]
-    return [f"fix: {parts[0] if parts else 'all lines below together'}"]
 
 
 def _object_findings(report: Report) -> list[Part]:
@@ -273,13 +265,6 @@ def _change(report: Report, *, details: bool) -> list[Part]:
     ]
     if hidden_count := len(diff[count:]):
         lines.append(Paragraph(f"  and {hidden_count} more lines, which --fix writes"))
-    alone = [
-        f"{part.text} resolves {first_names(part.corrects, MAX_NAMES)}"
-        for part in change.parts
-        if part.corrects
-    ]
-    if len(change.parts) > 1 and alone:
-        lines.append(Paragraph(f"  alone: {'; '.join(alone)}", Tone.NOTE))
     return lines
 
 
@@ -311,13 +296,12 @@ def _notes(report: Report, *, details: bool) -> list[Part]:
 
 
 def _details(report: Report) -> list[Part]:
-    """Return the sources of the findings, the changes that were tried, and why checks do not apply."""
+    """Return the sources of the findings, and why checks do not apply."""
     parts: list[Part] = []
     for result in report.flags.values():
         reality = result.reality
         text = f"{result.id}: {result.title}; {reality.source}; {reality.rationale}"
         parts.append(Paragraph(text, Tone.NOTE))
-    parts += [Paragraph(f"tried {text}", Tone.NOTE) for text in report.tried]
     reasons: dict[str, list[str]] = {}
     for result in report.checks:
         if not result.applies:

@@ -18,7 +18,6 @@ READ: tuple[ModelCheck, ...] = (
     *STATIC_RULES,
     ground.feet,
     ground.friction,
-    ground.torsion,
     joints.joint_brakes,
     joints.servo_response,
     joints.free_joint_drag,

@@ -239,19 +239,6 @@ class SanityResult:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ChangePart:
-    """A part of a fix, such as an attribute.
-
-    Attributes:
-        text: The part in the target's language, such as `<option cone="elliptic"/>`.
-        corrects: Ids of the failed checks and warnings that pass after this part alone.
-    """
-
-    text: str
-    corrects: tuple[str, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
 class Fix:
     """The change of a few settings that resolves most failed checks and warnings, as measured.
 
@@ -261,7 +248,6 @@ class Fix:
         flag_count: Number of failed checks and warnings before the change.
         fixed: Value of each of these checks that passes after the change; None where it was not measured.
         lines: The change as lines of a diff, which start with `- ` or `+ `.
-        parts: The parts of the change, each with what it resolves alone.
         speed_ratio: Simulated time of the target in a second after the change, over that before; None if not measured.
     """
 
@@ -270,7 +256,6 @@ class Fix:
     flag_count: int
     fixed: Mapping[str, float | None] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
-    parts: tuple[ChangePart, ...] = ()
     speed_ratio: float | None = None
 
 
@@ -295,7 +280,6 @@ class Report:
         versions: Versions of the engine's packages, of gauge-envs and of its dependencies.
         wall_s: Time that the check took [s].
         fix: The change that resolves most failed checks and warnings; None when no change resolves one.
-        tried: Changes that were tried and not chosen, and how far each came.
         trade: The best of these with its price, when no change resolves a check without harm; empty otherwise.
         unstated: Properties that the target's model leaves open, in one sentence; empty for none.
         notes: What limits the check, such as an expired time limit.
@@ -307,7 +291,6 @@ class Report:
     versions: Mapping[str, str]
     wall_s: float = 0.0
     fix: Fix | None = None
-    tried: tuple[str, ...] = ()
     trade: str = ""
     unstated: str = ""
     notes: tuple[str, ...] = ()

@@ -69,7 +69,7 @@ FAULTS = {
         'name="floor"',
         'name="floor" friction="0.1 0.005 0.0001"',
     ),
-    ("robot-torsion", "order"): (
+    ("friction-lever", "order"): (
         '<geom friction="0.8 0.005',
         '<geom condim="4" friction="0.4 0.5',
     ),

@@ -25,7 +25,6 @@ from gauge_envs.tools.sanity import SanityWarning, SanityWrapper
 from gauge_envs.tools.sanity.report import sanity_document
 from gauge_envs.tools.sanity.training import TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import (
-    ChangePart,
     Fix,
     PartOutcome,
     Reality,
@@ -89,7 +88,6 @@ FIX = Fix(
     flag_count=2,
     fixed={"creep-wood": 0.5},
     lines=('- <option timestep="0.01"/>', '+ <option cone="elliptic"/>'),
-    parts=(ChangePart(text='cone="elliptic"', corrects=("creep-wood",)),),
     speed_ratio=0.8,
 )
 

@@ -31,7 +31,6 @@ from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
 from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import (
     WORSE_BY,
-    ChangePart,
     Fix,
     PartOutcome,
     Report,
@@ -63,42 +62,35 @@ class FixSearch:
         self._flags = [result.id for result in changeable if result.is_flag]
         self._applied: dict[str, TrainingConfiguration | None] = {}
         self._known: dict[tuple[str, str], PartOutcome] = {}
-        self._tried: list[str] = []
 
     def run(self) -> Report:
-        """Return the report with the fix, the other changes that were tried, and the trade.
+        """Return the report with the fix, and the trade.
 
         The trade is the change that resolves most checks, with its price; it is empty where the fix resolves as many.
 
         Raises:
             TimeLimitError: The time is used up.
         """
-        best_count, trade = 0, ""
+        tried, best, trade = 0, 0, ""
         for changes in self._ranked(self._candidates()):
-            resolved = self._resolved(changes)
-            harm = ""
-            if resolved:
-                for part in (self._smallest(changes, resolved), changes):
-                    harm = self._harm(part)
-                    if not harm:
-                        return self._found(part, best_count, trade)
-            text = f"{self.dialect.paste_text(changes)}: {self._effect(resolved)}"
-            if harm:
-                text += f", but {harm}"
-            self._tried.append(text)
-            if len(resolved) > best_count:
-                best_count, trade = len(resolved), text
-        if self._tried:
-            best = f"; best: {trade}" if trade else ""
-            trade = f"None of {len(self._tried)} changes of settings resolves a check without harm{best}"
-        return replace(self.report, tried=tuple(self._tried), trade=trade)
-
-    def _found(self, changes: Settings, best_count: int, trade: str) -> Report:
-        """Return the report with a change without harm; the trade counts where it resolves more checks."""
-        fix = self._fix(changes)
-        if best_count <= len(fix.fixed):
-            trade = ""
-        return replace(self.report, fix=fix, tried=tuple(self._tried), trade=trade)
+            resolved, harm = self._resolved(changes), ""
+            for part in (
+                (self._smallest(changes, resolved), changes) if resolved else ()
+            ):
+                harm = self._harm(part)
+                if not harm:
+                    fix = self._fix(part)
+                    is_best = best <= len(fix.fixed)
+                    return replace(self.report, fix=fix, trade="" if is_best else trade)
+            tried += 1
+            if len(resolved) > best:
+                text = f"{self.dialect.paste_text(changes)} {self._effect(resolved)}"
+                best, trade = len(resolved), f"Closest: {text}, but {harm}"
+        if tried:
+            trade = (
+                f"No safe fix of the settings found ({tried} tried). {trade}".rstrip()
+            )
+        return replace(self.report, trade=trade)
 
     def _candidates(self) -> list[dict[str, Any]]:
         """Return the changes that may resolve checks."""
@@ -121,8 +113,6 @@ class FixSearch:
                 if outcome.verdict is SanityVerdict.PASSED:
                     change = changes
                     break
-                text = self.dialect.paste_text(changes)
-                self._tried.append(f"{text}: {self._progress(name, changes)}")
             if len(values) == 1:
                 self._flags.remove(name)
                 del self._before[name]
@@ -220,19 +210,11 @@ class FixSearch:
         """Return a change with what each of its settings resolves alone."""
         resolved = self._resolved(changes)
         pasted, effect = self.dialect.paste_text(changes), self._effect(resolved)
-        parts = [
-            ChangePart(
-                text=self.dialect.paste_text({name: value}),
-                corrects=tuple(self._resolved({name: value})),
-            )
-            for name, value in changes.items()
-        ]
         fix = Fix(
             changes=changes,
             line=f"{pasted}: {effect}",
             flag_count=len(self._flags),
             fixed={name: self._outcome(changes, name).value for name in resolved},
-            parts=tuple(parts),
         )
         robot, changed = self.configuration.robot, self._changed(changes)
         if robot is None or changed is None or changed.robot is None:

@@ -151,6 +151,8 @@ ENERGY_S, UNDAMPED_S = 1.0, 20.0
 def energy(robot: Robot) -> Finding:
     """Return the change of energy from the first tenth of a free motion to the farthest one, over the kinetic."""
     leave_to(holds, robot)
+    if (robot.model.actuator_plugin >= 0).any():
+        raise NotApplicableError("plugins drive the joints")
     bare = _in_flight(robot.model, "limit", "equality")
     # MuJoCo's energy has no term for gravity compensation. Servos keep only their damping.
     bare.body_gravcomp[:] = 0.0

@@ -147,42 +147,6 @@ def _frictions(robot: Robot, number: int) -> Iterator[Case]:
     yield Case(ratio, ("geom", foot), name, text, is_usual=True)
 
 
-MIN_TIP_M = 0.0025
-"""Size of a geom below which it is a point of a larger pad [m]."""
-
-LEVER = 3.0
-"""Largest lever over the size of a geom: pads are up to three times as large as their geoms."""
-
-
-@model_check(
-    "robot-torsion",
-    title="lever of torsional friction, over size of a foot",
-    interval=(0.0, LEVER),
-    source="an even disc has a lever of two thirds of its radius, and no contact is larger than the part",
-    consequence="Feet and fingers hold as if glued: they neither turn nor roll.",
-)
-def torsion(robot: Robot) -> Finding:
-    """Return the geom of a robot whose friction against turning is largest for its size."""
-    model, cases = robot.model, []
-    is_felt = np.isin(model.geom_bodyid, robot.bodies)
-    is_felt &= model.geom_rbound > MIN_TIP_M
-    for number in robot.foot_rows or range(len(robot.pairs.geoms)):
-        condim, sliding, *levers = robot.pairs.constants[number, [0, 1, 3, 4, 5]]
-        geoms = [geom for geom in robot.pairs.geoms[number].tolist() if is_felt[geom]]
-        if condim < 4 or not geoms:
-            continue
-        lever_m = max(levers[: 1 if condim == 4 else 3])
-        geom = min(geoms, key=lambda number: model.geom_rbound[number])
-        size_m, name = model.geom_rbound[geom], geom_name(model, geom)
-        text = f"{name} of {1e3 * size_m:.3g} mm resists turning with a lever of {1e3 * lever_m:.3g} mm"
-        if lever_m > sliding:
-            text += ": friction is in the order sliding, torsion, rolling"
-        cases.append(Case(lever_m / size_m, ("geom", geom), name, text))
-    if not cases:
-        raise NotApplicableError("no contact of the robot has condim 4 or 6")
-    return worst_case(cases, limit=LEVER)
-
-
 MIN_GAP_MM = 10.0
 """Height of feet above or in the ground that a remark names [mm]: soft contacts of a standing robot sink by less."""
 

@@ -223,6 +223,7 @@ FREE_SHARE = 0.05
     interval=(0.0, FREE_SHARE),
     source='nothing holds a base in the air; defaults of joints apply to <joint type="free"> and not to <freejoint>',
     consequence="The policy learns to turn and fall slower than the robot does.",
+    is_usual=True,
 )
 def free_joint_drag(robot: Robot) -> Finding:
     """Return the free joint with the largest friction, damping or armature."""

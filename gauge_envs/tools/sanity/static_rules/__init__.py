@@ -29,5 +29,6 @@ STATIC_RULES = (
     stated.margin,
     stated.friction,
     stated.rolling,
+    stated.lever,
 )
 """Static rules, in their order."""
