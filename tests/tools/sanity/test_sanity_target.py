@@ -285,3 +285,15 @@ def test_an_action_takes_at_most_half_of_the_time_in_which_a_fall_grows_by_e():
 def test_gravity_is_that_of_the_earth_and_points_to_the_ground(gravity, verdict):
     read = replace(configuration("HalfCheetah-v5"), gravity_m_per_s2=gravity)
     assert numbers.gravity.result(read).verdict == verdict
+
+
+def test_a_task_of_dm_control_is_read_from_its_installed_file(tmp_path, monkeypatch):
+    suite = tmp_path / "dm_control" / "suite"
+    suite.mkdir(parents=True)
+    (suite / "walker.xml").write_text(quadruped_xml())
+    (suite.parent / "__init__.py").write_text("raise ImportError('bindings')")
+    monkeypatch.syspath_prepend(tmp_path)
+    read = configuration("dm_control:walker-walk")
+    assert read.robot.model.nu == 0 and read.name == "walker.xml"
+    with pytest.raises(TargetError, match="no domain 'worm'; it has walker"):
+        configuration("dm_control:worm-run")

@@ -109,7 +109,12 @@ MODEL_CANDIDATES: Mapping[str, Sequence[Settings]] = {
     "model-overlap": (HARD, HARDEST),
     "model-slip": (HARD, GRIPPING, ELLIPTIC | GRIPPING),
     "model-creep": (SOLVED, HARD, ELLIPTIC | GRIPPING),
-    "model-solver": (SOLVED, {"solver": "Newton"}, SOLVED | {"solver": "Newton"}),
+    "model-solver": (
+        {"jacobian": "dense"},
+        SOLVED,
+        {"solver": "Newton"},
+        SOLVED | {"solver": "Newton"},
+    ),
     **dict.fromkeys(
         ("model-spin", "robot-energy", "robot-holds", "robot-drive"),
         (DAMPED, ACCURATE),

@@ -86,6 +86,9 @@ def changed_model(robot: Robot, changes: Settings) -> tuple[mujoco.MjModel, Plac
     places: Places = {}
     for name, value in changes.items():
         field = ELEMENT_FIELDS.get(name)
+        if name == "jacobian":
+            model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+            continue
         if field is None:
             set_option(model.opt, name, value)
             continue

@@ -222,8 +222,8 @@ class FixSearch:
         text, hidden = write_change(robot, self.dialect, changes)
         lines, added = [], []
         if text is not None:
-            lines = [text.short(f"{mark} {line}") for mark, line in text.diff]
-            added = [line for mark, line in text.diff if mark == "+"]
+            lines = text.diff
+            added = [line[2:] for line in lines if line.startswith("+")]
         also = f", also in {first_names(hidden)}" if hidden else ""
         return replace(
             fix,

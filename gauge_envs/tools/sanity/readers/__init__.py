@@ -11,10 +11,12 @@ from gauge_envs.tools.sanity.readers import probe, settings
 from gauge_envs.tools.sanity.readers.dialect import TOML, Dialect
 from gauge_envs.tools.sanity.readers.documents import file_value
 from gauge_envs.tools.sanity.readers.gymnasium_env import (
+    SUITE,
     Target,
     read_id,
     read_object,
     read_task,
+    suite_file,
 )
 from gauge_envs.tools.sanity.readers.isaac_lab import (
     ISAAC_LAB,
@@ -66,6 +68,7 @@ def configuration(
         target: One of
             a Gymnasium id (`HalfCheetah-v5`) whose environment has a `mujoco.MjModel` as `unwrapped.model`;
             an id of this suite, with its own settings;
+            a task of dm_control (`dm_control:walker-walk`);
             a model file that MuJoCo reads;
             a task file of an experiment;
             a settings file: `backend`, optionally `preset`, and a table `settings`;
@@ -98,6 +101,8 @@ def configuration(
 def _read_text(target: Target, pair: GeomPair | None) -> TrainingConfiguration:
     """Return the configuration of a file, a folder of a run, a backend or a Gymnasium id."""
     path = Path(str(target))
+    if str(target).startswith(SUITE):
+        path = suite_file(str(target))
     if is_folder(path):
         path = file_of_run(path)
     if reader := READERS.get(path.suffix.lower()):

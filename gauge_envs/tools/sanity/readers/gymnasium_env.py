@@ -1,5 +1,6 @@
 """Gymnasium environments, by id or as an object: those of this suite, and those with a MuJoCo model."""
 
+import importlib.util
 import warnings
 from contextlib import closing
 from dataclasses import replace
@@ -39,6 +40,32 @@ ACCEPTED = (
 
 UNDECLARED = ("imageio", "packaging")
 """Packages that Gymnasium's MuJoCo environments import without declaring them."""
+
+
+SUITE = "dm_control:"
+"""Start of the name of a task of dm_control."""
+
+
+def suite_file(name: str) -> Path:
+    """Return the file of the model of a task of dm_control, which is not imported: its bindings need an older MuJoCo.
+
+    Raises:
+        TargetError: dm_control is not installed, or has no such domain.
+    """
+    found = importlib.util.find_spec("dm_control")
+    if found is None or not found.submodule_search_locations:
+        raise TargetError(
+            f"{name}: dm_control is not installed: pip install dm-control"
+        )
+    folder = Path(found.submodule_search_locations[0]) / "suite"
+    domain = name.removeprefix(SUITE).partition("-")[0]
+    file = folder / f"{domain}.xml"
+    if not file.is_file():
+        domains = sorted(path.stem for path in folder.glob("*.xml"))
+        raise TargetError(
+            f"{name}: dm_control has no domain {domain!r}; it has {', '.join(domains)}"
+        )
+    return file
 
 
 def read_object(target: Any, pair: GeomPair | None) -> TrainingConfiguration:

@@ -50,7 +50,7 @@ equality_solimp  equality solimp   value
 """
 """Element and attribute of settings that have another name in MJCF."""
 
-OPTIONS = (*NAMED_OPTIONS, *SAME_NAME_OPTIONS)
+OPTIONS = (*NAMED_OPTIONS, *SAME_NAME_OPTIONS, "jacobian")
 """Settings that are called as in MJCF."""
 
 

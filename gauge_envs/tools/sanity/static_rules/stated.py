@@ -181,7 +181,7 @@ def _condims(robot: Robot) -> FloatArray:
 
 
 LEVER, MIN_TIP_M = 3.0, 0.0025
-"""Largest lever over the size of a geom, as a pad may be larger; and size below which a geom is a point of a pad [m]."""
+"""Largest lever over the size of a geom, which may be a part of a pad, and size of a point of a pad [m]."""
 
 
 @rule(
