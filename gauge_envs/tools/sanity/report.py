@@ -284,6 +284,11 @@ def _notes(report: Report, *, details: bool) -> list[Part]:
         text = f"{missing[0]}: {reasons[missing[0]]}"
         names = first_names(missing, MAX_NAMES)
         lines.append(Paragraph(f"Not measured: {names} ({text})", Tone.WARNING))
+    lines += [
+        Paragraph(f"accepted {result.id}: {result.accepted}", Tone.NOTE)
+        for result in report.checks
+        if result.accepted
+    ]
     if report.unstated:
         lines.append(Paragraph(report.unstated, Tone.NOTE))
     if report.flags and not details:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.registry import package_versions
+from gauge_envs.tools.sanity.accepted import accept
 from gauge_envs.tools.sanity.causes import absorb
 from gauge_envs.tools.sanity.fixes.fix import FixSearch
 from gauge_envs.tools.sanity.model_checks.drives import unstated
@@ -60,7 +61,8 @@ def check(
     has_hand = any(group.is_held for group in configuration.contact_groups)
     if has_hand and not only:
         chosen = (*chosen, *GRASP)
-    results = absorb(_target_results(configuration, chosen, notify))
+    found = _target_results(configuration, chosen, notify)
+    results = absorb(accept(found, configuration))
     measurements = Measurements(configuration.backend, time_limit_s=time_limit_s)
     names = [name for name in chosen if name not in TARGET_CHECKS]
     objects, is_cut_short = _object_results(measurements, configuration, names, notify)
@@ -68,7 +70,7 @@ def check(
         _check_accepted(configuration, measurements.engine, objects)
     report = Report(
         configuration=configuration,
-        checks=(*results, *objects),
+        checks=(*results, *accept(objects, configuration)),
         versions={**measurements.versions, **package_versions()},
         asked=tuple(name for name in chosen if name in only),
     )

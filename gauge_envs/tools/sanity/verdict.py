@@ -183,6 +183,7 @@ class SanityResult:
         file: File of this element; empty where it is unknown.
         line: Its line in the file; 0 where it is unknown.
         cause: Id of the check that explains this one; empty for none.
+        accepted: Why the user accepts the finding; empty for one that counts.
         effects: What else follows from the finding, in short sentences.
         is_own: Whether the check is on the target itself or on its own foot.
     """
@@ -206,13 +207,14 @@ class SanityResult:
     file: str = ""
     line: int = 0
     cause: str = ""
+    accepted: str = ""
     effects: tuple[str, ...] = ()
     is_own: bool = True
 
     @property
     def severity(self) -> Severity:
         """Consequence of the finding."""
-        if not self.verdict.is_off or self.cause:
+        if not self.verdict.is_off or self.cause or self.accepted:
             return Severity.NONE
         if self.advisory or not self.is_own:
             return Severity.ADVICE
@@ -226,8 +228,9 @@ class SanityResult:
 
     @property
     def is_flag(self) -> bool:
-        """Whether the check is a warning or failed, counts, and follows from no other one."""
-        return self.verdict.is_off and not (self.advisory or self.cause)
+        """Whether the check is a warning or failed, counts, is not accepted, and follows from no other one."""
+        silenced = self.advisory or self.cause or self.accepted
+        return self.verdict.is_off and not silenced
 
     @property
     def deviation(self) -> float:

@@ -3,7 +3,8 @@
 import pytest
 from robot_faults import good_xml
 
-from gauge_envs.tools.sanity import configuration
+from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity import check, configuration
 from gauge_envs.tools.sanity.static_rules import STATIC_RULES
 from gauge_envs.tools.sanity.static_rules.sides import side_of
 
@@ -195,3 +196,45 @@ def test_legs_are_compared_with_each_other(rule, old, wrong, right, tmp_path):
 )
 def test_a_name_says_a_side(name, side, stem):
     assert side_of(name) == (side, stem)
+
+
+HEAVY = ARM.format(**{**RIGHT, "mass": "50", "inertia": ".05 .45 .45"})
+
+
+def density_of(folder, xml):
+    (folder / "robot.xml").write_text(xml)
+    (result,) = check(str(folder / "robot.xml"), only=["density"]).checks
+    return result
+
+
+def test_a_finding_is_accepted_with_a_reason(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert density_of(tmp_path, HEAVY).is_flag
+    accepted = density_of(
+        tmp_path, f"<!-- gauge: accept density:link: a weight -->{HEAVY}"
+    )
+    assert (accepted.accepted, accepted.is_flag, accepted.severity) == (
+        "a weight",
+        False,
+        "",
+    )
+    assert density_of(
+        tmp_path, f"<!-- gauge: accept density:arm: a weight -->{HEAVY}"
+    ).is_flag
+    (tmp_path / "gauge.toml").write_text('[sanity.accept]\ndensity = "a weight"')
+    assert density_of(tmp_path, HEAVY).accepted == "a weight"
+    (tmp_path / "gauge.toml").write_text('[sanity.accept]\ndensity = ""')
+    with pytest.raises(TargetError, match="density is accepted without a reason"):
+        density_of(tmp_path, HEAVY)
+
+
+def test_a_cause_has_its_effects_and_a_failed_assertion_shows_the_screen(tmp_path):
+    (tmp_path / "robot.xml").write_text(
+        good_xml().replace('range="-60 240"', 'range="-1 4"')
+    )
+    report = check(
+        str(tmp_path / "robot.xml"), only=["range-unit", "robot-stands", "model-*"]
+    )
+    assert [*report.errors] == ["range-unit"]
+    assert "looks like radians in a file of degrees" in repr(report.errors)
+    assert report.errors["range-unit"].line == 5
