@@ -199,9 +199,12 @@ def _findings(report: Report) -> list[Part]:
             place = f" ({Path(result.file).name}:{result.line})" if result.file else ""
             text = f"{result.severity:8} {finding_text(result)}{place}"
             parts.append(Paragraph(text, TONES[result.severity]))
-            if result.effects:
-                effects = "; ".join(result.effects)
-                parts.append(Paragraph(f"         also: {effects}"))
+            texts = {"also": "; ".join(result.effects), "fix": result.fix}
+            parts += [
+                Paragraph(f"         {word}: {text}")
+                for word, text in texts.items()
+                if text
+            ]
     return parts
 
 

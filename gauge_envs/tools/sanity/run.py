@@ -11,6 +11,7 @@ from gauge_envs.registry import package_versions
 from gauge_envs.tools.sanity.accepted import accept
 from gauge_envs.tools.sanity.causes import absorb
 from gauge_envs.tools.sanity.fixes.fix import FixSearch
+from gauge_envs.tools.sanity.fixes.named import with_fix
 from gauge_envs.tools.sanity.model_checks.drives import unstated
 from gauge_envs.tools.sanity.object_checks import GRASP
 from gauge_envs.tools.sanity.object_checks.measure import (
@@ -63,6 +64,8 @@ def check(
         chosen = (*chosen, *GRASP)
     found = _target_results(configuration, chosen, notify)
     results = absorb(accept(found, configuration))
+    if explain and configuration.robot is not None:
+        results = [with_fix(result, configuration.robot) for result in results]
     measurements = Measurements(configuration.backend, time_limit_s=time_limit_s)
     names = [name for name in chosen if name not in TARGET_CHECKS]
     objects, is_cut_short = _object_results(measurements, configuration, names, notify)

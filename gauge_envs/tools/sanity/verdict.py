@@ -184,6 +184,7 @@ class SanityResult:
         line: Its line in the file; 0 where it is unknown.
         cause: Id of the check that explains this one; empty for none.
         accepted: Why the user accepts the finding; empty for one that counts.
+        fix: Change of the attributes that the finding names, which was tried; empty where none is known.
         effects: What else follows from the finding, in short sentences.
         is_own: Whether the check is on the target itself or on its own foot.
     """
@@ -208,6 +209,7 @@ class SanityResult:
     line: int = 0
     cause: str = ""
     accepted: str = ""
+    fix: str = ""
     effects: tuple[str, ...] = ()
     is_own: bool = True
 

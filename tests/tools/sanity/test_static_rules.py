@@ -238,3 +238,25 @@ def test_a_cause_has_its_effects_and_a_failed_assertion_shows_the_screen(tmp_pat
     assert [*report.errors] == ["range-unit"]
     assert "looks like radians in a file of degrees" in repr(report.errors)
     assert report.errors["range-unit"].line == 5
+
+
+FIXES = {
+    "range-unit": ({"range": "-57.3 86"}, 'joint "elbow": range="-1 1.501"'),
+    "command-range": ({"commands": "-57 86"}, 'actuator "elbow": ctrlrange="-1 1.5"'),
+    "stated-solimp": (
+        {"box": 'solimp=".9 .1 .001"'},
+        'geom "box": solimp="0.1 0.9 0.001 0.5 2"',
+    ),
+    "stated-margin": ({"box": 'margin=".01"'}, 'geom "box": gap="0.01"'),
+    "stated-friction": ({"box": 'friction=".3"'}, 'geom "box": priority="1"'),
+    "density": ({"mass": "50", "inertia": ".05 .45 .45"}, ""),
+}
+
+
+@pytest.mark.parametrize("rule", FIXES)
+def test_the_attribute_that_is_named_is_corrected_and_tried(rule, tmp_path):
+    wrong, fix = FIXES[rule]
+    file = tmp_path / "robot.xml"
+    file.write_text(ARM.format(**{**RIGHT, **wrong}))
+    (result,) = check(str(file), only=[rule]).checks
+    assert result.is_flag and result.fix == fix

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import mujoco
 
@@ -33,6 +33,9 @@ from gauge_envs.tools.sanity.verdict import (
     SanityResult,
     SanityVerdict,
 )
+
+Change: TypeAlias = tuple[str, Any]
+"""Attribute of an element as in MJCF, and its value."""
 
 WHOLE = "the model"
 """Part of a check of the model as a whole."""
@@ -60,6 +63,7 @@ class Finding:
         is_usual: Whether the violated limit says what is usual: the verdict is then a warning at worst.
         reality: The reality of this target; None for that of the check.
         deviation: Distance from reality in half-widths, where the value alone does not decide it.
+        changes: Attribute and right value of elements, which correct the model.
     """
 
     value: float
@@ -69,6 +73,7 @@ class Finding:
     is_usual: bool = False
     reality: Reality | None = None
     deviation: float | None = None
+    changes: Mapping[Place, Change] = field(default_factory=dict)
 
 
 class Case(NamedTuple):

@@ -123,12 +123,15 @@ def command_range(robot: Robot) -> Iterator[Fault]:
                 force, np.abs(model.actuator_ctrlrange[number]).max()
             ):
                 text += ": a position servo with the range of a motor"
+            right = "ctrlrange", np.sort(model.jnt_range[joint] / gain)
+            text += unit_text(ratio)
             yield Fault(
                 ("actuator", number),
                 name,
-                text + unit_text(ratio),
+                text,
                 max(lost, ratio),
                 reached == 0.0,
+                right,
             )
 
 
@@ -175,7 +178,7 @@ def names(robot: Robot) -> Iterator[Fault]:
         )
         if kind == "actuator" and name and joints.get(name, owner) != owner:
             text = f"actuator {name} drives joint {owner_name}, not joint {name}"
-            yield Fault((kind, number), name, text, is_error=True)
+            yield Fault((kind, number), name, text, 2.0, True, ("joint", name))
             continue
         side, owner_side = side_of(name).side, side_of(owner_name).side
         if side and owner_side and side != owner_side:

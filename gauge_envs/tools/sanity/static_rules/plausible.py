@@ -215,22 +215,16 @@ def range_unit(robot: Robot) -> Iterator[Fault]:
         name, span = name_of(model, "joint", joint), high - low
         if span > MAX_TURNS * 2.0 * np.pi:
             text = f"{name} can turn {span / (2.0 * np.pi):.3g} times round: range {low:.4g} to {high:.4g} "
-            yield Fault(
-                ("joint", joint),
-                name,
-                text + "looks like degrees in a file of radians",
-                span,
-                True,
-            )
+            right = "range", np.deg2rad([low, high])
+            text += "looks like degrees in a file of radians"
+            yield Fault(("joint", joint), name, text, span, True, right)
         elif span < MIN_RANGE_RAD and joint in driven:
             low, high = np.rad2deg([low, high])
             text = f"{name} can turn by {np.rad2deg(span):.3g} degrees: range {low:.4g} to {high:.4g} "
+            right = "range", np.rad2deg([low, high])
+            text += "looks like radians in a file of degrees"
             yield Fault(
-                ("joint", joint),
-                name,
-                text + "looks like radians in a file of degrees",
-                1.0 / max(span, 1e-9),
-                True,
+                ("joint", joint), name, text, 1.0 / max(span, 1e-9), True, right
             )
 
 

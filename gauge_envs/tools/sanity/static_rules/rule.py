@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from gauge_envs.tools.sanity.model_checks.check import (
+    Change,
     Finding,
     ModelCheck,
     model_check,
@@ -42,6 +43,7 @@ class Fault(NamedTuple):
         text: What is wrong, with its numbers, as a sentence without a full stop.
         ratio: Ratio of the two numbers; the largest is shown first.
         is_error: Whether the model cannot do at all what its file says.
+        change: Attribute of the element and its right value, in the units of the file; None where it is unknown.
     """
 
     place: Place
@@ -49,6 +51,7 @@ class Fault(NamedTuple):
     text: str
     ratio: float = 1.0
     is_error: bool = False
+    change: Change | None = None
 
 
 def rule(
@@ -86,6 +89,7 @@ def found(faults: Iterable[Fault]) -> Finding:
         parts=dict.fromkeys(names, 1.0),
         is_usual=not worst.is_error,
         deviation=math.inf if worst.is_error else 2.0,
+        changes={fault.place: fault.change for fault in ranked if fault.change},
     )
 
 

@@ -48,7 +48,8 @@ def friction(robot: Robot) -> Iterator[Fault]:
             other = pairs.geoms[row, 1 - side]
             name, ratio = geom_name(model, geom), used[row] / stated[geom]
             text = f"{name} states friction {stated[geom]:g}; its contact with {geom_name(model, other)} has "
-            yield Fault(("geom", int(geom)), name, f"{text}{used[row]:g}", ratio)
+            text += f"{used[row]:g}"
+            yield Fault(("geom", int(geom)), name, text, ratio, change=("priority", 1))
 
 
 def _constraints(model: mujoco.MjModel) -> Iterator[tuple[str, int, FloatArray]]:
@@ -107,7 +108,8 @@ def solimp(robot: Robot) -> Iterator[Fault]:
         if low > high:
             name = name_of(robot.model, kind, number)
             text = f"{name} has solimp {low:g} at the surface and {high:g} in the depth: exchange the two"
-            yield Fault((kind, number), name, text, low / max(high, 1e-9))
+            right = "solimp", [high, low, *constants[4:]]
+            yield Fault((kind, number), name, text, low / max(high, 1e-9), change=right)
 
 
 MAX_MARGIN_M = 0.002
@@ -132,7 +134,10 @@ def margin(robot: Robot) -> Iterator[Fault]:
         geom = int(pairs.geoms[row].max())
         name = geom_name(model, geom)
         text = f"{name} rests {1e3 * ahead_m[row]:.3g} mm above the ground: its margin has no gap"
-        yield Fault(("geom", geom), name, text, ahead_m[row] / MAX_MARGIN_M)
+        right = "gap", model.geom_margin[geom]
+        yield Fault(
+            ("geom", geom), name, text, ahead_m[row] / MAX_MARGIN_M, change=right
+        )
 
 
 TORSION, ROLLING = 0.005, 0.0001
@@ -165,7 +170,8 @@ def rolling(robot: Robot) -> Iterator[Fault]:
         for geom in np.flatnonzero(is_ignored & (condims > 0)).tolist():
             name = geom_name(model, geom)
             text = f"{name} states {word} friction {stated[geom, column]:g}, which condim {condims[geom]:g} ignores"
-            yield Fault(("geom", geom), name, text)
+            right = "condim", {"sliding": 3, "rolling": 6, "torsional": 4}[word]
+            yield Fault(("geom", geom), name, text, change=right)
     for pair in np.flatnonzero(model.pair_dim < 6).tolist():
         value_m, condim = model.pair_friction[pair, 3:].max(), model.pair_dim[pair]
         if value_m > 2.0 * ROLLING:
@@ -254,7 +260,7 @@ def gravcomp(robot: Robot) -> Iterator[Fault]:
         weight = model.body_mass[robot.bodies]
         share = float((weight * model.body_gravcomp[robot.bodies]).sum() / weight.sum())
         text = f"{name} has gravcomp {model.body_gravcomp[body]:g}: nothing carries {share:.0%} of the robot's weight"
-        yield Fault(("body", body), name, text, share, share > 0.9)
+        yield Fault(("body", body), name, text, share, share > 0.9, ("gravcomp", 0.0))
         return
     parents, joints = model.body_parentid, joints_of_motors(model)
     data = mujoco.MjData(model)
