@@ -61,6 +61,8 @@ def _explains(cause: SanityResult, effect: SanityResult, read: set[str]) -> bool
     is_cause = cause.id in read and cause.is_flag and cause.id != effect.id
     if not is_cause or cause.id in HARMLESS:
         return False
+    if cause.id == "range-unit" and effect.id.startswith("start-"):
+        return True
     if effect.id not in EFFECTS:
         names = {part.name for part in cause.parts}
         return not names.isdisjoint(part.name for part in effect.parts)
