@@ -62,7 +62,7 @@ def sanity(
         typer.Argument(
             metavar="TARGET",
             help="Training configuration: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a model file "
-            "(robot.xml), the params/env.yaml of Isaac Lab, a file that gauge sanity probe's program writes in any "
+            "(robot.xml), a file that gauge sanity probe's program writes in any "
             "other environment, a settings file (.toml, .json), or a backend and a preset (mujoco:out_of_box).",
         ),
     ] = None,

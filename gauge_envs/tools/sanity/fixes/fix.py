@@ -97,7 +97,7 @@ class FixSearch:
         model_change = self._model_change()
         candidates = [model_change] if model_change else []
         if any(name not in TARGET_CHECKS for name in self._flags):
-            general = candidates_of(self.configuration, self.dialect)
+            general = candidates_of(self.configuration)
             candidates += [{**changes, **model_change} for changes in general]
         return candidates
 
@@ -106,7 +106,7 @@ class FixSearch:
         change: dict[str, Any] = {}
         for name in [name for name in self._flags if name in TARGET_CHECKS]:
             values = {self._before[name].value}
-            for candidate in candidates_of(self.configuration, self.dialect, name):
+            for candidate in candidates_of(self.configuration, name):
                 changes = {**change, **candidate}
                 outcome = self._outcome(changes, name)
                 values.add(outcome.value)

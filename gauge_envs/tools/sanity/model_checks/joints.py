@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.scene.geometry import length_of
 from gauge_envs.tools.sanity.model_checks.check import (
     Case,
     Finding,
@@ -40,9 +39,6 @@ SLOW_PER_S, SLOW_PER_S2 = 0.1, 0.5
 
 STEP_PER_S, STEP_PER_S2 = 3.0, 30.0
 """Speed and acceleration of a leg that steps: half a radian in a swing of 0.2 s, from rest in 0.1 s."""
-
-FALL_PER_S = 1.0
-"""Speed at which a leg without power gives way under the whole robot [rad/s]: 1 m falls with 3 rad/s."""
 
 
 @model_check(
@@ -77,12 +73,6 @@ def _brakes(drive: Drive) -> Iterator[Case]:
     )
     if not drive.is_hinge:
         return
-    # Where a link is light, dry friction acts as a drag in the engine, which the motor may overcome.
-    lever = length_of(model.opt.gravity) * reaches[drive.body]
-    limb = model.body_subtreemass[drive.body] * lever
-    if drags(robot, FALL_PER_S)[drive.dof] > drive.push:
-        text = f"{drive.name} has friction {dry:.3g} N m; its motor makes {drive.push:.3g} and gravity {limb:.2g}"
-        yield drive.case(dry / (drive.push + limb), text)
     # The rotor of a slide moves through a screw, whose gear makes it heavier than any robot.
     if not np.isfinite(drive.limit):
         whole = model.body_subtreemass[root] * reaches[root] ** 2

@@ -19,7 +19,6 @@ FOOT: Mapping[str, Callable[[FootGeometry], ObjectCheck]] = {
     "foot-creep": foot.creep,
     "foot-push": foot.push,
     "foot-slide": foot.steep_slide,
-    "foot-landing-depth": foot.depth,
 }
 """Checks of the target's foot by id, in their order."""
 
@@ -30,7 +29,6 @@ BODIES: Mapping[str, Maker] = {
     "creep-plastic": partial(friction.creep, "plastic"),
     "creep-metal": partial(friction.creep, "metal"),
     "rest-height": partial(friction.rest_height, "wood"),
-    "release": partial(friction.release, "wood"),
     "slide-wood": partial(friction.slide, "wood"),
     "slide-plastic": partial(friction.slide, "plastic"),
     "slide-metal": partial(friction.slide, "metal"),

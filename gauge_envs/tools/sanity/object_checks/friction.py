@@ -136,20 +136,6 @@ def rest_height(material: str) -> ObjectCheck:
     )
 
 
-def release(material: str) -> ObjectCheck:
-    """Return the height to which a cube that touches its board at the start is thrown."""
-    at_rest = rest_height(material)
-    return replace(
-        at_rest,
-        title="height to which a cube is thrown at its release",
-        scenario=Scenario(f"release-{material}", at_rest.scenario.variant, HOLD_S),
-        reality=rigid_law(
-            "a body that is laid down stays there", 0.5, "the edge of 50 mm of the cube"
-        ),
-        value=lambda rollout: _gaps_mm(rollout).max() - max(_gaps_mm(rollout)[-1], 0.0),
-    )
-
-
 def _gaps_mm(rollout: Recording) -> FloatArray:
     """Return the gap between the faces of cube and board [mm], shape [sample_count]."""
     cube, board = map(rollout.scene.body, CUBE)

@@ -243,7 +243,6 @@ class AppliedCheck:
         return replace(
             result,
             default=preset.value,
-            default_verdict=preset.verdict,
             applies=not is_unknown,
         )
 

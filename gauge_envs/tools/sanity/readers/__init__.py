@@ -18,12 +18,6 @@ from gauge_envs.tools.sanity.readers.gymnasium_env import (
     read_task,
     suite_file,
 )
-from gauge_envs.tools.sanity.readers.isaac_lab import (
-    ISAAC_LAB,
-    ISAAC_LAB_3,
-    file_of_run,
-    read_file,
-)
 from gauge_envs.tools.sanity.readers.mjcf import MJCF, GeomPair, read_model_file
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.training import TrainingConfiguration
@@ -48,14 +42,13 @@ def _read_usd(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
 
 READERS = {
     **dict.fromkeys((".xml", ".mjcf", ".urdf"), read_model_file),
-    **dict.fromkeys((".yaml", ".yml"), read_file),
     **dict.fromkeys((".usd", ".usda", ".usdc"), _read_usd),
     ".toml": _read_toml,
     ".json": probe.read_file,
 }
 """Function that reads a file, by its suffix."""
 
-DIALECTS = (TOML, MJCF, ISAAC_LAB, ISAAC_LAB_3)
+DIALECTS = (TOML, MJCF)
 
 
 @mujoco_warnings()
@@ -73,7 +66,6 @@ def configuration(
             a task file of an experiment;
             a settings file: `backend`, optionally `preset`, and a table `settings`;
             a backend, with or without a preset (`mujoco:out_of_box`, `newton`);
-            the `params/env.yaml` of a training run with Isaac Lab, or the folder of the run;
             a file that the probe writes in the Python of another stack (`NAME.gaugeprobe.json`);
             a `mujoco.MjModel`, a pair of it and its `mujoco.MjData`, in whose pose checks of the model start, or a
             `gymnasium.Env`;
@@ -103,14 +95,12 @@ def _read_text(target: Target, pair: GeomPair | None) -> TrainingConfiguration:
     path = Path(str(target))
     if str(target).startswith(SUITE):
         path = suite_file(str(target))
-    if is_folder(path):
-        path = file_of_run(path)
     if reader := READERS.get(path.suffix.lower()):
         return reader(path, pair)
     if backend := settings.read_backend(str(target)):
         return backend
     if is_folder(path):
-        raise TargetError(f"{path}: has no params/env.yaml: give the file of a model")
+        raise TargetError(f"{path}: is a folder: give the file of a model")
     return read_id(str(target), pair)
 
 

@@ -17,14 +17,12 @@ has the environment, model or configuration already writes it itself:
     gauge_probe.save(env, "robot.gaugeprobe.json")
 
 A compiled model of MuJoCo is written as MJCF, number by number: what a program changed after loading is in it. Meshes
-are written by their convex hulls, those without one as boxes. Other stacks are written as their settings.
+are written by their convex hulls, those without one as boxes.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import enum
 import importlib
 import json
 import re
@@ -387,17 +385,6 @@ MODEL_PLACES = (
 )
 """Attributes with the compiled model of an environment."""
 
-SKIPS = (
-    "frame_skip",
-    "n_substeps",
-    "_n_substeps",
-    "_n_sub_steps",
-    "cfg.decimation",
-    "decimation",
-    "unwrapped.frame_skip",
-)
-"""Attributes with the steps of the engine for one action."""
-
 ENGINES = {"mjlab": "MuJoCo Warp", "newton": "MuJoCo Warp", "mujoco_playground": "MJX"}
 """Engine that runs the model in training, by the package of the target."""
 
@@ -428,11 +415,6 @@ def is_model(value: Any) -> bool:
     return kind_of(value) == "mujoco._structs.MjModel"
 
 
-def is_isaac_lab(value: Any) -> bool:
-    """Return whether a value is a configuration of Isaac Lab; version 3 has no `physx`."""
-    return value_at(value, "sim.physx") or value_at(value, "sim.physics_material")
-
-
 def mujoco_model(target: Any) -> Any:
     """Return the compiled model of a target; None without one."""
     if kind_of(target).endswith(".MjSpec"):
@@ -448,7 +430,7 @@ def mujoco_model(target: Any) -> Any:
 
 
 def capture_mujoco(target: Any) -> dict[str, Any] | None:
-    """Return the model of a target as MJCF, the steps for one action, and notes; None without a model."""
+    """Return the model of a target as MJCF, and notes; None without a model."""
     model = mujoco_model(target)
     if model is None:
         return None
@@ -466,28 +448,9 @@ def capture_mujoco(target: Any) -> dict[str, Any] | None:
         "kind": "mjcf",
         "mujoco": mujoco.__version__,
         "engine": engine,
-        "frame_skip": first(target, SKIPS, lambda skip: isinstance(skip, int)),
         "notes": notes,
         "data": mjcf(model),
     }
-
-
-def capture_settings(target: Any) -> dict[str, Any] | None:
-    """Return the configuration of Isaac Lab; None without."""
-    cfg = first(target, ("cfg", "unwrapped.cfg"), is_isaac_lab)
-    return None if cfg is None else {"kind": "isaac_lab", "data": cfg}
-
-
-def plain(value: Any) -> Any:
-    """Return a value that JSON lacks as a type of JSON."""
-    if isinstance(value, enum.Enum):
-        return value.name
-    if callable(value):
-        return f"{value.__module__}:{getattr(value, '__qualname__', '')}"
-    for method in ("to_dict", "model_dump", "tolist"):
-        if hasattr(value, method):
-            return getattr(value, method)()
-    return vars(value) if dataclasses.is_dataclass(value) else str(value)
 
 
 # --- the file --------------------------------------------------------------------------------------------------------
@@ -497,16 +460,14 @@ def save(target: Any, file: str) -> None:
     """Write an environment, a model or a configuration to a file for `gauge sanity`.
 
     Raises:
-        ProbeError: The target has no model and no known settings.
+        ProbeError: The target has no model.
     """
-    captured = capture_mujoco(target) or capture_settings(target)
+    captured = capture_mujoco(target)
     kind = kind_of(target)
     if captured is None:
-        raise ProbeError(
-            f"{kind} has no mujoco.MjModel, and no Isaac Lab cfg: give that object itself"
-        )
+        raise ProbeError(f"{kind} has no mujoco.MjModel: give that object itself")
     head = {"format": FORMAT, "version": VERSION, "source": kind}
-    content = json.dumps({**head, **captured}, default=plain, skipkeys=True)
+    content = json.dumps({**head, **captured})
     Path(file).write_text(content, encoding="utf-8")
 
 

@@ -32,8 +32,8 @@ Target: TypeAlias = (
 
 ACCEPTED = (
     "a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a model file (.xml, .mjcf, .urdf), a mujoco.MjModel or a "
-    "pair (model, data), an env, a probe file (NAME.gaugeprobe.json, see gauge sanity probe), the params/env.yaml of "
-    "Isaac Lab, a settings file (.toml, .json), or a backend with or "
+    "pair (model, data), an env, a probe file (NAME.gaugeprobe.json, see gauge sanity probe), "
+    "a settings file (.toml, .json), or a backend with or "
     "without a preset (mujoco:out_of_box)"
 )
 """Targets that can be checked, as a text."""
@@ -128,7 +128,6 @@ def _read_env(
         name=name,
         source=f"Gymnasium environment, model {model_name(model)!r}, MuJoCo {mujoco.__version__}",
         pair=pair,
-        frame_skip=getattr(inner, "frame_skip", None),
         spec=None if file is None else _spec_of(file, model),
         file=file,
     )

@@ -53,7 +53,6 @@ def mujoco_configuration(
     name: str,
     source: str,
     pair: tuple[str, str] | None = None,
-    frame_skip: int | None = None,
     spec: mujoco.MjSpec | None = None,
     file: Path | None = None,
 ) -> TrainingConfiguration:
@@ -64,7 +63,6 @@ def mujoco_configuration(
         name: Name of the configuration.
         source: Description of where the model is from.
         pair: Names of two geoms whose constants the experiments get, instead of all sets on ground.
-        frame_skip: Steps of the engine for one action; None when unknown.
         spec: The model before it was compiled, with the ids of the compiled one; None when it is unknown.
         file: File of the model; None when it is unknown.
     """
@@ -105,7 +103,6 @@ def mujoco_configuration(
         backend="mujoco",
         settings=settings,
         origins=dict.fromkeys(options, "option") | dict.fromkeys(contact, origin),
-        frame_skip=frame_skip,
         contact_groups=groups,
         notes=tuple(_notes(model)),
         inapplicable=inapplicable,

@@ -1,6 +1,6 @@
 """Files in JSON: files of the probe in another stack's Python, and settings of this package.
 
-The program that `gauge sanity probe` prints writes a model of MuJoCo as MJCF, and other stacks as their settings.
+The program that `gauge sanity probe` prints writes a model of MuJoCo as MJCF.
 Nothing of a file is run.
 """
 
@@ -14,7 +14,6 @@ from pathlib import Path
 import mujoco
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.readers import isaac_lab
 from gauge_envs.tools.sanity.readers.documents import file_value
 from gauge_envs.tools.sanity.readers.gauge_probe import FORMAT, VERSION
 from gauge_envs.tools.sanity.readers.mjcf import GeomPair
@@ -39,8 +38,6 @@ def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration
         )
     name = path.name.removesuffix(".json").removesuffix(".gaugeprobe")
     source = f"probe file {path.name}: {file['source']}"
-    if file["kind"] == "isaac_lab":
-        return isaac_lab.isaac_lab_configuration(file["data"], name=name, source=source)
     return _read_model(path, file, name, source, pair)
 
 
@@ -69,7 +66,6 @@ def _read_model(
         name=name,
         source=source,
         pair=pair,
-        frame_skip=file["frame_skip"],
     )
     return replace(read, notes=(*read.notes, *notes, *file["notes"]))
 

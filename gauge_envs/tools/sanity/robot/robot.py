@@ -163,12 +163,17 @@ class Robot:
         )
 
     @cached_property
-    def driven_trees(self) -> set[int]:
-        """Trees of bodies that actuators move, through joints, tendons, sites or bodies."""
+    def driven_dofs(self) -> IntArray:
+        """Degrees of freedom that actuators move, through joints, tendons, sites or bodies."""
         data = mujoco.MjData(self.model)
         mujoco.mj_forward(self.model, data)
-        dofs = data.moment_colind[data.actuator_moment.ravel() != 0.0]
-        return set(self.model.dof_treeid[dofs].tolist())
+        dofs: IntArray = data.moment_colind[data.actuator_moment.ravel() != 0.0]
+        return dofs
+
+    @cached_property
+    def driven_trees(self) -> set[int]:
+        """Trees of bodies that actuators move."""
+        return set(self.model.dof_treeid[self.driven_dofs].tolist())
 
     @cached_property
     def bodies(self) -> list[int]:

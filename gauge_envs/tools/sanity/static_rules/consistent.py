@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import product
 from typing import NamedTuple
 
 import mujoco
@@ -28,9 +29,11 @@ OUTSIDE = 0.02
 """Share of a range by which a value may lie outside of it, because of rounding."""
 
 
-def _outside(value: float, low: float, high: float) -> float:
-    """Return how far a value is outside of a range."""
-    return max(low - value, value - high, 0.0)
+def _beyond(value: float, limits: FloatArray) -> tuple[float, str]:
+    """Return how far a value is outside of a range, over its span, and the range as a text; 0 for rounding."""
+    low, high = limits.tolist()
+    share = max(low - value, value - high) / max(high - low, 1e-9)
+    return share * (share > OUTSIDE), f"{low:.4g} to {high:.4g}"
 
 
 @rule(
@@ -43,19 +46,13 @@ def start_range(robot: Robot) -> Iterator[Fault]:
     """Yield hinges and slides that a keyframe puts outside of their range."""
     model = robot.model
     limited = (model.jnt_limited != 0) & joints_of(model, "HINGE", "SLIDE")
-    for key in range(model.nkey):
-        for joint in np.flatnonzero(limited).tolist():
-            value, (low, high) = (
-                model.key_qpos[key, model.jnt_qposadr[joint]],
-                model.jnt_range[joint],
-            )
-            out, span = _outside(value, low, high), max(high - low, 1e-9)
-            if out > OUTSIDE * span:
-                name = name_of(model, "joint", joint)
-                text = f'keyframe "{name_of(model, "key", key)}" puts {name} at {value:.4g}, outside of its range '
-                yield Fault(
-                    ("key", key), name, f"{text}{low:.4g} to {high:.4g}", out / span
-                )
+    for key, joint in product(range(model.nkey), np.flatnonzero(limited).tolist()):
+        value = model.key_qpos[key, model.jnt_qposadr[joint]]
+        share, limits = _beyond(value, model.jnt_range[joint])
+        if share:
+            name, label = name_of(model, "joint", joint), name_of(model, "key", key)
+            text = f'keyframe "{label}" puts {name} at {value:.4g}, outside of its range {limits}'
+            yield Fault(("key", key), name, text, share)
 
 
 @rule(
@@ -67,19 +64,16 @@ def start_range(robot: Robot) -> Iterator[Fault]:
 def start_command(robot: Robot) -> Iterator[Fault]:
     """Yield controls of keyframes outside of their range."""
     model = robot.model
-    for key in range(model.nkey):
-        for number in np.flatnonzero(model.actuator_ctrllimited).tolist():
-            value, (low, high) = (
-                model.key_ctrl[key, number],
-                model.actuator_ctrlrange[number],
-            )
-            out, span = _outside(value, low, high), max(high - low, 1e-9)
-            if out > OUTSIDE * span and model.key_ctrl[key].any():
-                name = name_of(model, "actuator", number)
-                text = f'keyframe "{name_of(model, "key", key)}" commands {name} to {value:.4g}; its ctrlrange is '
-                yield Fault(
-                    ("key", key), name, f"{text}{low:.4g} to {high:.4g}", out / span
-                )
+    keys = np.flatnonzero(model.key_ctrl.any(axis=1)).tolist()
+    for key, number in product(
+        keys, np.flatnonzero(model.actuator_ctrllimited).tolist()
+    ):
+        value = model.key_ctrl[key, number]
+        share, limits = _beyond(value, model.actuator_ctrlrange[number])
+        if share:
+            name, label = name_of(model, "actuator", number), name_of(model, "key", key)
+            text = f'keyframe "{label}" commands {name} to {value:.4g}; its ctrlrange is {limits}'
+            yield Fault(("key", key), name, text, share)
 
 
 # --- commands --------------------------------------------------------------------------------------------------------
@@ -436,18 +430,16 @@ def start_tendon(robot: Robot) -> Iterator[Fault]:
     """Yield limited tendons whose first length is outside of their range."""
     model, data = robot.model, start(robot)
     for tendon in np.flatnonzero(model.tendon_limited).tolist():
-        length, (low, high) = data.ten_length[tendon], model.tendon_range[tendon]
-        out, span = _outside(length, low, high), max(high - low, 1e-9)
-        if out > OUTSIDE * span:
+        length = data.ten_length[tendon]
+        share, limits = _beyond(length, model.tendon_range[tendon])
+        if share:
             name = name_of(model, "tendon", tendon)
-            unit = (
-                "m"
-                if model.wrap_type[model.tendon_adr[tendon]]
-                != mujoco.mjtWrap.mjWRAP_JOINT
-                else "of its joints"
+            is_fixed = (
+                model.wrap_type[model.tendon_adr[tendon]] == mujoco.mjtWrap.mjWRAP_JOINT
             )
-            text = f"tendon {name} starts at {length:.4g} {unit}, outside of its range {low:.4g} to {high:.4g}"
-            yield Fault(("tendon", tendon), name, text, out / span)
+            unit = "of its joints" if is_fixed else "m"
+            text = f"tendon {name} starts at {length:.4g} {unit}, outside of its range {limits}"
+            yield Fault(("tendon", tendon), name, text, share)
 
 
 @rule(

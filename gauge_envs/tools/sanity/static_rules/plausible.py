@@ -208,7 +208,8 @@ MAX_TURNS, MIN_RANGE_RAD = 4.0, 0.12
 )
 def range_unit(robot: Robot) -> Iterator[Fault]:
     """Yield hinges whose range looks like degrees in a file of radians, or the reverse."""
-    model, driven = robot.model, set(model_joints(robot.model))
+    model = robot.model
+    driven = model.dof_jntid[robot.driven_dofs]
     limited = np.flatnonzero((model.jnt_limited != 0) & joints_of(model, "HINGE"))
     for joint in limited.tolist():
         low, high = model.jnt_range[joint]
@@ -226,15 +227,6 @@ def range_unit(robot: Robot) -> Iterator[Fault]:
             yield Fault(
                 ("joint", joint), name, text, 1.0 / max(span, 1e-9), True, right
             )
-
-
-def model_joints(model: mujoco.MjModel) -> list[int]:
-    """Return joints that an actuator moves, also through a tendon or a coupling."""
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    dofs = data.moment_colind[data.actuator_moment.ravel() != 0.0]
-    joints: list[int] = model.dof_jntid[dofs].tolist()
-    return joints
 
 
 # --- the world -------------------------------------------------------------------------------------------------------
