@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from gauge_envs.tools.sanity.static_rules import STATIC_RULES
+from gauge_envs.tools.sanity.target_checks import READ
 from gauge_envs.tools.sanity.verdict import SanityResult, SanityVerdict
 
 EFFECTS = {
@@ -24,25 +24,31 @@ EFFECTS = {
 }
 """What follows from a wrong joint or body, by the check that shows it."""
 
-HARMLESS = ("stated-rolling", "stated-friction", "stated-margin", "imu-frame")
+HARMLESS = (
+    "stated-rolling",
+    "stated-friction",
+    "stated-margin",
+    "stated-solref",
+    "imu-frame",
+)
 """Static rules that explain no motion at rest."""
+
+CAUSES = {check.id for check in READ} | {"robot-torque"}
+"""Checks that explain later ones."""
 
 
 def absorb(results: Sequence[SanityResult]) -> list[SanityResult]:
     """Return results in which a finding has its effects, and each effect its cause.
 
-    A static rule explains later static rules on the same elements, and all runs of the model. An effect that is an
+    A finding of what is read explains later ones on the same elements, and all runs of the model. An effect that is an
     error makes its cause one.
     """
     found: dict[str, SanityResult] = {}
-    read = {check.id for check in STATIC_RULES}
     for result in results:
-        found[result.id] = result
-        if result.id not in read | EFFECTS.keys() or not result.is_flag:
-            continue
         cause = next(
-            (cause for cause in found.values() if _explains(cause, result, read)), None
+            (cause for cause in found.values() if _explains(cause, result)), None
         )
+        found[result.id] = result
         if cause is None:
             continue
         found[result.id] = replace(result, cause=cause.id)
@@ -56,14 +62,15 @@ def absorb(results: Sequence[SanityResult]) -> list[SanityResult]:
     return [*found.values()]
 
 
-def _explains(cause: SanityResult, effect: SanityResult, read: set[str]) -> bool:
+def _explains(cause: SanityResult, effect: SanityResult) -> bool:
     """Return whether a finding explains a later one."""
-    is_cause = cause.id in read and cause.is_flag and cause.id != effect.id
-    if not is_cause or cause.id in HARMLESS:
+    if not (cause.id in CAUSES and cause.is_flag and effect.is_flag):
+        return False
+    if cause.id in HARMLESS:
         return False
     if cause.id == "range-unit" and effect.id.startswith("start-"):
         return True
     if effect.id not in EFFECTS:
-        names = {part.name for part in cause.parts}
-        return not names.isdisjoint(part.name for part in effect.parts)
+        names = {part.name for part in cause.parts if part.verdict.is_off}
+        return any(part.name in names for part in effect.parts if part.verdict.is_off)
     return True

@@ -186,25 +186,26 @@ def finding_text(result: SanityResult) -> str:
 
 
 def _findings(report: Report) -> list[Part]:
-    """Return a line for each finding of the target itself, causes first, by stages."""
+    """Return a line for each finding of the target itself: errors first, then causes before effects, by stages."""
     parts: list[Part] = []
     read, run = ({check.id for check in checks} for checks in (READ, RUN))
     stage_of = dict.fromkeys(read, READ_TEXT) | dict.fromkeys(run, RUN_TEXT)
     flags = [result for result in report.flags.values() if result.is_on_target]
-    for heading in ("", READ_TEXT, RUN_TEXT):
-        found = [flag for flag in flags if stage_of.get(flag.id, "") == heading]
-        if found and heading:
+    shown = ""
+    for result in sorted(flags, key=lambda flag: flag.severity is not Severity.ERROR):
+        heading = stage_of.get(result.id, "")
+        if heading and heading != shown:
             parts.append(Paragraph(heading, Tone.NOTE))
-        for result in found:
-            place = f" ({Path(result.file).name}:{result.line})" if result.file else ""
-            text = f"{result.severity:8} {finding_text(result)}{place}"
-            parts.append(Paragraph(text, TONES[result.severity]))
-            texts = {"also": "; ".join(result.effects), "fix": result.fix}
-            parts += [
-                Paragraph(f"         {word}: {text}")
-                for word, text in texts.items()
-                if text
-            ]
+        shown = heading
+        place = f" ({Path(result.file).name}:{result.line})" if result.file else ""
+        text = f"{result.severity:8} {finding_text(result)}{place}"
+        parts.append(Paragraph(text, TONES[result.severity]))
+        texts = {"also": "; ".join(result.effects), "fix": result.fix}
+        parts += [
+            Paragraph(f"         {word}: {text}")
+            for word, text in texts.items()
+            if text
+        ]
     return parts
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import mujoco
@@ -64,7 +65,8 @@ def feet(robot: Robot) -> Finding:
     model = robot.model
     if (plane := _untouched_plane(robot)) is not None:
         text = f"no geom of the robot can touch {geom_name(model, plane)}: it falls through it"
-        return Finding(value=1.0, remark=text, place=("geom", plane))
+        place = ("geom", plane)
+        return Finding(value=1.0, remark=text, place=place, deviation=math.inf)
     standing = standing_of(robot)
     lows = {geom: point[2] for geom, point in standing.support_m.items()}
     within_m = SOLE_WITHIN * standing.height_m

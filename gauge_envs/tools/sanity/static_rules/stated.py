@@ -87,7 +87,7 @@ def solref(robot: Robot) -> Iterator[Fault]:
     for kind, number, constants in _constraints(model):
         if 0.0 < constants[0] < least_s / 1.1:
             name = name_of(model, kind, number)
-            text = f"{name} states solref {constants[0]:.3g} s; {least_s:g} s acts, which is two steps"
+            text = f"{name} states solref {constants[0]:.3g} s; {least_s:g} s acts, two steps of {500 * least_s:g} ms"
             yield Fault((kind, number), name, text, least_s / constants[0])
 
 
