@@ -259,8 +259,10 @@ def _change(report: Report, *, details: bool) -> list[Part]:
     if change.speed_ratio is not None:
         ratio = change.speed_ratio
         is_same = abs(ratio - 1.0) < SAME_SPEED
-        factor = f"{max(ratio, 1.0 / ratio):.2g} times {'slower' if ratio < 1.0 else 'faster'}"
-        text += f"; {'as fast' if is_same else factor}"
+        percent = (
+            f"{100.0 * abs(ratio - 1.0):.0f} % {'slower' if ratio < 1.0 else 'faster'}"
+        )
+        text += f"; {'as fast' if is_same else percent}"
     diff = change.lines or (change.line,)
     count = len(diff) if details else MAX_DIFF_LINES
     lines: list[Part] = [
