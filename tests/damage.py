@@ -551,7 +551,6 @@ TARGETS = {
     "replay.xml": (example("examples", "replay", "double_pendulum.xml"), load_model),
     "robot.urdf": (lambda: URDF, read_robot),
     "robot.gaugeprobe.json": (probe, configuration),
-    "env.yaml": ((SANITY / "isaac_lab_g1_flat.yaml").read_bytes, configuration),
     "settings.toml": (example("examples", "sanity", "good.toml"), configuration),
     "log.csv": (lambda: csv_of(log_table()), read_log),
     "log.npz": (lambda: packed(**log_table()), read_log),

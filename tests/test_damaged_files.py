@@ -17,7 +17,7 @@ SAMPLE = range(8)
 MANY = range(1000, 1400)
 """Seeds of the slow test."""
 
-EXTRAS = {"film.mp4": "cv2", "log.parquet": "pyarrow", "env.yaml": "yaml"}
+EXTRAS = {"film.mp4": "cv2", "log.parquet": "pyarrow"}
 """Modules that readers need."""
 
 

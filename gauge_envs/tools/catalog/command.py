@@ -46,8 +46,7 @@ def list_(
     """List experiments; or backends, checks, phenomena, materials, scenes, ...
 
     Without a pattern, the list has a row for each family. With a pattern it has the kind of reference of each id, and
-    the engines that can run it. The pattern '*' also lists phenomena of deformable bodies. Exit code 1: a wrong task
-    file was skipped.
+    the engines that can run it. Exit code 1: a wrong task file was skipped.
     """
     from gauge_envs.pages.document import Document
 

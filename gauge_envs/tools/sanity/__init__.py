@@ -3,7 +3,8 @@
 A target passes through the modules in this order, which `run` calls.
 
 1. `readers` return a `TrainingConfiguration`, with the target's own model, a `robot`, where it has one.
-2. `model_checks` run and check the target itself.
+2. `static_rules` compare the numbers of the target with each other, `model_checks` run it, and `causes` joins
+   effects to their causes.
 3. `object_checks` run scenes of measured objects with the target's settings.
 4. `fixes` apply documented changes, run the checks again, and write the fixed file.
 5. `report` shows what `verdict` defines; `comparison` compares two reports.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,33 +21,13 @@ from gauge_envs.cli.output import (
     print_document,
 )
 from gauge_envs.errors import ParameterError
+from gauge_envs.files import json_ready
 
 if TYPE_CHECKING:
+    from gauge_envs.pages.document import Document
     from gauge_envs.pages.table import Table
     from gauge_envs.tools.sanity import Report
     from gauge_envs.tools.sanity.comparison import Baseline
-
-
-FAIL_ON = {"failed": {"failed"}, "warning": {"failed", "warning"}, "never": set[str]()}
-"""Verdicts that give the exit code 1, by the value of `--fail-on`."""
-
-
-def read_fail_on(text: str) -> str:
-    """Return a value of `--fail-on`, which must be one of the known ones."""
-    if text not in FAIL_ON:
-        raise typer.BadParameter(f"{text!r}: expected {', '.join(FAIL_ON)}")
-    return text
-
-
-FailOnOption = Annotated[
-    str,
-    arguments.option(
-        arguments.SELECTION,
-        "Exit code 1 for this verdict or a worse one; with --against, for checks that differ.",
-        metavar="|".join(FAIL_ON),
-        parser=read_fail_on,
-    ),
-]
 
 
 BaselineOption = Annotated[
@@ -80,7 +62,7 @@ def sanity(
         typer.Argument(
             metavar="TARGET",
             help="Training configuration: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a model file "
-            "(robot.xml), the params/env.yaml of Isaac Lab, a file that gauge sanity probe's program writes in any "
+            "(robot.xml), a file that gauge sanity probe's program writes in any "
             "other environment, a settings file (.toml, .json), or a backend and a preset (mujoco:out_of_box).",
         ),
     ] = None,
@@ -110,7 +92,14 @@ def sanity(
         ),
     ] = None,
     only: arguments.Only = None,
-    fail_on: FailOnOption = "warning",
+    is_strict: Annotated[
+        bool,
+        arguments.option(
+            arguments.SELECTION,
+            "Exit code 1 for warnings too; with --against, for checks that differ.",
+            "--strict",
+        ),
+    ] = False,
     baseline: BaselineOption = None,
     fix: FixOption = None,
     is_all: Annotated[
@@ -123,7 +112,7 @@ def sanity(
         bool,
         arguments.option(
             arguments.OUTPUT,
-            "Also print settings, sources, and the changes that were tried.",
+            "Also print sources, and why checks do not apply.",
             "--details",
         ),
     ] = False,
@@ -132,25 +121,22 @@ def sanity(
 ) -> int:
     """Check the physics of a training configuration, and print the best fix of its settings.
 
-    Runs the target's own model, then measured objects with its numerical settings, and compares both with mechanics and
-    real trials; gauge list phenomena shows all checks. A wall and deformable bodies are checked where a pattern of
-    --only is '*' or names them alone. Exit code 0: all checks were measured and passed. 1: a verdict of --fail-on, or a
-    value farther from reality than in --baseline. 3: checks were not measured.
+    Reads the target's own model, runs it, then runs measured objects with its numerical settings, and compares all with
+    mechanics and real trials; gauge list phenomena shows all checks. Exit code 0: no error, all checks were measured.
+    1: an error, with --strict a warning, or a value farther from reality than in --baseline. 3: checks were not
+    measured.
     """
     from gauge_envs.tools.sanity import check, configuration
     from gauge_envs.tools.sanity.comparison import read_baseline
     from gauge_envs.tools.sanity.fix_file import check_can_fix, write_fix
     from gauge_envs.tools.sanity.report import sanity_document
-    from gauge_envs.tools.sanity.selection import chooses_deformables, selection
+    from gauge_envs.tools.sanity.selection import selection
 
     if target is None:
         raise ParameterError(
             "no target is given: name one, as in gauge sanity HalfCheetah-v5"
         )
-    chosen: dict[str, Any] = {
-        "only": only or [],
-        "include_deformables": chooses_deformables(only or []),
-    }
+    chosen: dict[str, Any] = {"only": only or []}
     files = arguments.by_suffix(out, ".md", ".json")
     if against is not None:
         if baseline is not None or pair is not None or fix is not None:
@@ -158,7 +144,7 @@ def sanity(
                 "--against goes with none of --baseline, --pair and --fix: leave them out"
             )
         options = chosen | {"time_limit_s": timeout}
-        return _compare(target, against, options, fail_on, files, form)
+        return _compare(target, against, options, is_strict, files, form)
     earlier = None if baseline is None else read_baseline(baseline)
     if fix is not None:
         check_can_fix(fix)
@@ -176,21 +162,38 @@ def sanity(
             **chosen,
         )
     document = sanity_document(report, details=details, is_all=is_all)
-    print_document(document, form, files=files)
+    _print(report, document, form, files)
     if fix is not None:
         message(write_fix(report, fix), "fix")
-    if _fails(report, FAIL_ON[fail_on], earlier):
+    if _fails(report, earlier, is_strict=is_strict):
         return EXIT_FAILED
     return EXIT_INCOMPLETE if report.unmeasured else 0
 
 
-def _fails(report: Report, verdicts: set[str], baseline: Baseline | None) -> bool:
-    """Return whether a check has one of the verdicts, and with a baseline, is worse than there; print regressions."""
+def _print(
+    report: Report, document: Document, form: Format, files: dict[str, Path]
+) -> None:
+    """Print a report, write it to files, and annotate the lines of a model in a workflow of GitHub."""
+    from gauge_envs.pages.document import as_rows, save_file
+    from gauge_envs.tools.sanity.report import workflow_commands
+
+    if json_file := files.pop(".json", None):
+        text = json.dumps(json_ready(as_rows(document)), allow_nan=False, indent=1)
+        message(save_file(json_file, text))
+    print_document(document, form, files=files)
+    if os.environ.get("GITHUB_ACTIONS") == "true":
+        for command in workflow_commands(report):
+            typer.echo(command, err=True)
+
+
+def _fails(report: Report, baseline: Baseline | None, *, is_strict: bool) -> bool:
+    """Return whether there is an error or, if strict, a warning; with a baseline, one that is worse than there."""
     from gauge_envs.tools.sanity.comparison import regressions
 
+    findings = report.errors | (report.warnings if is_strict else {})
     if baseline is None:
-        return any(result.verdict in verdicts for result in report.flags.values())
-    worse = regressions(report, baseline, verdicts=verdicts)
+        return bool(findings)
+    worse = regressions(findings, baseline)
     for text in worse:
         message(text, "regression")
     return bool(worse)
@@ -200,7 +203,7 @@ def _compare(
     first: str,
     second: str,
     options: dict[str, Any],
-    fail_on: str,
+    is_strict: bool,
     files: Mapping[str, Path],
     form: Format,
 ) -> int:
@@ -212,9 +215,7 @@ def _compare(
     compared = difference(*reports)
     print_document(difference_document(compared), form, files=files)
     changed = [check for check in compared.checks if check.is_changed]
-    if fail_on == "failed":
-        changed = [check for check in changed if check.is_failed]
-    if changed and FAIL_ON[fail_on]:
+    if is_strict and changed:
         return EXIT_FAILED
     is_measured = any(check.is_measured for check in compared.checks)
     return 0 if is_measured else EXIT_INCOMPLETE
@@ -247,7 +248,7 @@ def sanity_probe(
 
 
 def list_checks(patterns: Sequence[str]) -> list[Table]:
-    """Return the table of checks, those of a wall and of deformable bodies only for patterns that choose them."""
+    """Return the table of checks."""
     from gauge_envs.tools.sanity.report import checks_table
 
     return [checks_table(patterns)]

@@ -9,10 +9,14 @@ Example:
 """
 
 import math
-from collections.abc import Collection, Mapping
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import mujoco
+import numpy as np
 
 from gauge_envs.errors import TargetError
 from gauge_envs.pages.document import Document, Paragraph, Tone
@@ -20,6 +24,7 @@ from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import counted, quantity_text, with_unit
 from gauge_envs.reading import reading
 from gauge_envs.text import json_document
+from gauge_envs.tools.sanity.robot.model_text import COUNTS
 from gauge_envs.tools.sanity.verdict import (
     MAX_PASSED,
     WORSE_BY,
@@ -45,7 +50,9 @@ def read_baseline(path: Path) -> dict[tuple[str, str], float]:
     """
     noun = "the output of this version's gauge sanity TARGET --json"
     with reading(path, TargetError, noun) as content:
-        lines = [json_document(line) for line in content.splitlines() if line.strip()]
+        texts = content.splitlines() if content[:1] == b"{" else [content]
+        lines = [json_document(text) for text in texts if text.strip()]
+        lines = lines[0] if isinstance(lines[0], list) else lines
         deviations = {
             (line["id"], part["name"]): _deviation(part)
             for line in lines
@@ -66,25 +73,22 @@ def _deviation(part: dict[str, Any]) -> float:
     return math.inf if part["deviation"] is None else float(part["deviation"])
 
 
-def regressions(
-    report: Report, baseline: Baseline, *, verdicts: Collection[str]
-) -> list[str]:
+def regressions(findings: Mapping[str, SanityResult], baseline: Baseline) -> list[str]:
     """Return a sentence for each part of a check that is farther from reality than in the baseline.
 
     Farther is by more than a half-width of the interval, or out of the interval. A part that the baseline does not
     have counts as passed there.
 
     Args:
-        report: The report.
+        findings: Findings of a report that count.
         baseline: Deviations of the earlier run.
-        verdicts: Verdicts that count.
     """
     worse = []
-    for result in report.flags.values():
+    for result in findings.values():
         for part in result.parts:
             before = baseline.get((result.id, part.name), MAX_PASSED)
             is_farther = part.deviation > before + WORSE_BY or before <= MAX_PASSED
-            if part.verdict in verdicts and is_farther:
+            if part.verdict.is_off and is_farther:
                 text = "-" if part.value is None else quantity_text(part.value)
                 value = with_unit(text, result.unit)
                 worse.append(
@@ -93,6 +97,9 @@ def regressions(
                 )
     return worse
 
+
+MAX_CHANGES = 12
+"""Largest number of changes of the model that the screen shows."""
 
 # --- two targets -----------------------------------------------------------------------------------------------------
 
@@ -129,11 +136,6 @@ class CheckDifference:
             self.second_verdict,
         )
 
-    @property
-    def is_failed(self) -> bool:
-        """Whether a target failed the check."""
-        return SanityVerdict.FAILED in (self.first_verdict, self.second_verdict)
-
 
 @dataclass(frozen=True, kw_only=True)
 class TargetDifference:
@@ -143,11 +145,13 @@ class TargetDifference:
         first: Name of the first target.
         second: Name of the second target.
         checks: The checks, in the order of the reports.
+        changes: What differs between the two models, an attribute of an element each.
     """
 
     first: str
     second: str
     checks: tuple[CheckDifference, ...]
+    changes: tuple[str, ...] = ()
 
 
 def difference(first: Report, second: Report) -> TargetDifference:
@@ -162,7 +166,53 @@ def difference(first: Report, second: Report) -> TargetDifference:
         first=first.configuration.name,
         second=second.configuration.name,
         checks=tuple(checks),
+        changes=tuple(_model_changes(first, second)),
     )
+
+
+KINDS = ("body", "joint", "geom", "site", "actuator", "tendon", "equality", "sensor")
+
+DERIVED = re.compile(
+    r"(id|adr|num|user)$|^(bvh|aabb|rbound|invweight|subtree|name|plugin|length0|acc0|sameframe|M0)|^id$"
+)
+"""Attributes of a compiled model that count elements, or follow from others."""
+
+
+def _model_changes(first: Report, second: Report) -> Iterator[str]:
+    """Yield each attribute of an element that two models do not share, and elements that one of them lacks."""
+    robots = first.configuration.robot, second.configuration.robot
+    if robots[0] is None or robots[1] is None:
+        return
+    before, after = robots[0].model, robots[1].model
+    for kind in KINDS:
+        names, others = (
+            [element.name for element in _elements(model, kind)]
+            for model in (before, after)
+        )
+        yield from (f"{kind} {name} leaves" for name in names if name not in others)
+        yield from (f"{kind} {name} is new" for name in others if name not in names)
+        for name in filter(None, names):
+            if name in others:
+                elements = (getattr(model, kind)(name) for model in (before, after))
+                yield from _attribute_changes(f"{kind} {name}", *elements)
+    yield from _attribute_changes("option", before.opt, after.opt)
+
+
+def _elements(model: mujoco.MjModel, kind: str) -> list[Any]:
+    """Return the elements of a kind."""
+    count = getattr(model, COUNTS.get(kind, f"n{kind}"))
+    return [getattr(model, kind)(number) for number in range(count)]
+
+
+def _attribute_changes(label: str, before: Any, after: Any) -> Iterator[str]:
+    """Yield the attributes of an element that differ, with both values."""
+    for key in dir(before):
+        if key.startswith("_") or DERIVED.search(key):
+            continue
+        old, new = (np.atleast_1d(getattr(part, key)) for part in (before, after))
+        if old.dtype.kind in "fiub" and not np.allclose(old, new, equal_nan=True):
+            texts = [" ".join(f"{x:.4g}" for x in array) for array in (old, new)]
+            yield f"{key} of {label}: {' to '.join(texts)}"
 
 
 def _check_difference(first: SanityResult, second: SanityResult) -> CheckDifference:
@@ -200,9 +250,14 @@ def difference_document(compared: TargetDifference) -> Document:
         ),
         rows=compared.checks,
     )
-    names = {"first": compared.first, "second": compared.second}
+    names: dict[str, Any] = {"first": compared.first, "second": compared.second}
+    shown = compared.changes[:MAX_CHANGES]
+    lines = [f"model: {text}" for text in shown]
+    if left := len(compared.changes) - len(shown):
+        lines.append(f"model: {left} more, which --json lists")
+    names["changes"] = compared.changes
     return Document(
-        parts=(Paragraph(text, Tone.ANSWER), table),
+        parts=(Paragraph(text, Tone.ANSWER), *map(Paragraph, lines), table),
         rows=[names, *map(vars, compared.checks)],
     )
 

@@ -10,7 +10,7 @@ from gauge_envs.files import check_replaceable, os_errors
 from gauge_envs.tools.sanity.fixes.text_change import TextChange, write_change
 from gauge_envs.tools.sanity.readers import configuration as configuration_of, dialect
 from gauge_envs.tools.sanity.run import check
-from gauge_envs.tools.sanity.verdict import Fix, Report, flags_text
+from gauge_envs.tools.sanity.verdict import Fix, Report
 
 
 def check_can_fix(file: Path) -> None:
@@ -65,8 +65,7 @@ def write_fix(report: Report, file: Path) -> str:
             part.replace(file)
         finally:
             part.unlink(missing_ok=True)
-    noun = flags_text([*report.flags.values()])
-    return f"{file} is written and checked again: {len(before - after)} of {len(before)} {noun} are resolved"
+    return f"{file} is written and checked again: {len(before - after)} of {len(before)} findings are resolved"
 
 
 def _changed_text(report: Report, fix: Fix) -> TextChange:
@@ -99,7 +98,6 @@ def _flags(file: Path, report: Report) -> set[str]:
     after = check(
         configuration_of(str(file), pair=pair),
         only=measured,
-        include_deformables=True,
         explain=False,
     )
     return set(after.flags)

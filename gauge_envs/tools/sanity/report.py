@@ -2,33 +2,38 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
+from io import StringIO
+from pathlib import Path
 from typing import Any
+
+from rich.console import Console
 
 from gauge_envs.backends.mujoco.contact_table import default_contact_settings
 from gauge_envs.names import first_names
-from gauge_envs.pages.document import Document, Heading, Paragraph, Part, Tone
-from gauge_envs.pages.table import Column, Facts, Place, Table
+from gauge_envs.pages.document import Document, Paragraph, Part, Tone
+from gauge_envs.pages.table import Column, Place, Table
+from gauge_envs.pages.terminal import Terminal
 from gauge_envs.pages.text import counted, quantity_text, with_unit
-from gauge_envs.tools.sanity.model_checks import TARGET_CHECKS
 from gauge_envs.tools.sanity.object_checks import object_check
-from gauge_envs.tools.sanity.readers.dialect import toml_text
-from gauge_envs.tools.sanity.selection import chooses_deformables, selection
+from gauge_envs.tools.sanity.selection import selection
+from gauge_envs.tools.sanity.target_checks import (
+    READ,
+    RUN,
+    TARGET_CHECKS,
+)
 from gauge_envs.tools.sanity.training import TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import (
     Reality,
     Report,
     SanityResult,
     SanityVerdict,
-    flags_text,
+    Severity,
 )
 
-MAX_TARGET_FLAGS, MAX_OBJECT_FLAGS = 3, 4
-"""Largest numbers of problems of the target itself and of measured objects that the screen shows.
-
-A problem is a failed check or a warning. Of more problems, the screen shows one fewer and names the rest.
-A report then has at most 25 lines of 100 characters.
-"""
+MAX_OBJECT_FLAGS = 5
+"""Largest number of measured objects that the screen shows."""
 
 SAME_SPEED = 0.25
 """Relative change of the speed that a short measurement does not resolve."""
@@ -42,12 +47,18 @@ MAX_NAMES = 3
 GUIDE = "docs/sanity.md"
 """Page that explains the checks."""
 
+TONES = {Severity.ERROR: Tone.ERROR, Severity.WARNING: Tone.WARNING}
+
 STYLES = {
-    SanityVerdict.PASSED: "green",
-    SanityVerdict.WARNING: "yellow",
-    SanityVerdict.FAILED: "bold red",
-    SanityVerdict.NOT_MEASURED: "dim",
+    Severity.NONE: "green",
+    Severity.ADVICE: "dim",
+    Severity.WARNING: "yellow",
+    Severity.ERROR: "bold red",
 }
+
+READ_TEXT = "Read: numbers of the model against each other"
+RUN_TEXT = "Run: the model from its keyframe, without actions"
+"""Headings of the stages."""
 
 DEFAULT_OPTIONS = {
     "cone": "pyramidal",
@@ -70,15 +81,15 @@ def sanity_document(
 
     Args:
         report: The report.
-        details: Whether to show what was read, the sources of reality and the changes that were tried.
+        details: Whether to show the sources of reality, and why checks do not apply.
         is_all: Whether to show the table of all checks.
     """
     whole = report.to_dict()
     results = whole.pop("checks")
     parts = [
         Paragraph(answer_text(report), Tone.ANSWER),
-        *_target_flags(report),
-        *_object_flags(report),
+        *_findings(report),
+        *_object_findings(report),
         *_change(report, details=details),
         *_notes(report, details=details),
     ]
@@ -91,30 +102,49 @@ def sanity_document(
     return Document(parts=parts, rows=[whole, *results], markdown=markdown)
 
 
+def screen_text(report: Report) -> str:
+    """Return the screen of a sanity check as plain text."""
+    console = Console(width=100, file=StringIO())
+    with console.capture() as capture:
+        console.print(Terminal(sanity_document(report)))
+    return f"\n{capture.get()}"
+
+
 def answer_text(report: Report) -> str:
-    """Return how many checks failed, warn, passed, and were not measured."""
-    verdicts = [result.verdict for result in report.flags.values()]
-    measured = report.counts["measured"]
+    """Return the numbers of errors, warnings, pieces of advice, passed checks, and checks that were not measured."""
+    name, measured = report.configuration.name, report.counts["measured"]
     if not measured:
         reasons = dict.fromkeys(
             result.remark for result in report.checks if result.remark
         )
-        text = f"nothing was measured: {'; '.join([*reasons][:MAX_NAMES])}"
-        return f"{report.configuration.name}: {text}"
-    texts = [
-        f"{counted(verdicts.count(SanityVerdict.FAILED), 'check')} failed",
-        counted(verdicts.count(SanityVerdict.WARNING), "warning"),
-        f"{measured - len(verdicts)} passed",
+        return f"{name}: nothing was measured: {'; '.join([*reasons][:MAX_NAMES])}"
+    counts = Counter(result.severity for result in report.flags.values())
+    passed = [check.verdict for check in report.checks].count(SanityVerdict.PASSED)
+    words = {
+        counted(counts[Severity.ERROR], "error"): counts[Severity.ERROR],
+        counted(counts[Severity.WARNING], "warning"): counts[Severity.WARNING],
+        f"{counts[Severity.ADVICE]} advice": counts[Severity.ADVICE],
+        f"{counted(passed, 'check')} passed": True,
+    }
+    texts = [word for word, count in words.items() if count]
+    if report.unmeasured:
+        texts.append(f"{len(report.unmeasured)} not measured")
+    return f"{name}: {', '.join(texts)}"
+
+
+def workflow_commands(report: Report) -> list[str]:
+    """Return a workflow command of GitHub for each error and warning, with its file and line."""
+    commands = {Severity.ERROR: "error", Severity.WARNING: "warning"}
+    return [
+        f"::{commands[result.severity]} file={result.file},line={result.line},title={result.id}::{finding_text(result)}"
+        for result in report.checks
+        if result.severity in commands
     ]
-    missing = report.unmeasured
-    if missing:
-        texts.append(f"{len(missing)} not measured")
-    return f"{report.configuration.name}: {', '.join(texts)}"
 
 
 def checks_table(only: Sequence[str] = ()) -> Table:
-    """Return checks by patterns: ids, titles, kinds and reality; those of deformable bodies by their own patterns."""
-    chosen = selection(only, include_deformables=chooses_deformables(only))
+    """Return checks by patterns: ids, titles, kinds and reality."""
+    chosen = selection(only or ["*"])
     return Table(
         columns=(
             Column("id", "id"),
@@ -144,80 +174,65 @@ def _check_line(name: str) -> dict[str, Any]:
     }
 
 
-# --- flags -----------------------------------------------------------------------------------------------------------
+# --- findings --------------------------------------------------------------------------------------------------------
 
 
-def _sorted_flags(report: Report, *, is_on_target: bool) -> list[SanityResult]:
-    """Return the problems of the target itself or of measured objects, failed checks first."""
-    flags = [
-        result
-        for result in report.flags.values()
-        if result.is_on_target == is_on_target
-    ]
-    return sorted(flags, key=lambda result: result.verdict is not SanityVerdict.FAILED)
+def finding_text(result: SanityResult) -> str:
+    """Return what is wrong as a sentence, with its numbers."""
+    if result.remark:
+        return result.remark
+    limit = reality_text(result.reality, result.unit)
+    return f"{result.title}: {measured_text(result)}, {limit}"
 
 
-def _target_flags(report: Report) -> list[Part]:
-    """Return three lines for each problem of the target itself: its title, its numbers, its place with the fix."""
-    flags = _sorted_flags(report, is_on_target=True)
-    lines: list[Part] = []
-    shown, more = _shown(flags, MAX_TARGET_FLAGS)
-    for result in shown:
-        limit = reality_text(result.reality, result.unit)
-        style = Tone.ERROR if result.verdict is SanityVerdict.FAILED else Tone.WARNING
-        numbers = f"{measured_text(result)}, {limit}"
-        texts = [": ".join(filter(None, (numbers, result.remark)))]
-        texts += filter(None, [_place_text(report, result)])
-        lines.append(
-            Paragraph(f"{result.verdict}: {result.title} ({result.id})", style)
-        )
-        lines += [Paragraph(f"  {text}") for text in texts]
-    return lines + more
+def _findings(report: Report) -> list[Part]:
+    """Return a line for each finding of the target itself: errors first, then causes before effects, by stages."""
+    parts: list[Part] = []
+    read, run = ({check.id for check in checks} for checks in (READ, RUN))
+    stage_of = dict.fromkeys(read, READ_TEXT) | dict.fromkeys(run, RUN_TEXT)
+    flags = [result for result in report.flags.values() if result.is_on_target]
+    shown = ""
+    for result in sorted(flags, key=lambda flag: flag.severity is not Severity.ERROR):
+        heading = stage_of.get(result.id, "")
+        if heading and heading != shown:
+            parts.append(Paragraph(heading, Tone.NOTE))
+        shown = heading
+        place = f" ({Path(result.file).name}:{result.line})" if result.file else ""
+        text = f"{result.severity:8} {finding_text(result)}{place}"
+        parts.append(Paragraph(text, TONES[result.severity]))
+        texts = {"also": "; ".join(result.effects), "fix": result.fix}
+        parts += [
+            Paragraph(f"         {word}: {text}")
+            for word, text in texts.items()
+            if text
+        ]
+    return parts
 
 
-def _shown(
-    flags: Sequence[SanityResult], maximum: int
-) -> tuple[Sequence[SanityResult], list[Part]]:
-    """Return the problems that the screen shows, and a line that names the rest."""
-    count = maximum if len(flags) <= maximum else maximum - 1
-    left = [result.id for result in flags[count:]]
-    if not left:
-        return flags, []
-    text = f"and {len(left)} more: {first_names(left, MAX_NAMES)}"
-    return flags[:count], [Paragraph(text)]
-
-
-def _place_text(report: Report, result: SanityResult) -> str:
-    """Return the place of a problem, and the part of the fix that resolves it, or what the problem means."""
-    texts = [f"at {result.place}"] if result.place else []
-    if report.fix is not None and result.id in report.fix.fixed:
-        parts = [part.text for part in report.fix.parts if result.id in part.corrects]
-        texts.append(f"fix: {parts[0] if parts else 'all lines below together'}")
-    elif result.consequence:
-        texts.append(result.consequence)
-    return "; ".join(texts)
-
-
-def _object_flags(report: Report) -> list[Part]:
-    """Return a line for each problem of measured objects; a single line for MuJoCo's default contact."""
-    flags = _sorted_flags(report, is_on_target=False)
+def _object_findings(report: Report) -> list[Part]:
+    """Return a line for each measured object that moves otherwise; a single line for MuJoCo's default contact."""
+    flags = [flag for flag in report.flags.values() if not flag.is_on_target]
+    flags.sort(key=lambda result: -result.deviation)
     if not flags:
         return []
+    worst = flags[0]
     if _has_default_contact(report.configuration):
-        worst = flags[0]
         text = (
-            f"{worst.verdict}: MuJoCo's default contact, as the file sets no solref, solimp, cone. Measured objects: "
-            f"{len(flags)} {flags_text(flags)}, such as {worst.id} with "
-            f"{with_unit(measured_text(worst), worst.unit)}, real {reality_text(worst.reality, worst.unit)}"
+            f"{worst.severity:8} MuJoCo's default contact, as the file sets no solref, solimp, cone: {len(flags)} "
+            f"measured objects move otherwise, such as {worst.id} with {with_unit(measured_text(worst), worst.unit)}, "
+            f"real {reality_text(worst.reality, worst.unit)}"
         )
         return [Paragraph(text, Tone.WARNING)]
-    heading = "Measured objects with these settings"
+    heading = "Contacts: measured objects with these settings"
     set_count = len(report.configuration.contact_sets)
     if set_count > 1:
         heading += f", worst of {set_count} sets of contact constants"
-    shown, more = _shown(flags, MAX_OBJECT_FLAGS)
-    table = Table(title=heading, columns=(*COLUMNS, VERDICT), rows=shown)
-    return [table, *more]
+    shown, left = flags[:MAX_OBJECT_FLAGS], flags[MAX_OBJECT_FLAGS:]
+    parts: list[Part] = [Table(title=heading, columns=(*COLUMNS, SEVERITY), rows=shown)]
+    if left:
+        names = first_names([result.id for result in left], MAX_NAMES)
+        parts.append(Paragraph(f"and {len(left)} more: {names}"))
+    return parts
 
 
 def _has_default_contact(checked: TrainingConfiguration) -> bool:
@@ -240,13 +255,14 @@ def _change(report: Report, *, details: bool) -> list[Part]:
     change = report.fix
     if change is None:
         return [Paragraph(report.trade)] if report.trade else []
-    text = f"Best fix: resolves {len(change.fixed)} of {len(report.flags)} "
-    text += flags_text([*report.flags.values()])
+    text = f"Best fix: resolves {len(change.fixed)} of {counted(len(report.flags), 'finding')}"
     if change.speed_ratio is not None:
         ratio = change.speed_ratio
         is_same = abs(ratio - 1.0) < SAME_SPEED
-        factor = f"{max(ratio, 1.0 / ratio):.2g} times {'slower' if ratio < 1.0 else 'faster'}"
-        text += f"; {'as fast' if is_same else factor}"
+        percent = (
+            f"{100.0 * abs(ratio - 1.0):.0f} % {'slower' if ratio < 1.0 else 'faster'}"
+        )
+        text += f"; {'as fast' if is_same else percent}"
     diff = change.lines or (change.line,)
     count = len(diff) if details else MAX_DIFF_LINES
     lines: list[Part] = [
@@ -255,13 +271,6 @@ def _change(report: Report, *, details: bool) -> list[Part]:
     ]
     if hidden_count := len(diff[count:]):
         lines.append(Paragraph(f"  and {hidden_count} more lines, which --fix writes"))
-    alone = [
-        f"{part.text} resolves {first_names(part.corrects, MAX_NAMES)}"
-        for part in change.parts
-        if part.corrects
-    ]
-    if len(change.parts) > 1 and alone:
-        lines.append(Paragraph(f"  alone: {'; '.join(alone)}", Tone.NOTE))
     return lines
 
 
@@ -281,6 +290,11 @@ def _notes(report: Report, *, details: bool) -> list[Part]:
         text = f"{missing[0]}: {reasons[missing[0]]}"
         names = first_names(missing, MAX_NAMES)
         lines.append(Paragraph(f"Not measured: {names} ({text})", Tone.WARNING))
+    lines += [
+        Paragraph(f"accepted {result.id}: {result.accepted}", Tone.NOTE)
+        for result in report.checks
+        if result.accepted
+    ]
     if report.unstated:
         lines.append(Paragraph(report.unstated, Tone.NOTE))
     if report.flags and not details:
@@ -293,14 +307,12 @@ def _notes(report: Report, *, details: bool) -> list[Part]:
 
 
 def _details(report: Report) -> list[Part]:
-    """Return what was read, the sources of the problems, and the changes that were tried."""
-    checked = report.configuration
-    parts: list[Part] = [Heading("Read"), Facts(_facts(checked))]
+    """Return the sources of the findings, and why checks do not apply."""
+    parts: list[Part] = []
     for result in report.flags.values():
         reality = result.reality
         text = f"{result.id}: {result.title}; {reality.source}; {reality.rationale}"
         parts.append(Paragraph(text, Tone.NOTE))
-    parts += [Paragraph(f"tried {text}", Tone.NOTE) for text in report.tried]
     reasons: dict[str, list[str]] = {}
     for result in report.checks:
         if not result.applies:
@@ -312,36 +324,15 @@ def _details(report: Report) -> list[Part]:
     return parts
 
 
-def _facts(checked: TrainingConfiguration) -> dict[str, str]:
-    """Return what was read, and the settings by origin."""
-    facts = {"read from": checked.source, "backend": checked.backend}
-    if checked.frame_skip is not None:
-        facts["one action"] = f"{checked.frame_skip} steps"
-    if (foot := checked.foot_geometry) is not None:
-        facts["foot"] = f"in the {foot.pose}, {foot.description}"
-    for name, value in checked.settings.items():
-        origin = checked.origins.get(name, "settings")
-        text = f"{name} = {toml_text(value)}"
-        facts[origin] = f"{facts[origin]}, {text}" if origin in facts else text
-    for group in checked.contact_groups:
-        constants = [
-            f"{name} {toml_text(value)}" for name, value in group.constants.items()
-        ]
-        use = "" if group.is_used else "not used: "
-        pairs = counted(group.pair_count, "pair")
-        facts[group.geoms] = f"{use}{pairs}, {', '.join(constants)}"
-    return facts
-
-
 def _all_rows(report: Report) -> Table:
     """Return the table of all checks that apply."""
     remark = Column("", "remark", _remark_text, place=Place.BELOW, wide_only=True)
     rows = [result for result in report.checks if result.applies]
-    return Table(columns=(*COLUMNS, VERDICT, remark), rows=rows)
+    return Table(columns=(*COLUMNS, SEVERITY, remark), rows=rows)
 
 
 def _style(result: SanityResult) -> str:
-    return "" if result.advisory else STYLES[result.verdict]
+    return STYLES[result.severity]
 
 
 def reality_text(reality: Reality, unit: str) -> str:
@@ -351,17 +342,8 @@ def reality_text(reality: Reality, unit: str) -> str:
 
 
 def measured_text(result: SanityResult) -> str:
-    """Return the measured value; what it is instead where there is none."""
-    if result.configured is not None:
-        return quantity_text(result.configured)
-    return "no value" if result.verdict.is_off else "-"
-
-
-def verdict_text(result: SanityResult) -> str:
-    """Return the verdict; `advice` for a check that does not count."""
-    return (
-        "advice" if result.advisory and result.verdict.is_off else result.verdict.value
-    )
+    """Return the measured value, or a dash."""
+    return "-" if result.configured is None else quantity_text(result.configured)
 
 
 def _remark_text(result: SanityResult) -> str:
@@ -372,13 +354,15 @@ def _remark_text(result: SanityResult) -> str:
     )
 
 
-VERDICT = Column("", "", verdict_text, style=_style)
+SEVERITY = Column(
+    "", "", lambda result: result.severity or result.verdict.value, style=_style
+)
 
 COLUMNS = (
     Column("id", "check"),
-    Column("title", "quantity", wide_only=True),
-    Column("", "real", lambda result: reality_text(result.reality, result.unit)),
+    Column("title", "quantity"),
     Column("", "here", measured_text, is_number=True, style=_style),
-    Column("default", "preset", quantity_text, is_number=True),
+    Column("", "real", lambda result: reality_text(result.reality, result.unit)),
+    Column("default", "recommended", quantity_text, is_number=True, wide_only=True),
 )
 """Columns of tables of checks."""

@@ -6,17 +6,14 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from gauge_envs.errors import ParameterError
-from gauge_envs.fixtures.parts import ball, contact, ground, thrown
 from gauge_envs.registry import package_versions
-from gauge_envs.scene import Scene
+from gauge_envs.tools.sanity.accepted import accept
+from gauge_envs.tools.sanity.causes import absorb
 from gauge_envs.tools.sanity.fixes.fix import FixSearch
-from gauge_envs.tools.sanity.model_checks import TARGET_CHECKS
+from gauge_envs.tools.sanity.fixes.named import with_fix
 from gauge_envs.tools.sanity.model_checks.drives import unstated
 from gauge_envs.tools.sanity.object_checks import GRASP
-from gauge_envs.tools.sanity.object_checks.check import Scenario
 from gauge_envs.tools.sanity.object_checks.measure import (
     Measurements,
     TimeLimitError,
@@ -24,15 +21,12 @@ from gauge_envs.tools.sanity.object_checks.measure import (
 )
 from gauge_envs.tools.sanity.readers import configuration as configuration_of
 from gauge_envs.tools.sanity.readers.gymnasium_env import Target
+from gauge_envs.tools.sanity.report import screen_text
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.selection import selection
-from gauge_envs.tools.sanity.training import Need, TrainingConfiguration
-from gauge_envs.tools.sanity.verdict import (
-    PartOutcome,
-    Report,
-    SanityResult,
-    SanityVerdict,
-)
+from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
+from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import Report, SanityResult, SanityVerdict
 
 
 @mujoco_warnings()
@@ -40,7 +34,6 @@ def check(
     target: Target | TrainingConfiguration,
     *,
     only: Sequence[str] = (),
-    include_deformables: bool = False,
     time_limit_s: float | None = None,
     explain: bool = True,
     notify: Callable[[SanityResult], None] | None = None,
@@ -51,7 +44,6 @@ def check(
         target: A `TrainingConfiguration`, or a target of `gauge_envs.tools.sanity.configuration`.
         only: Ids of checks or patterns such as `creep-*`; when empty, all checks of the target's own model and of rigid
             bodies. A model with a hand also gets those of grasps.
-        include_deformables: Whether to check grasps, a wall and deformable bodies too.
         time_limit_s: Time after which no simulation starts [s]; the checks that are left are not measured. None for
             no limit.
         explain: Whether to find the best fix.
@@ -67,11 +59,14 @@ def check(
     """
     started = time.perf_counter()
     configuration = configuration_of(target)
-    chosen = selection(only, include_deformables=include_deformables)
+    chosen = selection(only)
     has_hand = any(group.is_held for group in configuration.contact_groups)
-    if has_hand and not only and not include_deformables:
+    if has_hand and not only:
         chosen = (*chosen, *GRASP)
-    results = _target_results(configuration, chosen, notify)
+    found = _target_results(configuration, chosen, notify)
+    results = absorb(accept(found, configuration))
+    if explain and configuration.robot is not None:
+        results = [with_fix(result, configuration.robot) for result in results]
     measurements = Measurements(configuration.backend, time_limit_s=time_limit_s)
     names = [name for name in chosen if name not in TARGET_CHECKS]
     objects, is_cut_short = _object_results(measurements, configuration, names, notify)
@@ -79,7 +74,7 @@ def check(
         _check_accepted(configuration, measurements.engine, objects)
     report = Report(
         configuration=configuration,
-        checks=(*results, *objects),
+        checks=(*results, *accept(objects, configuration)),
         versions={**measurements.versions, **package_versions()},
         asked=tuple(name for name in chosen if name in only),
     )
@@ -90,16 +85,12 @@ def check(
             report = FixSearch(report, measurements).run()
         except TimeLimitError:
             is_cut_short = True
-    notes = []
-    if "grasp-torsion" in chosen:
-        notes += point_notes(configuration)
     if is_cut_short:
         limit = f"the time limit, {time_limit_s} s, is reached"
-        notes = [f"{limit}: the check is incomplete", *notes]
-    elif not only:
-        notes += force_notes(measurements, configuration)
+        report = replace(report, notes=(f"{limit}: the check is incomplete",))
     wall_s = time.perf_counter() - started
-    return replace(report, notes=tuple(notes), wall_s=wall_s)
+    report = replace(report, wall_s=wall_s)
+    return replace(report, screen=screen_text(report))
 
 
 def _target_results(
@@ -155,61 +146,3 @@ def _check_accepted(
         raise ParameterError(
             f"{configuration.name}: {engine} rejects these settings: {cause}"
         )
-
-
-# --- notes -----------------------------------------------------------------------------------------------------------
-
-
-def point_notes(configuration: TrainingConfiguration) -> list[str]:
-    """Return a note on each hand between whose fingertips a body turns freely."""
-    return [
-        f"{group.geoms}: a round fingertip has one contact, which with condim 3 holds no torque: "
-        "see gauge recipe --torsion"
-        for group in configuration.contact_groups
-        if group.is_point and group.constants["condim"] == 3
-    ]
-
-
-IMPACT = Scenario(
-    "impact-force",
-    "BouncingBall-rubber",
-    0.1,
-    Scene(
-        bodies=(
-            thrown(ball("ball", (0.0, 0.0, 0.04), mass_kg=1.0), (0.0, 0.0, -1.0)),
-            ground(),
-        ),
-        contacts=(contact("ball", "ground", friction=0.5),),
-        duration_s=0.1,
-        gravity_m_per_s2=0.0,
-    ),
-    interval_s=0.0,
-)
-"""A ball of 1 kg that hits the ground at 1 m/s, sampled at each step."""
-
-MAX_FORCE_RATIO = 2.0
-"""Largest ratio of the peak forces with a tenth of the step and with the step; a rigid impact has 10."""
-
-
-def force_notes(
-    measurements: Measurements, configuration: TrainingConfiguration
-) -> list[str]:
-    """Return a note where the peak force of an impact depends on the step; no note where it cannot be measured."""
-    settings = next(iter(configuration.contact_sets.values()), {})
-    effective = measurements.effective(IMPACT, settings)
-    if isinstance(effective, PartOutcome) or Need.CONTACT in configuration.inapplicable:
-        return []
-    peaks_n, step_s = [], effective["timestep_s"]
-    for timestep_s in (step_s, 0.1 * step_s):
-        changed = {**settings, "timestep_s": timestep_s}
-        rollout = measurements.rollout(IMPACT, changed)
-        if isinstance(rollout, PartOutcome):
-            return []
-        accelerations = np.diff(rollout.velocity("ball")[:, 2]) / rollout.interval_s
-        peaks_n.append(float(accelerations.max()))
-    if peaks_n[1] <= MAX_FORCE_RATIO * peaks_n[0]:
-        return []
-    return [
-        f"peak contact forces depend on the step: 1 kg at 1 m/s gives {peaks_n[0]:,.0f} N at {1e3 * step_s:g} ms and "
-        f"{peaks_n[1]:,.0f} N at a tenth of it; average forces over a fixed time"
-    ]

@@ -41,12 +41,14 @@ class CheckedConfiguration(TypedDict):
 ReportLine = Annotated[
     Report,
     Form(
-        without=("checks", "configuration"),
+        without=("checks", "configuration", "screen"),
         properties=("worst", "unmeasured", "counts"),
         more=CheckedConfiguration,
     ),
 ]
 DifferenceLine = Annotated[TargetDifference, Form(without=("checks",))]
 
-SanityLine = ReportLine | SanityResult | DifferenceLine | CheckDifference
+ResultLine = Annotated[SanityResult, Form(properties=("severity",))]
+
+SanityLine = ReportLine | ResultLine | DifferenceLine | CheckDifference
 """First the configuration, then each check; with --against first both targets, then each check."""

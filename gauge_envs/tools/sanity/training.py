@@ -38,7 +38,6 @@ class ContactGroup:
         constants: Effective constants of a contact by MuJoCo's names: `condim`, `friction`, `solref`, ...
         is_used: Whether the experiments run with these constants.
         is_held: Whether a hand grasps a body with these constants.
-        is_point: Whether the fingertips that grasp it are round, and touch it at a point each.
         settings: Settings of the backend that give all contacts these constants.
     """
 
@@ -47,7 +46,6 @@ class ContactGroup:
     constants: Settings
     is_used: bool = False
     is_held: bool = False
-    is_point: bool = False
     settings: Settings = field(default_factory=dict)
 
 
@@ -61,7 +59,6 @@ class TrainingConfiguration:
         backend: Name of the physics engine.
         settings: Settings of that backend for every scene; other settings are the backend's default.
         origins: Origin of each setting by its name, such as `option` or `floor with torso, ...`.
-        frame_skip: Steps of the engine for one action; None when unknown.
         contact_groups: Contact constants of a model: those on ground first, then by the number of pairs.
         notes: Properties that are not carried over, or that need attention.
         warnings: MuJoCo's warnings on the user's file, which are shown even where all checks pass.
@@ -79,7 +76,6 @@ class TrainingConfiguration:
     backend: str
     settings: Settings
     origins: Mapping[str, str] = field(default_factory=dict)
-    frame_skip: int | None = None
     contact_groups: tuple[ContactGroup, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -91,20 +87,15 @@ class TrainingConfiguration:
     language: str = "toml"
     robot: Robot | None = field(default=None, compare=False)
 
-    def of_hand(self, *, is_flat: bool) -> TrainingConfiguration | None:
-        """Return the configuration with the contacts of a hand alone in use; unchanged without a hand.
-
-        Args:
-            is_flat: Whether only contacts of flat pads count; the result is None for a hand without them.
-        """
+    @property
+    def of_hand(self) -> TrainingConfiguration:
+        """The configuration with the contacts of a hand alone in use; unchanged without a hand."""
         if not any(group.is_held for group in self.contact_groups):
             return self
-        groups = tuple(
-            replace(group, is_used=group.is_held and not (is_flat and group.is_point))
-            for group in self.contact_groups
-        )
-        is_any = any(group.is_used for group in groups)
-        return replace(self, contact_groups=groups) if is_any else None
+        groups = [
+            replace(group, is_used=group.is_held) for group in self.contact_groups
+        ]
+        return replace(self, contact_groups=tuple(groups))
 
     @property
     def contact_sets(self) -> dict[str, dict[str, Any]]:

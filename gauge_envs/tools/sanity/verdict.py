@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from enum import StrEnum
 from typing import Any
@@ -51,6 +51,19 @@ class SanityVerdict(StrEnum):
         if deviation <= MAX_PASSED:
             return cls.PASSED
         return cls.WARNING if deviation <= MAX_WARNING else cls.FAILED
+
+
+class Severity(StrEnum):
+    """Consequence of a finding."""
+
+    NONE = ""
+    """The check passed, was not measured, or follows from another finding."""
+    ADVICE = "advice"
+    """A measured object moves otherwise than in reality, or a check does not count."""
+    WARNING = "warning"
+    """The model does not do what its file says, or what real parts do."""
+    ERROR = "error"
+    """The model cannot be used: it falls through the floor, diverges, or does not reach its commands."""
 
 
 class NotApplicableError(Exception):
@@ -159,14 +172,20 @@ class SanityResult:
         default: Value with the backend's default; None when not measured.
         configured: Value in this configuration; None when not measured.
         verdict: SanityVerdict of this configuration.
-        default_verdict: SanityVerdict of the backend's default.
         remark: Why it was not measured, or how it failed; empty otherwise.
         advisory: Why the verdict does not count for the whole configuration; empty when it counts.
         applies: Whether the check applies to the target.
         geoms: Geoms whose contact constants decide the verdict; empty when all contacts have the same.
         parts: Outcome for each part that is checked; empty when nothing was measured.
         consequence: What a failure means for a policy, in one sentence; empty when the title says it.
-        place: Element of the target's own model that decides the verdict, with file and line; empty otherwise.
+        place: Element of the target's own model that decides the verdict; empty otherwise.
+        file: File of this element; empty where it is unknown.
+        line: Its line in the file; 0 where it is unknown.
+        cause: Id of the check that explains this one; empty for none.
+        accepted: Why the user accepts the finding; empty for one that counts.
+        fix: Change of the attributes that the finding names, which was tried; empty where none is known.
+        effects: What else follows from the finding, in short sentences.
+        is_own: Whether the check is on the target itself or on its own foot.
     """
 
     id: str
@@ -177,7 +196,6 @@ class SanityResult:
     default: float | None = None
     configured: float | None = None
     verdict: SanityVerdict
-    default_verdict: SanityVerdict = SanityVerdict.NOT_MEASURED
     remark: str = ""
     advisory: str = ""
     applies: bool = True
@@ -185,6 +203,23 @@ class SanityResult:
     parts: tuple[PartOutcome, ...] = ()
     consequence: str = ""
     place: str = ""
+    file: str = ""
+    line: int = 0
+    cause: str = ""
+    accepted: str = ""
+    fix: str = ""
+    effects: tuple[str, ...] = ()
+    is_own: bool = True
+
+    @property
+    def severity(self) -> Severity:
+        """Consequence of the finding."""
+        if not self.verdict.is_off or self.cause or self.accepted:
+            return Severity.NONE
+        if self.advisory or not self.is_own:
+            return Severity.ADVICE
+        is_error = self.is_on_target and self.verdict is SanityVerdict.FAILED
+        return Severity.ERROR if is_error else Severity.WARNING
 
     @property
     def is_on_target(self) -> bool:
@@ -193,8 +228,9 @@ class SanityResult:
 
     @property
     def is_flag(self) -> bool:
-        """Whether the check is a warning or failed, and counts."""
-        return self.verdict.is_off and not self.advisory
+        """Whether the check is a warning or failed, counts, is not accepted, and follows from no other one."""
+        silenced = self.advisory or self.cause or self.accepted
+        return self.verdict.is_off and not silenced
 
     @property
     def deviation(self) -> float:
@@ -203,19 +239,6 @@ class SanityResult:
 
 
 # --- the report ------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChangePart:
-    """A part of a fix, such as an attribute.
-
-    Attributes:
-        text: The part in the target's language, such as `<option cone="elliptic"/>`.
-        corrects: Ids of the failed checks and warnings that pass after this part alone.
-    """
-
-    text: str
-    corrects: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,7 +251,6 @@ class Fix:
         flag_count: Number of failed checks and warnings before the change.
         fixed: Value of each of these checks that passes after the change; None where it was not measured.
         lines: The change as lines of a diff, which start with `- ` or `+ `.
-        parts: The parts of the change, each with what it resolves alone.
         speed_ratio: Simulated time of the target in a second after the change, over that before; None if not measured.
     """
 
@@ -237,11 +259,23 @@ class Fix:
     flag_count: int
     fixed: Mapping[str, float | None] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
-    parts: tuple[ChangePart, ...] = ()
     speed_ratio: float | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+class Findings(dict[str, "SanityResult"]):
+    """Findings by the id of their check; a failed assertion shows the screen of the report.
+
+    Attributes:
+        screen: The screen.
+    """
+
+    screen = ""
+
+    def __repr__(self) -> str:
+        return self.screen or super().__repr__()
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Report:
     """Result of a sanity check.
 
@@ -251,11 +285,11 @@ class Report:
         versions: Versions of the engine's packages, of gauge-envs and of its dependencies.
         wall_s: Time that the check took [s].
         fix: The change that resolves most failed checks and warnings; None when no change resolves one.
-        tried: Changes that were tried and not chosen, and how far each came.
         trade: The best of these with its price, when no change resolves a check without harm; empty otherwise.
         unstated: Properties that the target's model leaves open, in one sentence; empty for none.
         notes: What limits the check, such as an expired time limit.
         asked: Ids of checks that were requested by their full id.
+        screen: What `gauge sanity` prints, which JSON leaves out.
     """
 
     configuration: TrainingConfiguration
@@ -263,16 +297,35 @@ class Report:
     versions: Mapping[str, str]
     wall_s: float = 0.0
     fix: Fix | None = None
-    tried: tuple[str, ...] = ()
     trade: str = ""
     unstated: str = ""
     notes: tuple[str, ...] = ()
     asked: tuple[str, ...] = ()
+    screen: str = ""
 
     @property
-    def flags(self) -> dict[str, SanityResult]:
+    def flags(self) -> Findings:
         """Failed checks and warnings that count, by id."""
-        return {result.id: result for result in self.checks if result.is_flag}
+        return self._findings(*Severity)
+
+    @property
+    def errors(self) -> Findings:
+        """Findings with which the model cannot be used, by id."""
+        return self._findings(Severity.ERROR)
+
+    @property
+    def warnings(self) -> Findings:
+        """Findings with which the model does not do what its file says, by id."""
+        return self._findings(Severity.WARNING)
+
+    def _findings(self, *severities: Severity) -> Findings:
+        flags = [result for result in self.checks if result.is_flag]
+        found = Findings({f.id: f for f in flags if f.severity in severities})
+        found.screen = self.screen
+        return found
+
+    def __repr__(self) -> str:
+        return f"<Report of {self.configuration.name}>"
 
     @property
     def _missing(self) -> list[SanityResult]:
@@ -314,16 +367,11 @@ class Report:
         """Return all attributes, JSON-ready, without the target's own model."""
         bare = replace(self, configuration=replace(self.configuration, robot=None))
         values: dict[str, Any] = json_ready(asdict(bare))
-        del values["configuration"]["robot"]
+        for line, result in zip(values["checks"], self.checks, strict=True):
+            line["severity"] = result.severity.value
+        del values["configuration"]["robot"], values["screen"]
         return values | {
             "worst": self.worst.value,
             "unmeasured": list(self.unmeasured),
             "counts": self.counts,
         }
-
-
-def flags_text(results: Sequence[SanityResult]) -> str:
-    """Return what failed checks and warnings are called together, such as `failed checks`."""
-    verdicts = {result.verdict for result in results}
-    nouns = {SanityVerdict.FAILED: "failed checks", SanityVerdict.WARNING: "warnings"}
-    return " and ".join(noun for verdict, noun in nouns.items() if verdict in verdicts)

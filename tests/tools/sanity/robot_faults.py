@@ -26,11 +26,11 @@ INERTIAL = (
 )
 
 FAULTS = {
-    ("robot-mass", "denser"): ('mass="7.84"', 'density="150000"'),
-    ("robot-mass", "drawn"): ('<geom name="trunk"', SHELL),
-    ("robot-mass", "gyrates"): ('<geom name="trunk"', INERTIAL.format("9")),
-    ("robot-mass", "smaller"): ('<geom name="trunk"', INERTIAL.format("1e-4")),
-    ("robot-overlap", "FL_calf and RL_calf"): (
+    ("density", "lead has 12,000"): ('mass="7.84"', 'density="150000"'),
+    ("drawn-twice", "drawn"): ('<geom name="trunk"', SHELL),
+    ("inertia", "trunk"): ('<geom name="trunk"', INERTIAL.format("9")),
+    ("inertia", "times the inertia"): ('<geom name="trunk"', INERTIAL.format("1e-4")),
+    ("start-overlap", "RL_foot and FL_foot"): (
         'pos="-0.19 0.12 0"',
         'pos="0.18 0.12 0"',
     ),
@@ -40,7 +40,7 @@ FAULTS = {
         'armature="0.005" damping="0.5"',
         'armature="1" damping="30"',
     ),
-    ("robot-joint", "whole robot"): ('frictionloss="0.2"', 'frictionloss="200"'),
+    ("robot-joint", "friction 200"): ('frictionloss="0.2"', 'frictionloss="200"'),
     ("robot-drive", "switch"): ('kp="80"', 'kp="10000"'),
     ("robot-drive", "step of 2 ms"): (
         "implicitfast",
@@ -55,7 +55,7 @@ FAULTS = {
         'kv="2"',
         'kv="0"',
     ),
-    ("robot-coupling", "off its coupling"): ("<keyframe>", COUPLED),
+    ("start-coupling", "off its coupling"): ("<keyframe>", COUPLED),
     ("robot-free", "in the air"): ("<freejoint/>", '<joint type="free"/>'),
     ("robot-feet", "FL_foot"): (
         'name="FL_foot"',
@@ -65,11 +65,11 @@ FAULTS = {
         'name="FL_foot"',
         'name="FL_foot" condim="1" priority="1"',
     ),
-    ("robot-friction", "floor has friction"): (
+    ("stated-friction", "floor states friction 0.1"): (
         'name="floor"',
         'name="floor" friction="0.1 0.005 0.0001"',
     ),
-    ("robot-torsion", "order"): (
+    ("friction-lever", "order"): (
         '<geom friction="0.8 0.005',
         '<geom condim="4" friction="0.4 0.5',
     ),

@@ -7,13 +7,8 @@ import pytest
 from robot_faults import good_xml
 
 from gauge_envs.tools.sanity import configuration
-from gauge_envs.tools.sanity.model_checks import (
-    MODEL_CHECKS,
-    TARGET_CHECKS,
-    at_rest,
-    free_motion,
-)
-from gauge_envs.tools.sanity.verdict import SanityVerdict
+from gauge_envs.tools.sanity.model_checks import at_rest, free_motion
+from gauge_envs.tools.sanity.target_checks import MODEL_CHECKS, TARGET_CHECKS
 
 FLOOR = '<geom name="floor" type="plane" size="5 5 1"/>'
 
@@ -51,16 +46,6 @@ STIFF = FREE.format("box", "0 0 .08", f'{BOX.format(1)} solref="-1e6 -100"')
 
 SLEEP = '<flag sleep="enable"/>'
 
-DRIFT = mjcf(
-    FREE.format("ball", "0 0 1", 'size=".05"'),
-    f'gravity="0 0 0" sleep_tolerance=".01">{SLEEP}',
-    '<keyframe><key qvel=".005 0 0 0 0 0"/></keyframe>',
-)
-
-CLOTH = """<flexcomp name="towel" type="grid" count="7 7 1" spacing=".05 .05 .05" dim="2" radius=".002" mass="{}"
- pos="0 0 .4"><edge equality="true"/><contact selfcollide="none"/></flexcomp>
- <geom type="sphere" size=".03" pos=".013 .011 .35"/>"""
-
 ARM = """<body name="upper" gravcomp="1"><joint name="j1" axis="0 1 0" armature=".1"/><geom size=".03" mass="2"/>
  <body name="fore" pos=".4 0 0" {}><joint name="j2" axis="0 1 0" armature=".1"/><geom size=".03" mass="1"/></body>
  </body>"""
@@ -84,12 +69,10 @@ def result(name, xml):
 @pytest.mark.parametrize(
     ("name", "xml", "value", "words"),
     [
-        ("model-overlap", stack(2000), None, "box0 (1 kg)"),
+        ("model-overlap", stack(2000), None, "box0 sinks"),
         ("model-constraints", hang(0.02, 20), None, "hook"),
-        ("model-sleep", DRIFT, 5.0, "ball sleeps"),
         # Explicit steps of 20 ms make a rod that turns once a second gain 29 % of its momentum in 2 s.
         ("model-spin", mjcf(ROD, 'timestep=".02">'), 0.29, "rod"),
-        ("model-cloth", mjcf(CLOTH.format(0.2), ">"), None, "towel"),
         (
             "model-creep",
             # A damping of 1,200 / s overshoots in a step of 2 ms, as 1,200 * 0.002 > 2, and not in one of 0.2 ms.
@@ -99,9 +82,9 @@ def result(name, xml):
         ),
         # A contact that swings at 1,000 rad / s gains energy in a step of 25 ms, as 1,000 * 0.025 > 2.
         ("model-creep", mjcf(FLOOR + STIFF, 'timestep=".025">'), None, "box moves"),
-        ("model-stated", mjcf(ARM.format(""), ">", MOTORS), 1.0, "not on fore"),
-        ("model-stated", mjcf(FLOOR + BALL.format(3), ">"), 1.0, "rolling"),
-        ("model-stated", ROLLING_PAIR.format(3), 1.0, "pair of floor and ball"),
+        ("stated-gravcomp", mjcf(ARM.format(""), ">", MOTORS), 1.0, "not act on fore"),
+        ("stated-rolling", mjcf(FLOOR + BALL.format(3), ">"), 1.0, "rolling"),
+        ("stated-rolling", ROLLING_PAIR.format(3), 1.0, "pair 0"),
     ],
 )
 def test_a_fault_is_named_with_its_size(name, xml, value, words):
@@ -130,29 +113,52 @@ def test_a_right_model_passes(xml):
     modules = at_rest.__name__, free_motion.__name__
     itself = [check for check in MODEL_CHECKS if check.finding.__module__ in modules]
     results = [check.result(read) for check in itself]
-    assert len(itself) == 11
+    assert len(itself) == 8
     assert [result.remark for result in results if result.verdict.is_off] == []
 
 
 def test_the_solver_is_compared_with_an_exact_one():
     rough = result("model-solver", stack(10, 'iterations="1" solver="PGS">'))
     exact = result("model-solver", stack(10))
-    assert rough.verdict is SanityVerdict.FAILED and rough.configured > exact.configured
+    assert rough.verdict.is_off and rough.configured > exact.configured
     creep = result("model-creep", stack(10, 'iterations="1" solver="PGS">'))
     assert (creep.applies, creep.remark) == (False, "model-solver has the cause")
 
 
-def test_a_soft_tower_is_no_crushed_body():
-    """The lower of two boxes carries 11 times its weight, like the lowest of eleven boxes."""
-    soft = 'solref=".1 1"'
-    assert result("model-overlap", stack(10, constants=soft)).configured == 0.0
+def test_a_load_inside_the_cone_of_friction_rests():
+    """Friction 0.5 holds 4.905 N of a crate of 1 kg; a soft contact lets it slip under 4.9 N."""
+    crate = FLOOR + FREE.format(
+        "crate", "0 0 .05", BOX.format(1) + ' friction=".5" priority="1"'
+    )
+    push = 'cone="elliptic" gravity="{} 0 -9.81" {}>'
+    found = result("model-slip", mjcf(crate, push.format(4.9, "")))
+    assert found.verdict.is_off and "0.999 of the friction" in found.remark
+    for option in (
+        push.format(0, ""),
+        push.format(4.9, 'impratio="100"'),
+        push.format(6, ""),
+    ):
+        assert not result("model-slip", mjcf(crate, option)).verdict.is_off
+
+
+def test_the_energy_of_a_motion_without_damping_stays():
+    """Euler's method brakes a pole on a cart; the method of fourth order does not."""
+    pole = """<body><joint type="slide" axis="1 0 0"{}/><geom size=".1" mass="2"/><body><joint axis="0 1 0"/>
+      <geom size=".02" pos=".1 0 .3" mass=".5" contype="0"/></body></body>"""
+    option = 'timestep=".01" integrator="{}">'
+    loss = result("robot-energy", mjcf(pole.format(""), option.format("Euler")))
+    assert "has no damping and loses" in loss.remark and loss.verdict.is_off
+    for damping, integrator in (("", "RK4"), (' damping=".1"', "Euler")):
+        xml = mjcf(pole.format(damping), option.format(integrator))
+        assert not result("robot-energy", xml).verdict.is_off
 
 
 def test_energy_that_a_motion_gains_is_compared_with_its_kinetic_energy():
-    pendulum = """<body pos="0 0 1"><joint axis="0 1 0"/><geom size=".02" pos=".3 0 0" mass="1"/>
+    pendulum = """<body pos="0 0 1"><joint axis="0 1 0" damping="1e-9"/><geom size=".02" pos=".3 0 0" mass="1"/>
       <body pos=".3 0 0"><joint axis="0 1 0"/><geom size=".02" pos=".3 0 0" mass="1"/></body></body>"""
     flags = '<flag eulerdamp="disable"/>'
     found = result("robot-energy", mjcf(pendulum, f'timestep=".05">{flags}'))
-    gained_j, kinetic_j = map(float, re.findall(r"([\d.e+-]+) J", found.remark))
+    (numbers,) = re.findall(r"([\d.e+-]+) of ([\d.e+-]+) J", found.remark)
+    gained_j, kinetic_j = map(float, numbers)
     assert found.verdict.is_off
     assert found.configured == pytest.approx(gained_j / kinetic_j, rel=0.01)

@@ -11,7 +11,7 @@ from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.fixtures.recording import DivergedError, UnsupportedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.tools.sanity.object_checks import GRASP, RIGID, SLOW, object_check
+from gauge_envs.tools.sanity.object_checks import GRASP, RIGID, object_check
 from gauge_envs.tools.sanity.object_checks.check import run_scenario
 from gauge_envs.tools.sanity.object_checks.measure import (
     Measurements,
@@ -28,41 +28,17 @@ REALITIES = """
 foot-creep         0         1.4111
 foot-push          0.48192   0.082014
 foot-slide         2.7194    0.082014
-foot-landing-depth 0         9
-foot-rebound       0         0.2
-foot-rest          0         0.2
 creep-wood         0         1.4111
 creep-plastic      0         2.5323
 creep-metal        0         1.7037
 rest-height        0         0.5
-release            0         0.5
 slide-wood         2.7194    0.082014
 slide-plastic      2.8979    0.16123
 slide-metal        2.6029    0.17345
 slide-turned       2.7194    0.082014
 rebound            0.73693   0.0047673
-rebound-slow       0.73693   0.02
-momentum           0.9302    0.052974
-period             1.2303    0.012303
-energy             0         0.01
-carry-wood         0         2.0236
-carry-plastic      0         2.6013
-carry-metal        0         2.9526
-seam               6.5       1
-point              0         1
 grasp-creep        0         10
 grasp-sink         0         200
-grasp-torsion      0.545     0.16845
-rolling            0         7
-wall-sag           0         1
-wall-drift         0         1
-cloth-carry        0.2       16
-cloth-sag          1.12      0.22401
-fling-lag          17.1      6.8
-foam-stretch       2.7       5
-foam-compress      -5.5      5
-rope-length        0         2
-foot-lag           2.5       2.8868
 """
 """Id, value and half-width of the interval of each check.
 
@@ -73,7 +49,7 @@ The creep bound is sqrt(24 * 0.01 mm * E_RMSE) in 8 frames of 1/30 s, with E_RMS
 def test_the_values_of_reality_and_their_intervals_stay():
     table = [line.split() for line in REALITIES.strip().splitlines()]
     expected = {name: pytest.approx([float(v), float(w)], 1e-4) for name, v, w in table}
-    checks = [object_check(name) for name in (*RIGID, *GRASP, *SLOW)]
+    checks = [object_check(name) for name in (*RIGID, *GRASP)]
     assert {
         check.id: [check.reality.value, check.reality.tolerance] for check in checks
     } == expected
@@ -193,27 +169,6 @@ def test_a_ball_that_stays_down_is_a_failure():
     assert (reading.value, reading.remark) == (0.0, text)
 
 
-def test_only_the_last_ball_may_leave():
-    times = np.linspace(0.0, 0.55, 276)
-    after = np.clip(times - 0.25, 0.0, None)
-    swing = np.outer(0.1 * np.sin(np.pi * after / 0.3) ** 2, UP)
-    fallen = np.outer(np.where(times > 0.2, -0.138251, 0.0), UP)
-    good = read("momentum", times, ball_1=fallen, ball_5=swing)
-    assert good.value == pytest.approx(np.sqrt(0.1 / 0.138251), rel=1e-4)
-    bad = read("momentum", times, ball_1=fallen, ball_4=0.5 * swing, ball_5=swing)
-    assert not good.remark and bad.remark.startswith("2 of 5 balls swing out")
-    # The momentum alone would be as in reality.
-    assert (bad.value, bad.verdict) == (good.value, SanityVerdict.FAILED)
-
-
-def test_depth_of_a_point_in_the_recess():
-    scene = object_check("point").scenario.scene
-    tip = scene.body("pyramid").pose.to_world(np.array([0.0, 0.0, -0.075]))
-    floor = scene.body("squarebase").pose.position_m[2] - 0.0125
-    fall = np.outer([0.0, 1.0], (floor - tip[2] - 0.0031) * UP)
-    assert read("point", np.array([0.0, 0.1]), pyramid=fall).value == pytest.approx(3.1)
-
-
 # --- reality ---------------------------------------------------------------------------------------------------------
 
 
@@ -280,21 +235,13 @@ def test_a_friction_that_is_four_percent_too_small_is_a_warning():
     assert measured.verdict is SanityVerdict.WARNING
 
 
-LONGER = ("energy", "period", "carry-plastic", "carry-metal")
-
-
 @pytest.mark.parametrize(
-    ("name", "skipped"),
-    [
-        ("mujoco", LONGER),
-        pytest.param("mujoco", (), marks=pytest.mark.slow),
-        pytest.param("newton", (), marks=pytest.mark.slow),
-    ],
+    "name", ["mujoco", pytest.param("newton", marks=pytest.mark.slow)]
 )
-def test_the_preset_of_an_engine_passes(name, skipped):
+def test_the_preset_of_an_engine_passes(name):
     pytest.importorskip(name)
     measurements = Measurements(backend(name))
-    checks = [object_check(name) for name in RIGID if name not in skipped]
+    checks = [object_check(name) for name in RIGID]
     outcomes = {check.id: measurements.measure(check, {}) for check in checks}
     failed = [name for name in outcomes if outcomes[name].verdict.is_off]
-    assert len(checks) > 15 and failed == []
+    assert len(checks) > 10 and failed == []

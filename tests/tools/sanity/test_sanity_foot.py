@@ -119,9 +119,7 @@ def test_the_foot_creeps_like_a_robot_with_locked_joints():
 # --- faults ----------------------------------------------------------------------------------------------------------
 
 FAULTS = {
-    "foot-landing-depth": {"foot": 'priority="1" solref="0.2 1"'},
     "foot-creep": {"option": GOOD["option"].replace('"100"', '"0.1"')},
-    "foot-rebound": {"foot": 'priority="1" solref="-3000 -5"'},
 }
 """Changes of the good quadruped, by the check that fails."""
 

@@ -18,8 +18,6 @@ import pytest
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import check, configuration
 from gauge_envs.tools.sanity.readers import gauge_probe as program
-from gauge_envs.tools.sanity.readers.dialect import NestedTable
-from gauge_envs.tools.sanity.readers.genesis import options_settings
 
 PROGRAM = Path(program.__file__).read_text()
 
@@ -146,7 +144,7 @@ def test_python_of_a_module_is_a_target(tmp_path):
     done = run_program(tmp_path, "robots:Env(3)", "--out", "env.json")
     assert done.returncode == 0, done.stderr
     read = configuration(tmp_path / done.stdout.strip())
-    assert (read.name, read.frame_skip) == ("env", 3)
+    assert read.name == "env"
     assert read.settings == configuration(tmp_path / "model.xml").settings
 
 
@@ -193,25 +191,3 @@ def test_a_file_of_another_version_says_so(file):
     file.write_text(json.dumps(document | {"version": 3}))
     with pytest.raises(TargetError, match=r"version 3 of the probe.*again"):
         configuration(file)
-
-
-def test_settings_of_other_stacks_become_plain(tmp_path):
-    gravity = np.array([0.0, 0.0, -9.81])
-    cfg = SimpleNamespace(sim=SimpleNamespace(physx=object()))
-    cfg.to_dict = lambda: {"sim": {"gravity": gravity}, "f": ast.parse}
-    program.save(SimpleNamespace(cfg=cfg), str(tmp_path / "lab.json"))
-    saved = json.loads((tmp_path / "lab.json").read_text())
-    assert saved["kind"] == "isaac_lab"
-    assert saved["data"] == {"sim": {"gravity": gravity.tolist()}, "f": "ast:parse"}
-
-
-def test_options_of_genesis_are_read():
-    rigid = {"iterations": 7, "constraint_timeconst": None, "integrator": 1}
-    simulation = {"dt": 0.04, "substeps": 2}
-    tables = (
-        NestedTable(values, source="scene.json") for values in (simulation, rigid)
-    )
-    settings = options_settings(*tables)
-    assert (settings["timestep_s"], settings["integrator"]) == (0.02, "implicitfast")
-    # Genesis raises a shorter time constant to two steps.
-    assert settings["sustained_timeconst_s"] == pytest.approx(0.04)

@@ -30,7 +30,7 @@ def test_half_cheetah():
     read = configuration("HalfCheetah-v5")
     assert read.settings["contact_solimp"] == [0.0, 0.8, 0.01, 0.5, 2.0]
     assert read.settings["timestep_s"] == 0.01
-    assert (read.backend, read.language, read.frame_skip) == ("mujoco", "mjcf", 5)
+    assert (read.backend, read.language) == ("mujoco", "mjcf")
     assert read.gravity_m_per_s2 == (0.0, 0.0, -9.81)
     assert read.origins["contact_solref"].startswith("floor with torso, head, bthigh")
 
@@ -158,14 +158,14 @@ def test_settings_files(tmp_path, name, text, encoding):
 
 def test_an_environment_of_somebody_else(tmp_path, monkeypatch):
     (tmp_path / "robots.py").write_text(
-        "import gymnasium, mujoco\nclass Robot(gymnasium.Env):\n    frame_skip = 4\n"
+        "import gymnasium, mujoco\nclass Robot(gymnasium.Env):\n"
         "    model = mujoco.MjModel.from_xml_string('<mujoco/>')\n"
         "    action_space = observation_space = gymnasium.spaces.Discrete(1)\n"
         "gymnasium.register('Robot-v0', Robot)\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     read = configuration("robots:Robot-v0")
-    assert (read.name, read.frame_skip) == ("robots:Robot-v0", 4)
+    assert read.name == "robots:Robot-v0"
 
 
 # --- what cannot be read ---------------------------------------------------------------------------------------------
@@ -237,7 +237,7 @@ def test_a_file_that_cannot_be_read_names_the_line_and_what_to_do(
         ("CartPole-v1", r"CartPole-v1 is .*, which has no MuJoCo model; give"),
         ("a.usda", "a.usda: .* gauge run ID --asset a.usda"),
         ("nowhere.xml", "nowhere.xml: cannot be read: No such file"),
-        (".", "has no params/env.yaml: give the file of a model"),
+        (".", "is a folder: give the file of a model"),
         (3, "int cannot be checked; give a Gymnasium id"),
     ],
 )
@@ -262,16 +262,6 @@ def test_a_warning_of_mujoco_on_the_users_file_is_a_note(tmp_path, capfd):
 # --- numbers of a target ---------------------------------------------------------------------------------------------
 
 
-def test_an_action_takes_at_most_half_of_the_time_in_which_a_fall_grows_by_e():
-    read = configuration(mujoco.MjModel.from_xml_string(quadruped_xml()))
-    result = numbers.action_time.result(replace(read, frame_skip=5))
-    limit_ms = 500.0 * np.sqrt(read.robot.standing.height_m / 9.80665)
-    # Five steps of 2 ms.
-    assert result.configured == pytest.approx(10.0)
-    assert result.reality.tolerance == pytest.approx(limit_ms)
-    assert result.deviation == pytest.approx(10.0 / limit_ms)
-
-
 @pytest.mark.parametrize(
     ("gravity", "verdict"),
     [
@@ -285,3 +275,15 @@ def test_an_action_takes_at_most_half_of_the_time_in_which_a_fall_grows_by_e():
 def test_gravity_is_that_of_the_earth_and_points_to_the_ground(gravity, verdict):
     read = replace(configuration("HalfCheetah-v5"), gravity_m_per_s2=gravity)
     assert numbers.gravity.result(read).verdict == verdict
+
+
+def test_a_task_of_dm_control_is_read_from_its_installed_file(tmp_path, monkeypatch):
+    suite = tmp_path / "dm_control" / "suite"
+    suite.mkdir(parents=True)
+    (suite / "walker.xml").write_text(quadruped_xml())
+    (suite.parent / "__init__.py").write_text("raise ImportError('bindings')")
+    monkeypatch.syspath_prepend(tmp_path)
+    read = configuration("dm_control:walker-walk")
+    assert read.robot.model.nu == 0 and read.name == "walker.xml"
+    with pytest.raises(TargetError, match="no domain 'worm'; it has walker"):
+        configuration("dm_control:worm-run")

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from gauge_envs.tools.sanity.readers.dialect import Dialect
 from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 
 ELLIPTIC, MARGIN = {"cone": "elliptic"}, {"contact_margin_m": 0.0}
@@ -52,13 +51,6 @@ RECOMMENDED_MUJOCO: dict[str, Any] = {
 }
 """Settings that this package recommends for a model of MuJoCo."""
 
-RECOMMENDED_PHYSX: Settings = {
-    "solver": "TGS",
-    "position_iterations": 10,
-    "velocity_iterations": 1,
-}
-"""The same for PhysX."""
-
 FEW_ITERATIONS = {"iterations": 4, "ls_iterations": 20}
 """Fewest iterations of MuJoCo's Newton solver with which bodies slide by Coulomb's law."""
 
@@ -75,24 +67,16 @@ CANDIDATES: Mapping[str, Sequence[Settings]] = {
         ELLIPTIC | {"impratio": 10.0},
         ELLIPTIC | {"impratio": 10.0} | MARGIN,
         DAMPED,
-        ACCURATE,
         STEP,
         STEP | DAMPED,
         RECOMMENDED_MUJOCO,
         RECOMMENDED_MUJOCO | STIFF,
         RECOMMENDED_MUJOCO | FIRM | {"timestep_s": 0.001},
     ),
-    "physx": (
-        {"bounce_threshold_m_per_s": 0.1},
-        {"link_linear_damping_per_s": 0.0},
-        {"solver": "TGS"},
-        {"position_iterations": 10},
-        RECOMMENDED_PHYSX,
-    ),
 }
 """Changes that are tried, the cheapest first, by backend."""
 
-RAISED = ("iterations", "ls_iterations", "position_iterations", "velocity_iterations")
+RAISED = ("iterations", "ls_iterations")
 """Settings that a change only raises."""
 
 LOWERED = ("timestep_s", "condim", "tolerance", "sleep_tolerance")
@@ -102,16 +86,20 @@ ABSENT = {"contact_margin_m": 0.0, "refsafe": True, "condim": 3}
 """Effective values where a target gives none."""
 
 MODEL_CANDIDATES: Mapping[str, Sequence[Settings]] = {
-    "model-sleep": ({"sleep_tolerance": 1e-5}, {"sleep": False}),
     "model-constraints": (
         STIFF_EQUALITY,
         HARD_EQUALITY,
         STIFF_EQUALITY | HARD_EQUALITY,
     ),
     "model-overlap": (HARD, HARDEST),
-    "model-cloth-sink": (HARD, HARDEST),
+    "model-slip": (HARD, GRIPPING, ELLIPTIC | GRIPPING),
     "model-creep": (SOLVED, HARD, ELLIPTIC | GRIPPING),
-    "model-solver": (SOLVED, {"solver": "Newton"}, SOLVED | {"solver": "Newton"}),
+    "model-solver": (
+        {"jacobian": "dense"},
+        SOLVED,
+        {"solver": "Newton"},
+        SOLVED | {"solver": "Newton"},
+    ),
     **dict.fromkeys(
         ("model-spin", "robot-energy", "robot-holds", "robot-drive"),
         (DAMPED, ACCURATE),
@@ -121,13 +109,12 @@ MODEL_CANDIDATES: Mapping[str, Sequence[Settings]] = {
 
 
 def candidates_of(
-    configuration: TrainingConfiguration, dialect: Dialect, check: str = ""
+    configuration: TrainingConfiguration, check: str = ""
 ) -> list[dict[str, Any]]:
-    """Return the changes that differ from the settings of a configuration and that its dialect can write.
+    """Return the changes that differ from the settings of a configuration .
 
     Args:
         configuration: The configuration.
-        dialect: Dialect of the target.
         check: Id of the check of the target's own model that they are for; empty for those of measured objects.
     """
     sets = [configuration.settings, *configuration.contact_sets.values()]
@@ -146,8 +133,7 @@ def candidates_of(
         new = {
             name: value
             for name, value in changes.items()
-            if dialect.writes(name)
-            and any(_is_new(name, value, settings) for settings in sets)
+            if any(_is_new(name, value, settings) for settings in sets)
         }
         if new and new not in new_changes:
             new_changes.append(new)

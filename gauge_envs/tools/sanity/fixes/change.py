@@ -12,7 +12,7 @@ from gauge_envs.backends.mujoco.options import set_option
 from gauge_envs.errors import ParameterError
 from gauge_envs.tools.sanity.model_checks.at_rest import constraints
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
-from gauge_envs.tools.sanity.robot.robot import Place, Robot, free_balls, grasp_kinds
+from gauge_envs.tools.sanity.robot.robot import Place, Robot, free_balls, grasping_pairs
 from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 
 GEOM_FIELDS = {
@@ -86,6 +86,9 @@ def changed_model(robot: Robot, changes: Settings) -> tuple[mujoco.MjModel, Plac
     places: Places = {}
     for name, value in changes.items():
         field = ELEMENT_FIELDS.get(name)
+        if name == "jacobian":
+            model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+            continue
         if field is None:
             set_option(model.opt, name, value)
             continue
@@ -135,7 +138,7 @@ def _elements(robot: Robot, name: str) -> dict[str, list[int]]:
 
 def _grounded_geoms(robot: Robot) -> list[int]:
     """Return geoms that can touch the ground, of the ground, of a hand and of its objects, without free balls."""
-    is_met = grasp_kinds(robot.model, robot.pairs) > 0
+    is_met = grasping_pairs(robot.model, robot.pairs)
     is_met[robot.ground_rows] = True
     geoms = np.unique(robot.pairs.geoms[is_met])
     grounded: list[int] = geoms[~free_balls(robot.model)[geoms]].tolist()

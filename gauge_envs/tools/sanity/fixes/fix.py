@@ -20,7 +20,6 @@ from gauge_envs.tools.sanity.fixes.harm import (
     speed_ratio,
 )
 from gauge_envs.tools.sanity.fixes.text_change import write_change
-from gauge_envs.tools.sanity.model_checks import TARGET_CHECKS
 from gauge_envs.tools.sanity.object_checks import object_check
 from gauge_envs.tools.sanity.object_checks.measure import (
     Measurements,
@@ -28,10 +27,10 @@ from gauge_envs.tools.sanity.object_checks.measure import (
     worst_of,
 )
 from gauge_envs.tools.sanity.readers import dialect
+from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
 from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import (
     WORSE_BY,
-    ChangePart,
     Fix,
     PartOutcome,
     Report,
@@ -63,49 +62,42 @@ class FixSearch:
         self._flags = [result.id for result in changeable if result.is_flag]
         self._applied: dict[str, TrainingConfiguration | None] = {}
         self._known: dict[tuple[str, str], PartOutcome] = {}
-        self._tried: list[str] = []
 
     def run(self) -> Report:
-        """Return the report with the fix, the other changes that were tried, and the trade.
+        """Return the report with the fix, and the trade.
 
         The trade is the change that resolves most checks, with its price; it is empty where the fix resolves as many.
 
         Raises:
             TimeLimitError: The time is used up.
         """
-        best_count, trade = 0, ""
+        tried, best, trade = 0, 0, ""
         for changes in self._ranked(self._candidates()):
-            resolved = self._resolved(changes)
-            harm = ""
-            if resolved:
-                for part in (self._smallest(changes, resolved), changes):
-                    harm = self._harm(part)
-                    if not harm:
-                        return self._found(part, best_count, trade)
-            text = f"{self.dialect.paste_text(changes)}: {self._effect(resolved)}"
-            if harm:
-                text += f", but {harm}"
-            self._tried.append(text)
-            if len(resolved) > best_count:
-                best_count, trade = len(resolved), text
-        if self._tried:
-            best = f"; best: {trade}" if trade else ""
-            trade = f"None of {len(self._tried)} changes of settings resolves a check without harm{best}"
-        return replace(self.report, tried=tuple(self._tried), trade=trade)
-
-    def _found(self, changes: Settings, best_count: int, trade: str) -> Report:
-        """Return the report with a change without harm; the trade counts where it resolves more checks."""
-        fix = self._fix(changes)
-        if best_count <= len(fix.fixed):
-            trade = ""
-        return replace(self.report, fix=fix, tried=tuple(self._tried), trade=trade)
+            resolved, harm = self._resolved(changes), ""
+            for part in (
+                (self._smallest(changes, resolved), changes) if resolved else ()
+            ):
+                harm = self._harm(part)
+                if not harm:
+                    fix = self._fix(part)
+                    is_best = best <= len(fix.fixed)
+                    return replace(self.report, fix=fix, trade="" if is_best else trade)
+            tried += 1
+            if len(resolved) > best:
+                text = f"{self.dialect.paste_text(changes)} {self._effect(resolved)}"
+                best, trade = len(resolved), f"Closest: {text}, but {harm}"
+        if tried:
+            trade = (
+                f"No safe fix of the settings found ({tried} tried). {trade}".rstrip()
+            )
+        return replace(self.report, trade=trade)
 
     def _candidates(self) -> list[dict[str, Any]]:
         """Return the changes that may resolve checks."""
         model_change = self._model_change()
         candidates = [model_change] if model_change else []
         if any(name not in TARGET_CHECKS for name in self._flags):
-            general = candidates_of(self.configuration, self.dialect)
+            general = candidates_of(self.configuration)
             candidates += [{**changes, **model_change} for changes in general]
         return candidates
 
@@ -114,15 +106,13 @@ class FixSearch:
         change: dict[str, Any] = {}
         for name in [name for name in self._flags if name in TARGET_CHECKS]:
             values = {self._before[name].value}
-            for candidate in candidates_of(self.configuration, self.dialect, name):
+            for candidate in candidates_of(self.configuration, name):
                 changes = {**change, **candidate}
                 outcome = self._outcome(changes, name)
                 values.add(outcome.value)
                 if outcome.verdict is SanityVerdict.PASSED:
                     change = changes
                     break
-                text = self.dialect.paste_text(changes)
-                self._tried.append(f"{text}: {self._progress(name, changes)}")
             if len(values) == 1:
                 self._flags.remove(name)
                 del self._before[name]
@@ -220,19 +210,11 @@ class FixSearch:
         """Return a change with what each of its settings resolves alone."""
         resolved = self._resolved(changes)
         pasted, effect = self.dialect.paste_text(changes), self._effect(resolved)
-        parts = [
-            ChangePart(
-                text=self.dialect.paste_text({name: value}),
-                corrects=tuple(self._resolved({name: value})),
-            )
-            for name, value in changes.items()
-        ]
         fix = Fix(
             changes=changes,
             line=f"{pasted}: {effect}",
             flag_count=len(self._flags),
             fixed={name: self._outcome(changes, name).value for name in resolved},
-            parts=tuple(parts),
         )
         robot, changed = self.configuration.robot, self._changed(changes)
         if robot is None or changed is None or changed.robot is None:
@@ -240,8 +222,8 @@ class FixSearch:
         text, hidden = write_change(robot, self.dialect, changes)
         lines, added = [], []
         if text is not None:
-            lines = [text.short(f"{mark} {line}") for mark, line in text.diff]
-            added = [line for mark, line in text.diff if mark == "+"]
+            lines = text.diff
+            added = [line[2:] for line in lines if line.startswith("+")]
         also = f", also in {first_names(hidden)}" if hidden else ""
         return replace(
             fix,

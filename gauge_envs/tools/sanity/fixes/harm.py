@@ -96,7 +96,7 @@ def hops_more(before_mm: float, after_mm: float) -> bool:
 
 # --- the target's own model ------------------------------------------------------------------------------------------
 
-SPEED_BLOCKS, BLOCK_S = 4, 0.02
+SPEED_BLOCKS, BLOCK_S = 4, 0.25
 """Number and shortest time [s] of the blocks in which the speed of a model is measured; the fastest one counts."""
 
 

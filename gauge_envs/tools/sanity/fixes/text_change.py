@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -143,7 +142,7 @@ class TextChange:
     def elsewhere(self) -> list[str]:
         """Changes of included files, as texts."""
         return [
-            f'{key}="{value}" in {self.model.line(element)}'
+            f'{key}="{value}" in {element.file.name}:{self.model.line(element)}'
             for (element, key), value in self._values.items()
             if element.file != self.model.file
         ]
@@ -151,31 +150,49 @@ class TextChange:
     def text(self, file: Path) -> str:
         """Return the text of a file with all changes."""
         edits = [*self._inserted] if file == self.model.file else []
-        for (element, key), value in self._values.items():
+        for element in self._changed():
             if element.file == file:
-                spans = element.places.values()
-                tag_end = element.start + len(element.tag) + 1
-                end = max((stop for _, stop in spans), default=tag_end)
-                new = f'"{value}"' if key in element.places else f' {key}="{value}"'
-                edits.append((*element.places.get(key, (end, end)), new))
+                edits.append((element.start, element.stop, self._tag(element)))
         text = self.model.texts[file]
         for start, stop, new in sorted(edits, key=lambda edit: edit[:2])[::-1]:
             text = text[:start] + new + text[stop:]
         return text
 
-    @property
-    def diff(self) -> list[tuple[str, str]]:
-        """Changed lines of all files: the mark of each, `-` or `+`, and its text."""
-        changes: list[tuple[str, str]] = []
-        for file, before in self.model.texts.items():
-            texts = before.splitlines(), self.text(file).splitlines()
-            # The first two lines name the files.
-            for line in [*difflib.unified_diff(*texts, n=0, lineterm="")][2:]:
-                if line[0] in "+-":
-                    changes.append((line[0], line[1:].strip()))
-        return changes
+    def _changed(self) -> list[Element]:
+        """Return the elements with changed attributes, in the order of the text."""
+        elements = {element for element, _ in self._values}
+        return sorted(elements, key=lambda element: (element.file, element.start))
 
-    def short(self, line: str) -> str:
+    def _tag(self, element: Element) -> str:
+        """Return the start tag of an element with all changes."""
+        tag = self.model.texts[element.file][element.start : element.stop]
+        spans = element.places.values()
+        last = max(
+            (stop for _, stop in spans), default=element.start + len(element.tag) + 1
+        )
+        edits = []
+        for (changed, key), value in self._values.items():
+            if changed is element:
+                new = f'"{value}"' if key in element.places else f' {key}="{value}"'
+                edits.append((*element.places.get(key, (last, last)), new))
+        for start, stop, new in sorted(edits, key=lambda edit: edit[:2])[::-1]:
+            tag = tag[: start - element.start] + new + tag[stop - element.start :]
+        return tag
+
+    @property
+    def diff(self) -> list[str]:
+        """Changed tags of all files as lines of a diff, and what is inserted."""
+        lines = []
+        for element in self._changed():
+            before = self.model.texts[element.file][element.start : element.stop]
+            tags = {"-": before, "+": self._tag(element)}
+            lines += [
+                self._short(f"{mark} {' '.join(tag.split())}")
+                for mark, tag in tags.items()
+            ]
+        return lines + [f"+ {text.strip()}" for *_, text in self._inserted]
+
+    def _short(self, line: str) -> str:
         """Return a line; of one that is longer than the screen, its name, its class and what changes."""
         if len(line) <= SCREEN:
             return line

@@ -1,4 +1,4 @@
-"""Checks of the model at rest: overlap, constraints that open, sleep, motion that a finer run does not show, cloth."""
+"""Checks of the model at rest: overlap, constraints that open, slip, motion that a finer run does not show."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from operator import attrgetter
 import mujoco
 import numpy as np
 
-from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.check import Finding, leave_to, model_check
 from gauge_envs.tools.sanity.model_checks.free_motion import solver
-from gauge_envs.tools.sanity.model_checks.runs import LATE, SAMPLES, SLEEP, Run, settled
+from gauge_envs.tools.sanity.model_checks.runs import LATE, Run, settled
 from gauge_envs.tools.sanity.robot.robot import Robot, joints_of, name_of
 from gauge_envs.tools.sanity.verdict import NotApplicableError
 
@@ -32,52 +31,83 @@ def body_size_m(model: mujoco.MjModel, body: int) -> float:
     return float(2.0 / np.sqrt(3.0) * max(body_radii_m, default=np.inf))
 
 
-TOWER = 20.0
-"""Load of a contact over the weight of its lighter side, up to which softness is a setting of all contacts.
-
-The lowest of twenty equal blocks carries as much. The check rest-height covers the setting itself.
-"""
-
-
 @model_check(
     "model-overlap",
     title="depth of a crushed body at rest, over its size",
-    interval=(0.0, 0.01),
-    source="solids yield at strains of 0.2 % (steel) to 2 % (plastics); MuJoCo softens a contact as its lighter body",
-    consequence="Stacks sink into each other and are lower than in reality.",
+    interval=(0.0, 0.05),
+    source="solids yield at strains of 0.2 % (steel) to 2 % (plastics)",
+    consequence="Stacks and grasped objects sink into each other.",
+    is_usual=True,
     is_simulated=True,
 )
 def overlap(robot: Robot) -> Finding:
-    """Return the largest depth of contacts whose load is many times the weight of their lighter body.
-
-    A contact of MuJoCo with impedance d and stiffness k carries the force m d k r / (1 - d) at a depth r. It moves
-    the mass m, so that d k r / (1 - d) over gravity is load over weight ("Computation", constraint model).
-    """
+    """Return the largest depth of contacts of bodies at rest that no motor moves."""
     run, findings = settled(robot), []
-    model, data = run.model, run.data
-    trees, speeds = model.body_treeid, run.speeds_mm_per_s
-    # Loose bodies move alone and without a motor: free bodies, and bodies on a single slide or hinge.
-    is_loose = (trees >= 0) & (model.tree_bodynum[trees] == 1)
-    is_loose &= ~np.isin(trees, list(robot.driven_trees))
-    gravity = float(np.linalg.norm(model.opt.gravity)) or np.inf
-    for contact in data.contact[: data.ncon]:
-        if min(contact.geom) < 0 or contact.efc_address < 0:
-            continue
+    model, speeds = run.model, run.speeds_mm_per_s
+    for contact in _contacts(run, robot):
         bodies = model.geom_bodyid[contact.geom].tolist()
         small, large = sorted(bodies, key=lambda body: body_size_m(model, body))
-        stiffness, _, impedance, _ = data.efc_KBIP[contact.efc_address]
         depth_m, size_m = -float(contact.dist), body_size_m(model, small)
-        load = impedance * stiffness * depth_m / max(1.0 - impedance, 1e-9) / gravity
-        if is_loose[small] and speeds[small] <= RESTING_MM_PER_S and load >= TOWER:
-            mass = f" ({model.body_mass[large]:.3g} kg)" if large else ""
-            findings.append(
-                Finding(
-                    value=depth_m / size_m,
-                    place=("body", small),
-                    remark=f"{name_of(robot.model, 'body', small)} ({model.body_mass[small]:.3g} kg) overlaps "
-                    f"{name_of(robot.model, 'body', large)}{mass} by {1e3 * depth_m:.3g} mm of its {1e3 * size_m:.3g}",
-                )
-            )
+        if speeds[small] <= RESTING_MM_PER_S:
+            names = [name_of(robot.model, "body", body) for body in (small, large)]
+            text = f"{names[0]} sinks {1e3 * depth_m:.3g} of its {1e3 * size_m:.3g} mm"
+            place, remark = ("body", small), f"{text} into {names[1]}"
+            findings.append(Finding(value=depth_m / size_m, place=place, remark=remark))
+    return worst(findings)
+
+
+def _contacts(run: Run, robot: Robot) -> list[mujoco._structs.MjContact]:
+    """Return the contacts of bodies that no motor moves, with a force, at the end of a run."""
+    trees = run.model.body_treeid[run.model.geom_bodyid]
+    is_loose = (trees >= 0) & ~np.isin(trees, list(robot.driven_trees))
+    return [
+        contact
+        for contact in run.data.contact
+        if min(contact.geom) >= 0
+        and contact.efc_address >= 0
+        and is_loose[contact.geom].any()
+    ]
+
+
+CONE = 0.9995
+"""Share of the friction of a contact from which on it slips."""
+
+
+@model_check(
+    "model-slip",
+    title="speed of a contact that friction holds",
+    unit="mm/s",
+    interval=(0.0, 1.0),
+    source="Coulomb: a contact with a force inside its cone of friction does not slip; 1 mm/s drifts 1 cm in 10 s",
+    consequence="What friction should hold creeps.",
+    is_usual=True,
+    is_simulated=True,
+)
+def slip(robot: Robot) -> Finding:
+    """Return the fastest slip of a body at rest whose contacts have forces inside their cones."""
+    run, findings = settled(robot), []
+    model, data, slow = run.model, run.data, run.speeds_mm_per_s < RESTING_MM_PER_S
+    is_elliptic = model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
+    for contact in _contacts(run, robot):
+        bodies = model.geom_bodyid[contact.geom].tolist()
+        if contact.dim < 3 or not slow[bodies].all():
+            continue
+        rows = slice(contact.efc_address, contact.efc_address + 4)
+        forces, rates = data.efc_force[rows], data.efc_vel[rows]
+        friction = np.maximum(contact.friction[:2], 1e-9)
+        normal, pull, speeds = forces[0], forces[1:3], rates[1:3]
+        if not is_elliptic:
+            # Rows of a pyramid are its edges: normal + friction * tangent, and normal - friction * tangent.
+            normal, pull = forces.sum(), friction * (forces[[0, 2]] - forces[[1, 3]])
+            speeds = (rates[[0, 2]] - rates[[1, 3]]) / (2.0 * friction)
+        order = 2 if is_elliptic else 1
+        share = np.linalg.norm(pull / friction, order) / max(normal, 1e-9)
+        if share < CONE:
+            body = max(bodies, key=lambda number: int(model.body_treeid[number]))
+            speed = 1e3 * float(np.linalg.norm(speeds))
+            name = name_of(robot.model, "body", body)
+            text = f"{name} slips at {speed:.3g} mm/s, with {share:.3g} of the friction that holds it"
+            findings.append(Finding(value=speed, place=("body", body), remark=text))
     return worst(findings)
 
 
@@ -106,6 +136,7 @@ A longer time constant, a stiffness or a smaller impedance may mean a spring.
     interval=(0.0, 0.05),
     source="bearings and stops of machines yield by less than 1 %; MuJoCo's limits by up to 0.02 rad under a robot",
     consequence="Joined parts come apart under load, as on a rubber band.",
+    is_usual=True,
     is_simulated=True,
 )
 def constraints(robot: Robot) -> Finding:
@@ -175,40 +206,6 @@ def _opening(
     return residual / float(size or model.stat.meansize), remark
 
 
-@model_check(
-    "model-sleep",
-    title="speed of a body that sleeps and should move",
-    unit="mm/s",
-    interval=(0.0, 1.0),
-    source="the same model without sleep; 1 mm/s is MuJoCo's default tolerance of sleep",
-    consequence="What should drift, tip or slide stands still.",
-    is_simulated=True,
-)
-def sleeping(robot: Robot) -> Finding:
-    """Return the largest mean speed in the refined run of a body that sleeps in the target's run."""
-    if not robot.model.opt.enableflags & SLEEP:
-        raise NotApplicableError("the model does not let bodies sleep")
-    run, finer, findings = settled(robot), settled(robot, is_refined=True), []
-    for body in np.flatnonzero(~run.is_awake[-1]).tolist():
-        begin = int(np.flatnonzero(run.is_awake[:, body]).max(initial=-1)) + 1
-        paths = finer.points_m[:, body]
-        moved_m = float(np.linalg.norm(paths[-1] - paths[begin], axis=-1).max())
-        speed = 1e3 * moved_m / (run.sample_s * max(SAMPLES - 1 - begin, LATE))
-        # Chaos separates two runs that differ before the body sleeps.
-        if np.abs(paths[begin] - run.points_m[begin, body]).max() < SAME_M:
-            findings.append(
-                Finding(
-                    value=speed,
-                    place=("body", body),
-                    remark=f"{name_of(robot.model, 'body', body)} sleeps; awake it moves at {speed:.3g} mm/s",
-                )
-            )
-    return worst(findings)
-
-
-SAME_M = 1e-3
-"""Distance up to which two runs agree [m]."""
-
 STILL_MM_PER_S, RESTING_MM_PER_S = 1.0, 10.0
 """Speeds at rest [mm/s]: of each body of a tree in the refined run, and of a body in the run of the model."""
 
@@ -220,6 +217,7 @@ STILL_MM_PER_S, RESTING_MM_PER_S = 1.0, 10.0
     interval=(0.0, 2.0),
     source="the same model with a tenth of the step and an exact solver; 1 mm in a stance of 0.5 s",
     consequence="What rests creeps or hops, so that stances and grasps drift.",
+    is_usual=True,
     is_simulated=True,
 )
 def creep(robot: Robot) -> Finding:
@@ -244,48 +242,3 @@ def creep(robot: Robot) -> Finding:
         remark=f"{name_of(robot.model, 'body', body)} moves at {speeds[body]:.3g} mm/s; with a finer step it rests "
         f"({still[body]:.2g} mm/s)",
     )
-
-
-def _worst_flex(robot: Robot, ratios: FloatArray, text: str) -> Finding:
-    """Return the largest ratio that a flex has for a tenth of the run, with its text."""
-    quantiles = np.quantile(ratios, 0.9, axis=0)
-    flex = int(quantiles.argmax())
-    ratio = float(quantiles[flex])
-    return Finding(
-        value=ratio, remark=text.format(name_of(robot.model, "flex", flex), ratio)
-    )
-
-
-@model_check(
-    "model-cloth",
-    title="stretch of inextensible edges under gravity",
-    interval=(0.0, 0.05),
-    source="an edge with an equality has no elasticity; woven cloth stretches by less than 5 % under its weight",
-    consequence="Cloth flows like rubber, so that a grasp lifts a part of it.",
-    is_simulated=True,
-)
-def cloth(robot: Robot) -> Finding:
-    """Return the strain of the edges of flexes whose length an equality keeps."""
-    stretches = settled(robot).stretches
-    if not robot.model.flex_edgeequality.any():
-        raise NotApplicableError("the model has no flex whose edges keep their length")
-    text = "edges of {} stretch by {:.3g} of their length under gravity"
-    return _worst_flex(robot, stretches, text)
-
-
-@model_check(
-    "model-cloth-sink",
-    title="depth of cloth in its support, over its thickness",
-    interval=(0.0, 1.0),
-    source="two solids do not share a place; MuJoCo's flex is as thick as twice its radius",
-    consequence="Cloth passes into or through what it lies on.",
-    is_simulated=True,
-)
-def cloth_sink(robot: Robot) -> Finding:
-    """Return the depth of flexes in rigid bodies."""
-    run, model = settled(robot), robot.model
-    if not model.nflex:
-        raise NotApplicableError("the model has no flex")
-    ratios = run.sinks_m / (2.0 * np.maximum(model.flex_radius, 1e-3))
-    text = "{} is {:.3g} times its thickness inside what carries it"
-    return _worst_flex(robot, ratios, text)

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import mujoco
 
@@ -33,6 +33,9 @@ from gauge_envs.tools.sanity.verdict import (
     SanityResult,
     SanityVerdict,
 )
+
+Change: TypeAlias = tuple[str, Any]
+"""Attribute of an element as in MJCF, and its value."""
 
 WHOLE = "the model"
 """Part of a check of the model as a whole."""
@@ -58,8 +61,8 @@ class Finding:
         place: Element of the model that decides the value; None for the model as a whole.
         parts: Value of each part that is checked, by its name; empty for the model as a whole.
         is_usual: Whether the violated limit says what is usual: the verdict is then a warning at worst.
-        reality: The reality of this target; None for that of the check.
         deviation: Distance from reality in half-widths, where the value alone does not decide it.
+        changes: Attribute and right value of elements, which correct the model.
     """
 
     value: float
@@ -67,8 +70,8 @@ class Finding:
     place: Place | None = None
     parts: Mapping[str, float] = field(default_factory=dict)
     is_usual: bool = False
-    reality: Reality | None = None
     deviation: float | None = None
+    changes: Mapping[Place, Change] = field(default_factory=dict)
 
 
 class Case(NamedTuple):
@@ -129,7 +132,6 @@ class TargetCheck:
         consequence: What a failure means for a policy, in one sentence; empty when the title says it.
         is_usual: Whether the limits say what is usual: the verdict is then a warning at worst.
         is_simulated: Whether it runs the target's own model, so that settings of the engine can change it.
-        default: Value with the backend's default; None when there is none.
     """
 
     id: str
@@ -140,7 +142,6 @@ class TargetCheck:
     consequence: str = ""
     is_usual: bool = False
     is_simulated: bool = False
-    default: float | None = None
 
     def deviation(self, value: float) -> float:
         """Return the distance of a value from reality, in half-widths of its interval."""
@@ -155,8 +156,6 @@ class TargetCheck:
             reality=self.reality,
             verdict=SanityVerdict.NOT_MEASURED,
         )
-        if self.default is not None:
-            unmeasured = replace(unmeasured, default_verdict=SanityVerdict.PASSED)
         try:
             finding = self.measure(configuration)
         except (NotApplicableError, NotMeasuredError, mujoco.FatalError) as reason:
@@ -164,17 +163,18 @@ class TargetCheck:
             return replace(unmeasured, remark=str(reason), applies=applies)
         whole = self._part(WHOLE, finding.value, finding)
         parts = [self._part(*part, finding) for part in finding.parts.items()]
-        place = ""
+        place, file, line = "", "", 0
         if finding.place is not None and configuration.robot is not None:
             place = configuration.robot.place_text(finding.place)
+            file, line = configuration.robot.source_of(finding.place)
         return replace(
             unmeasured,
-            reality=finding.reality or self.reality,
-            default=self.default,
             configured=whole.value,
             verdict=whole.verdict,
             remark=finding.remark,
             place=place,
+            file=file,
+            line=line,
             consequence=self.consequence if whole.verdict.is_off else "",
             parts=tuple(parts or [whole]),
         )

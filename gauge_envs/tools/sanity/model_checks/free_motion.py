@@ -1,4 +1,4 @@
-"""Checks of a finite state, conserved quantities of free motion, the solver, and values without effect."""
+"""Checks of a finite state, conserved quantities of free motion and the solver."""
 
 from __future__ import annotations
 
@@ -20,12 +20,10 @@ from gauge_envs.tools.sanity.model_checks.runs import (
     start_data,
 )
 from gauge_envs.tools.sanity.robot.robot import (
-    Place,
     Robot,
     disable_bit,
     free_objects,
     joints_of,
-    joints_of_motors,
     name_of,
 )
 from gauge_envs.tools.sanity.verdict import NotApplicableError
@@ -76,6 +74,7 @@ def _flight(model: mujoco.MjModel, joints: list[int]) -> tuple[FloatArray, float
     interval=(0.0, CONSERVED),
     source="angular momentum of a free body is conserved; air takes a few percent of the spin of a thrown object",
     consequence="What is thrown or jumps turns faster or slower than in reality.",
+    is_usual=True,
     is_simulated=True,
 )
 def spin(robot: Robot) -> Finding:
@@ -135,41 +134,55 @@ def holds(robot: Robot) -> Finding:
     )
 
 
-ENERGY_S = 1.0
-"""Time of the free motion whose energy is read [s]."""
+ENERGY_S, UNDAMPED_S = 1.0, 20.0
+"""Time of the free motion whose energy is read, and of a motion without damping [s]."""
 
 
 @model_check(
     "robot-energy",
-    title="energy that a free motion gains, over its kinetic",
+    title="energy that a free motion gains, or loses without damping",
     interval=(0.0, 0.1),
-    source="without contact and motors, with the damping and friction of joints and servos, energy only falls",
-    consequence="The policy is paid for motions that the engine feeds.",
+    source="without contact and motors, with the damping and friction of joints and servos, energy only falls; without "
+    "them it stays",
+    consequence="The policy is paid for motions that the engine feeds or brakes.",
+    is_usual=True,
     is_simulated=True,
 )
 def energy(robot: Robot) -> Finding:
-    """Return the growth of energy from the first tenth of a free motion to the tenth with the highest energy."""
+    """Return the change of energy from the first tenth of a free motion to the farthest one, over the kinetic."""
     leave_to(holds, robot)
+    if (robot.model.actuator_plugin >= 0).any():
+        raise NotApplicableError("plugins drive the joints")
     bare = _in_flight(robot.model, "limit", "equality")
     # MuJoCo's energy has no term for gravity compensation. Servos keep only their damping.
     bare.body_gravcomp[:] = 0.0
     bare.actuator_gainprm[:], bare.actuator_biasprm[:, :2] = 0.0, 0.0
     bare.actuator_forcerange[:] = [-1e9, 1e9]
     bare.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    brakes = (
+        bare.dof_damping,
+        bare.dof_frictionloss,
+        bare.actuator_biasprm[:, 2],
+        bare.tendon_damping,
+    )
+    is_undamped = not any(np.any(array) for array in brakes)
+    time_s = seconds(bare, UNDAMPED_S if is_undamped else ENERGY_S)
     data, values = start_data(bare), []
     is_free = joints_of(bare, "FREE")[bare.dof_jntid]
     rates = np.random.default_rng(0).uniform(-1.0, 1.0, bare.nv)
     data.qvel[:] = np.where(is_free, 0.0, rates)
-    while data.time < seconds(bare, ENERGY_S) and not has_diverged(data):
+    while data.time < time_s and not has_diverged(data):
         mujoco.mj_step(bare, data)
         values.append(data.energy.copy())
     tenths = np.array_split(values, min(10, len(values)))
     energies_j = np.array([tenth.mean(axis=0) for tenth in tenths])
     totals_j, largest_j = energies_j.sum(axis=1), float(energies_j[:, 1].max())
     gained_j = np.inf if has_diverged(data) else float(totals_j.max() - totals_j[0])
+    lost_j = float(totals_j[0] - totals_j.min()) if is_undamped else 0.0
+    change_j, word = max((gained_j, "gains"), (lost_j, "has no damping and loses"))
     return Finding(
-        value=gained_j / max(largest_j, 1e-9),
-        remark=f"a free motion of its joints gains {gained_j:.3g} J; its kinetic energy is at most {largest_j:.3g} J",
+        value=change_j / max(largest_j, 1e-9),
+        remark=f"a free motion of its joints {word} {change_j:.3g} of {largest_j:.3g} J in {data.time:.3g} s",
     )
 
 
@@ -183,6 +196,7 @@ SOLVED_STATES = 20
     interval=(0.0, 0.05),
     source="Newton's method with 1e-10 and a dense Jacobian: all solvers of MuJoCo minimize one convex function",
     consequence="Contacts and joints push with forces that no model states.",
+    is_usual=True,
     is_simulated=True,
 )
 def solver(robot: Robot) -> Finding:
@@ -215,77 +229,3 @@ def solver(robot: Robot) -> Finding:
         remark=f"forces of {name} with {model.opt.iterations} iterations and a "
         f"{'sparse' if mujoco.mj_isSparse(model) else 'dense'} Jacobian are {100.0 * value:.3g} % off",
     )
-
-
-ROLLING = 1e-4
-"""Default rolling friction of a geom [m]."""
-
-FLAT = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_MESH))
-"""Types of geoms that do not roll."""
-
-LINK_SHARE = 0.2
-"""Mass of a link over its parent's mass below which its weight needs no compensation."""
-
-
-@model_check(
-    "model-stated",
-    title="values of the file without effect",
-    interval=(0.0, 0.5),
-    source="MuJoCo: rolling friction acts with condim 6; gravcomp of a body does not reach its children",
-    consequence="The model does not do what its file says.",
-    is_usual=True,
-)
-def without_effect(robot: Robot) -> Finding:
-    """Return the number of elements with a value that has no effect."""
-    remarks = {**_idle_rolling(robot), **_half_carried(robot)}
-    return Finding(
-        value=float(len(remarks)),
-        place=next(iter(remarks), None),
-        remark="; ".join(remarks.values()),
-    )
-
-
-def _idle_rolling(robot: Robot) -> dict[Place, str]:
-    """Return geoms of round free bodies that have, or whose pairs have, a rolling friction without effect."""
-    model, condims = robot.model, np.zeros(robot.model.ngeom)
-    np.maximum.at(condims, robot.pairs.geoms, robot.pairs.constants[:, :1])
-    rolls = np.isin(model.geom_bodyid, free_objects(model))
-    flat = model.geom_bodyid[np.isin(model.geom_type, FLAT)]
-    rolls &= ~np.isin(model.geom_bodyid, flat)
-    text = "{} has rolling friction {:g}, which condim {:g} ignores"
-    idle: dict[Place, str] = {}
-    is_idle = (model.geom_friction[:, 2] > 2.0 * ROLLING) & np.isin(condims, (1, 3, 4))
-    for geom in np.flatnonzero(is_idle & rolls).tolist():
-        rolling_m, name = model.geom_friction[geom, 2], name_of(model, "geom", geom)
-        idle["geom", geom] = text.format(name, rolling_m, condims[geom])
-    rolling = model.pair_friction[:, 3:].max(axis=1, initial=0.0)
-    for pair in np.flatnonzero((rolling > 2.0 * ROLLING) & (model.pair_dim < 6)):
-        geoms = [int(model.pair_geom1[pair]), int(model.pair_geom2[pair])]
-        names = " and ".join(name_of(model, "geom", geom) for geom in geoms)
-        for geom in filter(rolls.__getitem__, geoms):
-            value = text.format(
-                f"the pair of {names}", rolling[pair], model.pair_dim[pair]
-            )
-            idle.setdefault(("geom", geom), value)
-    return idle
-
-
-def _half_carried(robot: Robot) -> dict[Place, str]:
-    """Return links without gravity compensation on driven hinges that carry their weight, next to a link that has it.
-
-    An upright hinge, the first one of many arms, carries no weight.
-    """
-    model, parents = robot.model, robot.model.body_parentid
-    joints, is_carried = joints_of_motors(model), model.body_gravcomp > 0.0
-    moments = np.cross(start_data(model).xaxis[joints], model.opt.gravity)
-    bends = joints_of(model, "HINGE")[joints] & (np.abs(moments).max(axis=1) > 0.1)
-    moved, idle = model.jnt_bodyid[joints], {}
-    for body in np.unique(moved[bends & ~is_carried[moved]]).tolist():
-        near = [parents[body], *moved[parents[moved] == body]]
-        link = next((int(link) for link in near if is_carried[link]), 0)
-        if link and model.body_mass[body] > LINK_SHARE * model.body_mass[link]:
-            idle["body", body] = (
-                f"gravcomp {model.body_gravcomp[link]:g} acts on {name_of(model, 'body', link)}, not on "
-                f"{name_of(robot.model, 'body', body)} ({model.body_mass[body]:.3g} kg)"
-            )
-    return idle

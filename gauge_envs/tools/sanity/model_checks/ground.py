@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import mujoco
 import numpy as np
 
-from gauge_envs.backends.mujoco.contact_table import GROUND_TYPES
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.check import (
     Case,
@@ -23,19 +23,16 @@ from gauge_envs.tools.sanity.model_checks.drives import (
     servos,
     start,
 )
-from gauge_envs.tools.sanity.model_checks.masses import is_overweight
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     Standing,
     chain_of,
     geom_name,
     joints_of,
-    name_of,
     once,
-    random_poses,
     switched_off,
 )
-from gauge_envs.tools.sanity.robot.standing import SOLE_WITHIN, STANDS_WITHIN, support_m
+from gauge_envs.tools.sanity.robot.standing import SOLE_WITHIN, support_m
 from gauge_envs.tools.sanity.verdict import NotApplicableError
 
 
@@ -68,7 +65,8 @@ def feet(robot: Robot) -> Finding:
     model = robot.model
     if (plane := _untouched_plane(robot)) is not None:
         text = f"no geom of the robot can touch {geom_name(model, plane)}: it falls through it"
-        return Finding(value=1.0, remark=text, place=("geom", plane))
+        place = ("geom", plane)
+        return Finding(value=1.0, remark=text, place=place, deviation=math.inf)
     standing = standing_of(robot)
     lows = {geom: point[2] for geom, point in standing.support_m.items()}
     within_m = SOLE_WITHIN * standing.height_m
@@ -117,15 +115,12 @@ def _untouched_plane(robot: Robot) -> int | None:
 LOW_FRICTION, HIGH_FRICTION = 0.05, 3.0
 """Friction of feet: wet ice on rubber has 0.05 and more, racing tyres less than 3."""
 
-LOST_FRICTION = 2.0
-"""Friction of a foot's contact over the friction of its ground above which the latter has no effect."""
-
 
 @model_check(
     "robot-friction",
     title="friction of a foot, over the limit of real soles",
     interval=(0.0, 1.0),
-    source="wet ice 0.05, racing tyres below 3; MuJoCo takes the greater one of two geoms of equal priority",
+    source="wet ice 0.05, racing tyres below 3",
     consequence="The foot slips or grips as on no real floor.",
     is_usual=True,
 )
@@ -152,124 +147,10 @@ def _frictions(robot: Robot, number: int) -> Iterator[Case]:
     if condim == 1:
         text += ", by condim 1"
     yield Case(ratio, ("geom", foot), name, text, is_usual=True)
-    given = model.geom_friction[ground, 0]
-    # A friction that a geom takes from the default is not compared.
-    # Without a file, the most frequent friction stands for it.
-    values, counts = np.unique(model.geom_friction[:, 0], return_counts=True)
-    common = values[counts.argmax()]
-    if robot.spec is not None:
-        common = robot.spec.default.geom.friction[0]
-    is_equal = model.geom_priority[foot] == model.geom_priority[ground]
-    if given != common and is_equal and not model.npair:
-        ratio = met / max(given, 1e-3) / LOST_FRICTION
-        text = f"{geom_name(model, ground)} has friction {given:g}, {name} slides with {met:g}"
-        yield Case(ratio, ("geom", ground), name, text, is_usual=True)
 
-
-MIN_TIP_M = 0.0025
-"""Size of a geom below which it is a point of a larger pad [m]."""
-
-LEVER = 3.0
-"""Largest lever over the size of a geom: pads are up to three times as large as their geoms."""
-
-
-@model_check(
-    "robot-torsion",
-    title="lever of torsional friction, over size of a foot",
-    interval=(0.0, LEVER),
-    source="an even disc has a lever of two thirds of its radius, and no contact is larger than the part",
-    consequence="Feet and fingers hold as if glued: they neither turn nor roll.",
-)
-def torsion(robot: Robot) -> Finding:
-    """Return the geom of a robot whose friction against turning is largest for its size."""
-    model, cases = robot.model, []
-    is_felt = np.isin(model.geom_bodyid, robot.bodies)
-    is_felt &= model.geom_rbound > MIN_TIP_M
-    for number in robot.foot_rows or range(len(robot.pairs.geoms)):
-        condim, sliding, *levers = robot.pairs.constants[number, [0, 1, 3, 4, 5]]
-        geoms = [geom for geom in robot.pairs.geoms[number].tolist() if is_felt[geom]]
-        if condim < 4 or not geoms:
-            continue
-        lever_m = max(levers[: 1 if condim == 4 else 3])
-        geom = min(geoms, key=lambda number: model.geom_rbound[number])
-        size_m, name = model.geom_rbound[geom], geom_name(model, geom)
-        text = f"{name} of {1e3 * size_m:.3g} mm resists turning with a lever of {1e3 * lever_m:.3g} mm"
-        if lever_m > sliding:
-            text += ": friction is in the order sliding, torsion, rolling"
-        cases.append(Case(lever_m / size_m, ("geom", geom), name, text))
-    if not cases:
-        raise NotApplicableError("no contact of the robot has condim 4 or 6")
-    return worst_case(cases, limit=LEVER)
-
-
-# --- overlap ---------------------------------------------------------------------------------------------------------
 
 MIN_GAP_MM = 10.0
 """Height of feet above or in the ground that a remark names [mm]: soft contacts of a standing robot sink by less."""
-
-OVERLAP_POSES = 32
-"""Number of random poses in which the overlap of two parts is checked."""
-
-
-@model_check(
-    "robot-overlap",
-    title="overlap of parts of the robot where it starts",
-    unit="mm",
-    interval=(0.0, 2.0),
-    source="rigid parts do not overlap; without a keyframe it counts where they do in half of all poses",
-    consequence="Contacts push parts apart or block their joint from the start.",
-)
-def overlap(robot: Robot) -> Finding:
-    """Return the deepest contact between parts of a robot, with what is fixed to the world, where it starts."""
-    model = robot.model
-    if switched_off(model, "contact", "constraint"):
-        raise NotApplicableError("contacts are switched off")
-    depths = _overlaps(robot, start(robot))
-    if depths and not model.nkey:
-        # Code rarely starts a robot in the pose of zeros.
-        poses = [_overlaps(robot, pose) for pose in random_poses(model, OVERLAP_POSES)]
-        for pair in list(depths):
-            if 2 * sum(pair in pose for pose in poses) < OVERLAP_POSES:
-                del depths[pair]
-    cases = []
-    for pair, (depth_m, push_n) in depths.items():
-        names = " and ".join(name_of(model, "body", body) for body in pair)
-        text = f"{names} overlap by {1e3 * depth_m:.3g} mm and push each other with {push_n:.3g} N"
-        cases.append(Case(1e3 * depth_m, ("body", pair[1]), names, text))
-    if robot.standing is not None and model.nkey and not cases:
-        depth_mm = 1e3 * (floor_m(robot) - robot.standing.ground_m)
-        # Code raises a robot from a deeper pose before it starts.
-        if MIN_GAP_MM < depth_mm < 1e3 * STANDS_WITHIN * robot.standing.height_m:
-            text = f"its feet start {depth_mm:.3g} mm in the ground, so that contacts push them out"
-            place = ("body", next(iter(robot.standing.feet)))
-            cases.append(Case(depth_mm, place, "feet", text, is_usual=True))
-    return worst_case(cases, limit=2.0)
-
-
-def _overlaps(
-    robot: Robot, data: mujoco.MjData
-) -> dict[tuple[int, int], tuple[float, float]]:
-    """Return depth [m] and normal force [N] of contacts between bodies of a robot, and with its fixed base."""
-    model, force = robot.model, np.zeros(6)
-    depths: dict[tuple[int, int], tuple[float, float]] = {}
-    free_roots = model.body_rootid[model.jnt_bodyid[joints_of(model, "FREE")]]
-    for number, contact in enumerate(data.contact):
-        first, second = sorted(model.geom_bodyid[contact.geom].tolist())
-        root = model.body_rootid[second]
-        # Overlapping objects are no robot; its base is fixed to the world.
-        is_part = model.body_rootid[first] == root or (
-            model.body_weldid[first] == 0
-            and root not in free_roots
-            and first in (0, *chain_of(model, second))
-        )
-        is_ground = np.isin(model.geom_type[contact.geom], GROUND_TYPES).any()
-        is_inside = contact.dist < 0.0 and not contact.exclude and not is_ground
-        if second in robot.bodies and is_part and is_inside:
-            mujoco.mj_contactForce(model, data, number, force)
-            depth_m, push_n = depths.get((first, second), (0.0, 0.0))
-            depth_m = max(depth_m, -contact.dist)
-            depths[first, second] = (depth_m, push_n + force[0])
-    return depths
 
 
 # --- standing --------------------------------------------------------------------------------------------------------
@@ -340,11 +221,7 @@ def hold_pose(robot: Robot) -> tuple[float, FloatArray]:
 def holding_force(robot: Robot) -> Finding:
     """Return the joint whose motor is weakest where the robot rests."""
     model = robot.model
-    limited = [
-        drive
-        for drive in drives(robot)
-        if np.isfinite(drive.limit) and not is_overweight(robot, drive.body)
-    ]
+    limited = [drive for drive in drives(robot) if np.isfinite(drive.limit)]
     if not limited:
         raise NotApplicableError("no motor of a joint has a torque limit")
     if robot.standing is not None:

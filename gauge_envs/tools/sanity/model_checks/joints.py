@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.scene.geometry import length_of
 from gauge_envs.tools.sanity.model_checks.check import (
     Case,
     Finding,
@@ -23,10 +22,8 @@ from gauge_envs.tools.sanity.model_checks.drives import (
     servos,
     start,
 )
-from gauge_envs.tools.sanity.model_checks.masses import is_overweight
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
-    acts_on_joints,
     joints_of,
     name_of,
     reaches_m,
@@ -42,9 +39,6 @@ SLOW_PER_S, SLOW_PER_S2 = 0.1, 0.5
 
 STEP_PER_S, STEP_PER_S2 = 3.0, 30.0
 """Speed and acceleration of a leg that steps: half a radian in a swing of 0.2 s, from rest in 0.1 s."""
-
-FALL_PER_S = 1.0
-"""Speed at which a leg without power gives way under the whole robot [rad/s]: 1 m falls with 3 rad/s."""
 
 
 @model_check(
@@ -79,19 +73,6 @@ def _brakes(drive: Drive) -> Iterator[Case]:
     )
     if not drive.is_hinge:
         return
-    # Where a link is light, dry friction acts as a drag in the engine, which the motor may overcome.
-    lever = length_of(model.opt.gravity) * reaches[drive.body]
-    limb = model.body_subtreemass[drive.body] * lever
-    if drags(robot, FALL_PER_S)[drive.dof] > drive.push:
-        text = f"{drive.name} has friction {dry:.3g} N m; its motor makes {drive.push:.3g} and gravity {limb:.2g}"
-        yield drive.case(dry / (drive.push + limb), text)
-    weight = model.body_subtreemass[root] * lever
-    if drive.is_leg and weight:
-        fall = dry + damping * FALL_PER_S
-        yield drive.case(
-            fall / weight,
-            f"{brakes} take {fall:.3g} N m at {FALL_PER_S:g} rad/s; the whole robot makes {weight:.2g}",
-        )
     # The rotor of a slide moves through a screw, whose gear makes it heavier than any robot.
     if not np.isfinite(drive.limit):
         whole = model.body_subtreemass[root] * reaches[root] ** 2
@@ -119,9 +100,6 @@ SLOW_S = 2.0
 SAG_RAD = 0.6
 """Error at which a servo carries its limb [rad]: twice that of the softest model of a maker, TALOS with 0.296."""
 
-COMMANDS = 30.0
-"""Largest range of commands over the range of the joint: degrees are 57 times too large."""
-
 MIN_RATE_PER_S = 1.0
 """Angular frequency below which a mode is of a free body and not of a servo [1/s]."""
 
@@ -134,7 +112,7 @@ GROWTH, GROWTH_STEPS, MAX_RATIO = 3.0, 200, 1.05
     title="response of a servo, over the limit of a drive",
     interval=(0.0, 1.0),
     source="a slow motion without gravity and contact never grows; closed forms of a loop of second order for ringing, "
-    "lag and sag; the error at which a servo saturates; commands in degrees",
+    "lag and sag; the error at which a servo saturates",
     consequence="The joint does not do what the policy commands.",
     is_simulated=True,
 )
@@ -216,76 +194,14 @@ def _response(drive: Drive) -> Iterator[Case]:
     is_floating = (
         robot.model.body_dofnum[root_of(robot.model, drive.body)] == 6 and kp != 1.0
     )
-    if drive.is_hinge and not is_floating and not is_overweight(robot, drive.body):
+    if drive.is_hinge and not is_floating:
         text = f"{drive.name} sags by {weight / kp:.2g} rad: {servo} carries {weight:.3g} N m"
         if kp == 1.0:
             text += ", MuJoCo's default kp"
         yield drive.case(weight / kp / SAG_RAD, text, True)
-    yield from _commands(drive)
 
 
-def _commands(drive: Drive) -> Iterator[Case]:
-    """Yield the range of commands of a servo over the range of its joint."""
-    model = drive.robot.model
-    if not (model.jnt_limited[drive.joint] and drive.is_hinge):
-        return
-    span = np.ptp(model.jnt_range[drive.joint])
-    is_its = acts_on_joints(model) & (model.actuator_trnid[:, 0] == drive.joint)
-    is_its &= servos(model) & (model.actuator_ctrllimited != 0)
-    gains = model.actuator_gainprm[is_its, 0] / model.actuator_biasprm[is_its, 1]
-    gains /= model.actuator_gear[is_its, 0]
-    spans = np.ptp(model.actuator_ctrlrange[is_its], axis=1) * np.abs(gains)
-    commands = spans.max(initial=0.0)
-    text = f"commands of {drive.name} span {commands:.3g} rad, its range {span:.3g}"
-    yield drive.case(commands / span / COMMANDS, text, True)
-
-
-# --- couplings and free joints ---------------------------------------------------------------------------------------
-
-YIELD_SHARE = 0.3
-"""Share of its range by which a coupling may yield.
-
-Stiff linkages in grippers of makers yield by 0.001 to 0.02, and MuJoCo's default solref by 0.14 to 0.23.
-"""
-
-
-@model_check(
-    "robot-coupling",
-    title="force of a motor, over that of a yielding coupling",
-    interval=(0.0, 1.0),
-    source="inverse dynamics of a coupling that has yielded by 30 % of the joint's range; stiff linkages yield by 2 %",
-    consequence="One finger gives way, so that a grasp holds less than the real one.",
-)
-def coupling_yield(robot: Robot) -> Finding:
-    """Return the coupling between joints that is weakest against the force of a motor."""
-    model = robot.without("contact", "limit", "frictionloss")
-    data, cases = start(robot, model), []
-    begin, pushes = data.qpos.copy(), np.zeros(model.nv)
-    for drive in drives(robot):
-        pushes[drive.dof] = drive.push if np.isfinite(drive.push) else 0.0
-    is_coupling = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
-    is_coupling &= (model.eq_obj2id >= 0) & (model.eq_active0 != 0)
-    for number in np.flatnonzero(is_coupling).tolist():
-        joints = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
-        dofs, (place, leader) = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
-        lead = begin[leader] - model.qpos0[leader]
-        coupled = np.polyval(model.eq_data[number, 4::-1], lead) + model.qpos0[place]
-        span = np.ptp(model.jnt_range[joints[0]]) or 1.0
-        data.qpos[:] = begin
-        data.qpos[place], data.qacc[:] = coupled + YIELD_SHARE * span, 0.0
-        mujoco.mj_inverse(model, data)
-        load, force = pushes[dofs].max(), abs(data.qfrc_constraint[dofs[0]])
-        at, name = ("equality", number), name_of(model, "joint", joints[0])
-        text = f"{name}, {100 * YIELD_SHARE:g} % of its range off its coupling, is pushed back by {force:.3g}; "
-        text += f"its motor makes {load:.3g}"
-        cases.append(Case(load / max(force, 1e-9), at, name, text, True))
-        off = abs(coupled - begin[place])
-        text = f"{name} starts {off:.2g} off its coupling; its range is {span:.3g}"
-        cases.append(Case(off / span / YIELD_SHARE, at, name, text))
-    if not cases:
-        raise NotApplicableError("no equality couples joints")
-    return worst_case(cases)
-
+# --- free joints ---------------------------------------------------------------------------------------
 
 FREE_SHARE = 0.05
 """Share of its speed that a free base may lose in 1 s: air takes less from anything heavier than a balloon."""
@@ -297,6 +213,7 @@ FREE_SHARE = 0.05
     interval=(0.0, FREE_SHARE),
     source='nothing holds a base in the air; defaults of joints apply to <joint type="free"> and not to <freejoint>',
     consequence="The policy learns to turn and fall slower than the robot does.",
+    is_usual=True,
 )
 def free_joint_drag(robot: Robot) -> Finding:
     """Return the free joint with the largest friction, damping or armature."""

@@ -52,9 +52,6 @@ class Run:
         data: The state at the end.
         points_m: Three points of each body, at its radius of gyration, in each sample [m], shape
             [sample_count, nbody, 3, 3].
-        is_awake: Whether each body was awake, shape [sample_count, nbody].
-        stretches: Largest strain of the inextensible edges of each flex, shape [sample_count, nflex].
-        sinks_m: Largest depth of each flex in what it touches [m], shape [sample_count, nflex].
         late_state: State at the start of the last quarter, of MuJoCo's kind `mjSTATE_INTEGRATION`.
         sample_s: Time between samples [s].
         diverged_s: Time at which the state diverged [s]; infinite when it did not.
@@ -74,8 +71,6 @@ class Run:
             mujoco.mj_setState(model, data, state, STATE)
             data.time = 0.0
         self.points_m = np.full((samples, model.nbody, 3, 3), np.nan)
-        self.is_awake = np.ones((samples, model.nbody), bool)
-        self.stretches, self.sinks_m = np.zeros((2, samples, model.nflex))
         self.late_state = np.zeros(mujoco.mj_stateSize(model, STATE))
         self.sample_s, self.diverged_s = sample_s, np.inf
         squares = model.body_inertia.max(axis=1) / np.maximum(model.body_mass, 1e-12)
@@ -89,23 +84,8 @@ class Run:
                     return
             axes = data.ximat.reshape(-1, 3, 3).transpose(0, 2, 1)
             self.points_m[sample] = data.xipos[:, None] + radii_m * axes
-            self.is_awake[sample] = data.body_awake != 0
-            self._add_flexes(sample)
             if sample == samples - LATE:
                 mujoco.mj_getState(model, data, self.late_state, STATE)
-
-    def _add_flexes(self, sample: int) -> None:
-        """Add strain and depth of the flexes."""
-        model, data = self.model, self.data
-        is_judged = (model.flex_edgeequality != 0) & (model.flex_rigid == 0)
-        of_edge = np.repeat(np.arange(model.nflex), model.flex_edgenum)
-        edges = np.flatnonzero(is_judged[of_edge])
-        ratios = data.flexedge_length[edges] / model.flexedge_length0[edges]
-        np.maximum.at(self.stretches[sample], of_edge[edges], np.abs(ratios - 1.0))
-        low, high = np.sort(data.contact.flex, axis=1).T
-        rigid = np.flatnonzero((low < 0) & (high >= 0) & (data.contact.exclude == 0))
-        depths_m = -data.contact.dist[rigid]
-        np.maximum.at(self.sinks_m[sample], high[rigid], depths_m)
 
     @property
     def speeds_mm_per_s(self) -> FloatArray:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import cache, partial
 
 from gauge_envs.tools.sanity.object_checks import (
-    deformable,
     foot,
     friction,
     grasp,
@@ -20,9 +19,6 @@ FOOT: Mapping[str, Callable[[FootGeometry], ObjectCheck]] = {
     "foot-creep": foot.creep,
     "foot-push": foot.push,
     "foot-slide": foot.steep_slide,
-    "foot-landing-depth": foot.depth,
-    "foot-rebound": foot.rebound,
-    "foot-rest": foot.rest,
 }
 """Checks of the target's foot by id, in their order."""
 
@@ -33,21 +29,11 @@ BODIES: Mapping[str, Maker] = {
     "creep-plastic": partial(friction.creep, "plastic"),
     "creep-metal": partial(friction.creep, "metal"),
     "rest-height": partial(friction.rest_height, "wood"),
-    "release": partial(friction.release, "wood"),
     "slide-wood": partial(friction.slide, "wood"),
     "slide-plastic": partial(friction.slide, "plastic"),
     "slide-metal": partial(friction.slide, "metal"),
     "slide-turned": partial(friction.turned_slide, "wood"),
     "rebound": rigid.rebound,
-    "rebound-slow": rigid.slow_rebound,
-    "momentum": rigid.momentum,
-    "period": rigid.period,
-    "energy": rigid.energy,
-    "carry-wood": partial(friction.carry, "wood"),
-    "carry-plastic": partial(friction.carry, "plastic"),
-    "carry-metal": partial(friction.carry, "metal"),
-    "seam": rigid.seam,
-    "point": rigid.point,
 }
 """Checks of other rigid bodies."""
 
@@ -57,25 +43,10 @@ RIGID = (*FOOT, *BODIES)
 GRASP: Mapping[str, Maker] = {
     "grasp-creep": grasp.creep,
     "grasp-sink": grasp.sink,
-    "grasp-torsion": grasp.torsion,
-    "rolling": grasp.rolling,
 }
 """Checks of grasps; run where a model has a hand, or by name."""
 
-SLOW: Mapping[str, Maker] = {
-    "wall-sag": rigid.wall_sag,
-    "wall-drift": rigid.wall_drift,
-    "cloth-carry": deformable.cloth_carry,
-    "cloth-sag": deformable.cloth_sag,
-    "fling-lag": deformable.fling_lag,
-    "foam-stretch": partial(deformable.foam, "stretching"),
-    "foam-compress": partial(deformable.foam, "compressing"),
-    "rope-length": deformable.rope_length,
-    "foot-lag": deformable.foot_lag,
-}
-"""Checks that take longer, of a wall and deformable bodies; run by name alone."""
-
-MAKERS = {**BODIES, **GRASP, **SLOW}
+MAKERS = {**BODIES, **GRASP}
 
 
 @cache

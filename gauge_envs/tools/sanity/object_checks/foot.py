@@ -1,26 +1,21 @@
-"""Foot of a robot on the measured boards: creep, slip, slide and landing.
+"""Foot of a robot on the measured boards: creep, slip and slide.
 
 The foot has the solids and the load of the configuration. It rests with the configuration's friction, and slides with
 the friction of the measured wooden cube. The values are laws; measurements of wooden cubes say how far a real body may
 differ from them. Without a configuration, the checks have the foot of a small quadruped.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.fixtures.parts import body, contact, ground
-from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Pose, Scene
-from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.sanity.object_checks.check import (
     ObjectCheck,
     Scenario,
     acceleration,
-    lowest_m,
 )
 from gauge_envs.tools.sanity.object_checks.friction import (
     CALM_INTERVAL_S,
@@ -52,64 +47,22 @@ PUSH, SLIDE_DEG = 1.2, 30.0
 """Push of gravity along a slope over mu times the normal force, with which a foot just slides, and slope of the
 measured board [degrees]."""
 
-DROP_M, LANDING_S = 0.05, 0.6
-"""Height of the drop, as of a step, and simulated time with the fall of 0.1 s."""
-
-DEPTH_MM = 9.0
-"""Compression of a rubber ball of 20 mm radius and a modulus of 2 MPa that lands with 3 kg, by Hertz's law [mm]."""
-
-HOP = 0.2
-"""Ratio of speeds at which a foot that was dropped from 50 mm hops by 2 mm."""
-
-STANCE_S = 0.2
-"""Time that a foot of a trotting quadruped is on the ground [s]."""
-
-STILL_S = 0.05
-"""Time at the end in which a landed foot must be at rest [s]."""
-
-STAYS = "a foot that steps stays on the ground"
-
-AT_REST_M_PER_S = 0.01
-"""Speed below which a landed foot is at rest [m/s]."""
-
 
 # --- scenes ----------------------------------------------------------------------------------------------------------
 
 
-def foot_scene(
-    foot: FootGeometry,
-    *,
-    friction: float,
-    slope_deg: float = 0.0,
-    lift_m: float = 0.0,
-    seconds: float = 1.0,
-) -> Scene:
-    """Return four copies of a foot in one rigid body, on an even ground that slopes along x.
-
-    Args:
-        foot: The foot.
-        friction: Coulomb coefficient of the soles.
-        slope_deg: Slope of the ground [degrees].
-        lift_m: Height of the soles above the ground at the start [m].
-        seconds: Duration of the experiment [s].
-    """
+def _scenario(
+    kind: str, foot: FootGeometry, seconds: float, slope_deg: float
+) -> Scenario:
+    """Return four copies of a foot in one rigid body, on an even ground that slopes along x."""
     slope = Rotation.from_euler("y", slope_deg, degrees=True)
-    start = Pose.from_rotation(vector(slope.apply([0.0, 0.0, lift_m])), slope)
     level = Pose.from_rotation((0.0, 0.0, 0.0), slope)
-    return Scene(
-        bodies=(
-            body(FOOT, foot.shape, start, mass_kg=foot.mass_kg),
-            replace(ground(), pose=level),
-        ),
-        contacts=(contact(FOOT, "ground", friction=friction),),
+    feet = body(FOOT, foot.shape, level, mass_kg=foot.mass_kg)
+    scene = Scene(
+        bodies=(feet, replace(ground(), pose=level)),
+        contacts=(contact(FOOT, "ground", friction=_friction(foot)),),
         duration_s=seconds,
     )
-
-
-def _scenario(
-    kind: str, foot: FootGeometry, seconds: float, **placed: float
-) -> Scenario:
-    scene = foot_scene(foot, friction=_friction(foot), seconds=seconds, **placed)
     softer = {} if foot.softening is None else {"inverse_weight_scale": foot.softening}
     is_calm = kind == "hold"
     return Scenario(
@@ -118,7 +71,7 @@ def _scenario(
         seconds,
         scene,
         CALM_INTERVAL_S if is_calm else Scenario.interval_s,
-        released=() if "lift_m" in placed else (FOOT,),
+        released=(FOOT,),
         engine_settings=dict.fromkeys(SOFTENED_BY_INVERSE_WEIGHT, softer),
     )
 
@@ -176,88 +129,3 @@ def _sliding(
     title = f"acceleration of the foot {where}"
     check = downhill(title, scenario, "m/s^2", real, acceleration)
     return replace(check, needs=(Need.FRICTION, Need.FOOT))
-
-
-# --- landing ---------------------------------------------------------------------------------------------------------
-
-
-def _landed(
-    foot: FootGeometry,
-    title: str,
-    unit: str,
-    law: str,
-    tolerance: float,
-    rationale: str,
-    value: Callable[[Recording], float],
-    **attributes: Any,
-) -> ObjectCheck:
-    """Return the check of a foot that lands, whose value is 0 by a law."""
-    source = _source(law, foot)
-    return ObjectCheck(
-        title,
-        _scenario("landing", foot, LANDING_S, lift_m=DROP_M),
-        unit,
-        Reality(0.0, tolerance, source, rationale),
-        value,
-        needs=(Need.FOOT,),
-        **attributes,
-    )
-
-
-def depth(foot: FootGeometry) -> ObjectCheck:
-    """Return the depth of a foot in the ground after a drop."""
-    return _landed(
-        foot,
-        f"depth of the foot after a drop of {1e3 * DROP_M:.0f} mm",
-        "mm",
-        "rigid bodies do not overlap",
-        DEPTH_MM,
-        "a rubber ball of 20 mm radius (2 MPa) that lands with 3 kg is compressed as much (Hertz)",
-        lambda rollout: -1e3 * float(lowest_m(rollout, FOOT, foot.soles_m).min()),
-    )
-
-
-def rebound(foot: FootGeometry) -> ObjectCheck:
-    """Return the speed of a foot after a landing over that before."""
-
-    def ratio(rollout: Recording) -> float:
-        heights_m: FloatArray = lowest_m(rollout, FOOT, foot.soles_m)
-        hop_m = max(float(heights_m[heights_m.argmin() :].max()), 0.0)
-        return float(np.sqrt(hop_m / DROP_M))
-
-    return _landed(
-        foot,
-        "rebound speed of the foot over its impact speed",
-        "1",
-        STAYS,
-        HOP,
-        f"a hop of {1e3 * HOP**2 * DROP_M:.0f} mm, which the eye sees",
-        ratio,
-        is_impact=True,
-    )
-
-
-def rest(foot: FootGeometry) -> ObjectCheck:
-    """Return the time of a foot from a landing to rest."""
-    fall_s = float(np.sqrt(2.0 * DROP_M / G))
-
-    def last_s(rollout: Recording) -> float:
-        """Return the last time at which the foot moves [s]."""
-        is_moving = np.abs(rollout.velocity(FOOT)[:, 2]) > AT_REST_M_PER_S
-        return float(rollout.times_s[is_moving].max(initial=0.0))
-
-    def failure(rollout: Recording) -> str:
-        if last_s(rollout) > rollout.times_s[-1] - STILL_S:
-            return "it still moves at the end"
-        return ""
-
-    return _landed(
-        foot,
-        "time of the foot from a landing to rest",
-        "s",
-        STAYS,
-        STANCE_S,
-        "the stance of a trot; a foot that lands longer never rests before the next step",
-        lambda rollout: max(last_s(rollout) - fall_s, 0.0),
-        failure=failure,
-    )

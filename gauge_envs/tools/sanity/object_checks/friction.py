@@ -41,9 +41,6 @@ cube has sunk into soft ground and slides steadily."""
 PRINTED_MM = 0.01
 """Last printed digit of the published scores of SlopeSlider-1 [mm]."""
 
-TURNTABLE_S = 94 / 30
-"""Time of the published frames of the turntable [s]."""
-
 CALM_INTERVAL_S = 0.01
 """Time between samples of a body that rests, or turns with a slow plate [s]: a third of a published frame."""
 
@@ -139,20 +136,6 @@ def rest_height(material: str) -> ObjectCheck:
     )
 
 
-def release(material: str) -> ObjectCheck:
-    """Return the height to which a cube that touches its board at the start is thrown."""
-    at_rest = rest_height(material)
-    return replace(
-        at_rest,
-        title="height to which a cube is thrown at its release",
-        scenario=Scenario(f"release-{material}", at_rest.scenario.variant, HOLD_S),
-        reality=rigid_law(
-            "a body that is laid down stays there", 0.5, "the edge of 50 mm of the cube"
-        ),
-        value=lambda rollout: _gaps_mm(rollout).max() - max(_gaps_mm(rollout)[-1], 0.0),
-    )
-
-
 def _gaps_mm(rollout: Recording) -> FloatArray:
     """Return the gap between the faces of cube and board [mm], shape [sample_count]."""
     cube, board = map(rollout.scene.body, CUBE)
@@ -222,37 +205,3 @@ def turned_slide(material: str) -> ObjectCheck:
 
 
 # --- on a turntable --------------------------------------------------------------------------------------------------
-
-
-def carry(material: str) -> ObjectCheck:
-    """Return the slip of a cube on a slow turntable."""
-    variant = f"Turntable-1-{material}"
-    rmse = published_baselines(variant)["rmse"]
-    # mean(R)^2 + std(R)^2 is the mean square distance of a trial from the mean trial, over three axes (scoring/README).
-    scatter_mm = ((rmse.mean**2 + (rmse.std or 0.0) ** 2) / 3.0) ** 0.5
-
-    def slip_mm(rollout: Recording) -> float:
-        arm_m = rollout.position("cube") - rollout.position("plate")
-        place = 1e3 * rollout.rotation("plate").apply(arm_m, inverse=True)[:, :2]
-        return float(np.linalg.norm(place - place[0], axis=1)[-1])
-
-    return ObjectCheck(
-        f"slip of a cube of {material} on a slow turntable",
-        Scenario(
-            f"turn-{material}",
-            variant,
-            TURNTABLE_S,
-            interval_s=CALM_INTERVAL_S,
-            released=("cube",),
-        ),
-        "mm",
-        Reality(
-            0.0,
-            # The plane of the plate has two axes.
-            float(np.sqrt(2.0) * scatter_mm),
-            "Coulomb, omega^2 r < mu g",
-            "standard deviation of a position of this cube on this table in real trials (paper, Table 5)",
-        ),
-        slip_mm,
-        needs=(Need.FRICTION, Need.SPACE),
-    )

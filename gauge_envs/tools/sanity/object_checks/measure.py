@@ -208,6 +208,7 @@ class AppliedCheck:
             reality=check.reality,
             verdict=SanityVerdict.NOT_MEASURED,
             remark=reason,
+            is_own=Need.FOOT in check.needs,
         )
 
     def result(self) -> SanityResult:
@@ -242,7 +243,6 @@ class AppliedCheck:
         return replace(
             result,
             default=preset.value,
-            default_verdict=preset.verdict,
             applies=not is_unknown,
         )
 
@@ -294,13 +294,7 @@ def _sets_of(configuration: TrainingConfiguration, check: ObjectCheck) -> Sets:
     Raises:
         NotApplicableError: There is none; the message is the reason.
     """
-    contacts: TrainingConfiguration | None = configuration
-    if check.id in GRASP:
-        contacts = configuration.of_hand(is_flat=check.id == "grasp-torsion")
-    if contacts is None:
-        raise NotApplicableError(
-            "round fingertips: their torsional friction alone holds a torque"
-        )
+    contacts = configuration.of_hand if check.id in GRASP else configuration
     sets: Sets = contacts.contact_sets
     if Need.FOOT in check.needs:
         foot = configuration.foot_geometry

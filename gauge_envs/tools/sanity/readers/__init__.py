@@ -11,20 +11,14 @@ from gauge_envs.text import toml_document
 from gauge_envs.tools.sanity.readers import probe, settings
 from gauge_envs.tools.sanity.readers.dialect import TOML, Dialect
 from gauge_envs.tools.sanity.readers.documents import file_value
-from gauge_envs.tools.sanity.readers.genesis import GENESIS
 from gauge_envs.tools.sanity.readers.gymnasium_env import (
+    SUITE,
     Target,
     read_id,
     read_object,
     read_task,
+    suite_file,
 )
-from gauge_envs.tools.sanity.readers.isaac_lab import (
-    ISAAC_LAB,
-    ISAAC_LAB_3,
-    file_of_run,
-    read_file,
-)
-from gauge_envs.tools.sanity.readers.maniskill import MANISKILL
 from gauge_envs.tools.sanity.readers.mjcf import MJCF, GeomPair, read_model_file
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.training import TrainingConfiguration
@@ -49,14 +43,13 @@ def _read_usd(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
 
 READERS = {
     **dict.fromkeys((".xml", ".mjcf", ".urdf"), read_model_file),
-    **dict.fromkeys((".yaml", ".yml"), read_file),
     **dict.fromkeys((".usd", ".usda", ".usdc"), _read_usd),
     ".toml": _read_toml,
     ".json": probe.read_file,
 }
 """Function that reads a file, by its suffix."""
 
-DIALECTS = (TOML, MJCF, GENESIS, MANISKILL, ISAAC_LAB, ISAAC_LAB_3)
+DIALECTS = (TOML, MJCF)
 
 
 @mujoco_warnings()
@@ -69,12 +62,11 @@ def configuration(
         target: One of
             a Gymnasium id (`HalfCheetah-v5`) whose environment has a `mujoco.MjModel` as `unwrapped.model`;
             an id of this suite, with its own settings;
+            a task of dm_control (`dm_control:walker-walk`);
             a model file that MuJoCo reads;
             a task file of an experiment;
             a settings file: `backend`, optionally `preset`, and a table `settings`;
             a backend, with or without a preset (`mujoco:out_of_box`, `newton`);
-            the `params/env.yaml` of a training run with Isaac Lab, or the folder of the run;
-            the saved options of a Genesis scene;
             a file that the probe writes in the Python of another stack (`NAME.gaugeprobe.json`);
             a `mujoco.MjModel`, a pair of it and its `mujoco.MjData`, in whose pose checks of the model start, or a
             `gymnasium.Env`;
@@ -102,15 +94,15 @@ def configuration(
 def _read_text(target: Target, pair: GeomPair | None) -> TrainingConfiguration:
     """Return the configuration of a file, a folder of a run, a backend or a Gymnasium id."""
     path = Path(str(target))
-    if is_folder(path):
-        path = file_of_run(path)
+    if str(target).startswith(SUITE):
+        path = suite_file(str(target))
     if reader := READERS.get(path.suffix.lower()):
         with faults_of(path, TargetError):
             return reader(path, pair)
     if backend := settings.read_backend(str(target)):
         return backend
     if is_folder(path):
-        raise TargetError(f"{path}: has no params/env.yaml: give the file of a model")
+        raise TargetError(f"{path}: is a folder: give the file of a model")
     return read_id(str(target), pair)
 
 

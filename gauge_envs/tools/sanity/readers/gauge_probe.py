@@ -8,7 +8,6 @@ Run this file in the training environment. It needs Python 3.8 or later, and not
     python gauge_probe.py "mujoco_playground:registry.load('CheetahRun')"
     python gauge_probe.py "mjlab.tasks.registry:load_env_cfg('Mjlab-Velocity-Flat-Unitree-Go1')"
     python gauge_probe.py "dm_control.suite:load('walker', 'walk')"
-    python gauge_probe.py "mani_skill.envs.tasks:PickCubeEnv"
 
 `MODULE:EXPRESSION` is Python, evaluated in that module; what can be called without arguments is called. A program that
 has the environment, model or configuration already writes it itself:
@@ -18,14 +17,12 @@ has the environment, model or configuration already writes it itself:
     gauge_probe.save(env, "robot.gaugeprobe.json")
 
 A compiled model of MuJoCo is written as MJCF, number by number: what a program changed after loading is in it. Meshes
-are written by their convex hulls, those without one as boxes. Other stacks are written as their settings.
+are written by their convex hulls, those without one as boxes.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import enum
 import importlib
 import json
 import re
@@ -388,17 +385,6 @@ MODEL_PLACES = (
 )
 """Attributes with the compiled model of an environment."""
 
-SKIPS = (
-    "frame_skip",
-    "n_substeps",
-    "_n_substeps",
-    "_n_sub_steps",
-    "cfg.decimation",
-    "decimation",
-    "unwrapped.frame_skip",
-)
-"""Attributes with the steps of the engine for one action."""
-
 ENGINES = {"mjlab": "MuJoCo Warp", "newton": "MuJoCo Warp", "mujoco_playground": "MJX"}
 """Engine that runs the model in training, by the package of the target."""
 
@@ -429,16 +415,6 @@ def is_model(value: Any) -> bool:
     return kind_of(value) == "mujoco._structs.MjModel"
 
 
-def is_isaac_lab(value: Any) -> bool:
-    """Return whether a value is a configuration of Isaac Lab; version 3 has no `physx`."""
-    return value_at(value, "sim.physx") or value_at(value, "sim.physics_material")
-
-
-def is_sim_config(value: Any) -> bool:
-    """Return whether a value is a configuration of ManiSkill."""
-    return kind_of(value).endswith(".SimConfig")
-
-
 def mujoco_model(target: Any) -> Any:
     """Return the compiled model of a target; None without one."""
     if kind_of(target).endswith(".MjSpec"):
@@ -454,7 +430,7 @@ def mujoco_model(target: Any) -> Any:
 
 
 def capture_mujoco(target: Any) -> dict[str, Any] | None:
-    """Return the model of a target as MJCF, the steps for one action, and notes; None without a model."""
+    """Return the model of a target as MJCF, and notes; None without a model."""
     model = mujoco_model(target)
     if model is None:
         return None
@@ -472,39 +448,9 @@ def capture_mujoco(target: Any) -> dict[str, Any] | None:
         "kind": "mjcf",
         "mujoco": mujoco.__version__,
         "engine": engine,
-        "frame_skip": first(target, SKIPS, lambda skip: isinstance(skip, int)),
         "notes": notes,
         "data": mjcf(model),
     }
-
-
-def capture_settings(target: Any) -> dict[str, Any] | None:
-    """Return the configuration of Isaac Lab, the SimConfig of ManiSkill or the options of Genesis; None without."""
-    cfg = first(target, ("cfg", "unwrapped.cfg"), is_isaac_lab)
-    if cfg is not None:
-        return {"kind": "isaac_lab", "data": cfg}
-    task = value_at(target, "_default_sim_config")
-    if isinstance(task, property):
-        # A task of ManiSkill gives its settings without being started.
-        target = task.__get__(object())
-    cfg = first(target, ("sim_config", "unwrapped.sim_config"), is_sim_config)
-    if cfg is not None:
-        return {"kind": "maniskill", "data": cfg}
-    options = value_at(target, "options") or target
-    parts = {part: value_at(options, part) for part in ("sim", "rigid")}
-    return {"kind": "genesis", "data": parts} if all(parts.values()) else None
-
-
-def plain(value: Any) -> Any:
-    """Return a value that JSON lacks as a type of JSON."""
-    if isinstance(value, enum.Enum):
-        return value.name
-    if callable(value):
-        return f"{value.__module__}:{getattr(value, '__qualname__', '')}"
-    for method in ("to_dict", "model_dump", "tolist"):
-        if hasattr(value, method):
-            return getattr(value, method)()
-    return vars(value) if dataclasses.is_dataclass(value) else str(value)
 
 
 # --- the file --------------------------------------------------------------------------------------------------------
@@ -514,16 +460,14 @@ def save(target: Any, file: str) -> None:
     """Write an environment, a model or a configuration to a file for `gauge sanity`.
 
     Raises:
-        ProbeError: The target has no model and no known settings.
+        ProbeError: The target has no model.
     """
-    captured = capture_mujoco(target) or capture_settings(target)
+    captured = capture_mujoco(target)
     kind = kind_of(target)
     if captured is None:
-        raise ProbeError(
-            f"{kind} has no mujoco.MjModel, Isaac Lab cfg, SimConfig or Genesis options: give that object itself"
-        )
+        raise ProbeError(f"{kind} has no mujoco.MjModel: give that object itself")
     head = {"format": FORMAT, "version": VERSION, "source": kind}
-    content = json.dumps({**head, **captured}, default=plain, skipkeys=True)
+    content = json.dumps({**head, **captured})
     Path(file).write_text(content, encoding="utf-8")
 
 
@@ -536,8 +480,7 @@ def resolve(target: str) -> Any:
     module, colon, expression = target.partition(":")
     if colon and not re.search(r"-v\d+$", target):
         value = eval(expression, dict(vars(importlib.import_module(module))))
-        is_called = callable(value) and not hasattr(value, "_default_sim_config")
-        return value() if is_called else value
+        return value() if callable(value) else value
     import gymnasium
 
     return gymnasium.make(target)

@@ -1,5 +1,6 @@
 """Gymnasium environments, by id or as an object: those of this suite, and those with a MuJoCo model."""
 
+import importlib.util
 import warnings
 from contextlib import closing
 from dataclasses import replace
@@ -31,14 +32,40 @@ Target: TypeAlias = (
 
 ACCEPTED = (
     "a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a model file (.xml, .mjcf, .urdf), a mujoco.MjModel or a "
-    "pair (model, data), an env, a probe file (NAME.gaugeprobe.json, see gauge sanity probe), the params/env.yaml of "
-    "Isaac Lab, options of a Genesis scene (options.json), a settings file (.toml, .json), or a backend with or "
+    "pair (model, data), an env, a probe file (NAME.gaugeprobe.json, see gauge sanity probe), "
+    "a settings file (.toml, .json), or a backend with or "
     "without a preset (mujoco:out_of_box)"
 )
 """Targets that can be checked, as a text."""
 
 UNDECLARED = ("imageio", "packaging")
 """Packages that Gymnasium's MuJoCo environments import without declaring them."""
+
+
+SUITE = "dm_control:"
+"""Start of the name of a task of dm_control."""
+
+
+def suite_file(name: str) -> Path:
+    """Return the file of the model of a task of dm_control, which is not imported: its bindings need an older MuJoCo.
+
+    Raises:
+        TargetError: dm_control is not installed, or has no such domain.
+    """
+    found = importlib.util.find_spec("dm_control")
+    if found is None or not found.submodule_search_locations:
+        raise TargetError(
+            f"{name}: dm_control is not installed: pip install dm-control"
+        )
+    folder = Path(found.submodule_search_locations[0]) / "suite"
+    domain = name.removeprefix(SUITE).partition("-")[0]
+    file = folder / f"{domain}.xml"
+    if not file.is_file():
+        domains = sorted(path.stem for path in folder.glob("*.xml"))
+        raise TargetError(
+            f"{name}: dm_control has no domain {domain!r}; it has {', '.join(domains)}"
+        )
+    return file
 
 
 def read_object(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
@@ -101,7 +128,6 @@ def _read_env(
         name=name,
         source=f"Gymnasium environment, model {model_name(model)!r}, MuJoCo {mujoco.__version__}",
         pair=pair,
-        frame_skip=getattr(inner, "frame_skip", None),
         spec=None if file is None else _spec_of(file, model),
         file=file,
     )

@@ -26,7 +26,6 @@ from gauge_envs.tools.sanity.readers.dialect import (
     Entries,
     Setting,
     number_text,
-    settings_of,
 )
 from gauge_envs.tools.sanity.readers.documents import file_text
 from gauge_envs.tools.sanity.readers.gauge_probe import mjcf_root
@@ -38,19 +37,19 @@ GeomPair = tuple[str, str]
 """Names of two geoms of a model."""
 
 
-ATTRIBUTES = """
-timestep_s       option   timestep value
-contact_solref   geom     solref   value
-contact_solimp   geom     solimp   value
-contact_margin_m geom     margin   value
-contact_gap_m    geom     gap      value
-condim           geom     condim   value
-equality_solref  equality solref   value
-equality_solimp  equality solimp   value
-"""
+ATTRIBUTES = (
+    Setting("timestep_s", "option", "timestep"),
+    Setting("contact_solref", "geom", "solref"),
+    Setting("contact_solimp", "geom", "solimp"),
+    Setting("contact_margin_m", "geom", "margin"),
+    Setting("contact_gap_m", "geom", "gap"),
+    Setting("condim", "geom", "condim"),
+    Setting("equality_solref", "equality", "solref"),
+    Setting("equality_solimp", "equality", "solimp"),
+)
 """Element and attribute of settings that have another name in MJCF."""
 
-OPTIONS = (*NAMED_OPTIONS, *SAME_NAME_OPTIONS)
+OPTIONS = (*NAMED_OPTIONS, *SAME_NAME_OPTIONS, "jacobian")
 """Settings that are called as in MJCF."""
 
 
@@ -59,7 +58,7 @@ def _switch(is_on: bool) -> str:
 
 
 MODEL_SETTINGS = (
-    *settings_of(ATTRIBUTES, {}),
+    *ATTRIBUTES,
     *(Setting(name, "option", name) for name in OPTIONS),
     *(
         Setting(name, "flag", name, text=_switch)

@@ -31,7 +31,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     free_balls,
     geom_name,
-    grasp_kinds,
+    grasping_pairs,
     listed,
     never_touches,
     switched_off,
@@ -53,7 +53,6 @@ def mujoco_configuration(
     name: str,
     source: str,
     pair: tuple[str, str] | None = None,
-    frame_skip: int | None = None,
     spec: mujoco.MjSpec | None = None,
     file: Path | None = None,
 ) -> TrainingConfiguration:
@@ -64,7 +63,6 @@ def mujoco_configuration(
         name: Name of the configuration.
         source: Description of where the model is from.
         pair: Names of two geoms whose constants the experiments get, instead of all sets on ground.
-        frame_skip: Steps of the engine for one action; None when unknown.
         spec: The model before it was compiled, with the ids of the compiled one; None when it is unknown.
         file: File of the model; None when it is unknown.
     """
@@ -105,7 +103,6 @@ def mujoco_configuration(
         backend="mujoco",
         settings=settings,
         origins=dict.fromkeys(options, "option") | dict.fromkeys(contact, origin),
-        frame_skip=frame_skip,
         contact_groups=groups,
         notes=tuple(_notes(model)),
         inapplicable=inapplicable,
@@ -185,7 +182,7 @@ def _groups(
     Groups with the constants `used` are in use, and with `all_on_ground` all groups of the first kind. Groups of free
     balls alone are not: balls roll and bounce where the objects of the experiments rest and slide.
     """
-    grasped = all_on_ground * grasp_kinds(model, pairs)
+    grasped = all_on_ground * grasping_pairs(model, pairs)
     keys = np.column_stack([pairs.kinds, grasped, pairs.constants])
     _, inverse = np.unique(keys, axis=0, return_inverse=True)
     groups = []
@@ -208,7 +205,6 @@ def _groups(
                 or (all_on_ground and kind == pairs.kinds.min() and not rolls)
             ),
             is_held=bool(grasp),
-            is_point=bool(grasp == 2),
             settings=contact_settings(model, constants),
         )
         groups.append(((kind, -len(rows), number), group))

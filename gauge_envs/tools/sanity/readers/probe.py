@@ -1,6 +1,6 @@
-"""Files in JSON: files of the probe in another stack's Python, options of Genesis, and settings of this package.
+"""Files in JSON: files of the probe in another stack's Python, and settings of this package.
 
-The program that `gauge sanity probe` prints writes a model of MuJoCo as MJCF, and other stacks as their settings.
+The program that `gauge sanity probe` prints writes a model of MuJoCo as MJCF.
 Nothing of a file is run.
 """
 
@@ -14,20 +14,12 @@ import mujoco
 
 from gauge_envs.errors import TargetError
 from gauge_envs.text import json_document
-from gauge_envs.tools.sanity.readers import genesis, isaac_lab, maniskill
 from gauge_envs.tools.sanity.readers.documents import file_value
 from gauge_envs.tools.sanity.readers.gauge_probe import FORMAT, VERSION
 from gauge_envs.tools.sanity.readers.mjcf import GeomPair
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.readers.settings import read_settings
 from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
-
-STACKS = {
-    "isaac_lab": isaac_lab.isaac_lab_configuration,
-    "maniskill": maniskill.maniskill_configuration,
-    "genesis": genesis.genesis_configuration,
-}
-"""Function that reads the settings of a probe file, by its kind."""
 
 
 def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration:
@@ -38,9 +30,6 @@ def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration
     """
     file = file_value(path, json_document)
     if not isinstance(file, dict) or "format" not in file:
-        if isinstance(file, dict) and "sim" in file and "rigid" in file:
-            source = f"options file {path}"
-            return STACKS["genesis"](file, name=path.name, source=source)
         return read_settings(path, file)
     if (file["format"], file.get("version")) != (FORMAT, VERSION):
         raise TargetError(
@@ -49,8 +38,6 @@ def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration
         )
     name = path.name.removesuffix(".json").removesuffix(".gaugeprobe")
     source = f"probe file {path.name}: {file['source']}"
-    if file["kind"] in STACKS:
-        return STACKS[file["kind"]](file["data"], name=name, source=source)
     return _read_model(path, file, name, source, pair)
 
 
@@ -79,7 +66,6 @@ def _read_model(
         name=name,
         source=source,
         pair=pair,
-        frame_skip=file["frame_skip"],
     )
     return replace(read, notes=(*read.notes, *notes, *file["notes"]))
 

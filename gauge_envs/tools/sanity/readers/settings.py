@@ -7,8 +7,7 @@ from gauge_envs.backends import backend, backend_names
 from gauge_envs.backends.settings import with_drive_interval
 from gauge_envs.errors import GaugeError, ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.tools.sanity.readers.dialect import NestedTable, SettingOrigins
-from gauge_envs.tools.sanity.training import Need, Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 
 TRIAL_VARIANT = "BouncingBall-rubber"
 """Variant whose scene settings are tried on, which builds fast."""
@@ -35,73 +34,51 @@ def check_settings(engine: str, settings: Settings) -> None:
         raise TargetError(f"backend {engine!r}: {kind}: {error}") from error
 
 
-def checked_configuration(
-    name: str,
-    engine: str,
-    origins: SettingOrigins,
-    *,
-    inapplicable: dict[Need, str] | None = None,
-    **attributes: Any,
+def _checked(
+    name: str, engine: str, settings: Settings, *, origin: str, source: str
 ) -> TrainingConfiguration:
     """Return a configuration after a trial of its settings.
 
     Args:
         name: Name of the configuration.
         engine: Name of the backend.
-        origins: Settings of the backend, with their origins.
-        inapplicable: Needs of checks that the target does not meet, except gravity, with the reason.
-        attributes: Further attributes of the configuration.
+        settings: Settings of the backend.
+        origin: Where the settings are from.
+        source: Description of what was read.
 
     Raises:
         TargetError: A setting does not exist or has an impossible value.
     """
-    settings = {key: value for key, (value, _) in origins.items()}
     try:
         check_settings(engine, settings)
     except ParameterError as error:
-        places = [
-            at
-            for key, (value, at) in origins.items()
-            if _is_rejected(engine, key, value)
-        ]
-        place = ": ".join(dict.fromkeys((name, *places)))
-        raise TargetError(f"{place}: {error}") from error
-    reasons = inapplicable or {}
-    if not any(attributes.get("gravity_m_per_s2") or (1.0,)):
-        reasons[Need.GRAVITY] = "the target has no gravity"
+        raise TargetError(f"{name}: {error}") from error
+    origins = dict.fromkeys(settings, origin)
     return TrainingConfiguration(
-        name=name,
-        backend=engine,
-        settings=settings,
-        origins={key: at for key, (_, at) in origins.items()},
-        inapplicable=reasons,
-        **attributes,
+        name=name, source=source, backend=engine, settings=settings, origins=origins
     )
-
-
-def _is_rejected(engine: str, key: str, value: Any) -> bool:
-    """Return whether a backend rejects a setting alone."""
-    try:
-        check_settings(engine, {key: value})
-    except GaugeError:
-        return True
-    return False
 
 
 def read_settings(path: Path, values: Any) -> TrainingConfiguration:
     """Return the configuration of the values of a settings file: the backend, optionally a preset, and settings."""
-    table = NestedTable(values, source=str(path))
+    if not isinstance(values, dict):
+        raise TargetError(f"{path}: is {values!r:.80}, and a table is expected")
     faults = [f"{key}: unknown key" for key in values if key not in KEYS]
     if "backend" not in values:
         faults.append("backend: missing key")
     if faults:
         raise TargetError(f"{path}: {faults[0]}; keys: {', '.join(KEYS)}")
-    settings = dict(table.part("settings").values)
-    if preset := table.value("preset"):
-        settings["preset"] = preset
-    origins = {key: (value, path.name) for key, value in settings.items()}
+    settings = values.get("settings") or {}
+    if not isinstance(settings, dict):
+        raise TargetError(
+            f"{path}: settings is {settings!r:.80}, and a table is expected"
+        )
+    if preset := values.get("preset"):
+        settings = {**settings, "preset": preset}
     source = f"settings file {path}"
-    return checked_configuration(path.name, values["backend"], origins, source=source)
+    return _checked(
+        path.name, values["backend"], settings, origin=path.name, source=source
+    )
 
 
 def read_backend(target: str) -> TrainingConfiguration | None:
@@ -109,6 +86,6 @@ def read_backend(target: str) -> TrainingConfiguration | None:
     name, _, preset = target.partition(":")
     if name not in backend_names():
         return None
-    origins = {"preset": (preset, target)} if preset else {}
+    settings = {"preset": preset} if preset else {}
     source = f"backend {name}, {f'preset {preset}' if preset else 'default settings'}"
-    return checked_configuration(target, name, origins, source=source)
+    return _checked(target, name, settings, origin=target, source=source)

@@ -116,10 +116,9 @@ class ModelText:
                 above = element
         return top.children[0]
 
-    def line(self, element: Element) -> str:
-        """Return file and line of an element, such as `go1.xml:88`."""
-        number = self.texts[element.file].count("\n", 0, element.start) + 1
-        return f"{element.file.name}:{number}"
+    def line(self, element: Element) -> int:
+        """Return the line of an element in its file."""
+        return self.texts[element.file].count("\n", 0, element.start) + 1
 
     def element(self, model: mujoco.MjModel, kind: str, number: int) -> Element | None:
         """Return an element of the compiled model; None where it is ambiguous.

@@ -26,6 +26,9 @@ Place: TypeAlias = tuple[str, int]
 STANDING = ("home", "stand", "standing")
 """Names of keyframes in which robots stand."""
 
+BODY_JOINS = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
+"""Types of equalities that join bodies."""
+
 MAX_GEOMS = 4
 """Largest number of geoms of a foot or of a group that a text lists; further ones are counted."""
 
@@ -98,14 +101,19 @@ class Robot:
     known: dict[tuple[object, ...], Any] = field(default_factory=dict, init=False)
 
     def place_text(self, place: Place) -> str:
-        """Return an element of the model as a text: its kind, its name or number, and its file and line."""
+        """Return an element of the model as a text: its kind, and its name or number."""
         kind, number = place
         name = getattr(self.model, kind)(number).name
-        text = f'{kind} "{name}"' if name else f"{kind} {number}"
+        return f'{kind} "{name}"' if name else f"{kind} {number}"
+
+    def source_of(self, place: Place) -> tuple[str, int]:
+        """Return file and line of an element of the model; no file where the text is unknown."""
         if self.text is None:
-            return text
-        element = self.text.element(self.model, kind, number)
-        return text if element is None else f"{text} ({self.text.line(element)})"
+            return "", 0
+        element = self.text.element(self.model, *place)
+        if element is None:
+            return "", 0
+        return str(element.file), self.text.line(element)
 
     @cached_property
     def text(self) -> ModelText | None:
@@ -155,12 +163,17 @@ class Robot:
         )
 
     @cached_property
-    def driven_trees(self) -> set[int]:
-        """Trees of bodies that actuators move, through joints, tendons, sites or bodies."""
+    def driven_dofs(self) -> IntArray:
+        """Degrees of freedom that actuators move, through joints, tendons, sites or bodies."""
         data = mujoco.MjData(self.model)
         mujoco.mj_forward(self.model, data)
-        dofs = data.moment_colind[data.actuator_moment.ravel() != 0.0]
-        return set(self.model.dof_treeid[dofs].tolist())
+        dofs: IntArray = data.moment_colind[data.actuator_moment.ravel() != 0.0]
+        return dofs
+
+    @cached_property
+    def driven_trees(self) -> set[int]:
+        """Trees of bodies that actuators move."""
+        return set(self.model.dof_treeid[self.driven_dofs].tolist())
 
     @cached_property
     def bodies(self) -> list[int]:
@@ -306,18 +319,14 @@ def listed(names: list[str]) -> str:
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
-def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> IntArray:
-    """Return for each pair 1 where a driven part can grasp a free body, 2 where it does so at a point, else 0."""
+def grasping_pairs(model: mujoco.MjModel, pairs: ContactPairs) -> BoolArray:
+    """Return for each pair whether a driven part can grasp a free body."""
     roots = model.body_rootid
     driven = np.isin(roots, roots[model.jnt_bodyid[joints_of_motors(model)]])
     free = np.isin(roots, model.jnt_bodyid[joints_of(model, "FREE")]) & ~driven
     bodies = model.geom_bodyid[pairs.geoms]
-    round_types = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID
-    is_round = np.isin(model.geom_type[pairs.geoms], round_types)
-    at_point = (driven[bodies] & is_round).any(axis=1)
-    grasps = driven[bodies].any(axis=1) & free[bodies].any(axis=1)
-    kinds: IntArray = grasps * (1 + at_point)
-    return kinds
+    grasps: BoolArray = driven[bodies].any(axis=1) & free[bodies].any(axis=1)
+    return grasps
 
 
 def never_touches(robot: Robot) -> bool:
@@ -358,6 +367,20 @@ def reaches_m(robot: Robot) -> FloatArray:
         arm = np.linalg.norm(model.body_pos[body]) + reaches[body]
         reaches[parent] = max(reaches[parent], arm)
     return reaches
+
+
+def unheld(model: mujoco.MjModel) -> list[int]:
+    """Return bodies with a free joint whose tree no weld or connection holds."""
+    ends = np.hstack([model.eq_obj1id, model.eq_obj2id])
+    of_sites = np.tile(model.eq_objtype == mujoco.mjtObj.mjOBJ_SITE, 2)
+    is_joined = np.tile(np.isin(model.eq_type, BODY_JOINS), 2)
+    bodies = np.where(
+        of_sites, model.site_bodyid[ends * of_sites] if model.nsite else 0, ends
+    )
+    held = model.body_treeid[bodies[is_joined & (ends >= 0)]]
+    free = model.jnt_bodyid[joints_of(model, "FREE")]
+    loose: list[int] = free[~np.isin(model.body_treeid[free], held)].tolist()
+    return loose
 
 
 def free_objects(model: mujoco.MjModel) -> list[int]:

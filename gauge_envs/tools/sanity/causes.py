@@ -1,0 +1,76 @@
+"""Find the cause of a finding: what follows from a wrong joint or body is part of that finding."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from gauge_envs.tools.sanity.target_checks import READ
+from gauge_envs.tools.sanity.verdict import SanityResult, SanityVerdict
+
+EFFECTS = {
+    "robot-holds": "its state diverges",
+    "robot-torque": "its motors do not hold it",
+    "robot-stands": "it falls or jumps",
+    "robot-drive": "its servos do not follow",
+    "robot-joint": "its joints are braked",
+    "model-overlap": "bodies are crushed",
+    "model-constraints": "joints leave their ranges",
+    "model-slip": "it creeps where friction holds",
+    "model-creep": "it creeps at rest",
+    "model-spin": "it turns by itself in flight",
+    "robot-energy": "it gains energy",
+    "model-solver": "the solver does not converge",
+}
+"""What follows from a wrong joint or body, by the check that shows it."""
+
+HARMLESS = (
+    "stated-rolling",
+    "stated-friction",
+    "stated-margin",
+    "stated-solref",
+    "imu-frame",
+)
+"""Static rules that explain no motion at rest."""
+
+CAUSES = {check.id for check in READ} | {"robot-torque"}
+"""Checks that explain later ones."""
+
+
+def absorb(results: Sequence[SanityResult]) -> list[SanityResult]:
+    """Return results in which a finding has its effects, and each effect its cause.
+
+    A finding of what is read explains later ones on the same elements, and all runs of the model. An effect that is an
+    error makes its cause one.
+    """
+    found: dict[str, SanityResult] = {}
+    for result in results:
+        cause = next(
+            (cause for cause in found.values() if _explains(cause, result)), None
+        )
+        found[result.id] = result
+        if cause is None:
+            continue
+        found[result.id] = replace(result, cause=cause.id)
+        effects = [*cause.effects, EFFECTS.get(result.id, "")]
+        is_error = SanityVerdict.FAILED in (cause.verdict, result.verdict)
+        found[cause.id] = replace(
+            cause,
+            effects=tuple(filter(None, effects)),
+            verdict=SanityVerdict.FAILED if is_error else cause.verdict,
+        )
+    return [*found.values()]
+
+
+def _explains(cause: SanityResult, effect: SanityResult) -> bool:
+    """Return whether a finding explains a later one."""
+    if not (cause.id in CAUSES and cause.is_flag and effect.is_flag):
+        return False
+    if cause.id in HARMLESS:
+        return False
+    if cause.id == "range-unit" and effect.id.startswith("start-"):
+        return True
+    if effect.id not in EFFECTS:
+        names = {part.name for part in cause.parts if part.verdict.is_off}
+        return any(part.name in names for part in effect.parts if part.verdict.is_off)
+    return True

@@ -1,0 +1,272 @@
+"""Static rules: numbers that no real part has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    geom_name,
+    joints_of,
+    name_of,
+    switched_off,
+)
+from gauge_envs.tools.sanity.robot.standing import LIQUID_KG_PER_M3
+from gauge_envs.tools.sanity.static_rules.rule import Fault, rule
+from gauge_envs.tools.sanity.static_rules.shapes import (
+    body_shapes,
+    mesh_volume_m3,
+    solid_geoms,
+    volumes_and_squares,
+)
+
+# --- masses ----------------------------------------------------------------------------------------------------------
+
+LEAD_KG_PER_M3, POINT_KG_PER_M3 = 12_000.0, 100_000.0
+"""Density of lead, which no link of a robot exceeds, and of an object that stands for no point mass [kg/m^3]."""
+
+LIGHT_KG_PER_M3 = (3.0, 30.0)
+"""Densities of aerogel and of a foam [kg/m^3]: a link is too light below a hundredth of the median between them."""
+
+MIN_SHARE = 1e-3
+"""Share of the robot's mass below which nothing depends on a link."""
+
+
+@rule(
+    "density",
+    title="mass of a link over its own shapes",
+    source="lead has 12,000 kg/m^3, aerogel 3, foam 30; the box around all shapes of the link",
+    consequence="The policy learns forces of another robot.",
+)
+def density(robot: Robot) -> Iterator[Fault]:
+    """Yield bodies that are denser than lead in the box around their shapes, or far lighter than the others."""
+    model, shapes = robot.model, body_shapes(robot)
+    lights = {
+        body: model.body_mass[body] / max(shape.volume_m3, 1e-12)
+        for body, shape in shapes.items()
+    }
+    least = float(
+        np.clip(np.median([*lights.values()] or [0.0]) / 100.0, *LIGHT_KG_PER_M3)
+    )
+    for body, shape in shapes.items():
+        mass_kg, whole = (
+            model.body_mass[body],
+            model.body_subtreemass[model.body_rootid[body]],
+        )
+        name = name_of(model, "body", body)
+        dense, light = mass_kg / max(shape.box_m3, 1e-12), lights[body]
+        is_object = int(model.body_treeid[body]) not in robot.driven_trees
+        limit = POINT_KG_PER_M3 if is_object else LEAD_KG_PER_M3
+        if dense > limit and mass_kg > MIN_SHARE * whole:
+            text = f"{name} weighs {mass_kg:.3g} kg: {dense:,.0f} kg/m^3 in the box around it; lead has 12,000"
+            yield Fault(("body", body), name, text, dense / limit)
+        elif 0.0 < light < least and model.body_dofnum[body]:
+            text = f"{name} weighs {mass_kg:.3g} kg: {light:.2g} kg/m^3, lighter than any other link"
+            yield Fault(("body", body), name, text, least / light)
+
+
+MAX_GYRATION, MIN_GYRATION = 1.0, 1.0 / 5.0
+"""Squared radius of gyration over that of the farthest corner of the link's own shapes, and over that of the shapes."""
+
+
+@rule(
+    "inertia",
+    title="inertia of a link over its own shapes",
+    source="a mass inside a box gyrates with less than the distance of its farthest corner; with a motor at one end, "
+    "with more than half of an even density",
+    consequence="The link turns faster or slower than the real one.",
+)
+def inertia(robot: Robot) -> Iterator[Fault]:
+    """Yield bodies whose mass would lie outside of their shapes, or in a small part of them."""
+    model = robot.model
+    for body, shape in body_shapes(robot).items():
+        mass_kg, name = model.body_mass[body], name_of(model, "body", body)
+        if mass_kg < MIN_SHARE * model.body_subtreemass[model.body_rootid[body]]:
+            continue
+        square = 0.5 * model.body_inertia[body].sum() / max(mass_kg, 1e-12)
+        most = shape.farthest_m(model.body_ipos[body]) ** 2
+        ratio = square / max(shape.square_m2, 1e-12)
+        if square > MAX_GYRATION * most or ratio < MIN_GYRATION:
+            text = f"{name} of {mass_kg:.3g} kg has {ratio:.2g} times the inertia of its own shapes"
+            yield Fault(
+                ("body", body),
+                name,
+                text,
+                max(ratio, 1.0 / max(ratio, 1e-12)),
+            )
+
+
+MAX_AWAY = 2.0
+"""Distance of a centre of mass from the box around the link over its diagonal: drawn parts may be missing."""
+
+
+@rule(
+    "centre-of-mass",
+    title="centre of mass outside of the link",
+    source="a mass inside its shapes has its centre in the box around them",
+    consequence="The link falls to a side that the real one does not have.",
+)
+def centre(robot: Robot) -> Iterator[Fault]:
+    """Yield bodies whose centre of mass is farther from the box around them than its diagonal."""
+    model = robot.model
+    for body, shape in body_shapes(robot).items():
+        point = model.body_ipos[body]
+        out_m = np.linalg.norm(
+            np.maximum(0.0, np.maximum(shape.low_m - point, point - shape.high_m))
+        )
+        size_m = np.linalg.norm(shape.high_m - shape.low_m)
+        if out_m > MAX_AWAY * size_m:
+            name = name_of(model, "body", body)
+            text = f"{name} has its centre of mass {out_m:.3g} m outside of its shapes of {size_m:.3g} m"
+            yield Fault(("body", body), name, text, float(out_m / size_m))
+
+
+MESH_SHARE = 1.5
+"""Mass of a mesh by MuJoCo's legacy rule over that of its volume above which it is said."""
+
+
+@rule(
+    "mesh-mass",
+    title="mass of a mesh by the legacy rule",
+    source='MuJoCo\'s inertia="legacy" counts the volume of a mesh that is not convex several times; exact does not',
+    consequence="The link is heavier than its density says.",
+)
+def mesh_mass(robot: Robot) -> Iterator[Fault]:
+    """Yield bodies with a single mesh and a density, whose mass is not density times volume."""
+    model = robot.model
+    for geom in robot.spec.geoms if robot.spec else ():
+        body = int(model.geom_bodyid[geom.id])
+        is_single = (
+            model.body_geomnum[body] == 1
+            and model.geom_type[geom.id] == mujoco.mjtGeom.mjGEOM_MESH
+        )
+        if not is_single or geom.parent.explicitinertial or np.isfinite(geom.mass):
+            continue
+        exact_kg, mass_kg = (
+            geom.density * mesh_volume_m3(model, geom.id),
+            model.body_mass[body],
+        )
+        if mass_kg > MESH_SHARE * exact_kg:
+            name = name_of(model, "body", body)
+            text = f'{name} weighs {mass_kg:.3g} kg; density times volume is {exact_kg:.3g}: set inertia="exact"'
+            yield Fault(("body", body), name, text, mass_kg / max(exact_kg, 1e-12))
+
+
+@rule(
+    "drawn-twice",
+    title="mass of a part that is drawn and collides",
+    source="what is drawn and collides weighs once",
+    consequence="The link is heavier than the real one.",
+)
+def drawn_twice(robot: Robot) -> Iterator[Fault]:
+    """Yield drawn geoms with a mass at the place and with the size of a solid geom of the same body."""
+    model, solid = robot.model, solid_geoms(robot.model)
+    volumes, _ = volumes_and_squares(model)
+    for geom in robot.spec.geoms if robot.spec else ():
+        body = int(model.geom_bodyid[geom.id])
+        twins = solid & (model.geom_bodyid == body)
+        if (
+            solid[geom.id]
+            or geom.parent.explicitinertial
+            or not model.body_dofnum[body]
+        ):
+            continue
+        size_m, sizes_m = model.geom_rbound[geom.id], model.geom_rbound[twins]
+        apart_m = np.linalg.norm(
+            model.geom_pos[twins] - model.geom_pos[geom.id], axis=1
+        )
+        mass_kg = (
+            geom.mass if np.isfinite(geom.mass) else geom.density * volumes[geom.id]
+        )
+        is_twin = (np.maximum(apart_m, np.abs(sizes_m - size_m)) < TWIN * sizes_m).any()
+        whole_kg = float(model.body_mass[body])
+        if is_twin and mass_kg > EXTRA * whole_kg:
+            name = name_of(model, "body", body)
+            text = f"{name} weighs {whole_kg:.3g} kg; {geom_name(model, geom.id)}, which is drawn, has {mass_kg:.3g}"
+            yield Fault(("body", body), name, text, mass_kg / whole_kg)
+
+
+TWIN, EXTRA = 0.01, 0.05
+"""Distance of drawn twins over their size, and their least share of the mass."""
+
+
+# --- joints ----------------------------------------------------------------------------------------------------------
+
+MAX_TURNS, MIN_RANGE_RAD = 4.0, 0.12
+"""Largest range of a hinge in turns, and the smallest: 2 pi in degrees that are read twice is 0.11."""
+
+
+@rule(
+    "range-unit",
+    title="range of a hinge in another unit",
+    source="a hinge with stops turns by less than four turns; a range of 6.28 read as degrees is 0.11 rad",
+    consequence="The joint has no stops, or does not move.",
+)
+def range_unit(robot: Robot) -> Iterator[Fault]:
+    """Yield hinges whose range looks like degrees in a file of radians, or the reverse."""
+    model = robot.model
+    driven = model.dof_jntid[robot.driven_dofs]
+    limited = np.flatnonzero((model.jnt_limited != 0) & joints_of(model, "HINGE"))
+    for joint in limited.tolist():
+        low, high = model.jnt_range[joint]
+        name, span = name_of(model, "joint", joint), high - low
+        if span > MAX_TURNS * 2.0 * np.pi:
+            text = f"{name} can turn {span / (2.0 * np.pi):.3g} times round: range {low:.4g} to {high:.4g} "
+            right = "range", np.deg2rad([low, high])
+            text += "looks like degrees in a file of radians"
+            yield Fault(("joint", joint), name, text, span, True, right)
+        elif span < MIN_RANGE_RAD and joint in driven:
+            low, high = np.rad2deg([low, high])
+            text = f"{name} can turn by {np.rad2deg(span):.3g} degrees: range {low:.4g} to {high:.4g} "
+            right = "range", np.rad2deg([low, high])
+            text += "looks like radians in a file of degrees"
+            yield Fault(
+                ("joint", joint), name, text, 1.0 / max(span, 1e-9), True, right
+            )
+
+
+# --- the world -------------------------------------------------------------------------------------------------------
+
+
+@rule(
+    "medium",
+    title="a liquid around a robot on feet",
+    source="air has 1.2 kg/m^3 and 1.8e-5 Pa s; water 1000 and 1e-3",
+    consequence="The robot walks as under water.",
+)
+def medium(robot: Robot) -> Iterator[Fault]:
+    """Yield a density or viscosity of the medium of a robot with wheels, feet or a fixed base above a floor."""
+    option = robot.model.opt
+    is_heavy = option.gravity.any() and not switched_off(
+        robot.model, "gravity", "contact"
+    )
+    if len(robot.ground_rows) and is_heavy and option.density > LIQUID_KG_PER_M3:
+        text = f"the medium has {option.density:g} kg/m^3, a liquid; air has 1.2"
+        yield Fault(("body", 0), "option", text, option.density)
+
+
+SENSORS = (mujoco.mjtSensor.mjSENS_ACCELEROMETER, mujoco.mjtSensor.mjSENS_GYRO)
+
+
+@rule(
+    "imu-frame",
+    title="inertial sensor upside down",
+    source="an accelerometer at rest measures 9.81 m/s^2 upwards",
+    consequence="The policy gets gravity with the wrong sign.",
+)
+def imu_frame(robot: Robot) -> Iterator[Fault]:
+    """Yield sites of inertial sensors whose z axis points down where the robot stands."""
+    model, data = robot.model, mujoco.MjData(robot.model)
+    data.qpos[:] = robot.stance.qpos
+    mujoco.mj_kinematics(model, data)
+    for number in np.flatnonzero(np.isin(model.sensor_type, SENSORS)).tolist():
+        site = int(model.sensor_objid[number])
+        axis: FloatArray = data.site_xmat[site].reshape(3, 3)[:, 2]
+        if robot.standing is not None and axis @ np.asarray(robot.up) < -0.9:
+            name = name_of(model, "site", site)
+            text = f"site {name} of an inertial sensor is upside down: at rest it measures -9.81 m/s^2 along z"
+            yield Fault(("site", site), name, text)

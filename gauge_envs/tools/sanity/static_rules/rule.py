@@ -1,0 +1,102 @@
+"""Define a static rule: it compares numbers of a model with each other, without a simulation.
+
+Example:
+    ```python
+    @rule("start-range", title="keyframe outside a joint's range", source="MuJoCo pushes a joint back into its range")
+    def start_range(robot: Robot) -> Iterator[Fault]: ...
+    ```
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+from gauge_envs.tools.sanity.model_checks.check import (
+    Change,
+    Finding,
+    ModelCheck,
+    model_check,
+)
+from gauge_envs.tools.sanity.robot.robot import Place, Robot
+
+UNITS = {
+    1000.0: "grams or millimetres",
+    57.29578: "degrees",
+    3282.806: "degrees on both sides of a gain",
+    25.4: "inches",
+    1e6: "kilograms and square millimetres",
+}
+"""Units that a ratio names."""
+
+UNIT_TOLERANCE = 0.02
+"""Relative distance up to which a ratio names a unit."""
+
+
+class Fault(NamedTuple):
+    """A number of the model that contradicts another one.
+
+    Attributes:
+        place: Element of the model.
+        name: Name of the element.
+        text: What is wrong, with its numbers, as a sentence without a full stop.
+        ratio: Ratio of the two numbers; the largest is shown first.
+        is_error: Whether the model cannot do at all what its file says.
+        change: Attribute of the element and its right value, in the units of the file; None where it is unknown.
+    """
+
+    place: Place
+    name: str
+    text: str
+    ratio: float = 1.0
+    is_error: bool = False
+    change: Change | None = None
+
+
+def rule(
+    name: str, *, title: str, source: str, consequence: str
+) -> Callable[[Callable[[Robot], Iterable[Fault]]], ModelCheck]:
+    """Return a decorator that makes a check of a function which yields faults; see `model_check`."""
+
+    def decorate(function: Callable[[Robot], Iterable[Fault]]) -> ModelCheck:
+        def measure(robot: Robot) -> Finding:
+            return found(function(robot))
+
+        check = model_check(
+            name,
+            title=title,
+            interval=(0.0, 0.5),
+            source=source,
+            consequence=consequence,
+        )
+        return check(measure)
+
+    return decorate
+
+
+def found(faults: Iterable[Fault]) -> Finding:
+    """Return the finding of faults: the number of faulty elements, and the worst one with the number of others."""
+    ranked = sorted(faults, key=lambda fault: (not fault.is_error, -fault.ratio))
+    if not ranked:
+        return Finding(value=0.0)
+    names = dict.fromkeys(fault.name for fault in ranked)
+    worst, more = ranked[0], len(names) - 1
+    return Finding(
+        value=float(len(names)),
+        remark=f"{worst.text}; {more} more" if more else worst.text,
+        place=worst.place,
+        parts=dict.fromkeys(names, 1.0),
+        is_usual=not worst.is_error,
+        deviation=math.inf if worst.is_error else 2.0,
+        changes={fault.place: fault.change for fault in ranked if fault.change},
+    )
+
+
+def unit_text(ratio: float) -> str:
+    """Return the unit that a ratio names, as `: looks like degrees`; empty for another ratio."""
+    ratio = max(abs(ratio), 1.0 / max(abs(ratio), 1e-300))
+    for factor, unit in UNITS.items():
+        if abs(ratio / factor - 1.0) < UNIT_TOLERANCE:
+            return f" ({factor:.3g} times: {unit})"
+    return ""

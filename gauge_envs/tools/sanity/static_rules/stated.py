@@ -1,0 +1,279 @@
+"""Static rules: what the file states and MuJoCo does not do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from gauge_envs.backends.mujoco.contact_table import COLUMNS, PairKind, can_move
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    disable_bit,
+    free_objects,
+    geom_name,
+    joints_of,
+    joints_of_motors,
+    name_of,
+    unheld,
+)
+from gauge_envs.tools.sanity.static_rules.rule import Fault, rule
+
+# --- contacts --------------------------------------------------------------------------------------------------------
+
+LOST_FRICTION = 2.0
+"""Friction of a contact over the smaller one that a geom states, from which on the latter is said to be lost."""
+
+DEFAULT_FRICTION = 1.0
+
+
+@rule(
+    "stated-friction",
+    title="stated friction that is not used",
+    source="MuJoCo takes the greater friction of two geoms of equal priority, other engines the mean or product",
+    consequence="What should slip grips: give the geom priority, or the contact a pair.",
+)
+def friction(robot: Robot) -> Iterator[Fault]:
+    """Yield geoms whose stated friction loses against a greater one in each contact with what is fixed."""
+    model, pairs = robot.model, robot.pairs
+    used, stated = pairs.constants[:, 1], model.geom_friction[:, 0]
+    fixed = np.flatnonzero(pairs.kinds < PairKind.MOVING)
+    for side in (0, 1):
+        geoms = pairs.geoms[fixed, side]
+        lost = used[fixed] >= LOST_FRICTION * np.maximum(stated[geoms], 1e-3)
+        lost &= stated[geoms] < DEFAULT_FRICTION
+        for row, geom in zip(fixed[lost], geoms[lost], strict=True):
+            other = pairs.geoms[row, 1 - side]
+            name, ratio = geom_name(model, geom), used[row] / stated[geom]
+            text = f"{name} states friction {stated[geom]:g}; its contact with {geom_name(model, other)} has "
+            text += f"{used[row]:g}"
+            yield Fault(("geom", int(geom)), name, text, ratio, change=("priority", 1))
+
+
+def _constraints(model: mujoco.MjModel) -> Iterator[tuple[str, int, FloatArray]]:
+    """Yield kind, id and the constants of the colliding geoms, explicit pairs, and equalities."""
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    arrays = {"geom": collides, "pair": model.npair, "equality": model.neq}
+    for kind, which in arrays.items():
+        prefix = "eq" if kind == "equality" else kind
+        count = np.flatnonzero(which) if kind == "geom" else range(which)
+        for number in count:
+            constants = [
+                getattr(model, f"{prefix}_{key}") for key in ("solref", "solimp")
+            ]
+            yield kind, int(number), np.hstack([array[number] for array in constants])
+    for joint in np.flatnonzero(model.jnt_limited).tolist():
+        yield (
+            "joint",
+            joint,
+            np.hstack([model.jnt_solref[joint], model.jnt_solimp[joint]]),
+        )
+
+
+@rule(
+    "stated-solref",
+    title="time constants below two steps",
+    source="MuJoCo raises the time constant of a constraint to two steps, unless refsafe is off",
+    consequence="Contacts are softer than the file says.",
+)
+def solref(robot: Robot) -> Iterator[Fault]:
+    """Yield elements whose time constant MuJoCo raises by more than a tenth."""
+    model = robot.model
+    least_s = 2.0 * model.opt.timestep
+    if model.opt.disableflags & disable_bit("refsafe"):
+        return
+    for kind, number, constants in _constraints(model):
+        if 0.0 < constants[0] < least_s / 1.1:
+            name = name_of(model, kind, number)
+            text = f"{name} states solref {constants[0]:.3g} s; {least_s:g} s acts, two steps of {500 * least_s:g} ms"
+            yield Fault((kind, number), name, text, least_s / constants[0])
+
+
+MAX_IMPEDANCE = 0.9999
+"""Largest impedance of MuJoCo, to which it clips solimp."""
+
+
+@rule(
+    "stated-solimp",
+    title="impedance that falls with depth",
+    source="MuJoCo: solimp is dmin, dmax, width, midpoint, power; dmin is at most dmax",
+    consequence="A contact gets softer the deeper it is.",
+)
+def solimp(robot: Robot) -> Iterator[Fault]:
+    """Yield elements whose impedance at the surface exceeds that in the depth."""
+    for kind, number, constants in _constraints(robot.model):
+        low, high = np.minimum(constants[2:4], MAX_IMPEDANCE).tolist()
+        if low > high:
+            name = name_of(robot.model, kind, number)
+            text = f"{name} has solimp {low:g} at the surface and {high:g} in the depth: exchange the two"
+            right = "solimp", [high, low, *constants[4:]]
+            yield Fault((kind, number), name, text, low / max(high, 1e-9), change=right)
+
+
+MAX_MARGIN_M = 0.002
+"""Distance at which contacts may act [m]: the clearance of a printed joint."""
+
+
+@rule(
+    "stated-margin",
+    title="contacts that act at a distance",
+    source="MuJoCo: a contact acts from margin - gap on, where margins and gaps of two geoms add up",
+    consequence="Bodies float above what they rest on.",
+)
+def margin(robot: Robot) -> Iterator[Fault]:
+    """Yield moving geoms that touch what is fixed before they meet it."""
+    model, pairs = robot.model, robot.pairs
+    ahead_m = (
+        pairs.constants[:, COLUMNS["margin"]] - pairs.constants[:, COLUMNS["gap"]]
+    )[:, 0]
+    for row in np.flatnonzero(
+        (ahead_m > MAX_MARGIN_M) & (pairs.kinds < PairKind.MOVING)
+    ):
+        geom = int(pairs.geoms[row].max())
+        name = geom_name(model, geom)
+        text = f"{name} rests {1e3 * ahead_m[row]:.3g} mm above the ground: its margin has no gap"
+        right = "gap", model.geom_margin[geom]
+        yield Fault(
+            ("geom", geom), name, text, ahead_m[row] / MAX_MARGIN_M, change=right
+        )
+
+
+TORSION, ROLLING = 0.005, 0.0001
+"""Default torsional and rolling friction of a geom [m]."""
+
+FLAT = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_MESH))
+"""Types of geoms that do not roll."""
+
+
+@rule(
+    "stated-rolling",
+    title="friction that condim ignores",
+    source="MuJoCo: sliding friction acts with condim 3 and more, torsional with 4 and 6, rolling with 6",
+    consequence="What should stop slides, turns or rolls on.",
+)
+def rolling(robot: Robot) -> Iterator[Fault]:
+    """Yield geoms and pairs with friction that their condim ignores: of geoms, rolling counts for round free bodies."""
+    model, condims = robot.model, _condims(robot)
+    stated, moves = model.geom_friction, can_move(model)
+    rolls = np.isin(model.geom_bodyid, free_objects(model))
+    rolls &= ~np.isin(
+        model.geom_bodyid, model.geom_bodyid[np.isin(model.geom_type, FLAT)]
+    )
+    ignored = {
+        "sliding": (0, moves & (stated[:, 0] != DEFAULT_FRICTION) & (condims == 1)),
+        "rolling": (2, rolls & (stated[:, 2] > 2.0 * ROLLING) & (condims < 6)),
+        "torsional": (1, moves & (stated[:, 1] > 10.0 * TORSION) & (condims < 4)),
+    }
+    for word, (column, is_ignored) in ignored.items():
+        for geom in np.flatnonzero(is_ignored & (condims > 0)).tolist():
+            name = geom_name(model, geom)
+            text = f"{name} states {word} friction {stated[geom, column]:g}, which condim {condims[geom]:g} ignores"
+            right = "condim", {"sliding": 3, "rolling": 6, "torsional": 4}[word]
+            yield Fault(("geom", geom), name, text, change=right)
+    for pair in np.flatnonzero(model.pair_dim < 6).tolist():
+        value_m, condim = model.pair_friction[pair, 3:].max(), model.pair_dim[pair]
+        if value_m > 2.0 * ROLLING:
+            text = f"pair {pair} states rolling friction {value_m:g}, which condim {condim} ignores"
+            yield Fault(("pair", pair), f"pair {pair}", text)
+
+
+def _condims(robot: Robot) -> FloatArray:
+    """Return the largest condim of the contacts of each geom, shape [ngeom]."""
+    condims = np.zeros(robot.model.ngeom)
+    np.maximum.at(condims, robot.pairs.geoms, robot.pairs.constants[:, :1])
+    return condims
+
+
+LEVER, MIN_TIP_M = 3.0, 0.0025
+"""Largest lever over the size of a geom, which may be a part of a pad, and size of a point of a pad [m]."""
+
+
+@rule(
+    "friction-lever",
+    title="torsional friction over the size of a part",
+    source="an even disc has a lever of two thirds of its radius, and no contact is larger than the part",
+    consequence="Feet and fingers hold as if glued: they neither turn nor roll.",
+)
+def lever(robot: Robot) -> Iterator[Fault]:
+    """Yield geoms of a robot whose torsional friction, a length, exceeds their size."""
+    model, levers_m = robot.model, robot.model.geom_friction[:, 1]
+    sizes_m = model.geom_rbound
+    is_felt = np.isin(model.geom_bodyid, robot.bodies) & (_condims(robot) > 3)
+    is_felt &= (sizes_m > MIN_TIP_M) & (levers_m > LEVER * sizes_m)
+    for geom in np.flatnonzero(is_felt).tolist():
+        name, (sliding, lever_m) = geom_name(model, geom), model.geom_friction[geom, :2]
+        text = f"{name} of {1e3 * sizes_m[geom]:.3g} mm resists turning with a lever of {1e3 * lever_m:.3g} mm"
+        if lever_m > sliding:
+            text += ": friction is in the order sliding, torsion, rolling"
+        yield Fault(("geom", geom), name, text, lever_m / sizes_m[geom])
+
+
+# --- actuators and gravity compensation ------------------------------------------------------------------------------
+
+
+@rule(
+    "stated-gear",
+    title="actuators without effect",
+    source="MuJoCo: the force of an actuator is gain times control, times gear",
+    consequence="The joint does not follow its commands.",
+)
+def gear(robot: Robot) -> Iterator[Fault]:
+    """Yield actuators with a gear or a gain of zero, or a range of one value."""
+    model = robot.model
+    is_fixed = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED
+    is_idle = ~model.actuator_gear.any(axis=1)
+    is_idle |= is_fixed & (model.actuator_gainprm[:, 0] == 0.0)
+    is_idle |= (model.actuator_forcelimited != 0) & ~model.actuator_forcerange.any(
+        axis=1
+    )
+    for number in np.flatnonzero(is_idle).tolist():
+        name = name_of(model, "actuator", number)
+        text = (
+            f"actuator {name} makes no force: gear {model.actuator_gear[number, 0]:g}, "
+        )
+        text += f"gain {model.actuator_gainprm[number, 0]:g}"
+        yield Fault(("actuator", number), name, text, is_error=True)
+
+
+LINK_SHARE = 0.2
+"""Mass of a link over its parent's mass below which its weight needs no compensation."""
+
+
+@rule(
+    "stated-gravcomp",
+    title="gravity compensation of a part of a robot",
+    source="MuJoCo: gravcomp of a body does not reach its children; a robot on feet carries its weight",
+    consequence="The robot floats, or sags as if it had no compensation.",
+)
+def gravcomp(robot: Robot) -> Iterator[Fault]:
+    """Yield standing robots that gravity does not pull, and links without compensation next to one with it."""
+    model, carried = robot.model, robot.model.body_gravcomp > 0.0
+    if (
+        robot.standing
+        and robot.standing.body in unheld(model)
+        and carried[robot.bodies].any()
+    ):
+        body = next(body for body in robot.bodies if carried[body])
+        name = name_of(model, "body", body)
+        weight = model.body_mass[robot.bodies]
+        share = float((weight * model.body_gravcomp[robot.bodies]).sum() / weight.sum())
+        text = f"{name} has gravcomp {model.body_gravcomp[body]:g}: nothing carries {share:.0%} of the robot's weight"
+        yield Fault(("body", body), name, text, share, share > 0.9, ("gravcomp", 0.0))
+        return
+    parents, joints = model.body_parentid, joints_of_motors(model)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    moments = np.abs(np.cross(data.xaxis[joints], model.opt.gravity)).max(axis=1)
+    bends, moved = (
+        joints_of(model, "HINGE")[joints] & (moments > 0.1),
+        model.jnt_bodyid[joints],
+    )
+    for body in np.unique(moved[bends & ~carried[moved]]).tolist():
+        near = [parents[body], *moved[parents[moved] == body]]
+        link = next((int(link) for link in near if carried[link]), 0)
+        if link and model.body_mass[body] > LINK_SHARE * model.body_mass[link]:
+            name, other = name_of(model, "body", body), name_of(model, "body", link)
+            text = f"gravcomp of {other} does not act on {name} ({model.body_mass[body]:.3g} kg)"
+            yield Fault(("body", body), name, text)

@@ -1,0 +1,47 @@
+"""All checks of the target itself, causes before effects: what is read, then what its own run shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from gauge_envs.tools.sanity.model_checks import (
+    at_rest,
+    free_motion,
+    ground,
+    joints,
+    numbers,
+)
+from gauge_envs.tools.sanity.model_checks.check import ModelCheck, TargetCheck
+from gauge_envs.tools.sanity.static_rules import STATIC_RULES
+
+READ: tuple[ModelCheck, ...] = (
+    *STATIC_RULES,
+    ground.feet,
+    ground.friction,
+    joints.joint_brakes,
+    joints.servo_response,
+    joints.free_joint_drag,
+)
+"""Checks that simulate nothing."""
+
+RUN: tuple[ModelCheck, ...] = (
+    free_motion.holds,
+    ground.holding_force,
+    ground.stands,
+    at_rest.overlap,
+    at_rest.constraints,
+    at_rest.slip,
+    at_rest.creep,
+    free_motion.spin,
+    free_motion.energy,
+    free_motion.solver,
+)
+"""Checks of runs of the target's own model."""
+
+MODEL_CHECKS = (*READ, *RUN)
+"""Checks of the target's own model."""
+
+TARGET_CHECKS: Mapping[str, TargetCheck] = {
+    check.id: check for check in (numbers.gravity, *MODEL_CHECKS)
+}
+"""Checks of the target itself, which run none of the suite's experiments, by their id."""

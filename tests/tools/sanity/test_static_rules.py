@@ -1,0 +1,262 @@
+"""Static rules: each names a mistake, and says nothing of its right twin."""
+
+import pytest
+from robot_faults import good_xml
+
+from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity import check, configuration
+from gauge_envs.tools.sanity.static_rules import STATIC_RULES
+from gauge_envs.tools.sanity.static_rules.sides import side_of
+
+ARM = """<mujoco><compiler {angle}/><option timestep=".002" {option}/><worldbody>
+  <geom name="floor" type="plane" size="1 1 .1" {floor}/>
+  <body name="link" pos="0 0 .5"><inertial pos=".15 0 0" mass="{mass}" diaginertia="{inertia}"/>
+   <joint name="elbow" axis="0 1 0" range="{range}" damping=".5"/>
+   <geom name="link" type="capsule" fromto="0 0 0 .3 0 0" size=".03"/><site name="left_tip" pos=".3 0 0"/></body>
+  <body name="box" pos="1 0 {height}"><freejoint/>
+   <geom name="box" type="box" size=".05 .05 .05" mass="1" {box}/></body>
+  </worldbody><tendon><fixed name="cord" range="{cord}"><joint joint="elbow" coef="1"/></fixed></tendon>
+  <actuator><position name="{actuator}" joint="elbow" kp="{kp}" kv="2" gear="{gear}" ctrlrange="{commands}"
+   forcerange="-20 20"/></actuator>
+  <sensor><touch name="{sensor}" site="left_tip"/></sensor>
+  <keyframe><key name="home" qpos="{start} 1 0 {height} 1 0 0 0" ctrl="{command}"/></keyframe></mujoco>"""
+
+RIGHT = {
+    "angle": 'angle="radian"',
+    "option": "",
+    "floor": "",
+    "mass": "1",
+    "inertia": ".001 .009 .009",
+    "range": "-1 1.5",
+    "height": ".05",
+    "box": "",
+    "cord": "-1 1",
+    "actuator": "elbow",
+    "kp": "50",
+    "gear": "1",
+    "commands": "-1 1.5",
+    "sensor": "left_touch",
+    "start": "0",
+    "command": "0",
+}
+
+MISTAKES = [
+    ("range-unit", "22.8 times round", {"range": "-57 86"}, {"range": "-6 6"}),
+    (
+        "range-unit",
+        "radians in a file of degrees",
+        {"angle": ""},
+        {"angle": "", "range": "-57 86"},
+    ),
+    ("density", "lead has", {"mass": "50", "inertia": ".05 .45 .45"}, {}),
+    ("inertia", "8.1 times", {"inertia": ".01 .08 .08"}, {"inertia": ".002 .01 .01"}),
+    (
+        "inertia",
+        "0.081 times",
+        {"inertia": "1e-4 8e-4 8e-4"},
+        {"inertia": "5e-4 .006 .006"},
+    ),
+    ("command-range", "degrees", {"commands": "-57 86"}, {"commands": "-1.2 1.7"}),
+    ("command-range", "motor", {"commands": "-20 20"}, {"commands": "-.5 .5"}),
+    ("servo-gain", "kp 0.87", {"kp": ".87"}, {"kp": "20"}),
+    (
+        "stated-gear",
+        "makes no force",
+        {"gear": "0"},
+        {"gear": "-1", "commands": "-1.5 1"},
+    ),
+    (
+        "start-range",
+        "outside of its range",
+        {"start": "1.7"},
+        {"start": "1.5", "cord": "-2 2"},
+    ),
+    ("start-command", "commands elbow to 2", {"command": "2"}, {"command": "1.5"}),
+    ("start-overlap", "20 mm", {"height": ".03"}, {"height": ".048"}),
+    ("start-tendon", "of its joints", {"cord": ".4 .6"}, {"cord": "-.1 .1"}),
+    (
+        "names",
+        "left_tip, on the other side",
+        {"sensor": "right_touch"},
+        {"sensor": "touch"},
+    ),
+    (
+        "touch",
+        "falls through",
+        {"box": 'contype="2" conaffinity="2"'},
+        {"box": 'contype="0"'},
+    ),
+    ("medium", "a liquid", {"option": 'density="1000"'}, {"option": 'density="1.2"'}),
+    (
+        "stated-solimp",
+        "exchange",
+        {"box": 'solimp=".9 .1 .001"'},
+        {"box": 'solimp=".1 .9 .001"'},
+    ),
+    (
+        "stated-solref",
+        "two steps",
+        {"box": 'solref=".001 1"'},
+        {"box": 'solref=".004 1"'},
+    ),
+    (
+        "stated-margin",
+        "10 mm above",
+        {"box": 'margin=".01"'},
+        {"box": 'margin=".01" gap=".01"'},
+    ),
+    (
+        "stated-friction",
+        "friction 0.3",
+        {"box": 'friction=".3"'},
+        {"box": 'friction=".3" priority="1"'},
+    ),
+    (
+        "stated-rolling",
+        "torsional",
+        {"box": 'friction="1 .1 .0001"'},
+        {"box": 'friction="1 .1 .0001" condim="4"'},
+    ),
+]
+"""Rule, a part of its text, and what a mistake and its right twin change in the right arm."""
+
+
+def flags_of(xml, tmp_path):
+    file = tmp_path / "robot.xml"
+    file.write_text(xml)
+    target = configuration(str(file))
+    results = [rule.result(target) for rule in STATIC_RULES]
+    return {result.id: result.remark for result in results if result.verdict.is_off}
+
+
+@pytest.mark.parametrize(("rule", "words", "wrong", "right"), MISTAKES)
+def test_a_mistake_is_named_and_its_right_twin_is_not(
+    rule, words, wrong, right, tmp_path
+):
+    flags = flags_of(ARM.format(**{**RIGHT, **wrong}), tmp_path)
+    assert words in flags.get(rule, ""), flags
+    assert flags_of(ARM.format(**{**RIGHT, **right}), tmp_path) == {}
+
+
+@pytest.mark.parametrize(
+    ("rule", "old", "wrong", "right"),
+    [
+        (
+            "mirror",
+            'joint="FL_knee" kp="80"',
+            'joint="FL_knee" kp="20"',
+            'joint="FL_knee" kp="85"',
+        ),
+        (
+            "mirror",
+            '"FL_foot"',
+            '"FL_foot" contype="0" conaffinity="0"',
+            '"FL_foot" condim="3"',
+        ),
+        (
+            "stated-gravcomp",
+            '<body name="trunk"',
+            '<body name="trunk" gravcomp="1"',
+            '<body name="trunk" gravcomp="0"',
+        ),
+    ],
+)
+def test_legs_are_compared_with_each_other(rule, old, wrong, right, tmp_path):
+    text = good_xml().replace("<position joint", "<position name={0} joint")
+    for joint in (
+        "FL_hip",
+        "FL_knee",
+        "FR_hip",
+        "FR_knee",
+        "RL_hip",
+        "RL_knee",
+        "RR_hip",
+        "RR_knee",
+    ):
+        text = text.replace(
+            f'name={{0}} joint="{joint}"', f'name="{joint}" joint="{joint}"'
+        )
+    assert old in text
+    assert rule in flags_of(text.replace(old, wrong), tmp_path)
+    assert flags_of(text.replace(old, right), tmp_path) == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "side", "stem"),
+    [
+        ("left_hip_pitch", "l", "* hip pitch"),
+        ("RightKnee", "r", "* knee"),
+        ("FL_calf", "l", "front calf"),
+        ("RF_calf", "r", "front calf"),
+        ("hip_rl", "l", "hip rear"),
+        ("left_right_foot", "", "* * foot"),
+        ("flange", "", "flange"),
+        ("link_3", "", "link 3"),
+    ],
+)
+def test_a_name_says_a_side(name, side, stem):
+    assert side_of(name) == (side, stem)
+
+
+HEAVY = ARM.format(**{**RIGHT, "mass": "50", "inertia": ".05 .45 .45"})
+
+
+def density_of(folder, xml):
+    (folder / "robot.xml").write_text(xml)
+    (result,) = check(str(folder / "robot.xml"), only=["density"]).checks
+    return result
+
+
+def test_a_finding_is_accepted_with_a_reason(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert density_of(tmp_path, HEAVY).is_flag
+    accepted = density_of(
+        tmp_path, f"<!-- gauge: accept density:link: a weight -->{HEAVY}"
+    )
+    assert (accepted.accepted, accepted.is_flag, accepted.severity) == (
+        "a weight",
+        False,
+        "",
+    )
+    assert density_of(
+        tmp_path, f"<!-- gauge: accept density:arm: a weight -->{HEAVY}"
+    ).is_flag
+    (tmp_path / "gauge.toml").write_text('[sanity.accept]\ndensity = "a weight"')
+    assert density_of(tmp_path, HEAVY).accepted == "a weight"
+    (tmp_path / "gauge.toml").write_text('[sanity.accept]\ndensity = ""')
+    with pytest.raises(TargetError, match="density is accepted without a reason"):
+        density_of(tmp_path, HEAVY)
+
+
+def test_a_cause_has_its_effects_and_a_failed_assertion_shows_the_screen(tmp_path):
+    (tmp_path / "robot.xml").write_text(
+        good_xml().replace('range="-60 240"', 'range="-1 4"')
+    )
+    report = check(
+        str(tmp_path / "robot.xml"), only=["range-unit", "robot-stands", "model-*"]
+    )
+    assert [*report.errors] == ["range-unit"]
+    assert "looks like radians in a file of degrees" in repr(report.errors)
+    assert report.errors["range-unit"].line == 5
+
+
+FIXES = {
+    "range-unit": ({"range": "-57.3 86"}, 'joint "elbow": range="-1 1.501"'),
+    "command-range": ({"commands": "-57 86"}, 'actuator "elbow": ctrlrange="-1 1.5"'),
+    "stated-solimp": (
+        {"box": 'solimp=".9 .1 .001"'},
+        'geom "box": solimp="0.1 0.9 0.001 0.5 2"',
+    ),
+    "stated-margin": ({"box": 'margin=".01"'}, 'geom "box": gap="0.01"'),
+    "stated-friction": ({"box": 'friction=".3"'}, 'geom "box": priority="1"'),
+    "density": ({"mass": "50", "inertia": ".05 .45 .45"}, ""),
+}
+
+
+@pytest.mark.parametrize("rule", FIXES)
+def test_the_attribute_that_is_named_is_corrected_and_tried(rule, tmp_path):
+    wrong, fix = FIXES[rule]
+    file = tmp_path / "robot.xml"
+    file.write_text(ARM.format(**{**RIGHT, **wrong}))
+    (result,) = check(str(file), only=[rule]).checks
+    assert result.is_flag and result.fix == fix
