@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -129,6 +130,7 @@ def sanity(
     from gauge_envs.tools.sanity import check, configuration
     from gauge_envs.tools.sanity.comparison import read_baseline
     from gauge_envs.tools.sanity.fix_file import check_can_fix, write_fix
+    from gauge_envs.tools.sanity.pair import pair_parts
     from gauge_envs.tools.sanity.report import sanity_document
     from gauge_envs.tools.sanity.selection import selection
 
@@ -162,6 +164,9 @@ def sanity(
             **chosen,
         )
     document = sanity_document(report, details=details, is_all=is_all)
+    if geoms is not None and checked.robot is not None:
+        of_pair = pair_parts(checked.robot, (geoms[0], geoms[1]))
+        document = replace(document, parts=[*of_pair, *document.parts])
     _print(report, document, form, files)
     if fix is not None:
         message(write_fix(report, fix), "fix")
