@@ -182,7 +182,9 @@ class SingleShots:
             source=f"trial {trial}{repeats} of {self.metadata['source']}",
             uncertainty=sigma,
             normalized=False,
-            exact_law=ExactLaw(law) if (law := self.metadata.get("exact_law")) else None,
+            exact_law=ExactLaw(law)
+            if (law := self.metadata.get("exact_law"))
+            else None,
         )
 
 

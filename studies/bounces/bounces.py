@@ -1,4 +1,4 @@
-"""Fit the flights of `scoring/facts/table_tennis.npz` on both sides of the bounce, and write `scoring/single_shot/ObliqueBounce-*`.
+"""Fit flights of `scoring/facts/table_tennis.npz` at their bounce, and write `scoring/single_shot/ObliqueBounce-*`.
 
 python studies/bounces/bounces.py flights    # drag and lift times spin, from the whole flight before the bounce
 python studies/bounces/bounces.py states     # velocities at the bounce, restitution and ratio of impulses
@@ -44,7 +44,8 @@ trial_count = {count}
 rate_hz = 30.0
 position_unit_m = 1e-05
 fit = "even"
-source = "flights {setting} of a table-tennis ball, intelligent-soft-robots/ball_prediction, commit 6532302f, without air on both sides of the bounce"
+source = "flights {setting} of a table-tennis ball, \
+intelligent-soft-robots/ball_prediction, commit 6532302f, without air on both sides of the bounce"
 source_facts = "facts/table_tennis.toml"
 licence = "ObliqueBounce.LICENSE"
 exact_law = "ideal-rebounds"
@@ -114,12 +115,18 @@ def before(flight: Flight) -> FloatArray:
     place and start velocity are fitted by linear least squares.
     """
     lowest = int(flight.positions_m[:, 2].argmin())
-    times_s, positions_m = flight.times_s[: lowest - 1], flight.positions_m[: lowest - 1]
+    times_s, positions_m = (
+        flight.times_s[: lowest - 1],
+        flight.positions_m[: lowest - 1],
+    )
     times_s = times_s - times_s[0]
     cubic = np.polynomial.Polynomial.fit
-    velocity = np.stack([cubic(times_s, values, 3).deriv()(times_s) for values in positions_m.T], axis=1)
+    velocity = np.stack(
+        [cubic(times_s, values, 3).deriv()(times_s) for values in positions_m.T], axis=1
+    )
     forces = [
-        np.array([air_acceleration(speed, *kind) for speed in velocity]) for kind in ((1.0, 0.0), (0.0, 1.0))
+        np.array([air_acceleration(speed, *kind) for speed in velocity])
+        for kind in ((1.0, 0.0), (0.0, 1.0))
     ]
     columns = [(_twice_integrated(force, times_s)).ravel() for force in forces]
     for axis in np.eye(3):
@@ -127,7 +134,9 @@ def before(flight: Flight) -> FloatArray:
     target = (positions_m - 0.5 * np.outer(times_s**2, GRAVITY)).ravel()
     design = np.stack(columns, axis=1)
     solution = np.linalg.lstsq(design, target, rcond=None)[0]
-    return np.array([*solution[:2], np.sqrt(np.mean((design @ solution - target) ** 2))])
+    return np.array(
+        [*solution[:2], np.sqrt(np.mean((design @ solution - target) ** 2))]
+    )
 
 
 def _twice_integrated(values: FloatArray, times_s: FloatArray) -> FloatArray:
@@ -163,7 +172,11 @@ class _Side(NamedTuple):
 
 
 def _side(
-    times_s: FloatArray, positions_m: FloatArray, velocity: FloatArray, setting: Setting, lift: float
+    times_s: FloatArray,
+    positions_m: FloatArray,
+    velocity: FloatArray,
+    setting: Setting,
+    lift: float,
 ) -> _Side:
     """Return place and velocity at time 0 of a parabola with gravity and air, and their uncertainty."""
     middle_s = float(times_s.mean())
@@ -172,7 +185,9 @@ def _side(
     straight = positions_m - 0.5 * times_s[:, None] ** 2 * (GRAVITY + air)
     design = np.stack([np.ones_like(times_s), times_s], axis=1)
     place_m, slope = np.linalg.lstsq(design, straight, rcond=None)[0]
-    noise_m = np.sqrt(((straight - design @ [place_m, slope]) ** 2).sum(axis=0) / (len(times_s) - 2))
+    noise_m = np.sqrt(
+        ((straight - design @ [place_m, slope]) ** 2).sum(axis=0) / (len(times_s) - 2)
+    )
     of_noise = noise_m * np.sqrt(np.linalg.inv(design.T @ design)[1, 1])
     more = air_acceleration(middle, setting.drag + DRAG_STD, lift) - air
     spun = air_acceleration(middle, setting.drag, lift + LIFT_STD_RAD_PER_S) - air
@@ -193,14 +208,22 @@ def bounce(flight: Flight, setting: Setting) -> Bounce | None:
             return None
         sides = [
             _side(times_s[chosen], flight.positions_m[chosen], speed, setting, lift)
-            for chosen, speed, lift in zip((is_before, is_after), speeds, setting.lift, strict=True)
+            for chosen, speed, lift in zip(
+                (is_before, is_after), speeds, setting.lift, strict=True
+            )
         ]
         falls, rises = sides
         speeds = [falls.velocity, rises.velocity]
         gap_m = falls.place_m - rises.place_m
         bounce_s += gap_m[2] / (rises.velocity - falls.velocity)[2]
     return Bounce(
-        flight.number, falls.velocity, rises.velocity, falls.std, rises.std, gap_m, rises.noise_m
+        flight.number,
+        falls.velocity,
+        rises.velocity,
+        falls.std,
+        rises.std,
+        gap_m,
+        rises.noise_m,
     )
 
 
@@ -210,7 +233,9 @@ def bounces(setting: Setting) -> list[Bounce]:
     return [item for item in found if item is not None]
 
 
-def rigid_impact(velocity: FloatArray, spin: float, friction: float, restitution: float) -> FloatArray:
+def rigid_impact(
+    velocity: FloatArray, spin: float, friction: float, restitution: float
+) -> FloatArray:
     """Return the velocity after the bounce of a hollow sphere that grips or slides."""
     normal = -(1.0 + restitution) * velocity[2]
     slip = velocity[0] - RADIUS_M * spin
@@ -232,7 +257,11 @@ def write(name: str, setting: Setting, folder: Path) -> None:
         speed = np.where(times_s[:, None] > 0.0, item.after, item.before)
         at_bounce_m = contact_m - np.where(times_s[:, None] > 0.0, item.gap_m, 0.0)
         positions.append(at_bounce_m + times_s[:, None] * speed + fall)
-        std = np.sqrt(item.after_std**2 + (np.array([0.6, 0.6, 1.0]) * item.before_std) ** 2 + of_spin**2)
+        std = np.sqrt(
+            item.after_std**2
+            + (np.array([0.6, 0.6, 1.0]) * item.before_std) ** 2
+            + of_spin**2
+        )
         stds.append(np.hypot(item.noise_m, since_s * std))
     np.savez_compressed(
         folder / f"ObliqueBounce-{name}.npz",
@@ -240,18 +269,29 @@ def write(name: str, setting: Setting, folder: Path) -> None:
         first=np.arange(len(found) + 1, dtype=np.int32) * FRAMES,
         position=np.round(np.concatenate(positions) / POSITION_UNIT_M).astype(np.int32),
         position_std=np.concatenate(stds).astype(np.float32),
-        quaternion=np.tile(np.array([32767, 0, 0, 0], np.int16), (len(found) * FRAMES, 1)),
-        start_velocity=np.array([item.before - BEFORE_S * GRAVITY for item in found], np.float32),
-        start_angular_velocity_body=np.tile(np.float32([0.0, setting.spin_rad_per_s, 0.0]), (len(found), 1)),
+        quaternion=np.tile(
+            np.array([32767, 0, 0, 0], np.int16), (len(found) * FRAMES, 1)
+        ),
+        start_velocity=np.array(
+            [item.before - BEFORE_S * GRAVITY for item in found], np.float32
+        ),
+        start_angular_velocity_body=np.tile(
+            np.float32([0.0, setting.spin_rad_per_s, 0.0]), (len(found), 1)
+        ),
     )
-    (folder / f"ObliqueBounce-{name}.toml").write_text(SIDECAR.format(count=len(found), setting=setting.source))
+    (folder / f"ObliqueBounce-{name}.toml").write_text(
+        SIDECAR.format(count=len(found), setting=setting.source)
+    )
 
 
 def _mean(values: list[FloatArray]) -> str:
     """Return mean and standard deviation of each column."""
     table = np.array(values)
     scatter = table.std(axis=0, ddof=1)
-    return "  ".join(f"{mean:.3f}+-{std:.3f}" for mean, std in zip(table.mean(axis=0), scatter, strict=True))
+    return "  ".join(
+        f"{mean:.3f}+-{std:.3f}"
+        for mean, std in zip(table.mean(axis=0), scatter, strict=True)
+    )
 
 
 def main(command: str) -> None:
@@ -259,14 +299,22 @@ def main(command: str) -> None:
     for name, setting in SETTINGS.items():
         if command == "flights":
             fits = [before(flight) for flight in flights(setting.source)]
-            print(name, len(fits), "drag, lift times spin [rad/s], RMS [m]:", _mean(fits))
+            print(
+                name, len(fits), "drag, lift times spin [rad/s], RMS [m]:", _mean(fits)
+            )
         elif command == "states":
             found = bounces(setting)
             for half, start in (("even", 0), ("odd", 1)):
                 items = found[start::2]
                 restitution = [-item.after[2] / item.before[2] for item in items]
-                ratio = [(item.before - item.after)[0] / (item.after - item.before)[2] for item in items]
-                means = [np.array([*item.before, *item.after, e, r]) for item, e, r in zip(items, restitution, ratio, strict=True)]
+                ratio = [
+                    (item.before - item.after)[0] / (item.after - item.before)[2]
+                    for item in items
+                ]
+                means = [
+                    np.array([*item.before, *item.after, e, r])
+                    for item, e, r in zip(items, restitution, ratio, strict=True)
+                ]
                 if len(means) > 1:
                     print(name, half, len(items), _mean(means))
                 else:
