@@ -165,7 +165,7 @@ def played(name):
 
 
 def test_an_engine_solves_a_gripping_bounce_and_not_one_that_slides_fast():
-    # MuJoCo's friction lifts a body that slides: the slip of backspin is 11 m/s.
+    # MuJoCo's convex contact lifts a body that slides in an impact: the slip of backspin is 11 m/s.
     grips, slides = played("ObliqueBounce-nospin"), played("ObliqueBounce-backspin")
     assert (grips.solves, slides.solves) == ("yes", "no")
     assert slides.distance > 10.0 * grips.distance
