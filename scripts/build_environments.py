@@ -104,6 +104,7 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
         Entry("CubeToss-acrylic", camera={"distance_m": 1.3}),
         Entry("SiliconeBeam-52g-silicone", 0.5),
         Entry("CubePush-light"),
+        Entry("ObliqueBounce-nospin"),
     ),
 }
 

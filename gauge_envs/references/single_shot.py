@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import npz_arrays
-from gauge_envs.references.band import Band
+from gauge_envs.references.band import Band, ExactLaw
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.tables import scoring_folder
 from gauge_envs.scene.geometry import FloatArray
@@ -161,8 +161,12 @@ class SingleShots:
         shot, nuisances = self.shot(trial), self.metadata["nuisances"]
         times_s = np.arange(frame_count) / FRAME_RATE_HZ
         mean = 1e3 * shot.poses_at(times_s)[0]
-        noise_m = nuisances["position_noise_m"], nuisances["rest_height_std_m"]
-        sigma = np.full_like(mean, 1e3 * float(np.hypot(*noise_m)))
+        if "position_std" in self.arrays:
+            rows = self.arrays["first"][trial] + np.arange(frame_count)
+            sigma = 1e3 * self.arrays["position_std"][rows].astype(np.float64)
+        else:
+            noise_m = nuisances["position_noise_m"], nuisances["rest_height_std_m"]
+            sigma = np.full_like(mean, 1e3 * float(np.hypot(*noise_m)))
         repeats = ""
         if trial in self.copies:
             repeats = f" (the same recording as trial {self.copies[trial]})"
@@ -178,6 +182,9 @@ class SingleShots:
             source=f"trial {trial}{repeats} of {self.metadata['source']}",
             uncertainty=sigma,
             normalized=False,
+            exact_law=ExactLaw(law)
+            if (law := self.metadata.get("exact_law"))
+            else None,
         )
 
 

@@ -48,8 +48,8 @@ def exact_motion(experiment: Experiment, times_s: FloatArray) -> FloatArray | No
 def exact_solution(experiment: Experiment) -> MotionOfTime | None:
     """Return `exact_motion` of an experiment as a function of the times; None without a closed form.
 
-    A scene outside the limits of its law has none: another body, a start velocity, or a start without the contact that
-    the law needs. Neither has a scene that a model file of an engine replaces and changes.
+    A scene outside the limits of its law has none: another body, a sliding body with a start velocity, or a start
+    without the contact that the law needs. Neither has a scene that a model file of an engine replaces and changes.
     """
     band = reference_band(experiment)
     if band is None or band.exact_law is None:
@@ -59,8 +59,6 @@ def exact_solution(experiment: Experiment) -> MotionOfTime | None:
     if is_replaced or not is_position or len(experiment.recorded) != 1:
         return None
     body = experiment.scene.body(experiment.recorded[0])
-    if not body.starts_at_rest:
-        return None
     positions_m = LAWS[band.exact_law](experiment.scene, body)
     if positions_m is None:
         return None
@@ -76,6 +74,8 @@ def coulomb_slide(scene: Scene, body: RigidBody) -> MotionOfTime | None:
     The box sticks if mu >= tan(theta). It must lie flat on a face of the board with its centre over it, else the answer
     is None. It does not tip, and the board has no end.
     """
+    if not body.starts_at_rest:
+        return None
     for board, contact in _supports(scene, body, Box):
         normal = _normal_of_rest(board, body)
         if normal is None:
@@ -104,27 +104,27 @@ def _slide(
 
 
 def ideal_rebounds(scene: Scene, ball: RigidBody) -> MotionOfTime | None:
-    """Return the motion of a ball that falls on a level plane from rest.
+    """Return the motion of a ball that flies, with any velocity and spin, and rebounds from a level plane.
 
-    From the height h over the plane, the fall lasts sqrt(2 h / g) and ends at v = sqrt(2 g h). Rebound n starts with
-    e^n v and lasts 2 e^n v / g, so the height between impacts is e^n v t - g t^2 / 2.
+    The flight is a parabola. An impact takes no time; see `_rebound`. After the last rebound the ball rests on the
+    plane and keeps its horizontal velocity: it rolls, if it no longer slips.
 
-    An impact takes no time. After the last rebound the ball rests. The plane must be level and below the ball, else the
-    answer is None.
+    The plane must be level and below the ball, else the answer is None.
     """
     if not isinstance(ball.shape, Sphere):
         return None
-    start_m = np.array(ball.pose.position_m)
+    radius_m = ball.shape.radius_m
     for plane, contact in _supports(scene, ball, Plane):
-        drop_m = float(start_m[2]) - ball.shape.radius_m - plane.pose.position_m[2]
+        rest_m = plane.pose.position_m[2] + radius_m
         is_level = plane.pose.matrix[2, 2] >= 1.0 - FLAT_TOLERANCE
-        if not is_level or drop_m < -CONTACT_TOLERANCE_M:
+        if not is_level or ball.pose.position_m[2] < rest_m - CONTACT_TOLERANCE_M:
             continue
         return partial(
             _bounces,
-            start_m=start_m,
-            drop_m=max(drop_m, 0.0),
-            restitution=contact.restitution,
+            ball=ball,
+            radius_m=radius_m,
+            rest_m=rest_m,
+            contact=contact,
             gravity_m_per_s2=scene.gravity_m_per_s2,
         )
     return None
@@ -133,23 +133,70 @@ def ideal_rebounds(scene: Scene, ball: RigidBody) -> MotionOfTime | None:
 def _bounces(
     times_s: FloatArray,
     *,
-    start_m: FloatArray,
-    drop_m: float,
-    restitution: float,
+    ball: RigidBody,
+    radius_m: float,
+    rest_m: float,
+    contact: Contact,
     gravity_m_per_s2: float,
 ) -> FloatArray:
-    """Return the positions [m], shape [S, 3], of a body that falls by a drop from rest and rebounds."""
-    impact_s = math.sqrt(2.0 * drop_m / gravity_m_per_s2)
-    speed = gravity_m_per_s2 * impact_s
-    heights_m = drop_m - 0.5 * gravity_m_per_s2 * times_s**2
-    while impact_s < times_s.max() and speed > REST_SPEED_M_PER_S:
-        speed *= restitution
-        since_s = times_s - impact_s
-        rebound_m = speed * since_s - 0.5 * gravity_m_per_s2 * since_s**2
-        heights_m = np.where(since_s > 0.0, rebound_m, heights_m)
-        impact_s += 2.0 * speed / gravity_m_per_s2
-    displacements_m = np.maximum(heights_m, 0.0) - drop_m
-    return start_m + np.outer(displacements_m, [0.0, 0.0, 1.0])
+    """Return the positions [m], shape [S, 3], of a ball that rebounds when its centre is at a height [m]."""
+    place_m = np.array(ball.pose.position_m)
+    velocity = np.array(ball.linear_velocity_m_per_s)
+    spin = np.array(ball.angular_velocity_rad_per_s)
+    inertia = ball.inertia_kg_m2 or 0.4 * ball.mass_kg * radius_m**2
+    compliance = ball.mass_kg * radius_m**2 / inertia
+    weight, start_s = gravity_m_per_s2, 0.0
+    positions_m = np.tile(place_m, (len(times_s), 1))
+    while True:
+        since_s = times_s - start_s
+        path_m = place_m + np.outer(since_s, velocity)
+        path_m[:, 2] -= 0.5 * weight * since_s**2
+        positions_m = np.where(since_s[:, None] >= 0.0, path_m, positions_m)
+        if not weight:
+            return positions_m
+        drop_m = max(place_m[2] - rest_m, 0.0)
+        speed = math.sqrt(velocity[2] ** 2 + 2.0 * weight * drop_m)
+        fall_s = (velocity[2] + speed) / weight
+        start_s += fall_s
+        if start_s > times_s.max():
+            return positions_m
+        place_m = np.array([*(place_m + fall_s * velocity)[:2], rest_m])
+        velocity[2] = -speed
+        velocity, spin = _rebound(velocity, spin, radius_m, compliance, contact)
+        if velocity[2] <= REST_SPEED_M_PER_S:
+            velocity[2] = weight = 0.0
+
+
+def _rebound(
+    velocity: FloatArray,
+    spin: FloatArray,
+    radius_m: float,
+    compliance: float,
+    contact: Contact,
+) -> tuple[FloatArray, FloatArray]:
+    """Return velocity [m/s] and spin [rad/s] of a rigid ball after an impact on a level plane.
+
+    The normal speed u becomes e u. The slip s at the contact loses at most mu (1 + e) u of velocity, as friction of
+    Coulomb during the impact, and at most s / (1 + k) with k = m r^2 / I: then the ball grips and rolls.
+
+    Args:
+        velocity: Velocity before it, downwards.
+        spin: Angular velocity before it.
+        radius_m: Radius of the ball.
+        compliance: m r^2 / I: 2.5 for a uniform ball, 1.5 for a thin shell.
+        contact: Friction and restitution of the pair.
+    """
+    normal = -(1.0 + contact.restitution) * velocity[2]
+    slip = np.array(
+        [velocity[0] - radius_m * spin[1], velocity[1] + radius_m * spin[0], 0.0]
+    )
+    slip_speed = float(np.linalg.norm(slip))
+    loss = min(contact.friction * normal, slip_speed / (1.0 + compliance))
+    change = -loss * slip / max(slip_speed, np.finfo(float).tiny)
+    torque = np.array([change[1], -change[0], 0.0])
+    rebound = velocity + change
+    rebound[2] += normal
+    return rebound, spin + compliance / radius_m * torque
 
 
 LAWS: dict[ExactLaw, Law] = {
