@@ -12,11 +12,13 @@ from gauge_envs.tools.conformance import (
     foam,
     forces,
     free_motion,
+    grip,
     hinge,
     impact,
     rest,
     restart,
     rope,
+    seams,
     slide,
 )
 from gauge_envs.tools.conformance.model import Check
@@ -29,6 +31,8 @@ MODULES = [
     restart.check,
     batches.check,
     slide.check,
+    grip.check,
+    seams.check,
     drive.check,
     rest.check,
     impact.check,
