@@ -6,7 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gauge_envs.fixtures.parts import ball, body, box, box_inertia_kg_m2, corners, thrown
+from gauge_envs.fixtures.parts import (
+    ball,
+    body,
+    box,
+    box_inertia_kg_m2,
+    corners,
+    thrown,
+)
 from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,

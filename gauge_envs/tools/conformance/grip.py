@@ -56,15 +56,15 @@ class _Push(NamedTuple):
 PRESS = 4.0
 PUSHES = [
     [_Push(share) for share in (0.5, 0.9, 0.95, 0.99, 1.01, 1.05)],
-    [_Push(share, press=PRESS) for share in (0.5, 0.95, 0.99, 1.01, 1.05)],
-    [_Push(share, weights=3) for share in (0.5, 0.95, 0.99, 1.01)],
+    [_Push(share, press=PRESS) for share in (0.95, 0.99, 1.01)],
+    [_Push(share, weights=3) for share in (0.95, 1.01)],
 ]
 """Pushes of each scene; scenes are small, since engines may solve large ones otherwise."""
 
 
 def _pushed(lab: Lab) -> dict[_Push, FloatArray]:
     """Return displacements of pushed cubes for one second [m], shape [sample_count, 3]."""
-    moved = {}
+    moved: dict[_Push, FloatArray] = {}
     for pushes in PUSHES:
         rollout = _pushed_together(lab, pushes)
         moved |= {push: rollout.displacement(str(push)) for push in pushes}
@@ -102,8 +102,9 @@ def _pushed_together(lab: Lab, pushes: Sequence[_Push]) -> Recording:
     optional=True,
 )
 def push_holds(lab: Lab) -> Measurement:
-    """Cubes on a plane with friction 0.5, pushed with 0.5, 0.9, 0.95 and 0.99 of the limit: alone, under a force of
-    four times their weight, and under three equal cubes.
+    """Cubes on a plane with friction 0.5, pushed with 0.5 to 0.99 of the limit.
+
+    Some stand alone, some bear a force of four times their weight, some three equal cubes.
 
     Largest displacement along the plane within 1 s.
 
@@ -168,7 +169,6 @@ def push_slides(lab: Lab) -> Measurement:
 
 HELD = {
     # Mass [kg], friction, weight over the limit of both pads, and force up over the weight.
-    "0.1 kg, friction 0.8, half of the limit": (0.1, 0.8, 0.5, 0.0),
     "0.1 kg, friction 0.4, 0.9 of the limit": (0.1, 0.4, 0.9, 0.0),
     "0.3 kg, friction 0.8, 0.9 of the limit": (0.3, 0.8, 0.9, 0.0),
     "1 kg, friction 0.6, half of the limit": (1.0, 0.6, 0.5, 0.0),
@@ -179,7 +179,7 @@ HELD = {
         -0.5,
     ),
 }
-HELD_S, SETTLED_S = 1.0, 0.2
+HELD_S, SETTLED_S = 0.5, 0.2
 
 
 @check(
@@ -197,7 +197,7 @@ HELD_S, SETTLED_S = 1.0, 0.2
 def grasp(lab: Lab) -> Measurement:
     """Objects of 0.1 to 1 kg between two pads on hinged jaws that known torques press; friction 0.4 to 0.8.
 
-    Mean speed of the object against the middle of its pads from 0.2 to 1 s, in any direction; the worst of five.
+    Mean speed of the object against the middle of its pads from 0.2 to 0.5 s, in any direction; the worst of four.
 
     Source: Coulomb. Two driven plates with an overlap would leave the normal force open, so the pads have a force.
     """
