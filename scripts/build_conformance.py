@@ -1,4 +1,6 @@
-"""Write the table of `docs/engines/conformance.md` from `scoring/conformance.json`: the checks that an engine fails.
+"""Write the tables of `docs/engines/conformance.md`: the checks that an engine fails, from `scoring/conformance.json`.
+
+A second table has the contacts and calls that the scenes of the checks load.
 
     gauge backend check '*:default' '*:out_of_box' --out engines.json
     python -m scripts conformance engines.json genesis.json
@@ -12,7 +14,8 @@ from pathlib import Path
 
 from gauge_envs.tools.conformance.report import comparison
 from gauge_envs.tools.conformance.results import read_columns, write_columns
-from scripts.generated import ROOT, SCORING, markdown_table, page_part
+from scripts import check_coverage
+from scripts.generated import ROOT, SCORING, markdown_table, page_part, with_part
 
 PAGE = ROOT / "docs" / "engines" / "conformance.md"
 RESULTS = SCORING / "conformance.json"
@@ -33,4 +36,6 @@ def contents() -> dict[Path, str]:
     table = comparison([column for column in columns if column.name == "default"])
     head = [column.title for column in table.columns]
     lines = [f"Run on {days} with {versions}.", "", *markdown_table(head, table.rows)]
-    return page_part(PAGE, "matrix", SCRIPT, "\n".join(lines))
+    pages = page_part(PAGE, "matrix", SCRIPT, "\n".join(lines))
+    pages[PAGE] = with_part(pages[PAGE], "coverage", SCRIPT, check_coverage.tables())
+    return pages

@@ -39,7 +39,7 @@ CAUSES = (
         ["glide-speed", "tumble-long"],
     ),
     _Cause(
-        "the gyroscopic term is missing or not of second order in the step",
+        "the gyroscopic term is missing or of first order in the step, or single precision adds up over many steps",
         ["tumble-long"],
         ["glide-speed", "inertia", "strike-aside"],
     ),
@@ -63,29 +63,19 @@ CAUSES = (
         ["slide", "pucks-friction", "slide-crowd"],
     ),
     _Cause(
-        "floors of several flush solids act otherwise than floors of one piece",
-        ["seam-slide"],
-        ["pucks-friction", "rest-heights"],
+        "slow bodies that touch are held: by sleep, or by a friction of rest, spin or rolling",
+        ["spin-on-point", "roll-ball"],
+        ["glide-speed", "pucks-friction", "spin-momentum"],
     ),
     _Cause(
-        "friction below its limit creeps; sliding friction is right",
-        ["push-holds"],
-        ["slide", "pucks-friction"],
+        "bodies on hinges have no contact; free bodies have",
+        ["grasp", "rest-shapes"],
+        ["contact-listed", "rest-heights", "push-holds"],
     ),
     _Cause(
         "restitution differs from Contact.restitution at every speed",
         ["rebound-0.5", "volley", "strike-aside"],
         ["free-fall"],
-    ),
-    _Cause(
-        "a threshold or a contact model takes slow rebounds alone",
-        ["rebound-slow"],
-        ["rebound-0.5", "volley"],
-    ),
-    _Cause(
-        "several points of one contact rebound one after another; single points are right",
-        ["rebound-flat"],
-        ["rebound-0.5", "volley"],
     ),
     _Cause(
         "contacts yield under many or heavy bodies; light single ones are right",

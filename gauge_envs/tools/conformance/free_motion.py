@@ -309,7 +309,8 @@ TUMBLE_RAD_PER_S, TUMBLE_S = 12.0, 10.0
         "as for free rotation; 1 % of energy is 0.5 % of the rate of a tumbling body",
         absolute=1.0,
     ),
-    cause="the gyroscopic term is missing or of first order in the step, or the body is damped",
+    cause="the gyroscopic term is missing or of first order, the body is damped, or single precision adds up, which a "
+    "smaller step makes worse",
 )
 def tumble_long(lab: Lab) -> Measurement:
     """A brick, a rod and a plate without gravity that spin with 12 rad/s near their middle axes, which is unstable.
