@@ -142,6 +142,51 @@ class CannotBuildCloth(Faulty):
         return super().build(scene, settings)
 
 
+class BuildsNothing(Faulty):
+    def build(self, scene, settings=None):
+        super().build(scene, settings).close()
+
+
+class NoSettings(Faulty):
+    def build(self, scene, settings=None):
+        simulation = super().build(scene, settings)
+        simulation.settings = None
+        return simulation
+
+
+class DivergedIsAList(Planted):
+    def diverged(self):
+        return []
+
+
+@pytest.mark.parametrize(
+    ("engine", "text"),
+    [
+        (BuildsNothing(MUJOCO, Fault()), "build() returned a NoneType"),
+        (NoSettings(MUJOCO, Fault()), "Simulation.settings is a NoneType"),
+        (simulated_by(DivergedIsAList), "Simulation.diverged() is a list"),
+    ],
+)
+def test_a_wrong_return_value_is_named_as_the_engine_s(engine, text):
+    (result,) = run_checks(engine, only=["free-fall"])
+    assert text in result.diagnosis
+
+
+class OtherNames(Planted):
+    """Names the arguments of the contract otherwise."""
+
+    def reset(self, states=None, number=0):
+        super().reset(states, number)
+
+    def drive(self, name, motion):
+        super().drive(name, motion)
+
+
+def test_an_engine_may_name_arguments_otherwise():
+    results = results_of(simulated_by(OtherNames), "starts-free", "carry-slip")
+    assert {result.status for result in results.values()} == {Status.PASS}
+
+
 class VersionOfText(Faulty):
     def versions(self):
         return "1.0"
@@ -181,6 +226,9 @@ def test_a_panic_is_a_result_and_ctrl_c_ends_the_run(monkeypatch):
     (result,) = run_checks(simulated_by(Panics), only=["free-fall"])
     assert result.status is Status.ERROR
     assert "PanicException: assertion failed (advance, test_conf" in result.diagnosis
+    assert result.diagnosis.endswith(
+        "in the scene of turned box, sphere, turned cylinder and 2 more"
+    )
     monkeypatch.setattr(Panics, "error", KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
         list(run_checks(simulated_by(Panics), only=["free-fall"]))
