@@ -280,6 +280,7 @@ def _alone(shape: Capsule | Ellipsoid) -> Compound:
 
 CAPSULE = _alone(Capsule(radius_m=0.02, length_m=0.06))
 ELLIPSOID = _alone(Ellipsoid(radii_m=(0.03, 0.04, 0.02)))
+THICK_ELLIPSOID = _alone(Ellipsoid(radii_m=(0.06, 0.08, 0.05)))
 THICK_CAPSULE = _alone(Capsule(radius_m=0.05, length_m=0.1))
 FURTHER = SOLIDS | {
     "capsule": _Solid(CAPSULE, 0.02, (90.0, 0.0, 30.0)),
@@ -296,6 +297,7 @@ UNDER = SUPPORTS | {
     ),
     "box on its side": _Solid(Box(size_m=(0.06, 0.14, 0.12)), 0.03, (0.0, 90.0, 35.0)),
     "capsule": _Solid(THICK_CAPSULE, 0.05, (90.0, 0.0, 20.0)),
+    "ellipsoid": _Solid(THICK_ELLIPSOID, 0.05),
     "compound": _Solid(COMPOUND, 0.025, centre_m=(0.0, 0.0, 0.005)),
 }
 ODD = [
@@ -307,6 +309,15 @@ ODD = [
     ("compound on its second part", "plane"),
     ("box", "solid on its side"),
     ("box", "capsule"),
+    ("sphere", "capsule"),
+    ("lying cylinder", "capsule"),
+    ("convex solid", "capsule"),
+    ("capsule", "solid on its side"),
+    ("capsule", "lying cylinder"),
+    ("capsule", "sphere"),
+    ("ellipsoid", "box on its side"),
+    ("box", "ellipsoid"),
+    ("sphere", "ellipsoid"),
     ("convex solid", "compound"),
 ]
 SMALL = [
