@@ -17,9 +17,8 @@ def slide(edges_m: tuple[float, ...], step_s: float) -> tuple[float, float]:
     material = physx.PhysxMaterial(FRICTION, FRICTION, 0.0)
     for low, high in pairwise(edges_m):
         builder = scene.create_actor_builder()
-        builder.add_box_collision(
-            half_size=[0.5 * (high - low), 0.2, 0.025], material=material
-        )
+        size = [0.5 * (high - low), 0.2, 0.025]
+        builder.add_box_collision(half_size=size, material=material)
         builder.set_initial_pose(sapien.Pose([(low + high) / 2, 0, -0.025]))
         builder.build_static()
     builder = scene.create_actor_builder()
@@ -37,6 +36,5 @@ def slide(edges_m: tuple[float, ...], step_s: float) -> tuple[float, float]:
 for step_s in (1 / 240, 1 / 900):
     for name, edges in FLOORS.items():
         speed, hop = slide(edges, step_s)
-        print(
-            f"{name}, step 1/{1 / step_s:.0f} s: {speed:.3f} m/s, hop {hop:.2f} mm; law {LAW:.3f} m/s, 0 mm"
-        )
+        text = f"{speed:.3f} m/s, hop {hop:.2f} mm; law {LAW:.3f} m/s, 0 mm"
+        print(f"{name}, step 1/{1 / step_s:.0f} s: {text}")
