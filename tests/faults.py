@@ -192,11 +192,13 @@ def _capsules_pass(scene: Scene) -> Scene:
 
 
 def _thin_pass(scene: Scene) -> Scene:
-    """Leave out boxes thinner than 5 mm."""
+    """Leave out fixed boxes thinner than 5 mm."""
     names = {
         body.name
         for body in scene.bodies
-        if isinstance(body.shape, Box) and min(body.shape.size_m) < 0.005
+        if body.motion is Motion.FIXED
+        and isinstance(body.shape, Box)
+        and min(body.shape.size_m) < 0.005
     }
     return _without_contacts(scene, names)
 
