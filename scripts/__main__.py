@@ -42,7 +42,7 @@ DRAWN: Mapping[str, Callable[[], object]] = {
     "cheat_sheet": build_cheat_sheet.draw,
     "hero": build_hero.draw,
 }
-"""Builders of scenes in `assets/`, of deleted pictures of families, of the cheat sheet as PDF, and of the first picture."""
+"""Builders of scenes in `assets/`, deleted pictures of families, the cheat sheet as PDF, and the first picture."""
 
 
 def build(names: Sequence[str]) -> None:

@@ -1,4 +1,6 @@
-"""Write the table of `docs/engines/conformance.md` from `scoring/conformance.json`: the checks that an engine fails.
+"""Write the tables of `docs/engines/conformance.md`: the checks that an engine fails, from `scoring/conformance.json`.
+
+A second table has the contacts and calls that the scenes of the checks load.
 
     gauge backend check '*:default' '*:out_of_box' --out engines.json
     python -m scripts conformance engines.json genesis.json
@@ -10,13 +12,33 @@ Engines that need environments of their own have files of their own, which the s
 from collections.abc import Sequence
 from pathlib import Path
 
+from gauge_envs.tools.conformance import Status, checks
 from gauge_envs.tools.conformance.report import comparison
-from gauge_envs.tools.conformance.results import read_columns, write_columns
-from scripts.generated import ROOT, SCORING, markdown_table, page_part
+from gauge_envs.tools.conformance.results import (
+    EngineColumn,
+    read_columns,
+    write_columns,
+)
+from scripts import check_coverage
+from scripts.generated import ROOT, SCORING, markdown_table, page_part, with_part
 
 PAGE = ROOT / "docs" / "engines" / "conformance.md"
 RESULTS = SCORING / "conformance.json"
 SCRIPT = f"scripts/{Path(__file__).name}"
+
+USES = {
+    "sliding and pushing": ("pucks-friction", "slide", "slide-crowd", "push-*"),
+    "grasping": ("grasp", "push-holds", "slide-between", "rest-small"),
+    "floors of tiles": ("seam-*",),
+    "towers and piles": ("tower-stands", "mass-ratio", "wall", "rest-*"),
+    "thrown and spinning bodies": ("spin-*", "tumble-long", "spinning-top"),
+    "impacts": ("rebound-*", "bounce-row", "volley", "oblique-*", "strike-aside"),
+    "fast bodies": ("thin-wall", "crossed-edges", "drop-energy"),
+    "cloth": ("cloth-*",),
+    "foam": ("foam-*",),
+    "ropes": ("rope-*", "rod-*"),
+}
+"""Patterns of the checks that a use needs."""
 
 
 def join(files: Sequence[Path]) -> None:
@@ -33,4 +55,24 @@ def contents() -> dict[Path, str]:
     table = comparison([column for column in columns if column.name == "default"])
     head = [column.title for column in table.columns]
     lines = [f"Run on {days} with {versions}.", "", *markdown_table(head, table.rows)]
-    return page_part(PAGE, "matrix", SCRIPT, "\n".join(lines))
+    pages = page_part(PAGE, "matrix", SCRIPT, "\n".join(lines))
+    chosen = [column for column in columns if column.name == "default"]
+    uses = [[use, *(_verdict(use, column) for column in chosen)] for use in USES]
+    head = ["use", *(column.title for column in chosen)]
+    part = "\n".join(markdown_table(head, uses))
+    pages[PAGE] = with_part(pages[PAGE], "uses", SCRIPT, part)
+    pages[PAGE] = with_part(pages[PAGE], "coverage", SCRIPT, check_coverage.tables())
+    return pages
+
+
+def _verdict(use: str, column: EngineColumn) -> str:
+    """Return whether all checks of a use pass, or those that fail; with the count of those without a result."""
+    needed = [check.id for pattern in USES[use] for check in checks([pattern])]
+    results = [column.results.get(name) for name in dict.fromkeys(needed)]
+    ran = [result for result in results if result is not None]
+    failed = [result.check for result in ran if result.is_bad]
+    passed = [result for result in ran if result.status is Status.PASS]
+    if failed or not passed:
+        return f"✗ {', '.join(failed)}" if failed else "-"
+    left = len(needed) - len(passed)
+    return f"✓, without {left} of {len(needed)}" if left else "✓"

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends import Backend, LoopedSimulation, Simulation
 from gauge_envs.scene import (
     Box,
+    Capsule,
     Compound,
     Contact,
     Hinge,
@@ -162,7 +163,83 @@ def _axis_of_body(scene: Scene) -> Scene:
     return replace(scene, joints=tuple(joints))
 
 
+def _without_contacts(scene: Scene, names: set[str]) -> Scene:
+    """Take bodies out of all contacts."""
+    contacts = []
+    for contact in scene.contacts:
+        sides = [
+            tuple(name for name in side if name not in names)
+            for side in (contact.first, contact.second)
+        ]
+        if all(sides):
+            contacts.append(replace(contact, first=sides[0], second=sides[1]))
+    return replace(scene, contacts=tuple(contacts))
+
+
+def _hinged_pass(scene: Scene) -> Scene:
+    hinged = {joint.body for joint in scene.joints if isinstance(joint, Hinge)}
+    return _without_contacts(scene, hinged)
+
+
+def _capsules_pass(scene: Scene) -> Scene:
+    names = {
+        body.name
+        for body in scene.bodies
+        if isinstance(body.shape, Compound)
+        and any(isinstance(part.shape, Capsule) for part in body.shape.parts)
+    }
+    return _without_contacts(scene, names)
+
+
+def _thin_pass(scene: Scene) -> Scene:
+    """Leave out fixed boxes thinner than 5 mm."""
+    names = {
+        body.name
+        for body in scene.bodies
+        if body.motion is Motion.FIXED
+        and isinstance(body.shape, Box)
+        and min(body.shape.size_m) < 0.005
+    }
+    return _without_contacts(scene, names)
+
+
+def _hovers(body: RigidBody) -> RigidBody:
+    """Give a box below 10 mm a margin of 0.1 mm."""
+    if not isinstance(body.shape, Box) or max(body.shape.size_m) > 0.01:
+        return body
+    size_m = tuple(edge + 2e-4 for edge in body.shape.size_m)
+    return replace(body, shape=Box(size_m=size_m))
+
+
+def _odd_tile_high(body: RigidBody) -> RigidBody:
+    """Raise every second tile of a floor by 0.3 mm."""
+    if not body.name.endswith(("tile 1", "tile 3", "tile 5")):
+        return body
+    x, y, z = body.pose.position_m
+    return replace(body, pose=replace(body.pose, position_m=(x, y, z + 3e-4)))
+
+
 # --- the simulation runs or reports wrongly ---
+
+
+class _NoPress(Planted):
+    """Drop the part of a force that presses on a support."""
+
+    def apply_wrench(self, body, wrenches):
+        wrenches = np.array(wrenches)
+        if self.given.contacts:
+            wrenches[:, 2] = np.maximum(wrenches[:, 2], 0.0)
+        super().apply_wrench(body, wrenches)
+
+
+class _SpinGrows(Planted):
+    """Add 1.5 % of spin in ten seconds to free bodies."""
+
+    def advance(self, seconds):
+        super().advance(seconds)
+        if not self.given.contacts and not self.given.joints:
+            spins = self.data.qvel.reshape(-1, 6)[:, 3:]
+            spins *= 1.0 + 1.5e-3 * seconds
 
 
 class _OneStepACall(Planted):
@@ -560,6 +637,35 @@ FAULTS = {
         caught_by="worlds-single",
         says="first the plate in interval 1",
         worlds=_DrivesAsFirst,
+    ),
+    "hinged bodies pass": Fault(
+        caught_by="grasp", says="the pads do not hold it at all", scene=_hinged_pass
+    ),
+    "capsules pass": Fault(
+        caught_by="rest-shapes", says="the pair has no contact", scene=_capsules_pass
+    ),
+    "thin walls are left out": Fault(
+        caught_by="thin-wall", says="an impact is missed", scene=_thin_pass
+    ),
+    "small boxes hover": Fault(
+        caught_by="rest-small",
+        says="lengths for large bodies",
+        scene=change_bodies(_hovers),
+    ),
+    "tiles are not flush": Fault(
+        caught_by="seam-slide",
+        says="at the inner edge",
+        scene=change_bodies(_odd_tile_high),
+    ),
+    "a pressing force is ignored": Fault(
+        caught_by="push-holds",
+        says="friction does not follow a force that presses",
+        simulation=_NoPress,
+    ),
+    "spin grows": Fault(
+        caught_by="tumble-long",
+        says="the gyroscopic term is missing",
+        simulation=_SpinGrows,
     ),
 }
 """Faults by name."""

@@ -12,11 +12,13 @@ from gauge_envs.tools.conformance import (
     foam,
     forces,
     free_motion,
+    grip,
     hinge,
     impact,
     rest,
     restart,
     rope,
+    seams,
     slide,
 )
 from gauge_envs.tools.conformance.model import Check
@@ -29,6 +31,8 @@ MODULES = [
     restart.check,
     batches.check,
     slide.check,
+    grip.check,
+    seams.check,
     drive.check,
     rest.check,
     impact.check,
@@ -38,6 +42,9 @@ MODULES = [
 ]
 """Checks of each module."""
 
+FIRST = ("determinism", "contact-listed")
+"""Checks that run first, since their failures make other results worthless."""
+
 
 def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
     """Return all checks from simple to compound, or those whose id matches one of the patterns.
@@ -45,7 +52,8 @@ def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
     Raises:
         UnknownNameError: A pattern matches no check.
     """
-    known = [check for module in MODULES for check in module.registered]
+    listed = [check for module in MODULES for check in module.registered]
+    known = sorted(listed, key=lambda check: check.id not in FIRST)
     ids = [check.id for check in known]
     for pattern in only:
         if not any(fnmatchcase(name, pattern) for name in ids):

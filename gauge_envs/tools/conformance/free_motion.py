@@ -6,7 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gauge_envs.fixtures.parts import ball, body, corners, thrown
+from gauge_envs.fixtures.parts import (
+    ball,
+    body,
+    box,
+    box_inertia_kg_m2,
+    corners,
+    thrown,
+)
 from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
@@ -282,4 +289,58 @@ def spin_momentum(lab: Lab) -> Measurement:
         law = first @ tensor @ first.T @ start
         percent = 0.1 * largest_mm(momenta - law) / length_of(law)
         cases[f"the angular momentum of the {each.name}"] = percent
+    return largest(cases, "%")
+
+
+TUMBLERS_M = {
+    "brick": (0.1, 0.06, 0.03),
+    "rod": (0.16, 0.03, 0.02),
+    "plate": (0.12, 0.1, 0.01),
+}
+TUMBLE_RAD_PER_S, TUMBLE_S = 12.0, 10.0
+
+
+@check(
+    "tumble-long",
+    title="ten seconds of tumbling keep energy and angular momentum",
+    law="omega I omega / 2 = const, R I R' omega = const",
+    unit="%",
+    tolerance=Tolerance(
+        "as for free rotation; 1 % of energy is 0.5 % of the rate of a tumbling body",
+        absolute=1.0,
+    ),
+    cause="the gyroscopic term is missing or of first order, the body is damped, or single precision adds up, which a "
+    "smaller step makes worse",
+)
+def tumble_long(lab: Lab) -> Measurement:
+    """A brick, a rod and a plate without gravity that spin with 12 rad/s near their middle axes, which is unstable.
+
+    Largest change of the kinetic energy and of the angular momentum within 10 s, over those at the start.
+
+    Source: Euler.
+    """
+    bodies = [
+        thrown(
+            box(name, (at, 0.0, 0.0), size_m, euler_deg=(20.0, 40.0, 60.0 * at)),
+            ZERO,
+            Pose.from_euler_deg(ZERO, (20.0, 40.0, 60.0 * at)).matrix
+            @ (TUMBLE_RAD_PER_S * np.array([0.1, 1.0, 0.05])),
+        )
+        for at, (name, size_m) in enumerate(TUMBLERS_M.items())
+    ]
+    scene = Scene(bodies=tuple(bodies), duration_s=TUMBLE_S, gravity_m_per_s2=0.0)
+    rollout = lab.rollout(scene, interval_s=0.05)
+    cases = {}
+    for each in rollout.scene.bodies:
+        moments = box_inertia_kg_m2(each)
+        turns = rollout.rotation(each.name)
+        spins = turns.apply(rollout.angular_velocity(each.name), inverse=True)
+        energy = spins**2 @ moments
+        momenta = turns.apply(spins * moments)
+        off = np.abs(energy / energy[0] - 1.0).max()
+        cases[f"the energy of the {each.name}"] = 100.0 * float(off)
+        off_mm = largest_mm(momenta - momenta[0])
+        cases[f"the angular momentum of the {each.name}"] = (
+            0.1 * off_mm / length_of(momenta[0])
+        )
     return largest(cases, "%")

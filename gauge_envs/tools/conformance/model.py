@@ -196,6 +196,13 @@ class CheckResult:
         """Whether it counts as a failure of the engine."""
         return self.status in (Status.FAIL, Status.ERROR)
 
+    @property
+    def share_of_width(self) -> float:
+        """Difference from the expected value over the tolerance; 0 if nothing was measured or a count is right."""
+        if self.measured is None or self.expected is None or not self.width:
+            return 0.0
+        return abs(self.measured - self.expected) / self.width
+
     def to_dict(self) -> dict[str, Any]:
         """Return the result and the texts of its check, JSON-ready; a number that is not finite becomes null."""
         texts = ("title", "description", "law", "unit")

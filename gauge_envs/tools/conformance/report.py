@@ -11,7 +11,8 @@ from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Place, Table, grid
 from gauge_envs.pages.text import with_unit
 from gauge_envs.runs.workers import call_engine
-from gauge_envs.tools.conformance.catalog import checks as all_checks
+from gauge_envs.tools.conformance.catalog import FIRST, checks as all_checks
+from gauge_envs.tools.conformance.causes import likely_causes
 from gauge_envs.tools.conformance.model import Check, CheckResult, Status
 from gauge_envs.tools.conformance.results import EngineColumn, counts_text, levels
 
@@ -25,6 +26,11 @@ SIGNS = {
     Status.ERROR: "✗ error",
 }
 STYLES = {Status.PASS: "green", Status.FAIL: "bold red", Status.ERROR: "bold red"}
+
+NOT_IN_RIGID = "No level says anything of motors, limits, springs and friction of joints, which scenes do not have."
+
+NEAR = 0.9
+"""Share of a tolerance above which a pass is reported with both numbers."""
 
 MAX_FAILURES = 6
 """Largest number of failures of one engine on a screen, each with its cause."""
@@ -84,6 +90,9 @@ def engine_document(results: Sequence[CheckResult]) -> Document:
     verdicts = ", ".join(f"{level} {text}" for level, text in levels(results).items())
     if verdicts:
         parts.append(Paragraph(f"Levels: {verdicts}."))
+    if "rigid" in verdicts:
+        parts.append(Paragraph(NOT_IN_RIGID, Tone.NOTE))
+    parts += [Paragraph(f"Likely: {text}.") for text in likely_causes(results)]
     failures = sorted((result for result in results if result.is_bad), key=_urgency)
     columns = (
         Column("", "check", lambda result: f"{result.of.title} ({result.check})"),
@@ -106,9 +115,9 @@ def engine_document(results: Sequence[CheckResult]) -> Document:
 
 def _urgency(result: CheckResult) -> int:
     """Return the rank of a failure; failures that make other results worthless come first."""
-    if result.check == "determinism":
-        return 0
-    return 1 if result.status is Status.ERROR else 2
+    if result.check in FIRST:
+        return FIRST.index(result.check)
+    return len(FIRST) + (result.status is not Status.ERROR)
 
 
 def _reason(result: CheckResult) -> str:
@@ -118,9 +127,12 @@ def _reason(result: CheckResult) -> str:
 def _notes(
     results: Sequence[CheckResult], failures: Sequence[CheckResult]
 ) -> Iterator[str]:
-    """Yield notes on failures that are not shown, and on the most frequent reason of unsupported checks."""
+    """Yield notes on failures that are not shown, narrow passes, and the most frequent reason of unsupported checks."""
     if len(failures) > MAX_FAILURES:
         yield f"{len(failures) - MAX_FAILURES} more failures: see --format wide"
+    for result in results:
+        if result.status is Status.PASS and result.share_of_width > NEAR:
+            yield f"Narrow pass: {result.check} is {_measured_text(result)} for {expected_text(result)}"
     reasons = Counter(
         "; ".join(result.missing)
         for result in results

@@ -113,7 +113,7 @@ def run_check(lab: Lab, check: Check) -> CheckResult:
         raise
     # Any error of an engine is a result, and the next check may still pass. A panic of Rust is not an `Exception`.
     except BaseException as error:
-        result = replace(result, diagnosis=_error_text(error))
+        result = replace(result, diagnosis=f"{_error_text(error)}{lab.last_scene()}")
     else:
         result = _judged(result, measurement)
     return replace(result, settings=lab.effective_settings)

@@ -20,12 +20,14 @@ from gauge_envs.fixtures.turning import ROLL, SPIN, turning_arm_m, turning_scene
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
+    ConvexUnion,
     Cylinder,
     Pose,
     RigidBody,
     Scene,
     Shape,
     Sphere,
+    mass_properties,
 )
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
@@ -92,6 +94,44 @@ def pucks_friction(lab: Lab) -> Measurement:
         path_m = np.linalg.norm(rollout.displacement(name), axis=1)
         slows = -acceleration_m_per_s2(rollout.times_s, path_m)
         slides[name] = (slows / G, friction, "slab")
+    return worst_friction(rollout, slides)
+
+
+CROWD, CROWD_M_PER_S, CROWD_FRICTION = 24, 1.5, 0.3
+
+
+@check(
+    "slide-crowd",
+    title="friction in a scene of many bodies",
+    law="a = mu g, in each direction",
+    tolerance=FRICTION,
+    cause="the engine, or its preset, solves scenes of many bodies otherwise, as with a pyramid of friction",
+)
+def slide_crowd(lab: Lab) -> Measurement:
+    """Twenty-four pucks that slide at 1.5 m/s on a plane, each in another direction.
+
+    Deceleration over mu g, quadratic fit over 0.3 s; the worst.
+
+    Source: Coulomb.
+    """
+    pucks = []
+    for at in range(CROWD):
+        angle = 2.0 * np.pi * at / CROWD
+        way = np.array((np.cos(angle), np.sin(angle), 0.0))
+        place = vector(2.0 * way + (0.0, 0.0, 0.01))
+        puck = body(
+            f"puck at {360 // CROWD * at} degrees", PUCK, Pose(position_m=place)
+        )
+        pucks.append(thrown(puck, CROWD_M_PER_S * way))
+    names = tuple(puck.name for puck in pucks)
+    touch = contact(names, "ground", friction=CROWD_FRICTION)
+    scene = Scene(bodies=(*pucks, ground()), contacts=(touch,), duration_s=0.3)
+    rollout = lab.rollout(scene)
+    slides = {}
+    for name in names:
+        path_m = np.linalg.norm(rollout.displacement(name), axis=1)
+        slows = -acceleration_m_per_s2(rollout.times_s, path_m)
+        slides[name] = (slows / G, CROWD_FRICTION, "ground")
     return worst_friction(rollout, slides)
 
 
@@ -251,6 +291,64 @@ def spin_on_point(lab: Lab) -> Measurement:
     rollout = lab.rollout(turning_scene(0.5, 0.0, (0.0, 0.0, SPIN_RAD_PER_S)))
     measured = float(rollout.angular_velocity("ball")[-1, 2])
     return Measurement(measured=measured, expected=SPIN_RAD_PER_S)
+
+
+STEM_M, TOP_KG = 0.05, 0.2
+RIM_M = [
+    (0.04 * np.cos(angle), 0.04 * np.sin(angle))
+    for angle in np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+]
+DISC = tuple((x, y, z) for x, y in RIM_M for z in (-0.01, 0.01))
+CONE = ((0.0, 0.0, -STEM_M), *((0.2 * x, 0.2 * y, -0.01) for x, y in RIM_M[::4]))
+TOP = ConvexUnion(pieces_m=(DISC, CONE))
+TOP_RAD_PER_S, TOP_DEG, TOP_S = 120.0, 20.0, 0.6
+
+
+@check(
+    "spinning-top",
+    title="a spinning top precesses",
+    law="C s Omega - (A - C) Omega^2 cos(tilt) = m g l, tilt = const",
+    tolerance=Tolerance("the turn of a tumbling body within 1 %", absolute=0.01),
+    cause="the gyroscopic term is missing or of first order in the step, or the tip is not where the solid has it",
+)
+def spinning_top(lab: Lab) -> Measurement:
+    """A disc on a pointed cone that spins with 120 rad/s, tilted by 20 degrees, on a plane without friction.
+
+    Its centre of mass rests, and it starts in steady precession.
+
+    Angle of precession within 0.6 s over that of the law; and the tilt at the end over that at the start.
+
+    Source: Routh, Advanced Rigid Dynamics; without friction the centre of mass stays on a vertical.
+    """
+    centre, inertia = mass_properties(TOP, TOP_KG)
+    moment, about = inertia[0, 0], inertia[2, 2]
+    tilt = np.radians(TOP_DEG)
+    arm_m = centre[2] + STEM_M
+    # The smaller root is the slow precession.
+    factors = (
+        (moment - about) * np.cos(tilt),
+        -about * TOP_RAD_PER_S,
+        TOP_KG * G * arm_m,
+    )
+    rate = float(min(np.roots(factors).real, key=abs))
+    frame = Pose.from_euler_deg((0.0, 0.0, 0.0), (TOP_DEG, 0.0, 0.0))
+    axis = frame.matrix[:, 2]
+    place = STEM_M * axis
+    spin = TOP_RAD_PER_S * axis + rate * np.array((0.0, 0.0, 1.0))
+    # The centre of mass rests, the origin beside it moves.
+    velocity = -np.cross(spin, centre[2] * axis)
+    start = replace(frame, position_m=vector(place))
+    top = thrown(body("top", TOP, start, mass_kg=TOP_KG), velocity, spin)
+    touch = contact("top", "ground", friction=0.0)
+    scene = Scene(bodies=(top, ground()), contacts=(touch,), duration_s=TOP_S)
+    axes = lab.rollout(scene).rotation("top").apply((0.0, 0.0, 1.0))
+    angles = np.unwrap(np.arctan2(axes[:, 1], axes[:, 0]))
+    leans = np.arccos(np.clip(axes[:, 2], -1.0, 1.0))
+    ratios = {
+        "the precession": float(angles[-1] - angles[0]) / (rate * TOP_S),
+        "the tilt": float(leans[-1] / leans[0]),
+    }
+    return ratio(ratios, "the motion of the top")
 
 
 LEANING = Pose.from_euler_deg((0.2, -0.1, 1.0), (3.0, 2.0, 0.0))
