@@ -159,19 +159,6 @@ def test_laws_that_are_one_are_both_named(tmp_path):
     assert {line.candidates[0].cause, *line.indistinguishable} >= {"kd", "damping"}
 
 
-def test_lines_to_paste_have_the_value_and_leave_out_what_the_log_does_not_show(
-    tmp_path,
-):
-    line = replay(*record(tmp_path, change=set_friction)).line
-    paste = line.paste
-    assert '<joint name="elbow" frictionloss="0.' in paste["MJCF"]
-    assert paste["Isaac Lab"].startswith("friction={'elbow': 0.")
-    assert paste["mjlab"].startswith("frictionloss={'elbow': 0.")
-    assert "shoulder" not in "".join(paste.values())
-    delayed = replay(*record(tmp_path, delay_s=0.03)).line.paste
-    assert "min_delay=15" in delayed["Isaac Lab"]
-
-
 def test_two_logs_compare_with_the_first(tmp_path):
     first, model = record(tmp_path, change=set_armature)
     first = first.rename(tmp_path / "first.npz")
