@@ -19,6 +19,10 @@ MIN_SAMPLES = 3
 MIN_GAIN = 1.0
 """Decrease of the sum of the logarithms of errors over noise [nat] that a convention must bring; a mistake of one joint
 changes one term, and a physical cause is not a convention."""
+MAX_MISFIT = -0.5
+"""Largest misfit [nat], after the change, of the degree of freedom that gains most: the model then predicts it."""
+MAX_ANGLE = np.pi
+"""Angle [rad] beyond which angles may have another unit."""
 MOVES = 0.05
 """Motion of a base that is not fixed [m], or of its quaternion."""
 
@@ -47,7 +51,8 @@ def find_conventions(
                 trial = misfits(read(changed), model, changed)
             except GaugeError:
                 continue
-            found.append((trial.sum(), text, changed, trial))
+            if trial[np.argmax(best - trial)] < MAX_MISFIT:
+                found.append((trial.sum(), text, changed, trial))
         if not found:
             break
         _, text, changed, trial = min(found, key=lambda row: row[0])
@@ -72,12 +77,16 @@ def _conventions(
 ) -> Iterator[tuple[str, LogMap]]:
     """Yield what each convention corrects, and its map."""
     joints = {name: model.joint(name) for name in log.joints}
-    if mapped.unit == "rad":
+    is_far = np.abs(log.position).max() > MAX_ANGLE
+    if mapped.unit == "rad" and is_far:
         yield "angles are in degrees", mapped.model_copy(update={"unit": "deg"})
     ranges = {name: joint.range for name, joint in joints.items()}
-    if all(np.ptp(limits) > 0.0 for limits in ranges.values()):
+    if is_far and all(np.ptp(limits) > 0.0 for limits in ranges.values()):
         percent = {
-            name: {"scale": np.ptp(limits) / 200.0, "offset_rad": limits.mean()}
+            name: {
+                "scale": float(np.ptp(limits)) / 200.0,
+                "offset_rad": float(limits.mean()),
+            }
             for name, limits in ranges.items()
         }
         yield "positions are -100 to 100 of each range", with_joints(mapped, percent)

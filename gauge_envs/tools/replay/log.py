@@ -446,21 +446,27 @@ def _check_samples(log: Log) -> Iterator[str]:
     bend = np.diff(log.position, n=2, axis=0)
     is_jump = np.abs(bend) > MIN_JUMP + 12.0 * np.median(np.abs(bend), axis=0)
     is_lost = ((log.position[1:-1] == 0.0) & is_jump).any(axis=1)
-    # A spike leaves its neighbours where they are and the velocities as they were; a fast motion does not.
-    step = np.diff(log.position, axis=0)
-    if log.velocity.shape == log.position.shape:
-        mean = 0.5 * (log.velocity[1:] + log.velocity[:-1])
-        step -= mean * np.diff(log.time_s)[:, None]
-    out, back = step[:-1], -step[1:]
-    is_out = (out * back > 0.0) & (np.abs(out - back) < 0.5 * np.abs(out + back))
-    is_spike = (is_jump & is_out & (np.abs(out + back) > 0.7 * np.abs(bend))).any(
-        axis=1
-    ) & ~is_lost
+    is_spike = (is_jump & _is_out_and_back(log)).any(axis=1) & ~is_lost
     for rows, words in ((is_lost, "lost samples, written as 0,"), (is_spike, "spikes")):
         if rows.any():
             first_s = log.time_s[1 + np.argmax(rows)]
             yield f"{rows.sum()} {words} are left out, the first at {first_s:.3g} s"
     log.keep(np.concatenate([[True], ~(is_lost | is_spike), [True]]))
+
+
+def _is_out_and_back(log: Log) -> BoolArray:
+    """Return whether a sample leaves its neighbours and what the velocities say, shape [N - 2, J]."""
+    step = np.diff(log.position, axis=0)
+    if log.velocity.shape == log.position.shape:
+        mean = 0.5 * (log.velocity[1:] + log.velocity[:-1])
+        rest = step - mean * np.diff(log.time_s)[:, None]
+        # Velocities of another joint or unit tell nothing.
+        fits = np.median(np.abs(rest), axis=0) < 0.5 * np.median(np.abs(step), axis=0)
+        step = np.where(fits, rest, np.nan)
+    out, back = step[:-1], -step[1:]
+    bend, size = np.diff(log.position, n=2, axis=0), np.abs(out + back)
+    is_even = (out * back > 0.0) & (np.abs(out - back) < 0.5 * size)
+    return is_even & (size > 0.7 * np.abs(bend))
 
 
 def _held_rows(log: Log, is_fresh: BoolArray) -> BoolArray:

@@ -90,7 +90,7 @@ class Change:
             joint = self.replayer.model.joint(file.trnid[0]).name
             values: dict[str, Any] = {"name": file.name, "joint": joint}
             gear, is_servo = abs(file.gear[0]), file.biasprm[1] != 0.0
-            if index in laws and is_servo:
+            if is_servo:
                 values["kp"], values["kv"] = -drive.biasprm[1:3] / gear**2
             if index in efforts:
                 values["forcerange"] = drive.forcerange / gear

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
@@ -199,7 +200,14 @@ def _try_change(problem: Problem, change: Fit) -> Trial:
     )
     worst = int(np.argmax(before))
     joint = replayer.log.joints[worst]
-    return Trial(joint, TRIAL_S, float(before[worst]), float(after[worst]))
+    is_hinge = replayer.model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_HINGE.value
+    return Trial(
+        joint=joint,
+        horizon_s=TRIAL_S,
+        before=float(before[worst]),
+        after=float(after[worst]),
+        unit="mrad" if is_hinge else "mm",
+    )
 
 
 def _rms(values: FloatArray) -> Any:
@@ -344,8 +352,8 @@ def _physics(line: ReplayLine) -> Iterator[str]:
     texts = " and ".join(each.text for each in line.named)
     verb = "explain" if len(line.named) > 1 else "explains"
     yield (
-        f"{texts} {verb} {_percent(line.named[0].share)} %: {trial.horizon_s:g} s prediction of {trial.joint} "
-        f"{_milli(trial.before)} to {_milli(trial.after)} mrad."
+        f"{texts[0].upper()}{texts[1:]} {verb} {_percent(line.named[0].share)} %: {trial.horizon_s:g} s prediction of "
+        f"{trial.joint} {_milli(trial.before)} to {_milli(trial.after)} {trial.unit}."
     )
     if times > 2.0:
         yield f"{times:.0f} times the noise is left; nothing in the list explains that."

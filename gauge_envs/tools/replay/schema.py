@@ -108,12 +108,14 @@ class Trial:
         joint: The joint that is worst before.
         horizon_s: Length of the predictions.
         before, after: Root mean square error [rad or m].
+        unit: Thousandth of their unit, as `mrad`.
     """
 
     joint: str
     horizon_s: float
     before: float
     after: float
+    unit: str
 
 
 @dataclass(frozen=True)
