@@ -15,7 +15,7 @@ from scipy.stats import t as student, wilcoxon
 
 from gauge_envs.tools.replay.causes import Cause, ParameterGroup, groups_of_one
 from gauge_envs.tools.replay.log import FloatArray
-from gauge_envs.tools.replay.model import Replayer, Setup
+from gauge_envs.tools.replay.model import IntArray, Replayer, Setup
 from gauge_envs.tools.replay.schema import ReplayVerdict
 
 NO_NUMBERS = np.zeros(0)
@@ -33,6 +33,8 @@ class Thresholds:
         piece_count: Number of these pieces; every other one is held out.
         max_noise_error: Error below which nothing is left to explain.
         max_misfit: Logarithm of the error over that of constant velocity or no motion, below which a model is no worse.
+        odd_error: Error of a piece over the median one from which on it is odd.
+        max_odd: Largest fraction of the pieces that are left out as odd.
         min_share: Smallest share of the excess that a named cause explains.
         min_part: The same for losses and armature, which are named in part.
         about_as_good: Excess of losses and armature over the smallest one, up to which they are preferred.
@@ -61,6 +63,8 @@ class Thresholds:
     piece_count: int = 28
     max_noise_error: float = 1.3
     max_misfit: float = 0.4
+    odd_error: float = 25.0
+    max_odd: float = 0.1
     min_share: float = 0.9
     min_part: float = 0.85
     about_as_good: float = 1.5
@@ -195,6 +199,7 @@ class Problem:
         pieces: Samples of all pieces, shape [P, 1 + T].
         whiteners: What makes the deviations of each half independent, shape [P, T D, T D].
         before: The model as it is.
+        left_out: First samples of the pieces that count nothing.
         floor: Error over noise of a perfect model: 1, or that of the first of two logs.
     """
 
@@ -203,25 +208,44 @@ class Problem:
         self.pieces = replayer.pieces(THRESHOLDS.piece_s, THRESHOLDS.piece_count)
         self._halves = self.pieces[::2], self.pieces[1::2]
         self.floor = 1.0
-        self.whiteners = self._whiteners(setup)
+        self.left_out = np.zeros(0, int)
+        self.whiteners = self._whiteners(setup, self.left_out)
         no_slopes = np.zeros((*self.whiteners[0].shape[:2], 0))
         self.before = self.predict(Fit(training=NO_NUMBERS, slopes=no_slopes))
 
-    def _whiteners(self, setup: Setup) -> list[FloatArray]:
+    def _whiteners(self, setup: Setup, left_out: IntArray) -> list[FloatArray]:
         covariances = [self.replayer.covariance(setup, half) for half in self._halves]
-        return [np.linalg.inv(np.linalg.cholesky(each)) for each in covariances]
+        whiteners = [np.linalg.inv(np.linalg.cholesky(each)) for each in covariances]
+        for half, each in zip(self._halves, whiteners, strict=True):
+            each[np.isin(half[:, 0], left_out)] = 0.0
+        return whiteners
 
     def with_noise_of(self, fit: Fit) -> Problem:
         """Return the problem where a fit propagates the noise."""
         problem = copy.copy(self)
-        problem.whiteners = self._whiteners(self.setup_of(fit))
+        problem.whiteners = self._whiteners(self.setup_of(fit), self.left_out)
         problem.before = problem.predict(self.before)
+        return problem
+
+    def without_odd_pieces(self, fit: Fit) -> Problem:
+        """Return the problem without the few pieces that a fit misses by far more than the others."""
+        starts = np.concatenate([half[:, 0] for half in self._halves])
+        halves = (fit.training, fit.held_out)
+        errors = np.concatenate([np.mean(each**2, axis=1) for each in halves])
+        is_odd = errors > THRESHOLDS.odd_error * max(np.median(errors), self.floor)
+        problem = copy.copy(self)
+        if is_odd.mean() < THRESHOLDS.max_odd:
+            problem.left_out = starts[is_odd]
+            problem.whiteners = self._whiteners(self.setup, problem.left_out)
+            problem.before = problem.predict(self.before)
         return problem
 
     def surprise(self, fit: Fit) -> float:
         """Return twice the negative logarithm of the likelihood of the training errors, by residual."""
         precision = np.diagonal(self.whiteners[0], axis1=1, axis2=2)
-        return fit.training_error - 2.0 * float(np.mean(np.log(precision)))
+        # A piece that is left out has no precision.
+        logarithms = np.log(np.where(precision, precision, 1.0))
+        return fit.training_error - 2.0 * float(np.mean(logarithms))
 
     def setup_of(self, fit: Fit) -> Setup:
         """Return the setup of a fit."""
@@ -617,6 +641,10 @@ def explain(
         advance(cause.name)
         changes += try_cause(problem, cause)
     fits = best_fits(problem, [problem.before], changes)
+    if not len(problem.left_out):
+        clean = problem.without_odd_pieces(fits[0])
+        if len(clean.left_out):
+            return explain(clean, causes, advance)
     if problem.excess(fits[0]) > THRESHOLDS.near_noise:
         problem, fits = _update_noise(problem, fits)
     alone = _few_by_cause(problem, fits, 1)

@@ -445,7 +445,7 @@ def _check_samples(log: Log) -> Iterator[str]:
         yield f"{lost.sum()} rows repeat the position before while the robot moves: they are left out"
     bend = np.diff(log.position, n=2, axis=0)
     is_jump = np.abs(bend) > MIN_JUMP + 12.0 * np.median(np.abs(bend), axis=0)
-    is_lost = ((log.position[1:-1] == 0.0) & is_jump).any(axis=1)
+    is_lost = (log.position[1:-1] == 0.0).all(axis=1) & is_jump.any(axis=1)
     is_spike = (is_jump & _is_out_and_back(log)).any(axis=1) & ~is_lost
     for rows, words in ((is_lost, "lost samples, written as 0,"), (is_spike, "spikes")):
         if rows.any():

@@ -48,6 +48,8 @@ LEAVES = 4.0
 """Error over noise at which a prediction has left the noise, twice in a row."""
 MIN_CORRELATION = 0.99
 """Correlation of the commands from which on a second log is a repeat of the first."""
+MIN_LEAD = 0.5
+"""Difference of misfits [nat] from which on causes explain a log better than another convention."""
 TRIAL_S = 0.5
 MAX_ROWS = 12
 """Joints that the text shows, those with the largest error first."""
@@ -127,7 +129,7 @@ def replay(
         if mistakes:
             # A cause may explain as well what another convention does.
             other = explained(given)
-            if misfit > other[2]:
+            if misfit > other[2] + MIN_LEAD:
                 mapped, mistakes = given, []
                 logs, explanation, _ = other
         mistakes += fixed_base(logs[-1], compiled)
@@ -156,7 +158,11 @@ def _line(
     joints, conditions = _joint_reports(problem, _repeat(logs[0], explained))
     alone = [_explained(problem, fit)[0] for fit in explanation.fits]
     together = _explained(problem, several) if several else []
-    found = (text for each in logs for text in each.findings)
+    found = [text for each in logs for text in each.findings]
+    for start in problem.left_out:
+        found.append(
+            f"0.25 s from {explained.time_s[start]:.3g} s on are unlike the rest, and left out"
+        )
     wrong = (text for each in logs for text in each.mistakes)
     return ReplayLine(
         log=explained.name,

@@ -151,6 +151,19 @@ def test_a_force_that_is_not_in_the_list_is_not_explained(tmp_path):
     assert line.paste == {}
 
 
+def test_a_push_in_one_piece_hides_no_cause(tmp_path):
+    line = replay(
+        *record(
+            tmp_path,
+            change=set_friction,
+            push=lambda now_s: 30.0 * (3.0 < now_s < 3.1),
+        )
+    ).line
+    assert [each.cause for each in line.named] == ["dry friction"]
+    assert line.named[0].values[0].fitted == pytest.approx(0.3, rel=0.05)
+    assert any("unlike the rest" in text for text in line.findings)
+
+
 def test_laws_that_are_one_are_both_named(tmp_path):
     def change(model):
         model.actuator_biasprm[0, 2] -= 2.0

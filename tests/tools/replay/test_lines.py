@@ -63,12 +63,12 @@ def paste(file, lines):
     ("change", "robot"),
     [
         (set_stiffness, GEARED),
-        (set_effort, GEARED),
         (set_effort, GENERAL),
-        (set_stop, ARM),
         (set_stop, DEGREES),
-        (set_armature, ARM),
         (set_gravity, ARM),
+        pytest.param(set_effort, GEARED, marks=pytest.mark.slow),
+        pytest.param(set_stop, ARM, marks=pytest.mark.slow),
+        pytest.param(set_armature, ARM, marks=pytest.mark.slow),
     ],
 )
 def test_lines_of_mjcf_make_the_change(tmp_path, change, robot):
@@ -79,7 +79,16 @@ def test_lines_of_mjcf_make_the_change(tmp_path, change, robot):
     assert replay(log, model).verdict is ReplayVerdict.NOISE
 
 
-@pytest.mark.parametrize("change", [set_friction, set_mass, set_damping])
+@pytest.mark.parametrize(
+    "change",
+    [
+        set_mass,
+        *(
+            pytest.param(change, marks=pytest.mark.slow)
+            for change in (set_friction, set_damping)
+        ),
+    ],
+)
 def test_lines_of_mjcf_of_links_and_losses_make_the_change(tmp_path, change):
     log, model = record(tmp_path, change=change)
     line = replay(log, model).line
@@ -138,7 +147,9 @@ def same_log(columns, writing):
 
 
 @pytest.mark.parametrize("writing", ["clock", "unit", "columns", "half"])
-@pytest.mark.parametrize("change", [set_friction, set_stiffness])
+@pytest.mark.parametrize(
+    "change", [set_friction, pytest.param(set_stiffness, marks=pytest.mark.slow)]
+)
 def test_a_verdict_does_not_hang_on_how_a_log_is_written(tmp_path, change, writing):
     log, model = record(tmp_path, change=change)
     before = replay(log, model).line
