@@ -56,6 +56,7 @@ COLUMN_NAMES = {
     "action": ("action", "actions"),
     "ctrl": ("ctrl",),
     "tau": ("tau", "torque", "effort"),
+    "policy_observation": ("obs", "policy_obs"),
     "base_position": ("base_pos", "base_position"),
     "base_quaternion": ("base_quat", "base_quaternion"),
     "base_linear_velocity": ("base_linvel", "base_linear_velocity"),
@@ -77,7 +78,14 @@ COLUMN = re.compile(
 ANGLES = ("position", "target", "ctrl")
 """Quantities that contain the offset of a joint; with the velocities they have the unit of the map."""
 
-SAMPLED = ("time_s", "position", "velocity", "base_pose", "base_twist")
+SAMPLED = (
+    "time_s",
+    "position",
+    "velocity",
+    "base_pose",
+    "base_twist",
+    "observation",
+)
 """Attributes of a log with a row a sample."""
 
 COMMANDS = ("action", "ctrl", "target", "tau")
@@ -153,6 +161,8 @@ class LogMap(BaseModel, extra="forbid"):
     quaternion: Literal["wxyz", "xyzw"] | None = None
     up: Literal["z", "y", "x", "-z"] = "z"
     up_of: Literal["pose", "position"] = "pose"
+    observation: list[str] = []
+    observation_scale: dict[str, float] = {}
     order: list[str] = []
     joints: dict[str, JointMap] = {}
     control: ControlMap = ControlMap()
@@ -198,6 +208,7 @@ class Log:
         command_time_s: From when on each command holds, shape [M].
         base_pose: Position [m] and quaternion w x y z of the base, shape [N, 7]; no column without a base.
         base_twist: Its linear velocity in the world and angular velocity in the body frame, shape [N, 6].
+        observation: What the policy saw, shape [N, K]; no column without.
         quaternion: Order of the numbers of a quaternion in the file, as the map gives it.
         up, up_of: Axis that is up in the file, and whether that of the pose or of the position alone.
         findings: What is not known of the log.
@@ -215,6 +226,7 @@ class Log:
     command_time_s: FloatArray
     base_pose: FloatArray
     base_twist: FloatArray
+    observation: FloatArray
     quaternion: str | None
     up: str
     up_of: str
@@ -301,6 +313,7 @@ def read_log(
         command_time_s=command_time_s,
         base_pose=sampled("base_position", "base_quaternion"),
         base_twist=sampled("base_linear_velocity", "base_angular_velocity"),
+        observation=sampled("policy_observation"),
         quaternion=mapped.quaternion,
         up=mapped.up,
         up_of=mapped.up_of,

@@ -179,6 +179,17 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
     return setup
 
 
+def home_pose(model: mujoco.MjModel, log: Log, control: ControlMap) -> FloatArray:
+    """Return the default pose of the joints of a log, shape [J]: of the map, else the first keyframe or the zero."""
+    home = model.key_qpos[0] if model.nkey else model.qpos0
+    poses = []
+    for name in log.joints:
+        given = control.of(name)["default_rad"]
+        place = model.jnt_qposadr[model.joint(name).id]
+        poses.append(home[place] if given is None else given)
+    return np.array(poses)
+
+
 def _drives(model: mujoco.MjModel) -> dict[str, int]:
     """Return the actuators by the names that commands have: of joints and actuators, or numbers."""
     drives = {str(index): index for index in range(model.nu)}

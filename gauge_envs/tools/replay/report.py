@@ -22,11 +22,13 @@ from gauge_envs.tools.replay.model import (
     UNLIMITED,
     Replayer,
     build_setup,
+    home_pose,
     joint_names,
     load_model,
     quiet_engine,
     uses_degrees,
 )
+from gauge_envs.tools.replay.observation import check_observation
 from gauge_envs.tools.replay.paste import Change
 from gauge_envs.tools.replay.schema import (
     Explained,
@@ -134,6 +136,13 @@ def replay(
                 logs, explanation, _ = other
         mistakes += fixed_base(logs[-1], compiled)
         line = _line(logs, model.name, explanation, mistakes)
+    policy = tuple(
+        check_observation(
+            logs[-1], mapped, home_pose(compiled, logs[-1], mapped.control)
+        )
+    )
+    if policy and not mistakes:
+        line = replace(line, verdict=ReplayVerdict.POLICY)
     problem = explanation.problem
     named = explanation.change if line.named else None
     change = Change(
@@ -144,6 +153,7 @@ def replay(
         given=given,
         mapped=mapped,
     )
+    line = replace(line, policy=policy)
     line = replace(line, sentence=_sentence(line), paste=change.lines())
     return ReplayResult(line, problem, explanation.change)
 
@@ -175,6 +185,7 @@ def _line(
         baseline_over_noise=problem.floor if baseline else None,
         findings=tuple(dict.fromkeys(found)),
         mistakes=tuple(dict.fromkeys([*mistakes, *wrong])),
+        policy=(),
         trial=_try_change(problem, change),
         joints=joints,
         conditions=conditions,
@@ -331,6 +342,7 @@ def _text(cause: Cause, label: str, values: Sequence[Value], step_s: float) -> s
 def _sentence(line: ReplayLine) -> str:
     """Return the answer: mistakes of the log, what is missing in the model, and what is left."""
     parts = [f"The log is wrong: {text}." for text in line.mistakes]
+    parts += [f"The policy sees {text}." for text in line.policy]
     return " ".join([*parts, *_physics(line)])
 
 

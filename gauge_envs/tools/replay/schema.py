@@ -14,6 +14,8 @@ class ReplayVerdict(StrEnum):
     """Nothing is left to explain."""
     LOG = "a mistake of the log"
     """The model predicts the log far better by another reading of it."""
+    POLICY = "what the policy sees"
+    """The observation of the policy is not that of the state."""
     CAUSE = "one cause"
     SEVERAL = "several causes"
     PART = "in part"
@@ -133,6 +135,7 @@ class ReplayLine:
         baseline_over_noise: The same for the first of two logs.
         findings: What the logs do not tell.
         mistakes: What is wrong in the logs; each is corrected where it can be.
+        policy: Terms of the observation that differ from the state.
         trial: Predictions before and after the change.
         joints: A row a joint.
         conditions: Error over noise of predictions of 0.1 s by condition.
@@ -153,6 +156,7 @@ class ReplayLine:
     baseline_over_noise: float | None
     findings: tuple[str, ...]
     mistakes: tuple[str, ...]
+    policy: tuple[str, ...]
     trial: Trial
     joints: tuple[JointReport, ...]
     conditions: Mapping[str, float]
