@@ -455,7 +455,7 @@ def _check_samples(log: Log) -> Iterator[str]:
         yield f"positions are held for {period} rows: the first of each is used"
     elif (lost := _held_rows(log, is_fresh)).any():
         log.keep(~lost)
-        yield f"{lost.sum()} rows repeat the position before while the robot moves: they are left out"
+        yield f"rows that repeat the position before while the robot moves are left out: {lost.sum()}"
     bend = np.diff(log.position, n=2, axis=0)
     is_jump = np.abs(bend) > MIN_JUMP + 12.0 * np.median(np.abs(bend), axis=0)
     is_lost = (log.position[1:-1] == 0.0).all(axis=1) & is_jump.any(axis=1)

@@ -113,7 +113,7 @@ def rewritten(columns, reading):
 
 
 @pytest.mark.parametrize("reading", ["degrees", "sign", "order", "zero"])
-def test_lines_of_the_map_correct_the_log(tmp_path, reading):
+def test_lines_of_the_map_correct_the_log(gauge, tmp_path, reading):
     log, model = record(tmp_path)
     columns = dict(np.load(log))
     np.savez(log, **columns | rewritten(columns, reading))
@@ -122,7 +122,12 @@ def test_lines_of_the_map_correct_the_log(tmp_path, reading):
     file.write_text(line.paste["map"])
     assert line.paste.keys() == {"map"}
     assert line.verdict is not ReplayVerdict.NOISE
-    assert replay(log, model, mapped=read_map(file)).verdict is ReplayVerdict.NOISE
+    shown = [
+        gauge("replay", log, "--model", model, *options)
+        for options in ([], ["--map", file])
+    ]
+    assert [each.exit_code for each in shown] == [1, 0]
+    assert "physics agrees" in " ".join(shown[1].stdout.split())
 
 
 def test_the_line_of_a_delay_goes_into_the_map(tmp_path):
