@@ -33,6 +33,13 @@ STOPS = (-0.4, 0.4)
 LOAD_SAMPLES = 300
 FAR = 40.0
 """Bound of a number of the fit, in units of its scale."""
+ZERO = "zero"
+ZEROS = (-1.6, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 1.6)
+"""Zeros of a joint from which the fit starts [rad or m]."""
+GRAVITY = 9.81
+"""Bound of a change of gravity [m/s^2]: it never points up."""
+INSIDE = 2.0
+"""Bound of a shift of a centre, over the radius of gyration of its link: it stays inside."""
 MIN_SCALE = 1e-6
 """Scale of values that stay above zero and are zero now."""
 MIN_FACTOR = 1e-3
@@ -90,6 +97,7 @@ class Cause:
         is_positive: Whether the values stay above zero.
         starts: Numbers from which the fit starts where the error is not smooth at the present value.
         origin: Values where the numbers are zero; by default the present ones.
+        far: Bound of the numbers.
     """
 
     name: str
@@ -102,6 +110,7 @@ class Cause:
     is_positive: bool = True
     starts: Sequence[float] = ()
     origin: ArrayLike | None = None
+    far: float = FAR
 
     @property
     def zero(self) -> FloatArray:
@@ -134,7 +143,7 @@ class Cause:
     def lower(self, group: ParameterGroup) -> FloatArray:
         """Return the smallest numbers of a group, shape [p]."""
         if not self.is_positive:
-            return np.full(group.selection.shape[1], -FAR)
+            return np.full(group.selection.shape[1], -self.far)
         smallest = MIN_FACTOR - self.zero / self.scale
         by_number = np.where(group.selection.T > 0.0, smallest, -FAR)
         return by_number.max(axis=1, initial=-FAR)
@@ -149,6 +158,7 @@ def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
     load = np.maximum(np.percentile(np.abs(torques), 95, axis=0), 1e-4)
     speed = np.maximum(np.percentile(np.abs(log.velocity), 95, axis=0), 1e-3)
     causes = [
+        _zero(replayer, setup),
         *_losses(replayer, setup, load, speed),
         *_bodies(setup),
         _stops(replayer, setup),
@@ -162,6 +172,31 @@ def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
     if (conditions == "contact").any():
         causes += _contacts(setup)
     return causes
+
+
+def _zero(replayer: Replayer, setup: Setup) -> Cause:
+    """Return the zero of the joints of the log, in positions and commands."""
+    names, ids = replayer.log.joints, replayer.actuator
+    driven = np.flatnonzero(np.append(setup.is_driven, False)[ids])
+    driven = driven[setup.model.actuator_biasprm[ids[driven], 1] != 0.0]
+
+    def set_zero(changed: Setup, values: FloatArray) -> None:
+        changed.zero[:] = values
+        changed.offset[ids[driven]] += values[driven]
+
+    return Cause(
+        name=ZERO,
+        unit="rad",
+        parameters=names,
+        present=setup.zero,
+        typical=1.0,
+        apply=set_zero,
+        groups=groups_of_one(len(names)),
+        is_positive=False,
+        starts=ZEROS,
+        origin=0.0,
+        far=np.pi,
+    )
 
 
 def _losses(
@@ -252,6 +287,7 @@ def _bodies(setup: Setup) -> list[Cause]:
             apply=set_gravity,
             groups=tilts,
             is_positive=False,
+            far=GRAVITY,
         ),
         Cause(
             name="mass or centre of a link",
@@ -271,6 +307,7 @@ def _bodies(setup: Setup) -> list[Cause]:
             apply=set_center,
             groups=groups_of_one(3 * count, 3),
             is_positive=False,
+            far=INSIDE,
         ),
         Cause(
             name="payload",
@@ -444,12 +481,22 @@ def _order(replayer: Replayer, setup: Setup, driven: IntArray) -> list[Cause]:
             texts.append(f"{log.joints[joint]} follows {minus}{log.joints[other]}")
     if not texts:
         return []
-    mixed = signs * setup.command[:, ids[order]]
+    label, others = ", ".join(texts), ids[order]
 
     def set_command(changed: Setup) -> None:
-        changed.command[:, ids] = mixed
+        changed.command[:, ids] = signs * setup.command[:, others]
 
-    return [_option("joint order", ", ".join(texts), set_command)]
+    def set_all(changed: Setup) -> None:
+        set_command(changed)
+        changed.scale[ids] = setup.scale[others]
+        changed.offset[ids] = signs * setup.offset[others]
+
+    # The default pose that was added, and the scale, may be those of the other joint.
+    with_pose = f"{label}, with its default pose"
+    return [
+        _option("joint order", label, set_command),
+        _option("joint order", with_pose, set_all),
+    ]
 
 
 def _timing(setup: Setup) -> list[Cause]:

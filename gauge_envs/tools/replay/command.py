@@ -53,7 +53,7 @@ def replay(
     its share of the error counts on pieces of the log that the fit has not seen. Exit code 1 when the model does not
     predict the log within its noise.
     """
-    from gauge_envs.tools.replay import read_map, replay as run
+    from gauge_envs.tools.replay import ReplayVerdict, read_map, replay as run
     from gauge_envs.tools.replay.report import replay_document, replay_figure
 
     files = arguments.by_suffix(out, ".md", ".json", ".png")
@@ -69,4 +69,4 @@ def replay(
         from gauge_envs.pages.figures import save_png
 
         message(save_png(replay_figure(result), picture))
-    return result.change is not None
+    return result.verdict is not ReplayVerdict.NOISE

@@ -8,13 +8,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
+import mujoco
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear
 from scipy.stats import t as student, wilcoxon
 
-from gauge_envs.tools.replay.causes import FAR, Cause, ParameterGroup, groups_of_one
+from gauge_envs.tools.replay.causes import Cause, ParameterGroup, groups_of_one
 from gauge_envs.tools.replay.log import FloatArray
-from gauge_envs.tools.replay.model import Replayer, Setup
+from gauge_envs.tools.replay.model import IntArray, Replayer, Setup
 from gauge_envs.tools.replay.schema import ReplayVerdict
 
 NO_NUMBERS = np.zeros(0)
@@ -31,7 +32,12 @@ class Thresholds:
         piece_s: Length of the predictions that are fitted [s].
         piece_count: Number of these pieces; every other one is held out.
         max_noise_error: Error below which nothing is left to explain.
+        max_misfit: Logarithm of the error over that of constant velocity or no motion, below which a model is no worse.
+        odd_error: Error of a piece over the median one from which on it is odd.
+        max_odd: Largest fraction of the pieces that are left out as odd.
         min_share: Smallest share of the excess that a named cause explains.
+        min_part: The same for losses and armature, which are named in part.
+        about_as_good: Excess of losses and armature over the smallest one, up to which they are preferred.
         max_excess: Largest excess of a named cause, unless it leads.
         min_lead: Excess of every other cause over that of a cause that leads.
         max_excess_of_several: Largest excess of several causes that are named.
@@ -56,7 +62,12 @@ class Thresholds:
     piece_s: float = 0.25
     piece_count: int = 28
     max_noise_error: float = 1.3
+    max_misfit: float = 0.4
+    odd_error: float = 25.0
+    max_odd: float = 0.1
     min_share: float = 0.9
+    min_part: float = 0.85
+    about_as_good: float = 1.5
     max_excess: float = 8.0
     min_lead: float = 5.0
     max_excess_of_several: float = 2.0
@@ -81,6 +92,10 @@ THRESHOLDS = Thresholds()
 
 SERVO = ("delay", "kp", "armature", "damping")
 """Causes that are fitted together where two are not enough: the constants of a servo."""
+
+
+LOSSES = ("armature", "dry friction", "damping")
+"""What every drive has, and a published model often lacks."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -132,6 +147,14 @@ class Fit:
         smallest = [cause.lower(group) for cause, group in self.terms]
         return np.concatenate([NO_NUMBERS, *smallest])
 
+    @property
+    def upper(self) -> FloatArray:
+        """Largest numbers, shape [p]."""
+        largest = [
+            np.full(group.selection.shape[1], cause.far) for cause, group in self.terms
+        ]
+        return np.concatenate([NO_NUMBERS, *largest])
+
     def split(
         self, numbers: FloatArray
     ) -> Iterator[tuple[tuple[Cause, ParameterGroup], FloatArray]]:
@@ -159,7 +182,7 @@ class Fit:
         flat = columns.reshape(self.training.size, -1)
         triangle = np.asarray(np.linalg.qr(flat, mode="r"))
         lower = np.clip(self.lower - self.numbers, -self.reach, 0.0)
-        upper = np.clip(FAR - self.numbers, 1e-9, self.reach)
+        upper = np.clip(self.upper - self.numbers, 1e-9, self.reach)
         solution = lsq_linear(triangle[:, :-1], triangle[:, -1], (lower, upper))
         linear_error = 2.0 * solution.cost / self.training.size
         return replace(self, step=solution.x, linear_error=linear_error)
@@ -173,41 +196,81 @@ class Problem:
         setup: What the user gave; the noise is propagated by it.
 
     Attributes:
+        pieces: Samples of all pieces, shape [P, 1 + T].
         whiteners: What makes the deviations of each half independent, shape [P, T D, T D].
         before: The model as it is.
+        left_out: First samples of the pieces that count nothing.
         floor: Error over noise of a perfect model: 1, or that of the first of two logs.
     """
 
     def __init__(self, replayer: Replayer, setup: Setup) -> None:
         self.replayer, self.setup = replayer, setup
-        pieces = replayer.pieces(THRESHOLDS.piece_s, THRESHOLDS.piece_count)
-        self._halves = pieces[::2], pieces[1::2]
+        self.pieces = replayer.pieces(THRESHOLDS.piece_s, THRESHOLDS.piece_count)
+        self._halves = self.pieces[::2], self.pieces[1::2]
         self.floor = 1.0
-        self.whiteners = self._whiteners(setup)
+        self.left_out = np.zeros(0, int)
+        self.whiteners = self._whiteners(setup, self.left_out)
         no_slopes = np.zeros((*self.whiteners[0].shape[:2], 0))
         self.before = self.predict(Fit(training=NO_NUMBERS, slopes=no_slopes))
 
-    def _whiteners(self, setup: Setup) -> list[FloatArray]:
+    def _whiteners(self, setup: Setup, left_out: IntArray) -> list[FloatArray]:
         covariances = [self.replayer.covariance(setup, half) for half in self._halves]
-        return [np.linalg.inv(np.linalg.cholesky(each)) for each in covariances]
+        whiteners = [np.linalg.inv(np.linalg.cholesky(each)) for each in covariances]
+        for half, each in zip(self._halves, whiteners, strict=True):
+            each[np.isin(half[:, 0], left_out)] = 0.0
+        return whiteners
 
     def with_noise_of(self, fit: Fit) -> Problem:
         """Return the problem where a fit propagates the noise."""
         problem = copy.copy(self)
-        problem.whiteners = self._whiteners(self.setup_of(fit))
+        problem.whiteners = self._whiteners(self.setup_of(fit), self.left_out)
         problem.before = problem.predict(self.before)
+        return problem
+
+    def without_odd_pieces(self, fit: Fit) -> Problem:
+        """Return the problem without the few pieces that a fit misses by far more than the others."""
+        starts = np.concatenate([half[:, 0] for half in self._halves])
+        halves = (fit.training, fit.held_out)
+        errors = np.concatenate([np.mean(each**2, axis=1) for each in halves])
+        is_odd = errors > THRESHOLDS.odd_error * max(np.median(errors), self.floor)
+        problem = copy.copy(self)
+        if is_odd.mean() < THRESHOLDS.max_odd:
+            problem.left_out = starts[is_odd]
+            problem.whiteners = self._whiteners(self.setup, problem.left_out)
+            problem.before = problem.predict(self.before)
         return problem
 
     def surprise(self, fit: Fit) -> float:
         """Return twice the negative logarithm of the likelihood of the training errors, by residual."""
         precision = np.diagonal(self.whiteners[0], axis1=1, axis2=2)
-        return fit.training_error - 2.0 * float(np.mean(np.log(precision)))
+        # A piece that is left out has no precision.
+        logarithms = np.log(np.where(precision, precision, 1.0))
+        return fit.training_error - 2.0 * float(np.mean(logarithms))
 
     def setup_of(self, fit: Fit) -> Setup:
         """Return the setup of a fit."""
         setup = self.setup
         for (cause, group), numbers in fit.split(fit.numbers):
             setup = cause.change(setup, group, numbers)
+        return setup
+
+    def shown_setup(self, fit: Fit) -> Setup:
+        """Return the setup with the values that are printed: four digits, and the present one inside an interval."""
+        setup = self.setup
+        half = 0.0 * fit.numbers if fit.half_width is None else fit.half_width
+        trials = [
+            fit.split(numbers)
+            for numbers in (fit.numbers, fit.numbers - half, fit.numbers + half)
+        ]
+        for terms in zip(*trials, strict=True):
+            cause, group = terms[0][0]
+            fitted, low, high = (cause.values(group, numbers) for _, numbers in terms)
+            rounded = np.array([float(f"{value:.4g}") for value in fitted])
+            differs = (low > cause.present) | (high < cause.present)
+            after = copy.deepcopy(setup)
+            cause.apply(after, np.where(differs, rounded, cause.present))
+            mujoco.mj_setConst(after.model, mujoco.MjData(after.model))
+            setup = after
         return setup
 
     def _residuals(self, fit: Fit, half: int) -> FloatArray:
@@ -341,7 +404,7 @@ class _Descent:
             self.residuals,
             np.zeros(len(start.numbers)),
             slopes,
-            bounds=(lower, FAR - start.numbers),
+            bounds=(lower, np.maximum(start.upper - start.numbers, 1e-9)),
             method="dogbox",
             # The first step is at most so long.
             x_scale=np.maximum(np.abs(start.step), 1.0),
@@ -510,6 +573,18 @@ def _fit_servo(
     return [_polish(problem, problem.predict(servo))]
 
 
+def _prefer_losses(problem: Problem, fits: Sequence[Fit]) -> Fit:
+    """Return the best fit, or the best one of losses and armature if none reaches the noise and it is about as good."""
+    best = fits[0]
+    if problem.excess(best) < THRESHOLDS.max_excess_of_several:
+        return best
+    for fit in fits:
+        near = problem.excess(fit) < THRESHOLDS.about_as_good * problem.excess(best)
+        if near and {*fit.names} <= {*LOSSES}:
+            return fit
+    return best
+
+
 def _fit_several(
     problem: Problem, bases: Sequence[Fit], fits: Sequence[Fit], changes: Sequence[Fit]
 ) -> list[Fit]:
@@ -526,35 +601,50 @@ def _verdict(
     """Return what explains the difference.
 
     Several causes are named if they explain it far better than one; one cause if it explains it to the noise, or far
-    better than any other one.
+    better than any other one. Losses and armature, which every drive has, are named in part too.
     """
     best, *others = fits
     excess = problem.excess(best)
-    limit = min(
-        THRESHOLDS.max_excess_of_several, THRESHOLDS.max_ratio_of_several * excess
-    )
+    change = several or best
+    is_drive = {*change.names} <= {*LOSSES}
+    limit = THRESHOLDS.max_excess if is_drive else THRESHOLDS.max_excess_of_several
+    limit = min(limit, THRESHOLDS.max_ratio_of_several * excess)
     explains = several is not None and problem.share(several) > THRESHOLDS.min_share
     if several and explains and problem.excess(several) < limit:
         return ReplayVerdict.SEVERAL
-    if problem.share(best) <= THRESHOLDS.min_share:
-        return ReplayVerdict.NOTHING
     leads = all(problem.excess(fit) > THRESHOLDS.min_lead * excess for fit in others)
-    if leads or excess < THRESHOLDS.max_excess:
+    if problem.share(best) > THRESHOLDS.min_share and (
+        leads or excess < THRESHOLDS.max_excess
+    ):
         return ReplayVerdict.CAUSE
+    if is_drive and problem.share(change) > THRESHOLDS.min_part:
+        return ReplayVerdict.PART
     return ReplayVerdict.NOTHING
+
+
+def _predicts(problem: Problem) -> bool:
+    """Return whether the model predicts the log within its noise, and better than constant velocity and no motion."""
+    if problem.before.error >= THRESHOLDS.max_noise_error * problem.floor:
+        return False
+    misfit = problem.replayer.misfit(problem.setup, problem.pieces)
+    return bool(misfit.max() < THRESHOLDS.max_misfit)
 
 
 def explain(
     problem: Problem, causes: Sequence[Cause], advance: Callable[[str], None]
 ) -> Explanation:
     """Return what explains the deviation of a log from the model: each cause alone, then several."""
-    if problem.before.error < THRESHOLDS.max_noise_error * problem.floor:
+    if _predicts(problem):
         return Explanation(problem)
     changes: list[Fit] = []
     for cause in causes:
         advance(cause.name)
         changes += try_cause(problem, cause)
     fits = best_fits(problem, [problem.before], changes)
+    if not len(problem.left_out):
+        clean = problem.without_odd_pieces(fits[0])
+        if len(clean.left_out):
+            return explain(clean, causes, advance)
     if problem.excess(fits[0]) > THRESHOLDS.near_noise:
         problem, fits = _update_noise(problem, fits)
     alone = _few_by_cause(problem, fits, 1)
@@ -567,7 +657,7 @@ def explain(
         advance("several together")
         bases = [fit for fit in fits if fit.names[0] not in names]
         together = _fit_several(problem, bases, fits, changes)
-        several = together[0]
+        several = _prefer_losses(problem, together)
     verdict = _verdict(problem, alone, several)
     if verdict is ReplayVerdict.SEVERAL:
         names = _find_indistinguishable(problem, together)

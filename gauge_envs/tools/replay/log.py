@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 from scipy.integrate import cumulative_simpson
 from scipy.ndimage import uniform_filter1d
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import FileError
@@ -55,6 +56,7 @@ COLUMN_NAMES = {
     "action": ("action", "actions"),
     "ctrl": ("ctrl",),
     "tau": ("tau", "torque", "effort"),
+    "policy_observation": ("obs", "policy_obs"),
     "base_position": ("base_pos", "base_position"),
     "base_quaternion": ("base_quat", "base_quaternion"),
     "base_linear_velocity": ("base_linvel", "base_linear_velocity"),
@@ -76,7 +78,14 @@ COLUMN = re.compile(
 ANGLES = ("position", "target", "ctrl")
 """Quantities that contain the offset of a joint; with the velocities they have the unit of the map."""
 
-SAMPLED = ("time_s", "position", "velocity", "base_pose", "base_twist")
+SAMPLED = (
+    "time_s",
+    "position",
+    "velocity",
+    "base_pose",
+    "base_twist",
+    "observation",
+)
 """Attributes of a log with a row a sample."""
 
 COMMANDS = ("action", "ctrl", "target", "tau")
@@ -98,15 +107,30 @@ MAX_MISFIT = 0.3
 SURE = 4.0
 """Relative difference of two mean squared errors that is significant in a log of length TURN_S; it decreases with the
 length."""
+LOST_STEP = 1.5
+"""Step after repeated rows, over an ordinary one, from which on they were lost; an encoder of low resolution has 1."""
+MAX_RATE_RATIO = 1.5
+"""Ratio of velocities and slopes from which on the unit or clock is wrong; motion too fast for the log has less."""
+UPRIGHT = {
+    up: Rotation.from_euler(axis, angle, degrees=True)
+    for up, axis, angle in (
+        ("z", "x", 0),
+        ("y", "x", 90),
+        ("x", "y", -90),
+        ("-z", "x", 180),
+    )
+}
+"""Rotation that turns each axis that may be up to z."""
 MIN_REGULAR = 0.7
 """Fraction of equal runs of samples from which on the encoder is slower than the log."""
 
 
 class JointMap(BaseModel, extra="forbid"):
-    """What a joint of the model is called in the log, and how its angle reads there."""
+    """What a joint of the model is called in the log, and how its angle reads there: `sign * scale * log + offset`."""
 
     log: str = ""
     sign: Literal[1, -1] = 1
+    scale: float = 1.0
     offset_rad: float = 0.0
 
 
@@ -117,6 +141,7 @@ class ControlMap(BaseModel, extra="forbid"):
     kd: float | dict[str, float] = 0.0
     action_scale: float | dict[str, float] = 1.0
     default_rad: float | dict[str, float] | None = None
+    delay_s: float = 0.0
 
     def of(self, joint: str) -> dict[str, Any]:
         """Return the values for a joint by field; the default of a field whose table lacks the joint."""
@@ -134,9 +159,17 @@ class LogMap(BaseModel, extra="forbid"):
     unit: Literal["rad", "deg"] = "rad"
     command: Literal["action", "ctrl", "target", "tau"] | None = None
     quaternion: Literal["wxyz", "xyzw"] | None = None
+    up: Literal["z", "y", "x", "-z"] = "z"
+    up_of: Literal["pose", "position"] = "pose"
+    observation: list[str] = []
+    observation_scale: dict[str, float] = {}
     order: list[str] = []
     joints: dict[str, JointMap] = {}
     control: ControlMap = ControlMap()
+
+    def joint(self, name: str) -> JointMap:
+        """Return the entry of a joint; the default without one."""
+        return self.joints.get(name, JointMap())
 
     def check_joints(self, known: Mapping[str, Any]) -> None:
         """Raise an error for a joint of the map that a log lacks."""
@@ -148,6 +181,14 @@ class LogMap(BaseModel, extra="forbid"):
                     continue
                 reason = f"the log has no such joint; it has {first_names([*known])}"
                 raise FileError("--map", name, reason)
+
+
+def with_joints(mapped: LogMap, changes: Mapping[str, dict[str, Any]]) -> LogMap:
+    """Return a map with other fields of joints."""
+    joints = dict(mapped.joints)
+    for name, change in changes.items():
+        joints[name] = mapped.joint(name).model_copy(update=change)
+    return mapped.model_copy(update={"joints": joints})
 
 
 @dataclass
@@ -167,8 +208,11 @@ class Log:
         command_time_s: From when on each command holds, shape [M].
         base_pose: Position [m] and quaternion w x y z of the base, shape [N, 7]; no column without a base.
         base_twist: Its linear velocity in the world and angular velocity in the body frame, shape [N, 6].
+        observation: What the policy saw, shape [N, K]; no column without.
         quaternion: Order of the numbers of a quaternion in the file, as the map gives it.
-        findings: What is wrong in the log, and what was done about it.
+        up, up_of: Axis that is up in the file, and whether that of the pose or of the position alone.
+        findings: What is not known of the log.
+        mistakes: What is wrong in the log, and what was done about it.
     """
 
     name: str
@@ -182,10 +226,14 @@ class Log:
     command_time_s: FloatArray
     base_pose: FloatArray
     base_twist: FloatArray
+    observation: FloatArray
     quaternion: str | None
+    up: str
+    up_of: str
     position_noise: FloatArray = field(init=False)
     velocity_noise: FloatArray = field(init=False)
     findings: list[str] = field(default_factory=list)
+    mistakes: list[str] = field(default_factory=list)
 
     @property
     def interval_s(self) -> float:
@@ -265,12 +313,16 @@ def read_log(
         command_time_s=command_time_s,
         base_pose=sampled("base_position", "base_quaternion"),
         base_twist=sampled("base_linear_velocity", "base_angular_velocity"),
+        observation=sampled("policy_observation"),
         quaternion=mapped.quaternion,
+        up=mapped.up,
+        up_of=mapped.up_of,
     )
     if not order and any(QUANTITIES.get(title) == "position" for title in by_title):
         log.findings.append("columns without names are taken in the order of the model")
     for check in CHECKS:
-        log.findings += check(log)
+        log.mistakes += check(log)
+    log.findings += _unknown(log)
     return log
 
 
@@ -342,16 +394,20 @@ def _by_joint(
             kind = mapped.command
         if mapped.unit == "deg" and kind in (*ANGLES, "velocity"):
             values = np.deg2rad(values)
-        is_named = len(names) == len(values) and "base" not in quantity
+        is_named = len(names) == len(values) and quantity in (*COMMANDS, *SAMPLED)
         for index, column in enumerate(values):
             name = joint or (names[index] if is_named else str(index))
             name = model_names.get(name, name)
             if name in found[quantity]:
                 reason = f"a second column of {name}; rename one"
                 raise FileError(file, title, reason)
-            entry = mapped.joints.get(name, JointMap())
+            entry = mapped.joint(name)
             offset = entry.offset_rad if kind in ANGLES else 0.0
-            found[quantity][name] = entry.sign * column + offset
+            # A force has the sign alone.
+            scale = entry.scale if kind in (*ANGLES, "velocity") else 1.0
+            if is_named or joint:
+                scale *= entry.sign
+            found[quantity][name] = scale * column + offset
     return found
 
 
@@ -389,25 +445,62 @@ def _check_numbers(log: Log) -> Iterator[str]:
 
 
 def _check_samples(log: Log) -> Iterator[str]:
-    """Leave out repeated samples where the encoder is slower than the log, and lost ones that were written as 0."""
-    fresh = np.flatnonzero(np.diff(log.position, axis=0).any(axis=1)) + 1
-    gaps = np.diff(fresh)
+    """Leave out samples that repeat the one before, lost ones that were written as 0, and spikes."""
+    is_fresh = np.append(True, np.diff(log.position, axis=0).any(axis=1))
+    fresh = np.flatnonzero(is_fresh)
+    gaps = np.diff(fresh[1:])
     period = int(np.median(gaps)) if len(gaps) else 1
     if period > 1 and np.mean(np.abs(gaps - period) <= period // 4) > MIN_REGULAR:
-        log.keep(fresh)
+        log.keep(fresh[1:])
         yield f"positions are held for {period} rows: the first of each is used"
-    bend = np.abs(np.diff(log.position, n=2, axis=0))
-    is_jump = bend > MIN_JUMP + 12.0 * np.median(bend, axis=0)
-    is_lost = ((log.position[1:-1] == 0.0) & is_jump).any(axis=1)
-    if is_lost.any():
-        log.keep(np.concatenate([[True], ~is_lost, [True]]))
-        yield f"{is_lost.sum()} lost samples, written as 0, are left out"
+    elif (lost := _held_rows(log, is_fresh)).any():
+        log.keep(~lost)
+        yield f"rows that repeat the position before while the robot moves are left out: {lost.sum()}"
+    bend = np.diff(log.position, n=2, axis=0)
+    is_jump = np.abs(bend) > MIN_JUMP + 12.0 * np.median(np.abs(bend), axis=0)
+    is_lost = (log.position[1:-1] == 0.0).all(axis=1) & is_jump.any(axis=1)
+    is_spike = (is_jump & _is_out_and_back(log)).any(axis=1) & ~is_lost
+    for rows, words in ((is_lost, "lost samples, written as 0,"), (is_spike, "spikes")):
+        if rows.any():
+            first_s = log.time_s[1 + np.argmax(rows)]
+            yield f"{rows.sum()} {words} are left out, the first at {first_s:.3g} s"
+    log.keep(np.concatenate([[True], ~(is_lost | is_spike), [True]]))
+
+
+def _is_out_and_back(log: Log) -> BoolArray:
+    """Return whether a sample leaves its neighbours and what the velocities say, shape [N - 2, J]."""
+    step = np.diff(log.position, axis=0)
+    if log.velocity.shape == log.position.shape:
+        mean = 0.5 * (log.velocity[1:] + log.velocity[:-1])
+        rest = step - mean * np.diff(log.time_s)[:, None]
+        # Velocities of another joint or unit tell nothing.
+        fits = np.median(np.abs(rest), axis=0) < 0.5 * np.median(np.abs(step), axis=0)
+        step = np.where(fits, rest, np.nan)
+    out, back = step[:-1], -step[1:]
+    bend, size = np.diff(log.position, n=2, axis=0), np.abs(out + back)
+    is_even = (out * back > 0.0) & (np.abs(out - back) < 0.5 * size)
+    return is_even & (size > 0.7 * np.abs(bend))
+
+
+def _held_rows(log: Log, is_fresh: BoolArray) -> BoolArray:
+    """Return the rows that repeat the position before, if the robot has moved by more than a step after them."""
+    step = np.abs(np.diff(log.position, axis=0)).sum(axis=1)
+    after_held = np.flatnonzero(~is_fresh[:-1] & is_fresh[1:])
+    after_fresh = np.flatnonzero(is_fresh[:-1] & is_fresh[1:])
+    if not len(after_held) or not len(after_fresh):
+        return ~is_fresh & False
+    near = [np.abs(after_fresh - row).argsort()[:8] for row in after_held]
+    ordinary = np.array([np.median(step[after_fresh[rows]]) for rows in near])
+    is_lost = np.mean(step[after_held]) > LOST_STEP * np.mean(ordinary)
+    return ~is_fresh & is_lost
 
 
 def _check_wraps(log: Log) -> Iterator[str]:
     """Unwrap angles modulo 2 pi."""
     turns = np.unwrap(log.position, axis=0)
+    # Angles in degrees jump too, but leave one turn.
     is_wrapped = (turns != log.position).any(axis=0)
+    is_wrapped &= np.ptp(log.position, axis=0) < 2.0 * np.pi
     if is_wrapped.any():
         turns -= 2.0 * np.pi * np.round(np.median(turns, axis=0) / (2.0 * np.pi))
         log.position = np.where(is_wrapped, turns, log.position)
@@ -450,24 +543,61 @@ def _check_velocity(log: Log) -> Iterator[str]:
     if log.velocity.shape != log.position.shape:
         log.velocity = slope
         log.velocity_noise = log.position_noise / (np.sqrt(2.0) * log.interval_s)
-        yield "no velocities of all joints: differences of positions are used"
+        log.findings.append(
+            "no velocities of all joints: differences of positions are used"
+        )
         return
+    yield from _check_rates(log)
     spread = 1.4826 * np.median(np.abs(log.velocity - slope), axis=0)
     noise = np.hypot(noise_of(log.time_s, log.velocity), 0.2 * spread)
     log.velocity_noise = np.maximum(noise, MIN_RATE_NOISE)
+
+
+def _check_rates(log: Log) -> Iterator[str]:
+    """Bring velocities to the order, signs and unit of the slopes of the positions, where these are clear."""
     path = cumulative_simpson(log.velocity, x=log.time_s, axis=0, initial=0.0)
     length = min(1 + round(TURN_S / log.interval_s), len(path) // 2)
-    both = np.stack([log.position, path])
-    moved = both[:, length:] - both[:, :-length]
-    (variance, product), (_, other) = np.cov(moved.reshape(2, -1))
-    # Noise of the positions lowers the ratio by at most the scatter about the line.
-    is_line = product**2 > 0.9 * variance * other
-    if is_line and abs(product - variance) > 0.15 * variance:
-        ratio = product / variance
-        yield (
-            f"velocities are {ratio:.3g} times the slope of the positions: "
-            "another unit or clock, or motion too fast for the log"
-        )
+    moved, turned = (each[length:] - each[:-length] for each in (log.position, path))
+    count = len(log.joints)
+    # Noise moves a joint that rests; the trend avoids a division by zero.
+    moves = np.std(moved, axis=0) > 8.0 * log.position_noise
+    trend = 1e-9 * np.arange(len(moved))
+    match = np.corrcoef(moved.T + trend, turned.T + trend)[:count, count:]
+    order = linear_sum_assignment(np.abs(match), maximize=True)[1]
+    best = np.abs(match[range(count), order])
+    exchanged = moves & (best > 0.9) & (np.abs(np.diag(match)) < best - 0.2)
+    if exchanged.sum() > 1:
+        order = np.where(exchanged, order, range(count))
+        log.velocity, turned = log.velocity[:, order], turned[:, order]
+        match = match[:, order]
+        pairs = [
+            f"{log.joints[k]} has that of {log.joints[order[k]]}"
+            for k in np.flatnonzero(exchanged)
+        ]
+        yield f"velocities are exchanged ({', '.join(pairs)}): they are put back"
+    clear = moves & (np.abs(np.diag(match)) > 0.9)
+    ratio = np.sum(moved * turned, axis=0) / np.maximum(np.sum(moved**2, axis=0), 1e-12)
+    flipped = clear & (ratio < 0.0)
+    if flipped.any():
+        log.velocity[:, flipped] *= -1.0
+        names = first_names([log.joints[k] for k in np.flatnonzero(flipped)])
+        yield f"velocities of {names} have the opposite sign of the slope of the positions: it is turned"
+    ratio = np.abs(ratio[clear])
+    if not len(ratio) or np.exp(np.abs(np.log(np.median(ratio)))) < MAX_RATE_RATIO:
+        return
+    for unit, factor in (
+        ("deg/s", np.rad2deg(1.0)),
+        ("turns/s", 0.5 / np.pi),
+        ("rpm", 30.0 / np.pi),
+    ):
+        if np.allclose(ratio, factor, rtol=0.15):
+            log.velocity /= factor
+            yield f"velocities are in {unit}, by the slope of the positions: they are converted"
+            return
+    yield (
+        f"velocities are {np.median(ratio):.3g} times the slope of the positions: another unit, or the clock runs at "
+        "another rate"
+    )
 
 
 def _base_options(log: Log) -> Iterator[tuple[Any, ...]]:
@@ -499,8 +629,9 @@ def _base_options(log: Log) -> Iterator[tuple[Any, ...]]:
         slope = np.hstack([np.gradient(position, log.time_s, axis=0), rate])
         limit = MAX_MISFIT * power(slope) + 8.0 * noise**2
         for frame, rate in (("body", angular), ("world", turn.inv().apply(angular))):
-            twist = np.hstack([linear, rate])
-            yield power(twist - slope) / limit, order, frame, pose, twist, slope
+            for moved in (linear, turn.apply(linear)):
+                twist = np.hstack([moved, rate])
+                yield power(twist - slope) / limit, order, frame, pose, twist, slope
 
 
 def _check_base(log: Log) -> Iterator[str]:
@@ -511,31 +642,58 @@ def _check_base(log: Log) -> Iterator[str]:
     """
     if log.base_pose.shape[1] != 7:
         return
+    is_given = log.base_twist.shape[1] == 6
     options = [*_base_options(log)]
     best = min(option[0][1] for option in options)
     sure = 1.0 + SURE * TURN_S / np.ptp(log.time_s)
     limit = min(1.0, sure * best)
     near = [option for option in options if option[0][1] <= limit] or options
-    misfit, order, frame, log.base_pose, log.base_twist, slope = near[0]
+    # The second option of each order and frame has linear velocities in the body frame.
+    is_body = near[0][0][0] > 1.0 and near[1][0][0] <= 1.0
+    misfit, order, frame, log.base_pose, log.base_twist, slope = near[int(is_body)]
     if order == "xyzw":
         yield "base_quat is x y z w: it is turned to w x y z"
+    if is_body:
+        yield "base_linvel is in the body frame: it is turned"
     if frame == "world":
         yield "base_angvel is in the world frame: it is turned"
     if len({order for _, order, *_ in near}) > 1:
-        yield (
+        log.findings.append(
             "base_angvel does not show the order of base_quat: it is taken as w x y z; "
             'if it is x y z w, add quaternion = "xyzw" to --map'
         )
     if (misfit > 1.0).any():
         log.base_twist = slope
+        if is_given:
+            yield "base velocities do not fit the pose: its differences are used"
+        else:
+            log.findings.append("no base velocities: differences of the pose are used")
+    turn = UPRIGHT[log.up]
+    log.base_pose[:, :3] = turn.apply(log.base_pose[:, :3])
+    log.base_twist[:, :3] = turn.apply(log.base_twist[:, :3])
+    if log.up_of == "pose":
+        pose = Rotation.from_quat(log.base_pose[:, 3:], scalar_first=True)
+        pose = turn * pose * turn.inv()
+        log.base_pose[:, 3:] = pose.as_quat(scalar_first=True)
+        log.base_twist[:, 3:] = turn.apply(log.base_twist[:, 3:])
+
+
+def _check_clocks(log: Log) -> Iterator[str]:
+    """Name commands whose clock is not that of the samples."""
+    (first_s, last_s), (begin_s, end_s) = (
+        log.time_s[[0, -1]],
+        log.command_time_s[[0, -1]],
+    )
+    overlap_s = min(last_s, end_s) - max(first_s, begin_s)
+    if overlap_s < 0.5 * (last_s - first_s) and log.command_kind:
         yield (
-            "base velocities are missing or do not fit the pose (linear in the world, angular in the body frame): "
-            "its differences are used"
+            f"command_t runs from {begin_s:g} to {end_s:g} s, but t from {first_s:g} to {last_s:g} s: "
+            "give both by one clock"
         )
 
 
-def _check_commands(log: Log) -> Iterator[str]:
-    """Report commands that move at every sample: what happens between samples is not known."""
+def _unknown(log: Log) -> Iterator[str]:
+    """Report what a log does not tell, as what happens between samples with commands that move at each one."""
     is_fast = log.command_interval_s < 1.1 * log.interval_s
     if not log.command_kind:
         yield "no commands: the mechanism is taken as passive"
@@ -550,6 +708,6 @@ CHECKS = (
     _check_jitter,
     _check_velocity,
     _check_base,
-    _check_commands,
+    _check_clocks,
 )
 """Checks of a log, in this order."""

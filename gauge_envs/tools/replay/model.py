@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,6 +35,8 @@ UNLIMITED = 1e4
 """Limit of a joint [rad or m] or an actuator [N m or N] that is none."""
 MAX_GAP = 3.0
 """Interval between two samples, over the median, that a prediction may cross."""
+MAX_NOISE_GROWTH = 9.0
+"""Largest variance of the propagated noise, over that of a motion with the recorded velocity."""
 DRAWS = 8
 """Draws of the noise of the initial state."""
 MAX_POSITION = 1e6
@@ -53,6 +57,7 @@ class Setup:
         is_driven: Whether an actuator has commands, shape [nu].
         scale, offset: See above, shape [nu].
         delay_s: Time from the command to its effect.
+        zero: What is added to the angle of each joint of the log, shape [J].
     """
 
     model: mujoco.MjModel
@@ -61,7 +66,8 @@ class Setup:
     is_driven: BoolArray
     scale: FloatArray
     offset: FloatArray
-    delay_s: float = 0.0
+    delay_s: float
+    zero: FloatArray
 
     @property
     def step_s(self) -> float:
@@ -81,6 +87,17 @@ class Setup:
         return self.scale * mean + self.offset
 
 
+@contextmanager
+def quiet_engine() -> Iterator[None]:
+    """Discard the engine's warnings: a trial may make the simulation unstable, and its error says so."""
+    handler = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(handler)
+
+
 def load_model(file: Path) -> mujoco.MjModel:
     """Return a compiled model without the meshes that nothing touches.
 
@@ -91,6 +108,11 @@ def load_model(file: Path) -> mujoco.MjModel:
         spec = mujoco.MjSpec.from_file(str(file))
         spec.compiler.discardvisual = True
         return spec.compile()
+
+
+def uses_degrees(file: Path) -> bool:
+    """Return whether the angles of a model file are in degrees."""
+    return bool(mujoco.MjSpec.from_file(str(file)).compiler.degree)
 
 
 def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
@@ -117,6 +139,8 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         is_driven=np.zeros(count, bool),
         scale=np.ones(count),
         offset=np.zeros(count),
+        delay_s=control.delay_s,
+        zero=np.zeros(len(log.joints)),
     )
     _use_joint_units(setup.model)
     home = model.key_qpos[0] if model.nkey else model.qpos0
@@ -153,6 +177,17 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         setup.command[:, index] = command / gear - zero
         setup.is_driven[index] = True
     return setup
+
+
+def home_pose(model: mujoco.MjModel, log: Log, control: ControlMap) -> FloatArray:
+    """Return the default pose of the joints of a log, shape [J]: of the map, else the first keyframe or the zero."""
+    home = model.key_qpos[0] if model.nkey else model.qpos0
+    poses = []
+    for name in log.joints:
+        given = control.of(name)["default_rad"]
+        place = model.jnt_qposadr[model.joint(name).id]
+        poses.append(home[place] if given is None else given)
+    return np.array(poses)
 
 
 def _drives(model: mujoco.MjModel) -> dict[str, int]:
@@ -214,6 +249,7 @@ class Replayer:
         model: The model that the log belongs to.
 
     Attributes:
+        model: The model.
         qpos, qvel: States of all samples, shapes [N, nq] and [N, nv]; joints that are not logged rest.
         joint, dof: Id of each joint of the log, and its address in `qvel`, shape [J].
         actuator: Actuator that drives each joint, -1 for none, shape [J].
@@ -239,6 +275,7 @@ class Replayer:
             reason = "the base of the model is free; log its position and quaternion, or fix the base of the model"
             raise FileError(log.name, "base_pos, base_quat", reason)
         self.log = log
+        self.model = model
         self._datas = [mujoco.MjData(model) for _ in range(processor_count())]
         # An actuator with a filter begins at its control.
         self._is_filtered = model.actuator_actadr >= 0
@@ -251,6 +288,7 @@ class Replayer:
         pose = log.base_pose[:, : len(base_place)]
         twist = log.base_twist[:, : len(base_dof)]
         places = np.append(base_place, model.jnt_qposadr[self.joint])
+        self._places = model.jnt_qposadr[self.joint]
         self.dofs = np.append(base_dof, self.dof)
         self.is_joint = np.isin(self.dofs, self.dof)
         self.qpos = np.tile(model.qpos0, (len(log.time_s), 1))
@@ -313,6 +351,7 @@ class Replayer:
         ends = np.cumsum([1, model.nq, model.nv])
         _, qpos, qvel, activation = np.split(state, ends, axis=1)
         qpos[:], qvel[:] = self.qpos[pieces[:, 0]], self.qvel[pieces[:, 0]]
+        qpos[:, self._places] += setup.zero
         if tangent is not None:
             turn, change = np.split(tangent, 2, axis=-1)
             qvel += change
@@ -333,9 +372,24 @@ class Replayer:
         part = (place - left)[..., None]
         rows = np.arange(len(pieces))[:, None]
         predicted = (1.0 - part) * motion[rows, left] + part * motion[rows, left + 1]
+        predicted[..., self._places] -= setup.zero
+        return self._deviation(pieces, predicted)
+
+    def keep_velocity(self, pieces: IntArray) -> FloatArray:
+        """Return the deviation of a motion with the recorded velocity from the recorded one, shape [P, T, D]."""
+        time_s = self.log.time_s
+        predicted = np.repeat(self.qpos[pieces[:, :1]], pieces.shape[1] - 1, axis=1)
+        for piece, output in np.ndindex(predicted.shape[:2]):
+            start, end = pieces[piece, 0], pieces[piece, 1 + output]
+            row, elapsed_s = predicted[piece, output], time_s[end] - time_s[start]
+            mujoco.mj_integratePos(self.model, row, self.qvel[start], elapsed_s)
+        return self._deviation(pieces, predicted)
+
+    def _deviation(self, pieces: IntArray, predicted: FloatArray) -> FloatArray:
+        model = self.model
         recorded = self.qpos[pieces[:, 1:]]
-        difference = np.zeros((*place.shape, model.nv))
-        for index in np.ndindex(place.shape):
+        difference = np.zeros((*recorded.shape[:2], model.nv))
+        for index in np.ndindex(recorded.shape[:2]):
             mujoco.mj_differentiatePos(
                 model, difference[index], 1.0, recorded[index], predicted[index]
             )
@@ -345,7 +399,8 @@ class Replayer:
         """Return the covariance of the predictions that noise alone gives, shape [P, T D, T D].
 
         The noise of the initial state is propagated by its sensitivities, by finite differences: C = N S0 N^T + S.
-        Contacts amplify it further. Random initial states measure by how much, and C of a piece grows with it.
+        Contacts amplify it further. Random initial states measure by how much, and C of a piece grows with it. A model
+        that flies off amplifies it too: C of most pieces stays below what the motion with the recorded velocity misses.
         """
         plain = self.predict(setup, pieces)
 
@@ -362,7 +417,34 @@ class Replayer:
         drawn = spread(draws @ units) / DRAWS + np.diag(recorded**2)
         ratio = np.linalg.solve(covariance, drawn)
         growth = np.trace(ratio, axis1=1, axis2=2) / len(recorded)
-        return covariance * np.maximum(growth, 1.0)[:, None, None]
+        covariance *= np.maximum(growth, 1.0)[:, None, None]
+        missed = self.keep_velocity(pieces)
+        most = missed**2 + MAX_NOISE_GROWTH * self.spread(pieces) ** 2
+        excess = np.trace(covariance, axis1=1, axis2=2) / most.sum(axis=(1, 2))
+        return covariance / max(np.median(excess), 1.0)
+
+    def spread(self, pieces: IntArray) -> FloatArray:
+        """Return the noise of a motion with the recorded velocity over the mean piece, shape [D]."""
+        position, rate = np.split(self.noise, 2)
+        elapsed_s = np.ptp(self.log.time_s[pieces[:, [0, -1]]], axis=1)
+        return np.hypot(position, rate * elapsed_s.mean())
+
+    def misfit(self, setup: Setup, pieces: IntArray) -> FloatArray:
+        """Return the logarithm of the error over that of constant velocity or no motion, shape [D].
+
+        An error is the median over the pieces, and the noise of the states. Its unit has no part in the result.
+        """
+        start = np.repeat(self.qpos[pieces[:, :1]], pieces.shape[1] - 1, axis=1)
+        deviations = (
+            self.predict(setup, pieces),
+            self.keep_velocity(pieces),
+            self._deviation(pieces, start),
+        )
+        error, kept, rest = (
+            np.hypot(np.median(np.abs(each), axis=(0, 1)), self.spread(pieces))
+            for each in deviations
+        )
+        return np.log(error / np.minimum(kept, rest))
 
     def conditions(
         self, setup: Setup, samples: IntArray
@@ -377,6 +459,7 @@ class Replayer:
         torques = np.zeros(conditions.shape)
         for place, row in enumerate(samples):
             data.qpos[:], data.qvel[:] = self.qpos[row], self.qvel[row]
+            data.qpos[self._places] += setup.zero
             data.ctrl[:] = controls[place]
             data.act[self._filters] = controls[place, self._is_filtered]
             mujoco.mj_forward(model, data)

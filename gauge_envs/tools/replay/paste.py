@@ -1,92 +1,181 @@
-"""The lines that put the values of a cause into MJCF, Isaac Lab, mjlab or Playground."""
+"""The lines that put a change into MJCF and the map."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
 
-from gauge_envs.tools.replay.schema import Explained
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
 
-SHARED_CONFIG = {
-    "kp": "stiffness={numbers}",
-    "kd": "damping={numbers}",
-    "armature": "armature={numbers}",
-    "damping": "damping={numbers}",
-    "action scale": "JointPositionActionCfg: scale={numbers}",
-    "action offset": "JointPositionActionCfg: offset={numbers}",
+from gauge_envs.tools.replay.log import LogMap, with_joints
+from gauge_envs.tools.replay.model import Replayer, Setup
+
+JOINT_FIELDS = {
+    "armature": "dof_armature",
+    "frictionloss": "dof_frictionloss",
+    "damping": "dof_damping",
 }
-"""Lines of the configurations of Isaac Lab and mjlab that are alike."""
-
-TEMPLATES = {
-    "MJCF": {
-        "kp": '<position joint="{name}" kp="{value:.4g}"/>',
-        "kd": '<position joint="{name}" kv="{value:.4g}"/>',
-        "effort limit": '<position joint="{name}" forcerange="-{value:.4g} {value:.4g}"/>',
-        "armature": '<joint name="{name}" armature="{value:.4g}"/>',
-        "dry friction": '<joint name="{name}" frictionloss="{value:.4g}"/>',
-        "damping": '<joint name="{name}" damping="{value:.4g}"/>',
-        "delay": '<position delay="{value:.4g}" nsample="{samples}"/>',
-        "gravity or tilt": '<option gravity="{together}"/>',
-        "mass or centre of a link": "<inertial .../> of {name}: {value:.4g}",
-        "payload": '<geom type="sphere" size="0.01" mass="{value:.4g}"/> in the body {name}',
-        "joint limit": '<joint range="..."/>: {name} {value:.4g}',
-        "floor friction": '<geom friction="..."/>: first number times {value:.4g}',
-        "contact softness": '<geom solref="..."/>: first number times {value:.4g}',
-    },
-    "Isaac Lab": {
-        **SHARED_CONFIG,
-        "effort limit": "effort_limit_sim={numbers}",
-        "dry friction": "friction={numbers}",
-        "delay": "DelayedPDActuatorCfg(min_delay={steps}, max_delay={steps})",
-    },
-    "mjlab": {
-        **SHARED_CONFIG,
-        "effort limit": "effort_limit={numbers}",
-        "dry friction": "frictionloss={numbers}",
-        "delay": "BuiltinPositionActuatorCfg(delay_min_lag={steps}, delay_max_lag={steps})",
-    },
-    "Playground": {
-        "kp": "m.actuator({name!r}).gainprm[0] = {value:.4g}; m.actuator({name!r}).biasprm[1] = -{value:.4g}",
-        "kd": "m.actuator({name!r}).biasprm[2] = -{value:.4g}",
-        "effort limit": "m.actuator({name!r}).forcerange[:] = -{value:.4g}, {value:.4g}",
-        "armature": "m.joint({name!r}).armature[:] = {value:.4g}",
-        "dry friction": "m.joint({name!r}).frictionloss[:] = {value:.4g}",
-        "damping": "m.joint({name!r}).damping[0] = {value:.4g}",
-        "action scale": "action_scale of {name} = {value:.4g}",
-        "gravity or tilt": "m.opt.gravity[:] = {together}",
-    },
+"""Field of the model by attribute of a joint."""
+BODY_FIELDS = {
+    "mass": "body_mass",
+    "pos": "body_ipos",
+    "quat": "body_iquat",
+    "diaginertia": "body_inertia",
 }
-"""Line to paste for a value of each cause, by stack. In Playground m is `self._mj_model`."""
+"""Field of the model by attribute of an inertial."""
 
 
-def paste_lines(causes: Sequence[Explained], step_s: float) -> dict[str, str]:
-    """Return the lines for each stack; values whose interval has the present one are left out.
+@dataclass(frozen=True)
+class Change:
+    """What predicts a log without and with a change.
 
-    Args:
-        causes: What was named.
-        step_s: Physics step of the model, in which Isaac Lab and mjlab count a delay.
+    Attributes:
+        before, after: The setups.
+        replayer: The log.
+        in_degrees: Whether the angles of the file of the model are in degrees.
+        given: The map that the user gave.
+        mapped: The map by which the log was read.
     """
-    pasted: dict[str, list[str]] = {}
-    for cause in causes:
-        # Four digits are more than a log tells.
-        changed = {
-            value.parameter: float(f"{value.fitted:.4g}")
-            for value in cause.values
-            if value.changes
-        }
-        together = " ".join(f"{value.fitted:.4g}" for value in cause.values)
-        for stack, templates in TEMPLATES.items():
-            if cause.cause not in templates:
-                continue
-            for name, number in changed.items():
-                steps = round(number / step_s)
-                text = templates[cause.cause].format(
-                    name=name,
-                    value=number,
-                    numbers=changed,
-                    together=together,
-                    steps=steps,
-                    samples=steps + 2,
-                )
-                pasted.setdefault(stack, []).append(text)
-    # Values that share a line have it once.
-    return {stack: "\n".join(dict.fromkeys(texts)) for stack, texts in pasted.items()}
+
+    before: Setup
+    after: Setup
+    replayer: Replayer
+    in_degrees: bool
+    given: LogMap
+    mapped: LogMap
+
+    def lines(self) -> dict[str, str]:
+        """Return the lines by place: `map` and `MJCF`.
+
+        An element of MJCF has the attributes that change; a `<position>` takes the place of a `<general>`.
+        """
+        elements = (self._joints(), self._actuators(), self._bodies(), self._options())
+        mjcf = [text for part in elements for text in part]
+        places = {"map": [*self._map()], "MJCF": mjcf}
+        return {place: "\n".join(lines) for place, lines in places.items() if lines}
+
+    def _rows(self, *fields: str) -> list[int]:
+        """Return the rows of fields of the model that change."""
+        found: set[int] = set()
+        for field in fields:
+            old, new = (
+                getattr(each.model, field) for each in (self.before, self.after)
+            )
+            found |= set(np.nonzero(old != new)[0].tolist())
+        return sorted(found)
+
+    def _joints(self) -> Iterator[str]:
+        model = self.after.model
+        for attribute, field in JOINT_FIELDS.items():
+            for dof in self._rows(field):
+                name = model.joint(model.dof_jntid[dof]).name
+                value = getattr(model, field)[dof]
+                yield _element("joint", {"name": name, attribute: value})
+        for index in self._rows("jnt_range"):
+            joint = model.joint(index)
+            is_hinge = joint.type[0] == mujoco.mjtJoint.mjJNT_HINGE.value
+            unit = np.rad2deg(1.0) if is_hinge and self.in_degrees else 1.0
+            limits = {"limited": "true", "range": unit * joint.range}
+            yield _element("joint", {"name": joint.name, **limits})
+
+    def _actuators(self) -> Iterator[str]:
+        laws = self._rows("actuator_gainprm", "actuator_biasprm")
+        efforts = self._rows("actuator_forcerange")
+        for index in sorted({*laws, *efforts}):
+            drive = self.after.model.actuator(index)
+            file = self.replayer.model.actuator(index)
+            joint = self.replayer.model.joint(file.trnid[0]).name
+            values: dict[str, Any] = {"name": file.name, "joint": joint}
+            gear, is_servo = abs(file.gear[0]), file.biasprm[1] != 0.0
+            if is_servo:
+                values["kp"], values["kv"] = -drive.biasprm[1:3] / gear**2
+            if index in efforts:
+                values["forcerange"] = drive.forcerange / gear
+            if len(values) > 2:
+                yield _element("position" if is_servo else "motor", values)
+
+    def _bodies(self) -> Iterator[str]:
+        model = self.after.model
+        for index in self._rows(*BODY_FIELDS.values()):
+            name = model.body(index).name
+            numbers = {
+                attribute: getattr(model, field)[index]
+                for attribute, field in BODY_FIELDS.items()
+            }
+            yield f'<body name="{name}">{_element("inertial", numbers)}</body>'
+
+    def _options(self) -> Iterator[str]:
+        old, new = self.before.model.opt, self.after.model.opt
+        for name in ("gravity", "timestep"):
+            if np.any(getattr(old, name) != getattr(new, name)):
+                yield _element("option", {name: getattr(new, name)})
+
+    def _map(self) -> Iterator[str]:
+        mapped = self.mapped
+        for joint, zero in zip(self.replayer.log.joints, self.after.zero, strict=True):
+            if zero:
+                offset = mapped.joint(joint).offset_rad + zero
+                change = {"offset_rad": float(_text(offset))}
+                mapped = with_joints(mapped, {joint: change})
+        for name in ("unit", "up", "up_of"):
+            if getattr(mapped, name) != getattr(self.given, name):
+                yield f'{name} = "{getattr(mapped, name)}"'
+        for joint, entry in mapped.joints.items():
+            if entry != self.given.joints.get(joint):
+                yield f'[joints."{joint}"]'
+                yield from _items(entry.model_dump(exclude_defaults=True))
+        if control := self._control():
+            yield "[control]"
+            yield from _items(control)
+
+    def _control(self) -> dict[str, Any]:
+        """Return what changes in the controller outside of the model; a table has all joints."""
+        before, after = self.before, self.after
+        control: dict[str, Any] = {}
+        if after.delay_s != before.delay_s:
+            control["delay_s"] = float(_text(after.delay_s))
+        model = self.replayer.model
+        driven = np.flatnonzero(before.is_driven)
+        joints = [model.joint(model.actuator_trnid[k, 0]).name for k in driven]
+        outside = driven[model.actuator_biasprm[driven, 1] == 0.0]
+        laws = [-each.model.actuator_biasprm[:, 1:3].T for each in (before, after)]
+        tables = {"kp": (laws[0][0], laws[1][0]), "kd": (laws[0][1], laws[1][1])}
+        if not len(outside):
+            tables = {}
+        if self.replayer.log.command_kind == "action":
+            tables["action_scale"] = before.scale, after.scale
+            tables["default_rad"] = before.offset, after.offset
+        for name, (old, new) in tables.items():
+            if (old != new).any():
+                numbers = [float(_text(value)) for value in new[driven]]
+                control[name] = dict(zip(joints, numbers, strict=True))
+        return control
+
+
+def _items(table: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the lines of a table of TOML."""
+    for name, value in table.items():
+        if isinstance(value, dict):
+            inner = ", ".join(f'"{key}" = {number}' for key, number in value.items())
+            yield f"{name} = {{ {inner} }}"
+        else:
+            yield f"{name} = {value!r}".replace("'", '"')
+
+
+def _element(tag: str, attributes: Mapping[str, Any]) -> str:
+    texts = [
+        f'{name}="{_text(value)}"'
+        for name, value in attributes.items()
+        if not isinstance(value, str) or value
+    ]
+    return f"<{tag} {' '.join(texts)}/>"
+
+
+def _text(value: ArrayLike | str) -> str:
+    """Return numbers as in MJCF; four digits are more than a log tells."""
+    if isinstance(value, str):
+        return value
+    return " ".join(f"{number:.4g}" for number in np.ravel(value).tolist())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,22 +15,28 @@ from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.figures import OURS, REAL, legend_above, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import Cause, candidates
-from gauge_envs.tools.replay.fit import Fit, Problem, explain
+from gauge_envs.tools.replay.conventions import find_conventions, fixed_base
+from gauge_envs.tools.replay.fit import THRESHOLDS, Explanation, Fit, Problem, explain
 from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, read_log
 from gauge_envs.tools.replay.model import (
     UNLIMITED,
     Replayer,
     build_setup,
+    home_pose,
     joint_names,
     load_model,
+    quiet_engine,
+    uses_degrees,
 )
-from gauge_envs.tools.replay.paste import paste_lines
+from gauge_envs.tools.replay.observation import check_observation
+from gauge_envs.tools.replay.paste import Change
 from gauge_envs.tools.replay.schema import (
     Explained,
     JointReport,
     Prediction,
     ReplayLine,
     ReplayVerdict,
+    Trial,
     Value,
 )
 
@@ -44,6 +50,9 @@ LEAVES = 4.0
 """Error over noise at which a prediction has left the noise, twice in a row."""
 MIN_CORRELATION = 0.99
 """Correlation of the commands from which on a second log is a repeat of the first."""
+MIN_LEAD = 0.5
+"""Difference of misfits [nat] from which on causes explain a log better than another convention."""
+TRIAL_S = 0.5
 MAX_ROWS = 12
 """Joints that the text shows, those with the largest error first."""
 MAX_CAUSES = 4
@@ -92,13 +101,15 @@ def replay(
         FileError: A file cannot be used.
         ParameterError: The log and the model do not go together.
     """
-    mapped = mapped or LogMap()
+    given = mapped or LogMap()
     compiled = load_model(model)
     names = joint_names(compiled)
-    logs = [read_log(file, names, mapped) for file in (log, against) if file]
-    # A trial may make the simulation unstable; its error says so.
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
+
+    def read(changed: LogMap) -> Log:
+        return read_log(against or log, names, changed)
+
+    def explained(mapped: LogMap) -> tuple[list[Log], Explanation, float]:
+        logs = [read_log(file, names, mapped) for file in (log, against) if file]
         problems = [
             Problem(
                 Replayer(each, compiled), build_setup(compiled, each, mapped.control)
@@ -110,34 +121,110 @@ def replay(
             problem.floor = max(1.0, problems[0].before.error)
         causes = candidates(problem.replayer, problem.setup)
         explanation = explain(problem, causes, advance)
-    finally:
-        mujoco.set_mju_user_warning(None)
+        setup = problem.setup_of(explanation.change or problem.before)
+        misfit = problem.replayer.misfit(setup, problem.pieces)
+        return logs, explanation, misfit.sum()
+
+    with quiet_engine():
+        mapped, mistakes = find_conventions(read, compiled, given)
+        logs, explanation, misfit = explained(mapped)
+        if mistakes:
+            # A cause may explain as well what another convention does.
+            other = explained(given)
+            if misfit > other[2] + MIN_LEAD:
+                mapped, mistakes = given, []
+                logs, explanation, _ = other
+        mistakes += fixed_base(logs[-1], compiled)
+        line = _line(logs, model.name, explanation, mistakes)
+    policy = tuple(
+        check_observation(
+            logs[-1], mapped, home_pose(compiled, logs[-1], mapped.control)
+        )
+    )
+    if policy and not mistakes:
+        line = replace(line, verdict=ReplayVerdict.POLICY)
+    problem = explanation.problem
+    named = explanation.change if line.named else None
+    change = Change(
+        before=problem.setup,
+        after=problem.shown_setup(named) if named else problem.setup,
+        replayer=problem.replayer,
+        in_degrees=uses_degrees(model),
+        given=given,
+        mapped=mapped,
+    )
+    line = replace(line, policy=policy)
+    line = replace(line, sentence=_sentence(line), paste=change.lines())
+    return ReplayResult(line, problem, explanation.change)
+
+
+def _line(
+    logs: Sequence[Log], model: str, explanation: Explanation, mistakes: Sequence[str]
+) -> ReplayLine:
+    """Return the report without its sentence and the lines to paste."""
     problem, several = explanation.problem, explanation.several
+    change = explanation.change or problem.before
     *baseline, explained = logs
     joints, conditions = _joint_reports(problem, _repeat(logs[0], explained))
     alone = [_explained(problem, fit)[0] for fit in explanation.fits]
     together = _explained(problem, several) if several else []
-    line = ReplayLine(
+    found = [text for each in logs for text in each.findings]
+    for start in problem.left_out:
+        found.append(
+            f"0.25 s from {explained.time_s[start]:.3g} s on are unlike the rest, and left out"
+        )
+    wrong = (text for each in logs for text in each.mistakes)
+    return ReplayLine(
         log=explained.name,
         baseline=baseline[0].name if baseline else None,
-        model=model.name,
-        verdict=explanation.verdict,
+        model=model,
+        verdict=ReplayVerdict.LOG if mistakes else explanation.verdict,
         sentence="",
         error_over_noise=problem.before.error,
-        error_after=(explanation.change or problem.before).error,
+        error_after=change.error,
         baseline_over_noise=problem.floor if baseline else None,
-        findings=tuple(dict.fromkeys(text for each in logs for text in each.findings)),
+        findings=tuple(dict.fromkeys(found)),
+        mistakes=tuple(dict.fromkeys([*mistakes, *wrong])),
+        policy=(),
+        trial=_try_change(problem, change),
         joints=joints,
         conditions=conditions,
         candidates=tuple(alone),
         indistinguishable=tuple(explanation.indistinguishable),
+        named=tuple(_named(explanation.verdict, alone, together)),
         several=tuple(together),
         paste={},
     )
-    named = () if line.verdict is ReplayVerdict.NOTHING else line.named
-    paste = paste_lines(named, compiled.opt.timestep)
-    line = replace(line, sentence=_sentence(line), paste=paste)
-    return ReplayResult(line, problem, explanation.change)
+
+
+def _named(
+    verdict: ReplayVerdict, alone: Sequence[Explained], together: Sequence[Explained]
+) -> Sequence[Explained]:
+    """Return the causes that a verdict is about."""
+    if verdict in (ReplayVerdict.NOISE, ReplayVerdict.NOTHING):
+        return []
+    is_alone = verdict is ReplayVerdict.CAUSE or not together
+    return alone[:1] if is_alone else together
+
+
+def _try_change(problem: Problem, change: Fit) -> Trial:
+    """Return the error of predictions before and after a change, of the joint that is worst before."""
+    replayer = problem.replayer
+    pieces = replayer.pieces(TRIAL_S, 2 * THRESHOLDS.piece_count, outputs=1)[1::2]
+    setups = problem.setup, problem.setup_of(change)
+    before, after = (
+        _rms(replayer.predict(each, pieces)[:, 0, replayer.is_joint]) for each in setups
+    )
+    worst = int(np.argmax(before))
+    joint = replayer.log.joints[worst]
+    is_hinge = replayer.model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_HINGE.value
+    return Trial(
+        joint=joint,
+        horizon_s=TRIAL_S,
+        before=float(before[worst]),
+        after=float(after[worst]),
+        unit="mrad" if is_hinge else "mm",
+    )
 
 
 def _rms(values: FloatArray) -> Any:
@@ -253,30 +340,41 @@ def _text(cause: Cause, label: str, values: Sequence[Value], step_s: float) -> s
 
 
 def _sentence(line: ReplayLine) -> str:
-    """Return the answer."""
-    times = np.sqrt(line.error_after)
-    remains = (
-        f"; the remaining error is {times:.0f} times the noise" if times > 2.0 else ""
-    )
-    if line.verdict is ReplayVerdict.NOISE:
-        text = f"The model predicts {line.log} within its noise: nothing is left to explain"
+    """Return the answer: mistakes of the log, what is missing in the model, and what is left."""
+    parts = [f"The log is wrong: {text}." for text in line.mistakes]
+    parts += [f"The policy sees {text}." for text in line.policy]
+    return " ".join([*parts, *_physics(line)])
+
+
+def _physics(line: ReplayLine) -> Iterator[str]:
+    """Yield the sentences about the model."""
+    times, trial = np.sqrt(line.error_after), line.trial
+    if not line.candidates:
         if (line.baseline_over_noise or 1.0) > 1.5:
-            text = f"The model predicts {line.log} as badly as {line.baseline}: the logs do not differ"
-        return f"{text}{remains}."
+            yield f"The model predicts {line.log} as badly as {line.baseline}: the logs do not differ."
+        else:
+            yield (
+                f"The model predicts {line.log} within its noise, and better than constant velocity: the physics "
+                "agrees. Compare what the policy sees."
+            )
+        return
     best, several = line.candidates[0], line.several
-    share = f"{_percent(best.share)} %"
-    text = f"{best.text} explains {share} of the difference"
-    if several:
-        together = f"{_percent(several[-1].share)} %"
-        names = " and ".join(each.cause for each in several)
-        texts = " and ".join(each.text for each in several)
-    if line.verdict is ReplayVerdict.SEVERAL:
-        alone = f"best alone: {best.cause}, {share}"
-        text = f"{texts} together explain {together} of the difference ({alone})"
-    elif line.verdict is ReplayVerdict.NOTHING:
-        more = f"; together {names}, {together}" if several else ""
-        text = f"Nothing in the list explains it (best: {best.text}, {share}{more})"
-    return f"{text}{remains}."
+    if not line.named:
+        texts = f"best: {best.text}, {_percent(best.share)} %"
+        if several:
+            names = " and ".join(each.cause for each in several)
+            texts += f"; together {names}, {_percent(several[-1].share)} %"
+        yield f"Nothing in the list explains it ({texts})."
+        yield f"The error is {times:.0f} times the noise."
+        return
+    texts = " and ".join(each.text for each in line.named)
+    verb = "explain" if len(line.named) > 1 else "explains"
+    yield (
+        f"{texts[0].upper()}{texts[1:]} {verb} {_percent(line.named[0].share)} %: {trial.horizon_s:g} s prediction of "
+        f"{trial.joint} {_milli(trial.before)} to {_milli(trial.after)} {trial.unit}."
+    )
+    if times > 2.0:
+        yield f"{times:.0f} times the noise is left; nothing in the list explains that."
 
 
 def replay_document(line: ReplayLine) -> Document:
@@ -315,7 +413,7 @@ def replay_document(line: ReplayLine) -> Document:
     if len(line.conditions) > 1:
         texts = [f"{name} {value:.3g}" for name, value in line.conditions.items()]
         parts.append(Paragraph(f"Error over noise after 0.1 s: {', '.join(texts)}."))
-    if line.several and line.verdict is not ReplayVerdict.CAUSE:
+    if line.several and len(line.named) != 1:
         parts.append(_cause_table("Together", line.several))
     if line.candidates:
         parts.append(_cause_table("Alone", line.candidates[:MAX_CAUSES]))

@@ -12,8 +12,14 @@ class ReplayVerdict(StrEnum):
 
     NOISE = "within the noise"
     """Nothing is left to explain."""
+    LOG = "a mistake of the log"
+    """The model predicts the log far better by another reading of it."""
+    POLICY = "what the policy sees"
+    """The observation of the policy is not that of the state."""
     CAUSE = "one cause"
     SEVERAL = "several causes"
+    PART = "in part"
+    """Losses or armature explain nearly all; what is left is no cause of the list."""
     NOTHING = "nothing in the list"
 
 
@@ -97,6 +103,24 @@ class Explained:
 
 
 @dataclass(frozen=True)
+class Trial:
+    """Predictions before and after the change, from samples spread over the log.
+
+    Attributes:
+        joint: The joint that is worst before.
+        horizon_s: Length of the predictions.
+        before, after: Root mean square error [rad or m].
+        unit: Thousandth of their unit, as `mrad`.
+    """
+
+    joint: str
+    horizon_s: float
+    before: float
+    after: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class ReplayLine:
     """What a log and a model say of each other.
 
@@ -109,11 +133,15 @@ class ReplayLine:
         error_over_noise: Mean squared error of predictions of 0.25 s over that of the noise.
         error_after: The same after the best change.
         baseline_over_noise: The same for the first of two logs.
-        findings: What is wrong in the logs.
+        findings: What the logs do not tell.
+        mistakes: What is wrong in the logs; each is corrected where it can be.
+        policy: Terms of the observation that differ from the state.
+        trial: Predictions before and after the change.
         joints: A row a joint.
         conditions: Error over noise of predictions of 0.1 s by condition.
         candidates: Causes alone, the best first.
         indistinguishable: Causes that the log cannot tell from the first.
+        named: The causes that the verdict is about.
         several: Causes that together explain more than one; each share is that of all.
         paste: Lines to paste by stack.
     """
@@ -127,15 +155,13 @@ class ReplayLine:
     error_after: float
     baseline_over_noise: float | None
     findings: tuple[str, ...]
+    mistakes: tuple[str, ...]
+    policy: tuple[str, ...]
+    trial: Trial
     joints: tuple[JointReport, ...]
     conditions: Mapping[str, float]
     candidates: tuple[Explained, ...]
     indistinguishable: tuple[str, ...]
+    named: tuple[Explained, ...]
     several: tuple[Explained, ...]
     paste: Mapping[str, str]
-
-    @property
-    def named(self) -> tuple[Explained, ...]:
-        """The causes that the verdict is about: several, or the best one."""
-        is_several = self.verdict is ReplayVerdict.SEVERAL
-        return self.several if is_several else self.candidates[:1]

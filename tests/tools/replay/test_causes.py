@@ -151,25 +151,25 @@ def test_a_force_that_is_not_in_the_list_is_not_explained(tmp_path):
     assert line.paste == {}
 
 
+def test_a_push_in_one_piece_hides_no_cause(tmp_path):
+    line = replay(
+        *record(
+            tmp_path,
+            change=set_friction,
+            push=lambda now_s: 30.0 * (3.0 < now_s < 3.1),
+        )
+    ).line
+    assert [each.cause for each in line.named] == ["dry friction"]
+    assert line.named[0].values[0].fitted == pytest.approx(0.3, rel=0.05)
+    assert any("unlike the rest" in text for text in line.findings)
+
+
 def test_laws_that_are_one_are_both_named(tmp_path):
     def change(model):
         model.actuator_biasprm[0, 2] -= 2.0
 
     line = replay(*record(tmp_path, change=change)).line
     assert {line.candidates[0].cause, *line.indistinguishable} >= {"kd", "damping"}
-
-
-def test_lines_to_paste_have_the_value_and_leave_out_what_the_log_does_not_show(
-    tmp_path,
-):
-    line = replay(*record(tmp_path, change=set_friction)).line
-    paste = line.paste
-    assert '<joint name="elbow" frictionloss="0.' in paste["MJCF"]
-    assert paste["Isaac Lab"].startswith("friction={'elbow': 0.")
-    assert paste["mjlab"].startswith("frictionloss={'elbow': 0.")
-    assert "shoulder" not in "".join(paste.values())
-    delayed = replay(*record(tmp_path, delay_s=0.03)).line.paste
-    assert "min_delay=15" in delayed["Isaac Lab"]
 
 
 def test_two_logs_compare_with_the_first(tmp_path):

@@ -1,0 +1,126 @@
+"""Conventions of a log that the model contradicts: units, signs, order of joints, the axis that is up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import combinations, product
+
+import mujoco
+import numpy as np
+
+from gauge_envs.errors import GaugeError
+from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, with_joints
+from gauge_envs.tools.replay.model import Replayer, build_setup
+
+HORIZON_S = 0.1
+PIECES = 24
+MIN_SAMPLES = 3
+"""Length of the predictions that judge a convention, and their number."""
+MIN_GAIN = 1.0
+"""Decrease of the sum of the logarithms of errors over noise [nat] that a convention must bring; a mistake of one joint
+changes one term, and a physical cause is not a convention."""
+MAX_MISFIT = -0.5
+"""Largest misfit [nat], after the change, of the degree of freedom that gains most: the model then predicts it."""
+MAX_ANGLE = np.pi
+"""Angle [rad] beyond which angles may have another unit."""
+MOVES = 0.05
+"""Motion of a base that is not fixed [m], or of its quaternion."""
+
+Reader = Callable[[LogMap], Log]
+
+
+def find_conventions(
+    read: Reader, model: mujoco.MjModel, mapped: LogMap
+) -> tuple[LogMap, list[str]]:
+    """Return the map by which the model predicts a log far better, and what it corrects.
+
+    Each convention is judged by short predictions: its error over that of constant velocity, which has the same unit.
+
+    Args:
+        read: Returns the log by a map.
+        model: The compiled model.
+        mapped: The map that the user gave.
+    """
+    texts: list[str] = []
+    log = read(mapped)
+    best = misfits(log, model, mapped)
+    for _ in range(1 + len(log.joints)):
+        found = []
+        for text, changed in _conventions(log, model, mapped):
+            try:
+                trial = misfits(read(changed), model, changed)
+            except GaugeError:
+                continue
+            if trial[np.argmax(best - trial)] < MAX_MISFIT:
+                found.append((trial.sum(), text, changed, trial))
+        if not found:
+            break
+        _, text, changed, trial = min(found, key=lambda row: row[0])
+        if best.sum() - trial.sum() < MIN_GAIN:
+            break
+        texts.append(text)
+        mapped, best = changed, trial
+    return mapped, texts
+
+
+def misfits(log: Log, model: mujoco.MjModel, mapped: LogMap) -> FloatArray:
+    """Return the misfit of short predictions, shape [D]."""
+    replayer = Replayer(log, model)
+    setup = build_setup(model, log, mapped.control)
+    horizon_s = max(HORIZON_S, MIN_SAMPLES * log.interval_s)
+    pieces = replayer.pieces(horizon_s, PIECES, MIN_SAMPLES)
+    return replayer.misfit(setup, pieces)
+
+
+def _conventions(
+    log: Log, model: mujoco.MjModel, mapped: LogMap
+) -> Iterator[tuple[str, LogMap]]:
+    """Yield what each convention corrects, and its map."""
+    joints = {name: model.joint(name) for name in log.joints}
+    is_far = np.abs(log.position).max() > MAX_ANGLE
+    if mapped.unit == "rad" and is_far:
+        yield "angles are in degrees", mapped.model_copy(update={"unit": "deg"})
+    ranges = {name: joint.range for name, joint in joints.items()}
+    if is_far and all(np.ptp(limits) > 0.0 for limits in ranges.values()):
+        percent = {
+            name: {
+                "scale": float(np.ptp(limits)) / 200.0,
+                "offset_rad": float(limits.mean()),
+            }
+            for name, limits in ranges.items()
+        }
+        yield "positions are -100 to 100 of each range", with_joints(mapped, percent)
+    slides = [
+        name
+        for name, joint in joints.items()
+        if joint.type[0] == mujoco.mjtJoint.mjJNT_SLIDE.value
+    ]
+    if slides:
+        metres = {name: {"scale": 1e-3} for name in slides}
+        yield f"lengths of {', '.join(slides)} are in mm", with_joints(mapped, metres)
+    if log.base_pose.shape[1] == 7:
+        for up, part in product(("y", "x", "-z"), ("pose", "position")):
+            text = f"the axis {up} is up in the {part} of the base"
+            yield text, mapped.model_copy(update={"up": up, "up_of": part})
+    for name in joints:
+        sign = -mapped.joint(name).sign
+        yield (
+            f"the sign of {name} is reversed",
+            with_joints(mapped, {name: {"sign": sign}}),
+        )
+    for first, second in combinations(joints, 2):
+        titles = [mapped.joint(name).log or name for name in (first, second)]
+        exchanged = {first: {"log": titles[1]}, second: {"log": titles[0]}}
+        yield f"{first} and {second} are exchanged", with_joints(mapped, exchanged)
+
+
+def fixed_base(log: Log, model: mujoco.MjModel) -> Iterator[str]:
+    """Yield the motion of a base that is fixed in the model."""
+    is_free = (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value).any()
+    if is_free or not log.base_pose.shape[1]:
+        return
+    moved = np.ptp(log.base_pose, axis=0).max()
+    if moved > MOVES:
+        yield (
+            f"its base moves by {moved:.2g} m, but the base of the model is fixed: add a free joint to the model"
+        )

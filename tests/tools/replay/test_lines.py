@@ -1,0 +1,186 @@
+"""Lines to paste make the change when they are executed, and a verdict does not hang on how a log is written."""
+
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from planted_arm import ARM, record
+from test_causes import (
+    set_armature,
+    set_effort,
+    set_friction,
+    set_gravity,
+    set_stiffness,
+    set_stop,
+)
+
+from gauge_envs.tools.replay import ReplayVerdict, read_map, replay
+from gauge_envs.tools.replay.model import Replayer
+
+
+def set_mass(model):
+    model.body_mass[2] *= 1.8
+    model.body_inertia[2] *= 1.8
+
+
+def set_damping(model):
+    model.dof_damping[1] += 1.5
+
+
+GEARED = ARM.replace('kp="40" kv="1.5"', 'gear="2" kp="10" kv="0.375"')
+DEGREES = ARM.replace('angle="radian"', 'angle="degree"')
+GENERAL = ARM.replace(
+    '<position joint="shoulder" kp="40" kv="1.5"/>',
+    '<general joint="shoulder" gainprm="40" biastype="affine" biasprm="0 -40 -1.5"/>',
+)
+
+
+def paste(file, lines):
+    """Put lines of MJCF into a model: attributes of the element with this name."""
+    tree = ElementTree.parse(file)
+    root = tree.getroot()
+    for line in lines.splitlines():
+        element = ElementTree.fromstring(line)
+        if element.tag == "option":
+            root.find("option").attrib.update(element.attrib)
+        elif element.tag == "joint":
+            name = element.get("name")
+            root.find(f".//body/joint[@name='{name}']").attrib.update(element.attrib)
+        elif element.tag == "body":
+            body = root.find(f".//body[@name='{element.get('name')}']")
+            body.append(element.find("inertial"))
+        else:
+            joint = element.get("joint")
+            old = root.find(f"./actuator/*[@joint='{joint}']")
+            if old.tag == element.tag:
+                element.attrib = old.attrib | element.attrib
+            actuators = root.find("actuator")
+            actuators[list(actuators).index(old)] = element
+    tree.write(file)
+
+
+@pytest.mark.parametrize(
+    ("change", "robot"),
+    [
+        (set_stiffness, GEARED),
+        (set_effort, GENERAL),
+        (set_stop, DEGREES),
+        (set_gravity, ARM),
+        pytest.param(set_effort, GEARED, marks=pytest.mark.slow),
+        pytest.param(set_stop, ARM, marks=pytest.mark.slow),
+        pytest.param(set_armature, ARM, marks=pytest.mark.slow),
+    ],
+)
+def test_lines_of_mjcf_make_the_change(tmp_path, change, robot):
+    log, model = record(tmp_path, change=change)
+    model.write_text(robot)
+    line = replay(log, model).line
+    paste(model, line.paste["MJCF"])
+    assert replay(log, model).verdict is ReplayVerdict.NOISE
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        set_mass,
+        *(
+            pytest.param(change, marks=pytest.mark.slow)
+            for change in (set_friction, set_damping)
+        ),
+    ],
+)
+def test_lines_of_mjcf_of_links_and_losses_make_the_change(tmp_path, change):
+    log, model = record(tmp_path, change=change)
+    line = replay(log, model).line
+    paste(model, line.paste["MJCF"])
+    after = replay(log, model).line
+    assert after.error_over_noise < 0.1 * line.error_over_noise
+    assert "shoulder" not in line.paste["MJCF"]
+
+
+def rewritten(columns, reading):
+    """Columns of a log that was written otherwise."""
+    both = {name: columns[name].copy() for name in ("q", "dq", "target")}
+    if reading == "degrees":
+        return {name: np.rad2deg(values) for name, values in both.items()}
+    if reading == "sign":
+        return {name: values * [1, -1] for name, values in both.items()}
+    if reading == "order":
+        return {name: values[:, ::-1] for name, values in both.items()}
+    both["q"][:, 0] += 0.6
+    both["target"][:, 0] += 0.6
+    return both
+
+
+@pytest.mark.parametrize("reading", ["degrees", "sign", "order", "zero"])
+def test_lines_of_the_map_correct_the_log(gauge, tmp_path, reading):
+    log, model = record(tmp_path)
+    columns = dict(np.load(log))
+    np.savez(log, **columns | rewritten(columns, reading))
+    line = replay(log, model).line
+    file = tmp_path / "map.toml"
+    file.write_text(line.paste["map"])
+    assert line.paste.keys() == {"map"}
+    assert line.verdict is not ReplayVerdict.NOISE
+    shown = [
+        gauge("replay", log, "--model", model, *options)
+        for options in ([], ["--map", file])
+    ]
+    assert [each.exit_code for each in shown] == [1, 0]
+    assert "physics agrees" in " ".join(shown[1].stdout.split())
+
+
+def test_the_line_of_a_delay_goes_into_the_map(tmp_path):
+    log, model = record(tmp_path, delay_s=0.03)
+    file = tmp_path / "map.toml"
+    file.write_text(replay(log, model).line.paste["map"])
+    assert replay(log, model, mapped=read_map(file)).verdict is ReplayVerdict.NOISE
+
+
+def same_log(columns, writing):
+    """The same log, written otherwise, with its map."""
+    angles = ("q", "dq", "target")
+    if writing == "clock":
+        return {"t": columns["t"] + 1000.0}, ""
+    if writing == "unit":
+        return {key: np.rad2deg(columns[key]) for key in angles}, 'unit = "deg"'
+    if writing == "columns":
+        turned = {key: columns[key][:, ::-1] for key in angles}
+        return turned | {"joints": columns["joints"][::-1]}, ""
+    fewer = {key: columns[key][::2] for key in ("t", "q", "dq")}
+    return fewer | {"command_t": columns["t"]}, ""
+
+
+@pytest.mark.parametrize("writing", ["clock", "unit", "columns", "half"])
+@pytest.mark.parametrize(
+    "change", [set_friction, pytest.param(set_stiffness, marks=pytest.mark.slow)]
+)
+def test_a_verdict_does_not_hang_on_how_a_log_is_written(tmp_path, change, writing):
+    log, model = record(tmp_path, change=change)
+    before = replay(log, model).line
+    columns = dict(np.load(log))
+    changes, text = same_log(columns, writing)
+    file = tmp_path / "map.toml"
+    file.write_text(text)
+    np.savez(log, **columns | changes)
+    after = replay(log, model, mapped=read_map(file)).line
+    assert after.verdict is before.verdict
+    for one, other in zip(before.named, after.named, strict=True):
+        assert one.cause == other.cause
+        numbers = {value.parameter: value.fitted for value in one.values}
+        for value in other.values:
+            fitted = pytest.approx(value.fitted, rel=0.05, abs=0.01)
+            assert numbers[value.parameter] == fitted
+
+
+def test_a_verdict_does_not_hang_on_which_half_is_fitted(tmp_path, monkeypatch):
+    log, model = record(tmp_path, change=set_friction)
+    before = replay(log, model).line
+    pieces = Replayer.pieces
+    monkeypatch.setattr(
+        Replayer, "pieces", lambda *args, **options: pieces(*args, **options)[::-1]
+    )
+    after = replay(log, model).line
+    assert [each.cause for each in after.named] == [each.cause for each in before.named]
+    fitted = [line.named[0].values[0].fitted for line in (before, after)]
+    assert fitted[0] == pytest.approx(fitted[1], rel=0.05)
