@@ -241,7 +241,7 @@ def test_a_cause_has_its_effects_and_a_failed_assertion_shows_the_screen(tmp_pat
 
 
 FIXES = {
-    "range-unit": ({"range": "-57.3 86"}, 'joint "elbow": range="-1 1.501"'),
+    "range-unit": ({"range": "-57.3 86"}, 'joint "elbow": range="-1.00007 1.50098"'),
     "command-range": ({"commands": "-57 86"}, 'actuator "elbow": ctrlrange="-1 1.5"'),
     "stated-solimp": (
         {"box": 'solimp=".9 .1 .001"'},

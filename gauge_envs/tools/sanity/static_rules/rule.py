@@ -44,6 +44,7 @@ class Fault(NamedTuple):
         ratio: Ratio of the two numbers; the largest is shown first.
         is_error: Whether the model cannot do at all what its file says.
         change: Attribute of the element and its right value, in the units of the file; None where it is unknown.
+        changed: Element that the change corrects; None for the faulty one.
     """
 
     place: Place
@@ -52,6 +53,7 @@ class Fault(NamedTuple):
     ratio: float = 1.0
     is_error: bool = False
     change: Change | None = None
+    changed: Place | None = None
 
 
 def rule(
@@ -89,7 +91,11 @@ def found(faults: Iterable[Fault]) -> Finding:
         parts=dict.fromkeys(names, 1.0),
         is_usual=not worst.is_error,
         deviation=math.inf if worst.is_error else 2.0,
-        changes={fault.place: fault.change for fault in ranked if fault.change},
+        changes=[
+            (fault.changed or fault.place, fault.change)
+            for fault in ranked
+            if fault.change
+        ],
     )
 
 
