@@ -88,14 +88,13 @@ def _changed_text(report: Report) -> tuple[TextChange, set[str]]:
 def _flags(file: Path, report: Report) -> set[str]:
     """Return the failed checks and warnings of a file with a report's model."""
     robot = report.configuration.robot
-    pair = None if robot is None else robot.pair
     measured = [
         result.id
         for result in report.checks
         if result.configured is not None or result.is_flag
     ]
     after = check(
-        configuration_of(str(file), pair=pair),
+        configuration_of(str(file), pair=robot.pair if robot else None),
         only=measured,
         explain=False,
     )

@@ -56,6 +56,7 @@ STYLES = {
 
 READ_TEXT = "Read: numbers of the model against each other"
 RUN_TEXT = "Run: the model from its keyframe, without actions"
+OBJECTS_TEXT = "Contacts: measured objects with these settings"
 """Headings of the stages."""
 
 
@@ -68,7 +69,7 @@ def sanity_document(
 
     Args:
         report: The report.
-        details: Whether to show the sources of reality, and why checks do not apply.
+        details: Whether to show the sources of reality.
         is_all: Whether to show the table of all checks.
     """
     whole = report.to_dict()
@@ -202,12 +203,10 @@ def _object_findings(report: Report) -> list[Part]:
     flags.sort(key=lambda result: -result.deviation)
     if not flags:
         return []
-    heading = "Contacts: measured objects with these settings"
-    set_count = len(report.configuration.contact_sets)
-    if set_count > 1:
-        heading += f", worst of {set_count} sets of contact constants"
     shown, left = flags[:MAX_OBJECT_FLAGS], flags[MAX_OBJECT_FLAGS:]
-    parts: list[Part] = [Table(title=heading, columns=(*COLUMNS, SEVERITY), rows=shown)]
+    parts: list[Part] = [
+        Table(title=OBJECTS_TEXT, columns=(*COLUMNS, SEVERITY), rows=shown)
+    ]
     if left:
         names = first_names([result.id for result in left], MAX_NAMES)
         parts.append(Paragraph(f"and {len(left)} more: {names}"))
@@ -259,8 +258,6 @@ def _notes(report: Report, *, details: bool) -> list[Part]:
         for result in report.checks
         if result.accepted
     ]
-    if report.unstated:
-        lines.append(Paragraph(report.unstated, Tone.NOTE))
     if report.flags and not details:
         lines.append(
             Paragraph(
@@ -271,21 +268,11 @@ def _notes(report: Report, *, details: bool) -> list[Part]:
 
 
 def _details(report: Report) -> list[Part]:
-    """Return the sources of the findings, and why checks do not apply."""
-    parts: list[Part] = []
-    for result in report.flags.values():
-        reality = result.reality
-        text = f"{result.id}: {result.title}; {reality.source}; {reality.rationale}"
-        parts.append(Paragraph(text, Tone.NOTE))
-    reasons: dict[str, list[str]] = {}
-    for result in report.checks:
-        if not result.applies:
-            reasons.setdefault(result.remark, []).append(result.id)
-    parts += [
-        Paragraph(f"not applicable, {reason}: {', '.join(names)}", Tone.NOTE)
-        for reason, names in reasons.items()
+    """Return the sources of the findings."""
+    return [
+        Paragraph(f"{result.id}: {result.title}; {result.reality.source}", Tone.NOTE)
+        for result in report.flags.values()
     ]
-    return parts
 
 
 def _all_rows(report: Report) -> Table:

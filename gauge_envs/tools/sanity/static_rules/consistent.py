@@ -84,8 +84,8 @@ def _keyframes(
 def start_command(robot: Robot) -> Iterator[Fault]:
     """Yield controls of keyframes outside of their range."""
     model = robot.model
-    low, is_set = model.actuator_ctrlrange[:, 0], model.key_ctrl.any(axis=1)[:, None]
-    values = np.where(is_set, model.key_ctrl, low)
+    is_set = model.key_ctrl.any(axis=1)[:, None]
+    values = np.where(is_set, model.key_ctrl, model.actuator_ctrlrange[:, 0])
     yield from _keyframes(
         model,
         "actuator",
