@@ -30,7 +30,8 @@ def with_fix(result: SanityResult, robot: Robot) -> SanityResult:
     """Return a result with the change of the attributes that it names; without one that does not help, or harms."""
     if result.id not in RULES or not result.is_flag or robot.spec is None:
         return result
-    changes = RULES[result.id].finding(robot).changes
+    named = RULES[result.id]
+    changes = named.finding(robot).changes
     corrected = _corrected(robot, changes) if changes else None
     if corrected is None:
         return result
@@ -38,7 +39,7 @@ def with_fix(result: SanityResult, robot: Robot) -> SanityResult:
         rule.finding(corrected).value - rule.finding(robot).value
         for rule in STATIC_RULES
     ]
-    is_left = RULES[result.id].finding(corrected).value > 0.0
+    is_left = named.finding(corrected).value > 0.0
     if is_left or max(counts) > 0.0 or motion_harm(robot, corrected):
         return result
     (place, change), *others = changes

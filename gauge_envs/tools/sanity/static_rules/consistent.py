@@ -411,7 +411,6 @@ def start_overlap(robot: Robot) -> Iterator[Fault]:
         is_raised = robot.standing is not None and trees[first] < 0
         if is_robot and not model.nkey and (is_raised or not is_usual):
             continue
-        size_m = model.geom_rbound[second]
         label = " and ".join(geom_name(model, geom) for geom in (second, first))
         text = f"{label} overlap by {1e3 * depth_m:.3g} mm where they start"
         changed, change = ("body", 0), None
@@ -422,7 +421,7 @@ def start_overlap(robot: Robot) -> Iterator[Fault]:
             bodies = model.geom_bodyid[[first, second]].tolist()
             names = [model.body(body).name for body in bodies]
             change = ("exclude", names) if all(names) else None
-        ratio = depth_m / max(size_m, 1e-6)
+        ratio = depth_m / max(model.geom_rbound[second], 1e-6)
         yield Fault(("geom", second), label, text, ratio, False, change, changed)
 
 
@@ -474,10 +473,8 @@ def start_tendon(robot: Robot) -> Iterator[Fault]:
         share, limits = _beyond(length, model.tendon_range[tendon])
         if share:
             name = name_of(model, "tendon", tendon)
-            is_fixed = (
-                model.wrap_type[model.tendon_adr[tendon]] == mujoco.mjtWrap.mjWRAP_JOINT
-            )
-            unit = "of its joints" if is_fixed else "m"
+            kind = model.wrap_type[model.tendon_adr[tendon]]
+            unit = "of its joints" if kind == mujoco.mjtWrap.mjWRAP_JOINT else "m"
             text = f"tendon {name} starts at {length:.4g} {unit}, outside of its range {limits}"
             yield Fault(("tendon", tendon), name, text, share)
 

@@ -207,8 +207,7 @@ def armature(robot: Robot) -> Iterator[Fault]:
         inertia = matrix[drive.dof, drive.dof]
         least = drive.limit / MAX_PER_S2
         if drive.is_hinge and not drive.armature and inertia < least < np.inf:
-            text = f"{drive.name} has no armature: its {drive.limit:.3g} N m accelerate it by "
-            text += f"{drive.limit / inertia:,.0f} rad/s^2"
+            text = f"{drive.name} has no armature: {drive.limit:.3g} N m give it {drive.limit / inertia:,.0f} rad/s^2"
             right = "armature", max(inertia, least - inertia)
             place = "joint", drive.joint
             yield Fault(place, drive.name, text, least / inertia, change=right)
