@@ -45,7 +45,7 @@ FixOption = Annotated[
     Path | None,
     arguments.option(
         arguments.OUTPUT,
-        "Write the model file with the fix, and check it again.",
+        "Write the model file and included ones with the fixes, and check them again.",
         metavar="OUT.xml",
     ),
 ]
@@ -113,7 +113,7 @@ def sanity(
         bool,
         arguments.option(
             arguments.OUTPUT,
-            "Also print sources, and why checks do not apply.",
+            "Also print the sources of the findings.",
             "--details",
         ),
     ] = False,

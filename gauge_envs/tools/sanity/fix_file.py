@@ -1,4 +1,4 @@
-"""Write the model of a target with the fix; the file is compiled and checked again before it is replaced."""
+"""Write the model of a target with the fix; the files are compiled and checked before they are replaced."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from secrets import token_hex
 
 from gauge_envs.errors import ParameterError, ResultFileError, TargetError
 from gauge_envs.files import check_replaceable, os_errors
+from gauge_envs.pages.document import save_file
+from gauge_envs.tools.sanity.fixes.named import write_named
 from gauge_envs.tools.sanity.fixes.text_change import TextChange, write_change
 from gauge_envs.tools.sanity.readers import configuration as configuration_of, dialect
 from gauge_envs.tools.sanity.run import check
-from gauge_envs.tools.sanity.verdict import Fix, Report
+from gauge_envs.tools.sanity.verdict import Report
 
 
 def check_can_fix(file: Path) -> None:
@@ -26,77 +28,73 @@ def check_can_fix(file: Path) -> None:
 
 
 def write_fix(report: Report, file: Path) -> str:
-    """Write a report's model with the fix, unless checks that the fix resolves fail in the written file.
+    """Write a report's model with all fixes, unless checks that they resolve fail in the written file.
 
     Args:
         report: Report of a check.
-        file: The file; its folder is created.
+        file: The file; its folder is created. Included files that change are written beside it.
 
     Returns:
         A sentence: what was written, or why nothing was.
 
     Raises:
-        TargetError: The target's text is unknown or not MJCF, an included file has to change, or the written model does
-            not compile or fails further checks.
+        TargetError: The target's text is unknown or not MJCF, or the written model does not compile or fails further
+            checks.
     """
-    fix, before = report.fix, set(report.flags)
-    if fix is None:
-        reason = "no change resolves a check" if before else "all checks passed"
+    if report.fix is None and not any(result.fix for result in report.checks):
+        reason = "no change resolves a check" if report.flags else "all checks passed"
         return f"{file} is not written: {reason}"
-    text = _changed_text(report, fix)
-    if text.elsewhere:
-        raise TargetError(
-            f"{file} is not written: change {', '.join(text.elsewhere)}, which {text.model.file.name} includes"
-        )
+    text, resolved = _changed_text(report)
     text.move(file.parent)
-    part = file.with_name(f".{token_hex(8)}.{file.name}")
-    with os_errors(
-        lambda cause: ResultFileError(f"{file}: cannot be written: {cause}")
-    ):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            part.write_text(text.text(text.model.file), encoding="utf-8", newline="")
-            after = _flags(part, report)
-            unexpected = after - (before - set(fix.fixed))
-            if unexpected:
-                raise TargetError(
-                    f"{file} is not written: the fixed model, read again, does not pass {', '.join(sorted(unexpected))}"
-                )
-            part.replace(file)
-        finally:
-            part.unlink(missing_ok=True)
-    return f"{file} is written and checked again: {len(before - after)} of {len(before)} findings are resolved"
+    trial = text.texts(file.with_name(f".{token_hex(8)}.{file.name}"))
+    try:
+        for path, content in trial.items():
+            save_file(path, content)
+        after = _flags(next(iter(trial)), report)
+    finally:
+        for path in trial:
+            path.unlink(missing_ok=True)
+    before = {result.id for result in report.checks if result.verdict.is_off}
+    if unexpected := after - (before - resolved):
+        raise TargetError(
+            f"{file} is not written: the fixed model, read again, does not pass {', '.join(sorted(unexpected))}"
+        )
+    for path, content in text.texts(file).items():
+        save_file(path, content)
+    gone = report.flags.keys() - after
+    return f"{file} is written and checked again: {len(gone)} of {len(report.flags)} findings are resolved"
 
 
-def _changed_text(report: Report, fix: Fix) -> TextChange:
-    """Return the text of a report's model with the fix.
+def _changed_text(report: Report) -> tuple[TextChange, set[str]]:
+    """Return the text of a report's model with all fixes, and the ids of the checks that they resolve.
 
     Raises:
         TargetError: The text is unknown or not MJCF.
     """
-    checked = report.configuration
-    text = None
+    checked, text = report.configuration, None
+    changes, fixed = (
+        ({}, ()) if report.fix is None else (report.fix.changes, report.fix.fixed)
+    )
     if checked.robot is not None:
         language = dialect(checked.language)
-        text, _ = write_change(checked.robot, language, fix.changes)
-    if text is None or text.model.root.tag != "mujoco":
+        text, _ = write_change(checked.robot, language, changes)
+    if checked.robot is None or text is None or text.model.root.tag != "mujoco":
         raise TargetError(
             f"{checked.name}: --fix changes the text of an MJCF file, which the target is not: paste the fix instead"
         )
-    return text
+    return text, {*fixed, *write_named(report.checks, checked.robot, text)}
 
 
 def _flags(file: Path, report: Report) -> set[str]:
     """Return the failed checks and warnings of a file with a report's model."""
     robot = report.configuration.robot
-    pair = None if robot is None else robot.pair
     measured = [
         result.id
         for result in report.checks
         if result.configured is not None or result.is_flag
     ]
     after = check(
-        configuration_of(str(file), pair=pair),
+        configuration_of(str(file), pair=robot.pair if robot else None),
         only=measured,
         explain=False,
     )

@@ -10,7 +10,6 @@ from typing import Any
 
 from rich.console import Console
 
-from gauge_envs.backends.mujoco.contact_table import default_contact_settings
 from gauge_envs.names import first_names
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Place, Table
@@ -23,7 +22,6 @@ from gauge_envs.tools.sanity.target_checks import (
     RUN,
     TARGET_CHECKS,
 )
-from gauge_envs.tools.sanity.training import TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import (
     Reality,
     Report,
@@ -32,7 +30,7 @@ from gauge_envs.tools.sanity.verdict import (
     Severity,
 )
 
-MAX_OBJECT_FLAGS = 5
+MAX_OBJECT_FLAGS = 3
 """Largest number of measured objects that the screen shows."""
 
 SAME_SPEED = 0.25
@@ -58,18 +56,8 @@ STYLES = {
 
 READ_TEXT = "Read: numbers of the model against each other"
 RUN_TEXT = "Run: the model from its keyframe, without actions"
+OBJECTS_TEXT = "Contacts: measured objects with these settings"
 """Headings of the stages."""
-
-DEFAULT_OPTIONS = {
-    "cone": "pyramidal",
-    "impratio": 1.0,
-    "solver": "Newton",
-    "iterations": 100,
-    "ls_iterations": 50,
-    "noslip_iterations": 0,
-    "timestep_s": 0.002,
-}
-"""Options of MuJoCo that decide contacts, at their defaults."""
 
 
 def sanity_document(
@@ -81,7 +69,7 @@ def sanity_document(
 
     Args:
         report: The report.
-        details: Whether to show the sources of reality, and why checks do not apply.
+        details: Whether to show the sources of reality.
         is_all: Whether to show the table of all checks.
     """
     whole = report.to_dict()
@@ -210,44 +198,19 @@ def _findings(report: Report) -> list[Part]:
 
 
 def _object_findings(report: Report) -> list[Part]:
-    """Return a line for each measured object that moves otherwise; a single line for MuJoCo's default contact."""
+    """Return a line for each measured object that moves otherwise."""
     flags = [flag for flag in report.flags.values() if not flag.is_on_target]
     flags.sort(key=lambda result: -result.deviation)
     if not flags:
         return []
-    worst = flags[0]
-    if _has_default_contact(report.configuration):
-        text = (
-            f"{worst.severity:8} MuJoCo's default contact, as the file sets no solref, solimp, cone: {len(flags)} "
-            f"measured objects move otherwise, such as {worst.id} with {with_unit(measured_text(worst), worst.unit)}, "
-            f"real {reality_text(worst.reality, worst.unit)}"
-        )
-        return [Paragraph(text, Tone.WARNING)]
-    heading = "Contacts: measured objects with these settings"
-    set_count = len(report.configuration.contact_sets)
-    if set_count > 1:
-        heading += f", worst of {set_count} sets of contact constants"
     shown, left = flags[:MAX_OBJECT_FLAGS], flags[MAX_OBJECT_FLAGS:]
-    parts: list[Part] = [Table(title=heading, columns=(*COLUMNS, SEVERITY), rows=shown)]
+    parts: list[Part] = [
+        Table(title=OBJECTS_TEXT, columns=(*COLUMNS, SEVERITY), rows=shown)
+    ]
     if left:
         names = first_names([result.id for result in left], MAX_NAMES)
         parts.append(Paragraph(f"and {len(left)} more: {names}"))
     return parts
-
-
-def _has_default_contact(checked: TrainingConfiguration) -> bool:
-    """Return whether all checked contacts have MuJoCo's default constants and options."""
-    if not checked.is_model:
-        return False
-    constants = default_contact_settings()
-    default = DEFAULT_OPTIONS | {
-        name: constants[name] for name in ("contact_solref", "contact_solimp")
-    }
-    return all(
-        settings.get(name) == value
-        for settings in checked.contact_sets.values()
-        for name, value in default.items()
-    )
 
 
 def _change(report: Report, *, details: bool) -> list[Part]:
@@ -295,8 +258,6 @@ def _notes(report: Report, *, details: bool) -> list[Part]:
         for result in report.checks
         if result.accepted
     ]
-    if report.unstated:
-        lines.append(Paragraph(report.unstated, Tone.NOTE))
     if report.flags and not details:
         lines.append(
             Paragraph(
@@ -307,21 +268,11 @@ def _notes(report: Report, *, details: bool) -> list[Part]:
 
 
 def _details(report: Report) -> list[Part]:
-    """Return the sources of the findings, and why checks do not apply."""
-    parts: list[Part] = []
-    for result in report.flags.values():
-        reality = result.reality
-        text = f"{result.id}: {result.title}; {reality.source}; {reality.rationale}"
-        parts.append(Paragraph(text, Tone.NOTE))
-    reasons: dict[str, list[str]] = {}
-    for result in report.checks:
-        if not result.applies:
-            reasons.setdefault(result.remark, []).append(result.id)
-    parts += [
-        Paragraph(f"not applicable, {reason}: {', '.join(names)}", Tone.NOTE)
-        for reason, names in reasons.items()
+    """Return the sources of the findings."""
+    return [
+        Paragraph(f"{result.id}: {result.title}; {result.reality.source}", Tone.NOTE)
+        for result in report.flags.values()
     ]
-    return parts
 
 
 def _all_rows(report: Report) -> Table:

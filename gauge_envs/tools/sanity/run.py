@@ -6,13 +6,11 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from gauge_envs.errors import ParameterError
 from gauge_envs.registry import package_versions
 from gauge_envs.tools.sanity.accepted import accept
 from gauge_envs.tools.sanity.causes import absorb
 from gauge_envs.tools.sanity.fixes.fix import FixSearch
 from gauge_envs.tools.sanity.fixes.named import with_fix
-from gauge_envs.tools.sanity.model_checks.drives import unstated
 from gauge_envs.tools.sanity.object_checks import GRASP
 from gauge_envs.tools.sanity.object_checks.measure import (
     Measurements,
@@ -26,7 +24,7 @@ from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.selection import selection
 from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
 from gauge_envs.tools.sanity.training import TrainingConfiguration
-from gauge_envs.tools.sanity.verdict import Report, SanityResult, SanityVerdict
+from gauge_envs.tools.sanity.verdict import Report, SanityResult
 
 
 @mujoco_warnings()
@@ -55,7 +53,6 @@ def check(
     Raises:
         UnknownNameError: There is no such backend, or a pattern matches no check.
         MissingExtraError: The backend's engine is not installed.
-        ParameterError: The backend rejects the settings for every scene.
     """
     started = time.perf_counter()
     configuration = configuration_of(target)
@@ -70,16 +67,12 @@ def check(
     measurements = Measurements(configuration.backend, time_limit_s=time_limit_s)
     names = [name for name in chosen if name not in TARGET_CHECKS]
     objects, is_cut_short = _object_results(measurements, configuration, names, notify)
-    if not is_cut_short:
-        _check_accepted(configuration, measurements.engine, objects)
     report = Report(
         configuration=configuration,
         checks=(*results, *accept(objects, configuration)),
         versions={**measurements.versions, **package_versions()},
         asked=tuple(name for name in chosen if name in only),
     )
-    if configuration.robot is not None:
-        report = replace(report, unstated=unstated(configuration.robot))
     if explain:
         try:
             report = FixSearch(report, measurements).run()
@@ -130,19 +123,3 @@ def _object_results(
 
 NO_TIME = "not measured within the time limit"
 """Reason of a check for which the time did not suffice."""
-
-
-def _check_accepted(
-    configuration: TrainingConfiguration,
-    engine: str,
-    results: Sequence[SanityResult],
-) -> None:
-    """Raise an error where the engine rejects the settings in each scene that it simulates with its preset."""
-    applying = [result for result in results if result.applies]
-    verdicts = {result.verdict for result in applying}
-    is_rejected = verdicts == {SanityVerdict.NOT_MEASURED}
-    if is_rejected and any(result.default is not None for result in applying):
-        cause = applying[0].remark
-        raise ParameterError(
-            f"{configuration.name}: {engine} rejects these settings: {cause}"
-        )

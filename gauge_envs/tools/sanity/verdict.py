@@ -285,8 +285,7 @@ class Report:
         versions: Versions of the engine's packages, of gauge-envs and of its dependencies.
         wall_s: Time that the check took [s].
         fix: The change that resolves most failed checks and warnings; None when no change resolves one.
-        trade: The best of these with its price, when no change resolves a check without harm; empty otherwise.
-        unstated: Properties that the target's model leaves open, in one sentence; empty for none.
+        trade: How many changes were tried, when none resolves a check without harm; empty otherwise.
         notes: What limits the check, such as an expired time limit.
         asked: Ids of checks that were requested by their full id.
         screen: What `gauge sanity` prints, which JSON leaves out.
@@ -298,7 +297,6 @@ class Report:
     wall_s: float = 0.0
     fix: Fix | None = None
     trade: str = ""
-    unstated: str = ""
     notes: tuple[str, ...] = ()
     asked: tuple[str, ...] = ()
     screen: str = ""

@@ -18,16 +18,13 @@ def good_xml():
 
 
 COUPLED = '<equality><joint joint1="FL_knee" joint2="FR_knee" polycoef="3 1 0 0 0"/></equality><keyframe>'
-SHELL = (
-    '<geom type="box" size=".2 .08 .05" contype="0" conaffinity="0"/><geom name="trunk"'
-)
+
 INERTIAL = (
     '<inertial pos="0 0 0" mass="9.6" diaginertia="{0} {0} {0}"/><geom name="trunk"'
 )
 
 FAULTS = {
     ("density", "lead has 12,000"): ('mass="7.84"', 'density="150000"'),
-    ("drawn-twice", "drawn"): ('<geom name="trunk"', SHELL),
     ("inertia", "trunk"): ('<geom name="trunk"', INERTIAL.format("9")),
     ("inertia", "times the inertia"): ('<geom name="trunk"', INERTIAL.format("1e-4")),
     ("start-overlap", "RL_foot and FL_foot"): (

@@ -42,6 +42,12 @@ def hang(hook_kg, mass_kg):
 
 ROD = FREE.format("rod", "0 0 1", 'type="box" size=".2 .01 .01" mass="1"')
 
+TOSSED = mjcf(
+    ROD,
+    'timestep=".002">',
+    '<keyframe><key qpos="0 0 1 1 0 0 0" qvel="0 0 0 {0} {0} {0}"/></keyframe>',
+)
+
 STIFF = FREE.format("box", "0 0 .08", f'{BOX.format(1)} solref="-1e6 -100"')
 
 SLEEP = '<flag sleep="enable"/>'
@@ -73,6 +79,8 @@ def result(name, xml):
         ("model-constraints", hang(0.02, 20), None, "hook"),
         # Explicit steps of 20 ms make a rod that turns once a second gain 29 % of its momentum in 2 s.
         ("model-spin", mjcf(ROD, 'timestep=".02">'), 0.29, "rod"),
+        # A keyframe that turns it four times a second shows what one turn does not.
+        ("model-spin", TOSSED.format(25), None, "rod"),
         (
             "model-creep",
             # A damping of 1,200 / s overshoots in a step of 2 ms, as 1,200 * 0.002 > 2, and not in one of 0.2 ms.

@@ -91,16 +91,36 @@ def test_attributes_that_a_file_lacks_are_inserted(gauge, tmp_path):
     assert ' cone="elliptic"' in "".join(after)
 
 
-def test_an_included_file_is_named(gauge, tmp_path):
-    """Only the main file is written; the user changes a class of an included file there."""
+@pytest.mark.parametrize("folder", [".", "out"])
+def test_an_included_file_is_written_beside_the_fixed_one(folder, gauge, tmp_path):
+    """A class of a file that another included file includes; the user's files stay."""
     text = quadruped_xml(**PLANTED["solref"][0])
+    files = {
+        "robot.xml": text,
+        "body.xml": '<mujoco><include file="robot.xml"/></mujoco>',
+        "scene.xml": '<mujoco>\n  <include file="body.xml"/>\n</mujoco>',
+    }
+    for name, content in files.items():
+        (tmp_path / name).write_text(content)
+    words = ("sanity", "--only", "rest-height")
+    outcome = gauge(*words, "scene.xml", "--fix", f"{folder}/new.xml")
+    assert "1 of 1 findings are resolved" in outcome.stderr
+    assert "finding" not in gauge(*words, f"{folder}/new.xml").stdout
+    assert 'file="new_body.xml"' in (tmp_path / folder / "new.xml").read_text()
+    assert {name: (tmp_path / name).read_text() for name in files} == files
+    assert not [*tmp_path.rglob(".*")]
+
+
+@pytest.mark.parametrize("is_included", [True, False])
+def test_attributes_that_findings_name_are_written(is_included, gauge, tmp_path):
+    text = quadruped_xml(foot='solimp=".9 .1 .001"')
     (tmp_path / "robot.xml").write_text(text)
-    (tmp_path / "scene.xml").write_text(
-        '<mujoco>\n  <include file="robot.xml"/>\n</mujoco>'
-    )
-    outcome = gauge("sanity", "scene.xml", "--only", "rest-height", "--fix", "new.xml")
-    assert "in robot.xml:2, which scene.xml includes" in outcome.stderr
-    assert not (tmp_path / "new.xml").exists()
+    (tmp_path / "scene.xml").write_text('<mujoco><include file="robot.xml"/></mujoco>')
+    name = "scene.xml" if is_included else "robot.xml"
+    words = ("sanity", "--only", "stated-solimp")
+    outcome = gauge(*words, name, "--fix", "new.xml")
+    assert "1 of 1 findings are resolved" in outcome.stderr
+    assert gauge(*words, "--strict", "new.xml").exit_code == 0
 
 
 def test_nothing_is_written_when_all_checks_pass(gauge, tmp_path):

@@ -95,7 +95,7 @@ MISTAKES = [
     ),
     (
         "stated-solref",
-        "two steps",
+        "a step of 2 ms raises solref of box",
         {"box": 'solref=".001 1"'},
         {"box": 'solref=".004 1"'},
     ),
@@ -241,7 +241,7 @@ def test_a_cause_has_its_effects_and_a_failed_assertion_shows_the_screen(tmp_pat
 
 
 FIXES = {
-    "range-unit": ({"range": "-57.3 86"}, 'joint "elbow": range="-1 1.501"'),
+    "range-unit": ({"range": "-57.3 86"}, 'joint "elbow": range="-1.00007 1.50098"'),
     "command-range": ({"commands": "-57 86"}, 'actuator "elbow": ctrlrange="-1 1.5"'),
     "stated-solimp": (
         {"box": 'solimp=".9 .1 .001"'},
@@ -260,3 +260,34 @@ def test_the_attribute_that_is_named_is_corrected_and_tried(rule, tmp_path):
     file.write_text(ARM.format(**{**RIGHT, **wrong}))
     (result,) = check(str(file), only=[rule]).checks
     assert result.is_flag and result.fix == fix
+
+
+ODD = {
+    "condim": ('"FR_foot"', '"FR_foot" condim="6"', 'geom "FR_foot": condim="3"'),
+    "damping": ('"RL_knee" axis', '"RL_knee" damping="5" axis', 'damping="0.5"'),
+    "range": (
+        'name="RR_knee" axis="0 1 0" range="-170 170"',
+        'name="RR_knee" axis="0 1 0" range="-60 60"',
+        'joint "RR_knee": range="-170 170"',
+    ),
+    "keyframe": ('qpos="0 0 .322', 'qpos="0 0 .3', 'key "home": qpos="0 0 0.322 '),
+    "armature": ('armature="0.005"', "", "armature="),
+    "exclude": (
+        '<geom name="FL_calf"',
+        '<geom name="FL_ball" size=".17" mass="0" pos=".15 0 .15"/><geom name="FL_calf"',
+        '<exclude body1="',
+    ),
+}
+"""Attribute of a quadruped, a wrong one, and the fix: the value of the other legs, a start above the floor, ..."""
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_a_leg_gets_the_value_of_the_others(name, tmp_path, gauge):
+    old, wrong, fix = ODD[name]
+    text = good_xml().replace('forcerange="-40 40"', 'forcerange="-400 400"')
+    (tmp_path / "robot.xml").write_text(text.replace(old, wrong))
+    only = "start-overlap,mirror,armature"
+    report = check(str(tmp_path / "robot.xml"), only=[only])
+    assert [fix for result in report.flags.values() if fix in result.fix], report.flags
+    gauge("sanity", "robot.xml", "--only", only, "--fix", "fixed.xml")
+    assert not check(str(tmp_path / "fixed.xml"), only=[only]).flags

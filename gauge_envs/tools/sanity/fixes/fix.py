@@ -10,7 +10,7 @@ from typing import Any
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.names import first_names
-from gauge_envs.pages.text import counted, with_unit
+from gauge_envs.pages.text import counted
 from gauge_envs.tools.sanity.fixes.candidates import candidates_of
 from gauge_envs.tools.sanity.fixes.change import applied
 from gauge_envs.tools.sanity.fixes.harm import (
@@ -52,7 +52,6 @@ class FixSearch:
         self.configuration = configuration = report.configuration
         self.dialect = dialect(configuration.language)
         changeable = [result for result in report.checks if _is_changeable(result.id)]
-        self._units = {result.id: result.unit for result in changeable}
         # Short scenes come first, the target's own model last.
         self._before = {
             result.id: _outcome_of(result)
@@ -64,32 +63,20 @@ class FixSearch:
         self._known: dict[tuple[str, str], PartOutcome] = {}
 
     def run(self) -> Report:
-        """Return the report with the fix, and the trade.
-
-        The trade is the change that resolves most checks, with its price; it is empty where the fix resolves as many.
+        """Return the report with the fix, or with the number of changes that were tried.
 
         Raises:
             TimeLimitError: The time is used up.
         """
-        tried, best, trade = 0, 0, ""
+        tried = 0
         for changes in self._ranked(self._candidates()):
-            resolved, harm = self._resolved(changes), ""
-            for part in (
-                (self._smallest(changes, resolved), changes) if resolved else ()
-            ):
-                harm = self._harm(part)
-                if not harm:
-                    fix = self._fix(part)
-                    is_best = best <= len(fix.fixed)
-                    return replace(self.report, fix=fix, trade="" if is_best else trade)
             tried += 1
-            if len(resolved) > best:
-                text = f"{self.dialect.paste_text(changes)} {self._effect(resolved)}"
-                best, trade = len(resolved), f"Closest: {text}, but {harm}"
-        if tried:
-            trade = (
-                f"No safe fix of the settings found ({tried} tried). {trade}".rstrip()
-            )
+            resolved = self._resolved(changes)
+            parts = (self._smallest(changes, resolved), changes) if resolved else ()
+            for part in parts:
+                if not self._harms(part):
+                    return replace(self.report, fix=self._fix(part))
+        trade = f"No safe fix of the settings found ({tried} tried)." if tried else ""
         return replace(self.report, trade=trade)
 
     def _candidates(self) -> list[dict[str, Any]]:
@@ -170,25 +157,22 @@ class FixSearch:
             failed += not self._resolves(candidates[index], names[count])
             heappush(queue, (failed, size, index, count + 1))
 
-    def _harm(self, changes: Settings) -> str:
-        """Return which check a change makes worse, or whether the model or sliding bodies jump; empty if not."""
+    def _harms(self, changes: Settings) -> bool:
+        """Return whether a change makes a check worse, or the model or sliding bodies jump."""
         changed = self._changed(changes)
         if changed is None:
-            return "the model does not take it"
-        if changed.backend == "mujoco":
-            before_mm = self._hop_mm(self.configuration)
-            after_mm = self._hop_mm(changed)
-            if hops_more(before_mm, after_mm):
-                return f"sliding bodies hop {before_mm:.2g} to {after_mm:.2g} mm"
+            return True
+        if changed.backend == "mujoco" and hops_more(
+            self._hop_mm(self.configuration), self._hop_mm(changed)
+        ):
+            return True
         robot = self.configuration.robot
-        if robot is not None and changed.robot is not None:
-            harm = motion_harm(robot, changed.robot)
-            if harm:
-                return harm
-        for name, before in self._before.items():
-            if _is_worse(before, self._outcome(changes, name)):
-                return self._progress(name, changes)
-        return ""
+        if robot and changed.robot and motion_harm(robot, changed.robot):
+            return True
+        return any(
+            _is_worse(before, self._outcome(changes, name))
+            for name, before in self._before.items()
+        )
 
     def _hop_mm(self, configuration: TrainingConfiguration) -> float:
         """Return the largest hop of sliding bodies with the contacts of a configuration [mm]."""
@@ -234,21 +218,11 @@ class FixSearch:
 
     # --- texts -------------------------------------------------------------------------------------------------------
 
-    def _progress(self, name: str, changes: Settings) -> str:
-        """Return the values of a check before and after changes, as a text."""
-        before = _value_text(self._before[name])
-        after = _value_text(self._outcome(changes, name))
-        return with_unit(f"{name} {before} to {after}", self._units[name])
-
     def _effect(self, resolved: Sequence[str]) -> str:
         """Return how many checks are resolved, and which are not, as a text."""
         text = f"resolves {counted(len(resolved), 'check')}"
         failing = [name for name in self._flags if name not in resolved]
         return f"{text}, not {', '.join(failing)}" if failing and resolved else text
-
-
-def _value_text(outcome: PartOutcome) -> str:
-    return "not measured" if outcome.value is None else f"{outcome.value:.3g}"
 
 
 def _is_changeable(name: str) -> bool:

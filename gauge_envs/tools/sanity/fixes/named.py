@@ -3,53 +3,59 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from gauge_envs.backends.mujoco.contact_table import contact_pairs
-from gauge_envs.tools.sanity.model_checks.check import ModelCheck
-from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.tools.sanity.fixes.harm import motion_harm
+from gauge_envs.tools.sanity.fixes.text_change import TextChange
+from gauge_envs.tools.sanity.model_checks.check import Change
+from gauge_envs.tools.sanity.robot.robot import Place, Robot, spec_element
 from gauge_envs.tools.sanity.static_rules import STATIC_RULES
 from gauge_envs.tools.sanity.verdict import SanityResult
 
-SPEC_NAMES = {"joint": "target"}
+SPEC_NAMES = {"joint": "target", "actuatorfrcrange": "actfrcrange"}
 """Attributes of MJCF that have another name in a spec."""
+
+POLYNOMIALS = ("damping", "stiffness")
+"""Attributes whose higher coefficients a file may leave out."""
+
+RULES = {rule.id: rule for rule in STATIC_RULES}
 
 
 def with_fix(result: SanityResult, robot: Robot) -> SanityResult:
-    """Return a result with the change of the attributes that it names."""
-    rule = next((rule for rule in STATIC_RULES if rule.id == result.id), None)
-    if rule is None or not result.is_flag:
+    """Return a result with the change of the attributes that it names; without one that does not help, or harms."""
+    if result.id not in RULES or not result.is_flag or robot.spec is None:
         return result
-    return replace(result, fix=named_fix(robot, rule))
-
-
-def named_fix(robot: Robot, check: ModelCheck) -> str:
-    """Return the change of the attributes that a finding names; empty where it does not help, or causes a finding."""
-    changes = check.finding(robot).changes
-    corrected = _corrected(robot, check) if changes and robot.spec else None
+    named = RULES[result.id]
+    changes = named.finding(robot).changes
+    corrected = _corrected(robot, changes) if changes else None
     if corrected is None:
-        return ""
+        return result
     counts = [
         rule.finding(corrected).value - rule.finding(robot).value
         for rule in STATIC_RULES
     ]
-    if check.finding(corrected).value or max(counts) > 0.0:
-        return ""
-    (place, (key, value)), *others = changes.items()
+    is_left = named.finding(corrected).value > 0.0
+    if is_left or max(counts) > 0.0 or motion_harm(robot, corrected):
+        return result
+    (place, change), *others = changes
     more = f"; {len(others)} more" if others else ""
-    return f'{robot.place_text(place)}: {key}="{_text(value)}"{more}'
+    return replace(result, fix=f"{_change_text(robot, place, change)}{more}")
 
 
-def _corrected(robot: Robot, check: ModelCheck) -> Robot | None:
-    """Return a robot with the changes of a finding; None where MuJoCo rejects them."""
+def _corrected(robot: Robot, changes: Sequence[tuple[Place, Change]]) -> Robot | None:
+    """Return a robot with changes; None where MuJoCo rejects them."""
     assert robot.spec is not None
     spec = robot.spec.copy()
-    for (kind, number), (key, value) in check.finding(robot).changes.items():
-        elements = spec.equalities if kind == "equality" else getattr(spec, f"{kind}s")
-        element = next(element for element in elements if element.id == number)
+    for (kind, number), (key, value) in changes:
+        if key == "exclude":
+            spec.add_exclude(bodyname1=value[0], bodyname2=value[1])
+            continue
+        element = spec_element(spec, kind, number)
         setattr(element, SPEC_NAMES.get(key, key), value)
     try:
         with warnings.catch_warnings(action="ignore"):
@@ -59,8 +65,40 @@ def _corrected(robot: Robot, check: ModelCheck) -> Robot | None:
     return replace(robot, model=model, spec=spec, pairs=contact_pairs(model))
 
 
-def _text(value: Any) -> str:
+def _change_text(robot: Robot, place: Place, change: Change) -> str:
+    """Return a change as the user writes it."""
+    key, value = change
+    if key == "exclude":
+        return f'contact: <exclude body1="{value[0]}" body2="{value[1]}"/>'
+    return f'{robot.place_text(place)}: {key}="{_text(*change)}"'
+
+
+def _text(key: str, value: Any) -> str:
     """Return a value as MJCF writes it."""
     if isinstance(value, str):
         return value
-    return " ".join(f"{number:.4g}" for number in np.atleast_1d(value))
+    numbers = np.atleast_1d(value)
+    if key in POLYNOMIALS and not numbers[1:].any():
+        numbers = numbers[:1]
+    return " ".join(f"{number:.6g}" for number in numbers)
+
+
+def write_named(
+    results: Sequence[SanityResult], robot: Robot, text: TextChange
+) -> set[str]:
+    """Write the changes of results with a fix into a text, and return the ids of those that the text shows."""
+    written = set()
+    for result in results:
+        changes = RULES[result.id].finding(robot).changes if result.fix else ()
+        for place, (key, value) in changes:
+            element = text.model.element(robot.model, *place)
+            if key == "exclude":
+                bodies = {"body1": value[0], "body2": value[1]}
+                text.insert(("contact", key), bodies, is_behind=True)
+            elif element is not None:
+                text.correct(element, key, _text(key, value))
+            else:
+                break
+        else:
+            written |= {result.id} if changes else set()
+    return written

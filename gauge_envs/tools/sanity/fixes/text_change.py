@@ -55,6 +55,11 @@ class TextChange:
                 return True
         return False
 
+    def correct(self, element: Element, key: str, value: str) -> None:
+        """Give an element an attribute, or its `<inertial>`, where that has it."""
+        inner = (child for child in element.at("inertial") if key in child.values)
+        self._values[next(inner, element), key] = value
+
     def _sources(self, element: Element | None, kind: str) -> Iterator[Element]:
         """Yield an element, those of its classes, the nearest first, and last those of the default of all."""
         if element is not None:
@@ -89,9 +94,9 @@ class TextChange:
         if section is not root and section.file == file:
             self._values |= {(section, key): value for key, value in missing.items()}
         elif missing:
-            self._insert(tags, missing, is_behind=not is_default)
+            self.insert(tags, missing, is_behind=not is_default)
 
-    def _insert(
+    def insert(
         self, tags: tuple[str, ...], values: Mapping[str, str], *, is_behind: bool
     ) -> None:
         """Insert a section behind the included files, if there are any, or in front of the other sections."""
@@ -115,7 +120,7 @@ class TextChange:
             self._inserted.append((neighbour.start, neighbour.start, text + gap))
 
     def move(self, folder: Path) -> None:
-        """Write included files and the folders of meshes and textures relative to another folder."""
+        """Write the folders of meshes and textures relative to another folder."""
         source, target = self.model.file.parent.resolve(), folder.resolve()
         if source == target:
             return
@@ -127,10 +132,7 @@ class TextChange:
                 shared = values.get("assetdir")
                 for key, before in folders.items():
                     folders[key] = values.get(key, shared or before)
-            elif element.tag == "include" and element.file == self.model.file:
-                path = os.path.relpath(source / values["file"], target)
-                self._values[element, "file"] = path
-            elif "file" in values:
+            elif "file" in values and element.tag != "include":
                 has_files = True
         if has_files:
             relative = {
@@ -138,14 +140,22 @@ class TextChange:
             }
             self.put(("compiler",), relative)
 
-    @property
-    def elsewhere(self) -> list[str]:
-        """Changes of included files, as texts."""
-        return [
-            f'{key}="{value}" in {element.file.name}:{self.model.line(element)}'
-            for (element, key), value in self._values.items()
-            if element.file != self.model.file
-        ]
+    def texts(self, file: Path) -> dict[Path, str]:
+        """Return the texts of the new file of the model and of changed included files, by their paths beside it.
+
+        A changed included file gets the name of the new file in front of its own.
+        """
+        names = {self.model.file: file}
+        for element in reversed([*self.model.root.inner()]):
+            if element.tag != "include":
+                continue
+            included = self.model.file.parent / element.values["file"]
+            if included in {changed.file for changed, _ in self._values}:
+                names[included] = file.with_name(f"{file.stem}_{included.name}")
+            path = os.path.relpath(names.get(included, included), file.parent)
+            if path != element.values["file"]:
+                self._values[element, "file"] = path
+        return {new: self.text(old) for old, new in names.items()}
 
     def text(self, file: Path) -> str:
         """Return the text of a file with all changes."""

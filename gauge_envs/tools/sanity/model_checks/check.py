@@ -17,7 +17,7 @@ Example:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeAlias
 
@@ -62,7 +62,7 @@ class Finding:
         parts: Value of each part that is checked, by its name; empty for the model as a whole.
         is_usual: Whether the violated limit says what is usual: the verdict is then a warning at worst.
         deviation: Distance from reality in half-widths, where the value alone does not decide it.
-        changes: Attribute and right value of elements, which correct the model.
+        changes: Elements with an attribute and its right value, which correct the model.
     """
 
     value: float
@@ -71,7 +71,7 @@ class Finding:
     parts: Mapping[str, float] = field(default_factory=dict)
     is_usual: bool = False
     deviation: float | None = None
-    changes: Mapping[Place, Change] = field(default_factory=dict)
+    changes: Sequence[tuple[Place, Change]] = ()
 
 
 class Case(NamedTuple):

@@ -190,23 +190,3 @@ def drags(robot: Robot, speed: float) -> FloatArray:
         mujoco.mj_inverse(bare, data)
         forces[drive.dof] = data.qfrc_inverse[drive.dof]
     return forces
-
-
-def unstated(robot: Robot) -> str:
-    """Return in one sentence which properties of drives a model with motors lacks; empty where nothing is missing.
-
-    Without them, the simulated robot is better than the real one.
-    """
-    driven = drives(robot)
-    if not driven:
-        return ""
-    properties = {
-        "rotor inertia": any(drive.armature for drive in driven),
-        "torque limit": any(np.isfinite(drive.limit) for drive in driven),
-        # Versions before MuJoCo 3.5 have no delay.
-        "delay of actions": np.any(getattr(robot.model, "actuator_delay", 0.0)),
-    }
-    missing = [name for name, is_present in properties.items() if not is_present]
-    if not missing:
-        return ""
-    return f"The model has no {', no '.join(missing)}."

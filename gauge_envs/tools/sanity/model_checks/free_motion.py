@@ -49,12 +49,17 @@ def _in_flight(model: mujoco.MjModel, *features: str) -> mujoco.MjModel:
 
 
 def _flight(model: mujoco.MjModel, joints: list[int]) -> tuple[FloatArray, float]:
-    """Return changes of angular momentum in a flight, over its size, shape [joint_count], and its time [s]."""
+    """Return changes of angular momentum in a flight, over its size, shape [joint_count], and its time [s].
+
+    A body turns with the spin of its keyframe, where that is faster.
+    """
     data, roots = start_data(model), model.jnt_bodyid[joints]
+    dofs = model.jnt_dofadr[joints, None] + [3, 4, 5]
+    own = data.qvel[dofs]
     data.qvel[:] = 0.0
     is_alone = np.isin(roots, free_objects(model))
-    rates = np.where(is_alone, OBJECT_RAD_PER_S, ROBOT_RAD_PER_S) / np.sqrt(3.0)
-    data.qvel[model.jnt_dofadr[joints, None] + [3, 4, 5]] = rates[:, None]
+    slow = np.where(is_alone[:, None], OBJECT_RAD_PER_S, ROBOT_RAD_PER_S) / np.sqrt(3.0)
+    data.qvel[dofs] = np.where(np.abs(own) > slow, own, slow)
 
     def momenta() -> FloatArray:
         mujoco.mj_forward(model, data)

@@ -12,17 +12,6 @@ from gauge_envs.text import printable
 POINTER = b"version https://git-lfs"
 """First bytes of the pointer that Git leaves in place of a large file."""
 
-ADVICE = {
-    "unrecognized": "remove it, correct its name, or use the version of MuJoCo that knows it",
-    "mjMINVAL": "give it a geom with mass, or <inertial>",
-    "no decoder": "convert the mesh to .stl or .obj",
-    "A + B >= C": 'correct <inertial>, or set <compiler balanceinertia="true"/>',
-    "model type": "an MJCF file starts with <mujoco>, a URDF with <robot>",
-    "unknown": "correct the name",
-    "repeated name": "give each its own name",
-}
-"""What to do, by a part of MuJoCo's message."""
-
 Texts = Mapping[Path, str]
 """Text of a model file and of those that it includes."""
 
@@ -37,8 +26,6 @@ def sentence(path: Path, text: str, error: str) -> str:
     """
     if "xmlns:xacro" in text:
         return f"{path}: is a xacro file, which is no model yet: run xacro {path.name} > robot.urdf"
-    if path.read_bytes()[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return f"{path}: is in UTF-16, which MuJoCo does not read: save it as UTF-8"
     texts = _with_includes(path, text)
     for file, content in texts.items():
         try:
@@ -87,28 +74,20 @@ def _unread(texts: Texts, path: Path, sought: str, error: str) -> str:
             if file.read_bytes().startswith(POINTER):
                 return f"{start} is a pointer of Git LFS: run git lfs pull"
             cause = error.split("\n")[0].removeprefix("Error: ")
-            return f"{start} cannot be read: {_advised(cause, error)}"
+            return f"{start} cannot be read: {cause}"
     advice = (
         "copy it there" if label == "<include>" else "copy it there, or set meshdir"
     )
     if "package:/" in text:
         advice = "write its path relative to this file, without package://"
-    elif re.match(r"[/~]|[A-Za-z]:", sought):
-        advice = "write its path relative to this file, not one of another machine"
     return f"{start} is not there: {advice}"
-
-
-def _advised(cause: str, error: str) -> str:
-    """Return a cause with what to do."""
-    known = [advice for part, advice in ADVICE.items() if part in error]
-    return ": ".join([cause, *known[:1]])
 
 
 def _placed(texts: Texts, path: Path, error: str) -> str:
     """Return MuJoCo's own message with the file and line of its element."""
     message, _, rest = error.partition("\nElement")
     message = re.sub(r"((XML )?Error|Schema violation|ParseXML): ", "", message)
-    end = _advised(printable(" ".join(message.split())), error)
+    end = printable(" ".join(message.split()))
     match = re.match(r"(?: name)? '(.+?)'", rest)
     line = re.search(r"line ([1-9]\d*)", rest)
     element = None

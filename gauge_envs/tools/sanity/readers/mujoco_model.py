@@ -39,13 +39,6 @@ from gauge_envs.tools.sanity.robot.robot import (
 from gauge_envs.tools.sanity.robot.standing import NoFootError, find_standing
 from gauge_envs.tools.sanity.training import ContactGroup, Need, TrainingConfiguration
 
-ABSENT_PARTS = {
-    "flg_adhesion": "adhesion of geoms is not carried over",
-    "flg_surfacevel": "surface velocity of geoms is not carried over",
-    "nflex": "deformable bodies of the model are not read",
-}
-"""Notes on parts that are not carried over, by the count of these parts in the model."""
-
 
 def mujoco_configuration(
     model: mujoco.MjModel,
@@ -104,7 +97,7 @@ def mujoco_configuration(
         settings=settings,
         origins=dict.fromkeys(options, "option") | dict.fromkeys(contact, origin),
         contact_groups=groups,
-        notes=tuple(_notes(model)),
+        notes=tuple(filter(None, [sparse_advice(model)])),
         inapplicable=inapplicable,
         gravity_m_per_s2=vector(model.opt.gravity),
         up=up,
@@ -209,20 +202,6 @@ def _groups(
         )
         groups.append(((kind, -len(rows), number), group))
     return tuple(group for _, group in sorted(groups))
-
-
-# --- notes -----------------------------------------------------------------------------------------------------------
-
-
-def _notes(model: mujoco.MjModel) -> list[str]:
-    """Return notes on what is not carried over to the experiments, and on faults of MuJoCo's solver."""
-    option = model.opt
-    notes = [note for name, note in ABSENT_PARTS.items() if getattr(model, name)]
-    if option.density or option.viscosity or option.wind.any():
-        notes.append("the medium (density, viscosity, wind) is not carried over")
-    if advice := sparse_advice(model):
-        notes.append(advice)
-    return notes
 
 
 # --- names -----------------------------------------------------------------------------------------------------------

@@ -297,6 +297,12 @@ def name_of(model: mujoco.MjModel, kind: str, number: int) -> str:
     return name or f"{kind} {number}"
 
 
+def spec_element(spec: mujoco.MjSpec, kind: str, number: int) -> Any:
+    """Return an element of a spec by its id in the compiled model."""
+    kinds = {"equality": "equalities", "body": "bodies"}.get(kind, f"{kind}s")
+    return next(element for element in getattr(spec, kinds) if element.id == number)
+
+
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
     """Return the name of a geom, or its number and its body."""
     owner = model.body(int(model.geom_bodyid[geom])).name

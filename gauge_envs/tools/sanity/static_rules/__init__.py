@@ -8,7 +8,7 @@ STATIC_RULES = (
     plausible.inertia,
     plausible.centre,
     plausible.mesh_mass,
-    plausible.drawn_twice,
+    plausible.armature,
     consistent.names,
     consistent.command_range,
     consistent.servo_gain,

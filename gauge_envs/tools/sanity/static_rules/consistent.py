@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from itertools import product
+from collections.abc import Iterator, Mapping
+from itertools import chain, product
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray
+from gauge_envs.tools.sanity.model_checks.check import Change
 from gauge_envs.tools.sanity.model_checks.drives import drives, servos, start
 from gauge_envs.tools.sanity.robot.robot import (
+    Place,
     Robot,
     acts_on_joints,
     geom_name,
     joints_of,
     name_of,
     random_poses,
+    spec_element,
     unheld,
 )
 from gauge_envs.tools.sanity.static_rules.rule import Fault, rule, unit_text
-from gauge_envs.tools.sanity.static_rules.sides import mirrored, side_of
+from gauge_envs.tools.sanity.static_rules.sides import limb_of, mirrored, side_of
 
 # --- keyframes -------------------------------------------------------------------------------------------------------
 
@@ -46,12 +49,29 @@ def start_range(robot: Robot) -> Iterator[Fault]:
     """Yield hinges and slides that a keyframe puts outside of their range."""
     model = robot.model
     limited = (model.jnt_limited != 0) & joints_of(model, "HINGE", "SLIDE")
-    for key, joint in product(range(model.nkey), np.flatnonzero(limited).tolist()):
-        value = model.key_qpos[key, model.jnt_qposadr[joint]]
-        share, limits = _beyond(value, model.jnt_range[joint])
+    yield from _keyframes(
+        model,
+        "joint",
+        np.flatnonzero(limited),
+        (model.key_qpos[:, model.jnt_qposadr], model.jnt_range),
+        'keyframe "{}" puts {} at {:.4g}, outside of its range {}',
+    )
+
+
+def _keyframes(
+    model: mujoco.MjModel,
+    kind: str,
+    numbers: IntArray,
+    arrays: tuple[FloatArray, FloatArray],
+    form: str,
+) -> Iterator[Fault]:
+    """Yield values of keyframes outside of the limits of their element."""
+    values, limits = arrays
+    for key, number in product(range(model.nkey), numbers.tolist()):
+        share, text = _beyond(values[key, number], limits[number])
         if share:
-            name, label = name_of(model, "joint", joint), name_of(model, "key", key)
-            text = f'keyframe "{label}" puts {name} at {value:.4g}, outside of its range {limits}'
+            name, label = name_of(model, kind, number), name_of(model, "key", key)
+            text = form.format(label, name, values[key, number], text)
             yield Fault(("key", key), name, text, share)
 
 
@@ -64,16 +84,15 @@ def start_range(robot: Robot) -> Iterator[Fault]:
 def start_command(robot: Robot) -> Iterator[Fault]:
     """Yield controls of keyframes outside of their range."""
     model = robot.model
-    keys = np.flatnonzero(model.key_ctrl.any(axis=1)).tolist()
-    for key, number in product(
-        keys, np.flatnonzero(model.actuator_ctrllimited).tolist()
-    ):
-        value = model.key_ctrl[key, number]
-        share, limits = _beyond(value, model.actuator_ctrlrange[number])
-        if share:
-            name, label = name_of(model, "actuator", number), name_of(model, "key", key)
-            text = f'keyframe "{label}" commands {name} to {value:.4g}; its ctrlrange is {limits}'
-            yield Fault(("key", key), name, text, share)
+    is_set = model.key_ctrl.any(axis=1)[:, None]
+    values = np.where(is_set, model.key_ctrl, model.actuator_ctrlrange[:, 0])
+    yield from _keyframes(
+        model,
+        "actuator",
+        np.flatnonzero(model.actuator_ctrllimited),
+        (values, model.actuator_ctrlrange),
+        'keyframe "{}" commands {} to {:.4g}; its ctrlrange is {}',
+    )
 
 
 # --- commands --------------------------------------------------------------------------------------------------------
@@ -221,67 +240,55 @@ class Trait(NamedTuple):
     Attributes:
         kind: Kind of the element.
         word: What the number is.
-        values: Function from a model to the numbers, shape [count].
+        key: Its attribute in the compiled model.
         ratio: Largest ratio that passes.
+        change: Attribute of MJCF in which an odd part gets the value of its mirror; empty for none.
     """
 
     kind: str
     word: str
-    values: Callable[[mujoco.MjModel], FloatArray]
+    key: str
     ratio: float = 1.5
-
-
-def _span(ranges: FloatArray, limited: FloatArray) -> FloatArray:
-    return np.ptp(ranges, axis=1) * (limited != 0)
+    change: str = ""
 
 
 TRAITS = (
-    Trait("body", "mass [kg]", lambda m: m.body_mass),
-    Trait("body", "inertia [kg m^2]", lambda m: m.body_inertia.sum(axis=1), 2.0),
-    Trait(
-        "body",
-        "distance from its parent [m]",
-        lambda m: np.linalg.norm(m.body_pos, axis=1),
-        2.0,
-    ),
-    Trait("joint", "type", lambda m: 1.0 + m.jnt_type),
-    Trait("joint", "range", lambda m: _span(m.jnt_range, m.jnt_limited), 1.25),
-    Trait(
-        "joint", "damping", lambda m: np.atleast_2d(m.dof_damping.T)[0, m.jnt_dofadr]
-    ),
-    Trait("joint", "frictionloss", lambda m: m.dof_frictionloss[m.jnt_dofadr]),
-    Trait("joint", "armature", lambda m: m.dof_armature[m.jnt_dofadr]),
-    Trait("joint", "stiffness", lambda m: np.atleast_2d(m.jnt_stiffness.T)[0]),
-    Trait(
-        "joint",
-        "motor limit",
-        lambda m: _span(m.jnt_actfrcrange, m.jnt_actfrclimited),
-        1.25,
-    ),
-    Trait("actuator", "gain", lambda m: np.abs(m.actuator_gainprm[:, 0])),
-    Trait("actuator", "damping", lambda m: np.abs(m.actuator_biasprm[:, 2])),
-    Trait("actuator", "gear", lambda m: np.abs(m.actuator_gear).max(axis=1)),
-    Trait(
-        "actuator",
-        "range of commands",
-        lambda m: _span(m.actuator_ctrlrange, m.actuator_ctrllimited),
-        1.25,
-    ),
-    Trait(
-        "actuator",
-        "force limit",
-        lambda m: _span(m.actuator_forcerange, m.actuator_forcelimited),
-        1.25,
-    ),
-    Trait("geom", "friction", lambda m: m.geom_friction[:, 0]),
-    Trait("geom", "condim", lambda m: m.geom_condim.astype(float), 1.1),
-    Trait(
-        "geom",
-        "collision",
-        lambda m: ((m.geom_contype | m.geom_conaffinity) != 0).astype(float),
-    ),
-    Trait("geom", "size [m]", lambda m: m.geom_rbound, 2.0),
+    Trait("body", "mass [kg]", "mass", change="mass"),
+    Trait("body", "inertia [kg m^2]", "inertia", 2.0),
+    Trait("body", "distance from its parent [m]", "pos", 2.0),
+    Trait("joint", "type", "type", 1.1),
+    Trait("joint", "range", "range", 1.25, "range"),
+    Trait("joint", "damping", "damping", change="damping"),
+    Trait("joint", "frictionloss", "frictionloss", change="frictionloss"),
+    Trait("joint", "armature", "armature", change="armature"),
+    Trait("joint", "stiffness", "stiffness", change="stiffness"),
+    Trait("joint", "motor limit", "actfrcrange", 1.25, "actuatorfrcrange"),
+    Trait("actuator", "gain", "gainprm"),
+    Trait("actuator", "damping", "biasprm"),
+    Trait("actuator", "gear", "gear", change="gear"),
+    Trait("actuator", "range of commands", "ctrlrange", 1.25, "ctrlrange"),
+    Trait("actuator", "force limit", "forcerange", 1.25, "forcerange"),
+    Trait("geom", "friction", "friction", change="friction"),
+    Trait("geom", "condim", "condim", 1.1, "condim"),
+    Trait("geom", "collision", "contype"),
+    Trait("geom", "size [m]", "rbound", 2.0),
 )
+
+
+def _size(model: mujoco.MjModel, trait: Trait, number: int) -> float:
+    """Return the size of an attribute of an element: the span of a range, which is 0 without a limit."""
+    key, element = trait.key, getattr(model, trait.kind)(number)
+    if key == "actfrcrange":
+        is_limited = bool(model.jnt_actfrclimited[number])
+        return float(np.ptp(model.jnt_actfrcrange[number])) * is_limited
+    value = np.atleast_1d(getattr(element, key))
+    if key.endswith("range"):
+        is_limited = bool(getattr(element, key.replace("range", "limited"))[0])
+        return float(np.ptp(value)) * is_limited
+    if key == "contype":
+        return float((value | element.conaffinity).any())
+    parts = {"gainprm": slice(1), "biasprm": slice(2, 3), "friction": slice(1)}
+    return float(np.linalg.norm(value[parts.get(key, slice(None))]))
 
 
 @rule(
@@ -293,29 +300,37 @@ TRAITS = (
 def mirror(robot: Robot) -> Iterator[Fault]:
     """Yield parts whose numbers differ from those of the part on the other side."""
     model = robot.model
-    counts = {
-        "body": model.nbody,
-        "joint": model.njnt,
-        "actuator": model.nu,
-        "geom": model.ngeom,
-    }
-    pairs = {kind: mirrored(model, kind, count) for kind, count in counts.items()}
     for trait in TRAITS:
-        values = trait.values(model) if counts[trait.kind] else np.zeros(0)
-        for left, right in pairs[trait.kind]:
-            low, high = sorted((float(values[left]), float(values[right])))
+        pairs = mirrored(model, trait.kind)
+        values = {n: _size(model, trait, n) for n in chain(*pairs)}
+        for pair in pairs:
+            low, high = sorted(values[n] for n in pair)
             if high <= trait.ratio * low:
                 continue
-            texts = [
-                f"{name_of(model, trait.kind, n)} {values[n]:.4g}"
-                for n in (left, right)
-            ]
+            texts = [f"{name_of(model, trait.kind, n)} {values[n]:.4g}" for n in pair]
             ratio = high / max(low, 1e-12)
             text = (
                 f"{trait.word} of mirror parts differs: {', '.join(texts)}"
                 + unit_text(ratio)
             )
-            yield Fault((trait.kind, left), texts[0].split()[0], text, ratio)
+            odd, change = _like_mirror(robot, trait, values, pair)
+            place = trait.kind, odd
+            yield Fault(place, name_of(model, *place), text, ratio, change=change)
+
+
+def _like_mirror(
+    robot: Robot, trait: Trait, values: Mapping[int, float], pair: tuple[int, int]
+) -> tuple[int, Change | None]:
+    """Return the part that differs from its mirror and from the like parts of other legs, and its correction."""
+    stems = {n: limb_of(getattr(robot.model, trait.kind)(n).name) for n in values}
+    others = [values[n] for n in values if stems[n] == stems[pair[0]] and n not in pair]
+    if others and trait.change and robot.spec is not None:
+        usual = float(np.median(others))
+        for odd, right in (pair, pair[::-1]):
+            if np.isclose(values[right], usual) and not np.isclose(values[odd], usual):
+                element = spec_element(robot.spec, trait.kind, right)
+                return odd, (trait.change, getattr(element, trait.key))
+    return pair[0], None
 
 
 @rule(
@@ -328,7 +343,7 @@ def mirror_axis(robot: Robot) -> Iterator[Fault]:
     """Yield hinges that are neither a copy nor the mirror image of the one on the other side."""
     model, data = robot.model, mujoco.MjData(robot.model)
     mujoco.mj_kinematics(model, data)
-    for left, right in mirrored(model, "joint", model.njnt):
+    for left, right in mirrored(model, "joint"):
         if (
             not joints_of(model, "HINGE")[[left, right]].all()
             or not model.jnt_limited[[left, right]].all()
@@ -382,20 +397,44 @@ def start_overlap(robot: Robot) -> Iterator[Fault]:
     """Yield pairs of bodies, objects and the ground included, that overlap in the first pose."""
     model, depths_m = robot.model, _overlaps_m(robot.model, start(robot))
     trees = model.body_treeid[model.geom_bodyid]
-    usual = dict.fromkeys(depths_m, POSES)
-    if depths_m and not model.nkey:
-        poses = [_overlaps_m(model, data) for data in random_poses(model, POSES)]
-        usual = {pair: sum(pair in pose for pose in poses) for pair in depths_m}
+    count = POSES if depths_m else 0
+    poses = [_overlaps_m(model, data) for data in random_poses(model, count)]
+    usual = {
+        pair for pair in depths_m if 2 * sum(map(pair.__eq__, chain(*poses))) >= POSES
+    }
     for (first, second), depth_m in depths_m.items():
-        is_robot = int(model.geom_bodyid[second]) in robot.bodies
+        is_robot, is_usual = (
+            int(model.geom_bodyid[second]) in robot.bodies,
+            (first, second) in usual,
+        )
         # Code raises a robot without a keyframe above the ground, and moves its joints.
-        is_raised = robot.standing is not None and trees[first] < 0 and not model.nkey
-        if is_robot and (is_raised or 2 * usual[first, second] < POSES):
+        is_raised = robot.standing is not None and trees[first] < 0
+        if is_robot and not model.nkey and (is_raised or not is_usual):
             continue
-        size_m = model.geom_rbound[second]
         label = " and ".join(geom_name(model, geom) for geom in (second, first))
         text = f"{label} overlap by {1e3 * depth_m:.3g} mm where they start"
-        yield Fault(("geom", second), label, text, depth_m / max(size_m, 1e-6))
+        changed, change = ("body", 0), None
+        if trees[first] < 0:
+            lift_m = max(depths_m[pair] for pair in depths_m if trees[pair[0]] < 0)
+            changed, change = _lifted(robot, int(trees[second]), lift_m)
+        elif is_robot and is_usual:
+            bodies = model.geom_bodyid[[first, second]].tolist()
+            names = [model.body(body).name for body in bodies]
+            change = ("exclude", names) if all(names) else None
+        ratio = depth_m / max(model.geom_rbound[second], 1e-6)
+        yield Fault(("geom", second), label, text, ratio, False, change, changed)
+
+
+def _lifted(robot: Robot, tree: int, lift_m: float) -> tuple[Place, Change | None]:
+    """Return the keyframe of the start and its position with a free tree of bodies higher."""
+    model, pose = robot.model, robot.stance.qpos.copy()
+    keys = np.flatnonzero((model.key_qpos == pose).all(axis=1))
+    joint = model.body_jntadr[model.tree_bodyadr[tree]]
+    if not len(keys) or not joints_of(model, "FREE")[joint]:
+        return ("key", 0), None
+    place = model.jnt_qposadr[joint]
+    pose[place : place + 3] += lift_m * np.asarray(robot.up)
+    return ("key", int(keys[0])), ("qpos", pose)
 
 
 POSES = 32
@@ -434,10 +473,8 @@ def start_tendon(robot: Robot) -> Iterator[Fault]:
         share, limits = _beyond(length, model.tendon_range[tendon])
         if share:
             name = name_of(model, "tendon", tendon)
-            is_fixed = (
-                model.wrap_type[model.tendon_adr[tendon]] == mujoco.mjtWrap.mjWRAP_JOINT
-            )
-            unit = "of its joints" if is_fixed else "m"
+            kind = model.wrap_type[model.tendon_adr[tendon]]
+            unit = "of its joints" if kind == mujoco.mjtWrap.mjWRAP_JOINT else "m"
             text = f"tendon {name} starts at {length:.4g} {unit}, outside of its range {limits}"
             yield Fault(("tendon", tendon), name, text, share)
 

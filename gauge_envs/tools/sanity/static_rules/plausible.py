@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.model_checks.drives import drives, start
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
-    geom_name,
     joints_of,
     name_of,
     switched_off,
@@ -20,8 +20,6 @@ from gauge_envs.tools.sanity.static_rules.rule import Fault, rule
 from gauge_envs.tools.sanity.static_rules.shapes import (
     body_shapes,
     mesh_volume_m3,
-    solid_geoms,
-    volumes_and_squares,
 )
 
 # --- masses ----------------------------------------------------------------------------------------------------------
@@ -156,44 +154,6 @@ def mesh_mass(robot: Robot) -> Iterator[Fault]:
             yield Fault(("body", body), name, text, mass_kg / max(exact_kg, 1e-12))
 
 
-@rule(
-    "drawn-twice",
-    title="mass of a part that is drawn and collides",
-    source="what is drawn and collides weighs once",
-    consequence="The link is heavier than the real one.",
-)
-def drawn_twice(robot: Robot) -> Iterator[Fault]:
-    """Yield drawn geoms with a mass at the place and with the size of a solid geom of the same body."""
-    model, solid = robot.model, solid_geoms(robot.model)
-    volumes, _ = volumes_and_squares(model)
-    for geom in robot.spec.geoms if robot.spec else ():
-        body = int(model.geom_bodyid[geom.id])
-        twins = solid & (model.geom_bodyid == body)
-        if (
-            solid[geom.id]
-            or geom.parent.explicitinertial
-            or not model.body_dofnum[body]
-        ):
-            continue
-        size_m, sizes_m = model.geom_rbound[geom.id], model.geom_rbound[twins]
-        apart_m = np.linalg.norm(
-            model.geom_pos[twins] - model.geom_pos[geom.id], axis=1
-        )
-        mass_kg = (
-            geom.mass if np.isfinite(geom.mass) else geom.density * volumes[geom.id]
-        )
-        is_twin = (np.maximum(apart_m, np.abs(sizes_m - size_m)) < TWIN * sizes_m).any()
-        whole_kg = float(model.body_mass[body])
-        if is_twin and mass_kg > EXTRA * whole_kg:
-            name = name_of(model, "body", body)
-            text = f"{name} weighs {whole_kg:.3g} kg; {geom_name(model, geom.id)}, which is drawn, has {mass_kg:.3g}"
-            yield Fault(("body", body), name, text, mass_kg / whole_kg)
-
-
-TWIN, EXTRA = 0.01, 0.05
-"""Distance of drawn twins over their size, and their least share of the mass."""
-
-
 # --- joints ----------------------------------------------------------------------------------------------------------
 
 MAX_TURNS, MIN_RANGE_RAD = 4.0, 0.12
@@ -229,7 +189,35 @@ def range_unit(robot: Robot) -> Iterator[Fault]:
             )
 
 
+MAX_PER_S2 = 10_000.0
+"""Acceleration at full torque that no geared motor exceeds [rad/s^2]; those of robot legs have 1000 to 4000."""
+
+
+@rule(
+    "armature",
+    title="acceleration of joints without rotor inertia",
+    source="a joint accelerates with torque over inertia; a gear is matched where rotor and load have equal inertia",
+    consequence="The joint reaches its full speed within a step.",
+)
+def armature(robot: Robot) -> Iterator[Fault]:
+    """Yield hinges without armature that their motors accelerate as no rotor can."""
+    model, matrix = robot.model, np.zeros((robot.model.nv, robot.model.nv))
+    mujoco.mj_fullM(model, start(robot), matrix)
+    for drive in drives(robot):
+        inertia = matrix[drive.dof, drive.dof]
+        least = drive.limit / MAX_PER_S2
+        if drive.is_hinge and not drive.armature and inertia < least < np.inf:
+            text = f"{drive.name} has no armature: {drive.limit:.3g} N m give it {drive.limit / inertia:,.0f} rad/s^2"
+            right = "armature", max(inertia, least - inertia)
+            place = "joint", drive.joint
+            yield Fault(place, drive.name, text, least / inertia, change=right)
+
+
 # --- the world -------------------------------------------------------------------------------------------------------
+
+
+SWIM_KG_PER_M3 = 2000.0
+"""Density from which on a medium is no mistaken water: swimmers of MuJoCo have 3000 to 5000 [kg/m^3]."""
 
 
 @rule(
@@ -244,7 +232,11 @@ def medium(robot: Robot) -> Iterator[Fault]:
     is_heavy = option.gravity.any() and not switched_off(
         robot.model, "gravity", "contact"
     )
-    if len(robot.ground_rows) and is_heavy and option.density > LIQUID_KG_PER_M3:
+    if (
+        len(robot.ground_rows)
+        and is_heavy
+        and LIQUID_KG_PER_M3 < option.density < SWIM_KG_PER_M3
+    ):
         text = f"the medium has {option.density:g} kg/m^3, a liquid; air has 1.2"
         yield Fault(("body", 0), "option", text, option.density)
 

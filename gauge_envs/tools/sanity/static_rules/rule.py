@@ -44,6 +44,7 @@ class Fault(NamedTuple):
         ratio: Ratio of the two numbers; the largest is shown first.
         is_error: Whether the model cannot do at all what its file says.
         change: Attribute of the element and its right value, in the units of the file; None where it is unknown.
+        changed: Element that the change corrects; None for the faulty one.
     """
 
     place: Place
@@ -52,6 +53,7 @@ class Fault(NamedTuple):
     ratio: float = 1.0
     is_error: bool = False
     change: Change | None = None
+    changed: Place | None = None
 
 
 def rule(
@@ -82,6 +84,8 @@ def found(faults: Iterable[Fault]) -> Finding:
         return Finding(value=0.0)
     names = dict.fromkeys(fault.name for fault in ranked)
     worst, more = ranked[0], len(names) - 1
+    # Several faults may have one correction.
+    changes = [(f.changed or f.place, f.change) for f in ranked if f.change]
     return Finding(
         value=float(len(names)),
         remark=f"{worst.text}; {more} more" if more else worst.text,
@@ -89,7 +93,7 @@ def found(faults: Iterable[Fault]) -> Finding:
         parts=dict.fromkeys(names, 1.0),
         is_usual=not worst.is_error,
         deviation=math.inf if worst.is_error else 2.0,
-        changes={fault.place: fault.change for fault in ranked if fault.change},
+        changes=[*{repr(change): change for change in changes}.values()],
     )
 
 

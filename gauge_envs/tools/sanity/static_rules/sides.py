@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import mujoco
 
+from gauge_envs.tools.sanity.robot.model_text import COUNTS
+
 WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 
 LEFT, RIGHT = ("left", "l"), ("right", "r")
@@ -53,10 +55,16 @@ def side_of(name: str) -> Side:
     return Side(sides[0] if len(set(sides)) == 1 else "", " ".join(stem))
 
 
-def mirrored(model: mujoco.MjModel, kind: str, count: int) -> list[tuple[int, int]]:
+def limb_of(name: str) -> str:
+    """Return a name without its side and end: that of the like parts of all legs."""
+    words = side_of(name).stem.split()
+    return " ".join(word for word in words if word not in ENDS.values())
+
+
+def mirrored(model: mujoco.MjModel, kind: str) -> list[tuple[int, int]]:
     """Return pairs of elements of a kind whose names differ by the side alone, the left one first."""
     stems: dict[str, dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
-    for number in range(count):
+    for number in range(getattr(model, COUNTS.get(kind, f"n{kind}"))):
         name = getattr(model, kind)(number).name
         side = side_of(name)
         if name and side.side:

@@ -47,8 +47,8 @@ def friction(robot: Robot) -> Iterator[Fault]:
         for row, geom in zip(fixed[lost], geoms[lost], strict=True):
             other = pairs.geoms[row, 1 - side]
             name, ratio = geom_name(model, geom), used[row] / stated[geom]
-            text = f"{name} states friction {stated[geom]:g}; its contact with {geom_name(model, other)} has "
-            text += f"{used[row]:g}"
+            met = f"{used[row]:g} on {geom_name(model, other)}"
+            text = f"{name} states friction {stated[geom]:g}; its contact has {met}"
             yield Fault(("geom", int(geom)), name, text, ratio, change=("priority", 1))
 
 
@@ -87,7 +87,7 @@ def solref(robot: Robot) -> Iterator[Fault]:
     for kind, number, constants in _constraints(model):
         if 0.0 < constants[0] < least_s / 1.1:
             name = name_of(model, kind, number)
-            text = f"{name} states solref {constants[0]:.3g} s; {least_s:g} s acts, two steps of {500 * least_s:g} ms"
+            text = f"a step of {500 * least_s:g} ms raises solref of {name} from {constants[0]:.3g} to {least_s:g} s"
             yield Fault((kind, number), name, text, least_s / constants[0])
 
 
@@ -230,10 +230,8 @@ def gear(robot: Robot) -> Iterator[Fault]:
     )
     for number in np.flatnonzero(is_idle).tolist():
         name = name_of(model, "actuator", number)
-        text = (
-            f"actuator {name} makes no force: gear {model.actuator_gear[number, 0]:g}, "
-        )
-        text += f"gain {model.actuator_gainprm[number, 0]:g}"
+        text = f"actuator {name} makes no force: gear {model.actuator_gear[number, 0]:g}, gain "
+        text += f"{model.actuator_gainprm[number, 0]:g}"
         yield Fault(("actuator", number), name, text, is_error=True)
 
 
