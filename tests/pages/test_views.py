@@ -37,7 +37,7 @@ COMMANDS = (
     ("recipe", "fabrics"),
     ("list", "materials"),
     ("list", "backends"),
-    ("backend", "check", "mujoco", "--only", "slide*"),
+    ("backend", "check", "mujoco", "--only", "pucks*,roll*"),
     ("run", "SlopeSlider-2-wood", "--out", "new"),
     ("compare",),
     ("compare", "--format", "wide"),
