@@ -33,7 +33,7 @@ STACKS: tuple[tuple[str, str, Rule], ...] = (
     ("MuJoCo, MuJoCo Warp, mjlab", "greater, without priority or pair", max),
     ("Newton (SolverMuJoCo)", "greater", max),
     ("Newton (SolverXPBD)", "mean", _mean),
-    ("Genesis", "greater", max),
+    ("Genesis", "greater, at least 0.01", max),
     ("PhysX, Isaac Sim, Isaac Lab", "mean: combine mode average, the default", _mean),
     ("the same", "product: combine mode multiply, as on many terrains", _product),
     ("PyBullet", "product", _product),
@@ -42,7 +42,7 @@ STACKS: tuple[tuple[str, str, Rule], ...] = (
 )
 """How each stack combines the frictions a and b of two materials.
 
-MuJoCo: "Contact parameters" of its documentation. Newton: `solvers/xpbd/kernels.py`. Genesis: `rigid_solver`. PhysX:
+MuJoCo: "Contact parameters" of its documentation. Newton: `solvers/xpbd/kernels.py`. Genesis: `rigid/collider/contact.py`. PhysX:
 `PxCombineMode`, of which the later of average, min, multiply, max counts. Isaac Lab: `RigidBodyMaterialCfg`. Bullet:
 `btManifoldResult`. Rapier: `CoefficientCombineRule`. Drake: `CalcContactFrictionFromSurfaceProperties`.
 """

@@ -40,7 +40,7 @@ class Side(NamedTuple):
 
 def side_of(name: str) -> Side:
     """Return the side that a name says, and the rest of it; no side for a name with both."""
-    sides, stem, words = [], list[str](), WORDS.findall(name)
+    sides, stem, words = list[str](), list[str](), WORDS.findall(name)
     for number, word in enumerate(words):
         text, found = word.lower(), ""
         is_code = word.isupper() or number in (0, len(words) - 1)
@@ -50,7 +50,8 @@ def side_of(name: str) -> Side:
             found, text = CORNERS[text]
         elif match := re.match(r"(left|right)(..+)", text):
             found, text = text[0], match[2]
-        sides += [found] * bool(found)
+        if found:
+            sides.append(found)
         stem.append(text)
     return Side(sides[0] if len(set(sides)) == 1 else "", " ".join(stem))
 
