@@ -42,9 +42,10 @@ STACKS: tuple[tuple[str, str, Rule], ...] = (
 )
 """How each stack combines the frictions a and b of two materials.
 
-MuJoCo: "Contact parameters" of its documentation. Newton: `solvers/xpbd/kernels.py`. Genesis: `rigid/collider/contact.py`. PhysX:
-`PxCombineMode`, of which the later of average, min, multiply, max counts. Isaac Lab: `RigidBodyMaterialCfg`. Bullet:
-`btManifoldResult`. Rapier: `CoefficientCombineRule`. Drake: `CalcContactFrictionFromSurfaceProperties`.
+MuJoCo: "Contact parameters" of its documentation. Newton: `solvers/xpbd/kernels.py`. Genesis:
+`rigid/collider/contact.py`. PhysX: `PxCombineMode`, of which the later of average, min, multiply, max counts. Isaac
+Lab: `RigidBodyMaterialCfg`. Bullet: `btManifoldResult`. Rapier: `CoefficientCombineRule`. Drake:
+`CalcContactFrictionFromSurfaceProperties`.
 """
 
 
