@@ -38,7 +38,7 @@ MAX_EXPLAINED = 5
 
 NOTE = (
     "Trials: mean distance of real trials. Exact: distance of the exact motion with the same constants. "
-    "Solves: the scene. --details: more."
+    "Solves: whether the engine solves the scene. More: --details"
 )
 
 COLUMNS = (
@@ -82,14 +82,15 @@ def summary_document(results: Sequence[Result], *, details: bool = False) -> Doc
 
 
 def answers_text(results: Sequence[Result]) -> str:
-    """Return how many results solve their scene, and how many are like reality, in one line."""
+    """Return how many results solve their scene, how many are like reality, and how many diverged, in one line."""
     scores = [result.score for result in results if not result.diverged]
-    return "; ".join(
-        [
-            _count_text([score.solves for score in scores], "solve their scene"),
-            _count_text([score.like_reality for score in scores], "are like reality"),
-        ]
-    )
+    texts = [
+        _count_text([score.solves for score in scores], "solve their scene"),
+        _count_text([score.like_reality for score in scores], "are like reality"),
+    ]
+    if diverged := len(results) - len(scores):
+        texts.insert(0, f"{diverged} of {len(results)} diverged")
+    return "; ".join(texts)
 
 
 def _count_text(answers: Sequence[Answer | None], words: str) -> str:
