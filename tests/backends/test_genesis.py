@@ -21,7 +21,6 @@ from gauge_envs.scene import (
     Pose,
     Sphere,
 )
-from gauge_envs.tools.sanity import configuration
 
 pytest.importorskip("genesis.version", reason="extra 'genesis' is not installed")
 
@@ -192,27 +191,3 @@ def test_out_of_box_has_genesis_defaults(request):
     assert constants[:5] == pytest.approx(
         (*solref, *preset.sustained_impedance), rel=1e-5
     )
-
-
-def test_saved_options_equal_the_scene(genesis_32, tmp_path):
-    """A user saves the options of a scene, and the sanity check reads them."""
-    gs = genesis_32
-    options = gs.options.SimOptions(dt=0.004, substeps=2, gravity=(0.0, 0.0, -3.7))
-    scene = gs.Scene(
-        show_viewer=False,
-        sim_options=options,
-        rigid_options=gs.options.RigidOptions(iterations=7, constraint_timeconst=0.03),
-    )
-    path = tmp_path / "options.json"
-    path.write_text(scene.options.model_dump_json())
-    read = configuration(path)
-    assert (read.backend, read.language) == ("genesis", "genesis")
-    assert read.gravity_m_per_s2 == (0.0, 0.0, -3.7)
-    expected = {
-        "timestep_s": 0.002,
-        "precision": 32,
-        "iterations": 7,
-        "sustained_timeconst_s": 0.03,
-        "impact_steps": None,
-    }
-    assert expected.items() <= read.settings.items()
