@@ -22,9 +22,9 @@ REFERENCES = {
     Kind.TRIALS: "several measured motions: slides, drops",
     Kind.RECORDING: "one measured motion",
     Kind.PUBLISHED: "a motion from published numbers: a cradle, a cube that holds",
-    Kind.ANALYTIC: "an analytical solution: turntables, pendulum, ramps, foam",
-    Kind.NUMERICAL: "a numerical solution: most cloth, foam",
-    Kind.NONE: "nothing: rope, funnel, wall",
+    Kind.ANALYTIC: "an analytical solution: turntables, pendulum, ramps, foam, funnel",
+    Kind.NUMERICAL: "a numerical solution: most cloth, foam, rope",
+    Kind.NONE: "nothing: a wall, cloth that a ball turns",
 }
 """Text of the reference, by kind."""
 
