@@ -46,8 +46,11 @@ def store_solution(
     if projection is not None:
         arrays["projection"] = projection
     np.savez_compressed(folder / f"{variant}.npz", **arrays)
-    u_mm = np.sqrt(np.square(uncertainty[known]).sum(axis=1).mean())
-    moved_mm = np.sqrt(np.square(mean[known] - mean[0]).sum(axis=1).mean())
+    # Distances of markers are root mean squares over them.
+    count = len(coordinates) // 3 if coordinates[0].startswith("marker-") else 1
+    u_mm = np.sqrt(np.square(uncertainty[known]).sum(axis=1).mean() / count)
+    moved = mean[known] - mean[0]
+    moved_mm = np.sqrt(np.square(moved).sum(axis=1).mean() / count)
     names = ", ".join(f'"{name}"' for name in coordinates)
     lines = [
         f'kind = "{kind}"',
