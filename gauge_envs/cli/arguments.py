@@ -271,7 +271,9 @@ Corrected = Annotated[
 Form = Annotated[
     Format,
     option(
-        OUTPUT, "Format on stdout; wide has all columns, json a line a row.", "--format"
+        OUTPUT,
+        "Format on stdout; wide has all columns, latex and csv the tables, json a line a row.",
+        "--format",
     ),
 ]
 

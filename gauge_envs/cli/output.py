@@ -180,6 +180,8 @@ class Format(StrEnum):
     TEXT = "text"
     WIDE = "wide"
     MARKDOWN = "markdown"
+    LATEX = "latex"
+    CSV = "csv"
     JSON = "json"
 
 
@@ -198,14 +200,20 @@ def print_document(
     """
     from gauge_envs.pages.document import as_rows, save_file
     from gauge_envs.pages.markdown import as_markdown
+    from gauge_envs.pages.tabular import as_csv, as_latex
     from gauge_envs.pages.terminal import Terminal
 
-    if form is Format.JSON:
-        print_json_lines(as_rows(shown))
-    elif form is Format.MARKDOWN:
-        echo(as_markdown(shown), nl=False)
-    else:
-        stdout_console().print(Terminal(shown, form is Format.WIDE))
+    match form:
+        case Format.JSON:
+            print_json_lines(as_rows(shown))
+        case Format.MARKDOWN:
+            echo(as_markdown(shown), nl=False)
+        case Format.LATEX:
+            echo(as_latex(shown), nl=False)
+        case Format.CSV:
+            echo(as_csv(shown), nl=False)
+        case Format.TEXT | Format.WIDE:
+            stdout_console().print(Terminal(shown, form is Format.WIDE))
     for suffix, file in (files or {}).items():
         is_json = suffix == ".json"
         text = json_text(as_rows(shown)) if is_json else as_markdown(shown)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from dataclasses import replace
 from io import StringIO
@@ -13,6 +14,7 @@ from rich.console import Console
 from gauge_envs.pages.document import as_rows
 from gauge_envs.pages.markdown import as_markdown
 from gauge_envs.pages.table import Column, Place, Table
+from gauge_envs.pages.tabular import as_csv, as_latex
 from gauge_envs.pages.terminal import Terminal
 from gauge_envs.pages.text import (
     counted,
@@ -85,6 +87,28 @@ def test_markdown_has_all_columns_in_all_rows():
         r"| GAUGE/B-2 | none | - | - | a \| b |",
         "",
         "In millimetres.",
+    ]
+
+
+def test_a_paper_has_the_same_cells_in_csv_and_latex():
+    cells = [
+        ["experiment", "grade", "first [mm]", "second", "note"],
+        ["GAUGE/A-1", "trials", "1.00", "-", "one"],
+        ["GAUGE/A-1", "trials", "12.35", "3.00", ""],
+        ["GAUGE/B-2", "none", "-", "-", "a | b"],
+    ]
+    assert list(csv.reader(StringIO(as_csv(TABLE)))) == cells
+    marks = replace(
+        TABLE, rows=[{"id": r"50 % & \x_{1}", "grade": "none", "note": "a~b^c"}]
+    )
+    assert as_latex(marks).splitlines() == [
+        r"\begin{tabular}{llrrl}",
+        r"\hline",
+        r"experiment & grade & first [mm] & second & note \\",
+        r"\hline",
+        r"50 \% \& \textbackslash{}x\_\{1\} & none & - & - & a\textasciitilde{}b\textasciicircum{}c \\",
+        r"\hline",
+        r"\end{tabular}",
     ]
 
 
