@@ -23,7 +23,7 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
 )
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.conformance import Lab
 from gauge_envs.tools.recipes.engines.base import ContactSettings
 
@@ -164,7 +164,16 @@ class Probe:
         return {"restitution": float(np.mean(restitutions))}
 
     def impact(self) -> dict[str, float]:
-        """Return the friction of oblique impacts that is farthest from Coulomb's, and the rebound where a ball slips.
+        """Return the friction of oblique impacts that is farthest from Coulomb's, and the rebound where a ball slips."""
+        ratios, rebound = self.impacts()
+        worst = float(ratios[np.abs(ratios - 1.0).argmax()])
+        return {
+            "impact_friction": worst * self.settings.sliding_friction,
+            "slip_restitution": rebound,
+        }
+
+    def impacts(self) -> tuple[FloatArray, float]:
+        """Return friction over Coulomb's law in oblique impacts, steep, at 45 degrees and grazing, and the last rebound.
 
         With the normal impulse N and the mass m, friction takes the tangential impulse min(mu N, 2/7 m v) from a ball
         that arrives without spin at the tangential speed v. Both impulses follow from the change of momentum.
@@ -193,11 +202,7 @@ class Probe:
             ratios.append(taken / min(friction * pressed, 2.0 / 7.0 * speed))
             rebounds.append(float(velocity[:, 2].max()) / IMPACT_M_PER_S)
         means = np.mean(np.reshape(ratios, (len(speeds), IMPACT_PHASES)), axis=1)
-        worst = float(means[np.abs(means - 1.0).argmax()])
-        return {
-            "impact_friction": worst * friction,
-            "slip_restitution": float(np.mean(rebounds[-IMPACT_PHASES:])),
-        }
+        return means, float(np.mean(rebounds[-IMPACT_PHASES:]))
 
     def hop(self) -> dict[str, float]:
         """Return how high a plate rises that slides on a level ground [m]."""
