@@ -34,24 +34,31 @@ def judged(engine: str, seed: int) -> None:
     aim, scale = drawn(seed)
     recipe = find_recipe(engine_settings(engine), aim)
     asked = (aim.friction, aim.restitution, aim.mass_kg, scale, aim.timestep_s)
-    reached = [recipe.reached[n] for n in ("impact_friction", "slip_restitution", "hop_m")]
+    reached = [
+        recipe.reached[n] for n in ("impact_friction", "slip_restitution", "hop_m")
+    ]
     silent, plain = [], []
     if engine in LOOPS:
         contact = LOOPS[engine], recipe.snippet
         body = aim.mass_kg, aim.timestep_s
         ratios, slip = impacts(*contact, aim.friction, *body, scale)
-        worst = max(ratios, key=lambda ratio: abs(ratio - 1.0))
+        means = ratios.mean(axis=1)
+        worst = max(means, key=lambda ratio: abs(ratio - 1.0))
         drop = rebound(*contact, *body)
         rise_m = hop(*contact, *body, scale)
-        plain = [*ratios, slip, drop, rise_m]
+        plain = [*means, slip, drop, rise_m]
         wrong = {
             "impact_friction": abs(worst - 1.0) > FRICTION_SHARE,
             "slip_restitution": abs(slip - aim.restitution) > RESTITUTION_WIDTH,
             "restitution": abs(drop - aim.restitution) > RESTITUTION_WIDTH,
         }
         silent = [name for name in wrong if wrong[name] and name not in recipe.misses]
-    numbers = " ".join(f"{value:.4g}" for value in (*asked, *reached, *plain) if value is not None)
-    print(engine, seed, numbers, "misses", *recipe.misses, "silent", *silent, flush=True)
+    numbers = " ".join(
+        f"{value:.4g}" for value in (*asked, *reached, *plain) if value is not None
+    )
+    print(
+        engine, seed, numbers, "misses", *recipe.misses, "silent", *silent, flush=True
+    )
 
 
 if __name__ == "__main__":

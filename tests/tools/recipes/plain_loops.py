@@ -57,8 +57,8 @@ def rebound(loop, snippet, mass_kg, step_s):
         drop = DROP_M + math.sqrt(2.0 * G * DROP_M) * step_s * phase / PHASES
         foot = Foot(mass_kg=mass_kg, step_s=step_s, height_m=RADIUS_M + drop)
         heights = loop(snippet, foot)[:, 2] - RADIUS_M
-        low = int(np.argmax(np.diff(heights) > 1e-7))
-        restitutions.append(math.sqrt(max(float(heights[low:].max()), 0.0) / drop))
+        landed = heights[round(math.sqrt(2.0 * drop / G) / step_s) :]
+        restitutions.append(math.sqrt(max(float(landed.max()), 0.0) / drop))
     return float(np.mean(restitutions))
 
 
@@ -79,40 +79,39 @@ def hop(loop, snippet, mass_kg, step_s, scale=1.0):
 
 
 def impacts(loop, snippet, friction, mass_kg, step_s, scale=1.0):
-    """Return friction over Coulomb's law in three oblique impacts, and the rebound of the last, in which it slips.
+    """Return friction over Coulomb's law in oblique impacts, and the mean rebound of those in which the ball slips.
 
-    Tilted gravity throws a ball obliquely onto the plane. Velocities after n steps give the impulses of the contact.
+    Velocities after n steps give the impulses of the contact. The rows are three speeds along the plane: two at which
+    friction stops the slip, and one at which it cannot. The columns are phases within a step.
     """
-    ratios, radius_m = [], scale * RADIUS_M
+    radius_m, down = scale * RADIUS_M, math.sqrt(2.0 * G * DROP_M)
+    ratios, rebounds = [], []
     for tangent in (0.5, 1.0, 7.0 * friction * 1.6):
-        of_phases, rebounds = [], []
         for phase in range(PHASES):
-            drop = DROP_M + math.sqrt(2.0 * G * DROP_M) * step_s * phase / PHASES
+            drop = DROP_M + down * step_s * phase / PHASES
             foot = Foot(
                 mass_kg=mass_kg,
                 step_s=step_s,
                 height_m=radius_m + drop,
-                gravity=(tangent * G, 0.0, -G),
                 radius_m=radius_m,
+                speed_m_per_s=tangent * down,
             )
             places = loop(snippet, foot)
             impact_s = math.sqrt(2.0 * drop / G)
             last = round((impact_s + 0.05) / step_s)
             velocity = (places[last] - places[last - 1]) / step_s
             pressed = velocity[2] + G * last * step_s
-            taken = tangent * G * last * step_s - velocity[0]
-            grip = 2.0 / 7.0 * tangent * G * impact_s
-            of_phases.append(taken / min(friction * pressed, grip))
-            heights = places[round(impact_s / step_s) :, 2] - radius_m
-            rebounds.append(math.sqrt(max(float(heights.max()), 0.0) / drop))
-        ratios.append(float(np.mean(of_phases)))
-    return ratios, float(np.mean(rebounds))
+            taken = tangent * down - velocity[0]
+            ratios.append(taken / min(friction * pressed, 2.0 / 7.0 * tangent * down))
+            landed = places[round(impact_s / step_s) :, 2] - radius_m
+            rebounds.append(math.sqrt(max(float(landed.max()), 0.0) / drop))
+    return np.reshape(ratios, (3, PHASES)), float(np.mean(rebounds[-PHASES:]))
 
 
 def impact_friction(loop, snippet, friction, mass_kg, step_s):
-    """Return the friction of three oblique impacts that is farthest from Coulomb's law."""
+    """Return the friction of the oblique impact that is farthest from Coulomb's law."""
     ratios, _ = impacts(loop, snippet, friction, mass_kg, step_s)
-    return friction * max(ratios, key=lambda ratio: abs(ratio - 1.0))
+    return friction * float(max(ratios.ravel(), key=lambda ratio: abs(ratio - 1.0)))
 
 
 def names_of(snippet):
@@ -136,7 +135,9 @@ def mujoco(snippet, foot):
     import mujoco as mj
 
     half = " ".join(map(str, foot.half_m))
-    shape = f"type='box' size='{half}'" if half else f"type='sphere' size='{foot.radius_m}'"
+    shape = (
+        f"type='box' size='{half}'" if half else f"type='sphere' size='{foot.radius_m}'"
+    )
     model = mj.MjModel.from_xml_string(
         f"<mujoco>{snippet}<worldbody><geom name='floor' type='plane' size='9 9 1'/>"
         f"<body pos='0 0 {foot.height_m}'><freejoint/><geom name='foot' mass='{foot.mass_kg}' {shape}/></body>"
@@ -166,7 +167,9 @@ def rapier(snippet, foot):
     builder = rp.RigidBody.dynamic().translation((0.0, 0.0, foot.height_m))
     builder = builder.linvel((foot.speed_m_per_s, 0.0, 0.0))
     shape = (
-        rp.Collider.cuboid(*foot.half_m) if foot.half_m else rp.Collider.ball(foot.radius_m)
+        rp.Collider.cuboid(*foot.half_m)
+        if foot.half_m
+        else rp.Collider.ball(foot.radius_m)
     )
     colliders = [names["with_contact"](shape.mass(foot.mass_kg))]
     body = world.rigid_bodies[world.add_body(builder.can_sleep(False), colliders)]
@@ -193,7 +196,9 @@ def physx(snippet, foot):
         if foot.half_m:
             builder.add_box_collision(half_size=foot.half_m, material=names["material"])
         else:
-            builder.add_sphere_collision(radius=foot.radius_m, material=names["material"])
+            builder.add_sphere_collision(
+                radius=foot.radius_m, material=names["material"]
+            )
         actor = builder.build()
         actor.set_pose(sapien.Pose([0.0, 0.0, foot.height_m]))
         kind = sapien.physx.PhysxRigidDynamicComponent
