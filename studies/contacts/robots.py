@@ -43,8 +43,12 @@ def compared(robot: Robot) -> tuple[int, int, int]:
         for contact in data.contact:
             seen[tuple(sorted(contact.geom.tolist()))] = float(contact.friction[0])
     touched = {pair: friction for pair, friction in seen.items() if pair in rows}
-    mixed = sum(len({*model.geom_friction[list(pair), 0].tolist()}) > 1 for pair in touched)
-    wrong = sum(pairs.constants[rows[pair], 1] != friction for pair, friction in touched.items())
+    mixed = sum(
+        len({*model.geom_friction[list(pair), 0].tolist()}) > 1 for pair in touched
+    )
+    wrong = sum(
+        pairs.constants[rows[pair], 1] != friction for pair, friction in touched.items()
+    )
     return len(touched), mixed, int(wrong)
 
 
@@ -58,4 +62,7 @@ if __name__ == "__main__":
             print(f"{file}: {str(error)[:150]}", file=sys.stderr)
             continue
         if count:
-            print(f"{file}: {count} pairs touched, {mixed} of unlike materials, {wrong} differ", flush=True)
+            print(
+                f"{file}: {count} pairs touched, {mixed} of unlike materials, {wrong} differ",
+                flush=True,
+            )

@@ -22,7 +22,7 @@ from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import digits_text
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.fixes.candidates import candidates_of, keeps_recipe
-from gauge_envs.tools.sanity.fixes.harm import motion_harm
+from gauge_envs.tools.sanity.fixes.harm import changes_rebound, motion_harm
 from gauge_envs.tools.sanity.pair_bench import (
     PAIR_FIELDS,
     Bench,
@@ -154,9 +154,6 @@ MAX_PAIRS = 6
 
 HALVED = 0.5
 """Largest share of the worst deviation that a change may leave."""
-
-MEANT_REBOUND, SAME_REBOUND = 0.3, 0.1
-"""Smallest rebound that a model means, and change of one that counts. Soft contacts with MuJoCo's defaults have 0.13."""
 
 
 def pair_parts(
@@ -363,7 +360,7 @@ def _fix_text(
     assert robot is not None
     if keeps_recipe(robot.model):
         return f"Worst: {worst.name}. The lines of the recipe stay; gauge recipe prints what others would cost."
-    step_s = robot.model.opt.timestep
+    step_s, solref = robot.model.opt.timestep, measured.model.pair_solref[0]
     tangential = {"contact_solreffriction": (0.0, -0.95 / step_s)}
     candidates = [*candidates_of(configuration), {"cone": "elliptic", **tangential}]
     best: tuple[float, Settings, list[Value]] | None = None
@@ -373,7 +370,7 @@ def _fix_text(
             after,
             key=lambda value: value.deviation if value.name == worst.name else 0.0,
         ).deviation
-        if _harms(before, after, worst.name) or left > HALVED * worst.deviation:
+        if _harms(before, after, worst.name, solref) or left > HALVED * worst.deviation:
             continue
         if best is None or left < best[0]:
             changed = _with_line(robot, measured, changes)
@@ -387,17 +384,14 @@ def _fix_text(
     return _line_text(configuration, measured, names, before, best[1], best[2], worst)
 
 
-def _harms(before: list[Value], after: list[Value], worst: str) -> bool:
+def _harms(
+    before: list[Value], after: list[Value], worst: str, solref: FloatArray
+) -> bool:
     """Return whether a value other than the worst leaves its law, or a rebound changes."""
     if len(before) != len(after):
         return True
     for old, new in zip(before, after, strict=True):
-        is_meant = max(old.value, new.value) > MEANT_REBOUND
-        if (
-            new.law is None
-            and is_meant
-            and not abs(new.value - old.value) <= SAME_REBOUND
-        ):
+        if new.law is None and changes_rebound(old.value, new.value, solref):
             return True
         if old.name != worst and new.deviation > max(1.0, 1.2 * old.deviation):
             return True
