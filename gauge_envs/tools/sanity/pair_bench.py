@@ -269,7 +269,10 @@ class Bench:
     def _rest(self) -> tuple[float, float]:
         """Depths at rest under the load, and under the weight of the mass [m]."""
         loads = self._pressed_m_per_s2, G
-        under, own = (-self._run(SETTLE_S, (0.0, 0.0, -load))[-1, 0] for load in loads)
+        margin_m = float(self.model.pair_margin[0])
+        under, own = (
+            -self._run(SETTLE_S, (0.0, 0.0, -load), margin_m)[-1, 0] for load in loads
+        )
         return float(under), float(own)
 
     def _creeps_mm_per_s(self) -> list[float]:
@@ -322,7 +325,7 @@ class Bench:
         velocity = (tangent * IMPACT_M_PER_S, 0.0, -IMPACT_M_PER_S)
         rebounds, ratios = [], []
         for phase in range(PHASES):
-            height_m = (1.0 + phase / PHASES) * step_m + float(
+            height_m = (1.0 + (phase + 0.5) / PHASES) * step_m + float(
                 self.model.pair_margin[0]
             )
             last = self._run(SETTLE_S, (0.0, 0.0, 0.0), height_m, velocity)[-1]

@@ -139,7 +139,7 @@ def changes_rebound(
     Args:
         before: Restitution before the change.
         after: Restitution after it.
-        solref: The contact's before it. Critical damping means no rebound; soft contacts rebound a little in spite of it.
+        solref: The contact's before it; with critical damping, no rebound is meant.
     """
     is_meant = solref[0] <= 0.0 or solref[1] < 1.0
     is_lost = is_meant and after < before - SAME_REBOUND
