@@ -178,11 +178,11 @@ def pair_parts(
     model = robot.model
     geoms = [geom_name(model, geom) for geom in range(model.ngeom)]
     pair = sorted_pair(geoms.index(names[0]), geoms.index(names[1]))
-    load_n = touching(robot).get(pair, 0.0)
-    measured = _bench(robot, pair, load_n)
+    forces_n = touching(robot).get(pair)
+    measured = _bench(robot, pair, forces_n)
     values = measured.values()
     load = f"pressed with {digits_text(measured.touch.load_n)} N" + (
-        " in the run" if load_n else ", its weight"
+        " in the run" if forces_n is not None else ", its weight"
     )
     texts = [
         f"{names[0]} and {names[1]}: friction {digits_text(measured.friction)} is in force, {_rule(model, *pair)}",
@@ -212,8 +212,8 @@ def touching_table(configuration: TrainingConfiguration) -> list[Part]:
     if robot is None:
         return []
     groups: dict[tuple[object, ...], list[tuple[int, int]]] = {}
-    loads_n = touching(robot)
-    for pair in sorted(loads_n, key=lambda pair: -loads_n[pair]):
+    forces_n = touching(robot)
+    for pair in sorted(forces_n, key=lambda pair: -forces_n[pair][0]):
         sizes = robot.model.geom_size[list(pair)].tolist()
         key = (
             str(sizes),
@@ -222,7 +222,8 @@ def touching_table(configuration: TrainingConfiguration) -> list[Part]:
         )
         groups.setdefault(key, []).append(pair)
     rows = [
-        _touching_row(robot, pairs, loads_n) for pairs in [*groups.values()][:MAX_PAIRS]
+        _touching_row(robot, pairs, forces_n[pairs[0]])
+        for pairs in [*groups.values()][:MAX_PAIRS]
     ]
     titles = (
         "pairs that touch",
@@ -237,10 +238,10 @@ def touching_table(configuration: TrainingConfiguration) -> list[Part]:
 
 
 def _touching_row(
-    robot: Robot, pairs: list[tuple[int, int]], loads_n: Mapping[tuple[int, int], float]
+    robot: Robot, pairs: list[tuple[int, int]], forces_n: FloatArray
 ) -> list[str]:
     """Return the line of pairs with equal contacts, measured for the one with the largest load."""
-    measured = _bench(robot, pairs[0], loads_n[pairs[0]])
+    measured = _bench(robot, pairs[0], forces_n)
     texts = {value.name: _value_text(value) for value in measured.values()}
     sides = [
         listed([geom_name(robot.model, geom) for geom in dict.fromkeys(side)])
@@ -269,8 +270,8 @@ def sorted_pair(first: int, second: int) -> tuple[int, int]:
     return min(first, second), max(first, second)
 
 
-def _bench(robot: Robot, pair: tuple[int, int], load_n: float) -> Bench:
-    return bench(robot, touch_of(robot, pair, load_n), _constants(robot, pair))
+def _bench(robot: Robot, pair: tuple[int, int], forces_n: FloatArray | None) -> Bench:
+    return bench(robot, touch_of(robot, pair, forces_n), _constants(robot, pair))
 
 
 def _constants(robot: Robot, pair: tuple[int, int]) -> FloatArray:
@@ -381,7 +382,7 @@ def _fix_text(
             break
     if best is None:
         return f"Worst: {worst.name}. None of {len(candidates)} tried changes halves its error without harm."
-    return _line_text(configuration, measured, names, before, best[1], best[2], worst)
+    return _line_text(measured, names, before, *best[1:], worst.name)
 
 
 def _harms(
@@ -399,26 +400,29 @@ def _harms(
 
 
 def _line_text(
-    configuration: TrainingConfiguration,
     measured: Bench,
     names: tuple[str, str],
     before: list[Value],
     changes: Settings,
     after: list[Value],
-    worst: Value,
+    worst: str,
 ) -> str:
-    """Return a change as it is pasted, what it mends, and what it costs."""
-    mended = next(value for value in after if value.name == worst.name)
-    price = [
-        f"{new.name} {_value_text(old)} -> {_value_text(new)}"
-        for old, new in zip(before, after, strict=True)
-        if new.deviation > old.deviation + 0.1
-    ]
+    """Return a change as it is pasted, the first and the worst value that it mends, and what it costs."""
+    mended, price = [], []
+    for old, new in zip(before, after, strict=True):
+        text = f"{new.name} {_value_text(old)} -> {_value_text(new)}"
+        if old.deviation > max(1.0, new.deviation):
+            mended += [text] if not mended or old.name == worst else []
+        elif new.deviation > old.deviation + 0.1:
+            price.append(text)
+    if "timestep_s" in changes:
+        times = measured.model.opt.timestep / changes["timestep_s"]
+        price.append(f"{times:g} times as many steps")
     options = {k: v for k, v in changes.items() if k not in PAIR_FIELDS}
     lines = [dialect("mjcf").paste_text(options)] if options else []
     if len(options) < len(changes):
         lines.append(_pair_line(measured.changed(changes).model, names))
-    line = f"Best line: {' and '.join(lines)}: {worst.name} {_value_text(worst)} -> {_value_text(mended)}"
+    line = f"Best line: {' and '.join(lines)}: {', '.join(mended)}"
     return f"{line}; price: {', '.join(price) or 'none of these values'}."
 
 

@@ -83,6 +83,7 @@ class Touch:
         moving: The geom that moves there.
         mass_kg: Mass that moves with it [kg].
         load_n: Normal force between them [N].
+        pull_n: Tangential force between them in a run [N].
         fixed_pose: Rotation of the fixed geom, in a frame whose z axis is the normal.
         moving_pose: Rotation of the other one there.
         offset_m: Place of the moving geom from the fixed one there [m], shape [3].
@@ -92,34 +93,46 @@ class Touch:
     moving: int
     mass_kg: float
     load_n: float
+    pull_n: float
     fixed_pose: Rotation
     moving_pose: Rotation
     offset_m: FloatArray
 
 
-def touching(robot: Robot) -> dict[tuple[int, int], float]:
-    """Return the mean normal force [N] of each pair of geoms that touch in the last half of a run from the keyframe."""
+def touching(robot: Robot) -> dict[tuple[int, int], FloatArray]:
+    """Return mean normal and tangential force [N] of each pair that touches in the last half of a run, shape [2].
+
+    The run starts from the keyframe, with its controls.
+    """
     model, data = robot.model, mujoco.MjData(robot.model)
     data.qpos[:], data.ctrl[:] = robot.stance.qpos, robot.stance.ctrl
     count, force = round(RUN_S / model.opt.timestep), np.zeros(6)
-    sums: dict[tuple[int, int], float] = {}
+    sums: dict[tuple[int, int], FloatArray] = {}
     for step in range(count):
         mujoco.mj_step(model, data)
         for index in range(data.ncon if 2 * step >= count else 0):
-            first, second = sorted(data.contact.geom[index].tolist())
+            contact = data.contact[index]
             mujoco.mj_contactForce(model, data, index, force)
+            pair = min(contact.geom), max(contact.geom)
+            along = contact.frame.reshape(3, 3)[1:].T @ force[1:3]
             if force[0] > 0.0:
-                sums[first, second] = sums.get((first, second), 0.0) + force[0]
-    return {pair: total / (count - count // 2) for pair, total in sums.items()}
+                sums.setdefault(pair, np.zeros(4))
+                sums[pair] += [force[0], *along]
+    return {
+        pair: np.array([total[0], np.linalg.norm(total[1:])]) / (count - count // 2)
+        for pair, total in sums.items()
+    }
 
 
-def touch_of(robot: Robot, pair: tuple[int, int], load_n: float = 0.0) -> Touch:
+def touch_of(
+    robot: Robot, pair: tuple[int, int], forces_n: FloatArray | None = None
+) -> Touch:
     """Return how two geoms touch; they are moved together along their shortest distance.
 
     Args:
         robot: The model.
         pair: The geoms.
-        load_n: Normal force between them [N]; 0 for the weight of the moving tree of bodies.
+        forces_n: Normal and tangential force [N], shape [2]; None for the weight of the moving tree of bodies.
     """
     model, data = robot.model, mujoco.MjData(robot.model)
     data.qpos[:] = robot.stance.qpos
@@ -130,7 +143,8 @@ def touch_of(robot: Robot, pair: tuple[int, int], load_n: float = 0.0) -> Touch:
     )
     fixed, moving = (pair[place] for place in np.argsort(-masses, kind="stable"))
     mass_kg = float(masses.min())
-    if load_n:
+    load_n, pull_n = (mass_kg * G, 0.0) if forces_n is None else forces_n.tolist()
+    if forces_n is not None:
         # The other feet of a body carry the rest of it; a grip presses more than the weight.
         mass_kg = min(mass_kg, load_n / G)
     frame = _upright(_normal(model, data, fixed, moving))
@@ -142,7 +156,8 @@ def touch_of(robot: Robot, pair: tuple[int, int], load_n: float = 0.0) -> Touch:
         fixed,
         moving,
         mass_kg,
-        load_n or mass_kg * G,
+        load_n,
+        pull_n,
         frame * poses[0],
         frame * poses[1],
         frame.apply(data.geom_xpos[moving] - data.geom_xpos[fixed]),
@@ -200,10 +215,15 @@ class Bench:
         values = [Value("depth under load", 1e6 * self._rest[0], "um", 0.0, 500.0)]
         rebound, ratios = self._impacts()
         if self.friction:
-            for share, creep in zip(SHARES, self._creeps_mm_per_s(), strict=True):
-                values.append(
-                    Value(f"creep at {share:g} of the limit", creep, "mm/s", 0.0, 0.1)
+            own = self.touch.pull_n / (self.friction * self.touch.load_n)
+            creep = self._creep_um_per_s(min(own, SHARES[0]))
+            values.append(Value("creep in the run", creep, "um/s", 0.0, 100.0))
+            for share in SHARES:
+                name, creep = (
+                    f"creep at {share:g} of the limit",
+                    self._creep_um_per_s(share),
                 )
+                values.append(Value(name, creep, "um/s", 0.0, 100.0))
             for angle_deg in (0.0, 45.0):
                 ratio = self._slide(math.radians(angle_deg))
                 values.append(
@@ -275,14 +295,12 @@ class Bench:
         )
         return float(under), float(own)
 
-    def _creeps_mm_per_s(self) -> list[float]:
-        """Return the speed under each share of the limit of friction [mm/s], in the second half of a run."""
-        pressed, speeds = self._pressed_m_per_s2, []
-        for share in SHARES:
-            pushed = (share * self.friction * pressed, 0.0, -pressed)
-            along = self._run(SETTLE_S, pushed, -self._rest[0])[:, 1]
-            speeds.append(1e3 * float(along[len(along) // 2 :].mean()))
-        return speeds
+    def _creep_um_per_s(self, share: float) -> float:
+        """Return the speed under a share of the limit of friction [um/s], in the second half of a run."""
+        pressed = self._pressed_m_per_s2
+        pushed = (share * self.friction * pressed, 0.0, -pressed)
+        along = self._run(SETTLE_S, pushed, -self._rest[0])[:, 1]
+        return 1e6 * float(along[len(along) // 2 :].mean())
 
     def _slide(self, angle_rad: float) -> float:
         """Return the friction of a slide in a direction, over the friction in force."""
