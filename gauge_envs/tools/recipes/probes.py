@@ -164,7 +164,7 @@ class Probe:
         return {"restitution": float(np.mean(restitutions))}
 
     def impact(self) -> dict[str, float]:
-        """Return the friction of oblique impacts that is farthest from Coulomb's, and the rebound of a slipping ball."""
+        """Return the friction of the impact that is farthest from Coulomb's, and the rebound of a ball that slips."""
         ratios, rebound = self.impacts()
         worst = max(ratios.ravel().tolist(), key=lambda ratio: abs(ratio - 1.0))
         return {

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 
-from gauge_envs.backends.mujoco.contact_table import (
-    COLUMNS,
-    contact_pairs,
-    overrides_contacts,
-)
-from gauge_envs.backends.mujoco.options import set_option
+from gauge_envs.backends.mujoco.contact_table import COLUMNS, contact_pairs
+from gauge_envs.backends.mujoco.options import overrides_contacts, set_option
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.pages.document import Paragraph, Part, Tone
 from gauge_envs.pages.table import Table, grid
@@ -361,7 +357,7 @@ def _fix_text(
     assert robot is not None
     if keeps_recipe(robot.model):
         return f"Worst: {worst.name}. The lines of the recipe stay; gauge recipe prints what others would cost."
-    step_s, solref = robot.model.opt.timestep, measured.model.pair_solref[0]
+    step_s, solref = robot.model.opt.timestep, measured.model.pair_solref[0].tolist()
     tangential = {"contact_solreffriction": (0.0, -0.95 / step_s)}
     candidates = [*candidates_of(configuration), {"cone": "elliptic", **tangential}]
     best: tuple[float, Settings, list[Value]] | None = None
@@ -386,7 +382,7 @@ def _fix_text(
 
 
 def _harms(
-    before: list[Value], after: list[Value], worst: str, solref: FloatArray
+    before: list[Value], after: list[Value], worst: str, solref: Sequence[float]
 ) -> bool:
     """Return whether a value other than the worst leaves its law, or a rebound changes."""
     if len(before) != len(after):
@@ -408,7 +404,7 @@ def _line_text(
     worst: str,
 ) -> str:
     """Return a change as it is pasted, the first and the worst value that it mends, and what it costs."""
-    mended, price = [], []
+    mended, price = list[str](), list[str]()
     for old, new in zip(before, after, strict=True):
         text = f"{new.name} {_value_text(old)} -> {_value_text(new)}"
         if old.deviation > max(1.0, new.deviation):

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.mujoco.contact_table import COLUMNS, can_move
-from gauge_envs.backends.mujoco.options import set_option
+from gauge_envs.backends.mujoco.options import option_settings, set_option
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene.geometry import FloatArray
@@ -212,7 +212,7 @@ class Bench:
 
     def values(self) -> list[Value]:
         """Return what follows from the contact, each with its law; friction is left out for a contact without."""
-        values = [Value("depth under load", 1e6 * self._rest[0], "um", 0.0, 500.0)]
+        values = list[Value]()
         rebound, ratios = self._impacts()
         if self.friction:
             own = self.touch.pull_n / (self.friction * self.touch.load_n)
@@ -238,6 +238,7 @@ class Bench:
             for speed in (1.0, FAST_M_PER_S):
                 rise_mm = self._hop_mm(speed)
                 values.append(Value(f"hop at {speed:g} m/s", rise_mm, "mm", 0.0, 5.0))
+        values.append(Value("depth under load", 1e6 * self._rest[0], "um", 0.0, 500.0))
         values.append(Value("rebound", rebound, "", None, 0.05))
         if self.friction:
             for name, ratio in ratios.items():
@@ -382,18 +383,8 @@ def bench(robot: Robot, touch: Touch, constants: FloatArray) -> Bench:
         constants[COLUMNS["gap"]][0],
     )
     small = spec.compile()
-    for name in dir(model.opt):
-        if not name.startswith("_") and name not in (
-            "gravity",
-            "wind",
-            "density",
-            "viscosity",
-        ):
-            value = getattr(model.opt, name)
-            if isinstance(value, np.ndarray):
-                getattr(small.opt, name)[:] = value
-            elif isinstance(value, int | float):
-                setattr(small.opt, name, value)
+    for name, value in option_settings(model).items():
+        set_option(small.opt, name, value)
     links = model.geom_bodyid[[touch.fixed, touch.moving]]
     small.body_invweight0[1] = model.body_invweight0[links].sum(axis=0)
     friction = 0.0 if constants[0] < 3 else float(constants[1])
