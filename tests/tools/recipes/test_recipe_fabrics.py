@@ -68,6 +68,7 @@ def test_a_hinge_of_half_the_stiffness_is_a_miss(monkeypatch):
     assert lengths[1] / lengths[0] == pytest.approx(stiffness ** (1 / 3), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_strip_that_does_not_settle_is_a_divergence_with_its_reason(monkeypatch):
     def unsettled(rollout):
         raise DivergedError("it swings")

@@ -81,6 +81,7 @@ def test_torsional_and_rolling_friction_agree_with_a_plain_ball():
     assert losses(recipe.snippet) == pytest.approx(expected, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_requested_creep_is_not_exceeded():
     asked = {"friction": 0.5, "mass_kg": 0.2}
     free_m_per_s = searched(**asked).reached["creep_m_s"]
@@ -105,7 +106,7 @@ def test_engines_reach_torsional_and_rolling_friction(engine):
     assert set(searched(engine, **asked, rolling_m=0.001).misses) <= IN_IMPACTS
 
 
-@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize("place", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
 def test_the_command_prints_the_examples_of_the_page(place, gauge):
     page = (ROOT / "docs" / "recipes.md").read_text()
     command, printed = re.findall(
@@ -139,6 +140,7 @@ def test_a_miss_has_its_reason():
 # --- materials -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_values_of_a_material_come_from_the_task_files(values):
     recipe = values("wood-on-wood --set=timestep_s=0.002 --backend mujoco")
     (pair,) = [pair for pair in material_pairs() if pair.name == "wood-on-wood"]
