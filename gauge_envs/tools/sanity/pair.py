@@ -181,7 +181,7 @@ def pair_parts(
         " in the run" if forces_n is not None else ", its weight"
     )
     texts = [
-        f"{names[0]} and {names[1]}: friction {digits_text(measured.friction)} is in force, {_rule(model, *pair)}",
+        f"{names[0]} and {names[1]}: friction {digits_text(measured.friction)} is in force, {_rule(robot, pair)}",
         *_constants_texts(robot, pair),
         f"{digits_text(measured.touch.mass_kg)} kg {load}",
     ]
@@ -214,7 +214,7 @@ def touching_table(configuration: TrainingConfiguration) -> list[Part]:
         key = (
             str(sizes),
             str(_constants(robot, pair).tolist()),
-            _rule(robot.model, *pair),
+            _rule(robot, pair),
         )
         groups.setdefault(key, []).append(pair)
     rows = [
@@ -243,7 +243,7 @@ def _touching_row(
         listed([geom_name(robot.model, geom) for geom in dict.fromkeys(side)])
         for side in zip(*pairs, strict=True)
     ]
-    friction = f"{digits_text(measured.friction)}, {_rule(robot.model, *pairs[0])}"
+    friction = f"{digits_text(measured.friction)}, {_rule(robot, pairs[0])}"
     shown = (
         "creep at 0.9 of the limit",
         "slide at 45 degrees over Coulomb",
@@ -277,6 +277,8 @@ def _constants(robot: Robot, pair: tuple[int, int]) -> FloatArray:
 
 
 def _value_text(value: Value) -> str:
+    if math.isnan(value.value):
+        return "-"
     return f"{digits_text(round(value.value, 6) + 0.0)} {value.unit}".rstrip()
 
 
@@ -290,8 +292,12 @@ def _explicit(model: mujoco.MjModel, first: int, second: int) -> int | None:
     return int(found[0]) if found.size else None
 
 
-def _rule(model: mujoco.MjModel, first: int, second: int) -> str:
+def _rule(robot: Robot, pair: tuple[int, int]) -> str:
     """Return where the friction of two geoms comes from."""
+    model, (first, second) = robot.model, pair
+    condim = _constants(robot, pair)[0]
+    if condim == 1:
+        return "as condim is 1"
     if overrides_contacts(model):
         return "stated by o_friction of the option"
     if _explicit(model, first, second) is not None:

@@ -32,8 +32,8 @@ RUN_S, SETTLE_S = 1.0, 0.5
 FAST_M_PER_S, IMPACT_M_PER_S, PHASES = 4.0, 1.0, 4
 """Speed of the fast slide, speed of impacts along the normal [m/s], and number of their phases within a step."""
 
-SHARES, STEEP = (0.5, 0.9, 0.99), 1.5
-"""Loads of creep, and of a slide, over the limit of friction."""
+SHARES, STEEP, HALF = (0.5, 0.9, 0.99), 1.5, 0.5
+"""Loads of creep, and of a slide, over the limit of friction; share of the load that a slide must keep."""
 
 PAIR_FIELDS = {
     "contact_solref": "solref",
@@ -67,11 +67,10 @@ class Value(NamedTuple):
 
     @property
     def deviation(self) -> float:
-        """Distance from the law, in widths; infinite for a value that is not finite, 0 without a law."""
-        if self.law is None:
+        """Distance from the law, in widths; 0 without a law, or where nothing was measured."""
+        if self.law is None or math.isnan(self.value):
             return 0.0
-        distance = abs(self.value - self.law) / self.width
-        return distance if math.isfinite(distance) else math.inf
+        return abs(self.value - self.law) / self.width
 
 
 @dataclass(frozen=True)
@@ -147,7 +146,8 @@ def touch_of(
     if forces_n is not None:
         # The other feet of a body carry the rest of it; a grip presses more than the weight.
         mass_kg = min(mass_kg, load_n / G)
-    frame = _upright(_normal(model, data, fixed, moving))
+    normal, distance_m = _gap(model, data, fixed, moving)
+    frame = Rotation.align_vectors([[0.0, 0.0, 1.0]], [normal])[0]
     poses = [
         Rotation.from_matrix(data.geom_xmat[geom].reshape(3, 3))
         for geom in (fixed, moving)
@@ -160,30 +160,28 @@ def touch_of(
         pull_n,
         frame * poses[0],
         frame * poses[1],
-        frame.apply(data.geom_xpos[moving] - data.geom_xpos[fixed]),
+        frame.apply(data.geom_xpos[moving] - data.geom_xpos[fixed])
+        - [0.0, 0.0, distance_m],
     )
 
 
-def _normal(
+def _gap(
     model: mujoco.MjModel, data: mujoco.MjData, fixed: int, moving: int
-) -> FloatArray:
-    """Return the unit vector from one geom to the other where they touch, or are nearest, shape [3]."""
+) -> tuple[FloatArray, float]:
+    """Return the unit vector from one geom to the other where they touch or are nearest, and their distance [m].
+
+    The distance from a plane or a height field is unknown: 0.
+    """
     if model.geom_type[fixed] in (PLANE, HFIELD):
-        return np.array(data.geom_xmat[fixed].reshape(3, 3)[:, 2])
-    for geoms, contact in zip(
-        data.contact.geom.tolist(), data.contact.frame, strict=True
-    ):
-        if {*geoms} == {fixed, moving}:
-            return contact[:3] * (1.0 if geoms[0] == fixed else -1.0)
+        return np.array(data.geom_xmat[fixed].reshape(3, 3)[:, 2]), 0.0
+    for contact in data.contact:
+        if {*contact.geom.tolist()} == {fixed, moving}:
+            sign = 1.0 if contact.geom[0] == fixed else -1.0
+            return sign * contact.frame[:3], float(contact.dist)
     ends = np.zeros(6)
     distance_m = mujoco.mj_geomDistance(model, data, fixed, moving, 1e3, ends)
     along = (ends[3:] - ends[:3]) * np.sign(distance_m)
-    return np.asarray(along / max(float(np.linalg.norm(along)), 1e-12))
-
-
-def _upright(normal: FloatArray) -> Rotation:
-    """Return the smallest rotation of a unit vector to the z axis."""
-    return Rotation.align_vectors([[0.0, 0.0, 1.0]], [normal])[0]
+    return along / max(float(np.linalg.norm(along)), 1e-12), float(distance_m)
 
 
 @dataclass(frozen=True)
@@ -251,9 +249,10 @@ class Bench:
 
     @cached_property
     def _start_m(self) -> float:
-        """Height of the slide at which the geoms touch [m], by bisection."""
-        data = mujoco.MjData(self.model)
-        low, high = -1.0, 1.0
+        """Height of the slide at which the geoms touch [m], by bisection in a range where lower means deeper."""
+        data, radii_m = mujoco.MjData(self.model), self.model.geom_rbound
+        high = 10.0 if not radii_m.all() else 0.5 * float(radii_m.min())
+        low = -high
         for _ in range(50):
             data.qpos[2] = 0.5 * (low + high)
             mujoco.mj_kinematics(self.model, data)
@@ -304,7 +303,7 @@ class Bench:
         return 1e6 * float(along[len(along) // 2 :].mean())
 
     def _slide(self, angle_rad: float) -> float:
-        """Return the friction of a slide in a direction, over the friction in force."""
+        """Return the friction of a slide in a direction, over the friction in force; NaN where the geoms part."""
         pressed = self._pressed_m_per_s2
         pull = STEEP * self.friction * pressed
         along = np.array([math.cos(angle_rad), math.sin(angle_rad)])
@@ -316,6 +315,8 @@ class Bench:
             / seconds
             @ np.column_stack([[*along, 0.0], [0.0, 0.0, 1.0]])
         )
+        if lifted < -HALF * pressed:
+            return math.nan
         return float((pull - gained) / (self.friction * (pressed + lifted)))
 
     def _hop_mm(self, speed_m_per_s: float) -> float:
@@ -401,7 +402,7 @@ def _add_geom(
 ) -> None:
     """Give a body of the bench a copy of a geom; a height field becomes a plane."""
     kind = mujoco.mjtGeom(int(model.geom_type[geom]))
-    if kind is mujoco.mjtGeom.mjGEOM_SDF:
+    if kind == mujoco.mjtGeom.mjGEOM_SDF:
         raise TargetError("a geom of type sdf cannot be measured alone")
     quaternion = pose.as_quat(scalar_first=True)
     added = body.add_geom(
@@ -410,7 +411,7 @@ def _add_geom(
     added.contype = added.conaffinity = 0
     if kind in (PLANE, HFIELD):
         added.type, added.size = PLANE, [0.0, 0.0, 1.0]
-    elif kind is mujoco.mjtGeom.mjGEOM_MESH:
+    elif kind == mujoco.mjtGeom.mjGEOM_MESH:
         vertices = mesh_vertices_m(model, geom)
         mesh = spec.add_mesh(name=name, uservert=vertices.ravel())
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX

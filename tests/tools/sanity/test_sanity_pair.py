@@ -187,6 +187,23 @@ def test_a_held_capsule_creeps_as_the_page_says_until_it_has_the_line(gauge):
     assert 1e3 * held == pytest.approx(float(after), rel=0.05)
 
 
+def test_a_mesh_has_the_values_of_its_box():
+    """A brick of eight vertices on a plane, as a mesh and as a box."""
+    corners = " ".join(
+        f"{x} {y} {z}"
+        for x in (-0.03, 0.03)
+        for y in (-0.02, 0.02)
+        for z in (-0.01, 0.01)
+    )
+    tables = []
+    for geom in ('type="mesh" mesh="brick"', 'type="box" size=".03 .02 .01"'):
+        model = mujoco.MjModel.from_xml_string(f"""<mujoco><asset><mesh name="brick" vertex="{corners}"/></asset>
+          <worldbody><geom name="floor" type="plane" size="1 1 1"/><body pos="0 0 .0101"><freejoint/>
+          <geom name="foot" {geom} mass=".2"/></body></worldbody></mujoco>""")
+        tables.append(touching_table(configuration(model))[0].rows[0])
+    assert tables[0] == tables[1] and tables[0][1].startswith("1, ")
+
+
 # --- other stacks ----------------------------------------------------------------------------------------------------
 
 
