@@ -51,6 +51,7 @@ def test_the_recipe_of_a_fabric_names_the_loss_of_its_mapping():
     assert f"tri_ke={shear:.6g}" in recipe.snippet
 
 
+@pytest.mark.slow
 def test_a_hinge_of_half_the_stiffness_is_a_miss(monkeypatch):
     """Plant a measurement: the strip bends by twice as much."""
     measure = recipes.bending_stiffness

@@ -53,6 +53,7 @@ def test_a_recipe_is_one_json_object(values):
     assert abs(away) < 0.01 and recipe["misses"] == []
 
 
+@pytest.mark.slow
 def test_torsional_and_rolling_friction_agree_with_a_plain_ball():
     """In plain MuJoCo, the snippet slows a ball by 5/2 g arm / r^2 and 5/7 g arm / r^2."""
     recipe = searched(friction=0.5, torsion_m=0.002, rolling_m=0.001, mass_kg=0.2)
@@ -106,7 +107,9 @@ def test_engines_reach_torsional_and_rolling_friction(engine):
     assert set(searched(engine, **asked, rolling_m=0.001).misses) <= IN_IMPACTS
 
 
-@pytest.mark.parametrize("place", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "place", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2))]
+)
 def test_the_command_prints_the_examples_of_the_page(place, gauge):
     page = (ROOT / "docs" / "recipes.md").read_text()
     command, printed = re.findall(
@@ -118,6 +121,7 @@ def test_the_command_prints_the_examples_of_the_page(place, gauge):
     assert words[: len(printed.split())] == printed.split()
 
 
+@pytest.mark.slow
 def test_a_stiffness_is_reached_as_a_depth_and_a_damping_as_a_rebound():
     """The body has 0.5 kg, on 5000 N/m and 20 N s/m."""
     recipe = searched(stiffness_n_per_m=5000.0, damping_n_s_per_m=20.0)
