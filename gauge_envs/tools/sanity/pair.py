@@ -10,7 +10,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from gauge_envs.backends.mujoco.contact_table import COLUMNS, contact_pairs
+from gauge_envs.backends.mujoco.contact_table import COLUMNS, can_move, contact_pairs
 from gauge_envs.backends.mujoco.options import overrides_contacts, set_option
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.pages.document import Paragraph, Part, Tone
@@ -316,11 +316,10 @@ def _constants_texts(robot: Robot, pair: tuple[int, int]) -> Iterator[str]:
     time_s = constants[COLUMNS["solref"]][0]
     if time_s > 0.0:
         yield f"time constant {digits_text(float(time_s / model.opt.timestep))} steps"
-    bodies = model.geom_bodyid[list(pair)]
-    masses_kg = model.body_subtreemass[model.body_rootid[bodies]]
-    if bodies.all():
-        ratio = masses_kg.max() / max(masses_kg.min(), np.finfo(float).tiny)
-        yield f"masses {digits_text(float(ratio))} to 1"
+    if can_move(model)[list(pair)].all():
+        roots = model.body_rootid[model.geom_bodyid[list(pair)]]
+        masses_kg = model.body_subtreemass[roots]
+        yield f"masses {digits_text(float(masses_kg.max() / masses_kg.min()))} to 1"
 
 
 def _stack_table(
@@ -377,7 +376,7 @@ def _fix_text(
             continue
         if best is None or left < best[0]:
             changed = _with_line(robot, measured, changes)
-            if changed is not None and motion_harm(robot, changed):
+            if changed is None or motion_harm(robot, changed):
                 continue
             best = left, changes, after
         if left <= 1.0:
@@ -448,11 +447,9 @@ def _pair_line(model: mujoco.MjModel, names: tuple[str, str]) -> str:
 
 
 def _with_line(robot: Robot, measured: Bench, changes: Settings) -> Robot | None:
-    """Return the robot with a change of a pair; None where its text cannot have it."""
-    model, pair = (
-        copy.copy(robot.model),
-        sorted_pair(measured.touch.fixed, measured.touch.moving),
-    )
+    """Return the robot with a change of a pair; None where its file cannot have it."""
+    model = copy.copy(robot.model)
+    pair = sorted_pair(measured.touch.fixed, measured.touch.moving)
     if any(name in PAIR_FIELDS for name in changes) and _explicit(model, *pair) is None:
         if robot.spec is None or not all(model.geom(geom).name for geom in pair):
             return None
@@ -462,6 +459,7 @@ def _with_line(robot: Robot, measured: Bench, changes: Settings) -> Robot | None
         )
         added.condim, added.friction = int(small.pair_dim[0]), small.pair_friction[0]
         added.solref, added.solimp = small.pair_solref[0], small.pair_solimp[0]
+        added.margin, added.gap = small.pair_margin[0], small.pair_gap[0]
         model = spec.compile()
     row = _explicit(model, *pair)
     for name, value in changes.items():
