@@ -148,6 +148,15 @@ A stack without a rule for restitutions rebounds by constants of its contacts.
 MAX_PAIRS = 6
 """Largest number of groups of pairs that are measured without `--pair`."""
 
+SHOWN = {
+    "creep at 0.9 of the limit": "creep at 0.9 of the limit",
+    "slide at 45 degrees over Coulomb": "diagonal slide",
+    "hop at 4 m/s": "hop at 4 m/s",
+    "rebound": "rebound",
+    "grazing impact over Coulomb": "grazing impact",
+}
+"""Title of each value in the table of pairs that touch."""
+
 HALVED = 0.5
 """Largest share of the worst deviation that a change may leave."""
 
@@ -221,15 +230,7 @@ def touching_table(configuration: TrainingConfiguration) -> list[Part]:
         _touching_row(robot, pairs, forces_n[pairs[0]])
         for pairs in [*groups.values()][:MAX_PAIRS]
     ]
-    titles = (
-        "pairs that touch",
-        "friction",
-        "creep at 0.9 of the limit",
-        "diagonal slide",
-        "hop at 4 m/s",
-        "rebound",
-        "glancing",
-    )
+    titles = "pairs that touch", "friction", *SHOWN.values()
     return [grid(titles, rows)] if rows else []
 
 
@@ -244,21 +245,7 @@ def _touching_row(
         for side in zip(*pairs, strict=True)
     ]
     friction = f"{digits_text(measured.friction)}, {_rule(robot, pairs[0])}"
-    shown = (
-        "creep at 0.9 of the limit",
-        "slide at 45 degrees over Coulomb",
-        "hop at 4 m/s",
-        "rebound",
-    )
-    glancing = [text for name, text in texts.items() if name.startswith("impact")][
-        -1:
-    ] or ["-"]
-    return [
-        " with ".join(sides),
-        friction,
-        *(texts.get(name, "-") for name in shown),
-        *glancing,
-    ]
+    return [" with ".join(sides), friction, *(texts.get(n, "-") for n in SHOWN)]
 
 
 def sorted_pair(first: int, second: int) -> tuple[int, int]:
@@ -368,10 +355,7 @@ def _fix_text(
     best: tuple[float, Settings, list[Value]] | None = None
     for changes in candidates:
         after = measured.changed(changes).values()
-        left = max(
-            after,
-            key=lambda value: value.deviation if value.name == worst.name else 0.0,
-        ).deviation
+        left = max(v.deviation for v in after if v.name == worst.name)
         if _harms(before, after, worst.name, solref) or left > HALVED * worst.deviation:
             continue
         if best is None or left < best[0]:

@@ -240,9 +240,7 @@ class Bench:
         values.append(Value("rebound", rebound, "", None, 0.05))
         if self.friction:
             for name, ratio in ratios.items():
-                values.append(
-                    Value(f"impact at {name} over Coulomb", ratio, "", 1.0, 0.1)
-                )
+                values.append(Value(f"{name} impact over Coulomb", ratio, "", 1.0, 0.1))
         return values
 
     # --- measurements ------------------------------------------------------------------------------------------------
@@ -333,11 +331,9 @@ class Bench:
         """
         rebound, _ = self._impact(0.0)
         slip = 2.0 * self.friction * (1.0 + max(rebound, 0.0)) + 0.1
-        tangents = (0.5 * self.friction, self.friction, slip)
-        return rebound, {
-            f"{math.degrees(math.atan(tangent)):.0f} degrees": self._impact(tangent)[1]
-            for tangent in tangents
-        }
+        tangents = 0.5 * self.friction, self.friction, slip
+        ratios = [self._impact(tangent)[1] for tangent in tangents]
+        return rebound, dict(zip(("steep", "oblique", "grazing"), ratios, strict=True))
 
     def _impact(self, tangent: float) -> tuple[float, float]:
         """Return rebound and friction over Coulomb's law, the mean over phases, for a tangential over normal speed."""
